@@ -22,8 +22,8 @@ from gridslam.geometry.se2 import between, compose, exp, log, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.io.measurement import Measurement
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching import BranchAndBound, GaussNewton, Pyramid
-from gridslam.matching.gauss_newton import degenerate_direction
+from gridslam.matching import BranchAndBound, Pyramid
+from gridslam.matching.gauss_newton import EVALUATE_ONLY, degenerate_direction
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world
 from gridslam.types import Beams, FloatArray, IntArray, LaserScan, Odometry
 
@@ -49,7 +49,6 @@ _QUERY = 8  # key scans by which a place is told from others
 _JOINED_M, _SHORTEST_M = 2.0, 2.0
 _ROW = np.zeros(1, np.int32)
 _LOOSE = np.full((1, 3, 3), 1e-9) * np.eye(3)
-_SURVEY = GaussNewton(max_iterations=0, dense_spacing_m=1e-3)  # straight walls tell only across themselves
 
 
 class _Dark(NamedTuple):
@@ -233,7 +232,7 @@ def _cells(pose: FloatArray, beams: Beams) -> IntArray:
 
 
 def _determined(old: TileMaps, pose: FloatArray, beams: Beams) -> bool:
-    match = _SURVEY(old, _ROW, pose[None], _LOOSE, beams)
+    match = EVALUATE_ONLY(old, _ROW, pose[None], _LOOSE, beams)
     return degenerate_direction(match.information[0], float(match.score[0]), _DETERMINED) is None
 
 

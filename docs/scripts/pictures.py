@@ -112,7 +112,7 @@ def loop_closure() -> None:
         print(f"loop_closure.png: left as it is, no aces.clf.bz2 in {DATA} (GRIDSLAM_DATA)")
         return
     panels, relations = [], read_relations(DATA / "aces.relations")
-    for closes, head in ((False, "the filter alone"), (True, "with loop closure")):
+    for closes, head in ((False, "without loop closure"), (True, "with loop closure")):
         result = map_log(DATA / "aces.clf.bz2", configuration=Configuration(particles=1, loop_closure=closes), seed=1)
         error = relation_errors(result.trajectory, relations)
         panel = Panel(f"{head}: {error.trans_mean_m:.3f} m", [-34, -58, 36, 12])
@@ -177,7 +177,7 @@ def localization() -> None:
             panel.robot(true[k], TRUTH, 1.2)
             panel.robot(report.pose, ORANGE, 1.2)
             panels.append(panel)
-    save("localization", panels, 2, [("particles", CLOSURE), ("truth", TRUTH), ("what is told", ORANGE)])
+    save("localization", panels, 2, [("particles", CLOSURE), ("truth", TRUTH), ("reported", ORANGE)])
 
 
 def landmarks() -> None:

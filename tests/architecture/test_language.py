@@ -18,7 +18,13 @@ import pytest
 from support.house import PACKAGE, ROOT
 
 LIST = Path(__file__).with_name("language.tsv")
-PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+PAGES = [
+    *sorted((ROOT / "docs").glob("*.md")),
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "exercises" / "README.md",
+]
+EXERCISES = sorted((ROOT / "exercises").rglob("*.py"))
 SOURCES = sorted(path for kind in ("py", "cpp", "hpp", "js") for path in PACKAGE.rglob(f"*.{kind}"))
 
 
@@ -56,12 +62,13 @@ def of_source(text: str, suffix: str) -> Iterator[str]:
 
 
 def prose() -> dict[str, list[str]]:
-    pages = {path.name: list(of_page(path.read_text(encoding="utf-8"))) for path in PAGES}
+    pages = {path.relative_to(ROOT).as_posix(): list(of_page(path.read_text(encoding="utf-8"))) for path in PAGES}
     sources = {
         path.relative_to(PACKAGE).as_posix(): list(of_source(path.read_text(encoding="utf-8"), path.suffix))
         for path in SOURCES
     }
-    return pages | sources
+    exercises = {path.name: list(of_source(path.read_text(encoding="utf-8"), ".py")) for path in EXERCISES}
+    return pages | sources | exercises
 
 
 def found(pattern: str, texts: dict[str, list[str]]) -> list[str]:

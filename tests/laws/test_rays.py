@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import checks
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -44,27 +45,13 @@ def seen(start, end):
     return [np.argwhere(grid.known & sign) + corner for sign in (grid.log_odds < 0, grid.log_odds > 0)]
 
 
-def along(cells, start, end):
-    """Cells in the order in which the ray passes them: by the axis on which it goes further."""
-    difference = np.subtract(end, start)
-    axis = np.argmax(np.abs(difference))
-    return cells[np.argsort(cells[:, axis] * np.sign(difference[axis]), kind="stable")]
-
-
 @laws
 @given(start=cell, end=cell)
 def test_a_ray_frees_a_connected_line_and_hits_its_end(start, end):
     """It starts at the laser, takes one step of the longer axis at a time, never turns back, ends before the hit."""
     free, hit = seen(start, end)
     assert hit.tolist() == [list(end)]
-    steps = np.abs(np.subtract(end, start)).max()
-    assert len(free) == steps
-    if steps:
-        path = np.concatenate([along(free, start, end), hit])
-        assert path[0].tolist() == list(start)
-        moves = np.diff(path, axis=0)
-        assert (np.abs(moves).max(axis=1) == 1).all()
-        assert (moves * np.sign(np.subtract(end, start)) >= 0).all()
+    checks.ray_is_connected(free, start, end)
 
 
 @laws
@@ -72,11 +59,7 @@ def test_a_ray_frees_a_connected_line_and_hits_its_end(start, end):
 def test_cells_lie_within_half_a_cell_of_the_straight_line(start, end):
     """On the shorter axis, in whole numbers: 2 |n (cell - start) - i d| <= n."""
     assume(start != end)
-    difference = np.subtract(end, start)
-    steps = np.abs(difference).max()
-    path = along(seen(start, end)[0], start, end) - start
-    off = np.abs(steps * path - np.arange(steps)[:, None] * difference)
-    assert (2 * off <= steps).all()
+    checks.ray_is_straight(seen(start, end)[0], start, end)
 
 
 @laws
@@ -100,5 +83,5 @@ def test_rays_of_the_twin_are_those_of_the_maps(start, ends):
     """`ray_cells` gives the rays one after the other, each in its order; a ray of length 0 has no cell."""
     table = np.array(ends, dtype=np.int64).reshape(-1, 2)
     cells = ray_cells(np.array(start), table)
-    expected = [along(seen(start, end)[0], start, end) for end in ends]
+    expected = [checks.along(seen(start, end)[0], start, end) for end in ends]
     np.testing.assert_array_equal(cells, np.concatenate([np.zeros((0, 2), int), *expected]))

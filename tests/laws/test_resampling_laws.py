@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 
+import checks
 import numpy as np
 import pytest
+from checks import z_scores
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -36,40 +38,10 @@ def expected_counts(weights: np.ndarray, size: int) -> np.ndarray:
     return size * relative / relative.sum()
 
 
-def z_scores(draw_counts, expected: np.ndarray, repetitions: int) -> np.ndarray:
-    """How many standard errors the mean counts lie from `expected`; a count that never varies must be exact."""
-    counts = np.array([draw_counts() for _ in range(repetitions)])
-    error = counts.mean(axis=0) - expected
-    standard_error = counts.std(axis=0) / math.sqrt(repetitions)
-    fixed = standard_error == 0
-    np.testing.assert_allclose(error[fixed], 0, atol=1e-12)
-    return np.where(fixed, 0.0, error / np.where(fixed, 1.0, standard_error))
-
-
 @every_resampler
-@pytest.mark.parametrize(
-    ("weights", "size"),
-    [
-        ([0.9, 0.1], 2),
-        ([0.1, 0.9], 2),
-        ([1, 1, 1], 3),
-        ([5, 0, 1, 0, 2, 4], 6),
-        ([0, 0.05, 0.05, 0.9, 0], 5),
-        ([1, 2, 3, 4], 1),
-        ([1, 2, 3, 4], 7),
-        ([3, 1, 1, 1, 1, 1, 1, 1, 10, 1], 4),
-    ],
-)
+@pytest.mark.parametrize(("weights", "size"), checks.RESAMPLING_CASES)
 def test_expected_counts_are_size_times_weight(resampler, weights: list[float], size: int) -> None:
-    # 3000 repetitions and means of at least 0.1 a draw: the central limit theorem holds well. |z| > 5 has a chance of
-    # 6e-7; with 5 resamplers x 36 counts a false alarm would come for one seed in 9000. The seed is fixed.
-    rng = np.random.default_rng(20)
-    wheel = np.array(weights, dtype=np.float64)
-
-    def draw() -> np.ndarray:
-        return np.bincount(resampler(wheel, size, rng), minlength=len(wheel))
-
-    assert np.abs(z_scores(draw, expected_counts(wheel, size), 3000)).max() < 5
+    checks.counts_are_expected(resampler, weights, size)
 
 
 def taught_wheel(weights: np.ndarray, size: int, rng: np.random.Generator) -> list[int]:
@@ -86,15 +58,20 @@ def taught_wheel(weights: np.ndarray, size: int, rng: np.random.Generator) -> li
 
 def test_the_wheel_as_usually_taught_is_biased() -> None:
     # The first stop is in the slot of weight 1/10 with probability 1/12 (derived in ResamplingWheel's docstring). The
-    # standard error of 20000 repetitions is sqrt(1/12 * 11/12 / 20000) = 0.00195: 1/10 is 8.5 of them away.
+    # standard error of 20000 repetitions is sqrt(1/12 * 11/12 / 20000) = 0.00195: 1/10 is 8.5 of them away. The sum s
+    # of two steps has the density s / 1.8^2 up to 1.8 and (3.6 - s) / 1.8^2 beyond: from the beginning of the first
+    # slot the second stop is in the second one with probability 0.325 / 3.24, from that of the second with
+    # 0.32 / 3.24, so both draws together have 1/12 + 0.645 / 6.48. Its standard error is below
+    # sqrt(2 / 12 / 20000) = 0.0029, and 1/5 is 5.9 of them away.
     rng = np.random.default_rng(21)
     weights = np.array([0.9, 0.1])
+    for size, expected in ((1, 1 / 12), (2, 1 / 12 + 0.645 / 6.48)):
 
-    def first_stop() -> np.ndarray:
-        return np.bincount(taught_wheel(weights, 1, rng), minlength=2)
+        def draw(size: int = size) -> np.ndarray:
+            return np.bincount(taught_wheel(weights, size, rng), minlength=2)
 
-    assert np.abs(z_scores(first_stop, np.array([11 / 12, 1 / 12]), 20000)).max() < 4
-    assert np.abs(z_scores(first_stop, weights, 20000)).max() > 5
+        assert np.abs(z_scores(draw, np.array([size - expected, expected]), 20000)).max() < 4
+        assert np.abs(z_scores(draw, size * weights, 20000)).max() > 5
 
 
 @pytest.mark.parametrize("size", [1, 4, 9])

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
+import checks
 import numpy as np
 import pytest
 
-from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.models import DiffusionMotion, GMappingMotion, OdometryMotion, VelocityMotion
 
@@ -118,20 +118,9 @@ ODOMETRY = OdometryMotion(**{k: ALPHAS[k] for k in NO_TURN})
     ids=["odometry", "odometry-backward", "odometry-turn", "velocity-arc", "velocity-line", "gmapping", "diffusion"],
 )
 def test_samples_have_the_first_order_moments(sampler):
-    n = 100_000
-    poses = np.tile([3.0, -2.0, 3.0], (n, 1))  # heading near pi: samples fall on both sides of the seam
-    means, covariances = sampler.moments(poses[:1])
-    samples = sampler(poses, np.random.default_rng(7))
-    assert ((samples[:, 2] >= -math.pi) & (samples[:, 2] < math.pi)).all()
-    errors = samples - means
-    errors[:, 2] = wrap(errors[:, 2])
-    spread = np.sqrt(np.diag(covariances[0]))
-    # Standard error of a mean: spread / sqrt(n); of a covariance at most spread_i spread_j sqrt(2/n). Five of each hold
-    # with a chance of a failure below 1e-4 over all entries. Noise of 3 % of a radian leaves a second-order
-    # bias below (0.03)^2 m and a relative change of covariance below 2 * 0.03^2.
-    np.testing.assert_array_less(np.abs(errors.mean(axis=0)), 5 * spread / math.sqrt(n) + 0.03**2)
-    tolerance = np.outer(spread, spread) * (5 * math.sqrt(2 / n) + 2 * 0.03**2)
-    np.testing.assert_array_less(np.abs(errors.T @ errors / n - covariances[0]), tolerance + 1e-15)
+    before = np.array([3.0, -2.0, 3.0])  # heading near pi: samples fall on both sides of the seam
+    (mean,), (spread,) = sampler.moments(before[None])
+    checks.samples_have_moments(sampler, before, mean, spread)
 
 
 def test_noise_is_independent_between_particles():

@@ -22,10 +22,9 @@ PARTICLES = 10
 
 # Measured over these ten worlds, each with two seeds of the filter, start-anchored: RMSE 0.025 to 0.133 m, the worst
 # pose 0.286 m, RMSE of the heading up to 0.52 degrees, 83 to 100 % of the obstacles within 0.1 m of a wall, and an
-# average NEES of 3.8 to 5.8. Every band is 1.4 times the worst of those or more; a lost loop costs metres.
+# average NEES of 0.18. Every band is 1.4 times the worst of those or more; a lost loop costs metres.
 RMSE_M, WORST_M, RMSE_DEG = 0.2, 0.45, 1.0
 OFF_WALLS = 0.24
-AVERAGE_NEES = 20.0
 
 
 @dataclass(frozen=True)
@@ -97,13 +96,15 @@ def test_none_is_ever_lost(worlds):
 
 
 def test_covariances_are_of_the_errors_size(worlds):
-    """The last pose of each world. The covariances claim up to twice too little: beams and maps are correlated.
+    """The last pose of each world: no more than an upper bound, as this filter knows of no closed loop.
 
-    A consistent estimator has an average NEES of 3, and 1.7 to 4.7 in 95 of 100 draws of ten worlds.
+    A consistent estimator has an average NEES of 3, and 1.7 to 4.7 in 95 of 100 draws of ten worlds; this one 0.18, as
+    its sigmas are four times the errors. Without the drift since the start it was 3.8 to 5.8 here, and up to 490 in
+    bare corridors.
     """
     poses, truths, covariances = (np.array(parts) for parts in zip(*(world.last for world in worlds), strict=True))
     consistency = check_consistency(poses, truths, covariances)
-    assert consistency.lower / 2 < consistency.average_nees < AVERAGE_NEES
+    assert 0.05 < consistency.average_nees < consistency.upper
 
 
 @pytest.mark.parametrize("seed", [1, 3])

@@ -99,7 +99,7 @@ def test_trajectory_of_one_particle_is_the_same_online_and_in_full(measurements,
     assert 20 < fixed.sum() < len(fixed)
     assert np.abs(between(full.poses, online.poses))[fixed].max() < 1e-12
     # between two key scans full may know better where the second one lies; the tracker is good to some centimetres
-    assert np.abs(between(full.poses, online.poses)).max() < 0.1
+    assert np.abs(between(full.poses, online.poses)).max() < 0.15
 
 
 def test_full_trajectory_follows_the_best_particles_own_past(measurements, slam):

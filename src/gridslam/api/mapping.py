@@ -33,6 +33,7 @@ from gridslam.kernels import compiled
 from gridslam.observers import RunStatistics, StatisticsRecorder, TrajectoryRecorder
 from gridslam.pipeline import Observer, Stopwatch, run
 from gridslam.slam.full_slam.full_slam import LoopClosureSummary, full_slam
+from gridslam.slam.full_slam.full_trajectory import find_open_directions
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.slam.loop_closure.state import RejectionReason
@@ -159,6 +160,7 @@ class MapResult(Result):
             caption=self.caption(),
             truth=self.truth,
             closures=None if self.loop_summary is None else self._drawn(self.loop_summary),
+            open_directions=find_open_directions(self.graph),
         )
 
     def _write_files(self, out: OutputFolder) -> None:

@@ -195,6 +195,17 @@ def adjoint(pose: ArrayLike) -> FloatArray:
     return _matrix(c, -s, y, s, c, -x, 0, 0, 1)
 
 
+def rotate_covariances(covariances: FloatArray, angles: ArrayLike) -> FloatArray:
+    """Covariances (..., 3, 3) of x, y and theta in axes turned by -`angles` (...), rad: R C R' with R that rotation."""
+    angle = np.asarray(angles, np.float64)
+    rotation = np.zeros((*angle.shape, 3, 3))
+    rotation[..., 0, 0] = rotation[..., 1, 1] = np.cos(angle)
+    rotation[..., 1, 0] = np.sin(angle)
+    rotation[..., 0, 1] = -rotation[..., 1, 0]
+    rotation[..., 2, 2] = 1.0
+    return np.asarray(rotation @ covariances @ rotation.swapaxes(-1, -2))
+
+
 def lever_arm_jacobian(frames: FloatArray, carried: FloatArray) -> FloatArray:
     """Jacobians of poses that a frame carries along when it moves, by the pose of that frame.
 

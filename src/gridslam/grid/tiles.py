@@ -190,7 +190,7 @@ class TileMaps:
             backend.update_field(*self._view, changed, self._cone, self.threads)
 
     def match(
-        self, rows: Int32Array, guesses: FloatArray, priors: FloatArray, ends: FloatArray, *settings: float
+        self, rows: Int32Array, guesses: FloatArray, priors: FloatArray, ends: FloatArray, *settings: float | bool
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Gauss-Newton from guesses (K, 3) with prior information (K, 3, 3); see `gridslam.matching.GaussNewton`."""
         found: tuple[FloatArray, FloatArray, FloatArray] = backend.match(

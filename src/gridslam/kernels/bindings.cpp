@@ -110,7 +110,7 @@ void py_update_field(GRIDSLAM_MAPS, Array<const int32_t, 2> cells, Array<const u
 
 auto py_match(GRIDSLAM_MAPS, Rows rows, Matrix guesses, Array<const double, 3> priors, Matrix ends, double resolution,
               int max_iterations, double cauchy_cells, double max_step_cells, double max_step_rad, double stop_cells,
-              double stop_rad, double reach_cells, double min_information, double dense_spacing_cells, int threads) {
+              double stop_rad, double reach_cells, double min_information, bool point_to_line, int threads) {
   const Maps m = view(roots, first, pages, log_odds, field);
   const size_t k = guesses.shape(0);
   auto poses = fresh<double, 2>({k, 3});
@@ -121,7 +121,7 @@ auto py_match(GRIDSLAM_MAPS, Rows rows, Matrix guesses, Array<const double, 3> p
     match(m, rows.data(), guesses.data(), priors.data(), static_cast<int>(k), ends.data(),
           static_cast<int>(ends.shape(0)), resolution,
           {max_iterations, cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells,
-           min_information, dense_spacing_cells},
+           min_information, point_to_line},
           threads, poses.data(), information.data(), score.data());
   }
   return std::make_tuple(poses, information, score);
@@ -207,7 +207,7 @@ NB_MODULE(_compiled, m) {
   m.def("update_field", &py_update_field, GRIDSLAM_MAPS_ARGS, "cells"_a, "cone"_a, "threads"_a);
   m.def("match", &py_match, GRIDSLAM_MAPS_ARGS, "rows"_a, "guesses"_a, "priors"_a, "ends"_a, "resolution"_a,
         "max_iterations"_a, "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a, "stop_rad"_a,
-        "reach_cells"_a, "min_information"_a, "dense_spacing_cells"_a, "threads"_a);
+        "reach_cells"_a, "min_information"_a, "point_to_line"_a, "threads"_a);
   m.def("distances", &py_distances, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "ends"_a, "resolution"_a, "reach_cells"_a,
         "threads"_a);
   m.def("cast_rays", &py_cast_rays, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "origin"_a, "directions"_a, "resolution"_a,

@@ -155,9 +155,9 @@ void update_field(const Maps& m, const Cell* cells, int n, const uint8_t* cone, 
 struct MatchSettings {
   int max_iterations;
   double cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells;
-  double min_information;      // smallest eigenvalue of the position's information, per agreeing beam, that counts as
-                               // determined
-  double dense_spacing_cells;  // ends on a straight wall farther apart than this are ignored along it
+  double min_information;  // smallest eigenvalue of the position's information, per agreeing beam, that counts as
+                           // determined
+  bool point_to_line;      // ends on a straight wall count only across it
 };
 void match(const Maps& m, const int32_t* rows, const double* guesses, const double* priors, int k, const double* ends,
            int b, double resolution, const MatchSettings& s, int threads, double* poses, double* information,

@@ -13,15 +13,13 @@ struct Normal {  // of sum w d^2 in cells and radians: H = [h00 h01 h02; . h11 h
 enum Sum { kH00, kH01, kH02, kH11, kH12, kH22, kG0, kG1, kG2, kScore, kSums };
 // clang-format on
 
-// Normals of the straight walls on which ends lie, in the frame of the ends, (0, 0) where they lie on none; and
-// `along`, 0 for those that are so sparse that they are ignored along the wall: its far ends are mapped as dots, and
-// dots would match dots.
+// Normals of the straight walls on which ends lie, in the frame of the ends, (0, 0) where they lie on none, and then
+// `along` is 1.
 struct Walls {
   std::vector<float> x, y, along;
-  Walls(const Ends& ends, double sparse) : x(ends.x.size(), 0.0f), y(x), along(x.size(), 1.0f) {
-    if (!(sparse > 0)) return;
+  Walls(const Ends& ends, bool point_to_line) : x(ends.x.size(), 0.0f), y(x), along(x.size(), 1.0f) {
+    if (!point_to_line) return;
     constexpr int kFirst[3] = {-1, -2, 0};  // the end itself is the middle of three, or the last, or the first
-    const float least = static_cast<float>(sparse);
     for (int i = 0; i < ends.n; ++i) {
       const float apart =
           std::max(i > 0 ? between(ends, i - 1, i) : 0.0f, i + 1 < ends.n ? between(ends, i, i + 1) : 0.0f);
@@ -29,7 +27,7 @@ struct Walls {
       for (const int first : kFirst) {
         const int a = i + first * stride, b = a + 2 * stride;
         if (a < 0 || b >= ends.n || !straight(ends, a, a + stride, b, i)) continue;
-        along[i] = apart < least ? 1.0f : 0.0f;
+        along[i] = 0.0f;
         break;
       }
     }
@@ -66,9 +64,9 @@ GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x,
       const float gu = -to_cells * f.du[l], gv = -to_cells * f.dv[l];
       const int j = block * kLanes + l;
       const float nx = pose.c * walls.x[j] - pose.s * walls.y[j], ny = pose.s * walls.x[j] + pose.c * walls.y[j];
-      const float across = gu * nx + gv * ny, beside = gu - across * nx, aside = gv - across * ny;
+      const float across = gu * nx + gv * ny;
       beyond[l] = (nx * nx + ny * ny) * (gu * gu + gv * gv) - kBeyond * across * across;
-      ju[l] = across * nx + walls.along[j] * beside, jv[l] = across * ny + walls.along[j] * aside;
+      ju[l] = across * nx + walls.along[j] * gu, jv[l] = across * ny + walls.along[j] * gv;
     }
     for (int l = 0; l < kLanes; ++l)  // a wall goes on where it is not mapped yet: its mapped part's end, the nearest
                                       // there, is not informative
@@ -170,7 +168,7 @@ void match(const Maps& m, const int32_t* rows, const double* guesses, const doub
            int b, double resolution, const MatchSettings& s, int threads, double* poses, double* information,
            double* score) {
   const Ends in_cells(ends, b, 1.0 / resolution);
-  const Walls walls(in_cells, s.dense_spacing_cells);
+  const Walls walls(in_cells, s.point_to_line);
   parallel_for(k, threads, [&](int i) {
     match_one(m, rows[i], guesses + 3 * i, priors + 9 * i, in_cells, walls, resolution, s, poses + 3 * i,
               information + 9 * i, score + i);

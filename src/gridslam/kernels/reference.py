@@ -190,7 +190,7 @@ def match(
     stop_rad: float,
     reach_cells: float,
     min_information: float,
-    dense_spacing_cells: float,
+    point_to_line: bool,
     threads: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Gauss-Newton of a scan's `ends` (B, 2) on the distance field, from `guesses` (K, 3) with `priors` (K, 3, 3).
@@ -198,9 +198,9 @@ def match(
     Minimizes sum_b c^2 log(1 + (d_b / c)^2) + e^T P e with d_b the distance and c = `cauchy_cells` in cells, e the way
     from the guess and P its information, in m and rad, by the weights w_b = 1 / (1 + (d_b / c)^2). A step is clipped to
     `max_step_cells` and `max_step_rad`; one below both `stop_cells` and `stop_rad` is the last. Along a direction with
-    less information than `min_information` per agreeing beam the guess is held. Ends on a straight wall
-    `dense_spacing_cells` or more apart are ignored along it, and those in unknown cells whose nearest obstacle lies
-    along their wall rather than across are ignored entirely (0: all are used).
+    less information than `min_information` per agreeing beam the guess is held. If `point_to_line`, ends on a straight
+    wall count only across it, and those in unknown cells whose nearest obstacle lies along their wall rather than
+    across are ignored entirely.
 
     Returns
     -------
@@ -219,7 +219,7 @@ def match(
     guess = guesses / unit
     pose = guess.copy()
     going = np.arange(len(guesses))
-    settings = ends / resolution, _walls(ends * (1 / resolution), dense_spacing_cells), cauchy_cells, reach_cells
+    settings = ends / resolution, _walls(ends * (1 / resolution), point_to_line), cauchy_cells, reach_cells
     for _ in range(max_iterations):
         lookup = _Field(roots, first, pages, field, rows[going])
         h, g, score = _linearize(lookup, log_odds, pose[going], *settings)
@@ -243,7 +243,7 @@ def _linearize(
     log_odds: NDArray[np.int16],
     poses: FloatArray,
     ends: FloatArray,
-    walls: tuple[FloatMap, FloatMap],
+    walls: FloatMap,
     cauchy_cells: float,
     reach_cells: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -255,13 +255,11 @@ def _linearize(
     gradient = -to_cells * np.stack([du, dv], axis=-1).astype(np.float64)
     c = np.cos(poses[:, 2])
     s = np.sin(poses[:, 2])
-    own, along = walls
-    normals = own @ np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
+    normals = walls @ np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
     slope = (gradient * normals).sum(axis=-1, keepdims=True)
     beyond = (normals**2).sum(axis=-1) * (gradient**2).sum(axis=-1) > _BEYOND * slope[..., 0] ** 2
     beyond &= log_odds.reshape(-1)[lookup.cell_addresses(*np.floor([v, u]).astype(np.int64))] == UNKNOWN
-    across = slope * normals
-    constraining = across + along[:, None] * (gradient - across)
+    constraining = np.where((normals**2).sum(axis=-1, keepdims=True) > 0, slope * normals, gradient)
     ju, jv = np.moveaxis(np.where(beyond[..., None], 0.0, constraining), -1, 0)
     jacobian = np.stack([ju, jv, jv * (u - poses[:, :1]) - ju * (v - poses[:, 1:2])], axis=-1)
     weight = 1.0 / (1.0 + (d / cauchy_cells) ** 2)
@@ -269,19 +267,18 @@ def _linearize(
     return weighted @ jacobian, (weighted @ d[..., None])[..., 0], weight.sum(axis=1)
 
 
-def _walls(ends: FloatArray, sparse: float) -> tuple[FloatMap, FloatMap]:
-    """Normals (B, 2) of the straight walls on which ends (B, 2) lie, in cells, 0 on none; 0 in (B,) for sparse ones.
+def _walls(ends: FloatArray, point_to_line: bool) -> FloatMap:
+    """Normals (B, 2) of the straight walls on which ends (B, 2) lie, in cells; 0 on none, or not `point_to_line`.
 
-    An end lies sparsely where the farther of its two neighbours in the scan is `sparse` or more away. It lies on a wall
-    where three ends that are equally many beams apart, such that `_BASE` cells would lie between them were all as
-    sparse as here, follow one another along a line to a cell. The end is the middle one of the three; else, at the end
-    of a wall, the last; else the first. All is in single precision, so that the kernel decides alike.
+    An end lies on a wall where three ends that are equally many beams apart, such that `_BASE` cells would lie between
+    them were all as far apart as here, follow one another along a line to a cell. The end is the middle one of the
+    three; else, at the end of a wall, the last; else the first. All is in single precision, so that the kernel decides
+    alike.
     """
     at = ends.astype(np.float32)
     normals = np.zeros_like(at)
-    along = np.ones(len(at), np.float32)
-    if not np.float32(sparse) > 0 or len(ends) < 3:
-        return normals, along
+    if not point_to_line or len(ends) < 3:
+        return normals
     steps = np.diff(at, axis=0)
     between = np.sqrt((steps * steps).sum(axis=1))
     apart = np.maximum(np.append(np.float32(0), between), np.append(between, np.float32(0)))
@@ -299,9 +296,8 @@ def _walls(ends: FloatArray, sparse: float) -> tuple[FloatMap, FloatMap]:
         straight = (u * v).sum(axis=1) > 0
         straight &= np.abs(u[:, 0] * chord[:, 1] - u[:, 1] * chord[:, 0]) <= _ASIDE * length
         normals[i[straight]] = np.stack([-chord[:, 1], chord[:, 0]], axis=1)[straight] / length[straight, None]
-        along[i[straight]] = apart[i[straight]] < np.float32(sparse)
         left = np.setdiff1d(left, i[straight])
-    return normals, along
+    return normals
 
 
 def _pin_degenerate(h: FloatArray, least: FloatArray) -> FloatArray:

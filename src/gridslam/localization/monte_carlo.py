@@ -124,7 +124,7 @@ class MonteCarloConfiguration:
     recovery: AugmentedRecovery = Field(default_factory=AugmentedRecovery)
     proposal: MeasurementProposal = Field(default_factory=MeasurementProposal)
     hypotheses: HypothesisTracker = Field(default_factory=HypothesisTracker)
-    matcher: GaussNewton = Field(default_factory=lambda: GaussNewton(dense_spacing_m=0.0))
+    matcher: GaussNewton = Field(default_factory=lambda: GaussNewton(point_to_line=False))
     beam_order_margin: float = Field(default=0.05, ge=0, le=1)
     kld: KldSampling = Field(default_factory=KldSampling)
     when_to_update: MotionThreshold = Field(default_factory=lambda: MotionThreshold(0.2, 0.2))

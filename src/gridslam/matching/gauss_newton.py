@@ -24,7 +24,7 @@ __all__ = [
     "weigh_known_beams",
 ]
 
-MIN_INFORMATION = 0.02
+MIN_INFORMATION = 0.005
 """Minimum eigenvalue of the position information per inlier beam of a non-degenerate match."""
 
 
@@ -52,16 +52,17 @@ class GaussNewton:
     min_beams : int
         With fewer the guess is kept: a few beams fit almost anywhere. Of a full circle in a simulated office ten are
         better than poor odometry, and eight are worse.
-    dense_spacing_m : float, m
-        Ends of beams that lie on a straight wall farther apart than this count only across it. They are mapped as dots,
-        and as every scan of a corridor has its dots in the same places, dots would hold the robot where it is. Ends on
-        a straight wall, in unknown cells, whose nearest obstacle lies along the wall do not count at all: it goes on
-        where it is not mapped yet, and they would be pulled back to where its mapped part ends. 0: all count as in
-        the field.
+    point_to_line : bool
+        Ends of beams on a straight wall count only across it: along it there is nothing to see, and what the map shows
+        there are its cells, which move with the robot: every scan of a corridor hits them in the same places, and they
+        would hold the robot where it is. Ends on a straight wall, in unknown cells, whose nearest obstacle lies along
+        the wall do not count at all: it goes on where it is not mapped yet, and they would be pulled back to where its
+        mapped part ends. Else all count as in the field.
 
     References
     ----------
-    Kohlbrecher et al. 2011 (matching on an interpolated grid), with the residual a distance.
+    Kohlbrecher et al. 2011 (matching on an interpolated grid), with the residual a distance; Censi 2008 (point to
+    line).
     """
 
     max_iterations: int = Field(default=10, ge=0)
@@ -72,7 +73,7 @@ class GaussNewton:
     stop_rad: float = Field(default=2e-4, gt=0)
     min_information: float = Field(default=MIN_INFORMATION, ge=0)
     min_beams: int = Field(default=10, ge=0)
-    dense_spacing_m: float = Field(default=0.06, ge=0)
+    point_to_line: bool = True
 
     def __call__(
         self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: BeamEnds
@@ -93,7 +94,7 @@ class GaussNewton:
             self.stop_rad,
             maps.reach_cells,
             self.min_information,
-            self.dense_spacing_m / cell,
+            self.point_to_line,
         )
         return Match(*found)
 

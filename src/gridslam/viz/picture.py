@@ -15,6 +15,7 @@ from gridslam.viz.canvas import (
     FREE,
     LOST,
     OCCUPIED,
+    OPEN,
     TIME_ENDS,
     TRUTH,
     UNKNOWN,
@@ -66,6 +67,7 @@ def draw_map(
     truth: Trajectory | None = None,
     walls: FloatArray | None = None,
     closures: FloatArray | None = None,
+    open_directions: FloatArray | None = None,
 ) -> Image.Image:
     """Draw the known part of a map with the trajectory over it, a scale bar and a caption under it.
 
@@ -84,6 +86,8 @@ def draw_map(
         A floor plan in the frame of the grid, drawn in the colour of the truth.
     closures : (K, 4) float64, m, optional
         Loop closures as [x0, y0, x1, y1], the two places that each of them joins, in the frame of the grid.
+    open_directions : (L, 4) float64, m, optional
+        Lines along directions that scans left open, as closures are given.
 
     Returns
     -------
@@ -100,6 +104,9 @@ def draw_map(
         stroke(page, layout.pixels(walls.reshape(-1, 2)).reshape(-1, 4), TRUTH, 1.2 * layout.unit)
     if truth is not None:
         paint_path(page, layout, truth, 2.0, TRUTH)
+    if open_directions is not None and len(open_directions):  # a band under the path
+        stroke(page, layout.pixels(open_directions.reshape(-1, 2)).reshape(-1, 4), OPEN, 10.0 * layout.unit)
+        keys.append(("open directions", OPEN))
     if trajectory is not None and len(trajectory):
         paint_path(page, layout, trajectory, 3.0)
         mark_ends(page, layout.pixels(trajectory.poses[[0, -1], :2]), 8.0 * layout.unit)

@@ -61,7 +61,7 @@ def test_neither_odometry_nor_mounting_is_believed():
     np.testing.assert_array_equal(blind.poses, poses)
     assert np.isnan(blind.odometry).all()
     turned = laser_motion(with_fault(measurements, "yaw_offset", np.random.default_rng(0), 2.0))
-    np.testing.assert_allclose(turned.poses, poses, atol=4e-3)  # what the grid costs, which lies elsewhere now
+    np.testing.assert_allclose(turned.poses, poses, atol=5e-3)  # what the grid costs, which lies elsewhere now
 
 
 def test_a_mirrored_world_is_matched_as_well():

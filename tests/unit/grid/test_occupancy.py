@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import checks
 import numpy as np
 import pytest
 
@@ -34,33 +35,22 @@ def at(grid, x, y):
     return row, column
 
 
-@pytest.mark.parametrize(
-    ("true_occupied", "true_free", "measured"),
-    [
-        (0.9, 0.7, "hhmhmmmhhmhmhhh"),
-        (0.6, 0.95, "mmmmhhmhm"),
-        (0.3663, 0.9667, "hmmmmmmmhmh"),
-        (0.99, 0.99, "hmhmhmmm"),
-    ],
-)
+@pytest.mark.parametrize(("true_occupied", "true_free", "measured"), checks.BAYES_CASES)
 def test_one_cell_follows_bayes_rule(true_occupied, true_free, measured):
     """The cell's belief equals Bayes' rule, applied with the four probabilities to one measurement after the other."""
     model = InverseSensorModel(true_occupied, 1 - true_occupied, 1 - true_free, true_free)
     maps = TileMaps(1, resolution_m=CELL, reach_cells=3.0, evidence=evidence_of(model))
-    belief = 0.5
-    for n, z in enumerate(measured, 1):
-        see(maps, [(1.0 if z == "h" else 2.0, 0.0)])  # the beam ends in the cell, or passes through it
-        if_occupied = model.true_occupied if z == "h" else model.false_free
-        if_free = model.false_occupied if z == "h" else model.true_free
-        belief = if_occupied * belief / (if_occupied * belief + if_free * (1 - belief))
+
+    def log_odds_after(seen):
+        see(maps, [(1.0 if seen[-1] == "h" else 2.0, 0.0)])  # the beam ends in the cell, or passes through it
         grid = maps.occupancy(0)
         cell = at(grid, 1.05, 0.05)
         assert grid.known[cell]
-        # each measurement is stored to the nearest step of log-odds
-        log_odds = np.log(belief / (1 - belief))
-        assert grid.log_odds[cell] == pytest.approx(log_odds, abs=n * LOG_ODDS_UNIT / 2 + 1e-5)
-        # p changes by at most a quarter of the log-odds' change
-        assert grid.probability[cell] == pytest.approx(belief, abs=n * LOG_ODDS_UNIT / 8 + 1e-5)
+        assert grid.probability[cell] == pytest.approx(1 / (1 + np.exp(-grid.log_odds[cell])), abs=1e-6)
+        return float(grid.log_odds[cell])
+
+    # each measurement is stored to the nearest step of log-odds
+    checks.cell_follows_bayes_rule(log_odds_after, model, measured, rounding=LOG_ODDS_UNIT / 2)
 
 
 def test_log_odds_do_not_depend_on_the_order_of_scans_away_from_the_clamps():

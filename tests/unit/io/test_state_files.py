@@ -81,7 +81,7 @@ def file(measurements, tmp_path_factory):
         ("configuration", None, "a text named configuration"),
         ("generator", "{}", "generator: expected the state of PCG64"),
         ("generator", json.dumps({"bit_generator": "MT19937"}), "generator: expected the state of PCG64"),
-        ("state.schema", "gridslam.state/1", "a state of schema gridslam.state/8"),
+        ("state.schema", "gridslam.state/1", "a state of schema gridslam.state/9"),
         ("state.poses", None, "an array named poses"),
         ("state.maps.pages", None, "the arrays roots"),
         ("trajectory.keys", np.zeros(2), "keys: expected int64"),

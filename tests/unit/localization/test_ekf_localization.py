@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from checks import differences
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -46,17 +47,6 @@ def test_it_is_the_kalman_filter_where_all_is_linear():
     np.testing.assert_allclose(belief.pose, [*mean, 0.0], atol=1e-12)
     np.testing.assert_allclose(belief.covariance[:2, :2], P, atol=1e-12)
     assert told == pytest.approx(likelihood)
-
-
-def differences(function, at, step=1e-6):
-    """Central finite differences (n, 3) of a function of a pose."""
-    columns = []
-    for k in range(3):
-        ahead, behind = (np.array(at, float) for _ in range(2))
-        ahead[k], behind[k] = ahead[k] + step, behind[k] - step
-        change = function(ahead) - function(behind)
-        columns.append(change / (2 * step))
-    return np.stack(columns, axis=1)
 
 
 @given(st.floats(-3, 3), st.floats(-1, 1), st.floats(-2, 2))

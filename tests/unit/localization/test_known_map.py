@@ -107,7 +107,7 @@ def seen_from(known: KnownMap, pose: np.ndarray) -> Beams:
     return LaserScan.from_ranges(0, ranges, ScanGeometry(bearings)).beams(0.01, 29.0)
 
 
-LINES = GaussNewton(dense_spacing_m=0.0)
+LINES = GaussNewton(point_to_line=False)
 
 
 @given(st.integers(0, 2**32 - 1))

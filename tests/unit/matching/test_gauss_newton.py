@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import checks
 import numpy as np
 import pytest
 
-from gridslam.geometry.se2 import compose
 from gridslam.grid import Evidence, TileMaps
 from gridslam.matching import GaussNewton
 from gridslam.matching.gauss_newton import degenerate_direction
@@ -50,14 +50,13 @@ def room():
 @pytest.mark.parametrize("seed", range(8))
 def test_a_known_displacement_is_found(room, seed):
     """From up to 15 cm and 3 degrees away; the map's cells are 5 cm, so a fifth of a cell is asked for."""
-    rng = np.random.default_rng(seed)
-    truth = rng.uniform(-1, 1, 3) * [1.0, 0.8, np.pi]
-    guess = compose(truth, rng.uniform(-1, 1, 3) * [0.15, 0.15, 0.05])
-    match = GaussNewton()(room, ROW, guess[None], prior(), scan_of_room(truth))
-    np.testing.assert_allclose(match.poses[0, :2], truth[:2], atol=0.01)
-    off = (match.poses[0, 2] - truth[2] + np.pi) % (2 * np.pi) - np.pi
-    assert abs(off) < 0.003
-    assert match.score[0] > 0.95 * 360
+
+    def match(truth, guess):
+        found = GaussNewton()(room, ROW, guess[None], prior(), scan_of_room(truth))
+        assert found.score[0] > 0.95 * 360
+        return found.poses[0]
+
+    checks.displacement_is_found(match, seed)
 
 
 def test_many_guesses_are_matched_apart(room):
@@ -150,14 +149,13 @@ def test_a_corridor_keeps_the_guess_along_its_axis_and_says_so(corridor):
 
 
 def test_a_direction_in_which_the_guess_was_kept_is_undetermined(corridor):
-    """Four beams of 360 on two posts tell of the axis: less than a beam in fifty, so the match does not use them."""
+    """A beam of 360 on a post shows where along the axis: less than one in 200, so the match does not use it."""
     corridor = corridor.snapshot()
     beams = scan_of_room(np.zeros(3), CORRIDOR, max_m=4.0)
     ends = beams.ends.copy()
-    posts = np.array([[3.0, 0.02], [3.0, -0.02], [-3.0, 0.02], [-3.0, -0.02]])
-    ends[:: len(ends) // 4][:4] = posts
+    ends[0] = [3.0, 0.02]
     seen = replace(beams, ends=ends)
-    for _ in range(10):  # until the posts outweigh the passages of the drive
+    for _ in range(10):  # until the post outweighs the passages of the drive
         corridor.update(ROW, np.zeros((1, 3)), seen)
     guess = np.array([[0.1, 0.0, 0.0]])
     match = GaussNewton()(corridor, ROW, guess, prior(), seen)
@@ -167,7 +165,7 @@ def test_a_direction_in_which_the_guess_was_kept_is_undetermined(corridor):
     assert axis is not None
     assert abs(axis[0]) > 0.99
     free = GaussNewton(min_information=0.0)(corridor, ROW, guess, prior(), seen)
-    assert free.poses[0, 0] == pytest.approx(0.0, abs=0.03)
+    assert free.poses[0, 0] == pytest.approx(0.0, abs=0.04)
     assert degenerate_direction(free.information[0], float(free.score[0]), 0.0) is None
 
 
@@ -221,13 +219,13 @@ def dotted(pose):
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.8, -2.4])
-def test_ends_seen_sparsely_on_a_wall_say_nothing_along_it(turn):
+def test_ends_on_a_wall_say_nothing_along_it(turn):
     """However the robot is turned; across it they say what they did."""
     pose = np.array([0.0, 0.0, turn])
     maps, seen = dotted(pose)
     counted = [
-        GaussNewton(max_iterations=0, dense_spacing_m=sparse)(maps, ROW, pose[None], prior(), seen)
-        for sparse in (0.0, 0.04)
+        GaussNewton(max_iterations=0, point_to_line=lines)(maps, ROW, pose[None], prior(), seen)
+        for lines in (False, True)
     ]
     along, across = ([match.information[0, i, i] for match in counted] for i in (0, 1))
     assert along[0] > 0.1 * counted[0].score[0]
@@ -246,7 +244,7 @@ def test_dots_do_not_hold_a_robot_that_moves_along_its_corridor(moved_m):
     truth = np.array([moved_m, 0.0, 0.0])
     seen = every_third(scan_of_room(truth, CORRIDOR, max_m=6.0))
     held, free = (
-        GaussNewton(dense_spacing_m=sparse)(maps, ROW, truth[None], prior(), seen).poses[0] for sparse in (0.0, 0.04)
+        GaussNewton(point_to_line=lines)(maps, ROW, truth[None], prior(), seen).poses[0] for lines in (False, True)
     )
     assert held[0] < truth[0] - 0.02
     assert free[0] == pytest.approx(truth[0], abs=0.005)
@@ -261,7 +259,7 @@ def test_where_no_three_ends_follow_one_another_nothing_changes():
     maps = TileMaps(1, resolution_m=CELL, reach_cells=10.5, evidence=Evidence(2.4, -0.4, -16, 32, 2.0))
     maps.update(ROW, np.zeros((1, 3)), beams)
     guess = np.array([[0.03, -0.02, 0.01]])
-    one, other = (GaussNewton(dense_spacing_m=sparse)(maps, ROW, guess, prior(), beams) for sparse in (0.0, 0.06))
+    one, other = (GaussNewton(point_to_line=lines)(maps, ROW, guess, prior(), beams) for lines in (False, True))
     np.testing.assert_array_equal(one.poses, other.poses)
     np.testing.assert_array_equal(one.information, other.information)
 
@@ -287,11 +285,11 @@ def test_a_wall_goes_on_where_it_is_not_mapped_yet(half):
     maps, truth = map_of_nothing(), [0.0, 0.0, -0.2]
     maps.update(ROW, np.zeros((1, 3)), half_seen(np.zeros(3), half))
     drawn, free = (
-        GaussNewton(dense_spacing_m=sparse)(
-            maps, ROW, np.array([truth]), prior(), half_seen(np.array(truth), half)
-        ).poses[0]
+        GaussNewton(point_to_line=lines)(maps, ROW, np.array([truth]), prior(), half_seen(np.array(truth), half)).poses[
+            0
+        ]
         - truth
-        for sparse in (0.0, 0.06)
+        for lines in (False, True)
     )
     assert drawn[0] > 0.01
     assert np.abs(free).max() < 0.0075

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 
+import checks
 import numpy as np
 import pytest
 from hypothesis import given
@@ -110,23 +111,15 @@ def test_end_point_skip_counts_over_the_whole_scan():
     expected=st.one_of(st.floats(0.05, 12), st.sampled_from([9.9, 10.0, 10.5, math.inf])), sigma=st.floats(0.02, 0.5)
 )
 def test_beam_densities_sum_to_one(expected, sigma):
-    model = BeamRangeFinder(z_hit=0.6, z_short=0.2, z_max=0.1, z_rand=0.1, sigma_hit_m=sigma, range_max_m=10.0)
-    step = 10.0 / 100_000
-    ranges = (np.arange(100_000) + 0.5) * step
-    total = model.likelihoods(ranges, np.float64(expected)).sum() * step
-    total += model.likelihoods(np.float64(10.0), np.float64(expected))
-    # The midpoint rule errs by half a step times the jumps of the density, that of the short readings at the
-    # expected range (at most 0.2 / 0.05 per metre) and that at the range 0 (none); the table of the normal by 2e-7.
-    assert abs(total - 1) < step / 2 * (0.2 / 0.05) + 1e-5
+    checks.beam_densities_sum_to_one(BeamRangeFinder.likelihoods, expected, sigma)
 
 
-# By hand, lambda 1/m: at the expected range 5 m, N(0) = 3.98942 and the exponential's e^-5 / (1 - e^-5) = 0.00678365.
-def test_beam_density_at_the_expected_range():
-    model = BeamRangeFinder(z_hit=0.8, z_short=0.1, z_max=0.05, z_rand=0.05, sigma_hit_m=0.1, range_max_m=30.0)
-    got = model.likelihoods(np.array([5.0, 5.2, 40.0]), np.float64(5.0))
-    # Two standard deviations behind the wall nothing is short any more: 0.8 N(2) + 0.05 / 30. No return: z_max.
-    expected = [0.8 * 3.989423 + 0.1 * 0.006783655 + 0.05 / 30, 0.8 * 0.5399097 + 0.05 / 30, 0.05]
-    np.testing.assert_allclose(got, expected, rtol=1e-6)
+def test_beam_densities_by_hand():
+    checks.beam_model(BeamRangeFinder.likelihoods)
+
+
+def test_the_likelihood_field_in_closed_form():
+    checks.likelihood_field(LikelihoodField.log_likelihoods)
 
 
 def test_no_return_is_expected_where_the_map_is_open():

@@ -4,29 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import checks
 import numpy as np
 import pytest
 
-from gridslam.geometry.se2 import between
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
-from gridslam.types import Trajectory
-
-SCANS = 120
+from gridslam.sim import SimulatedLog
 
 
 @pytest.fixture(scope="session")
 def drive() -> SimulatedLog:
-    """The first 24 s (some 12 m) of a drive through an office with poor odometry; the truth starts at the origin.
-
-    Aligned, the odometry alone strays from the truth by 0.68 m.
-    """
-    rng = np.random.default_rng(5)
-    poor = OdometryNoise(distance_scale=1.03, turn_scale=0.93, bias_rad_per_m=0.01)
-    whole = simulate(make_world("demo", rng), RobotConfig(), poor, LidarConfig(beams=120), rng)
-    stamps = whole.truth.stamps_ns[:SCANS]
-    truth = Trajectory(stamps, between(whole.truth.poses[0], whole.truth.poses[:SCANS]))
-    odometry = Trajectory(stamps, whole.odometry.poses[:SCANS])
-    return SimulatedLog(whole.measurements[:SCANS], truth, odometry, whole.walls)
+    """A short drive through an office with poor odometry."""
+    return checks.poor_drive()
 
 
 @pytest.fixture(scope="session")

@@ -98,5 +98,4 @@ def test_accepted_constraints_are_those_of_the_last_weights_and_recognized_ones_
     one = candidate("refined", 0.0, constraints, [0.0, 0.9, 0.49, 0.5, 0.0])
     assert one.recognized_constraints == [constraints[0], constraints[3]]
     assert one.accepted_constraints == [constraints[0], constraints[2]]
-    np.testing.assert_array_equal(one.increments, [[1.0, 0.0, 0.0]])
     assert candidate("filter", 0.0, weights=[0.0]).accepted_constraints == []

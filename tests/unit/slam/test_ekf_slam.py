@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import checks
 import numpy as np
 import pytest
 
@@ -28,31 +29,26 @@ def run(slam, steps, motion=MOTION, known=True):
     return state, reports
 
 
-def test_it_is_the_kalman_filter_where_all_is_linear():
-    """A robot that cannot turn, and sees positions: textbook equations over [x, y, m_1, m_2], sighting by sighting."""
-    rng, R, Q = np.random.default_rng(0), np.diag([0.04, 0.01]), np.diag([0.09, 0.25])
-    motion = GaussianIncrement.from_std(np.array([0.5, 0.1, 0.0]), np.array([0.2, 0.1, 0.0]))
-    slam = EkfSlam(RelativePosition(sigma_x_m=0.3, sigma_y_m=0.5))
+def mean_and_covariance(sensor, steps):
+    """What EKF SLAM estimates at the end, pose and landmarks in the order of first observation."""
+    slam = EkfSlam(sensor)
     state = slam.init()
-    big = 1e9  # a landmark of which nothing is known, which is what the first sighting of one means
-    mean, P = np.zeros(6), np.diag([0, 0, big, big, big, big])
-    for k in range(12):
-        seen = [[0, 1], [1], [0]][k % 3]
-        z = rng.normal([[3.0, 1.0], [2.0, -2.0]], 0.5)[seen]
-        state, _ = slam.step(state, motion, LandmarkObservations.of(z, seen))
-        mean[:2] += [0.5, 0.1]
-        P[:2, :2] += R
-        for j, value in zip(seen, z, strict=True):
-            H = np.zeros((2, 6))
-            H[:, :2], H[:, 2 + 2 * j : 4 + 2 * j] = -np.eye(2), np.eye(2)
-            K = P @ H.T @ np.linalg.inv(H @ P @ H.T + Q)
-            mean, P = mean + K @ (value - H @ mean), (np.eye(6) - K @ H) @ P
-            P = (P + P.T) / 2
-    some = [0, 1, 3, 4, 5, 6]
-    # The textbook's filter begins with a variance of 1e9, of which rounding leaves 1e9 * 2e-16 * a few.
-    np.testing.assert_allclose(state.mean[some], mean, atol=1e-5)
-    np.testing.assert_allclose(state.covariance[np.ix_(some, some)], P, atol=1e-5)
-    assert state.observations.tolist() == [8, 8]
+    for step in steps:
+        motion = GaussianIncrement.with_covariance(step.increment, step.noise)
+        state, _ = slam.step(state, motion, LandmarkObservations.of(step.z, step.names))
+    assert state.observations.tolist() == [
+        sum(name in step.names for step in steps) for name in dict.fromkeys(n for step in steps for n in step.names)
+    ]
+    return state.mean, state.covariance
+
+
+def test_it_is_the_kalman_filter_where_all_is_linear():
+    """A robot that cannot turn, and sees positions: textbook equations over [x, y, m_1, m_2], in turn."""
+    checks.slam_is_the_kalman_filter(mean_and_covariance)
+
+
+def test_errors_are_as_large_as_covariances_state():
+    checks.ring_is_mapped(mean_and_covariance)
 
 
 def test_covariances_stay_covariances_and_a_landmark_never_gets_less_certain():

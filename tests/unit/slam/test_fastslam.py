@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import checks
 import numpy as np
 import pytest
 from hypothesis import given
@@ -136,23 +137,17 @@ def test_weights_of_fastslam2_are_the_likelihood_of_all_sightings_under_the_moti
 @ALL
 def test_many_particles_find_what_the_kalman_filter_finds_where_all_is_linear(kind):
     """A robot that cannot turn and sees positions: the posterior is EKF SLAM's, exactly."""
-    sensor = RelativePosition(sigma_x_m=0.3, sigma_y_m=0.3)
-    motion = GaussianIncrement.from_std(np.array([0.5, 0.0, 0.0]), np.array([0.15, 0.15, 0.0]))
-    slam, ekf = kind(LandmarkFilters(sensor), when_to_resample=NeverResample()), EkfSlam(sensor)
-    rng, seen = np.random.default_rng(7), np.random.default_rng(8)
-    state, expected = slam.init(20_000), ekf.init()
-    for k in range(4):
-        z = np.array([[6.0, 1.0], [3.0, -2.0]]) - [0.5 * k, 0] + seen.normal(0, 0.3, (2, 2))
-        state, report = slam.step(state, motion, LandmarkObservations.of(z, [3, 5]), rng)
-        expected, _ = ekf.step(expected, motion, LandmarkObservations.of(z, [3, 5]))
-    found, other = slam.landmark_map(state), ekf.landmark_map(expected)
-    # Means err by sigma / sqrt(N_eff) = 0.3 / sqrt(1000) = 0.01 m; five times that. Variances by sqrt(2 / N_eff), 5 %.
-    assert report.n_eff > 1000
-    np.testing.assert_allclose(found.positions, other.positions, atol=0.05)
-    np.testing.assert_allclose(found.covariances, other.covariances, atol=0.2 * other.covariances.max())
-    weights = np.exp(state.log_weights)
-    np.testing.assert_allclose(weights @ state.poses, expected.pose, atol=0.05)
-    np.testing.assert_allclose(report.covariance, expected.pose_covariance, atol=0.2 * expected.pose_covariance.max())
+
+    def particles(sensor, steps, count, rng):
+        slam = kind(LandmarkFilters(sensor), when_to_resample=NeverResample())
+        state = slam.init(count)
+        for step in steps:
+            motion = GaussianIncrement.with_covariance(step.increment, step.noise)
+            state, _ = slam.step(state, motion, LandmarkObservations.of(step.z, step.names), rng)
+        count = len(steps[0].names)
+        return np.exp(state.log_weights), state.poses, state.positions[:, :count], state.covariances[:, :count]
+
+    checks.particles_find_the_kalman_filter(particles)
 
 
 @ALL

@@ -16,6 +16,7 @@ from gridslam.slam import GridFastSlam
 from gridslam.slam.full_slam.full_trajectory import full_trajectory
 from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submaps import build_map
@@ -170,3 +171,24 @@ def test_it_can_be_interrupted(halls):
 
     with pytest.raises(KeyboardInterrupt):
         refine(halls[0].log, on_progress=stop)
+
+
+def test_the_graph_holds_the_tracked_increments(halls):
+    """With their expected covariances: positions with less variance than that by which searches are bounded."""
+    for one in halls:
+        graph = one.refinement.best.graph
+        known = one.closure_state.graph
+        if one.refinement.best.name == "filter":
+            continue
+        count = len(graph.poses) - 1
+        tracked = np.array(known.tracked)
+        np.testing.assert_array_equal(graph.measurements[:count], between(tracked[:-1], tracked[1:]))
+        covariances = np.linalg.inv(graph.information[:count])
+        np.testing.assert_allclose(covariances, known.covariances[1:], rtol=1e-6, atol=1e-12)
+        position, heading = np.array(known.variances[1:]).T
+        np.testing.assert_allclose(covariances[:, 2, 2], heading, rtol=1e-9)
+        assert np.median(covariances[:, 0, 0] / position) == pytest.approx(DriftModel().position_ratio ** 2)
+
+
+def test_at_least_one_hall_is_refined(halls):
+    assert any(one.refinement.best.name != "filter" for one in halls)

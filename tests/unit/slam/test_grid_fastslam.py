@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import checks
 import numpy as np
 import pytest
+from checks import BAND_M
 
 from gridslam.errors import ArgumentError, ConsumedStateError
-from gridslam.evaluation import absolute_errors
 from gridslam.geometry.se2 import between
 from gridslam.matching import GaussNewton, HillClimbing
 from gridslam.models import DiffusionMotion, OdometryMotion
@@ -44,12 +45,7 @@ def blind(scan):
 
 def worst_error(reports, truth):
     """Greatest distance (m) of a pose told at the time from the true one, the whole being aligned."""
-    return strayed(np.array([report.pose for report in reports]), truth.poses)
-
-
-def strayed(poses, true_poses):
-    stamps = np.arange(len(poses)) * 10**9
-    return absolute_errors(Trajectory(stamps, poses), Trajectory(stamps, true_poses)).trans_max_m
+    return checks.worst_error(np.array([report.pose for report in reports]), truth.poses)
 
 
 def odometry_error(drive, start, end):
@@ -62,10 +58,6 @@ def odometry_error(drive, start, end):
 def usual(drive, play):
     """What the default filter says of the undisturbed drive."""
     return play(GridFastSlam(), drive.measurements)
-
-
-# The worst of the undisturbed drive is 0.05 m (10 particles, 6 seeds); twice that for other particles and disturbances.
-BAND_M = 0.1
 
 
 def test_the_undisturbed_drive_is_near_the_truth(usual, drive):
@@ -214,7 +206,7 @@ def test_particles_may_begin_anywhere(drive, play):
     keys = np.flatnonzero([report.skipped is None for report in [report, *reports]])
     for begin, past in zip(given, state.ancestry.trajectories(), strict=True):
         np.testing.assert_array_equal(past[0], begin)
-        assert strayed(past, drive.truth.poses[keys]) < BAND_M
+        assert checks.worst_error(past, drive.truth.poses[keys]) < BAND_M
 
 
 @pytest.mark.parametrize("particles", [0, -1, np.zeros((0, 3)), np.zeros((4, 2)), np.zeros(3)])

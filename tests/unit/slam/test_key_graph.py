@@ -207,6 +207,25 @@ def test_no_way_through_the_graph_is_more_certain(seed):
     assert traces == sorted(traces)
 
 
+def test_the_drift_is_that_along_the_most_certain_way_from_the_start():
+    """Against the closed form along the chain, and along a constraint to the key scans near it."""
+    graph = chain(68, 4)
+    graph.drift_covariances[0] = np.zeros((3, 3))
+    np.testing.assert_allclose(
+        propagate_covariances(graph.poses[-1], graph.drift[None])[0], propagated(graph, range(1, 68))
+    )
+    long = graph.drift
+    poor = constraint(graph, 3, 60, information=1e-2)
+    graph.add(poor)
+    np.testing.assert_array_equal(graph.drift, long)
+    graph.add(constraint(graph, 3, 60, information=1e9))
+    short = propagated(graph, [*range(1, 4), *range(61, 68)])
+    found = propagate_covariances(graph.poses[-1], graph.drift[None])[0]
+    np.testing.assert_allclose(found, short, rtol=1e-3, atol=1e-6)
+    graph.correct(np.array(graph.poses))  # which derives everything again
+    np.testing.assert_allclose(propagate_covariances(graph.poses[-1], graph.drift[None])[0], found, rtol=1e-9)
+
+
 def test_the_way_to_one_submap_is_that_among_all_of_them():
     graph = chain(300, 3)
     for from_, to in ((12, 250), (100, 290), (31, 144)):

@@ -95,7 +95,7 @@ def test_rejections_are_counted_by_reason(seen, poses):
 
 
 @pytest.mark.parametrize(
-    "name", ["search.failures", "online_poses", "rejected", "rejected_match_variances", "graph.tracked", "scans.ends"]
+    "name", ["search.failures", "online_poses", "rejected", "graph.covariances", "graph.tracked", "scans.ends"]
 )
 def test_a_missing_array_is_told(seen, poses, name):
     closure_state = LoopClosureState()

@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.geometry.se2 import compose
-from gridslam.slam.full_slam.full_trajectory import drift_covariances, full_trajectory, path_fractions, scan_covariances
+from gridslam.geometry.se2 import between, compose, rotate_covariances
+from gridslam.slam.full_slam.full_trajectory import (
+    drift_covariances,
+    find_open_directions,
+    full_trajectory,
+    path_fractions,
+    scan_covariances,
+)
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.pose_graph.marginals import marginal_covariances
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -55,8 +61,8 @@ def test_between_key_scans_it_is_no_less_than_drift_and_at_them_it_is_theirs():
         drifted = (1 - share) * of_keys[k] + share * of_keys[k + 1]  # of a random walk, exactly
         assert np.linalg.eigvalsh(found[scan] - drifted).min() >= -1e-12
         assert np.linalg.eigvalsh(found[scan]).min() > 0
-    position, heading = DriftModel().variances(0.4, 0.1)
-    assert np.allclose(found[8], of_keys[3] + np.diag([position, position, heading]))
+    driven = rotate_covariances(DriftModel().covariance(key_from_base[8]), graph.poses[-1, 2])
+    assert np.allclose(found[8], of_keys[3] + driven)
 
 
 def test_shares_are_those_of_the_full_trajectory():
@@ -66,3 +72,16 @@ def test_shares_are_those_of_the_full_trajectory():
     assert path_fractions(keys, key_from_base) == pytest.approx([0, 0.125, 0.5, 0, 0.5, 1.0])
     exact = np.array([[0, 0, 0], [0.5, 0, 1.5]])
     assert np.allclose(full_trajectory(exact, keys, key_from_base)[:3], key_from_base[:3])
+
+
+def test_open_directions_are_those_along_which_increments_are_uncertain():
+    """Whatever the heading: the axis is given in the frame in which an increment ends."""
+    poses = np.array([[0.0, 0, 0], [1, 0, 0.3], [2, 1, 2.0]])
+    sigmas = np.array([[0.015, 0.01], [0.3, 0.01]])  # along x and y of the frame in which each ends
+    information = np.stack([np.diag([*(1 / np.square(s)), 1e4]) for s in sigmas])
+    edges = np.array([[0, 1], [1, 2]])
+    graph = PoseGraph.of(poses, edges, between(poses[:-1], poses[1:]), information)
+    (line,) = find_open_directions(graph)
+    assert line.reshape(2, 2).mean(axis=0) == pytest.approx(poses[2, :2])
+    dx, dy = line[2:] - line[:2]
+    assert abs(dx * np.sin(2.0) - dy * np.cos(2.0)) < 1e-9

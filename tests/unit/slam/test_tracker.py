@@ -136,7 +136,7 @@ def without(log, lost=slice(None)):
 def test_without_odometry_it_is_as_good(perfect):
     told, _, state = track(Tracker(), perfect, without(perfect))
     assert (missed(told, perfect).max(axis=0) < BAND).all()
-    assert state.rejected_match_m2 == state.rejected_match_rad2 == 0
+    assert state.unmatched.position_m2 == state.unmatched.heading_rad2 == 0
 
 
 def test_without_odometry_the_prediction_is_the_velocity_of_the_scans_before(perfect):
@@ -273,7 +273,7 @@ def test_without_odometry_another_place_is_mapped_anew(perfect):
     star = np.repeat(np.random.default_rng(3).uniform(0.5, 3.0, 12), 10)
     there = [(None, LaserScan.from_ranges(scan.stamp_ns + k * 2 * 10**8, star, scan.geometry)) for k in range(1, 11)]
     told, _, state = track(Tracker(), perfect, [*here, *there])
-    assert state.rejected_match_m2 > 0
+    assert state.unmatched.position_m2 > 0
     assert state.unlocalized_scans == 0
     np.testing.assert_allclose(told[-5:], told[-5:-4].repeat(5, axis=0), atol=0.02)
 

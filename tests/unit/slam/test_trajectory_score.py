@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.se2 import between, compose, rotate_covariances
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer, path_lengths
 from gridslam.slam.loop_closure.drift_model import DriftModel
-from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.submaps import build_map
 from support import hall
@@ -136,16 +136,36 @@ def test_the_motion_of_the_tracked_poses_costs_nothing_and_any_other_does(return
     assert 0 > costs[0] > costs[1] > costs[2]
 
 
-def test_the_motion_is_a_cauchy_density_of_each_increment(returning):
-    """One increment that is off by sigmas in position and heading costs log(1 + sigmas^2), tempered."""
+def test_the_motion_is_a_cauchy_density_from_submap_to_submap(returning):
+    """One that is off costs log(1 + squared Mahalanobis distance), tempered; each step's heading turns what follows."""
     tracked, variances = np.array(returning.graph.tracked), np.array(returning.graph.variances)
-    for k, along, turn in ((20, 3.0, 0.0), (50, 0.0, -2.0), (100, 5.0, 1.0)):
-        increment = between(tracked[k - 1], tracked[k])
-        error = np.array([along * math.sqrt(variances[k, 0]), 0.0, turn * math.sqrt(variances[k, 1])])
-        end = compose(tracked[k - 1], compose(increment, error))
-        poses = np.concatenate([tracked[:k], compose(end, between(tracked[k], tracked[k:]))])
-        motion = returning.score(poses)[0].motion
-        assert motion == pytest.approx(-SCORE.motion_tempering * math.log1p(along**2 + turn**2), rel=1e-9)
+    for begin, off in ((20, (0.1, 0.0, 0.0)), (50, (0.0, 0.0, -0.02)), (100, (-0.2, 0.1, 0.01))):
+        end = begin + KEY_SCANS_PER_SUBMAP
+        moved_end = compose(tracked[end], np.array(off))
+        poses = np.concatenate([tracked[:end], compose(moved_end, between(tracked[end], tracked[end:]))])
+        x, y, theta = tracked[end]
+        covariance = np.zeros((3, 3))
+        for k in range(begin + 1, end + 1):
+            position, heading = variances[k]
+            across = np.array([tracked[k][1] - y, x - tracked[k][0], 1.0])
+            covariance += np.diag([position, position, 0.0]) + heading * np.outer(across, across)
+        error = rotate_covariances(np.outer(off, off), theta)  # in the axes of the map
+        squared = np.trace(np.linalg.solve(covariance, error))
+        expected = -SCORE.motion_tempering * math.log1p(squared)
+        assert returning.score(poses)[0].motion == pytest.approx(expected, rel=1e-6)
+
+
+def test_noise_of_single_key_scans_hardly_counts(returning):
+    """A filter's poses are off by noise that does not accumulate; as much drift at every key scan costs more."""
+    tracked = np.array(returning.graph.tracked)
+    rng = np.random.default_rng(0)
+    errors = rng.normal(size=tracked.shape) * [0.01, 0.01, 0.003]
+    noisy = compose(tracked, errors)
+    drifting = [tracked[0]]
+    for before, after, error in zip(tracked[:-1], tracked[1:], errors, strict=False):
+        drifting.append(compose(drifting[-1], compose(between(before, after), error)))
+    costs = [returning.score(poses)[0].motion for poses in (noisy, np.array(drifting))]
+    assert costs[1] < 2 * costs[0] < 0
 
 
 def test_a_loop_left_open_by_drift_scores_less_than_the_truth_although_its_motion_is_the_tracked_one(seen):

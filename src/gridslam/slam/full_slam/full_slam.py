@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -154,9 +153,7 @@ def _build_odometry_graph(
 ) -> PoseGraph:
     """Give the graph of the key scans (T, 3) that only the motion between them joins, as uncertain as tracked."""
     tracked = key_from_base[np.flatnonzero(np.diff(keys) > 0) + 1]
-    spread = [drift.variances(math.hypot(x, y), abs(turn)) for x, y, turn in tracked.tolist()]
-    information = np.zeros((len(tracked), 3, 3))
-    information[:, [0, 1, 2], [0, 1, 2]] = 1 / np.array(spread).reshape(-1, 2)[:, [0, 0, 1]]
+    information = np.linalg.inv(np.array([drift.covariance(moved) for moved in tracked]).reshape(-1, 3, 3))
     edges = np.stack([np.arange(len(tracked)), np.arange(1, len(trajectory))], axis=1)
     return PoseGraph.of(trajectory, edges, between(trajectory[:-1], trajectory[1:]), information)
 

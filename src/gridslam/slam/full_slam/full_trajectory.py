@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.se2 import between, compose, rotate_covariances
 from gridslam.slam.loop_closure.drift_model import DriftModel, compute_moments, propagate_covariances
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["drift_covariances", "full_trajectory", "path_fractions", "scan_covariances"]
+__all__ = ["drift_covariances", "find_open_directions", "full_trajectory", "path_fractions", "scan_covariances"]
+
+_HALF_LINE_M = 0.4
+"""Half the length of a line along an open direction: neighbouring key scans' are apart."""
 
 
 def full_trajectory(key_poses: FloatArray, keys: IntArray, key_from_base: FloatArray) -> FloatArray:
@@ -63,10 +64,10 @@ def drift_covariances(graph: PoseGraph) -> FloatArray:
     Parameters
     ----------
     graph : PoseGraph
-        The first T - 1 measurements are the increments; their information is diagonal, the same in x and in y.
+        The first T - 1 measurements are the increments; their position and heading are uncorrelated.
     """
-    variances = np.concatenate([np.zeros((1, 2)), _variances(graph)])
-    return propagate_covariances(graph.poses, np.cumsum(compute_moments(graph.poses, variances), axis=0))
+    covariances = np.concatenate([np.zeros((1, 3, 3)), _increment_covariances(graph)])
+    return propagate_covariances(graph.poses, np.cumsum(compute_moments(graph.poses, covariances), axis=0))
 
 
 def scan_covariances(
@@ -91,22 +92,33 @@ def scan_covariances(
     """
     fraction = path_fractions(keys, key_from_base)[:, None, None]
     bridge = np.zeros_like(key_covariances)
-    bridge[:-1, [0, 1, 2], [0, 1, 2]] = _variances(graph)[:, [0, 0, 1]]
+    bridge[:-1] = rotate_covariances(_increment_covariances(graph), graph.poses[1:, 2])
     nearer = key_covariances[keys]
     farther = key_covariances[np.minimum(keys + 1, len(key_covariances) - 1)]
     found: FloatArray = nearer + fraction * (farther - nearer) + fraction * (1 - fraction) * bridge[keys]
     last = int(np.searchsorted(keys, len(key_covariances) - 1))
     found[last:] = key_covariances[-1]
     for scan in range(last + 1, len(keys)):
-        dx, dy, turn = key_from_base[scan].tolist()
-        position, heading = drift.variances(math.hypot(dx, dy), abs(turn))
-        found[scan] += np.diag([position, position, heading])
+        found[scan] += rotate_covariances(drift.covariance(key_from_base[scan]), graph.poses[-1, 2])
     return found
 
 
-def _variances(graph: PoseGraph) -> FloatArray:
-    """Variances (T - 1, 2) of the increments' position and heading."""
-    return 1 / graph.information[: len(graph.poses) - 1][:, [0, 2], [0, 2]]
+def find_open_directions(graph: PoseGraph) -> FloatArray:
+    """Lines (L, 4), [x0, y0, x1, y1] in m, through poses along directions that their scans left open.
+
+    There the position of the increment is at least twice as uncertain along the line as across it.
+    """
+    increments = graph.edges[: len(graph.poses) - 1, 1]
+    poses = graph.poses[increments]
+    variances, axes = np.linalg.eigh(rotate_covariances(_increment_covariances(graph), poses[:, 2])[:, :2, :2])
+    is_open = variances[:, 1] > 4 * variances[:, 0]
+    half: FloatArray = _HALF_LINE_M * axes[is_open, :, 1]
+    return np.concatenate([poses[is_open, :2] - half, poses[is_open, :2] + half], axis=1)
+
+
+def _increment_covariances(graph: PoseGraph) -> FloatArray:
+    """Covariances (T - 1, 3, 3) of the increments, each in the frame in which it ends."""
+    return np.asarray(np.linalg.inv(graph.information[: len(graph.poses) - 1]), np.float64)
 
 
 def _find_later_key_scans(keys: IntArray) -> IntArray:

@@ -56,11 +56,6 @@ class Candidate:
     weights: FloatArray
 
     @property
-    def increments(self) -> FloatArray:
-        """Measured motion (T - 1, 3) between the key scans."""
-        return self.graph.measurements[: len(self.graph.poses) - 1]
-
-    @property
     def recognized_constraints(self) -> list[Constraint]:
         """Constraints found by place recognition."""
         return [constraint for constraint in self.constraints if constraint.source is ConstraintSource.RECOGNIZED]
@@ -140,9 +135,6 @@ class GlobalScanRefinement:
         Maximum number of alternations of matching and optimization.
     stop_m : float, m
         Converged if no key scan moves farther than this.
-    map_jump_m, map_jump_rad : float
-        An increment of a particle that differs from the tracked motion by more than this is treated as an implicit loop
-        closure and replaced by the tracked increment; the constraints decide whether the places coincide.
     key_scans : KeyScanMatching
         How key scans are matched to submaps.
     scan_inlier_ratio : float
@@ -155,9 +147,6 @@ class GlobalScanRefinement:
         How scans are matched.
     distinct_candidate_m : float, m
         The online constraints form a separate candidate if they move a key scan farther than this.
-    converged_m, converged_ratio : float
-        Refinement is skipped if this fraction of the constraints is within this distance of the filter's trajectory,
-        and that trajectory is the tracked one.
     max_searches : int
         So often at most the whole log is searched for places seen again, each time from what the last one has made of
         it.
@@ -173,16 +162,12 @@ class GlobalScanRefinement:
 
     max_rounds: int = Field(default=2, ge=1)
     stop_m: float = Field(default=0.1, gt=0)
-    map_jump_m: float = Field(default=0.1, gt=0)
-    map_jump_rad: float = Field(default=0.03, gt=0)
     key_scans: KeyScanMatching = KeyScanMatching()
     scan_inlier_ratio: float = Field(default=0.6, gt=0, le=1)
     scan_max_correction_m: float = Field(default=0.15, gt=0)
     scan_prior_information: float = Field(default=5.0, gt=0)
     matcher: GaussNewton = GaussNewton()
     distinct_candidate_m: float = Field(default=0.3, gt=0)
-    converged_m: float = Field(default=0.03, ge=0)
-    converged_ratio: float = Field(default=0.9, gt=0, le=1)
     max_searches: int = Field(default=3, ge=0)
     ambiguity_ratio: float = Field(default=0.85, gt=0, le=1)
     min_confirmations: int = Field(default=3, ge=1)
@@ -284,10 +269,9 @@ class _Refinement:
         )
         if not new:
             return None
-        self.graph.constraints = [*new, *begin.constraints]
         solver = replace(self.closure.solver, first_guess="either")  # a wide loop is not reached from where poses are
-        solution = solver.solve(self.graph.graph(begin.increments))
-        weights = solution.weights[len(begin.increments) :].tolist()
+        solution = solver.solve(self._graph(begin.graph.poses, [*new, *begin.constraints]))
+        weights = solution.weights[len(begin.graph.poses) - 1 :].tolist()
         recognized = [constraint for constraint, weight in zip(new, weights, strict=False) if weight >= 0.5]
         closure_state.rejected[RejectionReason.IMPLAUSIBLE] += len(new) - len(recognized)
         if not recognized:
@@ -295,44 +279,31 @@ class _Refinement:
         recognized += begin.recognized_constraints
         self.graph.constraints = recognized
         constraints = self._match_key_scans(recognized, solution.poses)
-        return self._refine(name, solution.poses, recognized, begin.increments, constraints)
+        return self._refine(name, solution.poses, recognized, constraints)
 
     def _candidates(self, trajectory: FloatArray) -> Iterator[Candidate]:
         """Yield the trajectory of the filter, and then those computed from it and from the online constraints."""
         found = self.graph.constraints
         recognized = [constraint for constraint in found if constraint.source is ConstraintSource.RECOGNIZED]
-        tracked = self._increments(trajectory)
         constraints = self._match_key_scans(recognized, trajectory)
         graph = self._graph(trajectory, constraints, between(trajectory[:-1], trajectory[1:]))
         yield Candidate("filter", graph, constraints, self.parameters.robust.weights(graph))
-        as_tracked = (graph.measurements[: len(tracked)] == tracked).all()
-        if not (constraints or found) or (as_tracked and self._is_converged(graph, len(constraints))):
+        if not (constraints or found):
             return
-        yield self._refine("refined", trajectory, recognized, tracked, constraints)
-        start = self.closure.solver.solve(self._graph(trajectory, found, tracked)).poses
+        yield self._refine("refined", trajectory, recognized, constraints)
+        start = self.closure.solver.solve(self._graph(trajectory, found)).poses
         if _max_distance_m(start, trajectory) > self.parameters.distinct_candidate_m:
             constraints = self._match_key_scans(recognized, start)
-            yield self._refine("constraints", start, recognized, tracked, constraints)
-
-    def _is_converged(self, graph: PoseGraph, constraints: int) -> bool:
-        """Whether nearly all constraints are already satisfied, so that optimization would only average noise."""
-        missed = graph.errors()[len(graph.edges) - constraints :, :2]
-        near = np.hypot(missed[:, 0], missed[:, 1]) < self.parameters.converged_m
-        return constraints > 0 and float(np.mean(near)) > self.parameters.converged_ratio
+            yield self._refine("constraints", start, recognized, constraints)
 
     def _refine(
-        self,
-        name: str,
-        poses: FloatArray,
-        recognized: list[Constraint],
-        increments: FloatArray,
-        constraints: list[Constraint],
+        self, name: str, poses: FloatArray, recognized: list[Constraint], constraints: list[Constraint]
     ) -> Candidate:
         """Alternate optimization and matching, from poses (T, 3) and the constraints matched there."""
         parameters = self.parameters
         solver = GraphSlam(first_guess="given", robust=parameters.robust)
         for remaining in range(parameters.max_rounds - 1, -1, -1):
-            graph = self._graph(poses, constraints, increments)
+            graph = self._graph(poses, constraints)
             solution = solver.solve(graph)
             moved_m = _max_distance_m(solution.poses, poses)
             poses = solution.poses
@@ -348,21 +319,16 @@ class _Refinement:
             *self.parameters.key_scans(self.closure_state, poses, self.mapper, self.on_progress),
         ]
 
-    def _graph(self, poses: FloatArray, constraints: list[Constraint], increments: FloatArray) -> PoseGraph:
-        """The pose graph of poses (T, 3), increments (T - 1, 3) and constraints, which the key graph takes over."""
+    def _graph(
+        self, poses: FloatArray, constraints: list[Constraint], increments: FloatArray | None = None
+    ) -> PoseGraph:
+        """Pose graph of poses (T, 3) and constraints, which the key graph takes over; increments as tracked if None."""
         self.graph.poses = list(poses)
         self.graph.constraints = constraints
-        return self.graph.graph(increments)
-
-    def _increments(self, trajectory: FloatArray) -> FloatArray:
-        """Increments (T - 1, 3) of the filter; tracked increments where scan matching moved it off the track."""
-        tracked = np.array(self.graph.tracked)
-        moved = between(tracked[:-1], tracked[1:])
-        driven = between(trajectory[:-1], trajectory[1:])
-        missed = between(moved, driven)
-        is_far = np.hypot(missed[:, 0], missed[:, 1]) > self.parameters.map_jump_m
-        jumped = is_far | (np.abs(missed[:, 2]) > self.parameters.map_jump_rad)
-        return np.where(jumped[:, None], moved, driven)
+        graph = self.graph.graph(increments)
+        information = graph.information.copy()
+        information[: len(poses) - 1] = np.linalg.inv(np.array(self.graph.covariances[1:]).reshape(-1, 3, 3))
+        return replace(graph, information=information)
 
     def match_scans(self, poses: FloatArray, maps: TileMaps) -> FloatArray:
         """Match every scan to the final map; a scan without stored beams moves with its predecessor."""

@@ -13,7 +13,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, recompute_information
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, anchor_of, submap_of
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submaps import ROW, build_map, key_scans_of
@@ -23,6 +23,9 @@ __all__ = ["KeyScanMatching"]
 
 _RECENT_SUBMAPS = 3
 """Submaps so near in time show what the tracker has matched already."""
+
+_VISIT_GAP = 3
+"""Key scans farther apart than this in time belong to different visits of a submap."""
 
 
 @final
@@ -46,7 +49,8 @@ class KeyScanMatching:
     max_correction_m : float, m
         Maximum correction of a match.
     beam_sigma_m : float, m
-        Standard deviation of one beam, inflated for correlated beams and cell size.
+        Standard deviation of one beam, inflated for correlated beams and cell size. Constraints of one visit, of
+        consecutive key scans to one submap, share its errors: their information is that of one, divided among them.
     matcher : GaussNewton
         How a key scan is matched.
     """
@@ -56,7 +60,7 @@ class KeyScanMatching:
     inlier_ratio: float = Field(default=0.7, gt=0, le=1)
     min_information: float = Field(default=0.1, ge=0)
     max_correction_m: float = Field(default=0.4, gt=0)
-    beam_sigma_m: float = Field(default=0.3, gt=0)
+    beam_sigma_m: float = Field(default=0.05, gt=0)
     matcher: GaussNewton = GaussNewton()
 
     def __call__(
@@ -76,20 +80,27 @@ class KeyScanMatching:
             anchor = anchor_of(submap)
             keys = key_scans_of(submap, closure_state.graph)
             maps = build_map(mapper, closure_state.scans, keys, between(poses[anchor], poses[keys]))
+            visit: list[Constraint] = []
             for key in members:
                 beams = closure_state.scans.key(key)
                 if len(beams) < self.matcher.min_beams:
                     continue
                 guess = between(poses[anchor], poses[key])
-                match = recompute_information(self.matcher(maps, ROW, guess[None], loose, beams), maps, ROW, beams)
+                match = self.matcher(maps, ROW, guess[None], loose, beams)
                 moved = between(guess, match.poses[0])
                 score = float(match.score[0])
                 too_far = np.hypot(moved[0], moved[1]) > self.max_correction_m
                 if score < max(self.inlier_ratio * len(beams), 1.0) or too_far:
                     continue
-                yield Constraint.from_match(
-                    anchor, key, guess, match, self.beam_sigma_m, self.min_information, ConstraintSource.PROXIMITY
+                if visit and key > visit[-1].to + _VISIT_GAP:
+                    yield from _divide_information(visit)
+                    visit = []
+                visit.append(
+                    Constraint.from_match(
+                        anchor, key, guess, match, self.beam_sigma_m, self.min_information, ConstraintSource.PROXIMITY
+                    )
                 )
+            yield from _divide_information(visit)
 
     def _nearby_key_scans(self, closure_state: LoopClosureState, poses: FloatArray) -> list[list[int]]:
         """For each submap the key scans to match to it."""
@@ -109,3 +120,9 @@ class KeyScanMatching:
             for submap in list(nearest)[: self.max_submaps]:
                 wanted[submap].append(key)
         return wanted
+
+
+def _divide_information(visit: list[Constraint]) -> Iterator[Constraint]:
+    """The constraints of one visit, which together have the information of one."""
+    for constraint in visit:
+        yield constraint._replace(information=constraint.information / len(visit))

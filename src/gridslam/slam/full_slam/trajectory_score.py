@@ -11,11 +11,12 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between
+from gridslam.geometry.se2 import between, rotate_covariances
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import weigh_known_beams
-from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.drift_model import compute_moments, diagonal_covariances, propagate_covariances
+from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.submaps import ROW
 from gridslam.types import FloatArray
@@ -69,10 +70,11 @@ class TrajectoryScorer:
         Agreement that speaks neither for nor against a place: scans matched to a wrong place that looks alike reach
         0.6, right ones 0.75 (furniture and people have moved) to 0.97.
     motion_sigma : float
-        An increment is this many standard deviations off before its log likelihood grows slowly (Cauchy): where the
-        wheels slipped, or a filter closed a loop at once, one increment bears it all.
+        The motion from one submap to the next is this many standard deviations off before its log likelihood grows
+        slowly (Cauchy): where the wheels slipped, or a filter closed a loop at once, one bears it all. Single
+        increments are not compared: a filter's poses are off by noise that does not accumulate, tracked ones by none.
     motion_tempering : float, [0, 1]
-        Share of an increment's evidence that is new: errors of neighbouring increments are correlated.
+        Share of its evidence that is new: errors of neighbouring increments are correlated.
 
     References
     ----------
@@ -84,7 +86,7 @@ class TrajectoryScorer:
     tempering: float = Field(default=0.03, gt=0, le=1)
     neutral: float = Field(default=0.7, gt=0, lt=1)
     motion_sigma: float = Field(default=1.0, gt=0)
-    motion_tempering: float = Field(default=0.25, ge=0, le=1)
+    motion_tempering: float = Field(default=0.5, ge=0, le=1)
 
     def __call__(
         self,
@@ -129,11 +131,17 @@ class TrajectoryScorer:
         return float(weights.sum(dtype=np.float64)), len(weights)
 
     def _motion(self, tracked: FloatArray, variances: FloatArray, poses: FloatArray) -> float:
-        """Tempered log likelihood of the tracked increments, by a Cauchy density, up to a constant."""
-        missed = between(between(tracked[:-1], tracked[1:]), between(poses[:-1], poses[1:]))
-        position = np.square(missed[:, :2]).sum(axis=1)
-        heading = np.square(missed[:, 2])
-        squared = position / variances[1:, 0] + heading / variances[1:, 1]
+        """Tempered log likelihood of the motion from submap to submap, by a Cauchy density, up to a constant."""
+        begins = np.arange(0, len(poses), KEY_SCANS_PER_SUBMAP)
+        ends = np.append(begins[1:], len(poses) - 1)
+        moved = between(tracked[begins], tracked[ends])
+        errors = between(moved, between(poses[begins], poses[ends]))
+        moments = np.cumsum(compute_moments(tracked, diagonal_covariances(variances)), axis=0)
+        spread = rotate_covariances(
+            propagate_covariances(tracked[ends], moments[ends] - moments[begins]), -tracked[ends, 2]
+        )
+        spread += 1e-12 * np.eye(3)
+        squared = np.einsum("ki,kij,kj->k", errors, np.linalg.inv(spread), errors)
         return -self.motion_tempering * float(np.log1p(squared / self.motion_sigma**2).sum())
 
 

@@ -188,7 +188,8 @@ class GridFastSlam:
         state.log_weights = normalize(state.log_weights + proposed.log_weights)  # weigh
         state.log_ancestry = relative_to_greatest(state.log_ancestry + proposed.log_weights)
         self.mapper(state.maps, state.poses, beams)  # map
-        estimate = self.reports.estimate(state, proposed.match, tracked.merged_beams)
+        estimate = self.reports.estimate(state, moved, proposed.match, tracked.merged_beams)
+        state.extend_drift(estimate.drift_covariance)
         state.covariance = estimate.covariance
         state.lost = estimate.lost
         n_eff = effective_sample_size(state.log_weights)  # N_eff
@@ -233,9 +234,9 @@ class GridFastSlam:
     def _close_loops(
         self, state: GridFastSlamState, report: StepReport, beams: Beams
     ) -> tuple[GridFastSlamState, StepReport]:
-        if self.loop_closure is None or state.closure_state is None:
-            return state, report
-        return state, self.loop_closure(state, state.closure_state, report, beams, self.mapper, self.threads)
+        if self.loop_closure is not None and state.closure_state is not None:
+            report = self.loop_closure(state, state.closure_state, report, beams, self.mapper, self.threads)
+        return state, self.reports.add_drift(state, report)
 
     def _skip(self, state: GridFastSlamState, pose: FloatArray, beams: Beams) -> SkipReason | None:
         last = state.sensor_key_poses.get(beams.scan.sensor)

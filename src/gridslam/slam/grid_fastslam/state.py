@@ -16,13 +16,15 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
 from gridslam.serialization import NOT_SAVED
+from gridslam.slam.loop_closure.drift_model import compute_moments
 from gridslam.slam.loop_closure.state import LoopClosureState
+from gridslam.slam.tracking.state import UnmatchedMotion
 from gridslam.slam.tracking.tracker import TrackerState
 from gridslam.types import FloatArray, IntArray, describe_pose
 
 __all__ = ["STATE_SCHEMA", "GridFastSlamState"]
 
-STATE_SCHEMA = "gridslam.state/8"
+STATE_SCHEMA = "gridslam.state/9"
 
 
 @final
@@ -45,7 +47,13 @@ class GridFastSlamState:
     log_ancestry : (N,) float64, nats
         Log weight of each particle accumulated along its ancestry, relative to the greatest.
     covariance : (3, 3) float64
-        Of the best particle's pose at the last key scan.
+        Of the best particle's pose at the last key scan, given its map.
+    drift : (9,) float64
+        Moments of what that pose has drifted by since the start (see `gridslam.slam.loop_closure.drift_model`).
+    drift_covariance : (3, 3) float64
+        What the drift grew by since the key scan before, in the frame of the last one's pose.
+    unmatched : UnmatchedMotion
+        Of the motion that led to the last key scan.
     maps : TileMaps
         One map for each particle.
     ancestry : Ancestry
@@ -67,6 +75,9 @@ class GridFastSlamState:
     covariance: Annotated[FloatArray, 3, 3]
     maps: TileMaps
     ancestry: Ancestry
+    drift: Annotated[FloatArray, 9] = field(default_factory=lambda: np.zeros(9))
+    drift_covariance: Annotated[FloatArray, 3, 3] = field(default_factory=lambda: np.zeros((3, 3)))
+    unmatched: UnmatchedMotion = field(default_factory=UnmatchedMotion)
     lost: bool = False
     closure_state: LoopClosureState | None = None
     odometry_covariance: Annotated[FloatArray, 3, 3] | None = None
@@ -108,6 +119,12 @@ class GridFastSlamState:
         self.ancestry.extend(poses)
         self.key_pose = key_pose
         self.sensor_key_poses = {**self.sensor_key_poses, sensor: key_pose}
+        self.unmatched = self.tracker.take_unmatched()
+
+    def extend_drift(self, covariance: FloatArray) -> None:
+        """Let the drift grow by a covariance (3, 3) in the frame of the best pose."""
+        self.drift_covariance = covariance
+        self.drift = self.drift + compute_moments(self.best_pose[None], covariance[None])[0]
 
     def resample(self, parents: IntArray) -> None:
         """Let particle i continue particle parents[i], all with equal weights."""

@@ -10,25 +10,18 @@ from typing import Annotated, NamedTuple, final
 import numpy as np
 
 from gridslam.geometry.se2 import between, compose_jacobians
-from gridslam.grid.arena import Int32Array
-from gridslam.grid.tiles import TileMaps
-from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction
-from gridslam.types import BeamEnds, FloatArray, IntArray, Match
+from gridslam.matching.gauss_newton import degenerate_direction
+from gridslam.types import FloatArray, IntArray, Match
 
 __all__ = [
     "Constraint",
     "ConstraintSource",
     "key_scan_pairs",
-    "recompute_information",
     "transform_match",
 ]
 
 _FLOOR = np.diag([1e-2, 1e-2, 1e-2])
 """Information (1/m^2, 1/rad^2) along a degenerate direction: 10 m, 10 rad."""
-
-
-_WALLS_ONLY = GaussNewton(max_iterations=0, dense_spacing_m=1e-3)
-"""Evaluates point-to-line residuals only."""
 
 
 @final
@@ -97,16 +90,6 @@ class Constraint(NamedTuple):
             across[:2, :2] -= np.outer(weak, weak)
             information = across @ information @ across
         return cls(from_, to, pose, _rotate(information, pose) + _FLOOR, source, weak is None)
-
-
-def recompute_information(match: Match, maps: TileMaps, row: Int32Array, beams: BeamEnds) -> Match:
-    """Recompute the information of a match from point-to-line residuals only.
-
-    Sparse end points on a wall are mapped as isolated cells, which would constrain a scan along a bare corridor without
-    physical reason.
-    """
-    loose = np.full((1, 3, 3), 1e-9) * np.eye(3)
-    return replace(match, information=_WALLS_ONLY(maps, row, match.poses, loose, beams).information)
 
 
 def transform_match(frame: FloatArray, match: Match) -> Match:

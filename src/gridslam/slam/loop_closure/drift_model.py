@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from typing import final
 
 import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
+from gridslam.geometry.se2 import rotate_covariances
+from gridslam.slam.tracking.state import UnmatchedMotion
 from gridslam.types import FloatArray
 
-__all__ = ["DriftModel", "compute_moments", "propagate_covariances"]
+__all__ = ["DriftModel", "compute_moments", "diagonal_covariances", "propagate_covariances"]
 
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class DriftModel:
     """Uncertainty of a tracked increment: a random walk, plus extra variance where the tracker rejected its scan match.
+
+    It bounds searches, and so its positions are generous: an unrecognized place costs more than a wider search.
 
     Parameters
     ----------
@@ -29,6 +34,10 @@ class DriftModel:
     rejected_match_sigmas : float
         Multiple of the odometry's standard deviations that is added where the tracker rejected its match and used the
         odometry, which may suffer from slip or latency.
+    position_ratio : float
+        Standard deviation of a position that is expected, over the one that bounds searches. On simulated drives
+        through seven kinds of buildings increments of half a metre are off by 5 to 8 mm in each direction, where the
+        latter is 18.
     """
 
     standstill_sigma_m: float = Field(default=0.002, gt=0)
@@ -39,6 +48,7 @@ class DriftModel:
     sigma_rad_per_sqrt_m: float = Field(default=0.002, ge=0)
 
     rejected_match_sigmas: float = Field(default=1.5, ge=0)
+    position_ratio: float = Field(default=0.4, gt=0, le=1)
 
     def variances(self, moved_m: float, turned_rad: float) -> tuple[float, float]:
         """Variances (m^2, rad^2) of an increment."""
@@ -51,30 +61,67 @@ class DriftModel:
             + self.sigma_rad_per_sqrt_m**2 * moved_m,
         )
 
+    def covariance(
+        self, increment: FloatArray, unmatched: UnmatchedMotion | None = None, heading: float = 0.0
+    ) -> FloatArray:
+        """Covariance (3, 3) that is expected of an increment (3,), in the frame in which it ends.
 
-def compute_moments(poses: FloatArray, variances: FloatArray) -> FloatArray:
-    """Variances of position and heading (K, 2) of steps to poses (K, 3), and the heading's with where it happened.
+        `unmatched` is in a frame in which that one's heading is `heading`.
+        """
+        dx, dy, turned = increment.tolist()
+        position, rotation = self.variances(math.hypot(dx, dy), abs(turned))
+        expected = self.position_ratio**2 * position
+        covariance = np.diag([expected, expected, rotation])
+        if unmatched is not None:
+            excess = self.rejected_match_sigmas**2
+            covariance += excess * np.diag([unmatched.position_m2, unmatched.position_m2, unmatched.heading_rad2])
+            left_open = np.zeros((3, 3))
+            left_open[:2, :2] = unmatched.open_covariance
+            covariance += rotate_covariances(left_open, -heading)
+        return covariance
 
-    Their sums along a path (7,) are what `propagate_covariances` needs to know of it.
+    def bounds(self, increment: FloatArray, unmatched: UnmatchedMotion) -> tuple[float, float]:
+        """Variances (m^2, rad^2) of an increment (3,) for searches."""
+        dx, dy, turned = increment.tolist()
+        position, heading = self.variances(math.hypot(dx, dy), abs(turned))
+        excess = self.rejected_match_sigmas**2
+        return (
+            position + excess * unmatched.position_m2 + float(np.trace(unmatched.open_covariance)),
+            heading + excess * unmatched.heading_rad2,
+        )
+
+
+def diagonal_covariances(variances: FloatArray) -> FloatArray:
+    """Covariances (K, 3, 3) of variances (K, 2) of position and heading."""
+    found = np.zeros((len(variances), 3, 3))
+    found[:, [0, 1, 2], [0, 1, 2]] = variances[:, [0, 0, 1]]
+    return found
+
+
+def compute_moments(poses: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Moments (K, 9) of the covariances (K, 3, 3) of steps to poses (K, 3), each in the frame of its pose.
+
+    Covariance of the position in the map frame, variance of the heading, and that one with where it happened. Their
+    sums along a path are what `propagate_covariances` needs to know of it. Position and heading are uncorrelated.
     """
-    position, heading = variances.T
-    x, y, _ = poses.T
-    return np.stack(
-        [position, heading, heading * x, heading * y, heading * x * x, heading * x * y, heading * y * y], axis=1
-    )
+    x, y, theta = poses.T
+    in_map = rotate_covariances(covariances, theta)
+    q = in_map[:, 2, 2]
+    position = in_map[:, 0, 0], in_map[:, 0, 1], in_map[:, 1, 1]
+    return np.stack([*position, q, q * x, q * y, q * x * x, q * x * y, q * y * y], axis=1)
 
 
 def propagate_covariances(poses: FloatArray, moments: FloatArray) -> FloatArray:
-    """Covariances (K, 3, 3) of poses (3,) or (K, 3) at the ends of paths whose moments sum to (K, 7).
+    """Covariances (K, 3, 3) of poses (3,) or (K, 3) at the ends of paths whose moments sum to (K, 9).
 
     A heading error of variance q at p_j moves a later pose p across the line between them: (p - p_j)^2 q. Summed over
     the path this needs only the moments of q about the origin.
     """
-    p, q, qx, qy, qxx, qxy, qyy = moments.T
+    pxx, pxy, pyy, q, qx, qy, qxx, qxy, qyy = moments.T
     x, y, _ = poses.T
-    xx = p + q * y * y - 2 * qy * y + qyy
-    yy = p + q * x * x - 2 * qx * x + qxx
-    xy = qx * y + qy * x - q * x * y - qxy
+    xx = pxx + q * y * y - 2 * qy * y + qyy
+    yy = pyy + q * x * x - 2 * qx * x + qxx
+    xy = pxy + qx * y + qy * x - q * x * y - qxy
     xt = qy - q * y
     yt = q * x - qx
     return np.stack([xx, xy, xt, xy, yy, yt, xt, yt, q], axis=1).reshape(-1, 3, 3)

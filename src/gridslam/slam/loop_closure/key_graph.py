@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import heapq
 import math
+from bisect import insort
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from itertools import accumulate, pairwise
+from operator import attrgetter
 from typing import Annotated, NamedTuple, final
 
 import numpy as np
@@ -14,7 +16,7 @@ import numpy as np
 from gridslam.geometry.se2 import between, compose, inverse
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
-from gridslam.slam.loop_closure.drift_model import compute_moments, propagate_covariances
+from gridslam.slam.loop_closure.drift_model import compute_moments, diagonal_covariances, propagate_covariances
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
@@ -26,6 +28,10 @@ KEY_SCANS_PER_SUBMAP = 10
 BLIND_SIGMA_M = 0.5
 BLIND_SIGMA_RAD = 0.1
 """Standard deviations above which an increment is regarded as a gap."""
+
+_MATCH_RATIO = 1 / 6
+"""Standard deviation that is expected of a constraint over the one that it has in searches and against outliers: that
+of `KeyScanMatching` over that of `PlaceMatching`."""
 
 _Moments = tuple[float, ...]
 """Sums of the result of `compute_moments` along a path."""
@@ -80,7 +86,11 @@ class KeyGraph:
     poses : list of (3,) float64
         Poses in the map frame: as solved last, and as tracked since.
     variances : list of (float, float), m^2 and rad^2
-        Of the increment that leads to each key scan.
+        Of the increment that leads to each key scan, generous bounds for searches.
+    covariances : list of (3, 3) float64
+        Expected covariance of the same increment as tracked, in the frame of that key scan.
+    drift_covariances : list of (3, 3) float64
+        Expected covariance of what the filter drifted by since the key scan before, in the same frame.
     constraints : list of Constraint
         Matches of key scans to older submaps.
 
@@ -92,14 +102,20 @@ class KeyGraph:
     tracked: Annotated[list[Annotated[FloatArray, 3]], "T"] = field(default_factory=list)
     poses: Annotated[list[Annotated[FloatArray, 3]], "T"] = field(default_factory=list)
     variances: Annotated[list[tuple[float, float]], "T"] = field(default_factory=list)
+    covariances: Annotated[list[Annotated[FloatArray, 3, 3]], "T"] = field(default_factory=list)
+    drift_covariances: Annotated[list[Annotated[FloatArray, 3, 3]], "T"] = field(default_factory=list)
     constraints: list[Constraint] = field(default_factory=list)
     # number of gaps in the laser data up to each key scan
     _gap_counts: list[int] = field(init=False, default_factory=list, metadata=NOT_SAVED)
-    # (7,) each, moments of the variances up to each key scan
+    # (9,) each, moments of the variances up to each key scan
     _sums: list[FloatArray] = field(init=False, default_factory=list, metadata=NOT_SAVED)
+    # (9,) each, moments of the drift along the most certain known way from key scan 0
+    _drifts: list[FloatArray] = field(init=False, default_factory=list, metadata=NOT_SAVED)
+    # key scans whose way comes by a constraint
+    _arrivals: list[int] = field(init=False, default_factory=list, metadata=NOT_SAVED)
     # from each submap's first key scan to the next one's
     _steps: list[_Moments] = field(init=False, default_factory=list, metadata=NOT_SAVED)
-    # submap -> submap -> relative pose (3,) and moments (7,) of the most certain constraint
+    # submap -> submap -> relative pose (3,) and moments (9,) of the most certain constraint
     _links: dict[int, dict[int, tuple[FloatArray, _Moments]]] = field(
         init=False, default_factory=dict, metadata=NOT_SAVED
     )
@@ -114,30 +130,50 @@ class KeyGraph:
         return len(self.poses)
 
     @property
+    def drift(self) -> FloatArray:
+        """Moments (9,) of the newest key scan's pose as seen from the first, along the most certain known way."""
+        return self._drifts[-1]
+
+    @property
     def complete_submaps(self) -> int:
         """Number of submaps that are complete."""
         return len(self) // KEY_SCANS_PER_SUBMAP
 
-    def extend(self, tracked: FloatArray, pose: FloatArray, variances: tuple[float, float]) -> None:
-        """Add a key scan: the tracker's pose (3,), the pose (3,) in the map, the variances of the increment."""
+    def extend(
+        self,
+        tracked: FloatArray,
+        pose: FloatArray,
+        variances: tuple[float, float],
+        covariance: FloatArray | None = None,
+        drift_covariance: FloatArray | None = None,
+    ) -> None:
+        """Add a key scan: the tracker's pose (3,), the pose (3,) in the map, what the increment is uncertain by.
+
+        The expected covariance (3, 3) is that of the variances if not given, and that of the drift the same.
+        """
         self.tracked.append(tracked)
         self.poses.append(pose)
         self.variances.append(variances)
+        expected = np.diag(np.take(variances, [0, 0, 1])) if covariance is None else covariance
+        self.covariances.append(expected)
+        self.drift_covariances.append(expected if drift_covariance is None else drift_covariance)
         self._derive()
 
     def add(self, constraint: Constraint) -> None:
         """Add a measurement between two key scans."""
         self.constraints.append(constraint)
         self._add_link(constraint)
+        self._shorten_way(constraint)
 
     def correct(self, poses: FloatArray) -> None:
         """Set all poses (T, 3)."""
         self.poses = list(poses)
-        for derived in (self._gap_counts, self._sums, self._steps, self._links):
+        for derived in (self._gap_counts, self._sums, self._steps, self._links, self._drifts, self._arrivals):
             derived.clear()
         self._derive()
-        for constraint in self.constraints:
+        for constraint in sorted(self.constraints, key=attrgetter("to")):
             self._add_link(constraint)
+            self._shorten_way(constraint)
 
     def extend_with_tracked(self, poses: FloatArray) -> FloatArray:
         """Poses (T, 3) of all key scans: the first ones as given, (K, 3), the rest as tracked from there."""
@@ -200,16 +236,19 @@ class KeyGraph:
                     compose(step, between(tracked[first_key_scan(before)], end)),
                 )
             done[submap] = moments, end
-            position, s, sx, sy, sxx, sxy, syy = moments
-            for other, there, (p, t, tx, ty, txx, txy, tyy) in self._neighbours(submap):
+            pxx, pxy, pyy, s, sx, sy, sxx, sxy, syy = moments
+            for other, there, (oxx, oxy, oyy, t, tx, ty, txx, txy, tyy) in self._neighbours(submap):
                 if other in done:
                     continue
                 across = (s + t) * away - 2 * ((sx + tx) * x + (sy + ty) * y) + (sxx + txx) + (syy + tyy)
-                spread = max(cost, 2 * (position + p) + max(across, 0.0))  # of the position, the covariance's trace
+                spread = max(cost, pxx + oxx + pyy + oyy + max(across, 0.0))  # of the position, the covariance's trace
                 if spread < least.get(other, limit):
                     least[other] = spread
                     pushed += 1
-                    total = position + p, s + t, sx + tx, sy + ty, sxx + txx, sxy + txy, syy + tyy
+                    total = (
+                        *(pxx + oxx, pxy + oxy, pyy + oyy),
+                        *(s + t, sx + tx, sy + ty, sxx + txx, sxy + txy, syy + tyy),
+                    )
                     way = None if there is None else (submap, there)
                     heapq.heappush(queue, (spread, pushed, other, total, end, way))
         return done
@@ -293,10 +332,30 @@ class KeyGraph:
         variances = np.array(self.variances[first:])
         gaps = [int(gap) for gap in np.any(variances > [BLIND_SIGMA_M**2, BLIND_SIGMA_RAD**2], axis=1)]
         self._gap_counts[-1:] = accumulate(self._gap_counts[-1:] + gaps)
-        moments = compute_moments(np.array(self.poses[first:]), variances)
+        moments = compute_moments(np.array(self.poses[first:]), diagonal_covariances(variances))
         self._sums[-1:] = accumulate(self._sums[-1:] + list(moments))
+        expected = compute_moments(np.array(self.poses[first:]), np.array(self.drift_covariances[first:]))
+        if not first:
+            expected[0] = 0.0  # the first pose is the origin
+        self._drifts[-1:] = accumulate(self._drifts[-1:] + list(expected))
         new = self._sums[first_key_scan(len(self._steps)) :: KEY_SCANS_PER_SUBMAP]
         self._steps += [tuple((after - before).tolist()) for before, after in pairwise(new)]
+
+    def _shorten_way(self, constraint: Constraint) -> None:
+        """Let the way to a key scan and to those after it come by a constraint if it is more certain so."""
+        at = constraint.to
+        if not constraint.determined:
+            return
+        pose = self.poses[at]
+        covariance = _MATCH_RATIO**2 * np.linalg.inv(constraint.information[None])
+        own = compute_moments(pose[None], np.asarray(covariance, np.float64))[0]
+        gained = self._drifts[constraint.from_] + own - self._drifts[at]
+        if np.trace(propagate_covariances(pose, gained[None])[0, :2, :2]) >= 0:
+            return
+        end = next((arrival for arrival in self._arrivals if arrival > at), len(self))
+        self._drifts[at:end] = [moments + gained for moments in self._drifts[at:end]]
+        if at not in self._arrivals:
+            insort(self._arrivals, at)
 
     def _add_link(self, constraint: Constraint) -> None:
         """Add the link of a constraint between two submaps if it is the most certain so far."""
@@ -308,10 +367,12 @@ class KeyGraph:
             self._sums[k] - self._sums[first_key_scan(submap_of(k))] for k in (constraint.from_, constraint.to)
         )
         xx, yy, heading = np.linalg.inv(constraint.information).diagonal().tolist()
-        own = compute_moments(self.poses[constraint.to][None], np.array([[0.5 * (xx + yy), heading]]))[0]
+        own = compute_moments(
+            self.poses[constraint.to][None], diagonal_covariances(np.array([[0.5 * (xx + yy), heading]]))
+        )[0]
         moments: _Moments = tuple((within + own).tolist())
         known = self._links.get(a, {}).get(b)
-        if known is None or moments[0] + moments[1] < known[1][0] + known[1][1]:
+        if known is None or moments[0] + moments[3] < known[1][0] + known[1][3]:
             to_anchor = between(self.tracked[first_key_scan(a)], self.tracked[constraint.from_])
             from_key = between(self.tracked[constraint.to], self.tracked[first_key_scan(b)])
             there = compose(to_anchor, compose(constraint.measurement, from_key))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Protocol, final
 
@@ -21,7 +20,7 @@ from gridslam.slam.loop_closure.submaps import insert_key_scans
 from gridslam.slam.pose_graph.descent import advance
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
-from gridslam.slam.tracking.state import TrackerState
+from gridslam.slam.tracking.state import TrackerState, UnmatchedMotion
 from gridslam.types import BeamEnds, FloatArray, StepReport
 
 __all__ = ["FilterState", "LoopClosure"]
@@ -44,6 +43,19 @@ class FilterState(Protocol):
     def best_pose(self) -> FloatArray:
         """Pose (3,) of the best particle at the last key scan, map frame."""
         ...
+
+    @property
+    def unmatched(self) -> UnmatchedMotion:
+        """Of the motion that led to the last key scan."""
+        ...
+
+    @property
+    def drift_covariance(self) -> FloatArray:
+        """Covariance (3, 3) that the drift grew by since the key scan before, in the frame of the last one."""
+        ...
+
+    drift: FloatArray
+    """Moments (9,) of the drift since the start (see `compute_moments`)."""
 
     def best_trajectory(self) -> FloatArray:
         """Poses (T, 3) of the best particle at all key scans."""
@@ -128,6 +140,7 @@ class LoopClosure:
             constraints = constraints + found
         correction = closure_state.correction
         corrected = correction is not None and self._build_corrected_map(closure_state, correction, state)
+        state.drift = closure_state.graph.drift
         closures = tuple(constraint.pair for constraint in constraints)
         return replace(report, pose=state.best_pose, closures=closures, corrected=corrected)
 
@@ -135,13 +148,14 @@ class LoopClosure:
         """Add the newest key scan, where it was tracked to."""
         graph = closure_state.graph
         moved = between(graph.tracked[-1], state.key_pose)
-        variances = np.array(self.drift.variances(math.hypot(moved[0], moved[1]), abs(float(moved[2]))))
-        tracker = state.tracker
-        rejected = (tracker.rejected_match_m2, tracker.rejected_match_rad2)
-        since = np.subtract(rejected, closure_state.rejected_match_variances)
-        closure_state.rejected_match_variances = rejected
-        position, heading = (variances + self.drift.rejected_match_sigmas**2 * since).tolist()
-        graph.extend(state.key_pose, compose(graph.poses[-1], moved), (position, heading))
+        unmatched = state.unmatched
+        graph.extend(
+            state.key_pose,
+            compose(graph.poses[-1], moved),
+            self.drift.bounds(moved, unmatched),
+            self.drift.covariance(moved, unmatched, float(state.key_pose[2])),
+            state.drift_covariance,
+        )
         closure_state.online_poses.append(state.best_pose)
 
     def _contradict_filter(self, constraints: list[Constraint], trajectory: FloatArray) -> bool:

@@ -13,7 +13,7 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import BranchAndBound
 from gridslam.matching.gauss_newton import GaussNewton, cauchy_weights
-from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, recompute_information, transform_match
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, transform_match
 from gridslam.slam.loop_closure.key_graph import (
     KEY_SCANS_PER_SUBMAP,
     KeyGraph,
@@ -122,7 +122,6 @@ class PlaceMatching:
         frame = np.zeros(3) if anchor is None else anchor
         begin = compose(frame, guess)
         match = self.matcher(maps, ROW, begin[None], np.full((1, 3, 3), 1e-9) * np.eye(3), beams)
-        match = recompute_information(match, maps, ROW, beams)
         pose = match.poses[0]
         moved = between(begin, pose)
         if math.hypot(moved[0], moved[1]) > max_correction_m or not self.is_inlier_match(maps, pose, beams.ends):

@@ -129,9 +129,6 @@ class LoopClosureState:
         Key scans, odometry and loop-closure constraints.
     online_poses : list of (3,) float64
         Online pose of the best particle at each key scan, or its later correction.
-    rejected_match_variances : (float, float), m^2, rad^2
-        Accumulated variances of the odometry increments used in place of a rejected scan match, up to the newest key
-        scan.
     search : PlaceSearch
         Progress of the search for a place.
     unconfirmed : list of Constraint
@@ -147,7 +144,6 @@ class LoopClosureState:
     scans: ScanArchive = field(default_factory=ScanArchive)
     graph: KeyGraph = field(default_factory=KeyGraph)
     online_poses: list[Annotated[FloatArray, 3]] = field(default_factory=list)
-    rejected_match_variances: tuple[float, float] = (0.0, 0.0)
     search: PlaceSearch = field(default_factory=PlaceSearch)
     unconfirmed: list[Constraint] = field(default_factory=list)
     rejected: Counter[RejectionReason] = field(default_factory=Counter)

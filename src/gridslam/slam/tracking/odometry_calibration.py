@@ -76,6 +76,15 @@ class OdometryErrorModel:
         turn = math.remainder(g * theta + b * x, math.tau)
         return np.array([a * x - c * y + p * theta, c * x + a * y + q * theta, turn])
 
+    def variance_along(self, way_m: float, moved_m: float) -> float:
+        """Variance (m^2) that `moved_m` of corrected odometry add along its way, `way_m` after it was last checked.
+
+        A random walk of what is left over a segment, and the error of the scale, which grows in proportion to the way.
+        """
+        variance = float(self.variances[0])
+        scale = variance / (_PRIOR + float(self.position[0, 0]))
+        return variance * moved_m / _SEGMENT_M + scale * ((way_m + moved_m) ** 2 - way_m**2)
+
     def snapshot(self) -> OdometryErrorModel:
         """Keep a copy for later."""
         return replace(self)

@@ -90,6 +90,7 @@ class PoseEstimate(NamedTuple):
     lost: bool  # neither match nor prediction is reliable
     inlier_ratio: float = 0.0  # of the beams that agree with the map; 0 if the match is rejected
     determined: bool = False  # by the scan, in all directions
+    open_direction: FloatArray | None = None  # (2,) that the scan left open: the prediction's
 
 
 def predict_by_odometry(

@@ -55,7 +55,7 @@ _BASIN_M = 0.1
 _BASIN_RAD = 0.05
 """Basin of convergence of the particles' scan matching."""
 
-_CALIBRATED_INFORMATION = 0.05
+_CALIBRATED_INFORMATION = 0.02
 """Calibrated odometry constrains weak directions better than the scan, see `GaussNewton.min_information`."""
 
 
@@ -166,4 +166,12 @@ def _refine(
     best = match.poses[0]
     weights = weigh_known_beams(state.maps, state.row, best, beams.ends, matcher.cauchy_m)
     inlier_ratio = float(weights.sum()) / max(len(weights), _MIN_OVERLAP * len(beams))
-    return PoseEstimate(best, predicted, matched=True, lost=False, inlier_ratio=inlier_ratio, determined=weak is None)
+    return PoseEstimate(
+        best,
+        predicted,
+        matched=True,
+        lost=False,
+        inlier_ratio=inlier_ratio,
+        determined=weak is None,
+        open_direction=weak,
+    )

@@ -15,7 +15,7 @@ from gridslam.matching.beam_order import BeamOrder
 from gridslam.slam.tracking.odometry_calibration import OdometryErrorModel
 from gridslam.types import BeamEnds, Beams, FloatArray, Odometry, StoredScan
 
-__all__ = ["SensorTrack", "TrackedScan", "TrackerState", "is_within", "pose_of"]
+__all__ = ["SensorTrack", "TrackedScan", "TrackerState", "UnmatchedMotion", "is_within", "pose_of"]
 
 _BOTH = np.array([0, 1], np.int32)
 _ORDER_MARGIN = 0.005
@@ -48,6 +48,24 @@ class SensorTrack(NamedTuple):
     def best_order(self) -> int:
         """Order in which its beams are measured, one of `gridslam.matching.beam_order.ORDERS`."""
         return self.beam_order.best(_ORDER_MARGIN, _ORDER_PRIOR_SCANS)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class UnmatchedMotion:
+    """How uncertain the motion is that no match has measured.
+
+    Attributes
+    ----------
+    position_m2, heading_rad2 : float
+        Accumulated variances of predictions used in place of a rejected match.
+    open_covariance : (2, 2) float64, m^2
+        Accumulated covariance of predictions along directions that matches left open, tracker's frame.
+    """
+
+    position_m2: float = 0.0
+    heading_rad2: float = 0.0
+    open_covariance: Annotated[FloatArray, 2, 2] = field(default_factory=lambda: np.zeros((2, 2)))
 
 
 @final
@@ -89,8 +107,10 @@ class TrackerState:
         Consecutive scans without a valid match and without odometry.
     rejected_odometry : int
         Number of scans whose odometry was rejected (jump, latency, or not trusted).
-    rejected_match_m2, rejected_match_rad2 : float
-        Accumulated variances of predictions used in place of a rejected match.
+    unmatched : UnmatchedMotion
+        Since the last key scan.
+    open_way_m : float
+        Way since the last match that left no direction open.
     """
 
     maps: TileMaps
@@ -110,8 +130,8 @@ class TrackerState:
     scans: tuple[int, int] = (1, 0)
     unlocalized_scans: int = 0
     rejected_odometry: int = 0
-    rejected_match_m2: float = 0.0
-    rejected_match_rad2: float = 0.0
+    unmatched: UnmatchedMotion = field(default_factory=UnmatchedMotion)
+    open_way_m: float = 0.0
 
     @classmethod
     def start(cls, maps: TileMaps, odometry: Odometry | None, stamp_ns: int, sensor: str) -> TrackerState:
@@ -156,6 +176,12 @@ class TrackerState:
             scans[active] = 0
             self.matched_map = 1 - active
         self.scans = (scans[0], scans[1])
+
+    def take_unmatched(self) -> UnmatchedMotion:
+        """What accumulated since this was called last, at a key scan."""
+        taken = self.unmatched
+        self.unmatched = UnmatchedMotion()
+        return taken
 
     def snapshot(self) -> TrackerState:
         """Keep a copy for later, at the cost of the maps' tables."""

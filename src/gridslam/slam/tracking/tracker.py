@@ -8,6 +8,7 @@ widely.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Annotated, final
 
 import numpy as np
@@ -258,7 +259,13 @@ class Tracker:
             pose = pose if score - float(before) > self.slip_inlier_gain * len(beams) else stayed
         determined = pose is not stayed and self._is_determined(match)
         return PoseEstimate(
-            pose, predicted, matched=True, lost=False, inlier_ratio=score / len(beams), determined=determined
+            pose,
+            predicted,
+            matched=True,
+            lost=False,
+            inlier_ratio=score / len(beams),
+            determined=determined,
+            open_direction=degenerate_direction(match.information[0], score, matcher.min_information),
         )
 
     def _match_from_velocity(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
@@ -278,14 +285,19 @@ class Tracker:
         if is_within(state.pose, pose, self.standstill_m, self.standstill_rad):
             pose = state.pose
         ratio = float(match.score[0]) / count
-        return PoseEstimate(pose, predicted, True, False, ratio, self._is_determined(match))
+        direction = degenerate_direction(match.information[0], float(match.score[0]), self.matcher.min_information)
+        return PoseEstimate(pose, predicted, True, False, ratio, self._is_determined(match), direction)
 
     def _advance(self, state: TrackerState, found: PoseEstimate) -> None:
         """Move on; where nothing is known of the motion, the robot is thought to come to rest."""
         predicted = found.prediction
         if found.lost or self.search.had_blind_gap(state, predicted):
-            state.rejected_match_m2 += predicted.sigma_m**2
-            state.rejected_match_rad2 += predicted.sigma_rad**2
+            state.unmatched = replace(
+                state.unmatched,
+                position_m2=state.unmatched.position_m2 + predicted.sigma_m**2,
+                heading_rad2=state.unmatched.heading_rad2 + predicted.sigma_rad**2,
+            )
+        self._accumulate_open_variance(state, found)
         moved, turned = motion_of(between(state.pose, found.pose))
         if moved + turned > self.standstill_m + self.standstill_rad:
             state.mean_step += NEWEST_WEIGHT * (min(moved + turned, self.search.blind_step) - state.mean_step)
@@ -297,6 +309,22 @@ class Tracker:
             )
         state.unlocalized_scans = state.unlocalized_scans + 1 if blind else 0
         state.pose = found.pose
+
+    @staticmethod
+    def _accumulate_open_variance(state: TrackerState, found: PoseEstimate) -> None:
+        """Add the variance of the prediction along the direction that a match left open."""
+        direction = found.open_direction
+        predicted = found.prediction
+        if direction is None:
+            state.open_way_m = 0.0
+            return
+        if predicted.by_odometry:
+            variance = state.odometry_errors.variance_along(state.open_way_m, predicted.moved_m)
+        else:
+            variance = float(state.velocity_variances[0])
+        state.open_way_m += predicted.moved_m
+        added = variance * np.outer(direction, direction)
+        state.unmatched = replace(state.unmatched, open_covariance=state.unmatched.open_covariance + added)
 
     def _learn(self, state: TrackerState, found: PoseEstimate) -> None:
         """Learn what the odometry's errors are, from where the scan was taken."""

@@ -1,0 +1,162 @@
+"""Bare corridors: how far the way is from the truth, and which key scans are reported as degenerate.
+
+    python benchmarks/corridors.py [--seeds 10] [--out benchmarks/results/corridors.json]
+
+Two rooms are joined by 10 or 40 m of bare corridor, askew to the map cells, and driven once, with ranges of 5,
+10 and 30 m and odometry without systematic errors. The stretch from the first to the last scan that sees nothing but
+walls along the corridor is compared with the truth. A scan is blind if none of its beams reaches another wall or an
+end of one of the corridor's walls; it is seen if five or more hit another wall; what lies between is not judged.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+from gridslam.config import Configuration, build
+from gridslam.geometry.se2 import between, compose
+from gridslam.observers import TrajectoryRecorder
+from gridslam.pipeline import run
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
+from gridslam.sim.lidar import cast_rays
+from gridslam.slam.full_slam.full_slam import full_slam
+from measure import provenance
+
+WIDTH_M = 2.0
+ROOM_M = (6.0, 5.0)
+TURN_RAD = 0.3  # of the corridor against the map's cells
+LENGTHS_M = (10.0, 40.0)
+RANGES_M = (5.0, 10.0, 30.0)
+SEEN_BEAMS = 5
+UNBIASED = OdometryNoise(distance_scale=1.0, turn_scale=1.0, bias_rad_per_m=0.0)
+
+
+class Drive(NamedTuple):
+    """One drive: ways over the true one, and shares of the key scans that are reported as degenerate."""
+
+    blind_scans: int
+    odometry: float
+    online: float
+    full: float
+    flagged_blind: float
+    flagged_seen: float
+
+
+def bare_corridor(length_m: float) -> tuple[World, np.ndarray]:
+    """A corridor between two rooms, and which of its walls (S,) lie along it."""
+    depth, side = ROOM_M[0], ROOM_M[1] / 2
+    half = WIDTH_M / 2
+    walls = [(0, -half, length_m, -half), (0, half, length_m, half)]
+    for begin, end in ((-depth, 0.0), (length_m, length_m + depth)):
+        far = begin if begin < 0 else end
+        near = end if begin < 0 else begin
+        walls += [(begin, -side, end, -side), (begin, side, end, side), (far, -side, far, side)]
+        walls += [(near, -side, near, -half), (near, half, near, side)]
+        for x, y in ((begin + 1.0, 1.6), (begin + 4.2, -1.7)):  # pillars
+            corners = [(x - 0.25, y - 0.25), (x + 0.25, y - 0.25), (x + 0.25, y + 0.25), (x - 0.25, y + 0.25)]
+            walls += [(*a, *b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
+    segments = np.array(walls, np.float64)
+    c, s = np.cos(TURN_RAD), np.sin(TURN_RAD)
+    rotation = np.array([[c, s], [-s, c]])
+    turned = np.concatenate([segments[:, :2] @ rotation, segments[:, 2:] @ rotation], axis=1)
+    route = np.array([(-4.5, 0.0), (length_m + 4.5, 0.0)]) @ rotation
+    along = np.zeros(len(walls), np.bool_)
+    along[:2] = True
+    return World.of("bare corridor", turned, route), along
+
+
+def count_fixing_beams(world: World, along: np.ndarray, truth: np.ndarray, lidar: LidarConfig) -> np.ndarray:
+    """Beams (N,) of noise-free scans at poses (N, 3) that end on a wall which is not along the corridor."""
+    bearings = np.linspace(-0.5, 0.5, lidar.beams) * lidar.field_of_view_rad
+    lasers = compose(truth, np.array([lidar.x_m, lidar.y_m, lidar.heading_rad]))
+    beside, across = (cast_rays(world.walls[walls], lasers, bearings) for walls in (along, ~along))
+    return np.count_nonzero((across < beside) & (across < lidar.range_max_m), axis=1)
+
+
+def drive(length_m: float, range_m: float, seed: int) -> Drive:
+    """Map one drive."""
+    world, along = bare_corridor(length_m)
+    lidar = LidarConfig(range_max_m=range_m)
+    rng = np.random.default_rng([seed, int(length_m), int(range_m)])
+    log = simulate(world, RobotConfig(), UNBIASED, lidar, rng)
+    configuration = Configuration()
+    recorder = TrajectoryRecorder()
+    reports = []
+    state = run(
+        log.measurements,
+        build(configuration),
+        particles=configuration.particles,
+        rng=np.random.default_rng(seed),
+        observers=[recorder, lambda report, state, seconds: reports.append(report)],
+    )
+    assert configuration.loop_closure is not None
+    full = full_slam(
+        state,
+        recorder.keys,
+        recorder.key_from_base,
+        configuration.mapper,
+        configuration.loop_closure,
+        configuration.final_refinement,
+    )
+    truth = log.truth.poses
+    fixing = count_fixing_beams(world, along, truth, lidar)
+    c, s = np.cos(TURN_RAD), np.sin(TURN_RAD)
+    places = truth[:, :2] @ np.array([c, s])
+    blind = (fixing == 0) & (places > 0) & (length_m - places > range_m)  # the laser looks ahead
+    is_key = np.array([report.skipped is None for report in reports])
+    flagged = np.array([report.degenerate_direction is not None for report in reports])
+    stretch = np.flatnonzero(fixing < SEEN_BEAMS)
+    first, last = (stretch[0], stretch[-1]) if len(stretch) else (0, len(truth) - 1)
+
+    def way(poses: np.ndarray) -> float:
+        return float(np.hypot(*between(poses[first], poses[last])[:2]) / np.hypot(*(truth[last] - truth[first])[:2]))
+
+    def share(chosen: np.ndarray) -> float:
+        return float(flagged[chosen].mean()) if chosen.any() else float("nan")
+
+    online = np.array([report.pose for report in reports])
+    return Drive(
+        int((blind & is_key).sum()),
+        way(log.odometry.poses),
+        way(online),
+        way(full.poses),
+        share(blind & is_key),
+        share((fixing >= SEEN_BEAMS) & is_key),
+    )
+
+
+def main() -> None:
+    """Print a table, and record it."""
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("--seeds", type=int, default=10)
+    arguments.add_argument("--out", type=Path)
+    options = arguments.parse_args()
+    table = ["| corridor m | range m | blind | odometry, worst % | online % | full % | flagged: blind % | seen % |"]
+    table.append("| --- " * 8 + "|")
+    print(*table, sep="\n")
+    rows = []
+    for length_m in LENGTHS_M:
+        for range_m in RANGES_M:
+            drives = [drive(length_m, range_m, seed) for seed in range(options.seeds)]
+            rows += [{"length_m": length_m, "range_m": range_m, "seed": k, **d._asdict()} for k, d in enumerate(drives)]
+            worst = [100 * max(abs(getattr(d, name) - 1) for d in drives) for name in ("odometry", "online", "full")]
+            blind = sum(d.blind_scans for d in drives)
+            flagged = sum(d.flagged_blind * d.blind_scans for d in drives if d.blind_scans) / max(blind, 1)
+            seen = np.mean([d.flagged_seen for d in drives])
+            cells = [f"{length_m:g}", f"{range_m:g}", str(blind), *(f"{w:.1f}" for w in worst)]
+            cells += [f"{100 * flagged:.0f}" if blind else "", f"{100 * seen:.1f}"]
+            table.append("| " + " | ".join(cells) + " |")
+            print(table[-1], flush=True)
+    if options.out is not None:
+        document = {"schema": "gridslam.corridors/1", **provenance(), "table": table, "drives": rows}
+        options.out.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,179 @@
+"""Do covariances mean something? Average NEES against simulated truth, online and final, in eight kinds of worlds.
+
+    python benchmarks/covariances.py [KIND ...] [--seeds 20] [--first 101] [--out benchmarks/results/covariances.json]
+
+Each drive is mapped with the defaults. NEES is taken of every pose after the first tenth of the drive, in the frame of
+the first pose, which is given; its expectation is 3, and 95 of 100 should lie below 7.81. The parameters of the
+covariances were set on the seeds 1 to 12. Constraints between key scans are judged, too: what the rest of the graph
+predicts for every tenth of a kind that is left out, in ten folds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+from closure_worlds import campus
+from gridslam.config import Configuration, build
+from gridslam.evaluation import nees
+from gridslam.geometry.se2 import between
+from gridslam.io.measurement import Measurement
+from gridslam.observers import TrajectoryRecorder
+from gridslam.pipeline import run
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from gridslam.slam.full_slam.full_slam import full_slam
+from gridslam.slam.pose_graph.graph_slam import GraphSlam
+from gridslam.slam.pose_graph.marginals import Marginals
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
+from gridslam.types import Odometry
+from measure import provenance
+
+WORLDS = {
+    "random": ("random", 30.0),
+    "rooms": ("rooms", 30.0),
+    "loop": ("loop", 30.0),
+    "bare_corridors": ("bare_corridors", 30.0),
+    "bare_corridors_10m": ("bare_corridors", 10.0),
+    "halls": ("hall", 30.0),
+    "equal_rooms": ("equal_rooms", 30.0),
+    "sparse": ("random", 30.0),
+}
+"""World and the laser's range by kind; "campus" is another one."""
+
+KEY_SCAN_M = 1.0
+KEY_SCAN_RAD = 0.5
+"""What lies between two scans of a sparse drive."""
+
+QUANTILE = 7.8147
+FOLDS = 10
+
+
+def simulated(kind: str, seed: int) -> tuple[list[Measurement], np.ndarray]:
+    """Measurements of a drive, and true poses (N, 3)."""
+    if kind == "campus":
+        stream = campus(seed).stream()
+        scans = [measurement.scan for measurement in stream.measurements]
+        odometry = stream.odometry.poses
+        paired = zip(scans, odometry, strict=True)
+        return [Measurement(Odometry.at(scan.stamp_ns, pose), scan) for scan, pose in paired], stream.truth.poses
+    world, range_m = WORLDS[kind]
+    rng = np.random.default_rng([seed, zlib.crc32(kind.encode())])
+    lidar = LidarConfig(range_max_m=range_m)
+    log = simulate(make_world(world, np.random.default_rng(seed)), RobotConfig(), OdometryNoise(), lidar, rng)
+    measurements = list(log.measurements)
+    truth = log.truth.poses
+    if kind != "sparse":
+        return measurements, truth
+    kept = [0]
+    for k in range(len(truth)):
+        dx, dy, turn = between(truth[kept[-1]], truth[k])
+        if np.hypot(dx, dy) >= KEY_SCAN_M or abs(turn) >= KEY_SCAN_RAD:
+            kept.append(k)
+    return [measurements[k] for k in kept], truth[kept]
+
+
+def judge(kind: str, seed: int) -> dict[str, Any]:
+    """Map one drive; average NEES and percentage below the quantile, online and final, and of constraints left out."""
+    measurements, truth = simulated(kind, seed)
+    configuration = Configuration()
+    assert configuration.loop_closure is not None
+    recorder = TrajectoryRecorder()
+    reports = []
+    state = run(
+        measurements,
+        build(configuration),
+        particles=configuration.particles,
+        rng=np.random.default_rng(seed),
+        observers=[recorder, lambda report, state, seconds: reports.append((report.pose, report.covariance))],
+    )
+    full = full_slam(
+        state,
+        recorder.keys,
+        recorder.key_from_base,
+        configuration.mapper,
+        configuration.loop_closure,
+        configuration.final_refinement,
+    )
+    true = between(truth[0], truth)
+    judged = slice(len(true) // 10, None)
+    poses, covariances = (np.array(parts) for parts in zip(*reports, strict=True))
+    squares = {
+        "online": nees(poses[judged], true[judged], covariances[judged]),
+        "final": nees(full.poses[judged], true[judged], full.covariances[judged]),
+    }
+    found: dict[str, Any] = {"kind": kind, "seed": seed}
+    for name, of in squares.items():
+        found |= {f"{name}_nees": float(of.mean()), f"{name}_inside": float(100 * (of < QUANTILE).mean())}
+    found["rmse_m"] = float(np.sqrt(np.square((full.poses - true)[:, :2]).sum(axis=1).mean()))
+    return found | left_out(full.graph)
+
+
+def left_out(graph: PoseGraph) -> dict[str, float]:
+    """NEES over its expectation of increments, and of constraints, that are left out of a solved graph by turns."""
+    tracked = np.arange(len(graph.edges)) < len(graph.poses) - 1
+    ratios = {}
+    for name, members in (("increments", np.flatnonzero(tracked)), ("constraints", np.flatnonzero(~tracked))):
+        squares = []
+        for fold in range(FOLDS if len(members) >= FOLDS else 0):
+            out = members[fold::FOLDS]
+            kept = np.setdiff1d(np.arange(len(graph.edges)), out)
+            if name == "increments" and not is_connected_without(graph, out):
+                continue
+            rest = PoseGraph.of(
+                graph.poses, graph.edges[kept], graph.measurements[kept], graph.information[kept], graph.trusted[kept]
+            )
+            rest = rest.with_poses(GraphSlam(first_guess="given").solve(rest).poses)
+            found = Marginals(rest).squared_innovations(
+                graph.edges[out], graph.measurements[out], graph.information[out]
+            )
+            squares.append(found)
+        if squares:
+            ratios[f"left_out_{name}"] = float(np.concatenate(squares).mean() / 3)
+    return ratios
+
+
+def is_connected_without(graph: PoseGraph, out: np.ndarray) -> bool:
+    """Whether the measurements join all poses without those at places `out`."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    kept = np.delete(graph.edges, out, axis=0)
+    count = len(graph.poses)
+    joined = coo_array((np.ones(len(kept)), (kept[:, 0], kept[:, 1])), shape=(count, count))
+    return bool(connected_components(joined, directed=False)[0] == 1)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print a row for each kind, and write all drives."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("kinds", nargs="*", default=[*WORLDS], choices=[*WORLDS, "campus"], metavar="KIND")
+    parser.add_argument("--seeds", type=int, default=20, help="drives of each kind [20]")
+    parser.add_argument("--first", type=int, default=101, help="first seed [101]")
+    parser.add_argument("--out", type=Path)
+    given = parser.parse_args(arguments)
+    columns = "online_nees", "online_inside", "final_nees", "final_inside", "rmse_m"
+    columns += "left_out_increments", "left_out_constraints"
+    table = ["| kind | " + " | ".join(columns) + " |", "| --- " * (len(columns) + 1) + "|"]
+    print(*table, sep="\n")
+    drives = []
+    for kind in given.kinds:
+        of_kind = [judge(kind, seed) for seed in range(given.first, given.first + given.seeds)]
+        drives += of_kind
+        means = [np.nanmean([drive.get(name, np.nan) for drive in of_kind]) for name in columns]
+        table.append(f"| {kind} | " + " | ".join(f"{mean:.3g}" for mean in means) + " |")
+        print(table[-1], flush=True)
+    if given.out is not None:
+        document = {"schema": "gridslam.covariances/1", **provenance(), "table": table, "drives": drives}
+        given.out.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
