@@ -6,13 +6,13 @@ import numpy as np
 
 from gridslam.evaluation import Consistency, check_consistency, nees
 from gridslam.models.landmark import RangeBearing
-from gridslam.models.motion import EXACT_ODOMETRY, OdometryBias
+from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
 from support.landmark_world import INCREMENT, MOTION, drive, ring
 
 RUNS, STEPS = 100, 200
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
-WRONG = OdometryBias(sigma_per_m=0.06, sigma_per_rad=0.0, memory_m=1e9)
+WRONG = SystematicErrors(sigma_per_m=0.06, sigma_per_rad=0.0, memory_m=1e9)
 
 
 def test_nees_of_ekf_slam_lies_in_its_band():
@@ -22,7 +22,7 @@ def test_nees_of_ekf_slam_lies_in_its_band():
     step and the next are correlated, so the share within has a wide spread: 0.90 instead of 0.95 is asked of it. The
     mean over all steps has an expectation of 3, and a spread well below that of a single step, 0.25.
     """
-    average, band = _average_nees(EXACT_ODOMETRY, EXACT_ODOMETRY)
+    average, band = _average_nees(NO_ERRORS, NO_ERRORS)
     assert ((average >= band.lower) & (average <= band.upper)).mean() >= 0.9
     assert 2.5 < average.mean() < 3.5
 
@@ -35,10 +35,10 @@ def test_it_stays_in_its_band_where_it_learns_how_odometry_errs_and_leaves_it_wh
     average, band = _average_nees(WRONG, WRONG)
     assert ((average >= band.lower) & (average <= band.upper)).mean() >= 0.9
     assert 2.5 < average.mean() < 3.5
-    assert _average_nees(WRONG, EXACT_ODOMETRY, runs=20)[0].mean() > 4
+    assert _average_nees(WRONG, NO_ERRORS, runs=20)[0].mean() > 4
 
 
-def _average_nees(true: OdometryBias, sought: OdometryBias, runs: int = RUNS) -> tuple[np.ndarray, Consistency]:
+def _average_nees(true: SystematicErrors, sought: SystematicErrors, runs: int = RUNS) -> tuple[np.ndarray, Consistency]:
     """Of many runs at each step, and its band, where the odometry's errors are drawn from one and sought by another."""
     estimates, truths, covariances = [], [], []
     for seed in range(runs):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.api.landmarks import MOTION, SENSORS, ResultByLandmarks, align_trajectory
+from gridslam.api.landmarks import COMMANDS, MOTION, SENSORS, ResultByLandmarks, align_trajectory
 from gridslam.api.result import write_trajectory
 from gridslam.errors import ArgumentError, InputError
 from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, interpolate
@@ -23,6 +23,7 @@ from gridslam.io.text import compute_digest
 from gridslam.localization.ekf import EkfLocalization, EkfLocalizationReport, KnownLandmarks
 from gridslam.models.association import KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import LandmarkModel, LandmarkStep
+from gridslam.models.systematic_errors import SystematicErrors
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, MotionModel, Trajectory
 
@@ -188,10 +189,12 @@ def localize_by_landmarks(
     known = _read_known(source, landmarks)
     association = _COMPLETE_MAP_GATES if unknown else KnownCorrespondence()
     model = sensor or SENSORS[source.kind]
-    ekf = EkfLocalization(known, model, association)
     watch.lap("start")
     steps = list(source)
     watch.lap("read")
+    has_noise = all(step.covariance is not None for step in steps)
+    bias = SystematicErrors() if has_noise else COMMANDS
+    ekf = EkfLocalization(known, model, association, bias)
     if pose is None:
         pose = _find_start(source, steps) if landmarks is None else np.zeros(3)
     belief = ekf.init(pose, covariance)
@@ -208,7 +211,7 @@ def localize_by_landmarks(
         stamps_ns=np.array([step.stamp_ns for step in steps], np.int64),
         unknown=unknown,
         log=source,
-        models={"sensor": model, "motion": motion, "association": association},
+        models={"sensor": model, "motion": motion, "association": association, "bias": bias},
         digest=compute_digest(source.path),
         stopwatch=watch,
         reports=tuple(reports),

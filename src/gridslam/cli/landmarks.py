@@ -96,6 +96,8 @@ def _summarize_map(document: dict[str, Any], out: Path) -> list[str]:
             f"landmark RMSE {found['rmse_m']:.3f} m: {found['found']} found, {found['missing']} missing, "
             f"{found['surplus']} too many"
         )
+    elif errors["trajectory"] is not None:
+        lines.append("landmark RMSE: none, since no landmark is near a true one, however the map is aligned")
     return [*lines, _list_files(out, "landmarks.csv", "landmarks.png", "trajectory.tum", "run.json")]
 
 

@@ -143,9 +143,6 @@ class MrclamLog:
     delay_ns : int
         Latency of a command relative to its stamp. The files contain commands, and wheels take
         time; 0.2 s fits the observations of the robots best.
-    depth_scale : float, > 0
-        By which factor the cameras take depths for greater than they are: 1.03 for both robots of set 6. It cannot be
-        found without the truth, for it scales the map, and makes 0.09 m of error in a room of 8 m.
 
     Raises
     ------
@@ -165,14 +162,12 @@ class MrclamLog:
         path: str | Path,
         longest_ns: int = 250_000_000,
         delay_ns: int = 200_000_000,
-        depth_scale: float = 1.03,
     ) -> None:
         """Find the files and read the small ones."""
         self.path = Path(path)
         self.statistics = LandmarkLogStatistics()
         self._longest_ns = longest_ns
         self._delay_ns = delay_ns
-        self._depth_scale = depth_scale
         names = _MRCLAM_NAME.match(self.path.name)
         if names is None:
             raise InputError(path, "expected a file named ..RobotN_Odometry.dat or ..RobotN_Measurement.dat")
@@ -229,7 +224,7 @@ class MrclamLog:
                 if subject in seen:
                     raise InputError(self._measurement, f"subject {subject} is seen twice at one time", row.line)
                 if subject is not None:
-                    seen[subject] = row.values[1] / self._depth_scale, row.values[2]
+                    seen[subject] = row.values[1], row.values[2]
             if seen:
                 yield stamp, LandmarkObservations.of(list(seen.values()), list(seen))
 

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 from gridslam.arguments import freeze
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import lever_arm_jacobian
 from gridslam.models.association import Association, KnownCorrespondence
-from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeBearing
+from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeBearing, linearize_calibrated
+from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors
 from gridslam.types import FloatArray, IntArray, MotionSampler
 
 __all__ = ["EkfLocalization", "EkfLocalizationReport", "KnownLandmarks", "PoseGaussian"]
@@ -58,10 +58,28 @@ class KnownLandmarks:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseGaussian:
-    """The belief: mean pose (3,), map frame, and its covariance (3, 3) by x, y in m and theta in rad."""
+    """The belief: a Gaussian over the pose and the systematic errors.
 
-    pose: FloatArray
-    covariance: FloatArray
+    Attributes
+    ----------
+    mean : (3 + B,) float64
+        Pose [x m, y m, theta rad], map frame, and the B systematic errors.
+    whole_covariance : (3 + B, 3 + B) float64
+        Of both.
+    """
+
+    mean: FloatArray
+    whole_covariance: FloatArray
+
+    @property
+    def pose(self) -> FloatArray:
+        """Mean pose (3,)."""
+        return self.mean[:3]
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (3, 3) of the pose."""
+        return self.whole_covariance[:3, :3]
 
 
 @final
@@ -100,6 +118,8 @@ class EkfLocalization:
     association : Association
         `KnownCorrespondence` if the observations contain the correspondences, `MaximumLikelihood` otherwise. Both gate
         by the Mahalanobis distance of an observation from its prediction.
+    bias : SystematicErrors
+        Systematic errors of odometry and sensor, which are part of what is estimated.
 
     References
     ----------
@@ -111,6 +131,7 @@ class EkfLocalization:
     landmarks: KnownLandmarks
     sensor: LandmarkModel = field(default_factory=RangeBearing)
     association: Association = field(default_factory=KnownCorrespondence)
+    bias: SystematicErrors = NO_ERRORS
 
     def init(self, pose: ArrayLike, covariance: ArrayLike) -> PoseGaussian:
         """Begin near a pose (3,), with a covariance (3, 3).
@@ -123,7 +144,11 @@ class EkfLocalization:
             raise ArgumentError("pose", "finite x, y, theta", mean.tolist())
         if not np.isfinite(spread).all() or not np.allclose(spread, spread.T) or np.linalg.eigvalsh(spread)[0] < 0:
             raise ArgumentError("covariance", "a symmetric matrix without negative eigenvalue", spread.tolist())
-        return PoseGaussian(np.array([mean[0], mean[1], wrap(float(mean[2]))]), spread)
+        errors = len(self.bias)
+        whole = np.zeros((3 + errors, 3 + errors))
+        whole[:3, :3] = spread
+        whole[3:, 3:] = self.bias.covariance()
+        return PoseGaussian(np.array([mean[0], mean[1], wrap(float(mean[2])), *np.zeros(errors)]), whole)
 
     def step(
         self, belief: PoseGaussian, motion: MotionSampler, observations: LandmarkObservations
@@ -155,15 +180,20 @@ class EkfLocalization:
 
     def _predict(self, belief: PoseGaussian, motion: MotionSampler) -> PoseGaussian:
         """Table 7.2, lines 2 to 7."""
-        (pose,), (motion_noise,) = motion.moments(belief.pose[None])
-        G = lever_arm_jacobian(belief.pose, pose)
-        return PoseGaussian(pose, G @ belief.covariance @ G.T + motion_noise)
+        (mean,), (G,), (R,) = self.bias.predict(motion, belief.mean[None])
+        return PoseGaussian(mean, G @ belief.whole_covariance @ G.T + R)
+
+    def _linearize(self, belief: PoseGaussian, landmarks: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """h (K, 2) of landmarks (K, 2), and H (K, 2, 3 + B) by the pose and the systematic errors."""
+        calibration = self.bias.calibration(belief.mean[3:])
+        predicted, H_x, _, H_c = linearize_calibrated(self.sensor, belief.pose, landmarks, calibration)
+        return predicted, np.concatenate([H_x, self.bias.by_calibration(H_c)], axis=-1)
 
     def _correspondences(self, belief: PoseGaussian, observations: LandmarkObservations, noise: FloatArray) -> IntArray:
         """Table 7.3, lines 9 to 15: the index of each observation's landmark in the map."""
-        predicted, H, _ = self.sensor.linearize(belief.pose, self.landmarks.positions)
+        predicted, H = self._linearize(belief, self.landmarks.positions)
         residuals = self.sensor.residual(observations.values[:, None], predicted)
-        S = H @ belief.covariance @ H.swapaxes(1, 2) + noise[:, None]
+        S = H @ belief.whole_covariance @ H.swapaxes(1, 2) + noise[:, None]
         distances = np.einsum("kmi,kmij,kmj->km", residuals, np.linalg.inv(S), residuals)
         return self.association(observations, self.landmarks.names, distances, np.linalg.slogdet(S)[1])
 
@@ -173,15 +203,16 @@ class EkfLocalization:
         """Table 7.2, lines 11 to 21, for K observations: P - K S K' = P - W' W with W = L^-1 H P, S = L L'."""
         if not (count := len(places)):
             return belief, 0.0
-        predicted, H, _ = self.sensor.linearize(belief.pose, self.landmarks.positions[places])
+        predicted, H = self._linearize(belief, self.landmarks.positions[places])
         residuals = self.sensor.residual(measured, predicted).ravel()
-        H, P = H.reshape(-1, 3), belief.covariance
+        P = belief.whole_covariance
+        H = H.reshape(-1, len(P))
         S = (H @ P @ H.T).reshape(count, 2, count, 2)
         S[np.arange(count), :, np.arange(count)] += noise
         L = np.linalg.cholesky(S.reshape(2 * count, 2 * count))
         W = np.linalg.solve(L, H @ P)
         whitened = np.linalg.solve(L, residuals)
-        pose = belief.pose + whitened @ W
-        pose[2] = wrap(float(pose[2]))
+        mean = belief.mean + whitened @ W
+        mean[2] = wrap(float(mean[2]))
         log_likelihood = -0.5 * float(whitened @ whitened) - count * math.log(2 * math.pi)
-        return PoseGaussian(pose, P - W.T @ W), log_likelihood - float(np.log(np.diagonal(L)).sum())
+        return PoseGaussian(mean, P - W.T @ W), log_likelihood - float(np.log(np.diagonal(L)).sum())

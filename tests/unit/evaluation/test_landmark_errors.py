@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gridslam.errors import ArgumentError
-from gridslam.evaluation.maps import landmark_errors, pair_by_name, pair_by_position
+from gridslam.evaluation.maps import align_points, landmark_errors, pair_by_name, pair_by_position
 from gridslam.geometry.se2 import inverse, transform_points
 
 TRUTH = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 0.3], [0.0, 5.0], [-3.0, 1.0]])
@@ -56,3 +56,14 @@ def test_without_a_pair_there_is_no_error():
         landmark_errors(TRUTH, TRUTH, (nothing, nothing))
     assert [len(part) for part in pair_by_position(np.empty((0, 2)), TRUTH, np.zeros(3))] == [0, 0]
     assert [len(part) for part in pair_by_position(TRUTH + 50, TRUTH, np.zeros(3))] == [0, 0]
+
+
+@given(x=st.floats(-20, 20), y=st.floats(-20, 20), turn=st.floats(-3.1, 3.1))
+def test_landmarks_are_aligned_by_themselves_without_a_guess(x, y, turn):
+    """Wherever the map lies, with one landmark of nothing and one missing; a guess of no motion pairs none of them."""
+    map_from_true = np.array([x, y, turn])
+    positions = np.concatenate([transform_points(map_from_true, TRUTH[[3, 2, 1, 4]]), [[70.0, 70.0]]])
+    pairs = pair_by_position(positions, TRUTH, align_points(positions, TRUTH))
+    errors = landmark_errors(positions, TRUTH, pairs)
+    assert (errors.found, errors.surplus) == (4, 1)
+    assert errors.rmse_m < 1e-6

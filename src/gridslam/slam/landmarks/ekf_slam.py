@@ -16,9 +16,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ConsumedStateError
 from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import lever_arm_jacobian
 from gridslam.models.association import NEW, Association, KnownCorrespondence, LandmarkExistence
-from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeBearing
-from gridslam.models.motion import EXACT_ODOMETRY, OdometryBias
+from gridslam.models.landmark import (
+    LandmarkModel,
+    LandmarkObservations,
+    RangeBearing,
+    linearize_calibrated,
+    locate_calibrated,
+)
+from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors
 from gridslam.particles.initial import repeat_pose
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import mahalanobis
@@ -41,24 +48,29 @@ class EkfSlam:
     existence : LandmarkExistence
         Which landmarks are real, where correspondences are unknown. A provisional one learns from the robot's pose,
         but the pose learns nothing from it.
-    bias : OdometryBias
-        Systematic errors of the odometry, which are part of what is estimated.
+    bias : SystematicErrors
+        Systematic errors of odometry and sensor, which are part of what is estimated.
 
     References
     ----------
     Probabilistic Robotics, Tables 10.1 (known correspondences) and 10.2 (unknown). The tables correct by one
     observation after the other; here all observations of a step are used at once: the same for a linear model, and one
     update of the covariance, whose cost grows with the square of the number of landmarks, instead of many.
+
+    Jacobians are taken at first estimates: at the poses as predicted, and at the landmarks as they were first put. At
+    the newest ones a filter gains information about the heading that no measurement contains, and its covariance falls
+    below its error: G. Huang, A. Mourikis, S. Roumeliotis, Observability-based rules for designing consistent EKF SLAM
+    estimators, IJRR 2010.
     """
 
     sensor: LandmarkModel = field(default_factory=RangeBearing)
     association: Association = field(default_factory=KnownCorrespondence)
     existence: LandmarkExistence = field(default_factory=LandmarkExistence)
-    bias: OdometryBias = EXACT_ODOMETRY
+    bias: SystematicErrors = NO_ERRORS
 
     def init(self, pose: ArrayLike = (0.0, 0.0, 0.0)) -> EkfSlamState:
         """Begin at a pose (3,) that is exact, without landmarks."""
-        return EkfSlamState.at(pose, self.bias.covariance())
+        return EkfSlamState.at(pose, self.bias.covariance(), 4 if self.sensor.correlated_share else 2)
 
     def step(
         self, state: EkfSlamState, motion: MotionSampler, observations: LandmarkObservations
@@ -79,20 +91,26 @@ class EkfSlam:
             The association needs correspondences that the observations do not contain.
         """
         state = state.take()
+        self.predict(state, motion, observations.passed_s)
+        return state, self.update(state, observations, self._correspondences(state, observations))
+
+    def update(self, state: EkfSlamState, observations: LandmarkObservations, places: IntArray) -> LandmarkReport:
+        """Correct a predicted state, in place, by observations of landmarks `places` (K,); returns the report."""
+        places = places.copy()
         noise = self.sensor.noise(observations)
-        self._predict(state, motion)
-        places = self._correspondences(state, observations, noise)
+        independent = self.independent_noise(observations)
         known = np.flatnonzero(places >= 0)
         confirmed = state.evidence[places[known]] >= self.existence.log_odds_confirmed
-        self._correct(state, places[known[confirmed]], observations.values[known[confirmed]], noise[known[confirmed]])
+        used = known[confirmed]
+        self._correct(state, places[used], observations.values[used], independent[used])
         for k in known[~confirmed].tolist():
-            self._correct_provisional(state, int(places[k]), observations.values[k], noise[k])
+            self._correct_provisional(state, int(places[k]), observations.values[k], independent[k])
         for k in np.flatnonzero(places == NEW).tolist():
             places[k] = self._add(state, observations, k, noise[k])
         reported = places.copy()
         reported[places >= 0] = state.names[places[places >= 0]]
         self._count(state, places[places >= 0], observations)
-        return state, LandmarkReport(state.pose.copy(), state.pose_covariance.copy(), reported)
+        return LandmarkReport(state.pose.copy(), state.pose_covariance.copy(), reported)
 
     def landmark_map(self, state: EkfSlamState) -> LandmarkMap:
         """Return the confirmed landmarks."""
@@ -100,34 +118,53 @@ class EkfSlam:
         covariances = state.position_covariances[kept]
         return LandmarkMap(state.names[kept], state.positions[kept], covariances, state.observations[kept])
 
-    def _predict(self, state: EkfSlamState, motion: MotionSampler) -> None:
-        """Tables 10.1 and 10.2, lines 2 to 5: only the pose moves, and the odometry's errors with it."""
+    def predict(self, state: EkfSlamState, motion: MotionSampler, passed_s: float = 0.0) -> None:
+        """Tables 10.1 and 10.2, lines 2 to 5, in place: the pose moves, and what errors have a memory fades."""
         own = slice(state.first)
         P = state.covariance
         (moved,), (F,), (Q,) = self.bias.predict(motion, state.mean[None, own])
+        F[:3, :3] = lever_arm_jacobian(state.predicted, moved[:3])
         state.mean[own] = moved
+        state.predicted = moved[:3].copy()
         P[own] = F @ P[own]
         P[:, own] = P[:, own] @ F.T
         P[own, own] += Q
+        if state.width > 2 and passed_s > 0:
+            away = np.hypot(*(state.positions - state.pose[:2]).T)
+            ahead = LandmarkObservations(np.column_stack([away, np.zeros_like(away)]))
+            variances = self.sensor.correlated_share * np.diagonal(self.sensor.noise(ahead), axis1=1, axis2=2)
+            state.fade(math.exp(-passed_s / self.sensor.correlation_s), variances)
 
-    def _correspondences(self, state: EkfSlamState, observations: LandmarkObservations, noise: FloatArray) -> IntArray:
+    def _correspondences(self, state: EkfSlamState, observations: LandmarkObservations) -> IntArray:
         """Table 10.2, lines 9 to 16: the index of each observation's landmark in the state."""
-        predicted, H_x, H_m = self.sensor.linearize(state.pose, state.positions)
-        H = np.concatenate([H_x, H_m], axis=-1)
-        P = np.empty((len(state.names), 5, 5))  # of the pose and each landmark
-        P[:, :3, :3] = state.pose_covariance
-        P[:, 3:, 3:] = state.position_covariances
-        P[:, :3, 3:] = state.covariance[:3, state.first :].reshape(3, -1, 2).swapaxes(0, 1)
-        P[:, 3:, :3] = P[:, :3, 3:].swapaxes(1, 2)
-        residuals = self.sensor.residual(observations.values[:, None], predicted)
-        S = H @ P @ H.swapaxes(1, 2) + noise[:, None]
+        residuals, S = self.predict_observations(state, observations)
         return self.association(observations, state.names, *mahalanobis(residuals, S))
+
+    def predict_observations(
+        self, state: EkfSlamState, observations: LandmarkObservations
+    ) -> tuple[FloatArray, FloatArray]:
+        """Innovations (K, M, 2) of K observations, if they are of each of M landmarks, and covariances of them."""
+        predicted, H_x, H_m = self._linearize(state, np.arange(len(state.names)))
+        H = np.concatenate([H_x, H_m], axis=-1)
+        own = state.first
+        size = own + state.width
+        P = np.empty((len(state.names), size, size))  # of the pose and each landmark
+        P[:, :own, :own] = state.covariance[:own, :own]
+        P[:, own:, own:] = state.landmark_covariances
+        P[:, :own, own:] = state.covariance[:own, own:].reshape(own, -1, state.width).swapaxes(0, 1)
+        P[:, own:, :own] = P[:, :own, own:].swapaxes(1, 2)
+        residuals = self.sensor.residual(observations.values[:, None], predicted)
+        return residuals, H @ P @ H.swapaxes(1, 2) + self.independent_noise(observations)[:, None]
+
+    def independent_noise(self, observations: LandmarkObservations) -> FloatArray:
+        """Noise (K, 2, 2) of the observations without the errors that are correlated in time."""
+        return (1 - self.sensor.correlated_share) * self.sensor.noise(observations)
 
     def _correct(self, state: EkfSlamState, places: IntArray, measured: FloatArray, noise: FloatArray) -> None:
         """Table 10.1, lines 12 to 20, for K observations: P - K S K' = P - W' W with W = L^-1 H P, S = L L'."""
         if not len(places):
             return
-        residuals, HP, S = self._innovation(state, places, measured, noise)
+        residuals, HP, S = self.innovation(state, places, measured, noise)
         L = np.linalg.cholesky(S)
         W = np.linalg.solve(L, HP)
         state.mean += np.linalg.solve(L, residuals) @ W
@@ -136,38 +173,60 @@ class EkfSlam:
 
     def _correct_provisional(self, state: EkfSlamState, place: int, measured: FloatArray, noise: FloatArray) -> None:
         """Correct one landmark alone: the gain of all else is 0 (Schmidt's consider filter)."""
-        residual, HP, S = self._innovation(state, np.array([place]), measured[None], noise[None])
-        own = slice(state.first + 2 * place, state.first + 2 * place + 2)
+        residual, HP, S = self.innovation(state, np.array([place]), measured[None], noise[None])
+        begin = state.first + state.width * place
+        own = slice(begin, begin + state.width)
         gain = np.linalg.solve(S, HP[:, own]).T
         state.mean[own] += gain @ residual
         state.covariance[own] -= gain @ HP
         state.covariance[:, own] = state.covariance[own].T
 
-    def _innovation(
+    def innovation(
         self, state: EkfSlamState, places: IntArray, measured: FloatArray, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Residuals (2 K,), H P (2 K, n) and S = H P H' + Q (2 K, 2 K), of the few columns where H is not 0."""
-        predicted, H_x, H_m = self.sensor.linearize(state.pose, state.positions[places])
+        predicted, H_x, H_m = self._linearize(state, places)
         count = len(places)
+        own = state.first
         P = state.covariance
-        columns = state.first + 2 * places[:, None] + np.arange(2)
-        HP = H_x @ P[:3] + H_m @ P[columns]
-        S = np.einsum("iac,jbc->iajb", HP[:, :, :3], H_x) + np.einsum("iajc,jbc->iajb", HP[:, :, columns], H_m)
+        columns = own + state.width * places[:, None] + np.arange(state.width)
+        HP = H_x @ P[:own] + H_m @ P[columns]
+        S = np.einsum("iac,jbc->iajb", HP[:, :, :own], H_x) + np.einsum("iajc,jbc->iajb", HP[:, :, columns], H_m)
         S[np.arange(count), :, np.arange(count)] += noise
         residuals = self.sensor.residual(measured, predicted)
-        return residuals.ravel(), HP.reshape(2 * count, -1), S.reshape(2 * count, 2 * count)
+        return residuals.ravel(), HP.reshape(2 * count, len(P)), S.reshape(2 * count, 2 * count)
+
+    def _linearize(self, state: EkfSlamState, places: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """h (K, 2) of landmarks `places` (K,), and its Jacobians by pose and errors (K, 2, 3 + B) and by (K, 2, W).
+
+        Jacobians are those of the first estimates: see `EkfSlam`.
+        """
+        c = self.bias.calibration(state.mean[3 : state.first])
+        predicted, _, _, _ = linearize_calibrated(self.sensor, state.pose, state.positions[places], c)
+        _, H_x, H_m, H_c = linearize_calibrated(self.sensor, state.predicted, state.first_positions[places], c)
+        H_x = np.concatenate([H_x, self.bias.by_calibration(H_c)], axis=-1)
+        if state.width == 2:
+            return predicted, H_x, H_m
+        by_own_error = np.broadcast_to(np.eye(2), H_m.shape)
+        return predicted + state.own_errors[places], H_x, np.concatenate([H_m, by_own_error], axis=-1)
 
     def _add(self, state: EkfSlamState, observations: LandmarkObservations, k: int, noise: FloatArray) -> int:
         """Tables 10.1, lines 9 to 11, and 10.2, line 8: put a landmark where it is seen.
 
-        z = h(x, m) + e makes dm = H_m^-1 (dz - H_x dx - e).
+        z = h(x, m) + e makes dm = H_m^-1 (dz - H_x dx - e), and of e a share is the landmark's own error for a while.
         """
-        position = self.sensor.locate(state.pose, observations.values[k])
-        _, H_x, H_m = self.sensor.linearize(state.pose, position)
+        c = self.bias.calibration(state.mean[3 : state.first])
+        position = locate_calibrated(self.sensor, state.pose, observations.values[k], c)
+        _, H_x, H_m, H_c = linearize_calibrated(self.sensor, state.predicted, position, c)
+        H_x = np.concatenate([H_x, self.bias.by_calibration(H_c)], axis=-1)
         by_measured = np.linalg.inv(H_m)
         by_pose = -by_measured @ H_x
-        with_others = by_pose @ state.covariance[:3]
-        own = with_others[:, :3] @ by_pose.T + by_measured @ noise @ by_measured.T
+        with_others = by_pose @ state.covariance[: state.first]
+        own = with_others[:, : state.first] @ by_pose.T + by_measured @ noise @ by_measured.T
+        if state.width > 2:
+            kept = self.sensor.correlated_share * noise
+            own = np.block([[own, -by_measured @ kept], [-kept @ by_measured.T, kept]])
+            with_others = np.vstack([with_others, np.zeros_like(with_others)])
         if self.association.uses_signatures and observations.landmarks is not None:
             name = int(observations.landmarks[k])
         else:
@@ -196,8 +255,13 @@ class EkfSlamState:
 
     Attributes
     ----------
-    mean, covariance : (3 + B + 2 M,), (3 + B + 2 M, 3 + B + 2 M) float64
-        Of [x, y, theta, b_1, ..., m_1x, m_1y, m_2x, ...], in m and rad, map frame.
+    mean, covariance : (3 + B + W M,), (3 + B + W M, 3 + B + W M) float64
+        Of [x, y, theta, b_1, ..., m_1x, m_1y, m_2x, ...], in m and rad, map frame. Where errors are correlated in time
+        W is 4, and after each position come the two errors that its observations have at the time.
+    predicted : (3,) float64
+        The last pose before its correction.
+    first_positions : (M, 2) float64, m
+        Where each landmark was put when it was first seen.
     names : (M,) int64
         Signatures of the landmarks, or numbers in the order of first sight.
     evidence : (M,) float64, nats
@@ -207,20 +271,25 @@ class EkfSlamState:
     next_name : int
         Number of the next landmark without a signature.
     biases : int
-        The number B of the odometry's errors that are learned.
+        The number B of the systematic errors that are learned.
+    width : int
+        The number W of rows of a landmark, 2 or 4.
     """
 
     mean: FloatArray
     covariance: FloatArray
+    predicted: FloatArray
+    first_positions: FloatArray
     names: IntArray
     evidence: FloatArray
     observations: IntArray
     next_name: int = 0
     biases: int = 0
+    width: int = 2
     consumed: bool = False
 
     @classmethod
-    def at(cls, pose: ArrayLike, bias: FloatArray) -> EkfSlamState:
+    def at(cls, pose: ArrayLike, bias: FloatArray, width: int = 2) -> EkfSlamState:
         """Begin at a pose (3,) that is exact, with errors of the odometry of covariance (B, B).
 
         Raises ArgumentError where the pose is none.
@@ -229,7 +298,10 @@ class EkfSlamState:
         covariance = np.zeros((len(mean), len(mean)))
         covariance[3:, 3:] = bias
         nothing = np.empty(0, np.int64)
-        return cls(mean, covariance, nothing, np.empty(0), nothing, biases=len(bias))
+        first = np.empty((0, 2))
+        start = mean[:3].copy()
+        errors = len(bias)
+        return cls(mean, covariance, start, first, nothing, np.empty(0), nothing, biases=errors, width=width)
 
     @property
     def first(self) -> int:
@@ -249,14 +321,24 @@ class EkfSlamState:
     @property
     def positions(self) -> FloatArray:
         """Mean positions (M, 2) of the landmarks."""
-        return self.mean[self.first :].reshape(-1, 2)
+        return self.mean[self.first :].reshape(-1, self.width)[:, :2]
+
+    @property
+    def own_errors(self) -> FloatArray:
+        """Mean errors (M, 2) of the observations of each landmark, where they are correlated in time."""
+        return self.mean[self.first :].reshape(-1, self.width)[:, 2:]
 
     @property
     def position_covariances(self) -> FloatArray:
-        """Covariance (M, 2, 2) of each landmark."""
+        """Covariance (M, 2, 2) of each landmark's position."""
+        return self.landmark_covariances[:, :2, :2]
+
+    @property
+    def landmark_covariances(self) -> FloatArray:
+        """Covariance (M, W, W) of each landmark, with that of the errors of its observations."""
         count = np.arange(len(self.names))
-        of_landmarks = self.covariance[self.first :, self.first :].reshape(len(count), 2, len(count), 2)
-        return np.asarray(of_landmarks[count, :, count])
+        shape = (len(count), self.width, len(count), self.width)
+        return np.asarray(self.covariance[self.first :, self.first :].reshape(shape)[count, :, count])
 
     def append(self, name: int, position: FloatArray, with_others: FloatArray, own: FloatArray) -> None:
         """Add a landmark at the end.
@@ -265,24 +347,36 @@ class EkfSlamState:
         ----------
         name : int
         position : (2,) float64
-        with_others : (2, n) float64
+        with_others : (W, n) float64
             Its covariance with all that is in the state.
-        own : (2, 2) float64
+        own : (W, W) float64
             Its own covariance.
         """
-        self.mean = np.concatenate([self.mean, position])
+        self.mean = np.concatenate([self.mean, position, np.zeros(self.width - 2)])
         self.covariance = np.block([[self.covariance, with_others.T], [with_others, own]])
+        self.first_positions = np.vstack([self.first_positions, position])
         self.names = np.append(self.names, name)
         self.evidence = np.append(self.evidence, 0.0)
         self.observations = np.append(self.observations, 0)
 
     def keep(self, kept: NDArray[np.bool_]) -> None:
         """Forget all landmarks but those `kept` (M,)."""
-        rows = np.flatnonzero(np.concatenate([np.ones(self.first, np.bool_), np.repeat(kept, 2)]))
+        rows = np.flatnonzero(np.concatenate([np.ones(self.first, np.bool_), np.repeat(kept, self.width)]))
         self.mean = self.mean[rows]
         self.covariance = self.covariance[np.ix_(rows, rows)]
-        for name in ("names", "evidence", "observations"):
+        for name in ("first_positions", "names", "evidence", "observations"):
             setattr(self, name, getattr(self, name)[kept])
+
+    def fade(self, kept: float, variances: FloatArray) -> None:
+        """Let the errors of the observations fade to a share `kept` of what they were, towards `variances` (M, 2)."""
+        shares = np.ones(len(self.mean))
+        own = shares[self.first :].reshape(-1, self.width)
+        own[:, 2:] = kept
+        self.mean *= shares
+        self.covariance *= shares[:, None] * shares
+        diagonal = np.zeros_like(shares)
+        diagonal[self.first :].reshape(-1, self.width)[:, 2:] = (1 - kept**2) * variances
+        self.covariance[np.diag_indices(len(shares))] += diagonal
 
     def take(self) -> EkfSlamState:
         """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""

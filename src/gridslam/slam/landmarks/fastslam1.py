@@ -84,12 +84,12 @@ class FastSlam1:
         sampled = SampledPoses(motion(state.poses, rng))  # sample pose: x_t ~ p(x_t | x_t-1, u_t)
         log_weights = np.zeros(len(state))
         columns = np.full((len(state), len(observations)), NEW)
-        for k in self.landmarks.order(state, observations, sampled.poses).tolist():
+        for k in self.landmarks.order(state, observations, sampled).tolist():
             columns[:, k], log_p, seen = self.landmarks.correspond(state, observations, k, sampled, columns, rng)
             log_weights += log_p  # w = N(z; h, Q), with Q = H_m Sigma_j H_m' + Q_t, or p_0 for a new landmark
             self.landmarks.correct(state, seen)  # observed landmark: K = Sigma_j H_m' Q^-1
         for k in range(len(observations)):
-            self.landmarks.add(state, columns[:, k], sampled.poses, observations, k)  # new landmark: h^-1(z_t, x_t)
+            self.landmarks.add(state, columns[:, k], sampled, observations, k)  # new landmark: h^-1(z_t, x_t)
         state.advance(sampled.poses, state.state_covariances, log_weights)
         self.landmarks.count(state, columns)  # the counters i_j, of landmarks that should have been seen, too
         report = state.report(columns)

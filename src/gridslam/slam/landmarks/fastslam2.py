@@ -4,7 +4,7 @@ Where the motion is noisier than the sensor, most poses sampled from the motion 
 particles are lost by resampling. Here the Gaussian of the motion is first corrected by the observations, as in an EKF,
 for each particle with its own map.
 
-Two variants sample less of the path: `FastSlam2WithLocalFrames` and `FastSlam2WithOdometryBias`.
+Two variants sample less of the path: `FastSlam2WithLocalFrames` and `FastSlam2WithCalibration`.
 """
 
 from __future__ import annotations
@@ -50,6 +50,11 @@ class PoseProposal:
         """Mean poses (N, 3)."""
         return self.mean[:, :3]
 
+    @property
+    def calibration(self) -> FloatArray:
+        """Mounting and scale (N, 2) of the sensor: exact."""
+        return np.zeros((len(self.mean), 2))
+
     def covariance_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray:
         """Covariance (R, 3, 3) of the poses as seen from landmarks (rows, columns)."""
         return self.covariance[rows]
@@ -77,7 +82,7 @@ class PoseProposal:
         """x_t ~ N(mu_x, Sigma_x); mean and covariance are then what the state keeps of them."""
         self.mean = draw_poses(self.mean, self.covariance, rng)
         self.covariance = np.zeros_like(self.covariance)
-        return SampledPoses(self.mean)
+        return SampledPoses(self.mean, self.calibration)
 
     def _jacobian(self, seen: Innovation) -> FloatArray:
         """H_x (R, 2, 3): derivatives of the observation by what the covariance is of."""
@@ -132,7 +137,7 @@ class FastSlam2:
         proposal = self._propose(state, mean, R)
         log_weights = np.zeros(len(state))
         columns = np.full((len(state), len(observations)), NEW)
-        for k in self.landmarks.order(state, observations, proposal.poses).tolist():
+        for k in self.landmarks.order(state, observations, proposal).tolist():
             # predict measurement: h, H_x, H_m, Q_j = H_m Sigma_j H_m' + Q_t, L = H_x R_t H_x' + Q_j; correspondence
             columns[:, k], log_p, seen = self.landmarks.correspond(state, observations, k, proposal, columns, rng)
             log_weights += log_p  # w = N(z; h, L), or p_0 for a new landmark
@@ -143,7 +148,7 @@ class FastSlam2:
             rows = np.flatnonzero(columns[:, k] >= 0)  # observed landmark: K = Sigma_j H_m' Q_j^-1
             seen = self.landmarks.innovation(state, rows, columns[rows, k], sampled, observations, k)
             self.landmarks.correct(state, seen)
-            self.landmarks.add(state, columns[:, k], sampled.poses, observations, k)  # new landmark: h^-1(z_t, x_t)
+            self.landmarks.add(state, columns[:, k], sampled, observations, k)  # new landmark: h^-1(z_t, x_t)
         self.landmarks.count(state, columns)  # the counters i_j, of landmarks that should have been seen, too
         report = state.report(columns)
         if self.when_to_resample(report.n_eff, len(state)):

@@ -18,7 +18,14 @@ from gridslam.models.association import (
     MaximumLikelihood,
     signatures,
 )
-from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeBearing
+from gridslam.models.landmark import (
+    LandmarkModel,
+    LandmarkObservations,
+    RangeBearing,
+    linearize_calibrated,
+    locate_calibrated,
+)
+from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors
 from gridslam.slam.landmarks.particles import LandmarkParticles
 from gridslam.slam.landmarks.small_gaussians import (
     inverse_2x2,
@@ -41,6 +48,11 @@ class PoseBelief(Protocol):
         """Poses (N, 3), or their means."""
         ...
 
+    @property
+    def calibration(self) -> FloatArray:
+        """Mounting and scale (N, 2) of the sensor in each particle, see `linearize_calibrated`."""
+        ...
+
     def covariance_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray | None:
         """Covariance (R, 3, 3) of the poses as seen from landmarks (rows, columns); None where they are sampled."""
 
@@ -50,9 +62,15 @@ class PoseBelief(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SampledPoses:
-    """Poses (N, 3) that are sampled: each particle takes its own for exact."""
+    """Poses (N, 3) that are sampled: each particle takes its own for exact; and the calibration (N, 2) of each."""
 
     poses: FloatArray
+    calibration: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+
+    def __post_init__(self) -> None:
+        """Take a sensor without systematic errors where no calibration is given."""
+        if not len(self.calibration):
+            object.__setattr__(self, "calibration", np.zeros((len(self.poses), 2)))
 
     def covariance_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray | None:
         """Return None: there is no covariance."""
@@ -73,8 +91,8 @@ class Innovation:
         Which landmark of which particle.
     residuals, covariances : (R, 2), (R, 2, 2) float64
         Measured minus predicted, and what it is expected to vary by.
-    by_pose, by_landmark : (R, 2, 3), (R, 2, 2) float64
-        Jacobians of the prediction.
+    by_pose, by_landmark, by_errors : (R, 2, 3), (R, 2, 2), (R, 2, B) float64
+        Jacobians of the prediction, the last by the systematic errors.
     """
 
     rows: IntArray
@@ -83,6 +101,7 @@ class Innovation:
     covariances: FloatArray
     by_pose: FloatArray
     by_landmark: FloatArray
+    by_errors: FloatArray
 
     def select(self, chosen: NDArray[np.bool_]) -> Innovation:
         """Return those that are chosen (R,)."""
@@ -93,6 +112,7 @@ class Innovation:
             self.covariances[chosen],
             self.by_pose[chosen],
             self.by_landmark[chosen],
+            self.by_errors[chosen],
         )
 
 
@@ -110,13 +130,16 @@ class LandmarkFilters:
         particle estimates its own.
     existence : LandmarkExistence
         Which landmarks are real, where correspondences are unknown.
+    bias : SystematicErrors
+        Those of the sensor that the particles learn.
     """
 
     sensor: LandmarkModel = field(default_factory=RangeBearing)
     association: Association = field(default_factory=KnownCorrespondence)
     existence: LandmarkExistence = field(default_factory=LandmarkExistence)
+    bias: SystematicErrors = NO_ERRORS
 
-    def order(self, state: LandmarkParticles, observations: LandmarkObservations, poses: FloatArray) -> IntArray:
+    def order(self, state: LandmarkParticles, observations: LandmarkObservations, belief: PoseBelief) -> IntArray:
         """Order (K,) of association: most certain first, by the best particle.
 
         So one of two landmarks side by side is not taken for the other if that is seen, too.
@@ -125,7 +148,9 @@ class LandmarkFilters:
             return np.arange(len(observations))
         best = state.best
         known = state.exists[best]
-        predicted, _, H_m = self.sensor.linearize(poses[best], state.positions[best, known])
+        predicted, _, H_m, _ = linearize_calibrated(
+            self.sensor, belief.poses[best], state.positions[best, known], belief.calibration[best]
+        )
         L = transform_covariances(H_m, state.covariances[best, known]) + self.sensor.noise(observations)[:, None]
         squared, log_dets = mahalanobis(self.sensor.residual(observations.values[:, None], predicted), L)
         return np.argsort((squared + log_dets).min(axis=1, initial=math.inf), kind="stable")
@@ -182,12 +207,15 @@ class LandmarkFilters:
         k: int,
     ) -> Innovation:
         """Predict observation k of R landmarks (rows, columns): h, H_x, H_m, and H_m Sigma H_m' + Q + H_x R H_x'."""
-        predicted, H_x, H_m = self.sensor.linearize(belief.poses[rows], state.positions[rows, columns])
+        predicted, H_x, H_m, H_c = linearize_calibrated(
+            self.sensor, belief.poses[rows], state.positions[rows, columns], belief.calibration[rows]
+        )
         L = transform_covariances(H_m, state.covariances[rows, columns]) + self.sensor.noise(observations)[k]
         R = belief.covariance_seen_from(rows, columns)
         if R is not None:
             L += transform_covariances(H_x, R)
-        return Innovation(rows, columns, self.sensor.residual(observations.values[k], predicted), L, H_x, H_m)
+        residuals = self.sensor.residual(observations.values[k], predicted)
+        return Innovation(rows, columns, residuals, L, H_x, H_m, self.bias.by_calibration(H_c))
 
     def correct(self, state: LandmarkParticles, seen: Innovation) -> None:
         """Correct the observed landmarks, given the poses.
@@ -201,11 +229,16 @@ class LandmarkFilters:
         state.positions[of] += matvec(gain, seen.residuals)
         state.covariances[of] = covariances - gain @ transpose(shared)
         if state.pose_by_bias.size:
-            by_pose = seen.by_pose @ state.pose_by_bias[seen.rows]
-            state.positions_by_bias[of] -= gain @ (by_pose + seen.by_landmark @ state.positions_by_bias[of])
+            directly = seen.by_pose @ state.pose_by_bias[seen.rows] + seen.by_errors
+            state.positions_by_bias[of] -= gain @ (directly + seen.by_landmark @ state.positions_by_bias[of])
 
     def add(
-        self, state: LandmarkParticles, columns: IntArray, poses: FloatArray, observations: LandmarkObservations, k: int
+        self,
+        state: LandmarkParticles,
+        columns: IntArray,
+        belief: PoseBelief,
+        observations: LandmarkObservations,
+        k: int,
     ) -> None:
         """Add a landmark at observation k to particles whose columns (N,) are `NEW`, and write its column there.
 
@@ -217,10 +250,13 @@ class LandmarkFilters:
         name = int(signatures(observations)[k]) if self.association.uses_signatures else None
         columns[rows] = state.new_columns(rows, name)
         of = rows, columns[rows]
-        state.positions[of] = self.sensor.locate(poses[rows], observations.values[k])
-        _, H_x, H_m = self.sensor.linearize(poses[rows], state.positions[of])
+        c = belief.calibration[rows]
+        state.positions[of] = locate_calibrated(self.sensor, belief.poses[rows], observations.values[k], c)
+        _, H_x, H_m, H_c = linearize_calibrated(self.sensor, belief.poses[rows], state.positions[of], c)
         root = inverse_2x2(H_m)
-        state.positions_by_bias[of] = -root @ H_x @ state.pose_by_bias[rows]
+        if state.pose_by_bias.size:
+            by_errors = H_x @ state.pose_by_bias[rows] + self.bias.by_calibration(H_c)
+            state.positions_by_bias[of] = -root @ by_errors
         state.covariances[of] = transform_covariances(
             root, np.broadcast_to(self.sensor.noise(observations)[k], root.shape)
         )
@@ -284,8 +320,8 @@ class LandmarkFilters:
         self, state: LandmarkParticles, observations: LandmarkObservations, k: int, belief: PoseBelief, distance: float
     ) -> NDArray[np.bool_]:
         """Which landmarks (N, M) may be within a squared Mahalanobis distance, by bounds that cost little."""
-        at = self.sensor.locate(belief.poses, observations.values[k])
-        _, H_x, H_m = self.sensor.linearize(belief.poses, at)
+        at = locate_calibrated(self.sensor, belief.poses, observations.values[k], belief.calibration)
+        _, H_x, H_m, _ = linearize_calibrated(self.sensor, belief.poses, at, belief.calibration)
         L = self.sensor.noise(observations)[k]
         if (bound := belief.bound_covariance()) is not None:
             L = L + transform_covariances(H_x, bound)

@@ -9,7 +9,7 @@ frames are observed. The remaining pose is sampled: in the local frame or in the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
@@ -149,7 +149,7 @@ class LocalFrameProposal(PoseProposal):
         self.mean = poses
         self._move(np.arange(len(state)), matvec(gain, drawn))
         self.covariance = np.zeros_like(own)
-        return _SampledInFrames(self.mean, state)
+        return _SampledInFrames(self.mean, state=state)
 
     def _jacobian(self, seen: Innovation) -> FloatArray:
         if not self.has_local_frames:
@@ -184,7 +184,7 @@ class LocalFrameProposal(PoseProposal):
 class _SampledInFrames(SampledPoses):
     """Sampled poses, each exact in its own frame."""
 
-    state: LandmarkParticles
+    state: LandmarkParticles = field(kw_only=True)
 
     def covariance_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray:
         """Covariance (R, 3, 3) of the poses as seen from landmarks (rows, columns): of those in the other frame."""

@@ -13,7 +13,7 @@ from gridslam.errors import ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose, lever_arm_jacobian, weighted_covariance
 from gridslam.models.association import NEW
-from gridslam.models.motion import EXACT_ODOMETRY, OdometryBias
+from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose
 from gridslam.particles.resampling import effective_sample_size, normalize
@@ -314,7 +314,7 @@ _ARRAYS = *_OF_PARTICLES, "log_weights", "names"
 
 
 def smooth_trajectory(
-    state: LandmarkParticles, particle: int, motions: Sequence[MotionSampler], bias: OdometryBias = EXACT_ODOMETRY
+    state: LandmarkParticles, particle: int, motions: Sequence[MotionSampler], bias: SystematicErrors = NO_ERRORS
 ) -> FloatArray:
     """Trajectory (1 + T, 3) of a particle, map frame: sampled poses, and smoothed poses between them.
 
@@ -330,7 +330,7 @@ def smooth_trajectory(
         In [0, N).
     motions : sequence of MotionSampler
         The T motions that were taken since the first pose.
-    bias : OdometryBias
+    bias : SystematicErrors
         The errors of the odometry that the filter learned.
 
     References
@@ -372,7 +372,7 @@ def _smooth_bias(poses: FloatArray, rows: FloatArray, count: int) -> FloatArray:
 
 
 def _interpolate(
-    begin: FloatArray, end: FloatArray, motions: Sequence[MotionSampler], bias: OdometryBias, errors: FloatArray
+    begin: FloatArray, end: FloatArray, motions: Sequence[MotionSampler], bias: SystematicErrors, errors: FloatArray
 ) -> FloatArray:
     """Expected poses (K - 1, 3) between two that K motions by an odometry of errors (K, B) are apart."""
     means = [begin]

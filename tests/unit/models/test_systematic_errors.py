@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from gridslam.geometry.se2 import compose
-from gridslam.models.motion import EXACT_ODOMETRY, DiffusionMotion, GaussianIncrement, OdometryBias
+from gridslam.models.motion import DiffusionMotion, GaussianIncrement
+from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors
 
 increments = st.tuples(st.floats(-2, 2), st.floats(-0.5, 0.5), st.floats(-1, 1)).map(np.array)
 places, errors = st.floats(-50, 50), st.floats(-0.1, 0.1)
@@ -18,7 +19,7 @@ beliefs = st.tuples(places, places, st.floats(-3, 3), errors, errors)
 
 @given(known=beliefs.map(np.array), increment=increments)
 def test_the_jacobian_is_the_derivative(known, increment):
-    bias, motion, step = OdometryBias(), DiffusionMotion()(increment), 1e-5
+    bias, motion, step = SystematicErrors(), DiffusionMotion()(increment), 1e-5
     _, (F,), _ = bias.predict(motion, known[None])
     for k, change in enumerate(np.eye(5) * step):
         ends = [bias.predict(motion, (known + s)[None])[0][0] for s in (change, -change)]
@@ -33,7 +34,7 @@ def test_odometry_that_turns_too_little_is_corrected_by_what_it_turns_too_little
     exact = GaussianIncrement.from_std(increment, np.zeros(3))
     told = GaussianIncrement.from_std(increment - [0, 0, known[3] * increment[0]], np.zeros(3))
     known[4] = 0.0
-    ((*moved, _, _),), _, _ = OdometryBias().predict(told, known[None])
+    ((*moved, _, _),), _, _ = SystematicErrors().predict(told, known[None])
     away = np.array(moved) - exact.moments(known[None, :3])[0][0]
     np.testing.assert_allclose(away[:2], 0.0, atol=1e-12)
     np.testing.assert_allclose(np.sin(away[2] / 2), 0.0, atol=1e-12)
@@ -41,9 +42,9 @@ def test_odometry_that_turns_too_little_is_corrected_by_what_it_turns_too_little
 
 def test_odometry_that_is_held_for_exact_moves_as_the_motion_model_says():
     motion, poses = DiffusionMotion()(np.array([0.5, 0.1, 0.2])), np.array([[1.0, 2.0, 3.0], [0.0, 0.0, -1.0]])
-    moved, F, Q = EXACT_ODOMETRY.predict(motion, poses)
+    moved, F, Q = NO_ERRORS.predict(motion, poses)
     means, noise = motion.moments(poses)
-    assert len(EXACT_ODOMETRY) == 0
+    assert len(NO_ERRORS) == 0
     np.testing.assert_array_equal(moved, means)
     np.testing.assert_array_equal(Q, noise)
     assert F.shape == (2, 3, 3)
@@ -52,7 +53,7 @@ def test_odometry_that_is_held_for_exact_moves_as_the_motion_model_says():
 @given(way=st.floats(0.1, 500), parts=st.integers(1, 5))
 def test_errors_are_a_stationary_process_of_the_way_however_it_is_cut(way, parts):
     """Nothing is learned, so their covariance stays; what is known exactly decays by the way, not by the steps."""
-    bias, increment = OdometryBias(memory_m=100.0), np.array([way / parts, 0.0, 0.0])
+    bias, increment = SystematicErrors(memory_m=100.0), np.array([way / parts, 0.0, 0.0])
     motion = GaussianIncrement.from_std(increment, np.zeros(3))
     known, P, sure = np.array([[0.0, 0.0, 0.0, 0.002, -0.01]]), bias.covariance(), np.zeros((2, 2))
     for _ in range(parts):
@@ -64,7 +65,7 @@ def test_errors_are_a_stationary_process_of_the_way_however_it_is_cut(way, parts
 
 
 def test_an_error_without_deviation_is_not_sought():
-    only = OdometryBias(sigma_per_m=0.0)
+    only = SystematicErrors(sigma_per_m=0.0)
     (moved,), _, _ = only.predict(
         GaussianIncrement.from_std(np.array([1.0, 0.0, 0.5]), np.zeros(3)), np.array([[0.0, 0.0, 0.0, 0.1]])
     )
@@ -75,4 +76,4 @@ def test_an_error_without_deviation_is_not_sought():
 @pytest.mark.parametrize("wrong", [{"sigma_per_m": -1.0}, {"sigma_per_rad": np.nan}, {"memory_m": 0.0}, {"per_m": 1.0}])
 def test_what_is_refused(wrong):
     with pytest.raises(ValidationError):
-        OdometryBias(**wrong)
+        SystematicErrors(**wrong)

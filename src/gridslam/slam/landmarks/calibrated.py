@@ -6,39 +6,44 @@ loop closure corrects the whole trajectory before it. As the errors change, all 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.geometry.angles import wrap
-from gridslam.models.motion import OdometryBias
+from gridslam.models.systematic_errors import SystematicErrors
 from gridslam.slam.landmarks.fastslam2 import FastSlam2, PoseProposal
 from gridslam.slam.landmarks.filters import Innovation, SampledPoses
 from gridslam.slam.landmarks.particles import LandmarkParticles
 from gridslam.slam.landmarks.small_gaussians import draw, draw_poses, matvec, transform_covariances, transpose
 from gridslam.types import FloatArray, IntArray, MotionSampler
 
-__all__ = ["BiasProposal", "FastSlam2WithOdometryBias"]
+__all__ = ["BiasProposal", "FastSlam2WithCalibration"]
 
+_FAR_M = 10.0  # greatest range for which the scale of ranges matters to the bound of a gate
 _ROUNDING = 1e-12  # of a variance: where less than that is left, its correlations are nonsense
 
 
 @final
 @dataclass(frozen=True)
-class FastSlam2WithOdometryBias(FastSlam2):
+class FastSlam2WithCalibration(FastSlam2):
     """FastSLAM 2.0 whose particles learn the odometry's errors b.
 
     Attributes
     ----------
     landmarks, resampler, when_to_resample
         As for `FastSlam2`.
-    bias : OdometryBias
+    bias : SystematicErrors
         The errors that are learned.
     """
 
-    bias: OdometryBias = field(default_factory=OdometryBias)
+    bias: SystematicErrors = field(default_factory=SystematicErrors)
+
+    def __post_init__(self) -> None:
+        """The landmarks of the particles depend on the errors of the sensor."""
+        object.__setattr__(self, "landmarks", replace(self.landmarks, bias=self.bias))
 
     def init(self, particles: int = 20, pose: ArrayLike = (0.0, 0.0, 0.0)) -> LandmarkParticles:
         """Begin with all particles at one pose (3,), without landmarks, and with errors of which nothing is known."""
@@ -72,7 +77,7 @@ class FastSlam2WithOdometryBias(FastSlam2):
         return mean, covariance
 
     def _propose(self, state: LandmarkParticles, mean: FloatArray, covariance: FloatArray) -> PoseProposal:
-        return BiasProposal(mean, covariance, state)
+        return BiasProposal(mean, covariance, state, self.bias)
 
 
 @final
@@ -91,6 +96,12 @@ class BiasProposal(PoseProposal):
     """
 
     state: LandmarkParticles
+    bias: SystematicErrors
+
+    @property
+    def calibration(self) -> FloatArray:
+        """Mounting and scale (N, 2) of the sensor, as each particle has learned them."""
+        return self.bias.calibration(self.mean[:, 3:])
 
     def covariance_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray:
         """Covariance (R, 3, 3) of the poses as seen from landmarks (rows, columns)."""
@@ -100,6 +111,8 @@ class BiasProposal(PoseProposal):
         """Upper bound (N, 3, 3) of the pose covariance relative to any landmark."""
         turned = transform_covariances(self.state.positions_by_bias, self.covariance[:, None, 3:, 3:])
         most = np.trace(turned, axis1=2, axis2=3).max(axis=1, initial=0.0)
+        of_sensor = self.bias.by_calibration(np.broadcast_to(np.diag([1.0, _FAR_M]), (1, 2, 2)))
+        most += np.trace(transform_covariances(of_sensor, self.covariance[:, 3:, 3:]), axis1=1, axis2=2)
         return np.asarray(2 * (self.covariance[:, :3, :3] + most[:, None, None] * np.diag([1.0, 1.0, 0.0])))
 
     def correct(self, seen: Innovation) -> FloatArray:
@@ -117,7 +130,7 @@ class BiasProposal(PoseProposal):
         own = whole - left[:, :3, :3] + _ROUNDING * np.eye(3) * whole
         self.mean[:, :3] = draw_poses(self.mean[:, :3], own, rng)
         self.covariance = left
-        return SampledPoses(self.poses)
+        return SampledPoses(self.poses, self.calibration)
 
     def _jacobian(self, seen: Innovation) -> FloatArray:
         return seen.by_pose @ self._errors_seen_from(seen.rows, seen.columns)
@@ -127,4 +140,10 @@ class BiasProposal(PoseProposal):
         errors = np.zeros((len(rows), 3, self.covariance.shape[1]))
         errors[:, :, :3] = np.eye(3)
         errors[:, :2, 3:] = -self.state.positions_by_bias[rows, columns]
+        # a sensor that is mounted ahead is as a robot that is ahead, and too long a range as one that is behind
+        theta = self.mean[rows, 2]
+        ahead = np.stack([np.cos(theta), np.sin(theta)], axis=-1)
+        mounted, scale = np.split(self.calibration[rows], 2, axis=1)
+        relative = self.state.positions[rows, columns] - self.mean[rows, :2] - mounted * ahead
+        errors[:, :2, 3:] += self.bias.by_calibration(np.stack([ahead, -relative / (1.0 + scale)], axis=-1))
         return errors

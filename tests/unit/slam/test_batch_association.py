@@ -1,0 +1,49 @@
+"""Correspondences of a whole log are found, and those of a filter that doubles landmarks are mended."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gridslam.models.association import MaximumLikelihood
+from gridslam.models.landmark import RangeBearing
+from gridslam.models.systematic_errors import NO_ERRORS
+from gridslam.slam.landmarks.batch_association import BatchAssociation
+from gridslam.slam.landmarks.fastslam2 import FastSlam2
+from gridslam.slam.landmarks.filters import LandmarkFilters
+from support.landmark_world import MOTION, drive, ring
+
+SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
+
+
+def _associate(steps, **parameters):
+    slam = FastSlam2(LandmarkFilters(SENSOR, MaximumLikelihood()))
+    associate = BatchAssociation(slam, SENSOR, NO_ERRORS, particles=20, **parameters)
+    return associate([replace(step) for step in steps], MOTION, np.random.default_rng(0))
+
+
+def test_each_landmark_of_a_ring_is_found_once():
+    steps, _ = drive(ring(12), 150, np.random.default_rng(1), SENSOR)
+    found = _associate(steps)
+    pairs = {
+        (name, true)
+        for ours, theirs in zip(found, steps, strict=True)
+        for value, name in zip(ours.observations.values.tolist(), ours.observations.landmarks.tolist(), strict=True)
+        for other, true in zip(theirs.observations.values.tolist(), theirs.observations.landmarks.tolist(), strict=True)
+        if value == other
+    }
+    assert len(pairs) == len({name for name, _ in pairs}) == len({true for _, true in pairs}) == 12
+
+
+def test_false_alarms_make_no_landmark():
+    """Of 30 observations of nothing, at random places, no three are of one place; without a least number they stay."""
+    steps, _ = drive(ring(12), 120, np.random.default_rng(2), SENSOR)
+    rng = np.random.default_rng(3)
+    for k in rng.choice(120, 30, replace=False).tolist():
+        seen = steps[k].observations
+        nothing = [[rng.uniform(1, 5), rng.uniform(-3, 3)]]
+        with_false = replace(seen, values=np.vstack([seen.values, nothing]), landmarks=np.append(seen.landmarks, 999))
+        steps[k] = replace(steps[k], observations=with_false)
+    names = np.concatenate([step.observations.landmarks for step in _associate(steps)])
+    assert len(np.unique(names)) <= 13  # one may come near a place of two others
