@@ -26,7 +26,7 @@ from gridslam.pipeline import run
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.lidar import cast_rays
 from gridslam.slam.full_slam.full_slam import full_slam
-from measure import provenance
+from measure import document
 
 WIDTH_M = 2.0
 ROOM_M = (6.0, 5.0)
@@ -154,8 +154,9 @@ def main() -> None:
             table.append("| " + " | ".join(cells) + " |")
             print(table[-1], flush=True)
     if options.out is not None:
-        document = {"schema": "gridslam.corridors/1", **provenance(), "table": table, "drives": rows}
-        options.out.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+        how = f"simulated drives, seeds 0 to {options.seeds - 1}"
+        found = document(how, table=table, drives=rows)
+        options.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.marginals import Marginals
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import Odometry
-from measure import provenance
+from measure import document
 
 WORLDS = {
     "random": ("random", 30.0),
@@ -171,8 +171,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         table.append(f"| {kind} | " + " | ".join(f"{mean:.3g}" for mean in means) + " |")
         print(table[-1], flush=True)
     if given.out is not None:
-        document = {"schema": "gridslam.covariances/1", **provenance(), "table": table, "drives": drives}
-        given.out.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+        how = f"simulated drives, seeds {given.first} to {given.first + given.seeds - 1}"
+        found = document(how, table=table, drives=drives)
+        given.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

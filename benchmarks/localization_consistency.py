@@ -8,7 +8,6 @@ Each run drives 30 m in a simulated building whose map is of another drive. A qu
 from __future__ import annotations
 
 import argparse
-import datetime
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -18,7 +17,7 @@ import numpy as np
 
 from global_localization import INSIDE, ORDINARY, Building, GlobalRun
 from gridslam.sim.worlds import DRAWN_WORLDS
-from measure import provenance
+from measure import document
 from record import RESULTS
 
 __all__ = ["ALIKE", "WORLDS", "buildings", "describe_covariances", "describe_finds", "main"]
@@ -41,7 +40,6 @@ def main(arguments: Sequence[str] | None = None) -> Path:
     parser.add_argument("--runs", type=int, default=20, help="runs in each building")
     parser.add_argument("-o", "--out", type=Path, default=RESULTS / "localization.json")
     given = parser.parse_args(arguments)
-    circumstances = provenance()
     seeds = range(given.first, given.first + given.runs)
     covariances: dict[str, Any] = {}
     for name in WORLDS:
@@ -57,16 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> Path:
         some = range(given.first, given.first + count)
         finds[name] = describe_finds([building.localize_globally(seed) for building, seed in buildings(name, some)])
         print(name, finds[name], flush=True)
-    document = {
-        "schema": "gridslam.benchmark/1",
-        "date": datetime.date.today().isoformat(),
-        "commit": circumstances.pop("gridslam").rpartition("commit ")[2],
-        "machine": circumstances,
-        "how": f"30 m of simulated drives, seeds {seeds.start} to {seeds.stop - 1}; the map is of another drive",
-        "covariances": covariances,
-        "finds": finds,
-    }
-    given.out.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    how = f"30 m of simulated drives, seeds {seeds.start} to {seeds.stop - 1}; the map is of another drive"
+    found = document(how, covariances=covariances, finds=finds)
+    given.out.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
     path: Path = given.out
     return path
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 import os
 import platform
@@ -21,7 +22,7 @@ from gridslam import Trajectory, __version__
 from gridslam.io.trajectories import read_tum
 from gridslam.kernels import backend, compiled
 
-__all__ = ["GRIDSLAM", "Cost", "MapRun", "map_timed", "provenance", "timed", "yardstick_s"]
+__all__ = ["GRIDSLAM", "Cost", "MapRun", "document", "map_timed", "provenance", "timed", "yardstick_s"]
 
 GRIDSLAM = (sys.executable, "-m", "gridslam.cli.main")
 _ROOT = Path(__file__).resolve().parent.parent
@@ -115,6 +116,21 @@ def provenance() -> dict[str, str]:
         "kernels": f"compiled by {_compiler()}" if compiled else "NumPy twins (not compiled)",
         "gridslam": f"{__version__}, commit {_commit()}",
         "load, yardstick": f"{_load()}, {yardstick_s():.3f} s",
+    }
+
+
+def document(how: str, **figures: Any) -> dict[str, Any]:
+    """Figures as a file to be committed: with how they were measured, when, of which commit, and on which machine."""
+    machine = provenance()
+    commit = machine.pop("gridslam").rpartition("commit ")[2]
+    date = datetime.date.today().isoformat()
+    return {
+        "schema": "gridslam.benchmark/1",
+        "date": date,
+        "commit": commit,
+        "machine": machine,
+        "how": how,
+        **figures,
     }
 
 

@@ -8,7 +8,6 @@ python benchmarks/record.py [--data ../shared/data] [--seeds 3] [--beside benchm
 from __future__ import annotations
 
 import argparse
-import datetime
 import json
 import statistics
 from collections.abc import Sequence
@@ -17,7 +16,7 @@ from typing import Any
 
 from gridslam.evaluation import relation_errors
 from gridslam.io.trajectories import read_relations
-from measure import MapRun, map_timed, provenance
+from measure import MapRun, document, map_timed
 
 __all__ = ["RESULTS", "main", "ratios", "summary"]
 
@@ -36,21 +35,14 @@ def main(arguments: Sequence[str] | None = None) -> Path:
     parser.add_argument("--beside", type=Path, help="an earlier file, to which the ratios are told")
     parser.add_argument("-o", "--out", type=Path, default=RESULTS / "present.json")
     given = parser.parse_args(arguments)
-    circumstances = provenance()
     logs = {log: _measured(given.data / log, range(given.seeds)) for log in _LOGS}
-    document: dict[str, Any] = {
-        "schema": "gridslam.benchmark/1",
-        "date": datetime.date.today().isoformat(),
-        "commit": circumstances.pop("gridslam").rpartition("commit ")[2],
-        "machine": circumstances,
-        "how": "gridslam map LOG --seed SEED [--no-loop-closure], 30 particles; CPU time and memory are seed 0's",
-        "logs": logs,
-    }
+    how = "gridslam map LOG --seed SEED [--no-loop-closure], 30 particles; CPU time and memory are seed 0's"
+    found = document(how, logs=logs)
     if given.beside:
         earlier = json.loads(given.beside.read_text(encoding="utf-8"))
-        document["ratio"] = {"to": earlier["commit"], "logs": ratios(logs, earlier["logs"])}
+        found["ratio"] = {"to": earlier["commit"], "logs": ratios(logs, earlier["logs"])}
     given.out.parent.mkdir(parents=True, exist_ok=True)
-    given.out.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    given.out.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
     path: Path = given.out
     return path
 
