@@ -119,7 +119,7 @@ def provenance() -> dict[str, str]:
     }
 
 
-def document(how: str, **figures: Any) -> dict[str, Any]:
+def document(how: str, **figures: object) -> dict[str, Any]:
     """Figures as a file to be committed: with how they were measured, when, of which commit, and on which machine."""
     machine = provenance()
     commit = machine.pop("gridslam").rpartition("commit ")[2]
