@@ -153,7 +153,9 @@ def _build_odometry_graph(
 ) -> PoseGraph:
     """Give the graph of the key scans (T, 3) that only the motion between them joins, as uncertain as tracked."""
     tracked = key_from_base[np.flatnonzero(np.diff(keys) > 0) + 1]
-    information = np.linalg.inv(np.array([drift.covariance(moved) for moved in tracked]).reshape(-1, 3, 3))
+    information = np.linalg.inv(
+        np.array([drift.covariance(moved, first=not k) for k, moved in enumerate(tracked)]).reshape(-1, 3, 3)
+    )
     edges = np.stack([np.arange(len(tracked)), np.arange(1, len(trajectory))], axis=1)
     return PoseGraph.of(trajectory, edges, between(trajectory[:-1], trajectory[1:]), information)
 

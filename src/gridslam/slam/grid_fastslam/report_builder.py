@@ -139,7 +139,8 @@ class ReportBuilder:
         unmatched = state.unmatched
         if not lost:
             unmatched = UnmatchedMotion(open_covariance=unmatched.open_covariance * is_degenerate)
-        return self.drift.covariance(increment, unmatched, float(state.key_pose[2]))
+        first = state.ancestry.steps == 2
+        return self.drift.covariance(increment, unmatched, float(state.key_pose[2]), first=first)
 
     @staticmethod
     def add_drift(state: GridFastSlamState, report: StepReport) -> StepReport:

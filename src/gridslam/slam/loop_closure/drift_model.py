@@ -38,6 +38,12 @@ class DriftModel:
         Standard deviation of a position that is expected, over the one that bounds searches. On simulated drives
         through seven kinds of buildings increments of half a metre are off by 5 to 8 mm in each direction, where the
         latter is 18.
+    open_heading_ratio : float
+        Factor on the standard deviation of the heading where a direction is left open: two parallel walls determine it
+        less than a room.
+    first_sigma_rad : float
+        Standard deviation of the heading that the first increment has beside, as the map of one scan is matched: its
+        noise and the rounding to cells turn the whole map against the first pose.
     """
 
     standstill_sigma_m: float = Field(default=0.002, gt=0)
@@ -49,6 +55,8 @@ class DriftModel:
 
     rejected_match_sigmas: float = Field(default=1.5, ge=0)
     position_ratio: float = Field(default=0.4, gt=0, le=1)
+    open_heading_ratio: float = Field(default=2.0, ge=1)
+    first_sigma_rad: float = Field(default=0.004, ge=0)
 
     def variances(self, moved_m: float, turned_rad: float) -> tuple[float, float]:
         """Variances (m^2, rad^2) of an increment."""
@@ -62,22 +70,30 @@ class DriftModel:
         )
 
     def covariance(
-        self, increment: FloatArray, unmatched: UnmatchedMotion | None = None, heading: float = 0.0
+        self,
+        increment: FloatArray,
+        unmatched: UnmatchedMotion | None = None,
+        heading: float = 0.0,
+        *,
+        first: bool = False,
     ) -> FloatArray:
         """Covariance (3, 3) that is expected of an increment (3,), in the frame in which it ends.
 
-        `unmatched` is in a frame in which that one's heading is `heading`.
+        `unmatched` is in a frame in which that one's heading is `heading`; `first`: it begins at the first scan.
         """
         dx, dy, turned = increment.tolist()
         position, rotation = self.variances(math.hypot(dx, dy), abs(turned))
         expected = self.position_ratio**2 * position
         covariance = np.diag([expected, expected, rotation])
         if unmatched is not None:
+            if unmatched.open_covariance.any():
+                covariance[2, 2] *= self.open_heading_ratio**2
             excess = self.rejected_match_sigmas**2
             covariance += excess * np.diag([unmatched.position_m2, unmatched.position_m2, unmatched.heading_rad2])
             left_open = np.zeros((3, 3))
             left_open[:2, :2] = unmatched.open_covariance
             covariance += rotate_covariances(left_open, -heading)
+        covariance[2, 2] += first * self.first_sigma_rad**2
         return covariance
 
     def bounds(self, increment: FloatArray, unmatched: UnmatchedMotion) -> tuple[float, float]:

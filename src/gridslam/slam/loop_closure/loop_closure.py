@@ -153,7 +153,7 @@ class LoopClosure:
             state.key_pose,
             compose(graph.poses[-1], moved),
             self.drift.bounds(moved, unmatched),
-            self.drift.covariance(moved, unmatched, float(state.key_pose[2])),
+            self.drift.covariance(moved, unmatched, float(state.key_pose[2]), first=len(graph) == 1),
             state.drift_covariance,
         )
         closure_state.online_poses.append(state.best_pose)
