@@ -80,10 +80,10 @@ def simulated(kind: str, seed: int) -> tuple[list[Measurement], np.ndarray]:
     return [measurements[k] for k in kept], truth[kept]
 
 
-def judge(kind: str, seed: int) -> dict[str, Any]:
+def judge(kind: str, seed: int, configuration: Configuration | None = None) -> dict[str, Any]:
     """Map one drive; average NEES and percentage below the quantile, online and final, and of constraints left out."""
     measurements, truth = simulated(kind, seed)
-    configuration = Configuration()
+    configuration = configuration or Configuration()
     assert configuration.loop_closure is not None
     recorder = TrajectoryRecorder()
     reports = []
@@ -154,7 +154,7 @@ def is_connected_without(graph: PoseGraph, out: np.ndarray) -> bool:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print a row for each kind, and write all drives."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("kinds", nargs="*", default=[*WORLDS], choices=[*WORLDS, "campus"], metavar="KIND")
+    parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"{', '.join(WORLDS)} [all of them], campus")
     parser.add_argument("--seeds", type=int, default=20, help="drives of each kind [20]")
     parser.add_argument("--first", type=int, default=101, help="first seed [101]")
     parser.add_argument("--out", type=Path)
@@ -164,7 +164,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     table = ["| kind | " + " | ".join(columns) + " |", "| --- " * (len(columns) + 1) + "|"]
     print(*table, sep="\n")
     drives = []
-    for kind in given.kinds:
+    for kind in given.kinds or WORLDS:
         of_kind = [judge(kind, seed) for seed in range(given.first, given.first + given.seeds)]
         drives += of_kind
         means = [np.nanmean([drive.get(name, np.nan) for drive in of_kind]) for name in columns]

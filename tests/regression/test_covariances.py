@@ -1,0 +1,57 @@
+"""Covariances of simulated drives are of the errors' size, in buildings and in bare corridors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from corridors import drive
+from covariances import judge
+from gridslam.config import Configuration
+
+pytestmark = pytest.mark.long
+
+SEEDS = range(301, 306)
+"""No parameter was chosen by them."""
+
+
+def averages(kind: str, configuration: Configuration) -> dict[str, float]:
+    drives = [judge(kind, seed, configuration) for seed in SEEDS]
+    return {name: float(np.mean([d[name] for d in drives])) for name in ("online_nees", "final_nees", "final_inside")}
+
+
+@pytest.mark.parametrize("kind", ["random", "rooms", "bare_corridors"])
+def test_average_nees_lies_in_its_band(kind):
+    """3 is expected; five drives have few independent errors: of twenty the averages are 1.6 to 2.9, online 0.7 to 2.5."""
+    found = averages(kind, Configuration())
+    assert 1.0 < found["final_nees"] < 5.0
+    assert found["final_inside"] > 85
+    assert 0.2 < found["online_nees"] < 6.0
+
+
+def test_increments_that_claim_too_little_are_found_out():
+    """A third of the drift, and matches four times as precise, each key scan's for itself."""
+    usual = Configuration()
+    drift = replace(
+        usual.loop_closure.drift, position_ratio=0.1, sigma_rad_per_sqrt_m=0.0005, sigma_rad_per_sqrt_rad=1e-3
+    )
+    matching = replace(usual.final_refinement.key_scans, beam_sigma_m=0.0125)
+    bold = replace(
+        usual,
+        loop_closure=replace(usual.loop_closure, drift=drift),
+        final_refinement=replace(usual.final_refinement, key_scans=matching),
+    )
+    assert averages("random", bold)["final_nees"] > 10
+
+
+@pytest.mark.parametrize(("length_m", "range_m"), [(10.0, 5.0), (40.0, 10.0), (40.0, 30.0)])
+def test_along_bare_corridors_the_way_is_the_odometrys_and_reported(length_m, range_m):
+    """Three drives each; the odometry is off by up to 1.4 % itself."""
+    for seed in range(20, 23):
+        found = drive(length_m, range_m, seed)
+        assert found.online == pytest.approx(found.odometry, abs=0.03)
+        assert found.full == pytest.approx(1.0, abs=0.03)
+        assert found.flagged_blind > 0.9
+        assert found.flagged_seen < 0.1
