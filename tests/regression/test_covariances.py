@@ -24,7 +24,10 @@ def averages(kind: str, configuration: Configuration) -> dict[str, float]:
 
 @pytest.mark.parametrize("kind", ["random", "rooms", "bare_corridors"])
 def test_average_nees_lies_in_its_band(kind):
-    """3 is expected; five drives have few independent errors: of twenty the averages are 1.6 to 2.9, online 0.7 to 2.5."""
+    """3 is expected; five drives have few independent errors: of twenty the averages are 1.6 to 2.9, online 0.7 to 2.5.
+
+    Halls (0.5) and corridors seen 10 m far (6) are outside of this band.
+    """
     found = averages(kind, Configuration())
     assert 1.0 < found["final_nees"] < 5.0
     assert found["final_inside"] > 85
