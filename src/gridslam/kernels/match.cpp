@@ -40,7 +40,7 @@ struct Walls {
     return std::sqrt(dx * dx + dy * dy);
   }
   bool straight(const Ends& e, int a, int m, int b, int i) {
-    constexpr float kAside = 1.0f;  // a cell: what noise and mapping leave of a wall's thickness
+    constexpr float kAside = 0.6f;  // cells: more than a lidar scatters; walls that scatter more are not straight
     const float ux = e.x[m] - e.x[a], uy = e.y[m] - e.y[a], vx = e.x[b] - e.x[m], vy = e.y[b] - e.y[m];
     const float cx = ux + vx, cy = uy + vy, length = std::sqrt(cx * cx + cy * cy);
     if (ux * vx + uy * vy <= 0 || std::abs(ux * cy - uy * cx) > kAside * length) return false;

@@ -62,7 +62,7 @@ FloatMap = NDArray[np.float32]
 _SINGULAR = 1e-18  # least eigenvalue of a matrix that can be inverted
 _PIN = 1e6  # information, 1 / cell^2, that pins the guess along an undetermined direction
 _BASE = np.float32(6.0)  # cells between the ends that must lie on a line to be a wall
-_ASIDE = np.float32(1.0)  # cells by which they may miss it: what noise and mapping leave of a wall's thickness
+_ASIDE = np.float32(0.6)  # cells by which they may miss it: more than a lidar scatters
 _BEYOND = 3.0  # the gradient leans 55 degrees from the normal of the wall: there its mapped part ends
 
 
@@ -271,7 +271,7 @@ def _walls(ends: FloatArray, point_to_line: bool) -> FloatMap:
     """Normals (B, 2) of the straight walls on which ends (B, 2) lie, in cells; 0 on none, or not `point_to_line`.
 
     An end lies on a wall where three ends that are equally many beams apart, such that `_BASE` cells would lie between
-    them were all as far apart as here, follow one another along a line to a cell. The end is the middle one of the
+    them were all as far apart as here, follow one another along a line to 0.6 cells. The end is the middle one of the
     three; else, at the end of a wall, the last; else the first. All is in single precision, so that the kernel decides
     alike.
     """

@@ -213,7 +213,7 @@ def test_along_a_bare_corridor_the_position_is_undetermined(bare):
         keys = [report for report in reports[1:] if not report.skipped]
         axes = [report.degenerate_direction for report in keys if report.degenerate_direction is not None]
         assert len(keys) > 12
-        assert len(axes) > 0.9 * len(keys)
+        assert len(axes) > 0.85 * len(keys)
         assert all(abs(axis[0]) > 0.99 and np.linalg.norm(axis) == pytest.approx(1.0) for axis in axes)
 
 
