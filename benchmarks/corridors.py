@@ -11,7 +11,6 @@ end of one of the corridor's walls; it is seen if five or more hit another wall;
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import NamedTuple
@@ -19,14 +18,12 @@ from typing import NamedTuple
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-from gridslam.config import Configuration, build
+from gridslam.config import Configuration
 from gridslam.geometry.se2 import between, compose
-from gridslam.observers import TrajectoryRecorder
-from gridslam.pipeline import run
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.lidar import cast_rays
-from gridslam.slam.full_slam.full_slam import full_slam
-from measure import document
+from measure import write_document
+from simulated import map_drive
 
 WIDTH_M = 2.0
 ROOM_M = (6.0, 5.0)
@@ -85,25 +82,7 @@ def drive(length_m: float, range_m: float, seed: int) -> Drive:
     lidar = LidarConfig(range_max_m=range_m)
     rng = np.random.default_rng([seed, int(length_m), int(range_m)])
     log = simulate(world, RobotConfig(), UNBIASED, lidar, rng)
-    configuration = Configuration()
-    recorder = TrajectoryRecorder()
-    reports = []
-    state = run(
-        log.measurements,
-        build(configuration),
-        particles=configuration.particles,
-        rng=np.random.default_rng(seed),
-        observers=[recorder, lambda report, state, seconds: reports.append(report)],
-    )
-    assert configuration.loop_closure is not None
-    full = full_slam(
-        state,
-        recorder.keys,
-        recorder.key_from_base,
-        configuration.mapper,
-        configuration.loop_closure,
-        configuration.final_refinement,
-    )
+    reports, full = map_drive(log.measurements, Configuration(), seed)
     truth = log.truth.poses
     fixing = count_fixing_beams(world, along, truth, lidar)
     c, s = np.cos(TURN_RAD), np.sin(TURN_RAD)
@@ -155,8 +134,7 @@ def main() -> None:
             print(table[-1], flush=True)
     if options.out is not None:
         how = f"simulated drives, seeds 0 to {options.seeds - 1}"
-        found = document(how, table=table, drives=rows)
-        options.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        write_document(options.out, how, table=table, drives=rows)
 
 
 if __name__ == "__main__":

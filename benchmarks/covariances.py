@@ -11,7 +11,6 @@ predicts for every tenth of a kind that is left out, in ten folds.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import zlib
 from collections.abc import Sequence
@@ -22,19 +21,17 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 from closure_worlds import campus
-from gridslam.config import Configuration, build
+from gridslam.config import Configuration
 from gridslam.evaluation import nees
 from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
-from gridslam.observers import TrajectoryRecorder
-from gridslam.pipeline import run
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
-from gridslam.slam.full_slam.full_slam import full_slam
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.marginals import Marginals
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import Odometry
-from measure import document
+from measure import write_document
+from simulated import map_drive
 
 WORLDS = {
     "random": ("random", 30.0),
@@ -83,28 +80,11 @@ def simulated(kind: str, seed: int) -> tuple[list[Measurement], np.ndarray]:
 def judge(kind: str, seed: int, configuration: Configuration | None = None) -> dict[str, Any]:
     """Map one drive; average NEES and percentage below the quantile, online and final, and of constraints left out."""
     measurements, truth = simulated(kind, seed)
-    configuration = configuration or Configuration()
-    assert configuration.loop_closure is not None
-    recorder = TrajectoryRecorder()
-    reports = []
-    state = run(
-        measurements,
-        build(configuration),
-        particles=configuration.particles,
-        rng=np.random.default_rng(seed),
-        observers=[recorder, lambda report, state, seconds: reports.append((report.pose, report.covariance))],
-    )
-    full = full_slam(
-        state,
-        recorder.keys,
-        recorder.key_from_base,
-        configuration.mapper,
-        configuration.loop_closure,
-        configuration.final_refinement,
-    )
+    reports, full = map_drive(measurements, configuration or Configuration(), seed)
     true = between(truth[0], truth)
     judged = slice(len(true) // 10, None)
-    poses, covariances = (np.array(parts) for parts in zip(*reports, strict=True))
+    poses = np.array([report.pose for report in reports])
+    covariances = np.array([report.covariance for report in reports])
     squares = {
         "online": nees(poses[judged], true[judged], covariances[judged]),
         "final": nees(full.poses[judged], true[judged], full.covariances[judged]),
@@ -172,8 +152,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(table[-1], flush=True)
     if given.out is not None:
         how = f"simulated drives, seeds {given.first} to {given.first + given.seeds - 1}"
-        found = document(how, table=table, drives=drives)
-        given.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        write_document(given.out, how, table=table, drives=drives)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from gridslam.api.landmarks import LandmarkMethod, LandmarkResult, map_landmarks
 from gridslam.evaluation.consistency import nees
 from gridslam.evaluation.maps import pair_by_name, pair_by_position
 from gridslam.geometry.se2 import compose, inverse, transform_points
-from measure import document
+from measure import write_document
 
 __all__ = ["median_nees", "row"]
 
@@ -78,4 +77,4 @@ if __name__ == "__main__":  # python landmark_association.py DATA results/landma
                 for robot in (1, 3):
                     rows.append(row(folder / f"mrclam6_Robot{robot}_Odometry.dat.gz", method, unknown, seed))
                     how = f"MRCLAM 6, seeds 0 to {seeds - 1}; RMSE in m, medians of NEES"
-                    out.write_text(json.dumps(document(how, rows=rows), indent=1) + "\n", encoding="utf-8")
+                    write_document(out, how, rows=rows)

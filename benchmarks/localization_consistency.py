@@ -8,7 +8,6 @@ Each run drives 30 m in a simulated building whose map is of another drive. A qu
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ import numpy as np
 
 from global_localization import INSIDE, ORDINARY, Building, GlobalRun
 from gridslam.sim.worlds import DRAWN_WORLDS
-from measure import document
+from measure import write_document
 from record import RESULTS
 
 __all__ = ["ALIKE", "WORLDS", "buildings", "describe_covariances", "describe_finds", "main"]
@@ -56,8 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> Path:
         finds[name] = describe_finds([building.localize_globally(seed) for building, seed in buildings(name, some)])
         print(name, finds[name], flush=True)
     how = f"30 m of simulated drives, seeds {seeds.start} to {seeds.stop - 1}; the map is of another drive"
-    found = document(how, covariances=covariances, finds=finds)
-    given.out.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    write_document(given.out, how, covariances=covariances, finds=finds)
     path: Path = given.out
     return path
 

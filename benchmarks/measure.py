@@ -22,7 +22,17 @@ from gridslam import Trajectory, __version__
 from gridslam.io.trajectories import read_tum
 from gridslam.kernels import backend, compiled
 
-__all__ = ["GRIDSLAM", "Cost", "MapRun", "document", "map_timed", "provenance", "timed", "yardstick_s"]
+__all__ = [
+    "GRIDSLAM",
+    "Cost",
+    "MapRun",
+    "document",
+    "map_timed",
+    "provenance",
+    "timed",
+    "write_document",
+    "yardstick_s",
+]
 
 GRIDSLAM = (sys.executable, "-m", "gridslam.cli.main")
 _ROOT = Path(__file__).resolve().parent.parent
@@ -132,6 +142,11 @@ def document(how: str, **figures: object) -> dict[str, Any]:
         "how": how,
         **figures,
     }
+
+
+def write_document(path: Path, how: str, **figures: object) -> None:
+    """Write a `document` as JSON."""
+    path.write_text(json.dumps(document(how, **figures), indent=1) + "\n", encoding="utf-8")
 
 
 def _cores() -> set[int]:

@@ -196,7 +196,10 @@ def adjoint(pose: ArrayLike) -> FloatArray:
 
 
 def rotate_covariances(covariances: FloatArray, angles: ArrayLike) -> FloatArray:
-    """Covariances (..., 3, 3) of x, y and theta in axes turned by -`angles` (...), rad: R C R' with R that rotation."""
+    """Rotate covariances, or information matrices, (..., 3, 3) of x, y and theta into other axes: R C R'.
+
+    R rotates x and y by `angles` (...), rad: the heading, in the new axes, of the frame that they are given in.
+    """
     angle = np.asarray(angles, np.float64)
     rotation = np.zeros((*angle.shape, 3, 3))
     rotation[..., 0, 0] = rotation[..., 1, 1] = np.cos(angle)

@@ -87,7 +87,7 @@ def draw_map(
     closures : (K, 4) float64, m, optional
         Loop closures as [x0, y0, x1, y1], the two places that each of them joins, in the frame of the grid.
     open_directions : (L, 4) float64, m, optional
-        Lines along directions that scans left open, as closures are given.
+        Lines [x0, y0, x1, y1] along directions that scans left open, in the frame of the grid; a band under the path.
 
     Returns
     -------

@@ -13,8 +13,10 @@ from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.sim import OdometryNoise, SimulatedLog
 from gridslam.slam import GridFastSlam
+from gridslam.slam.full_slam import key_scan_matching
 from gridslam.slam.full_slam.full_trajectory import full_trajectory
 from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
+from gridslam.slam.full_slam.key_scan_matching import KeyScanMatching
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
@@ -193,3 +195,28 @@ def test_the_graph_holds_the_tracked_increments(halls):
 
 def test_at_least_one_hall_is_refined(halls):
     assert any(one.refinement.best.name != "filter" for one in halls)
+
+
+def test_constraints_of_one_visit_share_the_information_of_one(halls, monkeypatch):
+    """Against every key scan as a visit of its own: as many times less as there are constraints in the visit."""
+    one = halls[0]
+    poses = np.array(one.refinement.best.graph.poses)
+
+    def matched():
+        return list(KeyScanMatching()(one.closure_state, poses, SLAM.mapper, lambda: None))
+
+    shared = matched()
+    monkeypatch.setattr(key_scan_matching, "_VISIT_GAP", -len(poses))
+    alone = matched()
+    assert [constraint.pair for constraint in shared] == [constraint.pair for constraint in alone]
+    ratios = np.array([b.information[2, 2] / a.information[2, 2] for a, b in zip(shared, alone, strict=True)])
+    visits = [[0]]
+    for k in range(1, len(shared)):
+        same = shared[k].from_ == shared[k - 1].from_ and shared[k].to - shared[k - 1].to <= 3
+        if same:
+            visits[-1].append(k)
+        else:
+            visits.append([k])
+    assert max(map(len, visits)) > 5
+    for visit in visits:
+        np.testing.assert_allclose(ratios[visit], len(visit))

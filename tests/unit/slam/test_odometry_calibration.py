@@ -147,3 +147,15 @@ def test_a_copy_goes_on_to_the_same_bytes():
     ends = [{name: array.tobytes() for name, array in to_arrays(one).items()} for one in (errors, twin)]
     assert ends[0] == ends[1]
     assert {name: array.tobytes() for name, array in to_arrays(kept).items()} == before != ends[0]
+
+
+def test_the_variance_along_an_open_way_is_that_of_its_pieces():
+    """Of a random walk and of the scale, whose error is common to all pieces; in proportion to what is left over."""
+    errors = OdometryErrorModel(
+        variances=np.array([0.01**2, 1.0]), position=np.diag([7.5, 0, 0, 0])[:, [0, 1, 2, 3, 3]]
+    )
+    pieces = [0.3, 1.2, 0.5]
+    begins = np.cumsum([0.0, *pieces[:-1]])
+    whole = errors.variance_along(0.0, sum(pieces))
+    assert sum(map(errors.variance_along, begins, pieces)) == pytest.approx(whole)
+    assert whole == pytest.approx(0.01**2 * (2.0 / 0.5 + 2.0**2 / 8.0))

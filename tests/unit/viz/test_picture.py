@@ -8,7 +8,18 @@ from PIL import ImageDraw
 
 from gridslam.types import OccupancyGrid, Trajectory
 from gridslam.viz import draw_map
-from gridslam.viz.canvas import CLOSURE, FREE, MARGIN, OCCUPIED, TIME_ENDS, TRUTH, UNKNOWN, round_length, time_colours
+from gridslam.viz.canvas import (
+    CLOSURE,
+    FREE,
+    MARGIN,
+    OCCUPIED,
+    OPEN,
+    TIME_ENDS,
+    TRUTH,
+    UNKNOWN,
+    round_length,
+    time_colours,
+)
 from gridslam.viz.picture import known_part, lay_out
 
 RESOLUTION = 0.05
@@ -51,6 +62,16 @@ def test_cells_have_their_colours_and_y_points_up():
     left, top, right, bottom = layout.map_box
     assert x < (left + right) / 2
     assert y < (top + bottom) / 2
+
+
+def test_open_directions_are_a_band():
+    """Beside where the path would be, and only as long as the line."""
+    grid = _grid((60, 60))
+    line = np.array([[20.0, 30.0, 40.0, 30.0]]) * RESOLUTION
+    page, layout = draw_map(grid, open_directions=line), lay_out(grid)
+    assert _colour_at(page, layout, 30 * RESOLUTION, 30 * RESOLUTION) == OPEN
+    assert _colour_at(page, layout, 50 * RESOLUTION, 30 * RESOLUTION) == FREE
+    assert _colour_at(draw_map(grid), layout, 30 * RESOLUTION, 30 * RESOLUTION) == FREE
 
 
 def test_log_odds_of_an_unknown_cell_do_not_show():

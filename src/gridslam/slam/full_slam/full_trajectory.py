@@ -13,7 +13,7 @@ from gridslam.types import FloatArray, IntArray
 __all__ = ["drift_covariances", "find_open_directions", "full_trajectory", "path_fractions", "scan_covariances"]
 
 _HALF_LINE_M = 0.4
-"""Half the length of a line along an open direction: neighbouring key scans' are apart."""
+"""Half the length of a line along an open direction: those of key scans half a metre apart touch."""
 
 
 def full_trajectory(key_poses: FloatArray, keys: IntArray, key_from_base: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import rotate_covariances
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton
@@ -74,13 +75,7 @@ def _information(motion: MotionSampler, poses: FloatArray) -> FloatArray:
     """
     floor = np.diag([1e-8, 1e-8, 1e-10])
     first: FloatArray = np.asarray(np.linalg.inv(motion.moments(poses[:1])[1][0] + floor), np.float64)
-    turned = poses[:, 2] - poses[0, 2]
-    rotation = np.zeros((len(poses), 3, 3))
-    rotation[:, 0, 0] = rotation[:, 1, 1] = np.cos(turned)
-    rotation[:, 1, 0] = np.sin(turned)
-    rotation[:, 0, 1] = -rotation[:, 1, 0]
-    rotation[:, 2, 2] = 1.0
-    return rotation @ first @ rotation.transpose(0, 2, 1)
+    return rotate_covariances(first, poses[:, 2] - poses[0, 2])
 
 
 @final

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.geometry.se2 import between, compose, exp, log
+from gridslam.geometry.se2 import between, compose, exp, log, rotate_covariances
 from gridslam.matching.branch_and_bound import BranchAndBound
 from gridslam.slam.tracking.odometry_calibration import motion_of
 from gridslam.slam.tracking.state import SensorTrack, TrackerState
@@ -90,7 +90,7 @@ class PoseEstimate(NamedTuple):
     lost: bool  # neither match nor prediction is reliable
     inlier_ratio: float = 0.0  # of the beams that agree with the map; 0 if the match is rejected
     determined: bool = False  # by the scan, in all directions
-    open_direction: FloatArray | None = None  # (2,) that the scan left open: the prediction's
+    open_direction: FloatArray | None = None  # (2,) unit vector, along which the prediction was kept; None: along none
 
 
 def predict_by_odometry(
@@ -108,10 +108,7 @@ def predict_by_odometry(
         sigma_m = 0.1 * cell_m + 0.15 * moved_m + 0.5 * cell_m * turned_rad
         sigma_rad = 0.003 + 0.05 * turned_rad + 0.04 * moved_m
     else:
-        c = math.cos(state.matched_pose[2])
-        s = math.sin(state.matched_pose[2])
-        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        covariance = rotation @ covariance @ rotation.T + _STILL_COVARIANCE
+        covariance = rotate_covariances(covariance, state.matched_pose[2]) + _STILL_COVARIANCE
         sigma_m = math.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])
         sigma_rad = math.sqrt(covariance[2, 2])
     return Prediction(pose, True, seconds, moved_m, turned_rad, sigma_m, sigma_rad, beam_sigma_m, covariance)

@@ -53,7 +53,7 @@ class SensorTrack(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class UnmatchedMotion:
-    """How uncertain the motion is that no match has measured.
+    """Uncertainty of motion that no scan match has measured: the prediction took its place.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class TrackerState:
     rejected_odometry : int
         Number of scans whose odometry was rejected (jump, latency, or not trusted).
     unmatched : UnmatchedMotion
-        Since the last key scan.
+        Uncertainty of what no match has measured since the last key scan.
     open_way_m : float
         Way since the last match that left no direction open.
     """
@@ -178,7 +178,7 @@ class TrackerState:
         self.scans = (scans[0], scans[1])
 
     def take_unmatched(self) -> UnmatchedMotion:
-        """What accumulated since this was called last, at a key scan."""
+        """Return what accumulated since the last key scan, and begin again."""
         taken = self.unmatched
         self.unmatched = UnmatchedMotion()
         return taken
