@@ -169,9 +169,9 @@ def kidnapping() -> None:
 def closure() -> None:
     """A map bent by odometry while the laser was covered, and what is left of the bend when the loop is closed."""
     bad = OdometryNoise(turn_scale=0.85, bias_rad_per_m=0.02)
-    log = drive("demo", 1, bad, LidarConfig(rate_hz=4.0, beams=90))
+    log = drive("demo", 3, bad, LidarConfig(rate_hz=4.0, beams=90))
     measurements = list(log.measurements)
-    for k in range(100, 130):  # the laser is covered for 7.5 s
+    for k in range(110, 140):  # the laser is covered for 7.5 s
         scan = measurements[k].scan
         nothing = LaserScan.from_ranges(
             scan.stamp_ns, np.full(len(scan), np.nan), scan.geometry, range_max_m=scan.range_max_m
