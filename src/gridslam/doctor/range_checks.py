@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridslam.doctor.finding import Finding, Severity
-from gridslam.doctor.range_units import UNITS, PairComparison, RangeSizes, measured_beams
-from gridslam.doctor.scan_prediction import FEWEST_BEAMS, PolarScan, disagreement_as_reported, move_laser
+from gridslam.doctor.range_units import UNITS, PairComparison, RangeSizes, measured_beams, polar_scan
+from gridslam.doctor.scan_prediction import disagreement_as_reported, move_laser
 from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
 from gridslam.types import FloatArray, LaserScan
@@ -24,9 +25,9 @@ _CHANGES = 0.05  # of the view, that the motion must make: along a bare corridor
 _MOST_CHECKS = 100
 _FROZEN_SHARE = 0.1  # of the metres or radians: from here on the map is unusable
 
-_SAMPLED = 100  # scans whose ranges are looked at one by one; and then
-_RARE = 16  # one of as many
-_MOST_SCANS = 1000
+_SAMPLED = 25  # scans whose ranges are looked at one by one; and then
+_RARE = 32  # one of as many
+_MOST_SCANS = 50
 _FEWEST_SCANS = 12
 _FEWEST_BEAMS = 30
 _SPREAD = 0.1  # of the logarithms of unrelated ranges: those in a round room are alike
@@ -118,10 +119,9 @@ class _FrozenScans:
 
 def _changes_view(scan: LaserScan, motion: FloatArray) -> bool:
     """Whether a motion (3,) of the base must change the scan."""
-    measured = measured_beams(scan)
-    if np.count_nonzero(measured) < FEWEST_BEAMS:
+    view = polar_scan(scan)
+    if view is None:
         return False
-    view = PolarScan(scan, measured)
     return _CHANGES < disagreement_as_reported(view, view, move_laser(view, view, motion)) < math.inf
 
 
@@ -132,11 +132,11 @@ class _Relations:
 
     _medians: list[tuple[float, float, float]] = field(default_factory=list)
 
-    def take(self, before: LaserScan, scan: LaserScan) -> None:
-        """Take two scans that follow each other; those of other beams, or of few hits, take no part."""
+    def take(self, before: LaserScan, scan: LaserScan, measured: NDArray[np.bool_]) -> None:
+        """Take two scans that follow each other, and which beams (B,) the second measured."""
         if len(before) != len(scan) or len(self._medians) >= _MOST_SCANS:
             return
-        both = measured_beams(scan) & measured_beams(before)
+        both = measured & measured_beams(before)
         if np.count_nonzero(both) < _FEWEST_BEAMS:
             return
         now = np.log(scan.ranges[both])
@@ -172,8 +172,9 @@ class RangeExaminer:
         """Take the next scan of the laser."""
         odometry, scan = measurement
         if self._previous is not None and (self._scans <= _SAMPLED or self._scans % _RARE == 0):
-            self._relations.take(self._previous, scan)
-            self._sizes.take(scan.ranges[measured_beams(scan)])
+            measured = measured_beams(scan)
+            self._relations.take(self._previous, scan, measured)
+            self._sizes.take(scan.ranges[measured])
         self._previous = scan
         self._scans += 1
         if odometry is None:

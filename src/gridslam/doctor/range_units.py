@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Final, TypeAlias, final
+from typing import Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,66 +19,93 @@ from gridslam.doctor.scan_prediction import (
 from gridslam.geometry.se2 import between
 from gridslam.types import BeamStatus, FloatArray, LaserScan
 
-__all__ = ["UNITS", "PairComparison", "RangeSizes", "measured_beams"]
+__all__ = ["UNITS", "PairComparison", "RangeSizes", "measured_beams", "polar_scan"]
 
 UNITS: Final = {"feet": 1 / 0.3048, "inches": 1 / 0.0254, "centimetres": 100.0, "millimetres": 1000.0}
 _SCALES: Final = np.array([0.0, 1.0, *UNITS.values()])
 """Ranges per metre of odometry that are compared: of a laser that stands still, in metres, and in other units."""
+_OTHERS: Final = 2  # where these begin
 
 _DISTANCES_M = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Between the scans of a pair: the near ones suit small rooms, and the wide ones halls."""
 _NEAR = 3  # of these distances: within a room
 _MOST_TURNED_RAD = 0.5  # in the shortest distance
 _PAIRS = 12  # of each distance
-_TRIALS = 36  # with those that have nothing in common, as in doors and crowds
+_TRIALS = 24  # with those that have nothing in common, as in doors and crowds
+_MOST_PAIRS = 48  # of all distances
+_MOST_TRIALS = 96
 _EXPLAINED = 0.06  # disagreement: a pair that no scale explains better has nothing in common
 _NOISE = 0.0015  # smaller disagreements are all the same, and
 _UNLIKE = 0.25  # larger ones
 _ALIKE = 0.25  # logarithm of the ratio of two disagreements: interpolation between beams averages noise
+_CLEAR = 1.5  # and beyond which it counts no more: a single pair may be of another kind
 _DEVIATIONS = 1.2
 _EVIDENCE = 4.0
 """By which a unit must exceed each of the others: the sum, over the pairs, of the logarithm of the ratio of their
 disagreements, and this sum in units of its root of squares. In healthy logs it is negative."""
 
+_CERTAIN = 2.0  # times as much evidence, for metres or another unit: no more pairs are compared
+
 _CHANGES = 0.05  # disagreement: the motion shows in the scan; along a bare corridor it does not
 _STOPPED = 0.15  # of the change that the odometry predicts: noise
 _MOSTLY = 0.9  # of the pairs
 _FEWEST_PAIRS = 6
-_MOST_STOPS = 200
 
 _FARTHEST_M = 1000.0  # beyond the reach of lasers on robots
 _DISTINCT = 50  # whole numbers: fewer may be chance, or chosen by hand
 _FEWEST_READINGS = 1000
 _MANY_BEYOND = 0.25  # of the beams
+_AT_GREATEST = 0.99
+_MANY_AT_GREATEST = 0.2  # of the ranges of a scan: a wall across the view has a tenth so near its greatest distance
 _CODES = 1.2  # ratio of the quartiles of readings beyond the limit: codes for "no return" stand close together
-
-_Placed: TypeAlias = tuple[FloatArray, LaserScan]
-"""A scan, with the pose (3,) of the odometry."""
 
 
 def measured_beams(scan: LaserScan) -> NDArray[np.bool_]:
-    """Which beams (B,) measured a distance: the hits, and readings beyond the stated limit that vary as walls do.
+    """Which beams (B,) measured a distance: hits, and readings beyond the stated limit that vary as walls do.
 
-    A limit in metres over ranges in millimetres turns them all into beams that hit nothing.
+    A limit in metres over ranges in millimetres turns them all into beams that hit nothing. And beams that hit nothing
+    may be reported as hits at the greatest range: where many stand together there, they are left out.
     """
-    hits: NDArray[np.bool_] = (scan.status == BeamStatus.HIT) & (scan.ranges > 0)
-    if np.count_nonzero(hits) >= (1 - _MANY_BEYOND) * len(scan):
-        return hits
-    beyond = (scan.status == BeamStatus.NO_RETURN) & np.isfinite(scan.ranges)
-    if beyond.any():
-        beyond &= scan.ranges < scan.ranges[beyond].max()  # the code for "no return" is the greatest
-    if np.count_nonzero(beyond) <= _MANY_BEYOND * len(scan):
-        return hits
-    low, high = np.quantile(scan.ranges[beyond], [0.25, 0.75])
-    return hits | beyond if high > _CODES * low else hits
+    ranges = scan.ranges
+    measured: NDArray[np.bool_] = (scan.status == BeamStatus.HIT) & (ranges > 0)
+    if np.count_nonzero(measured) < (1 - _MANY_BEYOND) * len(scan):
+        beyond = _without_codes(ranges, (scan.status == BeamStatus.NO_RETURN) & np.isfinite(ranges))
+        if np.count_nonzero(beyond) > _MANY_BEYOND * len(scan):
+            low, high = np.quantile(ranges[beyond], [0.25, 0.75])
+            measured = measured | beyond if high > _CODES * low else measured
+    return _without_codes(ranges, measured)
 
 
-def _views(first: _Placed, second: _Placed) -> tuple[PolarScan, PolarScan] | None:
-    """Two scans by their bearings; None if one of them has too few ranges."""
-    beams = [measured_beams(scan) for _, scan in (first, second)]
-    if min(np.count_nonzero(some) for some in beams) < FEWEST_BEAMS:
-        return None
-    return PolarScan(first[1], beams[0]), PolarScan(second[1], beams[1])
+def _without_codes(ranges: FloatArray, some: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Some of the beams (B,), but for those at the greatest of their ranges, if these are many."""
+    if not some.any():
+        return some
+    greatest = some & (ranges >= _AT_GREATEST * ranges[some].max())
+    return some & ~greatest if np.count_nonzero(greatest) > _MANY_AT_GREATEST * np.count_nonzero(some) else some
+
+
+def polar_scan(scan: LaserScan) -> PolarScan | None:
+    """The measured ranges of a scan by their bearings; None if they are too few."""
+    measured = measured_beams(scan)
+    return PolarScan(scan, measured) if np.count_nonzero(measured) >= FEWEST_BEAMS else None
+
+
+@final
+@dataclass(slots=True)
+class _Placed:
+    """A scan, with the pose (3,) of the odometry."""
+
+    pose: FloatArray
+    scan: LaserScan
+    _view: PolarScan | None = None
+    _is_viewed: bool = False
+
+    def view(self) -> PolarScan | None:
+        """The scan by its bearings; None if it has too few ranges."""
+        if not self._is_viewed:
+            self._is_viewed = True
+            self._view = polar_scan(self.scan)
+        return self._view
 
 
 @final
@@ -86,7 +113,7 @@ def _views(first: _Placed, second: _Placed) -> tuple[PolarScan, PolarScan] | Non
 class PairComparison:
     """Pairs of scans, compared by what odometry moved between them, for each unit that the ranges may have.
 
-    Of each of eight distances 12 pairs are compared, each in some 0.4 ms; another scan costs some microseconds.
+    At most 48 pairs are compared, each in some 0.3 ms, 12 of each of eight distances; another scan costs microseconds.
     """
 
     _references: list[_Placed | None] = field(default_factory=lambda: [None] * len(_DISTANCES_M))
@@ -94,72 +121,74 @@ class PairComparison:
     _counts: list[int] = field(default_factory=lambda: [0] * len(_DISTANCES_M))
     _pairs: list[FloatArray] = field(default_factory=list)
     _stopped: list[bool] = field(default_factory=list)
+    _is_certain: bool = False
 
     @property
     def is_complete(self) -> bool:
-        """Whether enough pairs have been compared, or tried."""
-        return sum(self._counts) >= _NEAR * _PAIRS or sum(self._trials) >= _NEAR * _TRIALS
+        """Whether enough pairs have been compared, or tried; further scans take no part."""
+        return self._is_certain or len(self._pairs) >= _MOST_PAIRS or sum(self._trials) >= _MOST_TRIALS
 
     def take(self, pose: FloatArray, scan: LaserScan) -> None:
         """Take the next scan of the laser, with the pose (3,) of the odometry."""
+        if self.is_complete:
+            return
+        placed = _Placed(pose, scan)
         x, y, theta = pose.tolist()
         for k, distance_m in enumerate(_DISTANCES_M):
             if self._counts[k] >= _PAIRS or self._trials[k] >= _TRIALS:
                 continue
             reference = self._references[k]
             if reference is not None:
-                before = reference[0].tolist()
+                before = reference.pose.tolist()
                 metres = math.dist((x, y), before[:2])
                 turned = abs((theta - before[2] + math.pi) % math.tau - math.pi)
                 if metres < distance_m and (k or turned < _MOST_TURNED_RAD):
                     continue
-                if distance_m > metres:
-                    self._compare_turned(reference, (pose, scan))
-                elif metres < 2 * distance_m:
-                    self._compare(k, reference, (pose, scan))
-            self._references[k] = (pose, scan)
+                if metres < 2 * distance_m:
+                    self._compare(k, reference, placed, has_length=metres >= distance_m)
+            self._references[k] = placed
 
-    def _compare(self, k: int, first: _Placed, second: _Placed) -> None:
-        """Compare two scans for each unit."""
-        self._trials[k] += 1
-        views = _views(first, second)
-        if views is None:
+    def _compare(self, k: int, first: _Placed, second: _Placed, *, has_length: bool) -> None:
+        """Compare two scans for each unit, and whether the motion shows; a turn has no length, and so no unit."""
+        self._trials[k] += has_length
+        before = first.view()
+        after = second.view()
+        if before is None or after is None:
             return
-        motion = move_laser(*views, between(first[0], second[0]))
-        found = disagreements(*views, motion, _SCALES)
-        if found.min() <= _EXPLAINED:
+        motion = move_laser(before, after, between(first.pose, second.pose))
+        if has_length:
+            found = disagreements(before, after, motion, _SCALES)
+            if found.min() > _EXPLAINED:
+                return
             self._counts[k] += 1
             self._pairs.append(found)
-            if k < _NEAR:
-                self._note_stop(views, motion)
-
-    def _compare_turned(self, first: _Placed, second: _Placed) -> None:
-        """Look whether a turn shows in the second scan; it has no length, and so no unit."""
-        views = _views(first, second) if len(self._stopped) < _MOST_STOPS else None
-        if views is not None:
-            self._note_stop(views, move_laser(*views, between(first[0], second[0])))
-
-    def _note_stop(self, views: tuple[PolarScan, PolarScan], motion: FloatArray) -> None:
-        predicted = disagreement_as_reported(views[0], views[0], motion)
-        if _CHANGES < predicted < math.inf:
-            unmoved = disagreement_as_reported(*views, np.zeros(3))
-            self._stopped.append(unmoved < _STOPPED * min(predicted, _UNLIKE))
+            if len(self._pairs) % _FEWEST_PAIRS == 0:
+                self._is_certain = self._find_scale(_CERTAIN) is not None
+        if k < _NEAR and len(self._stopped) < _MOST_PAIRS:
+            predicted = disagreement_as_reported(before, before, motion)
+            if _CHANGES < predicted < math.inf:
+                unmoved = disagreement_as_reported(before, after, np.zeros(3))
+                self._stopped.append(unmoved < _STOPPED * min(predicted, _UNLIKE))
 
     def find_unit(self) -> tuple[str, int] | None:
         """The unit, if it is surely another one than metres, and the number of pairs that were compared."""
+        best = self._find_scale(1.0)
+        return None if best is None or best < _OTHERS else (list(UNITS)[best - _OTHERS], len(self._pairs))
+
+    def _find_scale(self, factor: float) -> int | None:
+        """Which of the scales predicts better than all others, with `factor` times the evidence needed."""
         if len(self._pairs) < _FEWEST_PAIRS:
             return None
         found = np.array(self._pairs)
         logs = np.log(np.clip(found, _NOISE, _UNLIKE))
-        for k, name in enumerate(UNITS, start=len(_SCALES) - len(UNITS)):
-            better = logs - logs[:, k : k + 1]
-            better = np.sign(better) * np.maximum(np.abs(better) - _ALIKE, 0)
+        for k in range(1, len(_SCALES)):
+            better = np.delete(logs - logs[:, k : k + 1], k, axis=1)
+            better = np.sign(better) * np.clip(np.abs(better) - _ALIKE, 0, _CLEAR)
             better[np.isinf(found[:, k])] = 0
-            better = np.delete(better, k, axis=1)
             total = better.sum(axis=0)
             spread = np.sqrt(np.square(better).sum(axis=0))
-            if (total > np.maximum(_EVIDENCE, _DEVIATIONS * spread)).all():
-                return name, len(found)
+            if (total > factor * np.maximum(_EVIDENCE, _DEVIATIONS * spread)).all():
+                return k
         return None
 
     def find_stop(self) -> int | None:

@@ -23,6 +23,7 @@ FEWEST_BEAMS = 10
 """A scan of fewer ranges predicts nothing."""
 
 _MOST_BEAMS = 64  # of those predicted: more cost time and change no median
+_MOST_SEEN = 180  # of those they are compared with, or up to twice as many
 _LEAST_COMMON = 0.5  # of the beams: with fewer in view at both places nothing is known
 _WIDEST_RAD = 0.1  # between neighbouring ranges that are interpolated, or
 _WIDEST = 2.5  # times the usual gap between beams: what is in wider gaps is not known
@@ -55,7 +56,9 @@ class PolarScan:
 
     def __init__(self, scan: LaserScan, measured: NDArray[np.bool_]) -> None:
         """Order the beams by their bearings."""
-        ends = scan.geometry.directions[measured] * scan.ranges[measured, None]
+        beams = np.flatnonzero(measured)
+        beams = beams[:: max(len(beams) // _MOST_SEEN, 1)]
+        ends = scan.geometry.directions[beams] * scan.ranges[beams, None]
         self.ends: FloatArray = ends[:: -(-len(ends) // _MOST_BEAMS) or 1]
         self.origin: FloatArray = scan.geometry.origin
         bearings = np.arctan2(ends[:, 1], ends[:, 0])

@@ -9,6 +9,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from doctor import MadeLog
 from gridslam.doctor import CheckedLog, Doctor, Severity, quick_check
 from gridslam.doctor.range_units import UNITS, measured_beams
 from gridslam.doctor.scan_prediction import PolarScan, disagreements, move_laser
@@ -17,7 +18,7 @@ from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, PeopleConfig, RobotConfig, World, make_world, simulate
 from gridslam.sim.floor_plan import box, pillar
 from gridslam.types import LaserScan, Odometry, ScanGeometry
-from implausible_ranges import CODES, VARIANTS, MadeLog
+from implausible_ranges import CODES, VARIANTS
 from support.hand_logs import seen
 
 EXACT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -156,7 +157,7 @@ def test_units_are_found_after_the_first_minute_where_the_robot_rests_before(roo
         given.append(measurement)
     given.clear()
     given.extend(checked)
-    assert reported == [(pytest.approx(575, abs=125), ["range_units"])], "once"
+    assert reported == [(pytest.approx(600, abs=150), ["range_units"])], "once"
     assert "range_units (laser)" in checked.statistics.faults
     assert named(begin + late) == []
 
@@ -172,7 +173,7 @@ def test_readings_that_vary_beyond_the_limit_are_measured_and_codes_are_not():
     geometry = ScanGeometry(np.linspace(-1, 1, 100))
     ranges = np.linspace(200, 900, 100)
     beyond = LaserScan.from_ranges(0, ranges, geometry, range_max_m=12.0)
-    assert measured_beams(beyond).sum() == 99, "the greatest may be the code for no return"
+    assert measured_beams(beyond).all()
     codes = LaserScan.from_ranges(0, 81.83 + 0.01 * (np.arange(100) % 7), geometry, range_max_m=80.0)
     assert not measured_beams(codes).any()
 
