@@ -191,7 +191,8 @@ def _stuck(log: Iterable[Measurement]) -> Iterator[Measurement]:
     """A frozen view that goes on flickering: 5 mm of noise."""
     rng = np.random.default_rng(0)
     for odometry, scan in _frozen(log):
-        yield Measurement(odometry, _read(scan, scan.ranges + 0.005 * rng.standard_normal(len(scan)), scan.range_max_m))
+        noise = np.where(scan.status == BeamStatus.HIT, 0.005 * rng.standard_normal(len(scan)), 0.0)
+        yield Measurement(odometry, replace(scan, ranges=np.maximum(scan.ranges + noise, 1e-3)))
 
 
 def _random(log: Iterable[Measurement], low: float = 0.2, high: float = 10.0) -> Iterator[Measurement]:

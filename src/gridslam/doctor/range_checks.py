@@ -224,8 +224,8 @@ class RangeExaminer:
         return Finding(
             "laser_frozen",
             Severity.ERROR,
-            f"The laser sees no motion where the odometry moves, in all of {pairs} pairs of scans: the laser is "
-            "frozen, its view is blocked, or the wheels turn on the spot.",
+            f"The laser sees no motion where the odometry moves, in nearly all of {pairs} pairs of scans: the laser is "
+            "frozen, it sees the robot itself or the floor, or the wheels turn on the spot.",
             1.0,
             "share",
             "Look for what stops the laser or blocks its view, and whether the odometry is right.",
