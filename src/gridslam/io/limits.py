@@ -28,8 +28,8 @@ __all__ = [
 LARGEST_RATIO = 200
 """Logs of scans shrink by a factor of 3 to 20, and one of a robot that stands still in front of a wall by 100."""
 
-ALWAYS_ALLOWED_BYTES = 1 << 26
-"""64 MiB: a small file may consist of a single scan, repeated."""
+ALWAYS_ALLOWED_BYTES = 1 << 25
+"""32 MiB: a small file may consist of a single scan, repeated."""
 
 DEFAULT_MEMORY_BYTES = 10**9
 
