@@ -46,6 +46,7 @@ _LARGEST_YAML_BYTES = 1 << 16
 _SURE = 0.98  # an image represents probabilities 0.01 to 0.99, so that log-odds stay finite
 _REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 _MODES = ("trinary", "scale", "raw")
+_FARTHEST_CELL = 1 << 30  # rows and columns of cells are numbers of 32 bits
 _FINEST_M = 0.001  # what lies outside is another unit, or a slip
 _COARSEST_M = 10.0
 _Fields: TypeAlias = Mapping[str, tuple[Any, int]]
@@ -214,6 +215,9 @@ def read_map_description(path: str | Path) -> MapDescription:
     if not (isinstance(origin, list) and len(origin) == 3):
         raise InputError(path, f"expected origin: [x, y, yaw], got {origin!r}", line)
     x, y, yaw = (_finite(path, "origin", word, line) for word in origin)
+    if not max(abs(x), abs(y)) <= _FARTHEST_CELL * resolution:
+        problem = f"expected an origin within {_FARTHEST_CELL * resolution:g} m (2^30 cells) of 0, got [{x:g}, {y:g}]"
+        raise InputError(path, problem, line)
     if yaw != 0:
         raise InputError(path, f"expected a map that is not rotated (yaw 0), got yaw {yaw:g}", line)
     negated = negate.lower() in ("1", "true")

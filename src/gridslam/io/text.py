@@ -5,6 +5,7 @@ from __future__ import annotations
 import bz2
 import gzip
 import hashlib
+import json
 import os
 import re
 import stat
@@ -12,12 +13,20 @@ import zlib
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
-from typing import IO, cast, final
+from typing import IO, Any, cast, final
 
 from gridslam.errors import InputError
 from gridslam.io.limits import UnpackingLimit, describe_bytes
 
-__all__ = ["TextSource", "compute_digest", "open_for_reading", "read_head", "read_numbered_lines", "read_text"]
+__all__ = [
+    "TextSource",
+    "compute_digest",
+    "open_for_reading",
+    "read_head",
+    "read_json",
+    "read_numbered_lines",
+    "read_text",
+]
 
 _BLOCK_BYTES = 1 << 17  # some hundred scans: large enough to parse in one go, small enough to stream
 _LONGEST_LINE_BYTES = 1 << 20
@@ -59,6 +68,20 @@ def read_text(path: str | Path, most: int = _LARGEST_TEXT_BYTES) -> str:
         return text.decode("utf-8")
     except UnicodeDecodeError:
         raise InputError(path, "expected a text file, got binary data") from None
+
+
+def read_json(path: str | Path) -> dict[str, Any]:
+    """Read a JSON object; raises InputError, with the line, where the file holds none."""
+    try:
+        document = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise InputError(path, f"expected JSON, got: {error.msg}", error.lineno) from None
+    except (ValueError, RecursionError) as error:  # ValueError: a whole number of thousands of digits
+        problem = "values nested too deeply" if isinstance(error, RecursionError) else error
+        raise InputError(path, f"expected JSON, got: {problem}") from None
+    if not isinstance(document, dict):
+        raise InputError(path, f"expected a JSON object, got a {type(document).__name__}")
+    return document
 
 
 def read_head(path: str | Path, size: int) -> bytes:

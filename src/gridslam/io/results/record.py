@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.limits import UnpackingLimit, require_memory
+from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.text import open_for_reading
 from gridslam.types import FloatArray, IntArray, StepReport
 
@@ -134,6 +135,20 @@ def read_record(path: str | Path) -> Record:
         if name not in arrays or arrays[name].shape != want or arrays[name].dtype != dtype:
             got = f"{arrays[name].dtype} {arrays[name].shape}" if name in arrays else "nothing"
             raise InputError(path, f"expected {name} as {np.dtype(dtype)} {want}, got {got}")
+    if steps and not particles:
+        raise InputError(path, f"expected particles at {steps} key scans, got none")
+    for name, low, high, expected in (
+        ("poses", -FARTHEST_M, FARTHEST_M, f"finite numbers up to {FARTHEST_M:g} m and rad"),
+        ("log_weights", -np.inf, 50.0, "logarithms of weights"),
+        ("parents", 0, particles - 1, f"particles 0 to {particles - 1}"),
+        ("best", 0, particles - 1, f"particles 0 to {particles - 1}"),
+        ("n_eff", 0, 1.001 * particles, f"numbers of particles up to {particles}"),
+        ("latency_s", 0, 1e9, "times >= 0 s"),
+    ):
+        values = arrays[name]
+        bad = values[~((values >= low) & (values <= high))]
+        if bad.size:
+            raise InputError(path, f"{name}: expected {expected}, got {bad[0]:g}")
     return Record(**{name: arrays[name] for name in _FORMS})
 
 
