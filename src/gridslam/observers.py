@@ -22,6 +22,7 @@ __all__ = ["Latency", "RunStatistics", "StatisticsRecorder", "TrajectoryRecorder
 
 _LOG_STEP = math.log(1.01)
 _SHORTEST_S = 1e-7
+_MOST_BINS = 4000  # 1e17 s
 
 
 @final
@@ -162,7 +163,10 @@ class _Durations:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> _Durations:
         self = cls()
-        self.bins = Counter(dict(read_array(arrays, "bins", np.int64, (None, 2)).tolist()))
+        bins = read_array(arrays, "bins", np.int64, (None, 2))
+        if (np.diff(bins[:, 0]) < 1).any() or (np.abs(bins[:, 0]) > _MOST_BINS).any() or (bins[:, 1] < 1).any():
+            raise ArgumentError("bins", f"ascending numbers up to {_MOST_BINS}, each with a count of 1 or more", bins)
+        self.bins = Counter(dict(bins.tolist()))
         self.max_s = float(read_array(arrays, "max_s", np.float64, ()))
         return self
 

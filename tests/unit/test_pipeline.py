@@ -182,6 +182,13 @@ def test_statistics_count_and_time_what_they_were_told():
         assert (summary.key_latency.median_s, summary.key_latency.max_s) == (pytest.approx(0.3), 0.4)
 
 
+@pytest.mark.parametrize("bins", [[[3, 1], [3, 1]], [[3, 0]], [[10**9, 1]]])
+def test_a_histogram_that_no_run_leaves_is_refused(bins):
+    arrays = StatisticsRecorder().to_arrays() | {"seconds.bins": np.array(bins)}
+    with pytest.raises(ArgumentError, match="bins: expected ascending numbers up to 4000"):
+        StatisticsRecorder.from_arrays(arrays)
+
+
 def test_statistics_of_nothing_are_zero():
     summary = StatisticsRecorder().summary()
     assert (summary.scans, summary.key_scans, summary.n_eff_mean, summary.latency.max_s) == (0, 0, 0.0, 0.0)
