@@ -51,6 +51,7 @@ _STOPPED = 0.15  # of the change that the odometry predicts: noise
 _MOSTLY = 0.9  # of the pairs
 _FEWEST_PAIRS = 6
 
+_ABSURD = 1e9  # in any unit
 _FARTHEST_M = 1000.0  # beyond the reach of lasers on robots
 _DISTINCT = 50  # whole numbers: fewer may be chance, or chosen by hand
 _FEWEST_READINGS = 1000
@@ -67,9 +68,10 @@ def measured_beams(scan: LaserScan) -> NDArray[np.bool_]:
     may be reported as hits at the greatest range: where many stand together there, they are left out.
     """
     ranges = scan.ranges
-    measured: NDArray[np.bool_] = (scan.status == BeamStatus.HIT) & (ranges > 0)
+    plausible = (ranges > 0) & (ranges < _ABSURD)
+    measured: NDArray[np.bool_] = (scan.status == BeamStatus.HIT) & plausible
     if np.count_nonzero(measured) < (1 - _MANY_BEYOND) * len(scan):
-        beyond = _without_codes(ranges, (scan.status == BeamStatus.NO_RETURN) & np.isfinite(ranges))
+        beyond = _without_codes(ranges, (scan.status == BeamStatus.NO_RETURN) & plausible)
         if np.count_nonzero(beyond) > _MANY_BEYOND * len(scan):
             low, high = np.quantile(ranges[beyond], [0.25, 0.75])
             measured = measured | beyond if high > _CODES * low else measured

@@ -188,3 +188,13 @@ def test_a_scan_is_predicted_at_the_true_scale_in_every_unit(unit):
     right, twice, none = disagreements(first, second, motion, unit * np.array([1.0, 2.0, 0.0]))
     assert right < 1e-3
     assert min(twice, none) > 0.02
+
+
+@pytest.mark.parametrize("ranges", [1e300, 1e-300, 5e-324, 1.7e308])
+def test_absurd_ranges_and_poses_are_looked_at_without_a_warning(ranges):
+    rng = np.random.default_rng(0)
+    log = [
+        seen(k / 5, ranges * rng.uniform(0.1, 1, 181), (10.0 ** rng.uniform(-9, 15), 0.0, 1e3 * rng.normal()))
+        for k in range(100)
+    ]
+    assert {finding.code for finding in named(log)} <= set(CODES)
