@@ -1,6 +1,6 @@
 """Ranges in wrong units, frozen lasers and random ranges: what is named, and that nothing is in healthy logs.
 
-    python benchmarks/implausible_ranges.py [--seeds 200] [--data FOLDER] [--out benchmarks/results/ranges.json]
+    python benchmarks/implausible_ranges.py [--seeds 200] [--data FOLDER] [--out FILE.json]
 
 Each simulated world is a building, a hall or a corridor scaled to a width drawn from 3 to 900 m (log-uniform), seen by
 a laser drawn at random: 36 to 720 beams over 180 to 360 degrees at 2 to 20 Hz, noise of 0 to 3 cm and of 0 to 3 % of
@@ -321,7 +321,8 @@ def main() -> None:
         table.append(f"| {name} | " + " | ".join(cells) + " |")
     print(*table, "Named by a wrong name, or without a fault:", *wrong, sep="\n")
     if options.out is not None:
-        how = f"python benchmarks/implausible_ranges.py --seeds {options.seeds} --data ../shared/data"
+        only = " ".join(f'"{name}"' for name in options.only)
+        how = f"--first {options.first} --seeds {options.seeds} --data DATA --only {only}"
         write_document(options.out, how, table=table, wrong=wrong, missed=missed)
 
 
