@@ -148,6 +148,8 @@ def loads(text: str, base: Configuration | None = None) -> Configuration:
         changes = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"expected TOML: {error}") from None
+    except RecursionError:
+        raise ConfigurationError("expected TOML: values are nested too deeply") from None
     return replace_parameters(base or Configuration(), changes)
 
 
