@@ -19,6 +19,7 @@ import resource
 import shutil
 import signal
 import warnings
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -110,14 +111,15 @@ class Family:
 def run_cases(chosen: Sequence[Family], cases: int, seed: int, folder: Path) -> dict[str, list[tuple[int, Outcome]]]:
     """Run `cases` cases, shared out by weight; the numbers of the cases of each family, and what came of them.
 
-    Case k of family f has the generator `numpy.random.default_rng([seed, f, k])`.
+    Case k of a family has the generator `numpy.random.default_rng([seed, crc32 of the family's name, k])`.
     """
     total = sum(family.weight for family in chosen)
     found: dict[str, list[tuple[int, Outcome]]] = {}
-    for place, family in enumerate(chosen):
+    for family in chosen:
+        name = zlib.crc32(family.name.encode())
         count = max(1, round(cases * family.weight / total))
         found[family.name] = [
-            (number, _run_case(family, np.random.default_rng([seed, place, number]), folder)) for number in range(count)
+            (number, _run_case(family, np.random.default_rng([seed, name, number]), folder)) for number in range(count)
         ]
     return found
 
