@@ -28,7 +28,7 @@ _POSE = re.compile(
 _UNKNOWN = re.compile(r"(^|\.)(odometry|matched_odometry|begin_pose|begin_odometry)$")  # NaN where there is none
 _INFINITE = re.compile(r"(^|\.)(log_\w+|driven_since_found_m)$")
 _POSITIVE = re.compile(
-    r"(^|\.)(\w*variances|\w*_m2|\w*_rad2|steps_m|seconds|n_eff|mass|segments|mean_step|inlier_ratio)$"
+    r"(^|\.)(\w*variances|\w*_m2|\w*_rad2|steps_m|key_seconds|max_s|n_eff|mass|segments|mean_step|inlier_ratio)$"
 )
 _LARGEST = 1e18
 _MOST_PAGES = 1 << 21  # rows and columns of cells are numbers of 32 bits
@@ -113,7 +113,7 @@ def _key_scans(arrays: _Arrays) -> int:
 def _index_ranges(arrays: _Arrays) -> dict[str, _Range]:
     """Ranges of numbers that are counts, or places in other arrays."""
     keys = _key_scans(arrays)
-    scans = arrays.get("state.closure_state.scans.steps_m", np.zeros(0)).size
+    scans = int(arrays.get("state.closure_state.scans.count", np.zeros(1, np.int64)).reshape(-1)[0])
     constraints = arrays.get("state.closure_state.graph.constraints.from", np.zeros(0)).size
     count = _Range(0, 1 << 62)
     key = _Range(0, keys - 1)
@@ -126,7 +126,6 @@ def _index_ranges(arrays: _Arrays) -> dict[str, _Range]:
         "state.tracker.rejected_odometry": count,
         "state.updates": count,
         "trajectory.keys": key,
-        "statistics.is_key": _Range(0, 1),
         "statistics.counts": count,
         f"{closure}.rejected": count,
         f"{closure}.scans.keys": _Range(0, scans - 1),
