@@ -105,7 +105,7 @@ class Family:
     point: int
     prepare: Callable[[Path, np.random.Generator], None]
     read: Callable[[Path], object]
-    weight: int = 1
+    weight: float = 1.0
 
 
 def run_cases(chosen: Sequence[Family], cases: int, seed: int, folder: Path) -> dict[str, list[tuple[int, Outcome]]]:
@@ -323,7 +323,7 @@ def _growth(folder: Path) -> Iterator[Family]:
         _READERS[path.name.rpartition(".")[2]](path)
 
     for bomb in BOMBS:
-        yield Family(f"growth: {bomb.__name__}", 10, partial(prepare, bomb=bomb), read)
+        yield Family(f"growth: {bomb.__name__}", 10, partial(prepare, bomb=bomb), read, 0.2)
 
 
 _READERS: dict[str, Callable[[Path], object]] = {
