@@ -25,8 +25,8 @@ __all__ = [
     "require_memory",
 ]
 
-LARGEST_RATIO = 200
-"""Logs of scans shrink by a factor of 3 to 20, and one of a robot that stands still in front of a wall by 100."""
+LARGEST_RATIO = 100
+"""Logs of scans shrink by a factor of 3 to 20, and one of a single scan, repeated under other stamps, by 50 to 60."""
 
 ALWAYS_ALLOWED_BYTES = 1 << 25
 """32 MiB: a small file may consist of a single scan, repeated."""
