@@ -227,7 +227,7 @@ def test_what_is_refused(call, log, truth, tmp_path, how, problem):
     [
         ("500 0 0 0 0 0 0 1\n", "expected a trajectory of this log, but it lasts from 500.000 to 500.000 s and the"),
         ("1 2 3\n", "line 1"),
-        ("0 0 0 0 0 0 0 1\n1 1e7 1e6 0 0 0 0 1\n", "expected poses whose map has at most 2e+09 cells, got 1000"),
+        ("0 0 0 0 0 0 0 1\n1 1e7 1e6 0 0 0 0 1\n", "expected poses whose map has at most 3e+08 cells, got 1000"),
         ("", "empty"),
     ],
 )
