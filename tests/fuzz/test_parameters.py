@@ -13,7 +13,8 @@ from support.parameter_extremes import cases, numbers, run_cases
 def test_every_number_has_a_least_and_a_greatest_value():
     for number in numbers():
         limits = {key.lower().removeprefix("exclusive") for key, _ in number.schema}
-        assert limits >= {"minimum", "maximum"}, number.name
+        if not number.name.startswith("when_to_update."):  # infinite: a key scan by the other alone
+            assert limits >= {"minimum", "maximum"}, number.name
 
 
 def test_the_extremes_reach_every_part():
