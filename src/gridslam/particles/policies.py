@@ -49,7 +49,7 @@ class EffectiveSampleSizeBelow:
         0.5 is the value of that paper and of GMapping: half the particles carry next to nothing by then.
     """
 
-    fraction: Annotated[float, Field(ge=1e-6, le=1)] = 0.5
+    fraction: Annotated[float, Field(ge=1e-12, le=1)] = 0.5
 
     def __call__(self, effective_sample_size: float, count: int) -> bool:
         """Whether the effective sample size is below `fraction` * `count`."""
