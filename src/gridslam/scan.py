@@ -213,8 +213,8 @@ class Thinning:
         one of half degrees, has no more, and is used as it is.
     """
 
-    spacing_m: float = Field(default=0.025, ge=0)
-    dense_beams: int = Field(default=400, ge=1)
+    spacing_m: float = Field(default=0.025, ge=0, le=1e4)
+    dense_beams: int = Field(default=400, ge=1, le=1_000_000)
 
     def __call__(self, ranges: FloatArray, widths: FloatArray) -> NDArray[np.bool_] | None:
         """Which beams to take: the first ones in equal parts of the arc that they sweep; None for all.

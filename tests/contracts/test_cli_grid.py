@@ -227,7 +227,7 @@ def test_what_is_refused(call, log, truth, tmp_path, how, problem):
     [
         ("500 0 0 0 0 0 0 1\n", "expected a trajectory of this log, but it lasts from 500.000 to 500.000 s and the"),
         ("1 2 3\n", "line 1"),
-        ("0 0 0 0 0 0 0 1\n1 1e7 1e6 0 0 0 0 1\n", "expected poses whose map has at most 2e+09 cells, got 1000"),
+        ("0 0 0 0 0 0 0 1\n1 1e7 1e6 0 0 0 0 1\n", "expected poses whose map has at most 3e+08 cells, got 1000"),
         ("", "empty"),
     ],
 )
@@ -267,3 +267,38 @@ def test_a_real_log_with_jittering_stamps_gets_every_pose(data_dir):
     trajectory = Trajectory(np.array([s for s, _ in driven]), np.array([pose for _, pose in driven]))
     result = map_with_poses(log, trajectory, repair="none")
     np.testing.assert_array_equal(result.trajectory.poses, trajectory.poses)
+
+
+UTM = np.array([450_048.0, 5_411_072.0])  # whole tiles of cells of 5 cm and of 6.25 cm
+
+
+def shifted(trajectory, path, away):
+    write_tum(path, replace(trajectory, poses=trajectory.poses + np.append(away, 0.0)))
+    return path
+
+
+def test_a_trajectory_in_utm_coordinates_gives_the_building_in_utm_coordinates(call, log, truth, tmp_path):
+    """In cells of a power of two a shift by whole cells is exact but for the trajectory's digits: nearly every cell."""
+    far = shifted(read_tum(truth), tmp_path / "utm.tum", UTM)
+    grids = []
+    for name, path in (("near", truth), ("far", far)):
+        status, _, err = call(log, "--trajectory", path, "-o", tmp_path / name, "--resolution", "0.0625")
+        assert (status, err) == (0, "")
+        grids.append(read_map(tmp_path / name / "map.yaml"))
+    near, there = grids
+    assert there.shape == near.shape
+    assert np.subtract(there.origin, near.origin) == pytest.approx(UTM, abs=1e-6)
+    assert np.mean(there.known == near.known) > 0.99
+    assert np.mean((there.log_odds > 0) == (near.log_odds > 0)) > 0.99
+
+
+@pytest.mark.parametrize(
+    ("away", "problem"),
+    [((1.2e8, 0.0), "expected poses within 5.37e+07 m of the origin, for cells of 0.05 m, got 1.2e+08 m")],
+)
+def test_a_trajectory_beyond_any_map_is_refused(call, log, truth, tmp_path, away, problem):
+    far = shifted(read_tum(truth), tmp_path / "far.tum", away)
+    status, _, err = call(log, "--trajectory", far, "-o", tmp_path / "out")
+    assert status == 2
+    assert f"{far}: {problem}" in err
+    assert not (tmp_path / "out" / "map.yaml").exists()

@@ -1,4 +1,4 @@
-"""The kernels touch no memory but their own: their tests once more, under AddressSanitizer."""
+"""The kernels touch no memory but their own: their tests once more, under AddressSanitizer and UBSan."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SCRIPT = Path(__file__).parents[1] / "asan.sh"
     shutil.which("cmake", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}") is None,
     reason="cmake, a tool of the build, is missing",
 )
-def test_kernels_under_address_sanitizer():
+def test_kernels_under_sanitizers():
     done = subprocess.run(
         [str(SCRIPT)], env={**os.environ, "PYTHON": sys.executable}, capture_output=True, text=True, timeout=1200
     )

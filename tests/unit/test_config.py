@@ -28,7 +28,7 @@ def test_preset_survives_toml_exactly(name):
 
 @given(
     st.floats(1e-12, 1e12),
-    st.floats(0, 1, exclude_min=True),
+    st.floats(1e-6, 1),
     st.integers(1, 100_000),
     st.sampled_from(["systematic", "stratified", "residual", "multinomial", "wheel"]),
 )
@@ -150,8 +150,8 @@ def test_parameters_that_belong_together_are_checked_when_all_are_set():
 @pytest.mark.parametrize(
     ("assignment", "message"),
     [
-        ("tracker.insert_m=-1", "tracker.insert_m: expected a number greater than 0, got -1"),
-        ("insert_m=-1", "tracker.insert_m: expected a number greater than 0, got -1"),
+        ("tracker.insert_m=-1", "tracker.insert_m: expected a number greater than or equal to 0.000001, got -1"),
+        ("insert_m=-1", "tracker.insert_m: expected a number greater than or equal to 0.000001, got -1"),
         ("insert_m=far", "tracker.insert_m: expected a valid number, got 'far'"),
         ("insert_m='0.3'", "tracker.insert_m: expected a valid number, got '0.3'"),
         ("insert_m=inf", "tracker.insert_m: expected a valid number, got inf"),

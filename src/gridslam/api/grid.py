@@ -24,6 +24,7 @@ from gridslam.io.maps import write_map
 from gridslam.io.output import OutputFolder
 from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import read_tum
+from gridslam.kernels import FARTHEST
 from gridslam.mapping.beam_counts import BeamCounts, bayes_map, counting_map
 from gridslam.mapping.known_poses import KnownPoses, NoPoseReason
 from gridslam.pipeline import Stopwatch
@@ -34,8 +35,8 @@ if TYPE_CHECKING:
 
 __all__ = ["GridModel", "GridResult", "map_with_poses"]
 
-_MOST_CELLS = 2e9
-"""Ten gigabytes; 2 km x 2 km in cells of 5 cm."""
+_MOST_CELLS = 3e8
+"""1.5 gigabytes, as the map is unfolded; 870 m x 870 m in cells of 5 cm."""
 
 GridModel: TypeAlias = Literal["bayes", "counting"]
 
@@ -189,7 +190,7 @@ def map_with_poses(
     deskew : bool
         Undo the motion during a scan, where its beams have times; False for logs whose times mean nothing, of which
         `map_log` finds out by matching.
-    resolution_m : float, m, (0, 1], optional
+    resolution_m : float, m, [0.01, 1], optional
         Side of a cell; 5 cm, or what suits the laser, if not given.
     laser : str, optional
         What the laser is, a name of `gridslam.config.LASERS`: limits and cells that suit it.
@@ -255,12 +256,19 @@ def map_with_poses(
 
 
 def _check_size(given: Trajectory, path: Path | None, config: Configuration) -> None:
-    """Refuse a trajectory whose map no memory holds: a pose in it is wrong, or cells are too small."""
+    """Refuse a trajectory whose map no memory or index holds: a pose in it is wrong, or cells are too small."""
     cell_m = config.mapper.resolution_m
     sides_m = (np.ptp(given.poses[:, :2], axis=0) if len(given) else np.zeros(2)) + 2 * config.range_max_m
-    if np.prod(sides_m / cell_m) > _MOST_CELLS:
-        expected = f"poses whose map has at most {_MOST_CELLS:.0e} cells"
+    farthest_m = float(np.abs(given.poses[:, :2]).max(initial=0.0))
+    limit_m = FARTHEST * cell_m - 2 * config.range_max_m
+    problem: tuple[str, str] | None = None
+    if not np.prod(sides_m / cell_m) <= _MOST_CELLS:
         got = f"{sides_m[0]:.0f} m x {sides_m[1]:.0f} m in cells of {cell_m:g} m"
+        problem = f"poses whose map has at most {_MOST_CELLS:.0e} cells", got
+    elif not farthest_m <= limit_m:
+        problem = f"poses within {limit_m:.3g} m of the origin, for cells of {cell_m:g} m", f"{farthest_m:g} m"
+    if problem is not None:
+        expected, got = problem
         if path is None:
             raise ArgumentError("trajectory", expected, got)
         raise InputError(path, f"expected {expected}, got {got}")

@@ -7,11 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Final, Literal, final
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.config.tables import nest, read_assignments, replace_parameters, to_table
 from gridslam.errors import ConfigurationError
+from gridslam.grid.tiles import MOST_BEAM_CELLS
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.endpoint import CauchyEndPoint, GMappingEndPoint, LikelihoodField
@@ -75,7 +76,8 @@ class Configuration:
     particles : int, [1, 100000]
         Number of particles; 30 hold the loops of an office floor, and each costs 50 to 100 us a key scan.
     range_min_m, range_max_m : float, m
-        Beams outside are not used (see `GridFastSlam`).
+        Beams outside are not used (see `GridFastSlam`). At most 21,000 cells, 1050 m in cells of 5 cm; but a beam frees
+        1664 cells at most, 83 m, so longer ones call for larger cells.
     thinning : Thinning
         How many beams of a dense scan are used.
     resampler : str
@@ -89,8 +91,8 @@ class Configuration:
     """
 
     particles: int = Field(default=30, ge=1, le=100_000)
-    range_min_m: float = Field(default=0.05, ge=0)
-    range_max_m: float = Field(default=30.0, gt=0)
+    range_min_m: float = Field(default=0.05, ge=0, le=1e4)
+    range_max_m: float = Field(default=30.0, ge=1e-6, le=1e4)
     thinning: Thinning = Thinning()
     resampler: Literal["systematic", "stratified", "residual", "multinomial", "wheel"] = "systematic"
     tracker: Annotated[Tracker | OdometryTracker, Kind()] = Tracker()
@@ -106,6 +108,14 @@ class Configuration:
     reports: ReportBuilder = ReportBuilder()
     loop_closure: Annotated[LoopClosure | None, Kind()] = LoopClosure()
     final_refinement: GlobalScanRefinement = GlobalScanRefinement()
+
+    @model_validator(mode="after")
+    def _fits_cells(self) -> Configuration:
+        cell_m = self.mapper.resolution_m
+        if not self.range_max_m <= MOST_BEAM_CELLS * cell_m:
+            expected = f"at most {MOST_BEAM_CELLS * cell_m:g} m, {MOST_BEAM_CELLS} cells of {cell_m:g} m"
+            raise ValueError(f"range_max_m: expected {expected}, got {self.range_max_m:g}")
+        return self
 
 
 def build(config: Configuration, threads: int = 1) -> GridFastSlam:

@@ -13,14 +13,18 @@ from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
 from gridslam.kernels import UNKNOWN
+from gridslam.kernels.reference_update import cells_within
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["LOG_ODDS_UNIT", "Evidence", "cell_centres", "cell_corner", "cells_of"]
 
 
 def cells_of(points: FloatArray, resolution_m: float) -> IntArray:
-    """Signed cell indices (..., 2) = [row, column] that hold points (..., 2) = [x m, y m]."""
-    return np.floor(points[..., ::-1] * (1.0 / resolution_m)).astype(np.int64)
+    """Signed cell indices (..., 2) = [row, column] that hold points (..., 2) = [x m, y m].
+
+    They are at most 2^30, beyond which nothing is mapped; what is not finite lies there, too.
+    """
+    return cells_within(np.floor(points[..., ::-1] * (1.0 / resolution_m))).astype(np.int64)
 
 
 def cell_centres(cells: NDArray[np.integer], resolution_m: float) -> FloatArray:
@@ -51,8 +55,10 @@ class Evidence:
 
     def __init__(self, hit: float, miss: float, minimum: float, maximum: float, occupied_above: float) -> None:
         steps = tuple(round(v / LOG_ODDS_UNIT) for v in (hit, miss, minimum, maximum, occupied_above))
-        if not (steps[1] < 0 < steps[0] and UNKNOWN < steps[2] < 0 < steps[3] and steps[3] - steps[2] < -UNKNOWN):
+        widest = steps[3] - steps[2] - steps[1]  # what the kernels subtract in 16 bits
+        if not (steps[1] < 0 < steps[0] < -UNKNOWN and steps[2] < 0 < steps[3] and widest < -UNKNOWN):
             got = hit, miss, minimum, maximum
-            raise ArgumentError("Evidence", "miss < 0 < hit and clamps less than 327 nats apart", got)
+            expected = "miss < 0 < hit < 327 nats and clamps that are, with a miss, less than 327 nats apart"
+            raise ArgumentError("Evidence", expected, got)
         self.steps: tuple[int, ...] = steps
         self.occupied_above: int = steps[4]

@@ -11,11 +11,23 @@ from numpy.typing import NDArray
 from gridslam.errors import ArgumentError
 from gridslam.grid.arena import Int32Array, TileArena, renumber
 from gridslam.grid.cells import LOG_ODDS_UNIT, Evidence, cell_corner, cells_of
-from gridslam.kernels import PAGE, TILE, UNKNOWN, backend
+from gridslam.kernels import FARTHEST, PAGE, TILE, UNKNOWN, backend
 from gridslam.kernels.reference_update import cell_addresses
 from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid, Rows
 
-__all__ = ["TileMaps", "TiledGrid"]
+__all__ = ["MOST_BEAM_CELLS", "MOST_CELLS", "MOST_TILES", "TileMaps", "TiledGrid"]
+
+MOST_CELLS = 2**31
+"""Cells of the rectangle that all maps of a table may span, 2.3 km x 2.3 km in cells of 5 cm: an image of 2.1 GB."""
+
+MOST_BEAM_CELLS = 21_000
+"""Cells from the robot to the end of a beam, 1050 m in cells of 5 cm: with them all around, a scan spans 2^31 cells."""
+
+MOST_TILES = 500_000
+"""Tiles of all maps together where nothing else is asked for: 1.5 GB."""
+
+_PAGE_CELLS = PAGE * TILE
+_MOST_ENTRIES = 2**24  # of the tables of all maps together: 67 MB
 
 
 @final
@@ -35,28 +47,31 @@ class TiledGrid:
         World coordinates of the lower left corner of cell [0, 0].
     """
 
-    __slots__ = ("_corner", "_maps", "origin", "resolution_m", "shape")
+    __slots__ = ("_corner", "_is_empty", "_maps", "origin", "resolution_m", "shape")
 
     def __init__(self, maps: TileMaps, row: int) -> None:
         """Take map `row` as it is now."""
         self._maps = maps.snapshot(np.array([row]))
         ids, (tile_row, tile_column) = maps.tile_ids(row)
+        self._is_empty = not ids.any()
         self._corner = tile_row * TILE, tile_column * TILE
-        self.shape = (len(ids) * TILE, ids.shape[1] * TILE) if ids.any() else (1, 1)
+        self.shape = (1, 1) if self._is_empty else (len(ids) * TILE, ids.shape[1] * TILE)
         self.resolution_m = maps.resolution_m
         self.origin = cell_corner(*self._corner, maps.resolution_m)
 
     def rows(self, first: int, last: int) -> OccupancyGrid:
         """Unfold rows `first` to `last` - 1."""
-        ids = self._maps.tile_ids(0)[0][first // TILE : -(-last // TILE)]
-        log_odds = np.empty((len(ids) * TILE, ids.shape[1] * TILE), np.float32)
-        known = np.empty(log_odds.shape, np.bool_)
+        ids = np.zeros((1, 1), np.int32) if self._is_empty else self._tile_ids(first // TILE, -(-last // TILE))
+        log_odds = np.zeros((len(ids) * TILE, ids.shape[1] * TILE), np.float32)
+        known = np.zeros(log_odds.shape, np.bool_)
         for tile_row, strip_ids in enumerate(ids):
+            if not strip_ids.any():
+                continue
             strip = slice(tile_row * TILE, (tile_row + 1) * TILE)
             cells = self._maps.tiles(strip_ids).swapaxes(0, 1).reshape(TILE, -1)
             np.not_equal(cells, UNKNOWN, out=known[strip])
             log_odds[strip] = np.where(known[strip], cells, 0)
-        log_odds *= LOG_ODDS_UNIT
+            log_odds[strip] *= LOG_ODDS_UNIT
         row, column = self._corner
         part = slice(first % TILE, first % TILE + last - first), slice(self.shape[1])
         corner = cell_corner(row + first, column, self.resolution_m)
@@ -65,6 +80,11 @@ class TiledGrid:
     def whole(self) -> OccupancyGrid:
         """Unfold all of it."""
         return self.rows(0, self.shape[0])
+
+    def _tile_ids(self, first: int, last: int) -> Int32Array:
+        """Ids (last - first, C) of rows of tiles `first` to `last` - 1."""
+        row, column = (cell // TILE for cell in self._corner)
+        return self._maps.tile_ids_within(0, (row + first, row + last), (column, column + self.shape[1] // TILE))
 
 
 @final
@@ -83,12 +103,39 @@ class TileMaps:
         The inverse measurement model in log-odds.
     threads : int
         Threads of the kernels; never changes a result.
+    most_tiles : int
+        Tiles, of 3 KB each, beyond which all maps over the arena together do not grow, but for those about the ends of
+        the last scan.
+
+    Raises
+    ------
+    ArgumentError
+        An argument is out of range. From `update`, before anything is written: a pose is not finite or more than 2^30
+        cells from the world's origin, a beam ends more than `MOST_BEAM_CELLS` from the robot, the maps would span more
+        than `MOST_CELLS`, or need more tiles than there may be.
     """
 
-    __slots__ = ("_arena", "_cone", "_first", "_roots", "evidence", "reach_cells", "resolution_m", "threads")
+    __slots__ = (
+        "_arena",
+        "_cone",
+        "_first",
+        "_roots",
+        "evidence",
+        "most_tiles",
+        "reach_cells",
+        "resolution_m",
+        "threads",
+    )
 
     def __init__(
-        self, rows: int, *, resolution_m: float, reach_cells: float, evidence: Evidence, threads: int = 1
+        self,
+        rows: int,
+        *,
+        resolution_m: float,
+        reach_cells: float,
+        evidence: Evidence,
+        threads: int = 1,
+        most_tiles: int = MOST_TILES,
     ) -> None:
         if rows < 1:
             raise ArgumentError("rows", "at least one map", rows)
@@ -100,6 +147,7 @@ class TileMaps:
         self.reach_cells = reach_cells
         self.evidence = evidence
         self.threads = threads
+        self.most_tiles = most_tiles
         self._arena = TileArena()
         self._roots: Int32Array = np.zeros((rows, 1, 1), np.int32)
         self._first = (0, 0)
@@ -171,17 +219,19 @@ class TileMaps:
     def update(self, rows: Int32Array, poses: FloatArray, beams: BeamEnds) -> None:
         """Insert a scan into maps `rows` (K,) int32, each at most once, at poses (K, 3): the binary Bayes filter.
 
-        The cell at a beam's end is hit once for each beam, the cells before it are missed once for each; a cell in
-        which some beam of the scan ends is not missed by it. The distance field follows.
+        The cell at a beam's end is hit once for each beam, the cells before it are missed once for each, the first 1664
+        of them (`gridslam.kernels.FREE_CELLS`); a cell in which some beam of the scan ends is not missed by it. The
+        distance field follows. What is raised, and when: see the class.
 
         Source: Probabilistic Robotics, Table 9.1.
         """
         if not len(beams):
             return
         self._cover(poses, beams)
-        self._make_writable(
-            backend.tiles_on_rays(rows, poses, beams.ends, beams.origin, self.resolution_m, self.threads)
-        )
+        crossed = backend.tiles_on_rays(rows, poses, beams.ends, beams.origin, self.resolution_m, self.threads)
+        if len(crossed) + self.tiles_used > self.most_tiles:
+            self._require_room(crossed)
+        self._make_writable(crossed)
         changed = backend.update_log_odds(
             *self._view, rows, poses, beams.ends, beams.origin, self.resolution_m, *self.evidence.steps, self.threads
         )
@@ -237,14 +287,23 @@ class TileMaps:
         """The map as such a rectangle, unfolded; a single unknown cell if no tile holds anything."""
         return self.tiled(row).whole()
 
-    def field(self, row: int) -> tuple[NDArray[np.uint8], tuple[int, int]]:
+    def field(self, row: int, most_cells: int = 2**13) -> tuple[NDArray[np.uint8], tuple[int, int]]:
         """The distance field (H, W) uint8 as such a rectangle, and the cell (row, column) that is its corner.
 
-        255 at an occupied cell, falling with the distance to 0 at the field's reach.
+        255 at an occupied cell, falling with the distance to 0 at the field's reach. A rectangle of more cells than a
+        square of `most_cells` a side, 410 m in cells of 5 cm, is cut to such a square, about the median of the tiles
+        that hold something.
         """
         ids, (tile_row, tile_column) = self.tile_ids(row)
         if not ids.any():
             return np.zeros((1, 1), np.uint8), (0, 0)
+        side = most_cells // TILE
+        if ids.size > side**2:
+            middle = np.median(np.argwhere(ids), axis=0).astype(np.int64)
+            top, left = np.clip(middle - side // 2, 0, np.maximum(np.array(ids.shape) - side, 0)).tolist()
+            ids = ids[top : top + side, left : left + side]
+            tile_row += top
+            tile_column += left
         blocks = self._arena.field[ids]
         return blocks.swapaxes(1, 2).reshape(len(blocks) * TILE, -1), (tile_row * TILE, tile_column * TILE)
 
@@ -262,6 +321,19 @@ class TileMaps:
             return np.zeros((1, 1), np.int32), (0, 0)
         corner = self._first[0] * PAGE + int(rows[0]), self._first[1] * PAGE + int(columns[0])
         return ids[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], corner
+
+    def tile_ids_within(self, row: int, rows: tuple[int, int], columns: tuple[int, int]) -> Int32Array:
+        """Ids (R, C) of the tiles of one map in `rows` and `columns` (from, to) of tiles, all within the table."""
+        page_row = rows[0] // PAGE
+        page_column = columns[0] // PAGE
+        table_rows = slice(page_row - self._first[0], -(-rows[1] // PAGE) - self._first[0])
+        table_columns = slice(page_column - self._first[1], -(-columns[1] // PAGE) - self._first[1])
+        pages = self._arena.pages[self._roots[row, table_rows, table_columns]]  # (P, Q, PAGE, PAGE)
+        ids = pages.swapaxes(1, 2).reshape(len(pages) * PAGE, pages.shape[1] * PAGE)
+        return ids[
+            rows[0] - PAGE * page_row : rows[1] - PAGE * page_row,
+            columns[0] - PAGE * page_column : columns[1] - PAGE * page_column,
+        ]
 
     def tiles(self, ids: Int32Array) -> NDArray[np.int16]:
         """Copies (K, 32, 32) of tiles by id (K,): log-odds in units of `LOG_ODDS_UNIT`; `UNKNOWN` where nothing is."""
@@ -297,13 +369,15 @@ class TileMaps:
         reach_cells: float,
         evidence: Evidence,
         threads: int = 1,
+        most_tiles: int = MOST_TILES,
     ) -> TileMaps:
         """Maps from the arrays of `to_arrays`, over an arena of their own; they go on bit for bit as the others would.
 
         Raises
         ------
         ArgumentError
-            An array is missing, has a wrong dtype or shape, or holds an id that is unknown or never used.
+            An array is missing, has a wrong dtype or shape, holds an id that is unknown or never used, or a map lies
+            farther from the world's origin than any can.
         """
         names = ("roots", "pages", "log_odds", "field")
         missing = {*names, "first"} - set(arrays)
@@ -312,12 +386,43 @@ class TileMaps:
         first = np.asarray(arrays["first"])
         if first.shape != (2,) or first.dtype.kind != "i":
             raise ArgumentError("first", "two integers", f"{first.dtype} of shape {first.shape}")
-        arena = TileArena.from_arrays(*(np.asarray(arrays[name]) for name in names))
-        maps = cls(1, resolution_m=resolution_m, reach_cells=reach_cells, evidence=evidence, threads=threads)
+        roots, pages, log_odds, field = (np.asarray(arrays[name]) for name in names)
+        arena = TileArena.from_arrays(roots, pages, log_odds, field)
+        corners = [int(first[0]), int(first[1])]
+        ends = [corner + side for corner, side in zip(corners, roots.shape[1:], strict=True)]
+        farthest = FARTHEST // _PAGE_CELLS
+        if min(corners) < -farthest or max(ends) > farthest:
+            raise ArgumentError("first", f"a table within {farthest} pages of the world's origin", corners)
+        maps = cls(
+            1,
+            resolution_m=resolution_m,
+            reach_cells=reach_cells,
+            evidence=evidence,
+            threads=threads,
+            most_tiles=most_tiles,
+        )
         maps._arena = arena
-        maps._roots = arrays["roots"].copy()
-        maps._first = (int(first[0]), int(first[1]))
+        maps._roots = roots.copy()
+        maps._first = (corners[0], corners[1])
         return maps
+
+    def _require_room(self, tiles_to_write: Int32Array) -> None:
+        """Raise ArgumentError where making tiles (N, 3) = [row, tile y, tile x] writable takes more than there may be.
+
+        Those count that are empty, or that another map uses, too.
+        """
+        arena = self._arena
+        row, y, x = tiles_to_write.T
+        page = self._roots[row, y // PAGE - self._first[0], x // PAGE - self._first[1]]
+        tile = arena.pages[page, y % PAGE, x % PAGE]
+        is_new = (tile == 0) | (arena.tile_refs[tile] > 1) | (arena.page_refs[page] > 1)
+        needed = self.tiles_used + int(np.count_nonzero(is_new))
+        if needed > self.most_tiles:
+            size = f"{self.most_tiles} tiles, {3e-9 * self.most_tiles * TILE * TILE:.2g} GB"
+            expected = (
+                f"at most {size} for all particles (mapper.max_tiles; larger cells and fewer particles need less)"
+            )
+            raise ArgumentError("maps", expected, needed)
 
     def _make_writable(self, tiles_to_write: Int32Array) -> None:
         arena = self._arena
@@ -332,16 +437,44 @@ class TileMaps:
             arena.grow()
 
     def _cover(self, poses: FloatArray, beams: BeamEnds) -> None:
-        """Grow the tables until every cell that the scan can write lies inside."""
-        reach_m = beams.reach_m + 2 * self.reach_m
-        page_m = self.resolution_m * TILE * PAGE
+        """Lay out the tables so that every cell that the scan can write lies inside; ArgumentError where none can."""
+        reach_m = beams.reach_m
+        if not reach_m <= MOST_BEAM_CELLS * self.resolution_m:
+            limit = f"ends within {MOST_BEAM_CELLS * self.resolution_m:g} m, {MOST_BEAM_CELLS} cells, of the robot"
+            raise ArgumentError("beams", limit, f"{reach_m:g} m")
+        reach_m += 2 * self.reach_m
         places = poses[:, 1::-1]  # [y, x]
-        low = np.floor((places.min(axis=0) - reach_m) / page_m).astype(np.int64)
-        high = np.floor((places.max(axis=0) + reach_m) / page_m).astype(np.int64) + 1
+        low_m = places.min(axis=0) - reach_m
+        high_m = places.max(axis=0) + reach_m
+        limit_m = FARTHEST * self.resolution_m
+        if not (low_m.min() >= -limit_m and high_m.max() <= limit_m and np.isfinite(poses[:, 2]).all()):
+            expected = f"finite poses within {limit_m:.3g} m of the world's origin"
+            raise ArgumentError("poses", expected, f"{poses[np.abs(poses).max(axis=1).argmax()].tolist()}")
+        page_m = self.resolution_m * _PAGE_CELLS
+        low = np.floor(low_m / page_m).astype(np.int64)
+        high = np.floor(high_m / page_m).astype(np.int64) + 1
         begin = np.array(self._first)
-        end = begin + self._roots.shape[1:]
-        margins = np.stack([begin - np.minimum(begin, low), np.maximum(end, high) - end], axis=1)
-        if margins.any():
-            self._roots = np.pad(self._roots, [(0, 0), *margins.tolist()])
-            row, column = (begin - margins[:, 0]).tolist()
-            self._first = row, column
+        if (low < begin).any() or (high > begin + self._roots.shape[1:]).any():
+            self._extend(low, high)
+
+    def _extend(self, low: IntArray, high: IntArray) -> None:
+        """Lay out the tables again, over the pages in use and those from `low` (2,) to `high` - 1, [row, column]."""
+        begin = np.array(self._first)
+        used = np.argwhere(self._roots.any(axis=0))
+        if len(used):
+            low = np.minimum(low, begin + used.min(axis=0))
+            high = np.maximum(high, begin + used.max(axis=0) + 1)
+        rows, columns = (high - low).tolist()
+        most = min(MOST_CELLS, _MOST_ENTRIES // len(self._roots) * _PAGE_CELLS**2)
+        if rows * columns * _PAGE_CELLS**2 > most:
+            page_m = self.resolution_m * _PAGE_CELLS
+            got = f"{columns * page_m:.0f} m x {rows * page_m:.0f} m in cells of {self.resolution_m:g} m"
+            raise ArgumentError("poses", f"places whose maps span at most {most:.1e} cells", got)
+        roots = np.zeros((len(self._roots), rows, columns), np.int32)
+        if len(used):
+            (top, left), (bottom, right) = used.min(axis=0).tolist(), (used.max(axis=0) + 1).tolist()
+            y, x = (begin - low).tolist()
+            roots[:, y + top : y + bottom, x + left : x + right] = self._roots[:, top:bottom, left:right]
+        row, column = low.tolist()
+        self._roots = roots
+        self._first = row, column

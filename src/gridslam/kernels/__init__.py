@@ -11,9 +11,9 @@ import os
 import warnings
 from typing import Any
 
-from gridslam.kernels.reference_update import PAGE, TILE, UNKNOWN
+from gridslam.kernels.reference_update import FARTHEST, FREE_CELLS, PAGE, TILE, UNKNOWN
 
-__all__ = ["PAGE", "TILE", "UNKNOWN", "backend", "compiled"]
+__all__ = ["FARTHEST", "FREE_CELLS", "PAGE", "TILE", "UNKNOWN", "backend", "compiled"]
 
 
 def _load() -> tuple[Any, bool]:

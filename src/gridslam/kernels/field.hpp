@@ -31,9 +31,14 @@ struct Ends {
   std::vector<float> x, y;
   Ends(const double* ends, int b, double scale)
       : n(b), blocks((b + kLanes - 1) / kLanes), x(blocks * kLanes, 0.0f), y(x) {
-    for (int j = 0; j < b; ++j)
-      x[j] = static_cast<float>(ends[2 * j] * scale), y[j] = static_cast<float>(ends[2 * j + 1] * scale);
+    for (int j = 0; j < b; ++j) {
+      x[j] = static_cast<float>(bounded(ends[2 * j] * scale, kMost));
+      y[j] = static_cast<float>(bounded(ends[2 * j + 1] * scale, kMost));
+    }
   }
+
+ private:
+  static constexpr double kMost = kFarthest / 4;  // seen from any pose, the sum fits an integer
 };
 
 // Bilinear interpolation between the centres of cells, at the ends seen from one pose. The pose's whole cells are kept
@@ -45,13 +50,14 @@ struct Block {
 };
 
 struct CellPose {
-  int x, y;
-  float fx, fy, c, s;
-  CellPose(double px, double py, double theta)
-      // clang-format off
-      : x(static_cast<int>(std::floor(px))), y(static_cast<int>(std::floor(py))), fx(static_cast<float>(px - x - 0.5)),
-        fy(static_cast<float>(py - y - 0.5)), c(static_cast<float>(std::cos(theta))), s(static_cast<float>(std::sin(theta))) {}
-  // clang-format on
+  int x = kFarthest, y = kFarthest;  // where nothing is mapped: what a pose beyond, or one of NaN, sees
+  float fx = 0, fy = 0, c = 1, s = 0;
+  CellPose(double px, double py, double theta) {
+    if (!(std::abs(px) <= kFarthest && std::abs(py) <= kFarthest && std::isfinite(theta))) return;
+    x = static_cast<int>(std::floor(px)), y = static_cast<int>(std::floor(py));
+    fx = static_cast<float>(px - x - 0.5), fy = static_cast<float>(py - y - 0.5);
+    c = static_cast<float>(std::cos(theta)), s = static_cast<float>(std::sin(theta));
+  }
 };
 
 GRIDSLAM_INLINE void interpolate(const Maps& m, const int32_t* root, const CellPose& pose, const Ends& ends, int block,

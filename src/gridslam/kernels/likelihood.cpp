@@ -18,8 +18,8 @@ GRIDSLAM_VERSIONS double sum_at(const uint32_t* patches, int rows, int cols, flo
     float a[kLanes], b[kLanes];
     uint32_t patch[kLanes];
     for (int l = 0; l < kLanes; ++l) {
-      const float u = std::min(std::max(x + (c * ex[l] - s * ey[l]), 0.0f), last_x);
-      const float v = std::min(std::max(y + (s * ex[l] + c * ey[l]), 0.0f), last_y);
+      const float u = std::min(std::max(0.0f, x + (c * ex[l] - s * ey[l])), last_x);  // a NaN becomes 0
+      const float v = std::min(std::max(0.0f, y + (s * ex[l] + c * ey[l])), last_y);
       const int iu = static_cast<int>(u), iv = static_cast<int>(v);
       a[l] = u - static_cast<float>(iu), b[l] = v - static_cast<float>(iv);
       at[l] = iv * cols + iu;

@@ -26,6 +26,8 @@ namespace {
 float cast(const Maps& m, const int32_t* root, double x, double y, double dx, double dy, double resolution,
            double max_m) {
   const double far = std::numeric_limits<double>::infinity(), scale = 1.0 / resolution;
+  if (!(std::abs(x * scale) <= kFarthest && std::abs(y * scale) <= kFarthest && std::isfinite(dx) && std::isfinite(dy)))
+    return static_cast<float>(max_m);  // nothing is mapped there
   int cx = cell_of(x, scale), cy = cell_of(y, scale);
   const int sx = dx > 0 ? 1 : -1, sy = dy > 0 ? 1 : -1;
   const double step_x = dx != 0 ? resolution / std::abs(dx) : far, step_y = dy != 0 ? resolution / std::abs(dy) : far;

@@ -41,6 +41,8 @@ constexpr int kPageMask = kPage - 1;
 constexpr int kPageTiles = kPage * kPage;
 constexpr int16_t kUnknown = std::numeric_limits<int16_t>::min();
 constexpr uint8_t kOccupiedField = 255;
+constexpr int kFarthest = 1 << 30;  // cells from the world's origin: nothing is mapped beyond, and indices fit 32 bits
+constexpr int kFreeCells = 1664;    // that a beam frees, from the laser on: 83.2 m in cells of 5 cm
 
 struct Maps {
   int32_t* roots;  // (rows, page_rows, page_cols)
@@ -83,8 +85,14 @@ struct Pose {
   double world_y(const double* q) const { return y + s * q[0] + c * q[1]; }
 };
 
-inline int cell_of(double world, double inverse_resolution) {
-  return static_cast<int>(std::floor(world * inverse_resolution));
+// A number of cells within `most`, as a value that an integer holds; what is no number lies at the lower end.
+template <class Float>
+GRIDSLAM_INLINE Float bounded(Float cells, Float most) {
+  return std::min(std::max(-most, cells), most);  // in this order a NaN is left out
+}
+
+GRIDSLAM_INLINE int cell_of(double world, double inverse_resolution) {
+  return static_cast<int>(bounded(std::floor(world * inverse_resolution), static_cast<double>(kFarthest)));
 }
 
 // Runs body(i) for i in [0, n). Each i writes only what belongs to it, so the number of threads cannot change a result.
@@ -125,6 +133,7 @@ struct Line {
     slope = (static_cast<uint64_t>(std::abs(minor)) << 32) / static_cast<uint64_t>(n);
     start += minor >= 0 ? static_cast<uint64_t>(n) : ~0ull;
   }
+  int freed() const { return std::min(n, kFreeCells); }  // cells 0 to freed() - 1 are passed
   int major(int i) const { return (along_x ? x0 : y0) + i * major_step; }
   int minor(int i) const {
     return (along_x ? y0 : x0) + static_cast<int>((start + static_cast<uint64_t>(i) * slope) >> 32) * minor_step;

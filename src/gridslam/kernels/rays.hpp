@@ -38,7 +38,7 @@ struct Fan {
   }
   Line line(size_t j) const { return Line(x, y, xs[j], ys[j]); }
 
-  // The tiles that the lines cross, their ends' among them.
+  // The tiles that the lines cross where they free cells, and those of their ends.
   TileSet tiles() const {
     int x_min = x, x_max = x, y_min = y, y_max = y;
     for (size_t j = 0; j < xs.size(); ++j) {
@@ -53,9 +53,14 @@ struct Fan {
  private:
   static void cells_of(const Pose& pose, const double* ends, int b, double scale, int* xs, int* ys);
   static void mark(const Line& line, TileSet& set) {
-    for (int i = 0; i <= line.n;) {
+    const int most = line.n <= kFreeCells ? line.n : kFreeCells - 1;
+    if (most < line.n) {
+      const int end = line.major(line.n) >> kTileBits, aside = line.minor(line.n) >> kTileBits;
+      line.along_x ? set.mark(aside, end) : set.mark(end, aside);
+    }
+    for (int i = 0; i <= most;) {
       const int major = line.major(i), inside = major & kTileMask, tile = major >> kTileBits;
-      const int last = std::min(line.n, i + (line.major_step > 0 ? kTileMask - inside : inside));
+      const int last = std::min(most, i + (line.major_step > 0 ? kTileMask - inside : inside));
       for (const int end :
            {i, last}) {  // the minor axis is monotone, and within a tile's width it crosses one border at most
         const int aside = line.minor(end) >> kTileBits;

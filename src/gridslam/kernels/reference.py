@@ -28,12 +28,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.kernels.reference_update import (
+    FARTHEST,
     OCCUPIED,
     UNKNOWN,
     FloatArray,
     Int32Array,
     IntArray,
     cell_addresses,
+    cells_within,
     make_tiles_writable,
     tiles_near_cells,
     tiles_on_rays,
@@ -86,6 +88,8 @@ class _Field(NamedTuple):
 
     def sample(self, u: FloatArray, v: FloatArray) -> tuple[FloatMap, FloatMap, FloatMap]:
         """Bilinear value and derivatives (K, B) along x and y per cell, at points u, v (K, B) in cells."""
+        u = cells_within(u)
+        v = cells_within(v)
         fu = np.floor(u - 0.5)
         fv = np.floor(v - 0.5)
         x = fu.astype(np.int64)
@@ -150,13 +154,15 @@ def cast_rays(
     place = np.concatenate(transform_to_world(poses, origin[None]), axis=1)[:, None]
     turned = np.stack(transform_to_world(poses * [0, 0, 1], directions), axis=-1)
     lookup = _Field(roots, first, pages, field, rows)
+    near: NDArray[np.bool_] = np.all(np.abs(place[:, 0]) <= FARTHEST * resolution, axis=-1)
+    place = np.where(near[:, None, None], place, 0.0)
     cell = np.broadcast_to(np.floor(place * (1.0 / resolution)), turned.shape).astype(np.int64)
     forward = np.where(turned > 0, 1, -1)
     with np.errstate(divide="ignore", invalid="ignore"):
         stride = np.where(turned != 0, resolution / np.abs(turned), np.inf)
         border = np.where(turned != 0, ((cell + (forward > 0)) * resolution - place) / turned, np.inf)
     ranges = np.full(turned.shape[:2], max_m)
-    k, b = np.nonzero(ranges > 0)
+    k, b = np.nonzero((ranges > 0) & near[:, None])
     while len(k):
         here = cell[k, b]
         met = lookup._replace(rows=rows[k]).at(here[:, None, 1], here[:, None, 0])[:, 0] == OCCUPIED
@@ -218,7 +224,7 @@ def match(
     prior = priors * unit[:, None] * unit / resolution**2
     guess = guesses / unit
     pose = guess.copy()
-    going = np.arange(len(guesses))
+    going = np.flatnonzero(np.isfinite(guesses).all(axis=1))
     settings = ends / resolution, _walls(ends * (1 / resolution), point_to_line), cauchy_cells, reach_cells
     for _ in range(max_iterations):
         lookup = _Field(roots, first, pages, field, rows[going])
@@ -233,7 +239,8 @@ def match(
         going = going[(length >= stop_cells) | (np.abs(step[:, 2]) >= stop_rad)]
         if not len(going):
             break
-    h, _, score = _linearize(_Field(roots, first, pages, field, rows), log_odds, pose, *settings)
+    seen_from = np.where(np.isfinite(pose).all(axis=1, keepdims=True), pose, [FARTHEST, FARTHEST, 0.0])
+    h, _, score = _linearize(_Field(roots, first, pages, field, rows), log_odds, seen_from, *settings)
     pose[:, 2] -= 2 * np.pi * np.floor((pose[:, 2] + np.pi) / (2 * np.pi))
     return pose * unit, h * resolution**2 / (unit[:, None] * unit), score
 
@@ -258,7 +265,8 @@ def _linearize(
     normals = walls @ np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
     slope = (gradient * normals).sum(axis=-1, keepdims=True)
     beyond = (normals**2).sum(axis=-1) * (gradient**2).sum(axis=-1) > _BEYOND * slope[..., 0] ** 2
-    beyond &= log_odds.reshape(-1)[lookup.cell_addresses(*np.floor([v, u]).astype(np.int64))] == UNKNOWN
+    cells = np.floor(cells_within(np.array([v, u]))).astype(np.int64)
+    beyond &= log_odds.reshape(-1)[lookup.cell_addresses(*cells)] == UNKNOWN
     constraining = np.where((normals**2).sum(axis=-1, keepdims=True) > 0, slope * normals, gradient)
     ju, jv = np.moveaxis(np.where(beyond[..., None], 0.0, constraining), -1, 0)
     jacobian = np.stack([ju, jv, jv * (u - poses[:, :1]) - ju * (v - poses[:, 1:2])], axis=-1)

@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "FARTHEST",
+    "FREE_CELLS",
     "OCCUPIED",
     "PAGE",
     "TILE",
     "UNKNOWN",
     "cell_addresses",
+    "cells_within",
     "make_tiles_writable",
     "ray_cells",
     "tiles_near_cells",
@@ -34,6 +37,12 @@ UNKNOWN = -(2**15)
 OCCUPIED = 255
 """Value of the distance field at an occupied cell."""
 
+FARTHEST = 2**30
+"""Cells from the world's origin beyond which nothing is mapped, so that indices fit 32 bits."""
+
+FREE_CELLS = 1664
+"""Cells of a beam, from the laser on, that it frees at most: 83.2 m in cells of 5 cm. Its end counts at any range."""
+
 FloatArray = NDArray[np.float64]
 Int32Array = NDArray[np.int32]
 IntArray = NDArray[np.int64]
@@ -49,18 +58,25 @@ def transform_to_world(poses: FloatArray, points: FloatArray) -> tuple[FloatArra
 
     Sine and cosine are the C library's, as in the kernels: NumPy's differ in the last bit, and so would a cell.
     """
-    c = np.array([math.cos(theta) for theta in poses[:, 2]])[:, None]
-    s = np.array([math.sin(theta) for theta in poses[:, 2]])[:, None]
+    headings = np.where(np.isfinite(poses[:, 2]), poses[:, 2], np.nan).tolist()  # of an infinite one, math raises
+    c = np.array([math.cos(theta) for theta in headings])[:, None]
+    s = np.array([math.sin(theta) for theta in headings])[:, None]
     px = points[:, 0]
     py = points[:, 1]
     return poses[:, :1] + c * px - s * py, poses[:, 1:2] + s * px + c * py
+
+
+def cells_within(cells: FloatArray, most: float = FARTHEST) -> FloatArray:
+    """Numbers of cells within `most` of 0, so that an integer holds them; a NaN becomes the least."""
+    found: FloatArray = np.fmin(np.fmax(cells, -most), most)
+    return found
 
 
 def _cells(poses: FloatArray, points: FloatArray, resolution: float) -> IntArray:
     """Cells (K, B, 2) = [y, x] that hold points (B, 2) of the base frame."""
     x, y = transform_to_world(poses, points)
     scale = 1.0 / resolution
-    return np.stack([np.floor(y * scale), np.floor(x * scale)], axis=-1).astype(np.int64)
+    return cells_within(np.stack([np.floor(y * scale), np.floor(x * scale)], axis=-1)).astype(np.int64)
 
 
 def cell_addresses(
@@ -89,14 +105,17 @@ def cell_addresses(
 def ray_cells(start: IntArray, ends: IntArray) -> IntArray:
     """Cells (N, 2) of the 8-connected lines from the cell `start` (2,) to just before each of `ends` (B, 2).
 
+    Of a line longer than `FREE_CELLS` the first of them alone.
+
     Cell i of n = max(abs(d)) lies at start + floor((2 i d + n) / (2 n)): the line's cell nearest to its ideal.
 
     Source: Bresenham, Algorithm for computer control of a digital plotter (1965).
     """
     difference = ends - start
-    steps = np.abs(difference).max(axis=1)
+    lengths = np.abs(difference).max(axis=1)
+    steps = np.minimum(lengths, FREE_CELLS)
     i = np.arange(steps.sum()) - np.repeat(np.cumsum(steps) - steps, steps)
-    n = np.repeat(steps, steps)[:, None]
+    n = np.repeat(lengths, steps)[:, None]
     cells: IntArray = start + (2 * i[:, None] * np.repeat(difference, steps, axis=0) + n) // (2 * n)
     return cells
 
@@ -104,7 +123,9 @@ def ray_cells(start: IntArray, ends: IntArray) -> IntArray:
 def tiles_on_rays(
     rows: Int32Array, poses: FloatArray, ends: FloatArray, origin: FloatArray, resolution: float, threads: int
 ) -> Int32Array:
-    """Tiles that the rays from `origin` (2,) to `ends` (B, 2) cross, seen from poses (K, 3).
+    """Tiles that the rays from `origin` (2,) to `ends` (B, 2) cross where they free cells, and those of the ends.
+
+    They are seen from poses (K, 3).
 
     Returns
     -------
@@ -228,8 +249,9 @@ def update_log_odds(
 ) -> Int32Array:
     """Binary Bayes filter along the rays of a scan, in place, in maps that own all touched tiles.
 
-    Each ray adds `miss` < 0 to the cells before its end, down to `min`, and `hit` > 0 to the cell at its end, up to
-    `max`; a cell in which any ray of the scan ends is missed by none of them. An unknown cell starts from 0.
+    Each ray adds `miss` < 0 to the cells before its end, `FREE_CELLS` of them at most, down to `min`, and `hit` > 0 to
+    the cell at its end, up to `max`; a cell in which any ray of the scan ends is missed by none of them. An unknown
+    cell starts from 0.
 
     Returns
     -------

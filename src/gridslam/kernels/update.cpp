@@ -20,7 +20,8 @@ template <class Count>
 inline uint16_t free_tile(int16_t* cells, const Count* passes, int stride, const Evidence& e) {
   const int16_t least = static_cast<int16_t>(e.min), occupied = static_cast<int16_t>(e.occupied_above),
                 miss = static_cast<int16_t>(-e.miss);
-  const int16_t enough = static_cast<int16_t>((e.max - e.min) / miss + 1);  // passes that free any cell
+  constexpr int kGreatest = std::min<int64_t>(std::numeric_limits<Count>::max(), std::numeric_limits<int>::max());
+  const Count most = static_cast<Count>(std::min((e.max - e.min) / miss + 1, kGreatest));  // passes that free any cell
   int16_t left[kTile] = {};
   for (int y = 0; y < kTile; ++y, cells += kTile, passes += stride) {
     uint64_t words[kTile * sizeof(Count) / sizeof(uint64_t)], any = 0;
@@ -29,7 +30,7 @@ inline uint16_t free_tile(int16_t* cells, const Count* passes, int stride, const
     if (any == 0) continue;
     const int16_t pair = static_cast<int16_t>(1 << (y >> 1));
     for (int i = 0; i < kTile; ++i) {
-      const int16_t count = std::min(static_cast<int16_t>(passes[i]), enough);
+      const int16_t count = static_cast<int16_t>(std::min(passes[i], most));
       const int16_t before = cells[i] == kUnknown ? int16_t{0} : cells[i];
       const int16_t above = static_cast<int16_t>(before - least), loss = static_cast<int16_t>(count * miss);
       const int16_t after =
@@ -48,6 +49,9 @@ GRIDSLAM_VERSIONS uint16_t free_tile(int16_t* cells, const uint8_t* passes, int 
 }
 GRIDSLAM_VERSIONS uint16_t free_tile(int16_t* cells, const uint16_t* passes, int stride, const Evidence& e) {
   return free_tile<uint16_t>(cells, passes, stride, e);
+}
+GRIDSLAM_VERSIONS uint16_t free_tile(int16_t* cells, const uint32_t* passes, int stride, const Evidence& e) {
+  return free_tile<uint32_t>(cells, passes, stride, e);
 }
 
 // A bit for each of the 32 cells of a tile's row that equals `wanted` and is not 0.
@@ -76,29 +80,38 @@ inline uint32_t occupied_bits(const uint8_t* cells) {
   return equal_bytes(cells, kOccupied.data());
 }
 
-// How often the rays of one scan pass each cell: a rectangle of counters, of which only the tiles that they cross are
-// used.
+// How often the rays of one scan pass each cell: a rectangle of counters about the laser, of which only the tiles that
+// they cross are used. Tiles beyond hold ends alone.
 template <class Count>
 class PassCounts {
  public:
-  PassCounts(const TileSet& tiles, std::vector<Count>& memory)
-      : y0_(tiles.y0 * kTile), x0_(tiles.x0 * kTile), width_(tiles.cols * kTile), tiles_(tiles) {
-    const size_t size = static_cast<size_t>(tiles.rows) * kTile * width_;
+  PassCounts(const TileSet& tiles, int y, int x, std::vector<Count>& memory)
+      : y0_(std::max(tiles.y0, tile_of(y - kFreeCells)) * kTile),
+        x0_(std::max(tiles.x0, tile_of(x - kFreeCells)) * kTile),
+        height_((std::min(tiles.y0 + tiles.rows - 1, tile_of(y + kFreeCells)) + 1) * kTile - y0_),
+        width_((std::min(tiles.x0 + tiles.cols - 1, tile_of(x + kFreeCells)) + 1) * kTile - x0_),
+        tiles_(tiles) {
+    const size_t size = static_cast<size_t>(height_) * width_;
     if (memory.size() < size) memory.resize(size);
     counts_ = memory.data();
     tiles.each([&](int ty, int tx) {
+      if (!covers(ty * kTile, tx * kTile)) return;
       Count* first = at(ty * kTile, tx * kTile);
       for (int y = 0; y < kTile; ++y) std::fill_n(first + static_cast<size_t>(y) * width_, kTile, Count{0});
     });
   }
   Count* at(int y, int x) { return counts_ + static_cast<size_t>(y - y0_) * width_ + (x - x0_); }
+  bool covers(int y, int x) const {
+    return static_cast<unsigned>(y - y0_) < static_cast<unsigned>(height_) &&
+           static_cast<unsigned>(x - x0_) < static_cast<unsigned>(width_);
+  }
 
-  // Counts the cells of a line but its last.
+  // Counts the cells that a line frees.
   void add(const Line& line) {
     const int64_t row = width_, major = line.major_step * (line.along_x ? 1 : row),
                   minor = line.minor_step * (line.along_x ? row : 1);
     const uint64_t slope = line.slope;
-    const int n = line.n;
+    const int n = line.freed();
     uint64_t aside = line.start;
     Count* cell = at(line.y0, line.x0);
     for (int i = 0; i < n; ++i, cell += major, aside += slope) ++cell[static_cast<int64_t>(aside >> 32) * minor];
@@ -121,6 +134,7 @@ class PassCounts {
         }
     };
     tiles_.each([&](int ty, int tx) {  // a tile comes from memory while the one before it is freed
+      if (!covers(ty * kTile, tx * kTile)) return;
       const int64_t next = m.tile(root, ty, tx) * static_cast<int64_t>(kTileCells);
       for (int i = 0; i < kTileCells; i += 64 / sizeof(int16_t)) prefetch(m.log_odds + next + i);
       pass();
@@ -130,7 +144,9 @@ class PassCounts {
   }
 
  private:
-  int y0_, x0_, width_;
+  static int tile_of(int cell) { return cell >> kTileBits; }
+
+  int y0_, x0_, height_, width_;
   const TileSet& tiles_;
   Count* counts_;
 };
@@ -142,9 +158,10 @@ void update_one(const Maps& m, int row, const Pose& pose, const double* ends, in
   const int32_t* root = m.root(row);
   const Fan fan(pose, ends, b, origin, scale);
   const TileSet tiles = fan.tiles();
-  PassCounts<Count> passes(tiles, memory);
+  PassCounts<Count> passes(tiles, fan.y, fan.x, memory);
   for (int j = 0; j < b; ++j) passes.add(fan.line(j));
-  for (int j = 0; j < b; ++j) *passes.at(fan.ys[j], fan.xs[j]) = 0;  // an end cell of this scan is not freed by it
+  for (int j = 0; j < b; ++j)
+    if (passes.covers(fan.ys[j], fan.xs[j])) *passes.at(fan.ys[j], fan.xs[j]) = 0;  // no end of the scan is freed by it
   passes.apply(m, root, e, row, changed);
   for (int j = 0; j < b; ++j) {
     const int y = fan.ys[j], x = fan.xs[j];
@@ -264,7 +281,9 @@ void update_log_odds(const Maps& m, const int32_t* rows, const double* poses, in
                      std::vector<Cell>& changed) {
   std::vector<std::vector<Cell>> found(k);
   parallel_for(k, threads, [&](int i) {
-    const auto update = b <= std::numeric_limits<uint8_t>::max() ? update_one<uint8_t> : update_one<uint16_t>;
+    const auto update = b <= std::numeric_limits<uint8_t>::max()    ? update_one<uint8_t>
+                        : b <= std::numeric_limits<uint16_t>::max() ? update_one<uint16_t>
+                                                                    : update_one<uint32_t>;
     update(m, rows[i], Pose(poses + 3 * i), ends, b, origin, 1.0 / resolution, e, found[i]);
   });
   for (const auto& part : found) changed.insert(changed.end(), part.begin(), part.end());

@@ -187,13 +187,13 @@ class HypothesisTracker:
     filtering (AAAI 2002), which keeps a filter for each cluster.
     """
 
-    max_hypotheses: int = Field(default=32, ge=0)
-    min_mass: float = Field(default=0.005, gt=0, le=1)
+    max_hypotheses: int = Field(default=32, ge=0, le=10_000)
+    min_mass: float = Field(default=0.005, ge=1e-6, le=1)
     margin: float = Field(default=0.05, ge=0, le=1)
     log_odds_per_scan: float = Field(default=6.0, ge=0)
-    jitter_samples: int = Field(default=64, ge=1)
-    jitter_m: float = Field(default=0.05, ge=0)
-    jitter_rad: float = Field(default=0.03, ge=0)
+    jitter_samples: int = Field(default=64, ge=1, le=100_000)
+    jitter_m: float = Field(default=0.05, ge=0, le=1e6)
+    jitter_rad: float = Field(default=0.03, ge=0, le=100)
 
     def __call__(
         self,

@@ -42,11 +42,11 @@ class KldSampling:
     KLD-sampling, IJRR 22 (2003).
     """
 
-    particles_min: int = Field(default=2000, ge=1)
-    particles_max: int = Field(default=20_000, ge=1)
-    error: float = Field(default=0.05, gt=0)
-    z: float = Field(default=2.33)
-    bin_m: float = Field(default=0.5, gt=0)
+    particles_min: int = Field(default=2000, ge=1, le=1_000_000)
+    particles_max: int = Field(default=20_000, ge=1, le=1_000_000)
+    error: float = Field(default=0.05, ge=1e-6, le=1e6)
+    z: float = Field(default=2.33, le=1e6)
+    bin_m: float = Field(default=0.5, ge=1e-6, le=1e6)
     bin_rad: float = Field(default=math.radians(10), gt=0, le=math.tau)
 
     @model_validator(mode="after")

@@ -43,8 +43,8 @@ class MatchCovariance:
     P. Huber, Robust Statistics (1981), Section 7.6 (covariance of M-estimates).
     """
 
-    patch_m: float = Field(default=0.5, gt=0)
-    residual_factor: float = Field(default=3.0, ge=0)
+    patch_m: float = Field(default=0.5, ge=1e-6, le=1e6)
+    residual_factor: float = Field(default=3.0, ge=0, le=1e6)
 
     def __call__(
         self, known_map: KnownMap, matcher: GaussNewton, pose: FloatArray, belief: FloatArray, beams: Beams

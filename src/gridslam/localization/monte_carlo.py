@@ -146,15 +146,15 @@ class MonteCarloConfiguration:
     when_to_resample: Annotated[EffectiveSampleSizeBelow | AlwaysResample, Kind()] = Field(
         default_factory=EffectiveSampleSizeBelow
     )
-    resample_interval: int = Field(default=1, ge=1)
-    max_beams: int = Field(default=120, ge=1)
-    range_min_m: float = Field(default=0.05, ge=0)
-    range_max_m: float = Field(default=30.0, gt=0)
-    reach_m: float = Field(default=1.0, gt=0)
-    off_free_factor: float = Field(default=0.01, gt=0, le=1)
-    lost_below: float = Field(default=0.3, gt=0, le=1)
-    lost_above: float = Field(default=0.2, gt=0, lt=1)
-    confirm_distance_m: float = Field(default=1.0, gt=0)
+    resample_interval: int = Field(default=1, ge=1, le=1_000_000)
+    max_beams: int = Field(default=120, ge=1, le=100_000)
+    range_min_m: float = Field(default=0.05, ge=0, le=1e4)
+    range_max_m: float = Field(default=30.0, ge=1e-6, le=1e4)
+    reach_m: float = Field(default=1.0, ge=1e-6, le=1e6)
+    off_free_factor: float = Field(default=0.01, ge=1e-6, le=1)
+    lost_below: float = Field(default=0.3, ge=1e-6, le=1)
+    lost_above: float = Field(default=0.2, ge=1e-6, lt=1)
+    confirm_distance_m: float = Field(default=1.0, ge=1e-6, le=1e6)
 
     @model_validator(mode="after")
     def _check_ranges(self) -> MonteCarloConfiguration:

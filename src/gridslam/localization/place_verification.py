@@ -78,11 +78,11 @@ class PlaceVerification:
     filtering (AAAI 2002): places are compared until all but one are refuted.
     """
 
-    scans: int = Field(default=48, ge=0)
-    samples_per_m2: float = Field(default=500.0, gt=0)
-    samples_max: int = Field(default=1_000_000, ge=1)
-    scale_m: float = Field(default=0.2, gt=0)
-    places_max: int = Field(default=256, ge=1)
+    scans: int = Field(default=48, ge=0, le=10_000)
+    samples_per_m2: float = Field(default=500.0, ge=1e-9, le=1e4)
+    samples_max: int = Field(default=1_000_000, ge=1, le=10_000_000)
+    scale_m: float = Field(default=0.2, ge=1e-6, le=1e6)
+    places_max: int = Field(default=256, ge=1, le=100_000)
 
     def __call__(
         self,

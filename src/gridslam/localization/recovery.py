@@ -95,13 +95,13 @@ class MeasurementProposal:
     Sensor resetting localization for poorly modelled mobile robots, ICRA 2000.
     """
 
-    samples_per_m2: float = Field(default=500.0, gt=0)
-    samples_max: int = Field(default=1_000_000, ge=1)
-    draws: int = Field(default=50_000, ge=1)
-    scale_m: float = Field(default=0.2, gt=0)
-    concentration: float = Field(default=25.0, ge=0)
-    jitter_m: float = Field(default=0.05, ge=0)
-    jitter_rad: float = Field(default=0.03, ge=0)
+    samples_per_m2: float = Field(default=500.0, ge=1e-9, le=1e4)
+    samples_max: int = Field(default=1_000_000, ge=1, le=10_000_000)
+    draws: int = Field(default=50_000, ge=1, le=10_000_000)
+    scale_m: float = Field(default=0.2, ge=1e-6, le=1e6)
+    concentration: float = Field(default=25.0, ge=0, le=1e6)
+    jitter_m: float = Field(default=0.05, ge=0, le=1e6)
+    jitter_rad: float = Field(default=0.03, ge=0, le=100)
 
     def __call__(
         self, known_map: KnownMap, beams: Beams, log_likelihood: PoseLikelihood, share: float, rng: np.random.Generator

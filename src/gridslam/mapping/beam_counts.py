@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
 from gridslam.grid.cells import LOG_ODDS_UNIT, Evidence, cell_corner
@@ -19,9 +19,10 @@ __all__ = ["BeamCounts", "bayes_map", "counting_map"]
 
 # A map in which a hit is +1, a miss -1 and nothing is occupied: after one scan it holds that scan's counts, because a
 # cell in which a beam of the scan ends is not missed by the others.
-_LIMIT: Final = 16_000  # more beams than any scan has
+_LIMIT: Final = 16_000  # hits or misses of one cell by one scan; what is beyond does not count
 _ONE_EACH: Final = Evidence(*(LOG_ODDS_UNIT * steps for steps in (1, -1, -_LIMIT, _LIMIT, _LIMIT)))
 _CERTAIN: Final = math.log(1e7)  # what was always or never reflected gets a probability 1e-7 off 1 or 0
+_MOST_TILES: Final = 90_000  # 16 KB each, 1.5 GB in all: 230,000 m^2 in cells of 5 cm
 _ROW: Final = np.zeros(1, np.int32)
 
 
@@ -76,28 +77,35 @@ class BeamCounts:
         self._hits[slots] += np.maximum(reported, 0)
         self._net[slots] += reported
 
-    def rectangle(self) -> tuple[FloatArray, FloatArray, tuple[int, int]]:
-        """Hits and misses (H, W) of all cells, and the (row, column) of their corner; one cell where nothing is known.
+    def table(self) -> tuple[IntArray, tuple[int, int]]:
+        """Slots (R, C) of the rectangle of tiles that were observed, for `unfold`, and the (row, column) of its corner.
 
-        Both are 0 in cells that were not observed.
+        0 is the empty slot; a single one at (0, 0) where nothing was observed.
         """
         if not self._slots:
-            return np.zeros((1, 1)), np.zeros((1, 1)), (0, 0)
+            return np.zeros((1, 1), np.int64), (0, 0)
         tiles = np.array(list(self._slots))
         first = tiles.min(axis=0)
         slots = np.zeros(np.ptp(tiles, axis=0) + 1, np.int64)
         slots[tuple((tiles - first).T)] = list(self._slots.values())
+        row, column = (TILE * first).tolist()
+        return slots, (row, column)
+
+    def unfold(self, slots: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Hits and misses (32 R, 32 C) of slots (R, C); both are 0 in cells that were not observed."""
         shape = tuple(TILE * side for side in slots.shape)
         hits, net = (counts[slots].swapaxes(1, 2).reshape(shape) for counts in (self._hits, self._net))
-        row, column = (TILE * first).tolist()
-        return hits, np.maximum(hits - net, 0.0), (row, column)
+        return hits, np.maximum(hits - net, 0.0)
 
     def _slots_of(self, tiles: IntArray) -> list[int]:
         """Slots (K,) of tiles (K, 2) = [row, column], new ones where need be."""
         slots = [self._slots.setdefault((row, column), len(self._slots) + 1) for row, column in tiles.tolist()]
-        while len(self._slots) >= len(self._hits):
-            self._hits = np.concatenate([self._hits, np.zeros_like(self._hits)])
-            self._net = np.concatenate([self._net, np.zeros_like(self._net)])
+        if len(self._slots) >= _MOST_TILES:
+            raise ArgumentError("poses", f"scans that observe less than {_MOST_TILES} tiles of 32 x 32 cells", "more")
+        if len(self._slots) >= len(self._hits):
+            shape = max(len(self._slots) + 1, min(len(self._hits) * 5 // 4, _MOST_TILES)), TILE, TILE
+            self._hits.resize(shape, refcheck=False)  # in place: what is new holds 0
+            self._net.resize(shape, refcheck=False)
         return slots
 
 
@@ -111,10 +119,12 @@ def bayes_map(counts: BeamCounts, inverse_sensor: InverseSensorModel) -> Occupan
     Source: Probabilistic Robotics, Tables 4.2 (`binary_bayes_filter`), 9.1 (`occupancy_grid_mapping`) and 9.2
     (`inverse_range_sensor_model`, of which a cell is hit or missed by its ray alone).
     """
-    hits, misses, corner = counts.rectangle()
-    log_odds = hits * inverse_sensor.log_odds_hit + misses * inverse_sensor.log_odds_miss
-    clamped = np.clip(log_odds, inverse_sensor.log_odds_min, inverse_sensor.log_odds_max).astype(np.float32)
-    return _grid(counts, clamped, hits + misses > 0, corner)
+
+    def believe(hits: FloatArray, misses: FloatArray) -> FloatArray:
+        log_odds = hits * inverse_sensor.log_odds_hit + misses * inverse_sensor.log_odds_miss
+        return np.clip(log_odds, inverse_sensor.log_odds_min, inverse_sensor.log_odds_max)
+
+    return _unfold(counts, believe)
 
 
 def counting_map(counts: BeamCounts) -> OccupancyGrid:
@@ -126,15 +136,25 @@ def counting_map(counts: BeamCounts) -> OccupancyGrid:
 
     Source: D. Haehnel, Mapping with Mobile Robots (2004), reflection probability maps.
     """
-    hits, misses, corner = counts.rectangle()
-    known = hits + misses > 0
-    odds = np.divide(hits, misses, out=np.full(hits.shape, np.inf), where=misses > 0)
-    with np.errstate(divide="ignore"):  # never hit: log 0
-        log_odds = np.clip(np.log(odds), -_CERTAIN, _CERTAIN)
-    return _grid(counts, np.where(known, log_odds, 0.0).astype(np.float32), known, corner)
+
+    def reflect(hits: FloatArray, misses: FloatArray) -> FloatArray:
+        odds: FloatArray = np.divide(hits, misses, out=np.full(hits.shape, np.inf), where=misses > 0)
+        with np.errstate(divide="ignore"):  # never hit: log 0
+            bounded: FloatArray = np.clip(np.log(odds), -_CERTAIN, _CERTAIN)
+        return bounded
+
+    return _unfold(counts, reflect)
 
 
-def _grid(
-    counts: BeamCounts, log_odds: NDArray[np.float32], known: NDArray[np.bool_], corner: tuple[int, int]
-) -> OccupancyGrid:
+def _unfold(counts: BeamCounts, log_odds_of: Callable[[FloatArray, FloatArray], FloatArray]) -> OccupancyGrid:
+    """Map of the log-odds that are given for hits and misses; a row of tiles at a time, as counts take 16 bytes."""
+    slots, corner = counts.table()
+    shape = tuple(TILE * side for side in slots.shape) if slots.any() else (1, 1)
+    log_odds = np.zeros(shape, np.float32)
+    known = np.zeros(shape, np.bool_)
+    for row, strip in enumerate(slots if slots.any() else []):
+        hits, misses = counts.unfold(strip[None])
+        cells = slice(row * TILE, (row + 1) * TILE)
+        np.greater(hits + misses, 0, out=known[cells])
+        log_odds[cells] = np.where(known[cells], log_odds_of(hits, misses), 0.0)
     return OccupancyGrid(log_odds, known, counts.resolution_m, cell_corner(*corner, counts.resolution_m))

@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.cells import Evidence
-from gridslam.grid.tiles import TileMaps
+from gridslam.grid.tiles import MOST_TILES, TileMaps
 from gridslam.models.inverse_sensor import InverseSensorModel
 from gridslam.types import Beams, FloatArray
 
@@ -26,21 +26,26 @@ class OccupancyGridMapping:
 
     Parameters
     ----------
-    resolution_m : float, m
+    resolution_m : float, m, [0.01, 1]
         Side of a cell; 5 cm is what indoor robots navigate on.
-    reach_cells : float
+    reach_cells : float, [1, 15.5]
         Distance, in cells, to which an obstacle attracts the ends of beams; half a metre at 5 cm.
     inverse_sensor : InverseSensorModel
-        Evidence of a beam for the cells along it.
+        Evidence of a beam for the cells along it: for the first 1664, 83 m in cells of 5 cm, and for its end at any
+        range.
+    max_tiles : int
+        Tiles, of 32 x 32 cells and 3 KB, that the maps of all particles take together at most, 1.5 GB by default. A
+        scan for which more would be needed raises ArgumentError, before anything is allocated for it.
 
     References
     ----------
     Probabilistic Robotics, Table 9.1 (`occupancy_grid_mapping`).
     """
 
-    resolution_m: float = Field(default=0.05, gt=0, le=1)
+    resolution_m: float = Field(default=0.05, ge=0.01, le=1)
     reach_cells: float = Field(default=10.5, ge=1, le=15.5)
     inverse_sensor: InverseSensorModel = InverseSensorModel()
+    max_tiles: int = Field(default=MOST_TILES, ge=1000, le=500_000_000)
 
     def empty(self, rows: int, threads: int = 1) -> TileMaps:
         """Make `rows` maps in which nothing is known."""
@@ -55,7 +60,12 @@ class OccupancyGridMapping:
         evidence = Evidence(
             model.log_odds_hit, model.log_odds_miss, model.log_odds_min, model.log_odds_max, model.log_odds_occupied
         )
-        return {"resolution_m": self.resolution_m, "reach_cells": self.reach_cells, "evidence": evidence}
+        return {
+            "resolution_m": self.resolution_m,
+            "reach_cells": self.reach_cells,
+            "evidence": evidence,
+            "most_tiles": self.max_tiles,
+        }
 
     def __call__(self, maps: TileMaps, poses: FloatArray, beams: Beams) -> None:
         """Insert one scan into every map, seen from its own pose of poses (rows, 3)."""

@@ -50,9 +50,12 @@ class Pyramid:
     resolution_m: float
 
     @classmethod
-    def of(cls, maps: TileMaps, row: int, cauchy_m: float = 0.1) -> Pyramid:
-        """Take one map's distances d to 1 / (1 + (d / `cauchy_m`)^2), the weight of `GaussNewton`; 0 out of reach."""
-        field, corner = maps.field(row)
+    def of(cls, maps: TileMaps, row: int, cauchy_m: float = 0.1, most_cells: int = 2**13) -> Pyramid:
+        """Take one map's distances d to 1 / (1 + (d / `cauchy_m`)^2), the weight of `GaussNewton`; 0 out of reach.
+
+        Of a map of more cells than a square of `most_cells` a side only such a square (see `TileMaps.field`).
+        """
+        field, corner = maps.field(row, most_cells)
         distance_m = maps.reach_m * (1 - np.arange(256) / 255)
         likelihood = np.rint(255 / (1 + np.square(distance_m / cauchy_m))).astype(np.uint8)
         likelihood[0] = 0
@@ -115,12 +118,12 @@ class BranchAndBound:
 
     window_m: float = Field(default=15.0, gt=0, le=100)
     window_rad: float = Field(default=0.5, gt=0, le=math.pi)
-    gate_sigmas: float = Field(default=3.0, gt=0)
+    gate_sigmas: float = Field(default=3.0, ge=0.01, le=1000)
     max_points: int = Field(default=200, ge=8, le=_MOST_POINTS)
-    min_score: float = Field(default=0.5, gt=0, le=1)
-    min_runner_up_ratio: float = Field(default=0.6, gt=0, le=1)
-    runner_up_distance_m: float = Field(default=1.0, gt=0)
-    runner_up_distance_rad: float = Field(default=0.3, gt=0)
+    min_score: float = Field(default=0.5, ge=1e-6, le=1)
+    min_runner_up_ratio: float = Field(default=0.6, ge=1e-6, le=1)
+    runner_up_distance_m: float = Field(default=1.0, ge=1e-6, le=1e6)
+    runner_up_distance_rad: float = Field(default=0.3, ge=1e-6, le=100)
 
     def search(
         self, pyramid: Pyramid, guess: FloatArray, covariance: FloatArray | None, points: FloatArray

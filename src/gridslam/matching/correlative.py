@@ -39,11 +39,11 @@ class Correlative:
     windows are small).
     """
 
-    window_m: float = Field(default=0.5, gt=0)
-    window_rad: float = Field(default=0.5, gt=0)
-    step_m: float = Field(default=0.1, gt=0)
-    step_rad: float = Field(default=0.05, gt=0)
-    beams: int = Field(default=60, ge=8)
+    window_m: float = Field(default=0.5, ge=1e-6, le=1e6)
+    window_rad: float = Field(default=0.5, ge=1e-6, le=100)
+    step_m: float = Field(default=0.1, ge=1e-6, le=1e6)
+    step_rad: float = Field(default=0.05, ge=1e-6, le=100)
+    beams: int = Field(default=60, ge=8, le=100_000)
     refine: GaussNewton = GaussNewton()
 
     def __call__(

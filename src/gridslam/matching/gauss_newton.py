@@ -65,14 +65,14 @@ class GaussNewton:
     line).
     """
 
-    max_iterations: int = Field(default=10, ge=0)
-    cauchy_m: float = Field(default=0.1, gt=0)
-    max_step_m: float = Field(default=0.1, gt=0)
-    max_step_rad: float = Field(default=0.1, gt=0)
-    stop_m: float = Field(default=0.001, gt=0)
-    stop_rad: float = Field(default=2e-4, gt=0)
-    min_information: float = Field(default=MIN_INFORMATION, ge=0)
-    min_beams: int = Field(default=10, ge=0)
+    max_iterations: int = Field(default=10, ge=0, le=1000)
+    cauchy_m: float = Field(default=0.1, ge=1e-6, le=1e6)
+    max_step_m: float = Field(default=0.1, ge=1e-6, le=1e6)
+    max_step_rad: float = Field(default=0.1, ge=1e-6, le=100)
+    stop_m: float = Field(default=0.001, ge=1e-6, le=1e6)
+    stop_rad: float = Field(default=2e-4, ge=1e-6, le=100)
+    min_information: float = Field(default=MIN_INFORMATION, ge=0, le=1e6)
+    min_beams: int = Field(default=10, ge=0, le=1_000_000)
     point_to_line: bool = True
 
     def __call__(

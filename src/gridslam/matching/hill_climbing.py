@@ -46,12 +46,12 @@ class HillClimbing:
     G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `ScanMatcher::optimize`.
     """
 
-    step_m: float = Field(default=0.05, gt=0)
-    step_rad: float = Field(default=0.05, gt=0)
-    halvings: int = Field(default=5, ge=0)
-    scale_m2: float = Field(default=0.05, gt=0)
-    kernel_m: float = Field(default=0.075, gt=0)
-    minimum_score: float = Field(default=0.0, ge=0)
+    step_m: float = Field(default=0.05, ge=1e-3, le=100)
+    step_rad: float = Field(default=0.05, ge=1e-3, le=10)
+    halvings: int = Field(default=5, ge=0, le=60)
+    scale_m2: float = Field(default=0.05, ge=1e-9, le=1e4)
+    kernel_m: float = Field(default=0.075, ge=1e-6, le=100)
+    minimum_score: float = Field(default=0.0, ge=0, le=1e6)
 
     def __call__(
         self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: BeamEnds

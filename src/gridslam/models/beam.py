@@ -65,12 +65,12 @@ class BeamRangeFinder:
 
     z_hit: float = Field(default=0.8, ge=0, le=1)
     z_short: float = Field(default=0.1, ge=0, le=1)
-    z_max: float = Field(default=0.05, gt=0, le=1)
-    z_rand: float = Field(default=0.05, gt=0, le=1)
-    sigma_hit_m: float = Field(default=0.1, gt=0)
-    lambda_short_per_m: float = Field(default=1.0, gt=0)
-    range_max_m: float = Field(default=30.0, gt=0)
-    tempering: float = Field(default=1.0, gt=0, le=1)
+    z_max: float = Field(default=0.05, ge=1e-6, le=1)
+    z_rand: float = Field(default=0.05, ge=1e-6, le=1)
+    sigma_hit_m: float = Field(default=0.1, ge=1e-6, le=100)
+    lambda_short_per_m: float = Field(default=1.0, ge=1e-6, le=1e6)
+    range_max_m: float = Field(default=30.0, ge=1e-6, le=1000)
+    tempering: float = Field(default=1.0, ge=1e-6, le=1)
 
     @model_validator(mode="after")
     def _shares_sum_to_one(self) -> BeamRangeFinder:

@@ -49,11 +49,11 @@ class LikelihoodField:
     """
 
     z_hit: float = Field(default=0.95, ge=0, le=1)
-    z_rand: float = Field(default=0.05, gt=0, le=1)
+    z_rand: float = Field(default=0.05, ge=1e-6, le=1)
     z_max: float = Field(default=0.0, ge=0, le=1)
-    sigma_hit_m: float = Field(default=0.1, gt=0)
-    range_max_m: float = Field(default=30.0, gt=0)
-    tempering: float = Field(default=1.0, gt=0, le=1)
+    sigma_hit_m: float = Field(default=0.1, ge=1e-6, le=100)
+    range_max_m: float = Field(default=30.0, ge=1e-6, le=1e4)
+    tempering: float = Field(default=1.0, ge=1e-6, le=1)
 
     @model_validator(mode="after")
     def _shares_sum_to_one(self) -> LikelihoodField:
@@ -101,8 +101,8 @@ class CauchyEndPoint:
     application to conic fitting, Image and Vision Computing 15 (1997), Table 1.
     """
 
-    scale_m: float = Field(default=0.1, gt=0)
-    tempering: float = Field(default=0.03, gt=0, le=1)
+    scale_m: float = Field(default=0.1, ge=1e-6, le=1e6)
+    tempering: float = Field(default=0.03, ge=1e-6, le=1)
 
     def log_likelihoods(self, distances: NDArray[np.float32]) -> NDArray[np.float32]:
         """Agreement of a beam for the distance (...) in m of its end to the nearest obstacle, before tempering."""
@@ -143,11 +143,11 @@ class GMappingEndPoint:
     G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `ScanMatcher::likelihoodAndScore`.
     """
 
-    scale_m2: float = Field(default=0.075, gt=0)
-    miss_penalty_m2: float = Field(default=0.5, ge=0)
-    kernel_m: float = Field(default=0.075, gt=0)
-    skip: int = Field(default=0, ge=0)
-    likelihood_gain: float = Field(default=3.0, gt=0)
+    scale_m2: float = Field(default=0.075, ge=1e-9, le=1e4)
+    miss_penalty_m2: float = Field(default=0.5, ge=0, le=1e4)
+    kernel_m: float = Field(default=0.075, ge=1e-6, le=100)
+    skip: int = Field(default=0, ge=0, le=1000)
+    likelihood_gain: float = Field(default=3.0, ge=1e-6, le=1e6)
 
     def _charges_m2(self, distances: NDArray[np.float32]) -> NDArray[np.float32]:
         """Squared distance charged to a beam for the distance (...) in m of its end to the nearest obstacle."""

@@ -24,6 +24,7 @@ def _four_probabilities(hit: float, miss: float) -> tuple[float, float, float, f
 
 # Evidence beyond this needs probabilities that double precision cannot distinguish from 1.
 _CERTAIN = 20.0
+_LEAST = 0.01  # nats: one step of a map's log-odds
 
 # Evidence of +2.4 and -0.4 nats, six to one: a beam that ends in a cell has far more evidence than one that grazes it.
 _DEFAULT = _four_probabilities(2.4, -0.4)
@@ -55,7 +56,8 @@ class InverseSensorModel:
     Raises
     ------
     pydantic.ValidationError
-        A pair does not sum to 1, an end is no evidence for occupancy, or the clamps are out of order.
+        A pair does not sum to 1, an end or a passage is no evidence of 0.01 to 20 nats, or the clamps, of at most 150
+        nats, are out of order.
 
     References
     ----------
@@ -66,9 +68,9 @@ class InverseSensorModel:
     false_free: float = Field(default=_DEFAULT[1], gt=0, lt=1)
     false_occupied: float = Field(default=_DEFAULT[2], gt=0, lt=1)
     true_free: float = Field(default=_DEFAULT[3], gt=0, lt=1)
-    log_odds_min: float = Field(default=-16.0, lt=0)
-    log_odds_max: float = Field(default=32.0, gt=0)
-    log_odds_occupied: float = 2.0
+    log_odds_min: float = Field(default=-16.0, ge=-150, lt=0)
+    log_odds_max: float = Field(default=32.0, gt=0, le=150)
+    log_odds_occupied: float = Field(default=2.0, ge=-150, le=150)
 
     @model_validator(mode="after")
     def _consistent(self) -> InverseSensorModel:
@@ -80,6 +82,9 @@ class InverseSensorModel:
             raise ValueError("true_occupied must exceed false_occupied")
         if not self.log_odds_min < self.log_odds_occupied < self.log_odds_max:
             raise ValueError("log_odds_occupied must lie between log_odds_min and log_odds_max")
+        evidence = self.log_odds_hit, -self.log_odds_miss
+        if not (min(evidence) > 0.999 * _LEAST and max(evidence) < 1.001 * _CERTAIN):  # but for rounding
+            raise ValueError(f"hit and miss must be evidence of {_LEAST} to {_CERTAIN:g} nats")
         return self
 
     @classmethod
@@ -97,12 +102,12 @@ class InverseSensorModel:
         Raises
         ------
         ArgumentError
-            `hit` or `miss` has the wrong sign or is beyond 20 nats.
+            `hit` or `miss` has the wrong sign, or is not 0.01 to 20 nats.
         """
-        if not 0 < hit <= _CERTAIN:
-            raise ArgumentError("hit", f"nats above 0, at most {_CERTAIN}", hit)
-        if not -_CERTAIN <= miss < 0:
-            raise ArgumentError("miss", f"nats below 0, at least {-_CERTAIN}", miss)
+        if not _LEAST <= hit <= _CERTAIN:
+            raise ArgumentError("hit", f"{_LEAST} to {_CERTAIN} nats", hit)
+        if not -_CERTAIN <= miss <= -_LEAST:
+            raise ArgumentError("miss", f"{-_CERTAIN} to {-_LEAST} nats", miss)
         return cls(*_four_probabilities(hit, miss), log_odds_min, log_odds_max, log_odds_occupied)
 
     @property

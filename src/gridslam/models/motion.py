@@ -130,11 +130,11 @@ class OdometryMotion:
     Probabilistic Robotics, Table 5.6 (`sample_motion_model_odometry`).
     """
 
-    alpha1: float = Field(default=0.01, ge=0)
-    alpha2: float = Field(default=0.01, ge=0)
-    alpha3: float = Field(default=0.01, ge=0)
-    alpha4: float = Field(default=0.01, ge=0)
-    still_m: float = Field(default=0.01, ge=0)
+    alpha1: float = Field(default=0.01, ge=0, le=100)
+    alpha2: float = Field(default=0.01, ge=0, le=100)
+    alpha3: float = Field(default=0.01, ge=0, le=100)
+    alpha4: float = Field(default=0.01, ge=0, le=100)
+    still_m: float = Field(default=0.01, ge=0, le=1e6)
 
     def __call__(self, increment: FloatArray) -> GaussianIncrement:
         """Condition on the increment (3,) [x m, y m, theta rad]; raises ArgumentError for other shapes or NaN."""
@@ -184,10 +184,10 @@ class GMappingMotion:
     G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `MotionModel::drawFromMotion`.
     """
 
-    srr: float = Field(default=0.1, ge=0)
-    srt: float = Field(default=0.2, ge=0)
-    str: float = Field(default=0.1, ge=0)
-    stt: float = Field(default=0.2, ge=0)
+    srr: float = Field(default=0.1, ge=0, le=100)
+    srt: float = Field(default=0.2, ge=0, le=100)
+    str: float = Field(default=0.1, ge=0, le=100)
+    stt: float = Field(default=0.2, ge=0, le=100)
 
     def __call__(self, increment: FloatArray) -> GaussianIncrement:
         """Condition on the increment (3,) [x m, y m, theta rad]; raises ArgumentError for other shapes or NaN."""
@@ -226,10 +226,10 @@ class DiffusionMotion:
     cyclic environments from raw laser range measurements, IROS 2003 (its learned noise, here two constants).
     """
 
-    sigma_xy_m: float = Field(default=0.02, ge=0)
-    sigma_theta_rad: float = Field(default=0.01, ge=0)
-    floor_xy_m: float = Field(default=0.001, ge=0)
-    floor_theta_rad: float = Field(default=0.0002, ge=0)
+    sigma_xy_m: float = Field(default=0.02, ge=0, le=100)
+    sigma_theta_rad: float = Field(default=0.01, ge=0, le=10)
+    floor_xy_m: float = Field(default=0.001, ge=0, le=100)
+    floor_theta_rad: float = Field(default=0.0002, ge=0, le=10)
 
     def __call__(self, increment: FloatArray) -> GaussianIncrement:
         """Condition on the increment (3,) [x m, y m, theta rad]; raises ArgumentError for other shapes or NaN."""
@@ -279,12 +279,12 @@ class VelocityMotion:
     Probabilistic Robotics, Table 5.3 (`sample_motion_model_velocity`).
     """
 
-    alpha1: float = Field(default=0.01, ge=0)
-    alpha2: float = Field(default=0.01, ge=0)
-    alpha3: float = Field(default=0.01, ge=0)
-    alpha4: float = Field(default=0.01, ge=0)
-    alpha5: float = Field(default=0.001, ge=0)
-    alpha6: float = Field(default=0.001, ge=0)
+    alpha1: float = Field(default=0.01, ge=0, le=100)
+    alpha2: float = Field(default=0.01, ge=0, le=100)
+    alpha3: float = Field(default=0.01, ge=0, le=100)
+    alpha4: float = Field(default=0.01, ge=0, le=100)
+    alpha5: float = Field(default=0.001, ge=0, le=100)
+    alpha6: float = Field(default=0.001, ge=0, le=100)
 
     def __call__(self, control: FloatArray) -> GaussianIncrement:
         """Condition on a control (3,) [v m/s, omega rad/s, dt s].

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Protocol, final, runtime_checkable
 
 from pydantic import ConfigDict, Field
@@ -48,7 +49,7 @@ class EffectiveSampleSizeBelow:
         0.5 is the value of that paper and of GMapping: half the particles carry next to nothing by then.
     """
 
-    fraction: Annotated[float, Field(gt=0, le=1)] = 0.5
+    fraction: Annotated[float, Field(ge=1e-12, le=1)] = 0.5
 
     def __call__(self, effective_sample_size: float, count: int) -> bool:
         """Whether the effective sample size is below `fraction` * `count`."""
@@ -91,8 +92,8 @@ class MotionThreshold:
         0.25 (14 degrees): a laser that sees half the plane still keeps nine tenths of its view.
     """
 
-    translation_m: Annotated[float, Field(gt=0)] = 0.5
-    rotation_rad: Annotated[float, Field(gt=0)] = 0.25
+    translation_m: Annotated[float, Field(ge=1e-12, le=math.inf)] = 0.5
+    rotation_rad: Annotated[float, Field(ge=1e-12, le=math.inf)] = 0.25
 
     def __call__(self, translation_m: float, rotation_rad: float) -> bool:
         """Whether the translation (m) or the magnitude of the rotation (rad) has reached its threshold."""

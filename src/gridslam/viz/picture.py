@@ -36,6 +36,7 @@ _MAP_SIDE_PX = (1300, 3200)  # the map's long side; with margins and footer the 
 _MAP_AREA_PX = 7_000_000  # Pillow keeps 4 bytes a pixel: a page of 30 MB
 _CELL_PX = 64  # cells are not enlarged further
 _ROWS = 64  # rows of cells looked at, or turned to bytes, at a time
+_MOST_LEVELS = 2**26  # bytes to be scaled to the page; those of a larger map are averaged before
 _LEVELS_PER_NAT = 32  # of log-odds as a byte
 _EVEN = 128  # even odds, also for an unknown cell
 
@@ -270,8 +271,10 @@ def _paint_cells(grid: GridRows, layout: Layout) -> Image.Image:
     """Blend FREE and then OCCUPIED into a page, each through a mask of how much a cell is so."""
     page = Image.new("RGB", layout.size, UNKNOWN)
     rows, columns = known_part(grid)
+    shown = (rows.stop - rows.start) * (columns.stop - columns.start)
+    block = max(math.ceil(math.sqrt(shown / _MOST_LEVELS)), 1)
     for colour, table in ((FREE, _FREE_LEVELS), (OCCUPIED, _OCCUPIED_LEVELS)):
-        cells = _levels(grid, rows, columns, np.array(table, np.uint8))
+        cells = _levels(grid, rows, columns, np.array(table, np.uint8), block)
         if cells.size:
             left, top, right, bottom = layout.map_box
             larger = right - left > cells.shape[1]
@@ -281,15 +284,32 @@ def _paint_cells(grid: GridRows, layout: Layout) -> Image.Image:
     return page
 
 
-def _levels(grid: GridRows, rows: slice, columns: slice, table: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Log-odds of the cells shown, as bytes and by `table`, the uppermost row first."""
+def _levels(grid: GridRows, rows: slice, columns: slice, table: NDArray[np.uint8], block: int) -> NDArray[np.uint8]:
+    """Log-odds of the cells shown, as bytes and by `table`, the uppermost row first; means of `block` cells a side."""
     bottom = min(rows.stop, grid.shape[0])
-    levels = np.empty((bottom - rows.start, min(columns.stop, grid.shape[1]) - columns.start), np.uint8)
-    for first in range(rows.start, bottom, _ROWS):
-        last = min(first + _ROWS, bottom)
+    width = min(columns.stop, grid.shape[1]) - columns.start
+    levels = np.full((-(-(bottom - rows.start) // block), -(-width // block)), table[_EVEN], np.uint8)
+    high = _ROWS // block * block or block
+    for last in range(bottom, rows.start, -high):
+        first = max(last - high, rows.start)
         band = grid.rows(first, last)
-        shown = np.full((last - first, levels.shape[1]), _EVEN, np.uint8)
+        known = band.known[:, columns]
+        if not known.any():
+            continue
+        shown = np.full((last - first, width), _EVEN, np.uint8)
         scaled = np.clip(band.log_odds[:, columns] * _LEVELS_PER_NAT + _EVEN, 0, 255)
-        np.copyto(shown, scaled, where=band.known[:, columns], casting="unsafe")
-        levels[bottom - last : bottom - first] = table[shown][::-1]
+        np.copyto(shown, scaled, where=known, casting="unsafe")
+        top = (bottom - last) // block
+        means = _shrink(table[shown][::-1], block)
+        levels[top : top + len(means)] = means
     return levels
+
+
+def _shrink(levels: NDArray[np.uint8], block: int) -> NDArray[np.uint8]:
+    """Means of squares of `block` cells, those at the far borders filled up with their last."""
+    if block == 1:
+        return levels
+    filled = np.pad(levels, [(0, -side % block) for side in levels.shape], mode="edge")
+    height, width = (side // block for side in filled.shape)
+    means: NDArray[np.uint8] = filled.reshape(height, block, width, block).mean(axis=(1, 3)).astype(np.uint8)
+    return means

@@ -34,7 +34,8 @@ def counted(scans, **how) -> BeamCounts:
 
 
 def by_cell(counts: BeamCounts) -> dict[tuple[int, int], tuple[float, float]]:
-    hits, misses, (row, column) = counts.rectangle()
+    slots, (row, column) = counts.table()
+    hits, misses = counts.unfold(slots)
     return {(y + row, x + column): (hits[y, x], misses[y, x]) for y, x in np.argwhere(hits + misses > 0).tolist()}
 
 
@@ -61,8 +62,9 @@ def test_every_ray_is_counted_once():
 def test_the_order_of_the_scans_does_not_matter(seed, order):
     scans = drawn(seed, 8)
     first, second = counted(scans), counted([scans[k] for k in order])
-    for ours, theirs in zip(first.rectangle(), second.rectangle(), strict=True):
+    for ours, theirs in zip(*(counts.unfold(counts.table()[0]) for counts in (first, second)), strict=True):
         np.testing.assert_array_equal(ours, theirs)
+    assert first.table()[1] == second.table()[1]
     for model in (counting_map, lambda counts: bayes_map(counts, InverseSensorModel())):
         assert_same_map(model(first), model(second))
 
@@ -86,7 +88,7 @@ def test_the_clamps_hold_for_the_sum():
 
 def test_the_counting_model_in_closed_form():
     counts = counted(drawn(2, 30))
-    hits, misses, _ = counts.rectangle()
+    hits, misses = counts.unfold(counts.table()[0])
     grid, seen = counting_map(counts), hits + misses > 0
     np.testing.assert_array_equal(grid.known, seen)
     np.testing.assert_allclose(grid.probability[seen], hits[seen] / (hits + misses)[seen], atol=2e-7)

@@ -48,7 +48,7 @@ def test_defaults_are_six_to_one():
     assert (model.log_odds_min, model.log_odds_max, model.log_odds_occupied) == (-16.0, 32.0, 2.0)
 
 
-@given(hit=st.floats(1e-3, 20), miss=st.floats(-20, -1e-3))
+@given(hit=st.floats(0.01, 20), miss=st.floats(-20, -0.01))
 def test_probabilities_follow_from_log_odds(hit, miss):
     model = InverseSensorModel.from_log_odds(hit, miss, log_odds_min=-50, log_odds_max=50)
     assert math.isclose(model.log_odds_hit, hit, rel_tol=1e-9)

@@ -90,18 +90,18 @@ class ComponentAlignment:
         How a component is tracked through the map.
     """
 
-    search_interval: int = Field(default=3, ge=1)
-    max_searches: int = Field(default=400, ge=1)
-    max_sigma_m: float = Field(default=24.0, gt=0)
-    max_hypotheses: int = Field(default=8, ge=1)
-    tracking_gate_sigmas: float = Field(default=2.5, gt=0)
-    min_log_likelihood: float = Field(default=12.0, gt=0)
+    search_interval: int = Field(default=3, ge=1, le=1_000_000)
+    max_searches: int = Field(default=400, ge=1, le=100_000)
+    max_sigma_m: float = Field(default=24.0, ge=1e-6, le=100)
+    max_hypotheses: int = Field(default=8, ge=1, le=10_000)
+    tracking_gate_sigmas: float = Field(default=2.5, ge=0.01, le=1000)
+    min_log_likelihood: float = Field(default=12.0, ge=1e-6, le=1e6)
     ambiguity_ratio: float = Field(default=0.15, ge=0, lt=1)
     distinct_ambiguity_ratio: float = Field(default=0.5, ge=0, lt=1)
-    merge_m: float = Field(default=0.3, gt=0)
-    self_similarity_ratio: float = Field(default=0.85, gt=0, le=1)
-    inlier_ratio: float = Field(default=0.5, gt=0, le=1)
-    min_constraints: int = Field(default=3, ge=1)
+    merge_m: float = Field(default=0.3, ge=1e-6, le=1e6)
+    self_similarity_ratio: float = Field(default=0.85, ge=1e-6, le=1)
+    inlier_ratio: float = Field(default=0.5, ge=1e-6, le=1)
+    min_constraints: int = Field(default=3, ge=1, le=1_000_000)
     search: BranchAndBound = BranchAndBound(window_m=30.0, window_rad=1.6, gate_sigmas=2.5, min_score=0.45)
     matcher: GaussNewton = GaussNewton()
 

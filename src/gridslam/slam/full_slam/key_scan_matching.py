@@ -55,12 +55,12 @@ class KeyScanMatching:
         How a key scan is matched.
     """
 
-    max_distance_m: float = Field(default=3.0, gt=0)
-    max_submaps: int = Field(default=3, ge=1)
-    inlier_ratio: float = Field(default=0.7, gt=0, le=1)
-    min_information: float = Field(default=0.1, ge=0)
-    max_correction_m: float = Field(default=0.4, gt=0)
-    beam_sigma_m: float = Field(default=0.05, gt=0)
+    max_distance_m: float = Field(default=3.0, ge=1e-6, le=1e6)
+    max_submaps: int = Field(default=3, ge=1, le=1000)
+    inlier_ratio: float = Field(default=0.7, ge=1e-6, le=1)
+    min_information: float = Field(default=0.1, ge=0, le=1e6)
+    max_correction_m: float = Field(default=0.4, ge=1e-6, le=1e6)
+    beam_sigma_m: float = Field(default=0.05, ge=1e-6, le=100)
     matcher: GaussNewton = GaussNewton()
 
     def __call__(

@@ -81,11 +81,11 @@ class TrajectoryScorer:
     The weights of Grisetti et al. 2007, accumulated along one trajectory, here over other visits only.
     """
 
-    same_visit_distance: float = Field(default=15.0, gt=0)
-    scale_m: float = Field(default=0.1, gt=0)
-    tempering: float = Field(default=0.03, gt=0, le=1)
-    neutral: float = Field(default=0.7, gt=0, lt=1)
-    motion_sigma: float = Field(default=1.0, gt=0)
+    same_visit_distance: float = Field(default=15.0, ge=1e-6, le=1e6)
+    scale_m: float = Field(default=0.1, ge=1e-6, le=1e6)
+    tempering: float = Field(default=0.03, ge=1e-6, le=1)
+    neutral: float = Field(default=0.7, ge=1e-6, lt=1)
+    motion_sigma: float = Field(default=1.0, ge=1e-6, le=100)
     motion_tempering: float = Field(default=0.5, ge=0, le=1)
 
     def __call__(

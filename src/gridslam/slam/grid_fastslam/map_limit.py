@@ -39,7 +39,7 @@ class MapLimit:
         open, in cells of 5 cm.
     """
 
-    tiles_per_particle: int = Field(default=1700, ge=1)
+    tiles_per_particle: int = Field(default=1700, ge=1, le=500_000_000)
 
     def __call__(self, state: GridFastSlamState) -> IntArray | None:
         """Index of the particle that each continues, (N,); None if maps are within the limit, or not counted now."""

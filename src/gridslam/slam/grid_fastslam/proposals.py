@@ -129,9 +129,9 @@ class ScanMatchedProposal:
     """
 
     matcher: Annotated[GaussNewton | HillClimbing, Kind()] = GaussNewton()
-    beam_sigma_m: float = Field(default=1.6e-4, gt=0)
-    standstill_m: float = Field(default=0.02, ge=0)
-    standstill_rad: float = Field(default=0.02, ge=0)
+    beam_sigma_m: float = Field(default=1.6e-4, ge=1e-6, le=100)
+    standstill_m: float = Field(default=0.02, ge=0, le=1e6)
+    standstill_rad: float = Field(default=0.02, ge=0, le=100)
 
     def __call__(
         self,
@@ -177,7 +177,7 @@ class ImprovedProposal:
     """
 
     matcher: GaussNewton = GaussNewton()
-    beam_sigma_m: float = Field(default=0.02, gt=0)
+    beam_sigma_m: float = Field(default=0.02, ge=1e-6, le=100)
 
     def __call__(
         self,

@@ -58,7 +58,7 @@ class ReportBuilder:
         tracker's local ones: on simulated drives headings drift by less than half as much.
     """
 
-    sigma_m: float = Field(default=0.05, gt=0)
+    sigma_m: float = Field(default=0.05, ge=1e-6, le=100)
     lost_below: float = Field(default=0.15, ge=0, le=1)
     drift: DriftModel = DriftModel(
         standstill_sigma_rad=0.0002, sigma_rad_per_sqrt_rad=0.0016, sigma_rad_per_sqrt_m=0.0008

@@ -49,18 +49,18 @@ class DriftModel:
         noise and the rounding to cells turn the whole map against the first pose.
     """
 
-    standstill_sigma_m: float = Field(default=0.002, gt=0)
-    standstill_sigma_rad: float = Field(default=0.0005, gt=0)
-    sigma_m_per_sqrt_m: float = Field(default=0.025, ge=0)
-    sigma_rad_per_sqrt_rad: float = Field(default=0.004, ge=0)
-    sigma_m_per_sqrt_rad: float = Field(default=0.02, ge=0)
-    sigma_rad_per_sqrt_m: float = Field(default=0.002, ge=0)
+    standstill_sigma_m: float = Field(default=0.002, ge=1e-6, le=100)
+    standstill_sigma_rad: float = Field(default=0.0005, ge=1e-6, le=10)
+    sigma_m_per_sqrt_m: float = Field(default=0.025, ge=0, le=100)
+    sigma_rad_per_sqrt_rad: float = Field(default=0.004, ge=0, le=10)
+    sigma_m_per_sqrt_rad: float = Field(default=0.02, ge=0, le=10)
+    sigma_rad_per_sqrt_m: float = Field(default=0.002, ge=0, le=10)
 
-    rejected_match_sigmas: float = Field(default=1.5, ge=0)
-    position_ratio: float = Field(default=0.4, gt=0, le=1)
-    open_heading_ratio: float = Field(default=4.0, ge=1)
-    scale_sigma: float = Field(default=0.002, ge=0)
-    first_sigma_rad: float = Field(default=0.004, ge=0)
+    rejected_match_sigmas: float = Field(default=1.5, ge=0, le=1000)
+    position_ratio: float = Field(default=0.4, ge=1e-3, le=1)
+    open_heading_ratio: float = Field(default=4.0, ge=1, le=1e6)
+    scale_sigma: float = Field(default=0.002, ge=0, le=10)
+    first_sigma_rad: float = Field(default=0.004, ge=0, le=10)
 
     def variances(self, moved_m: float, turned_rad: float) -> tuple[float, float]:
         """Variances (m^2, rad^2) of an increment."""

@@ -100,10 +100,10 @@ class LoopClosure:
     recognition: PlaceRecognition = PlaceRecognition()
     solver: GraphSlam = GraphSlam(first_guess="given", robust=GraduatedNonConvexity())
     drift: DriftModel = DriftModel()
-    disagree_m: float = Field(default=0.3, gt=0)
-    disagree_rad: float = Field(default=0.05, gt=0)
-    scans_per_step: int = Field(default=60, ge=2)
-    poses_per_scan: int = Field(default=8000, ge=1)
+    disagree_m: float = Field(default=0.3, ge=1e-6, le=1e6)
+    disagree_rad: float = Field(default=0.05, ge=1e-6, le=100)
+    scans_per_step: int = Field(default=60, ge=2, le=1_000_000)
+    poses_per_scan: int = Field(default=8000, ge=1, le=10_000_000)
 
     def init(self, state: FilterState, beams: BeamEnds) -> LoopClosureState:
         """Begin with the filter's first scan."""

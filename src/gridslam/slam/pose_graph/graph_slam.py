@@ -90,8 +90,8 @@ class GraphSlam:
 
     first_guess: Literal["given", "computed", "either"] = "either"
     robust: Annotated[GraduatedNonConvexity | CauchyEstimator | None, Kind()] = None
-    max_iterations: int = Field(default=100, ge=1)
-    tolerance: float = Field(default=1e-6, gt=0, lt=1)
+    max_iterations: int = Field(default=100, ge=1, le=1000)
+    tolerance: float = Field(default=1e-6, ge=1e-15, lt=1)
 
     def solve(self, graph: PoseGraph) -> GraphSolution:
         """Find the poses of least chi2.

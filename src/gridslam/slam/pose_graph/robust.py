@@ -70,9 +70,9 @@ class CauchyEstimator:
     Holland and Welsch, Robust regression using iteratively reweighted least squares (1977).
     """
 
-    scale: float = Field(default=2.0, gt=0)
-    passes: int = Field(default=8, ge=1)
-    stop_m: float = Field(default=1e-3, gt=0)
+    scale: float = Field(default=2.0, ge=1e-6, le=1e6)
+    passes: int = Field(default=8, ge=1, le=1000)
+    stop_m: float = Field(default=1e-3, ge=1e-6, le=1e6)
 
     def estimate(
         self, graph: PoseGraph, starts: Iterable[FloatArray], max_iterations: int, tolerance: float
@@ -125,8 +125,8 @@ class GraduatedNonConvexity:
     with the truncated least squares of proposition 4 and remark 5.
     """
 
-    probability: float = Field(default=0.999, gt=0, lt=1)
-    growth: float = Field(default=4.0, gt=1)
+    probability: float = Field(default=0.999, ge=0.01, lt=1)
+    growth: float = Field(default=4.0, gt=1, le=1e6)
 
     @property
     def bound(self) -> float:

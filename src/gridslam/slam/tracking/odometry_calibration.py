@@ -109,8 +109,8 @@ class OdometryCalibration:
         leaves half of that.
     """
 
-    forgetting_segments: float = Field(default=200.0, ge=1)
-    max_unexplained_ratio: float = Field(default=0.6, gt=0)
+    forgetting_segments: float = Field(default=200.0, ge=1, le=1e6)
+    max_unexplained_ratio: float = Field(default=0.6, ge=1e-6, le=1e6)
 
     def is_known(self, errors: OdometryErrorModel) -> bool:
         """Whether the estimate has converged and the odometry is consistent with it."""

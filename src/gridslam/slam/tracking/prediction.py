@@ -128,10 +128,10 @@ class ConstantVelocity:
         of 100 predictions are within 6 cm and 0.1 rad.
     """
 
-    speed_mps: float = Field(default=3.0, ge=0)
-    turn_rps: float = Field(default=3.0, ge=0)
-    sigma_mps: float = Field(default=0.2, ge=0)
-    sigma_rps: float = Field(default=1.5, ge=0)
+    speed_mps: float = Field(default=3.0, ge=0, le=1000)
+    turn_rps: float = Field(default=3.0, ge=0, le=1000)
+    sigma_mps: float = Field(default=0.2, ge=0, le=100)
+    sigma_rps: float = Field(default=1.5, ge=0, le=100)
 
     def seconds(self, state: TrackerState, stamp_ns: int) -> float:
         """Time from the last scan to one at `stamp_ns`, >= 0, as far as stamps are to be trusted."""

@@ -17,7 +17,7 @@ from gridslam.slam.tracking.prediction import MAX_INTERVAL_S, PoseEstimate, Pred
 from gridslam.slam.tracking.state import TrackerState, is_within
 from gridslam.types import BeamEnds, FloatArray
 
-__all__ = ["NO_PRIOR", "OdometrySearch", "calibrated"]
+__all__ = ["NO_PRIOR", "OdometrySearch", "calibrated", "local_pyramid"]
 
 NO_PRIOR = np.full((1, 3, 3), 1e-9) * np.eye(3)
 """Information (1, 3, 3) of a guess that means nothing."""
@@ -58,6 +58,14 @@ _BASIN_RAD = 0.05
 _CALIBRATED_INFORMATION = 0.02
 """Calibrated odometry constrains weak directions better than the scan, see `GaussNewton.min_information`."""
 
+_LOCAL_CELLS = 2**12
+"""Side of the part of a local map that is searched, where it is larger: 205 m in cells of 5 cm."""
+
+
+def local_pyramid(state: TrackerState) -> Pyramid:
+    """Build the pyramid of the local map in use, for one search."""
+    return Pyramid.of(state.maps, state.matched_map, most_cells=_LOCAL_CELLS)
+
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
@@ -79,9 +87,9 @@ class OdometrySearch:
         Odometry path between two scans above which there is a gap in the laser data.
     """
 
-    sparse_period_s: float = Field(default=0.3, gt=0)
-    sparse_step: float = Field(default=0.4, gt=0)
-    blind_step: float = Field(default=1.0, gt=0)
+    sparse_period_s: float = Field(default=0.3, ge=1e-6, le=1e6)
+    sparse_step: float = Field(default=0.4, ge=1e-6, le=1e6)
+    blind_step: float = Field(default=1.0, ge=1e-6, le=1e6)
 
     def is_far_from_last(self, state: TrackerState, predicted: Prediction) -> bool:
         """Whether the last scan is too old, or too far away, for a velocity prediction."""
@@ -114,7 +122,7 @@ class OdometrySearch:
         self, state: TrackerState, predicted: Prediction, beams: BeamEnds, matcher: GaussNewton
     ) -> PoseEstimate:
         """Search the local map for a scan around where the odometry predicts it; `matcher` refines each place."""
-        pyramid = Pyramid.of(state.maps, state.matched_map)
+        pyramid = local_pyramid(state)
         best = PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
         error_m, error_rad = np.sqrt(state.odometry_errors.variances).tolist()
         # the errors learned hold where the robot drove about as far as it does between two scans

@@ -18,7 +18,6 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.branch_and_bound import Pyramid
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton, degenerate_direction
 from gridslam.models.parameters import Kind
 from gridslam.slam.tracking.odometry_calibration import OdometryCalibration, motion_of
@@ -29,7 +28,7 @@ from gridslam.slam.tracking.prediction import (
     Prediction,
     predict_by_odometry,
 )
-from gridslam.slam.tracking.search import NO_PRIOR, OdometrySearch, calibrated
+from gridslam.slam.tracking.search import NO_PRIOR, OdometrySearch, calibrated, local_pyramid
 from gridslam.slam.tracking.state import (
     SensorTrack,
     TrackedScan,
@@ -100,15 +99,15 @@ class Tracker:
         Online calibration of the odometry; None: disabled.
     """
 
-    standstill_m: float = Field(default=0.005, ge=0)
-    standstill_rad: float = Field(default=0.005, ge=0)
-    insert_m: float = Field(default=0.2, gt=0)
-    insert_rad: float = Field(default=0.1, gt=0)
-    map_scans: int = Field(default=20, ge=1)
-    beam_sigma_m: float = Field(default=0.0016, gt=0)
+    standstill_m: float = Field(default=0.005, ge=0, le=1e6)
+    standstill_rad: float = Field(default=0.005, ge=0, le=100)
+    insert_m: float = Field(default=0.2, ge=1e-6, le=1e6)
+    insert_rad: float = Field(default=0.1, ge=1e-6, le=100)
+    map_scans: int = Field(default=20, ge=1, le=1_000_000)
+    beam_sigma_m: float = Field(default=0.0016, ge=1e-6, le=100)
     min_inlier_ratio: float = Field(default=0.5, ge=0, le=1)
     search_inlier_ratio: float = Field(default=0.7, ge=0, le=1)
-    slip_m: float = Field(default=0.08, gt=0)
+    slip_m: float = Field(default=0.08, ge=1e-6, le=1e6)
     slip_inlier_gain: float = Field(default=0.1, ge=0, le=1)
     deskew: bool = True
     matcher: GaussNewton = GaussNewton()
@@ -274,7 +273,7 @@ class Tracker:
         match = self.matcher(state.maps, state.row, predicted.pose[None], predicted.prior, beams)
         if match.score[0] < self.search_inlier_ratio * count:
             search = self.velocity.search(state, predicted.seconds)
-            place = search.search(Pyramid.of(state.maps, state.matched_map), predicted.pose, None, beams.ends)
+            place = search.search(local_pyramid(state), predicted.pose, None, beams.ends)
             if place is not None:
                 other = self.matcher(state.maps, state.row, place.pose[None], NO_PRIOR, beams)
                 convinces = other.score[0] - match.score[0] > self.slip_inlier_gain * count
