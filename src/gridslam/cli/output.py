@@ -60,7 +60,8 @@ def print_json(document: Mapping[str, Any]) -> None:
 
 
 def print_result(document: Mapping[str, Any], summary: Iterable[str], as_json: bool) -> None:
-    """Print the document of a run with --json, and otherwise the lines of its summary."""
+    """Print the document of a run with --json, and otherwise the lines of its summary; and what failed on stderr."""
+    warn(*document.get("failures", ()))
     if as_json:
         print_json(document)
     else:

@@ -89,17 +89,22 @@ class TileArena:
         return self._free_pages, self._free_tiles
 
     def grow(self) -> None:
-        """Make more pages or tiles, or both, where none is free: a sixteenth of what there is."""
+        """Make more pages or tiles, or both, where none is free: a sixteenth of what there is.
+
+        Ids are free only once their memory is there: after a MemoryError all is as it was.
+        """
         if not len(self._free_pages):
-            self._free_pages, new = self._extend_ids(self.page_refs)
+            free, new = self._extend_ids(self.page_refs)
             self.pages.resize((new, PAGE, PAGE), refcheck=False)
             self.page_refs.resize(new, refcheck=False)
+            self._free_pages = free
         if not len(self._free_tiles):
-            self._free_tiles, new = self._extend_ids(self.tile_refs)
+            free, new = self._extend_ids(self.tile_refs)
             # resize extends large arrays in place: no second copy of the maps is ever held
             self.log_odds.resize((new, TILE, TILE), refcheck=False)
             self.field.resize((new, TILE, TILE), refcheck=False)
             self.tile_refs.resize(new, refcheck=False)
+            self._free_tiles = free
 
     @staticmethod
     def _extend_ids(refs: Int32Array) -> tuple[Int32Array, int]:

@@ -16,7 +16,7 @@ from gridslam.config import Configuration
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, OutputError
 from gridslam.io.measurement import Measurement
 from gridslam.particles import sample_gaussian
-from gridslam.pipeline import Observer
+from gridslam.pipeline import FailedStep, Observer, describe_error, isolate
 from gridslam.ros.node.accepted_scan import AcceptedScan, ScanRecorder
 from gridslam.ros.node.measurement_queue import MeasurementQueue, SessionEnd
 from gridslam.ros.node.messages import Diagnostics, GridMessage, Level, Outputs, ScanMessage, StampedTransform
@@ -250,30 +250,45 @@ class NodeCore:
             source = wrap(source)
         first = next(source, None)
         if first is not None:
-            self._session.run(chain([first], source), [self._publisher, *self._observers])
+            observers = [
+                isolate(self._publisher, partial(self._warn, "publishing failed")),
+                *(isolate(observer, partial(self._warn, "viewer failed")) for observer in self._observers),
+            ]
+            self._session.run(chain([first], source), observers, self._report_failure)
         if self._session_end is SessionEnd.CLOSED:
             return False
         self._outputs.log(Level.WARN, f"{self._session.restart_message}: {self._session_end.value}")
         return True
 
+    def _report_failure(self, failed: FailedStep) -> None:
+        self._warn("scan failed", str(failed))
+
     def _measurements(self) -> Iterator[Measurement]:
         """Yield measurements as they arrive, and run posted calls between two of them."""
         while True:
             item = self._queue.take()
-            if isinstance(item, AcceptedScan):
-                self._session.add(item)
-                try:
-                    if self._recorder is not None:
-                        self._recorder.add(item)
-                except OutputError as error:
-                    self._warn("record", str(error))
-                self._publisher.set_measurement(item)
-                yield item.measurement
-            elif isinstance(item, SessionEnd):
+            if isinstance(item, SessionEnd):
                 self._session_end = item
                 return
-            else:
+            if isinstance(item, AcceptedScan):
+                self._session.add(item)
+                self._record_scan(item)
+                self._publisher.set_measurement(item)
+                yield item.measurement
+                continue
+            try:
                 item()
+            except Exception as error:
+                self._warn("request failed", describe_error(error))
+
+    def _record_scan(self, accepted: AcceptedScan) -> None:
+        """Add a scan to the record, which ends if that fails."""
+        try:
+            if self._recorder is not None:
+                self._recorder.add(accepted)
+        except Exception as error:
+            self._close_record()
+            self._warn("record", describe_error(error))
 
     def _publish_map(self) -> None:
         if self._session.state is not None:
@@ -308,4 +323,7 @@ class NodeCore:
 
     def _run_timer(self, period_s: float, callback: Callable[[], None]) -> None:
         while not self.ended.wait(period_s):
-            callback()
+            try:
+                callback()
+            except Exception as error:
+                self._warn("publishing failed", describe_error(error))

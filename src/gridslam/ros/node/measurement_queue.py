@@ -12,9 +12,9 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between
 from gridslam.io.bags.ros_messages import ScanMessage, StampedTransform
+from gridslam.pipeline import describe_error
 from gridslam.ros.node.accepted_scan import AcceptedScan, MeasurementBuilder, find_refusal_reason
 from gridslam.ros.node.live_transforms import JumpDetector, LiveTransforms, Warn
 from gridslam.ros.node.parameters import NodeSettings
@@ -202,9 +202,9 @@ class MeasurementQueue:
                 self._discard()
                 self._refuse("missing transform", str(missing))
                 continue
-            except ArgumentError as error:
+            except Exception as error:
                 self._discard()
-                self._refuse("scan refused", f"{waiting.sensor}: {error}")
+                self._refuse("scan refused", f"{waiting.sensor}: {describe_error(error)}")
                 continue
             if waiting.after_jump and not self._continues(accepted.measurement.odometry):
                 self._scans[0] = waiting._replace(after_jump=False)

@@ -17,6 +17,7 @@ import numpy as np
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError
 from gridslam.io.bags.ros_messages import MessageError, Wire, decode_scan, decode_transforms
 from gridslam.io.output import OutputFolder
+from gridslam.pipeline import describe_error
 from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.messages import GridMessage, Level, Outputs
 from gridslam.ros.node.parameters import NodeParameters
@@ -240,8 +241,9 @@ class RosNode:
         def on_message(data: bytes, publisher: str) -> None:
             try:
                 handle(data, self._transport.wire_of(data), publisher)
-            except MessageError as error:
-                self.core.refuse_message("message", f"{name}: {error}")
+            except Exception as error:  # the transport's thread goes on, whatever the bytes were
+                problem = str(error) if isinstance(error, MessageError) else describe_error(error)
+                self.core.refuse_message("message", f"{name}: {problem}")
 
         self._transport.subscribe(topic, kind, on_message, **qos)
 
