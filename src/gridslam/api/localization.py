@@ -114,6 +114,7 @@ class LocalizationResult(Result):
 
     schema: ClassVar = "gridslam.localization/2"
     picture_name: ClassVar = "localization.png"
+    file_names: ClassVar = ("trajectory.tum", "trajectory.csv", "belief.csv")
 
     reports: list[LocalizationReport]
     driven_m: FloatArray

@@ -105,6 +105,10 @@ class MapResult(Result):
 
     schema: ClassVar = "gridslam.run/3"
     picture_name: ClassVar = "map.png"
+    file_names: ClassVar = (
+        *("map.yaml", "map.pgm", "trajectory.tum", "trajectory.csv"),
+        *("trajectory_online.tum", "graph.g2o", "record.npz"),
+    )
 
     trajectory: Trajectory
     covariances: FloatArray

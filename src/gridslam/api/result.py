@@ -37,6 +37,8 @@ class Result(ABC):
     """Name and number of the form of run.json."""
     picture_name: ClassVar[str]
     """Name of the picture's file."""
+    file_names: ClassVar[tuple[str, ...]]
+    """Names of all files that may be written, but picture and run.json."""
 
     if TYPE_CHECKING:  # fields of one class, properties of another
 
@@ -88,8 +90,13 @@ class Result(ABC):
         OutputError
             The folder cannot be written.
         """
-        with OutputFolder(folder) as out:
+        with OutputFolder(folder, self.all_names()) as out:
             return self.write(out)
+
+    @classmethod
+    def all_names(cls) -> tuple[str, ...]:
+        """Names of all files that may be written."""
+        return (*cls.file_names, cls.picture_name, "run.json")
 
     def write(self, out: OutputFolder) -> dict[str, Any]:
         """Write all results into an open output folder; returns the content of run.json."""

@@ -50,8 +50,10 @@ class NodeCore:
     outputs : Outputs
         The transport that publishes the node's messages.
     record : str or Path, optional
-        CSV of the accepted scans, which `gridslam map` maps with identical results; later sessions get `-2`, `-3`, ...
-        before its suffix.
+        CSV of the accepted scans, which `gridslam map` maps with identical results; later sessions, and those of a node
+        that is started again, get `-2`, `-3`, ... before its suffix.
+    on_jump : callable, optional
+        Called in the filter's thread with a copy of each session that ends as time jumps back.
     observers : sequence of Observer
         Called after each scan in the filter's thread.
 
@@ -77,6 +79,7 @@ class NodeCore:
         outputs: Outputs,
         *,
         record: str | Path | None = None,
+        on_jump: Callable[[SessionCopy], None] | None = None,
         observers: Sequence[Observer] = (),
     ) -> None:
         by_odometry = isinstance(configuration, Localization) or isinstance(configuration.tracker, OdometryTracker)
@@ -91,6 +94,8 @@ class NodeCore:
         self._wrappers: list[SourceWrapper] = []
         self._diagnostics_callbacks: list[DiagnosticsCallback] = []
         self._record = None if record is None else Path(record)
+        self._recorder: ScanRecorder | None = None
+        self._on_jump = on_jump
         self._warn = ThrottledWarnings(outputs.log)
         self._queue = MeasurementQueue(settings, self._warn)
         self._known_map: GridMessage | None = None
@@ -99,6 +104,7 @@ class NodeCore:
             self._renderer = MapRenderer(configuration.mapper, settings, outputs.map)
         self._publisher = StatePublisher(settings, outputs, self._renderer, self._queue, self._warn)
         self._begin_session()
+        self._begin_record()
         self._session_end = SessionEnd.CLOSED
         timers = (
             ("transform", settings.transform_publish_period_s, self._publisher.publish_transform),
@@ -233,10 +239,15 @@ class NodeCore:
         try:
             while self._run_session():
                 if self._session.state is not None:
+                    self._hand_over_session()
                     self._close_record()
                     if self._renderer is not None:
                         self._renderer.reset()
                     self._begin_session()
+                    try:
+                        self._begin_record()
+                    except OutputError as error:
+                        self._warn("record", str(error))
         except BaseException as error:  # report any error of the thread
             self.failure = error
             self._outputs.log(Level.ERROR, f"the filter failed: {type(error).__name__}: {error}")
@@ -259,6 +270,15 @@ class NodeCore:
             return False
         self._outputs.log(Level.WARN, f"{self._session.restart_message}: {self._session_end.value}")
         return True
+
+    def _hand_over_session(self) -> None:
+        """Give a copy of a session that was not ended on purpose to whoever saves it."""
+        if self._on_jump is None or self.localizes or self._session_end is not SessionEnd.JUMP:
+            return
+        try:
+            self._on_jump(self._session.copy(self._whole_record()))
+        except Exception as error:
+            self._warn("session not saved", describe_error(error))
 
     def _report_failure(self, failed: FailedStep) -> None:
         self._warn("scan failed", str(failed))
@@ -303,15 +323,19 @@ class NodeCore:
 
     def _begin_session(self) -> None:
         self._publisher.start_session()
-        record = self._record
-        if record is not None and self._publisher.sessions > 1:
-            record = record.with_name(f"{record.stem}-{self._publisher.sessions}{record.suffix}")
-        self._recorder = None if record is None else ScanRecorder(record)
         self._session: Session | LocalizationSession
         if isinstance(self.configuration, Localization):
             self._session = LocalizationSession(self.configuration, self.settings.seed)
         else:
             self._session = Session(self.configuration, self.settings.seed, self.settings.threads)
+
+    def _begin_record(self) -> None:
+        self._recorder = None
+        if self._record is None:
+            return
+        self._recorder = ScanRecorder(self._record)
+        if self._recorder.path != self._record:
+            self._outputs.log(Level.OK, f"{self._record} is an earlier record: recording to {self._recorder.path}")
 
     def _whole_record(self) -> Path | None:
         """The record of the session, if it contains all its scans."""
