@@ -46,8 +46,10 @@ class LimitedConnection(_Connection):  # type: ignore[misc]
         self.number = next(self._numbers)
         if len(self.connections) <= self.most:
             return
-        others = [other for other in self.connections if isinstance(other, LimitedConnection) and other is not self]
-        min(others, key=lambda other: (other.is_busy, other.number), default=self).transport.abort()
+        staying = [other for other in self.connections if not other.transport.is_closing()]
+        if len(staying) > self.most:
+            others = [other for other in staying if isinstance(other, LimitedConnection) and other is not self]
+            min(others, key=lambda other: (other.is_busy, other.number), default=self).transport.abort()
 
     @property
     def is_busy(self) -> bool:

@@ -31,6 +31,7 @@ def get(page, path):
     client.request("GET", path)
     answer = client.getresponse()
     answer.read()
+    client.close()
     return answer.status
 
 
