@@ -3,59 +3,20 @@
 from __future__ import annotations
 
 import json
-import threading
-from contextlib import nullcontext
 
-import numpy as np
 import pytest
 
 from gridslam.errors import OutputError
 from gridslam.io.csv import CsvLog
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.transport import RosNode
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
-from support.ros_node import LocalTransport, mounting, play, until
-
-SHIFT_NS = 1_700_000_000 * 10**9
-QUICK = {"particles": 3, "queue": 60.0, "map_update_interval": 0.2}
+from support.node_faults import RunningNode, make_drive, run_fault
+from support.ros_node import LocalTransport
 
 
 @pytest.fixture(scope="module")
 def drive():
-    rng = np.random.default_rng(1)
-    log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=90), rng)
-    return list(log.measurements)[:80]
-
-
-class RunningNode:
-    """A node in a thread; `stop` ends it as Ctrl-C does."""
-
-    def __init__(self, **parameters):
-        self.transport = LocalTransport()
-        self.node = RosNode(self.transport, node_parameters({**QUICK, **parameters}, "default"))
-        self.error = None
-        self.thread = threading.Thread(target=self.run, daemon=True)
-        self.node.core.on_transforms([mounting()], static=True)
-        self.thread.start()
-
-    def run(self):
-        try:
-            self.node.run(lambda core: nullcontext(), lambda: None)
-        except Exception as error:
-            self.error = error
-
-    def play(self, measurements, *, again=False):
-        """Play measurements; `again`: from a time before, whose first stamp is taken for an error."""
-        counts = self.node.core._queue.counts
-        before = counts.accepted
-        sent = play(self.node.core, self.transport.outputs, measurements, shift_ns=SHIFT_NS)
-        assert until(lambda: counts.accepted == before + sent - again), self.transport.outputs.warnings()
-
-    def stop(self):
-        self.transport.shut_down.set()
-        self.thread.join(60)
-        assert not self.thread.is_alive()
-        return self.transport.outputs.warnings()
+    return make_drive()[:80]
 
 
 def scans_of(out):
@@ -77,7 +38,7 @@ def test_the_map_of_a_bag_that_is_played_twice_is_saved_before_the_second_one(dr
     (tmp_path / "out-1" / "mine.txt").write_text("mine")
     node = RunningNode(out=str(tmp_path / "out"), record=str(tmp_path / "scans.csv"))
     for scans in (80, 60, 40):
-        node.play(drive[:scans], again=scans < 80)
+        node.play(drive[:scans], lost=scans < 80)
     node.stop()
     assert [scans_of(tmp_path / out) for out in ("out-2", "out-3", "out")] == [80, 59, 39]
     assert [path.name for path in (tmp_path / "out-1").iterdir()] == ["mine.txt"]
@@ -93,7 +54,7 @@ def test_where_a_later_record_cannot_be_created_the_map_goes_on(drive, tmp_path,
         raise OutputError("No space left on device")
 
     monkeypatch.setattr("gridslam.ros.node.core.ScanRecorder", full)
-    node.play(drive[:20], again=True)
+    node.play(drive[:20], lost=1)
     warnings = node.stop()
     assert node.error is None
     assert "record: No space left on device" in warnings
@@ -104,3 +65,11 @@ def test_a_folder_in_the_way_of_the_map_is_found_at_the_start(tmp_path):
     (tmp_path / "out" / "map.yaml").mkdir(parents=True)
     with pytest.raises(OutputError, match="got a folder"):
         RosNode(LocalTransport(), node_parameters({"out": str(tmp_path / "out")}, "default"))
+
+
+@pytest.mark.parametrize("name", ["proposal", "loop closure", "transport: map", "final refinement", "clock set back"])
+def test_what_was_mapped_is_saved_whatever_fails(tmp_path, name):
+    """Some of the faults of `tests/long/test_node_faults.py`."""
+    found = run_fault(name, make_drive(), tmp_path, stays=True)
+    assert found["error"] is None
+    assert found["saved"] >= 50
