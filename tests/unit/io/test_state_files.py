@@ -76,12 +76,12 @@ def file(measurements, tmp_path_factory):
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("schema", "gridslam.saved_run/1", "expected schema gridslam.saved_run/4, got gridslam.saved_run/1"),
+        ("schema", "gridslam.saved_run/1", "expected schema gridslam.saved_run/5, got gridslam.saved_run/1"),
         ("configuration", "particles = 0", "particles: expected a number greater than or equal to 1"),
         ("configuration", None, "a text named configuration"),
         ("generator", "{}", "generator: expected the state of PCG64"),
         ("generator", json.dumps({"bit_generator": "MT19937"}), "generator: expected the state of PCG64"),
-        ("state.schema", "gridslam.state/1", "a state of schema gridslam.state/9"),
+        ("state.schema", "gridslam.state/1", "a state of schema gridslam.state/10"),
         ("state.poses", None, "an array named poses"),
         ("state.maps.pages", None, "the arrays roots"),
         ("trajectory.keys", np.zeros(2), "keys: expected int64"),
