@@ -46,9 +46,10 @@ with handle_signals(until_exit=True):
 def test_what_was_mapped_is_saved(tmp_path, name, stays):
     found = run_fault(name, make_drive(seed=2 if stays else 1), tmp_path, stays=stays)
     assert found["error"] is None, found["log"]
-    assert found["saved"] >= BEFORE, found["log"]
-    if not stays and "future" not in name:
-        assert found["saved"] >= BEFORE + AFTER - 2, found["log"]
+    assert found["saved"] >= BEFORE - 1, found["log"]  # the last one may still be at work when the fault begins
+    if not stays and "stamp" not in name:
+        lost = 6 if "clock" in name else 2  # scans that wait when a clock is set are dropped
+        assert found["saved"] >= BEFORE + AFTER - lost, found["log"]
 
 
 def run_node(folder, until, *signals):
