@@ -1,22 +1,66 @@
-"""The one loop that drives the filter, offline and live: source -> algorithm -> observers."""
+"""The one loop that drives the filter, offline and live: source -> algorithm -> observers.
+
+A step consumes its state, so one that raises an exception in its midst leaves none. The loop therefore keeps a snapshot
+and the measurements since; to go on without the scan that failed, it takes the snapshot and steps through them again.
+Where that fails, too, as when memory is short, the state is revived as the step has left it.
+"""
 
 from __future__ import annotations
 
 import time
+import traceback
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, Protocol, TypeVar, final, overload
+from pathlib import Path
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar, final, overload
 
 import numpy as np
 
 from gridslam.arguments import describe, require_generator
-from gridslam.errors import ArgumentError
+from gridslam.errors import ArgumentError, GridslamError
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.types import LaserScan, Odometry, StepReport
+from gridslam.types import LaserScan, Odometry, StepReport, describe_time
 
-__all__ = ["Filter", "FilterReport", "Observer", "Stopwatch", "run"]
+__all__ = [
+    "FailedStep",
+    "FailureRecorder",
+    "Filter",
+    "FilterReport",
+    "FilterState",
+    "Observer",
+    "Stopwatch",
+    "describe_error",
+    "isolate",
+    "run",
+]
 
-State = TypeVar("State")
+_CHECKPOINT_RATIO = 128
+"""A snapshot is taken after a 128th of all scans, as its tables grow with them, and after the state's own number."""
+_CHECKPOINT_BEAMS = 1 << 20
+"""Beams of the measurements that are kept since a snapshot, 9 bytes each."""
+
+
+class FilterState(Protocol):
+    """State of a filter.
+
+    Attributes
+    ----------
+    scans_per_snapshot : int, >= 1
+        Number of scans beside which the cost of a snapshot does not count.
+    """
+
+    scans_per_snapshot: ClassVar[int]
+
+    def snapshot(self: State) -> State:
+        """Keep a copy for later; raises ConsumedStateError if a step has consumed the state."""
+        ...
+
+    def revive(self) -> None:
+        """Make a state whole again that was consumed by a step that failed, and is in part changed by it."""
+
+
+State = TypeVar("State", bound="FilterState")
 Report = TypeVar("Report", bound="FilterReport", covariant=True)
 
 
@@ -43,6 +87,83 @@ class Observer(Protocol):
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Process a step that took `seconds`; `state` may be read now, but belongs to the filter."""
+
+
+def describe_error(error: BaseException) -> str:
+    """Describe an exception in one line: the text of gridslam's own, of any other its type, text and origin."""
+    if isinstance(error, GridslamError):
+        return str(error)
+    text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    frames = traceback.extract_tb(error.__traceback__)
+    return f"{text} ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else text
+
+
+def _without_frames(error: Exception) -> Exception:
+    """Drop the frames of an exception, which hold what its step has left of the state."""
+    error.__context__ = error.__cause__ = None
+    return error.with_traceback(None)
+
+
+@final
+class FailedStep(NamedTuple):
+    """A step that raised an exception; its scan is skipped.
+
+    Attributes
+    ----------
+    scan : LaserScan
+        The scan.
+    error : Exception
+        The exception, without its traceback.
+    problem : str
+        Description of the exception.
+    state : GridFastSlamState, or the algorithm's own, or None
+        The filter's state, which is that before the step; None before the first scan that succeeds.
+    """
+
+    scan: LaserScan
+    error: Exception
+    problem: str
+    state: Any
+
+    def __str__(self) -> str:
+        """Describe scan and problem in one line."""
+        return f"{self.scan.sensor}, scan at {describe_time(self.scan.stamp_ns)}: {self.problem}"
+
+
+@final
+class FailureRecorder:
+    """Counts the steps that failed and keeps the first one; to be passed to `run` as `on_failure`."""
+
+    __slots__ = ("_count", "_first")
+
+    def __init__(self) -> None:
+        """Start without failures."""
+        self._count = 0
+        self._first = ""
+
+    def __call__(self, failed: FailedStep) -> None:
+        """Record a step that failed."""
+        self._count += 1
+        self._first = self._first or str(failed)
+
+    def describe(self) -> tuple[str, ...]:
+        """Return one sentence on all of them, none without failures."""
+        if not self._count:
+            return ()
+        scans = "1 scan" if self._count == 1 else f"{self._count} scans"
+        return (f"{scans} failed and left out: {self._first}",)
+
+
+def isolate(observer: Callable[..., None], on_failure: Callable[[str], None]) -> Callable[..., None]:
+    """Give an observer whose exceptions do not end the run: each is described to `on_failure`."""
+
+    def observe(report: FilterReport, state: FilterState, seconds: float) -> None:
+        try:
+            observer(report, state, seconds)
+        except Exception as error:
+            on_failure(describe_error(error))
+
+    return observe
 
 
 @final
@@ -106,6 +227,7 @@ def run(
     observers: Sequence[Observer] = (),
     state: GridFastSlamState | None = None,
     stopwatch: Stopwatch | None = None,
+    on_failure: Callable[[FailedStep], None] | None = None,
 ) -> GridFastSlamState: ...
 
 
@@ -118,6 +240,7 @@ def run(
     observers: Sequence[Callable[[Report, State, float], None]] = (),
     state: State,
     stopwatch: Stopwatch | None = None,
+    on_failure: Callable[[FailedStep], None] | None = None,
 ) -> State: ...
 
 
@@ -130,6 +253,7 @@ def run(
     observers: Sequence[Callable[[Any, Any, float], None]] = (),
     state: Any = None,
     stopwatch: Stopwatch | None = None,
+    on_failure: Callable[[FailedStep], None] | None = None,
 ) -> Any:
     """Run a filter on all measurements of a source.
 
@@ -150,6 +274,9 @@ def run(
     stopwatch : Stopwatch, optional
         Receives the stages "read" (the source), "track" (scans that did not step the particles), "step" (key scans) and
         "observe".
+    on_failure : callable, optional
+        Called with each step that raises an exception: its scan is skipped, without a report, and the next one is
+        processed as if there had been no such scan. If not given, the exception passes.
 
     Returns
     -------
@@ -161,23 +288,92 @@ def run(
     ArgumentError
         The source is empty and there is no state, yields something else than measurements, or has a scan without
         odometry that the tracker requires; `rng` is not a generator.
+    Exception
+        Of a step, unless `on_failure` is given; of the first step, if all failed.
     """
     require_generator(rng)
     watch = stopwatch or Stopwatch()
+    checkpoint = None if on_failure is None else _Checkpoint(algorithm, rng)
+    first_error: Exception | None = None
+    if checkpoint is not None and state is not None:
+        checkpoint.keep(state)
     for odometry, scan in _check_measurements(source):
         watch.lap("read")
-        if state is None:
-            state, report = algorithm.init(odometry, scan, particles)
+        try:
+            if state is None:
+                state, report = algorithm.init(odometry, scan, particles)
+            else:
+                state, report = algorithm.step(state, odometry, scan, rng)
+        except Exception as error:
+            if checkpoint is None or on_failure is None:
+                raise
+            problem = describe_error(error)
+            failure = _without_frames(error)
         else:
-            state, report = algorithm.step(state, odometry, scan, rng)
-        seconds = watch.lap("track" if report.skipped else "step")
-        for observe in observers:
-            observe(report, state, seconds)
-        watch.lap("observe")
+            seconds = watch.lap("track" if report.skipped else "step")
+            for observe in observers:
+                observe(report, state, seconds)
+            if checkpoint is not None:
+                checkpoint.add(state, odometry, scan)
+            watch.lap("observe")
+            continue
+        first_error = first_error or failure
+        state = None if state is None else checkpoint.restore(state)
+        on_failure(FailedStep(scan, failure, problem, state))
+        watch.lap("step")
     watch.lap("read")
     if state is None:
-        raise ArgumentError("source", "at least one measurement", "none")
+        raise first_error or ArgumentError("source", "at least one measurement", "none")
     return state
+
+
+@final
+class _Checkpoint(Generic[State]):
+    """A snapshot of a filter's state, and the measurements since."""
+
+    def __init__(self, algorithm: Filter[State, Any], rng: np.random.Generator) -> None:
+        self._algorithm = algorithm
+        self._rng = rng
+        self._total = 0
+        self._state: State | None = None
+        self._rng_state: Any = None
+        self._since: deque[tuple[Odometry | None, LaserScan]] = deque()
+        self._beams = 0
+
+    def add(self, state: State, odometry: Odometry | None, scan: LaserScan) -> None:
+        """Keep a measurement that led to this state."""
+        self._total += 1
+        self._since.append((odometry, scan))
+        self._beams += len(scan.ranges)
+        due = len(self._since) >= state.scans_per_snapshot and len(self._since) * _CHECKPOINT_RATIO >= self._total
+        if self._state is None or due or self._beams > _CHECKPOINT_BEAMS:
+            self.keep(state)
+
+    def keep(self, state: State) -> None:
+        """Take a snapshot."""
+        self._state = state.snapshot()
+        self._rng_state = self._rng.bit_generator.state
+        self._since.clear()
+        self._beams = 0
+
+    def restore(self, consumed: State) -> State:
+        """Return the state before the step that failed and `consumed` it, exactly, and set back the random generator.
+
+        Where a measurement fails now that did not before, `consumed` is revived instead.
+        """
+        assert self._state is not None
+        state = self._state.snapshot()
+        now = self._rng.bit_generator.state
+        self._rng.bit_generator.state = self._rng_state
+        try:
+            for odometry, scan in self._since:
+                state, _ = self._algorithm.step(state, odometry, scan, self._rng)
+        except Exception:
+            self._rng.bit_generator.state = now
+            state = consumed
+            state.revive()
+        self.keep(state)  # so that of many failures in a row only the first one takes time
+        return state
 
 
 def _check_measurements(source: object) -> Iterator[tuple[Odometry | None, LaserScan]]:

@@ -56,7 +56,7 @@ def test_help_of_map_names_the_parameters():
         assert name in done.stdout
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupted_run_leaves_everything_as_it_was(log, tmp_path, number):
     out = tmp_path / "out"
     out.mkdir()
@@ -103,3 +103,41 @@ def test_a_reader_that_goes_away_is_no_traceback(log, tmp_path):
     assert "Traceback" not in problem
     assert "Exception ignored" not in problem
     run.stderr.close()
+
+
+@pytest.mark.parametrize("pause_s", [0.0, 0.02, 0.2])
+def test_further_interrupts_print_no_traceback(log, tmp_path, pause_s):
+    out = tmp_path / "out"
+    out.mkdir()
+    run = start("map", log, "-o", out, "--particles", "3000")
+    while not list(out.glob(".*.partial")):
+        assert run.poll() is None, run.communicate()
+        time.sleep(0.01)
+    for _ in range(200):
+        if run.poll() is not None:
+            break
+        run.send_signal(signal.SIGINT)
+        time.sleep(pause_s)
+    printed, problem = run.communicate(timeout=60)
+    assert (run.returncode, printed) == (130, "")
+    assert "Traceback" not in problem
+    assert "Exception ignored" not in problem
+    assert problem.splitlines()[-1] == "gridslam: interrupted"
+    assert not list(out.iterdir())
+
+
+def test_a_run_that_ignores_hangups_is_not_ended_by_one(log, tmp_path):
+    """As after nohup."""
+    script = "import signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN); "
+    script += "from gridslam.cli.main import main; sys.exit(main())"
+    out = tmp_path / "out"
+    out.mkdir()
+    command = [sys.executable, "-c", script, "map", str(log), "-o", str(out), "--particles", "2"]
+    run = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while not list(out.glob(".*.partial")):
+        assert run.poll() is None, run.communicate()
+        time.sleep(0.01)
+    run.send_signal(signal.SIGHUP)
+    _, problem = run.communicate(timeout=60)
+    assert run.returncode == 0, problem
+    assert (out / "map.yaml").exists()

@@ -69,10 +69,15 @@ class Ros:
             "ROS_LOG_DIR": str(folder),
         }
         self.processes: list[subprocess.Popen[str]] = []
-        self.start(["roscore", "-p", str(port)], "roscore")
+        self.port = port
         self.master = xmlrpc.client.ServerProxy(self.uri)
+        self.start_master()
+
+    def start_master(self) -> subprocess.Popen[str]:
+        core = self.start(["roscore", "-p", str(self.port)], "roscore")
         assert self.until(lambda: bool(self.master.setParam("/test", "/use_sim_time", True)))
         assert self.until(lambda: "/rosout" in str(self.master.getSystemState("/test")))
+        return core
 
     def start(self, command: list[str], log: str) -> subprocess.Popen[str]:
         with (self.folder / f"{log}.log").open("w") as out:
@@ -293,6 +298,33 @@ def test_a_robot_is_localized_in_a_known_map(ros, tmp_path):
     ros.run("rosservice", "call", "/global_localization")
     node.send_signal(signal.SIGINT)
     assert node.wait(60) == 0, ros.log("node")
+
+
+def test_a_node_registers_again_at_a_master_that_was_restarted(ros, tmp_path):
+    bag = tmp_path / "flat.bag"
+    write_carmen(tmp_path / "flat.clf", flat_drive(3).measurements[:60])
+    convert_log(tmp_path / "flat.clf", bag)
+    node = ros.node("scan:=scan", "_particles:=4", f"_out:={tmp_path / 'out'}", *PATIENT)
+    ros.play(bag, 3)
+
+    def registered() -> list[list[str]]:
+        kinds = ros.master.getSystemState("/test")[2]
+        return [sorted(name for name, nodes in kind if NAME in nodes) for kind in kinds]
+
+    before = registered()
+    core = ros.processes[0]
+    core.send_signal(signal.SIGINT)
+    core.wait(30)
+    ros.start_master()
+    assert ros.until(lambda: registered() == before), (before, registered(), ros.log("node"))
+    assert "the master was restarted: registering again" in ros.log("node")
+    assert "scans: " in ros.run("rosservice", "call", f"{NAME}/save")
+    ros.play(bag, 3)  # from the beginning: another map
+    node.send_signal(signal.SIGINT)
+    assert node.wait(60) == 0, ros.log("node")
+    for out in ("out", "out-1"):
+        document = json.loads((tmp_path / out / "run.json").read_text())
+        assert document["scans"]["read"] >= 55  # the first ones may get lost
 
 
 def test_roslaunch_starts_the_node_of_the_examples(ros, tmp_path):

@@ -53,6 +53,7 @@ INNER_RANKS = {
     },
     "io": {
         "limits": -1,
+        "staging": -1,
         "measurement": 0,
         "output": 0,
         "text": 0,

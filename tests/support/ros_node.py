@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
+from gridslam.io.bags.ros_messages import MessageError, Wire
 from gridslam.io.measurement import Measurement
 from gridslam.ros import NodeCore
 from gridslam.ros.node.messages import (
@@ -66,6 +67,42 @@ class RecordedOutputs:
 
     def warnings(self) -> str:
         return "\n".join(text for _, text in self.logs)
+
+
+class LocalTransport:
+    """A transport without a network: `RosNode` runs on it, and `play` reaches its core."""
+
+    global_localization = "global_localization"
+
+    def __init__(self) -> None:
+        self.outputs = RecordedOutputs()
+        self.shut_down = threading.Event()
+        self.services: dict[str, Callable[[object], Sequence[object]]] = {}
+
+    def connect(self, refuse: Callable[[str, str], None]) -> None:
+        self.refuse = refuse
+
+    def wire_of(self, data: bytes) -> Wire:
+        raise MessageError("no bytes pass here")
+
+    def resolve(self, topic: str) -> str:
+        return f"/{topic}"
+
+    def subscribe(self, topic: str, kind: str, handle: object, **qos: object) -> None:
+        pass
+
+    def advertise(self, service: str, kind: str, serve: Callable[[object], Sequence[object]], **options: bool) -> None:
+        self.services[service] = serve
+
+    def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
+        pass
+
+    def spin(self, ended: threading.Event) -> Iterator[None]:
+        while not self.shut_down.is_set() and not ended.wait(0.01):
+            yield
+
+    def close(self) -> None:
+        self.shut_down.set()
 
 
 def scan_message(measurement: Measurement, shift_ns: int = 0, **changes: object) -> ScanMessage:

@@ -53,3 +53,25 @@ def test_nothing_is_told_of_odometry_that_is_not_there_and_times_of_beams_may_be
 
 def test_a_tracker_that_takes_the_odometry_as_it_is_learns_nothing(tmp_path, drive):
     assert told(tmp_path, drive[:20], preset("gmapping")) is None
+
+
+def fail(*arguments, **options):
+    raise RuntimeError("injected")
+
+
+@pytest.mark.parametrize(
+    ("what", "problem"),
+    [
+        ("gridslam.slam.full_slam.global_scan_refinement.GlobalScanRefinement.__call__", "the final refinement failed"),
+        ("gridslam.viz.draw_map", "map.png cannot be drawn"),
+    ],
+)
+def test_what_was_mapped_is_written_whatever_fails_afterwards(tmp_path, drive, monkeypatch, what, problem):
+    write_csv_log(tmp_path / "log.csv", drive[:100])
+    monkeypatch.setattr(what, fail)
+    result = map_log(tmp_path / "log.csv", configuration=Configuration(particles=2), repair="none")
+    document = result.save(tmp_path / "out")
+    assert len(document["failures"]) == 1
+    assert document["failures"][0].startswith(f"{problem}: RuntimeError: injected (test_run_document.py, line")
+    assert (tmp_path / "out" / "map.pgm").exists()
+    assert len((tmp_path / "out" / "trajectory.tum").read_text().splitlines()) == 100

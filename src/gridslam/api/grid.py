@@ -76,6 +76,7 @@ class GridResult(Result):
 
     schema: ClassVar = "gridslam.grid/1"
     picture_name: ClassVar = "map.png"
+    file_names: ClassVar = ("map.yaml", "map.pgm")
 
     map: OccupancyGrid
     trajectory: Trajectory

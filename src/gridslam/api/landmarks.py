@@ -179,6 +179,7 @@ class ResultByLandmarks(Result):
     """
 
     picture_name: ClassVar = "landmarks.png"
+    file_names: ClassVar = ("trajectory.tum", "trajectory.csv", "trajectory_online.tum", "landmarks.csv")
 
     stamps_ns: IntArray
     unknown: bool

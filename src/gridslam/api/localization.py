@@ -32,7 +32,7 @@ from gridslam.localization.state import (
     LocalizationSkip,
     MonteCarloState,
 )
-from gridslam.pipeline import Stopwatch, run
+from gridslam.pipeline import FailureRecorder, Stopwatch, run
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Odometry, Trajectory
 
 if TYPE_CHECKING:
@@ -108,10 +108,13 @@ class LocalizationResult(Result):
         What was taken out of the log.
     stopwatch : Stopwatch
         Time spent; saving goes on counting.
+    failures : tuple of str
+        Scans at which the filter failed, which were skipped.
     """
 
     schema: ClassVar = "gridslam.localization/2"
     picture_name: ClassVar = "localization.png"
+    file_names: ClassVar = ("trajectory.tum", "trajectory.csv", "belief.csv")
 
     reports: list[LocalizationReport]
     driven_m: FloatArray
@@ -128,6 +131,7 @@ class LocalizationResult(Result):
     remarks: tuple[str, ...]
     repair: Repair
     stopwatch: Stopwatch
+    failures: tuple[str, ...] = ()
 
     @property
     def trajectory(self) -> Trajectory:
@@ -320,7 +324,16 @@ def localize(
         last = state.last
         on_progress()
 
-    state = run(gate(source), mcl, rng=rng, observers=[*observers, note], state=state, stopwatch=watch)
+    failures = FailureRecorder()
+    state = run(
+        gate(source),
+        mcl,
+        rng=rng,
+        observers=[*observers, note],
+        state=state,
+        stopwatch=watch,
+        on_failure=failures,
+    )
     driven_m = np.cumsum(steps_m)
     _check_found(source, path, reports, driven_m, configuration)
     result = LocalizationResult(
@@ -339,6 +352,7 @@ def localize(
         remarks=remarks,
         repair=find_repair(source),
         stopwatch=watch,
+        failures=failures.describe(),
     )
     watch.lap("finish")
     return result

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, final
 
@@ -31,7 +32,7 @@ from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import write_tum
 from gridslam.kernels import compiled
 from gridslam.observers import RunStatistics, StatisticsRecorder, TrajectoryRecorder
-from gridslam.pipeline import Observer, Stopwatch, run
+from gridslam.pipeline import FailureRecorder, Observer, Stopwatch, describe_error, run
 from gridslam.slam.full_slam.full_slam import LoopClosureSummary, full_slam
 from gridslam.slam.full_slam.full_trajectory import find_open_directions
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
@@ -96,12 +97,18 @@ class MapResult(Result):
         The particles at each key scan.
     stopwatch : Stopwatch
         Time spent; saving goes on counting.
+    failures : tuple of str
+        What failed: scans that were skipped, or the final refinement.
     truth : Trajectory or None
         The true trajectory in the map's frame, where it is known; it is drawn into the picture.
     """
 
     schema: ClassVar = "gridslam.run/3"
     picture_name: ClassVar = "map.png"
+    file_names: ClassVar = (
+        *("map.yaml", "map.pgm", "trajectory.tum", "trajectory.csv"),
+        *("trajectory_online.tum", "graph.g2o", "record.npz"),
+    )
 
     trajectory: Trajectory
     covariances: FloatArray
@@ -122,6 +129,7 @@ class MapResult(Result):
     repair: Repair
     record: RecordWriter
     stopwatch: Stopwatch
+    failures: tuple[str, ...] = ()
     truth: Trajectory | None = None
 
     @property
@@ -296,6 +304,8 @@ def map_log(
 ) -> MapResult:
     """Map a log with grid-based FastSLAM and loop closure.
 
+    A scan at which the filter raises an exception is skipped, and the result reports it (see `MapResult.failures`).
+
     Parameters
     ----------
     log : str, Path or Log
@@ -353,6 +363,7 @@ def map_log(
     trajectory = TrajectoryRecorder()
     statistics = StatisticsRecorder()
     record = RecordWriter()
+    failures = FailureRecorder()
     watch.lap("start")
 
     def note(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
@@ -365,6 +376,7 @@ def map_log(
         rng=np.random.default_rng(seed),
         observers=[trajectory, statistics, *observers, note],
         stopwatch=watch,
+        on_failure=failures,
     )
     digest = compute_digest(source.path)
     watch.lap("finish")
@@ -383,6 +395,7 @@ def map_log(
         on_progress=on_progress,
         stopwatch=watch,
         keep_particles=keep_particles,
+        failures=failures.describe(),
     )
     watch.lap("finish")
     return result
@@ -404,20 +417,32 @@ def finish_mapping(
     on_progress: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch,
     keep_particles: bool = True,
+    failures: tuple[str, ...] = (),
 ) -> MapResult:
-    """Refine the trajectory after the last scan, and put together what a run gives; the arguments are `MapResult`'s."""
+    """Refine the trajectory after the last scan, and put together what a run gives; the arguments are `MapResult`'s.
+
+    Where the final refinement raises an exception the trajectory is that of the best particle.
+    """
     maps_bytes = state.maps.nbytes
     if not keep_particles:
         state.keep_best()
-    full = full_slam(
-        state,
-        trajectory.keys,
-        trajectory.key_from_base,
-        configuration.mapper,
-        configuration.loop_closure,
-        configuration.final_refinement,
-        on_progress,
+    refine = partial(
+        full_slam,
+        keys=trajectory.keys,
+        key_from_base=trajectory.key_from_base,
+        mapper=configuration.mapper,
+        loop_closure=configuration.loop_closure,
+        final_refinement=configuration.final_refinement,
+        on_progress=on_progress,
     )
+    try:
+        full = refine(state)
+    except Exception as error:
+        if state.closure_state is None:
+            raise
+        problem = f"the final refinement failed: {describe_error(error)}; the trajectory is that of the best particle"
+        failures = (*failures, problem)
+        full = refine(replace(state, closure_state=None))
     stopwatch.lap("final refinement")
     online = trajectory.online_trajectory()
     return MapResult(
@@ -440,6 +465,7 @@ def finish_mapping(
         repair=repair,
         record=record,
         stopwatch=stopwatch,
+        failures=failures,
     )
 
 

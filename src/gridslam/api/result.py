@@ -17,7 +17,7 @@ from gridslam.io.log import Log
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.output import OutputFolder
 from gridslam.io.trajectories import columns_of_trajectory, write_trajectory_csv, write_tum
-from gridslam.pipeline import Stopwatch
+from gridslam.pipeline import Stopwatch, describe_error
 from gridslam.types import FloatArray, Trajectory
 
 if TYPE_CHECKING:
@@ -37,6 +37,8 @@ class Result(ABC):
     """Name and number of the form of run.json."""
     picture_name: ClassVar[str]
     """Name of the picture's file."""
+    file_names: ClassVar[tuple[str, ...]]
+    """Names of all files that may be written, but picture and run.json."""
 
     if TYPE_CHECKING:  # fields of one class, properties of another
 
@@ -58,6 +60,11 @@ class Result(ABC):
         def stopwatch(self) -> Stopwatch:
             """Time spent; saving goes on counting."""
             ...
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What failed, a sentence each; the result is that of the rest."""
+        return ()
 
     @abstractmethod
     def caption(self) -> list[str]:
@@ -83,24 +90,36 @@ class Result(ABC):
         OutputError
             The folder cannot be written.
         """
-        with OutputFolder(folder) as out:
+        with OutputFolder(folder, self.all_names()) as out:
             return self.write(out)
+
+    @classmethod
+    def all_names(cls) -> tuple[str, ...]:
+        """Names of all files that may be written."""
+        return (*cls.file_names, cls.picture_name, "run.json")
 
     def write(self, out: OutputFolder) -> dict[str, Any]:
         """Write all results into an open output folder; returns the content of run.json."""
         self.stopwatch.resume()
         self._write_files(out)
         self.stopwatch.lap("write")
-        self.picture().save(out.file(self.picture_name), optimize=False)
+        failures = [*self.failures]
+        try:
+            self.picture().save(out.file(self.picture_name), optimize=False)
+        except OSError:  # the other files could not be written either
+            raise
+        except Exception as error:
+            out.file(self.picture_name).unlink(missing_ok=True)
+            failures.append(f"{self.picture_name} cannot be drawn: {describe_error(error)}")
         self.stopwatch.lap("draw")
-        document = self.document()
+        document = self.document() | {"failures": failures}
         out.write_json("run.json", document)
         return document
 
     def document(self) -> dict[str, Any]:
         """Build the content of run.json."""
         head = {"schema": self.schema, "version": __version__, "time": self.stopwatch.to_dict()}
-        return head | self._describe()
+        return head | self._describe() | {"failures": [*self.failures]}
 
     def to_dataframe(self) -> DataFrame:
         """Return a pandas.DataFrame with a row for each pose: stamp_ns and the columns of trajectory.csv.

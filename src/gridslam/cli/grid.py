@@ -36,7 +36,7 @@ def grid_to_folder(
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_log(log, options)
     with (
-        open_output(out) as folder,
+        open_output(out, GridResult.all_names()) as folder,
         reading_progress(lambda: source.statistics, shown=not as_json) as on_progress,
         name_option(half_life_scans="--decay", resolution_m="--resolution", max_gap_s="--max-gap"),
     ):

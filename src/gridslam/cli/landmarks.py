@@ -8,7 +8,7 @@ from typing import Any, Literal
 import click
 
 from gridslam.api.landmark_localization import localize_by_landmarks
-from gridslam.api.landmarks import LandmarkMethod, map_landmarks
+from gridslam.api.landmarks import LandmarkMethod, ResultByLandmarks, map_landmarks
 from gridslam.cli import STARTED_S
 from gridslam.cli.options import name_option
 from gridslam.cli.output import open_output, print_result, stop_if_interrupted
@@ -44,7 +44,7 @@ def landmarks_to_folder(
         raise click.ClickException("--unknown: GraphSLAM requires known correspondences")
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_landmark_log(log)
-    with open_output(out) as folder, name_option(particles="--particles"):
+    with open_output(out, ResultByLandmarks.all_names()) as folder, name_option(particles="--particles"):
         result = map_landmarks(
             source,
             method,
@@ -70,7 +70,7 @@ def _localize_to_folder(
 ) -> None:
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_landmark_log(log)
-    with open_output(out) as folder, name_option(pose="--initial-pose"):
+    with open_output(out, ResultByLandmarks.all_names()) as folder, name_option(pose="--initial-pose"):
         result = localize_by_landmarks(
             source, landmarks, pose=initial_pose, unknown=unknown, on_progress=stop_if_interrupted, stopwatch=watch
         )

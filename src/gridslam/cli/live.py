@@ -14,6 +14,7 @@ import numpy as np
 from gridslam.cli.output import warn
 from gridslam.errors import OutputError
 from gridslam.live.options import LiveOptions
+from gridslam.pipeline import describe_error, isolate
 
 if TYPE_CHECKING:
     from gridslam.api.mapping import MapResult
@@ -48,8 +49,9 @@ class Viewers(NamedTuple):
             paced = iter(measurements) if self.page is None else self.page.pace(measurements, watch)
             return paced if self.recording is None else self.recording.followed(paced)
 
-        observers: list[Callable[..., None]] = [] if self.page is None else [self.page.observer]
-        return {"observers": observers if self.recording is None else [*observers, self.recording], "gate": gate}
+        viewers = [] if self.page is None else [isolate(self.page.observer, _warn_once("the page"))]
+        viewers += [] if self.recording is None else [isolate(self.recording, _warn_once("the recording"))]
+        return {"observers": viewers, "gate": gate}
 
     def wait(self) -> None:
         """Give someone a minute to open the page; if nobody comes, go as fast as can be."""
@@ -64,10 +66,26 @@ class Viewers(NamedTuple):
         pairs = np.zeros((0, 2), np.int64) if result.loop_summary is None else result.loop_summary.closures
         for viewer in self:
             if viewer is not None:
-                viewer.finish(result.map, poses, poses[pairs, :2].reshape(-1, 4))
+                try:
+                    viewer.finish(result.map, poses, poses[pairs, :2].reshape(-1, 4))
+                except Exception as error:  # the results are more than who looks at them
+                    warn(f"the final map cannot be shown: {describe_error(error)}")
 
 
 NOBODY = Viewers(None, None)
+
+
+def _warn_once(viewer: str) -> Callable[[str], None]:
+    """Give what reports the first exception of a viewer."""
+    is_reported = False
+
+    def report(problem: str) -> None:
+        nonlocal is_reported
+        if not is_reported:
+            warn(f"{viewer} failed: {problem}")
+        is_reported = True
+
+    return report
 
 
 @contextmanager

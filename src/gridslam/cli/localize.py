@@ -55,7 +55,7 @@ def localize_to_folder(
     known = read_map(map_path, strict_thresholds=strict_thresholds) if is_watched else None
     with open_viewers(live, rerun, source.path.name, read.configuration.range_max_m, known) as viewers:
         with (
-            nullcontext() if out is None else open_output(out) as folder,
+            nullcontext() if out is None else open_output(out, LocalizationResult.all_names()) as folder,
             reading_progress(lambda: source.statistics, shown=not as_json) as on_progress,
             name_option(pose="--initial-pose"),
         ):

@@ -6,6 +6,7 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 
 import click
 
@@ -22,13 +23,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status: 0 done, 1 failed, 2 bad usage or input, 130 interrupted."""
     for name in _BLAS_THREADS:  # before NumPy is imported: its matrices are 3 x 3 here, its threads would only wait
         os.environ.setdefault(name, "1")
-    try:
-        with handle_signals():
+    with handle_signals(until_exit=arguments is None):
+        try:
             status = gridslam.main(arguments, prog_name="gridslam", standalone_mode=False)
             sys.stdout.flush()
+        except BaseException as error:
+            return _report_failure(error)
         return status if isinstance(status, int) else 0
-    except BaseException as error:
-        return _report_failure(error)
 
 
 def _report_failure(error: BaseException) -> int:
@@ -53,7 +54,8 @@ def _report_failure(error: BaseException) -> int:
 
 
 def _print_error(problem: str, status: int) -> int:
-    print("gridslam:", " ".join(problem.split()), file=sys.stderr)
+    with suppress(OSError):  # the terminal may be gone
+        print("gridslam:", " ".join(problem.split()), file=sys.stderr)
     return status
 
 

@@ -44,7 +44,7 @@ def map_to_folder(
     configuration = _build_configuration(preset, particles, laser, config, assignments, no_loop_closure)
     source = check_log(open_log(log, options), options)
     with open_viewers(live, rerun, source.path.name, configuration.range_max_m) as viewers:
-        with open_output(out) as folder:
+        with open_output(out, MapResult.all_names()) as folder:
             result = map_with_progress(
                 source, configuration, watch, viewers, shown=not as_json, seed=seed, threads=threads, repair=repair
             )

@@ -6,8 +6,9 @@ import json
 import math
 import signal
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
@@ -38,17 +39,19 @@ __all__ = [
 _BAR_EVERY_S = 0.25
 _LINE_EVERY_S = 5.0
 
+_SIGNALS = "SIGINT", "SIGTERM", "SIGHUP"
+
 _interrupted = False
 
 
 @contextmanager
-def open_output(path: Path) -> Iterator[OutputFolder]:
-    """Open OUT before the long work; one that cannot be written is bad usage."""
+def open_output(path: Path, names: Sequence[str] = ()) -> Iterator[OutputFolder]:
+    """Open OUT for files of these names before the long work; one that cannot be written is bad usage."""
     from gridslam.io.output import OutputFolder
 
     with ExitStack() as stack:
         try:
-            out = stack.enter_context(OutputFolder(path))
+            out = stack.enter_context(OutputFolder(path, names))
         except OutputError as error:
             raise click.ClickException(str(error)) from None
         yield out
@@ -60,7 +63,8 @@ def print_json(document: Mapping[str, Any]) -> None:
 
 
 def print_result(document: Mapping[str, Any], summary: Iterable[str], as_json: bool) -> None:
-    """Print the document of a run with --json, and otherwise the lines of its summary."""
+    """Print the document of a run with --json, and otherwise the lines of its summary; and what failed on stderr."""
+    warn(*document.get("failures", ()))
     if as_json:
         print_json(document)
     else:
@@ -74,16 +78,34 @@ def warn(*warnings: str) -> None:
 
 
 @contextmanager
-def handle_signals() -> Iterator[None]:
-    """Turn the first SIGINT or SIGTERM into KeyboardInterrupt; later ones must not disturb the cleaning up."""
+def handle_signals(*, until_exit: bool = False) -> Iterator[None]:
+    """Turn the first SIGINT, SIGTERM or SIGHUP into KeyboardInterrupt; later ones must not disturb the cleaning up.
+
+    `until_exit`: after an interrupt they are ignored for the rest of the process.
+    """
     global _interrupted
     _interrupted = False
-    before = {number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = [getattr(signal, name) for name in _SIGNALS if hasattr(signal, name)]
+    if threading.current_thread() is not threading.main_thread():
+        numbers = []  # signals are handled by the main thread alone
+    before = {number: signal.getsignal(number) for number in numbers}
+    hook = sys.unraisablehook
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:  # as SIGHUP by nohup
+            signal.signal(number, _interrupt)
+    sys.unraisablehook = lambda unraisable: _hide_interrupt(unraisable, hook)
     try:
         yield
     finally:
+        sys.unraisablehook = hook
         for number, handler in before.items():
-            signal.signal(number, handler)
+            signal.signal(number, signal.SIG_IGN if until_exit and _interrupted else handler)
+
+
+def _hide_interrupt(unraisable: Any, hook: Callable[[Any], object]) -> None:  # noqa: ANN401
+    """Print nothing on an interrupt that Python swallows in a destructor: `stop_if_interrupted` repeats it."""
+    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+        hook(unraisable)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 import numpy as np
 
+from gridslam.api.mapping import MapResult
 from gridslam.cli import STARTED_S
 from gridslam.cli.evaluate import format_scores, score_against_truth
 from gridslam.cli.live import open_viewers
@@ -123,7 +124,7 @@ def demo(out: Path, seed: int, live: LiveOptions | None, rerun: str | None, as_j
     configuration = Configuration()
     slowed = None if live is None else replace(live, speed=_DEMO_SPEED)
     with open_viewers(slowed, rerun, "demo", configuration.range_max_m) as viewers:
-        with open_output(out) as folder:
+        with open_output(out, MapResult.all_names()) as folder:
             simulated = simulate(make_world("demo", rng), RobotConfig(), OdometryNoise(), LidarConfig(), rng)
             write_carmen(folder.file(_DEMO_LOG), simulated.measurements)
             write_tum(folder.file("truth.tum"), simulated.truth)

@@ -105,21 +105,24 @@ class TileArena:
     def grow(self) -> None:
         """Make more pages or tiles, or both, where none is free: a sixteenth of what there is.
 
-        Raises ArgumentError where there are `most_tiles`; what the maps hold stays as it is.
+        Raises ArgumentError where there are `most_tiles`; what the maps hold stays as it is. Ids are free only once
+        their memory is there: after a MemoryError all is as it was.
         """
         if not len(self._free_tiles) and len(self.tile_refs) > self.most_tiles:
             limit = f"at most {self.most_tiles} tiles, {1e-9 * self.most_tiles * TILE_BYTES:.2g} GB (mapper.max_tiles)"
             raise ArgumentError("maps", limit, "a scan that needs more: fewer particles or coarser cells need less")
         if not len(self._free_pages):
-            self._free_pages, new = self._extend_ids(self.page_refs, np.iinfo(np.int32).max)
+            free, new = self._extend_ids(self.page_refs, np.iinfo(np.int32).max)
             self.pages.resize((new, PAGE, PAGE), refcheck=False)
             self.page_refs.resize(new, refcheck=False)
+            self._free_pages = free
         if not len(self._free_tiles):
-            self._free_tiles, new = self._extend_ids(self.tile_refs, self.most_tiles + 1)
+            free, new = self._extend_ids(self.tile_refs, self.most_tiles + 1)
             # resize extends large arrays in place: no second copy of the maps is ever held
             self.log_odds.resize((new, TILE, TILE), refcheck=False)
             self.field.resize((new, TILE, TILE), refcheck=False)
             self.tile_refs.resize(new, refcheck=False)
+            self._free_tiles = free
 
     @staticmethod
     def _extend_ids(refs: Int32Array, most: int) -> tuple[Int32Array, int]:

@@ -193,11 +193,12 @@ class TileMaps:
 
         Tiles are copied when either side writes.
         """
+        roots = self._roots.copy() if rows is None else self._roots[rows]
+        self._arena.retain(roots)  # before there is an owner who gives them back, should this fail
         twin = object.__new__(TileMaps)
         for name in TileMaps.__slots__:
             setattr(twin, name, getattr(self, name))
-        twin._roots = self._roots.copy() if rows is None else self._roots[rows]
-        twin._arena.retain(twin._roots)
+        twin._roots = roots
         return twin
 
     def select(self, parents: IntArray) -> None:

@@ -6,31 +6,36 @@ import bz2
 import gzip
 import json
 import os
-import secrets
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, cast, final
 
 from gridslam.errors import ArgumentError, OutputError
+from gridslam.io.staging import REPLACED, StagingFolder, exchange_folders, sync
 
 __all__ = ["OutputFolder", "open_for_writing", "write_atomically"]
 
 
 @contextmanager
 def write_atomically(path: str | Path) -> Iterator[Path]:
-    """Give a path beside `path` to write to; it becomes `path` at the end or, after an exception, is removed."""
+    """Give a path near `path` to write to; it becomes `path` at the end unless an exception passes."""
     target = Path(path)
-    aside = target.with_name(f".{target.name}.{secrets.token_hex(4)}.partial")
+    staging: StagingFolder | None = None
     try:
+        staging = StagingFolder(target.parent, target.name)
+        aside = staging.path / target.name
         yield aside
+        sync(aside)
         os.replace(aside, target)
+        sync(target.parent)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:
-        aside.unlink(missing_ok=True)
+        if staging is not None:
+            staging.remove()
 
 
 @contextmanager
@@ -53,35 +58,46 @@ class OutputFolder:
     """The folder OUT of a run; use it as a context manager and write to what `file` gives.
 
     When the context is left without an exception the files move into OUT, replacing those of the same names; other
-    files in OUT stay. When an exception passes (an interrupt too), OUT is as it was before.
+    files in OUT stay. When an exception passes (an interrupt too), OUT is as it was before. A process that is killed
+    leaves the files of before or those of after: a new folder is renamed, and one that holds an earlier result is
+    exchanged as a whole, where the system can (Linux) and it has no folders in it. Otherwise the files move one by one,
+    and the next run completes what was interrupted.
 
     Parameters
     ----------
     path : str or Path
         OUT; it and the folders above it are made where there are none.
+    names : sequence of str
+        Names of files that will be written, to check on entering that no folder is in their way.
 
     Raises
     ------
     OutputError
-        On entering, where OUT is a file or cannot be written; on leaving, where a file cannot be moved into it.
+        On entering, where OUT is a file or cannot be written, or a folder has the name of a file; on leaving, where a
+        file cannot be moved into it.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, names: Sequence[str] = ()) -> None:
         """Name the folder; nothing is touched before the context is entered."""
         self.path = Path(path)
-        self._aside = Path()
+        self._names = names
+        self._staging: StagingFolder | None = None
 
     def __enter__(self) -> OutputFolder:
         """Check that OUT can be written and create the temporary folder."""
         above = self.path
-        while not above.exists() and above != above.parent:
+        while not os.path.lexists(above) and above != above.parent:
             above = above.parent
+        if not above.exists():
+            raise OutputError(f"{self.path}: expected a folder to write to, but {above} is a link to nothing")
         if not above.is_dir():
             raise OutputError(f"{self.path}: expected a folder to write to, but {above} is a file")
-        # Within OUT where there is one: it may be a file system of its own, to which nothing can be renamed.
-        self._aside = above / f".{self.path.name}.{secrets.token_hex(4)}.partial"
         try:
-            self._aside.mkdir()
+            if above == self.path:
+                self._require_no_folders(self._names)
+                if not os.access(above, os.W_OK | os.X_OK):
+                    raise OutputError(f"{self.path}: cannot be written: Permission denied")
+            self._staging = self._stage(above)
         except OSError as error:
             raise OutputError(f"{self.path}: cannot be written: {error.strerror}") from None
         return self
@@ -90,19 +106,21 @@ class OutputFolder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Move the files into OUT, or forget them where an exception passes."""
+        assert self._staging is not None
         try:
             if kind is None:
-                self._publish()
+                self._publish(self._staging.path)
         except OSError as problem:
             raise OutputError(f"{self.path}: cannot be written: {problem.strerror or problem}") from None
         finally:
-            shutil.rmtree(self._aside, ignore_errors=True)
+            self._staging.remove()
 
     def file(self, name: str) -> Path:
         """Path to write the file `name` of OUT to, within the context."""
         if Path(name).name != name or name in ("", ".."):
             raise ArgumentError("name", "the name of a file, without a folder", name)
-        return self._aside / name
+        assert self._staging is not None
+        return self._staging.path / name
 
     def write_json(self, name: str, document: Mapping[str, Any]) -> None:
         """Write a JSON file; ``schema`` names its type. NaN and infinity have no place in JSON.
@@ -117,30 +135,100 @@ class OutputFolder:
             raise ArgumentError("document", "JSON values", error) from None
         self.file(name).write_text(text + "\n", encoding="utf-8")
 
-    def _publish(self) -> None:
+    def _stage(self, above: Path) -> StagingFolder:
+        """Create the temporary folder: beside OUT if that can be exchanged, otherwise in it or in the folder above."""
+        name = self.path.name
+        if above != self.path:
+            return StagingFolder(above, name)
+        inside = StagingFolder(self.path, name, self.path)  # always: it completes what was interrupted
+        out = self.path.resolve()
+        try:
+            outside = StagingFolder(out.parent, out.name, out) if self._is_exchangeable(out.parent) else None
+        except OSError:
+            outside = None
+        if outside is None:
+            return inside
+        inside.remove()
+        return outside
+
+    def _is_exchangeable(self, beside: Path) -> bool:
+        """Whether OUT is an earlier result and no more than that, and nobody stands in it as far as this process knows.
+
+        A mount point cannot be exchanged.
+        """
+        here = Path.cwd()
+        return (
+            (self.path / "run.json").is_file()
+            and all(
+                file.is_file() and not file.is_symlink()
+                for file in self.path.iterdir()
+                if not file.name.endswith(".partial")
+            )
+            and not any(folder.samefile(self.path) for folder in (here, *here.parents))
+            and beside.stat().st_dev == self.path.stat().st_dev
+            and os.access(beside, os.W_OK | os.X_OK)
+        )
+
+    def _publish(self, aside: Path) -> None:
+        staged = [file.name for file in aside.iterdir()]
+        sync(*aside.iterdir(), aside)
         if not self.path.exists():
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(self._aside, self.path)
+            os.replace(aside, self.path)
+            sync(self.path.parent)
             return
-        staged = [file.name for file in self._aside.iterdir()]
-        for name in staged:
-            if (self.path / name).is_dir():
-                raise OutputError(f"{self.path / name}: expected a file or nothing, got a folder")
-        replaced = self._aside / ".replaced"
+        self._require_no_folders(staged)
+        if aside.parent == self.path or not self._exchange(aside):
+            self._move(aside, staged)
+        sync(self.path)
+
+    def _exchange(self, aside: Path) -> bool:
+        """Exchange the folder with OUT, whose other files are in both; returns False if that is not possible."""
+        out = self.path.resolve()
+        if not self._is_exchangeable(aside.parent):
+            return False
+        linked = []
+        try:
+            for file in out.iterdir():
+                if not (aside / file.name).exists():
+                    os.link(file, aside / file.name)
+                    linked.append(aside / file.name)
+            shutil.copystat(out, aside)
+            is_exchanged = exchange_folders(aside, out)
+        except OSError:  # a file system without links
+            is_exchanged = False
+        if not is_exchanged:
+            for link in linked:
+                link.unlink()
+            return False
+        for file in aside.iterdir():
+            if not os.path.lexists(out / file.name):  # it was created just now
+                os.replace(file, out / file.name)
+        sync(aside.parent)
+        return True
+
+    def _move(self, aside: Path, staged: Sequence[str]) -> None:
+        """Move the files one by one, run.json as the last: who finds it finds all."""
+        replaced = aside / REPLACED
         replaced.mkdir()
         try:
-            for name in staged:
-                if (self.path / name).exists():
+            for name in sorted(staged, key="run.json".__eq__):
+                if os.path.lexists(self.path / name):
                     os.replace(self.path / name, replaced / name)
-                os.replace(self._aside / name, self.path / name)
+                os.replace(aside / name, self.path / name)
         except BaseException:
-            self._restore(staged, replaced)
+            self._restore(aside, staged, replaced)
             raise
 
-    def _restore(self, staged: list[str], replaced: Path) -> None:
+    def _restore(self, aside: Path, staged: Sequence[str], replaced: Path) -> None:
         """Undo the moves; the location of the files shows which of them had happened."""
         for name in staged:
-            if (replaced / name).exists():
+            if os.path.lexists(replaced / name):
                 os.replace(replaced / name, self.path / name)
-            elif not (self._aside / name).exists():
+            elif not (aside / name).exists():
                 (self.path / name).unlink()
+
+    def _require_no_folders(self, names: Sequence[str]) -> None:
+        for name in names:
+            if (self.path / name).is_dir():
+                raise OutputError(f"{self.path / name}: expected a file or nothing, got a folder")

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, TypeAlias, final
 import numpy as np
 
 from gridslam.geometry.se2 import between, compose
+from gridslam.grid.tiles import TileMaps
 from gridslam.live.scene import Frame, RowBuffer, thin_tree
 from gridslam.live.tiles import EMPTY_BOX, Box, TileChangeDetector, TileChanges
 from gridslam.localization import LocalizationReport, MonteCarloState
@@ -77,6 +78,7 @@ class MappingMonitor:
     def reset(self) -> None:
         """Start before the first scan of a new session with new maps."""
         self._all_changed = True
+        self._maps: TileMaps | None = None
         self._keys = 0
         self._written: list[tuple[FloatArray, LaserScan | None]] = []
         self._closures: list[tuple[int, int]] = []
@@ -115,6 +117,8 @@ class MappingMonitor:
         """Return a view of the current state, with all changes of the maps since the last view."""
         rows = {channel: int(line[0]) if len(line) else _DIED_OUT for channel, line in self._lines.items()}
         rows[BEST] = state.best
+        self._all_changed |= state.maps is not self._maps  # others since a correction, or a step that failed
+        self._maps = state.maps
         written = None if self._all_changed else self._written_box()
         maps = {
             channel: detector.find_changes(state.maps, rows[channel], written)

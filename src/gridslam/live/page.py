@@ -20,6 +20,8 @@ __all__ = ["LivePage"]
 
 _Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
 _RECONNECT_S = 3.0
+_SHARE = 0.1
+"""Share of one processor's time for all viewers of a run together: with one viewer it takes a few per cent."""
 
 
 @final
@@ -63,7 +65,7 @@ class LivePage:
         options = options or LiveOptions()
         self.control = Control(options.speed)
         self._run = LiveRun(title, robot or self.control, range_max_m, known)
-        self._server = PageServer(self._run, options)
+        self._server = PageServer(self._run, options, _SHARE)
         self._last_stage = "final refinement" if known is None else "writing"
         monitor: FilterMonitor = MappingMonitor(range_max_m) if known is None else LocalizationMonitor(known)
         self.observer = LiveObserver(self._post, self.control, monitor)

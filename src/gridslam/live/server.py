@@ -12,7 +12,7 @@ import socket
 import tempfile
 import threading
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol, final
 from urllib.parse import urlsplit
@@ -20,7 +20,7 @@ from urllib.parse import urlsplit
 import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import HTTPConnection, Request
-from starlette.responses import PlainTextResponse, Response
+from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -28,6 +28,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gridslam.errors import ArgumentError, OutputError
 from gridslam.io.maps import write_map
+from gridslam.live.limits import ArchiveCache, LimitedConnection, PacedSelector
 from gridslam.live.options import LiveOptions
 from gridslam.live.protocol import encode
 from gridslam.types import OccupancyGrid
@@ -51,6 +52,8 @@ _HEADERS = {
 _TOKEN = "GRIDSLAM_LIVE_TOKEN"
 """Environment variable with a token that remains valid after a restart."""
 _STOP_WITHIN_S = 5.0
+_BACKLOG = 32  # connections that are accepted at once
+_BLOCK = 1 << 16
 
 
 class Viewer(Protocol):
@@ -87,6 +90,8 @@ class PageServer:
         Content of the page; from now on only this server's thread may use it, see `call`.
     options : LiveOptions
         Address of the page.
+    share : float, (0, 1]
+        Share of one processor's time that the server takes at most, on average: what is left is the filter's.
 
     Raises
     ------
@@ -94,12 +99,16 @@ class PageServer:
         On entering: the port is in use, or the address is not one of this machine.
     """
 
-    def __init__(self, content: PageContent, options: LiveOptions) -> None:
+    def __init__(self, content: PageContent, options: LiveOptions, share: float = 1.0) -> None:
         """Create the server without listening."""
+        self._share = share
         self._options = options
         self._token = None if options.is_local else os.environ.get(_TOKEN) or secrets.token_urlsafe(12)
         config = uvicorn.Config(
-            _make_application(content, options.host, self._token),
+            _make_application(content, options.host, self._token, share),
+            http=LimitedConnection,
+            backlog=_BACKLOG,
+            loop="none",
             log_config=None,
             log_level="critical",
             access_log=False,
@@ -159,19 +168,39 @@ class PageServer:
             raise OutputError(f"cannot listen at {host}, port {port}: {error.strerror or error}") from None
 
     def _serve(self) -> None:
+        loop = asyncio.SelectorEventLoop(PacedSelector(self._share))
+        loop.set_exception_handler(_ignore_connections)
+
         async def serve() -> None:
-            self._loop = asyncio.get_running_loop()
+            self._loop = loop
             self._running.set()
             await self._server.serve([self._socket] if self._socket else None)
 
         try:
-            asyncio.run(serve())
+            loop.run_until_complete(serve())
+            loop.run_until_complete(_cancel_tasks())
+            loop.run_until_complete(loop.shutdown_default_executor())
         finally:
             self._running.set()
+            loop.close()
 
 
-def _make_application(content: PageContent, host: str, token: str | None) -> ASGIApp:
+async def _cancel_tasks() -> None:
+    tasks = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def _ignore_connections(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Report what failed, but for connections: they come and go."""
+    if not isinstance(context.get("exception"), OSError):
+        loop.default_exception_handler(context)
+
+
+def _make_application(content: PageContent, host: str, token: str | None, share: float) -> ASGIApp:
     """The page of a show, for everyone who has the token; without one for requests to this very host alone."""
+    archives = ArchiveCache(content.channel_map, _zip_map, share)
 
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
@@ -186,11 +215,11 @@ def _make_application(content: PageContent, host: str, token: str | None) -> ASG
         if not _is_authorized(request, token):
             return PlainTextResponse("this needs the token of the page", 403)
         channel = request.query_params.get("channel", "0")
-        grid = content.channel_map(int(channel) if channel.isdecimal() else 0)
-        if grid is None:
+        archive = await archives.find(int(channel) if channel.isdecimal() and len(channel) < 10 else 0)
+        if archive is None:
             return PlainTextResponse("there is no map", 404)
-        archive = await asyncio.to_thread(_zip_map, grid)
-        return Response(archive, media_type="application/zip")
+        length = {"content-length": str(len(archive))}
+        return StreamingResponse(_split(archive), media_type="application/zip", headers=length)
 
     routes = [
         WebSocketRoute("/socket", socket),
@@ -199,6 +228,12 @@ def _make_application(content: PageContent, host: str, token: str | None) -> ASG
     ]
     names = None if token is not None else {"127.0.0.1", "localhost", "::1", host}
     return _guard(Starlette(routes=routes), names)
+
+
+async def _split(data: bytes) -> AsyncIterator[bytes]:
+    """Yield blocks, each when the one before has been taken: a slow reader holds no copy."""
+    for start in range(0, len(data), _BLOCK):
+        yield data[start : start + _BLOCK]
 
 
 def _is_authorized(connection: HTTPConnection, token: str | None) -> bool:

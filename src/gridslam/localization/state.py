@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Annotated, Any, Protocol, final
+from typing import Annotated, Any, ClassVar, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,6 +117,8 @@ class MonteCarloState:
         How many there were.
     """
 
+    scans_per_snapshot: ClassVar[int] = 1
+
     poses: Annotated[FloatArray, "N", 3]
     log_weights: Annotated[FloatArray, "N"]
     averages: InlierRatioAverages
@@ -188,6 +190,10 @@ class MonteCarloState:
         twin = self.snapshot()
         self.consumed = True
         return twin
+
+    def revive(self) -> None:
+        """Make a state whole again that a step has consumed: nothing in it has changed."""
+        self.consumed = False
 
     def snapshot(self) -> MonteCarloState:
         """Keep this state for later; it costs nothing, as arrays in it are replaced, never written to."""

@@ -98,6 +98,21 @@ class Ancestry:
         self._prune()
         self._coalesce()
 
+    def retract(self) -> FloatArray:
+        """Take back the newest of at least two steps, also after a resampling; poses (N, 3) of the step before it."""
+        if self._levels:
+            places = self._levels.pop().parents[self._leaves]
+            if self._levels:
+                alive, self._leaves = np.unique(places, return_inverse=True)
+                poses, parents = self._levels[-1]
+                self._levels[-1] = _Level(poses[alive], parents[alive])
+                return self._levels[-1].poses[self._leaves]
+            self._leaves = np.zeros_like(places)
+        else:
+            del self._trunk[-self._width :]
+        last = np.array(self._trunk[-self._width :])
+        return np.repeat(last[None], len(self), axis=0)
+
     def trajectory(self, particle: int) -> FloatArray:
         """Poses (T, 3) of one particle at steps 0 .. T - 1, along its own past.
 

@@ -22,6 +22,7 @@ __all__ = ["MissingTransform", "TransformBuffer"]
 FloatArray = NDArray[np.float64]
 
 _MAX_CHAINS = 1000
+_MAX_LINKS = 10_000  # 2.5 kB each; a fleet of 100 robots has as many
 _MAX_NAMES = 8
 
 
@@ -58,11 +59,21 @@ class TransformBuffer:
     ----------
     keep_s : float, s
         Finite and > 0. Bounds the memory, and how long a reader can wait for a reading that comes late.
+    max_links : int, >= 16
+        Most links; of more than that those expire that were not used, the oldest first and static ones last.
+
+    Attributes
+    ----------
+    expired : int
+        Number of links that have expired.
     """
 
-    def __init__(self, keep_s: float = 10.0) -> None:
+    def __init__(self, keep_s: float = 10.0, max_links: int = _MAX_LINKS) -> None:
         if not 0.0 < keep_s < np.inf:
             raise ArgumentError("keep_s", "a finite time > 0 s", keep_s)
+        self.expired = 0
+        self._max_links = max_links
+        self._used: set[Link] = set()  # of chains that were forgotten last
         self._keep_ns = round(keep_s * 1e9)
         self._links: dict[tuple[str, str], Link] = {}
         self._around: dict[str, list[Link]] = {}
@@ -103,7 +114,7 @@ class TransformBuffer:
         link = self._link(_bare(parent), _bare(child))
         changed = link.fix(motion) if static else link.add(stamp_ns, motion)
         if changed:
-            self._chains.clear()
+            self._forget_chains()
 
     def lookup(self, target: str, source: str, stamp_ns: int) -> FloatArray:
         """Transform target_from_source (4, 4) at a stamp in ns; raises MissingTransform where it is not known."""
@@ -117,6 +128,11 @@ class TransformBuffer:
         x, y, yaw = rigid.planar(self._motion(_bare(target), _bare(source), stamp_ns))
         return np.array((x, y, wrap(yaw)))
 
+    def __contains__(self, link: tuple[str, str]) -> bool:
+        """Whether there is a link between two frames, parent and child."""
+        parent, child = link
+        return (_bare(parent), _bare(child)) in self._links
+
     def __len__(self) -> int:
         """Return the number of readings kept, a static link counting as one."""
         return sum(len(link) for link in self._links.values())
@@ -127,12 +143,39 @@ class TransformBuffer:
         if link is None:
             if parent == child or not parent or not child:
                 raise ArgumentError("child", "two frames, each with a name", f"'{child}' in '{parent}'")
-            self._has_cycles |= child in self._reach(parent)
+            if len(self._links) >= self._max_links:
+                self._expire()
+            if parent in self._around and child in self._around:
+                self._has_cycles |= child in self._reach(parent)
+                self._forget_chains()
+            else:  # a leaf or a root leaves the chains of others as they are
+                self._chains = {key: chain for key, chain in self._chains.items() if chain is not None}
             link = self._links[parent, child] = Link(parent, child, self._keep_ns)
             for frame in (parent, child):
                 self._around.setdefault(frame, []).append(link)
-            self._chains.clear()
         return link
+
+    def _forget_chains(self) -> None:
+        if self._chains:
+            self._used = self._find_used()
+            self._chains.clear()
+
+    def _find_used(self) -> set[Link]:
+        return {link for chain in self._chains.values() if chain is not None for link in chain.links}
+
+    def _expire(self) -> None:
+        """Drop an eighth of the links: those that no chain uses, the oldest first, dynamic ones before static ones."""
+        used = self._used | self._find_used()
+        unused = [link for link in self._links.values() if link not in used] or list(self._links.values())
+        unused.sort(key=lambda link: link.fixed is not None)
+        for link in unused[: self._max_links // 8]:
+            del self._links[link.parent, link.child]
+            for frame in (link.parent, link.child):
+                self._around[frame].remove(link)
+                if not self._around[frame]:
+                    del self._around[frame]
+            self.expired += 1
+        self._chains = {key: chain for key, chain in self._chains.items() if chain is not None}
 
     def _motion(self, target: str, source: str, stamp_ns: int) -> Rigid:
         chain = self._chain_at(target, source, stamp_ns)
@@ -165,7 +208,7 @@ class TransformBuffer:
         key = target, source
         if key not in self._chains:
             if len(self._chains) >= _MAX_CHAINS:
-                self._chains.clear()
+                self._forget_chains()
             self._chains[key] = self._find_chain(target, source)
         chain = self._chains[key]
         if chain is None or not self._has_cycles or chain.lacking(stamp_ns)[0] is Coverage.KNOWN:

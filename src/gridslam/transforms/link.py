@@ -125,7 +125,7 @@ class Chain:
     Static links that follow each other are composed once. Valid until a link is added or a static one changes.
     """
 
-    __slots__ = ("_moving", "_parts", "frames")
+    __slots__ = ("_moving", "_parts", "frames", "links")
 
     def __init__(self, target: str, links: Sequence[Link]) -> None:
         frames = [target]
@@ -135,6 +135,7 @@ class Chain:
             frames.append(link.parent if up else link.child)
             steps.append(_Step(link, up))
         self.frames = tuple(frames)
+        self.links = tuple(links)
         self._moving = [link for link in links if link.fixed is None]
         self._parts: list[Rigid | _Step] = []
         for is_static, group in groupby(steps, lambda step: step.link.fixed is not None):

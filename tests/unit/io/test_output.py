@@ -2,7 +2,11 @@
 
 import json
 import os
+import subprocess
+import sys
+import time
 
+import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError, OutputError
@@ -137,3 +141,101 @@ def test_written_aside(tmp_path):
     with pytest.raises(KeyError):
         fail()
     assert listing(tmp_path) == {"file": "whole"}
+
+
+PUBLISHER = """
+import sys, time
+from pathlib import Path
+from gridslam.io.output import OutputFolder
+for version in range(10**6):
+    with OutputFolder(sys.argv[1]) as out:
+        for name in ("map.pgm", "map.yaml", "trajectory.tum", "graph.g2o"):
+            out.file(name).write_text(f"{version}")
+        out.write_json("run.json", {"schema": "s/1", "version": version})
+    if not version:
+        print("ready", flush=True)
+"""
+
+
+def leftovers(folder):
+    return [path for path in folder.rglob("*") if path.name.endswith(".partial")]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="exchanging folders needs Linux")
+@pytest.mark.parametrize("seed", range(3))
+def test_a_result_that_is_killed_while_it_replaces_another_leaves_one_of_them(tmp_path, seed):
+    out = tmp_path / "out"
+    rng = np.random.default_rng(seed)
+    for _ in range(8):
+        run = subprocess.Popen([sys.executable, "-c", PUBLISHER, str(out)], stdout=subprocess.PIPE)
+        assert run.stdout.readline() == b"ready\n"
+        (out / "mine.txt").write_text("mine")
+        time.sleep(rng.uniform(0.0, 0.05))
+        run.kill()
+        run.communicate()
+        files = listing(out)
+        assert files.pop("mine.txt") == "mine"
+        version = json.loads(files.pop("run.json"))["version"]
+        assert files == dict.fromkeys(("map.pgm", "map.yaml", "trajectory.tum", "graph.g2o"), f"{version}")
+    with OutputFolder(out):
+        assert len(leftovers(tmp_path)) == 1  # its own
+    assert not leftovers(tmp_path)
+
+
+def test_moves_that_were_cut_short_are_completed_by_the_next_run(tmp_path):
+    """A folder that cannot be exchanged, as it holds another one; its process was killed between two moves."""
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "a").write_text("new")
+    left = tmp_path / f".{tmp_path.name}.0123abcd.partial"
+    (left / ".replaced").mkdir(parents=True)
+    (left / ".replaced" / "a").write_text("old")
+    (left / "b").write_text("new")
+    with OutputFolder(tmp_path):
+        pass
+    assert (tmp_path / "b").read_text() == "new"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b", "folder"]
+
+
+def test_what_a_living_process_is_writing_stays(tmp_path):
+    with OutputFolder(tmp_path / "out") as first:
+        first.file("map.pgm").write_text("one")
+        with OutputFolder(tmp_path / "out") as second:
+            second.file("map.pgm").write_text("two")
+        with OutputFolder(tmp_path / "out"):
+            assert first.file("map.pgm").read_text() == "one"
+    assert listing(tmp_path / "out") == {"map.pgm": "one"}
+
+
+def test_files_that_were_left_half_written_are_removed(tmp_path):
+    left = tmp_path / ".state.npz.0123abcd.partial"
+    left.mkdir()
+    (left / "state.npz").write_text("half")
+    (tmp_path / "record.csv").write_text("mine")
+    with write_atomically(tmp_path / "state.npz") as path:
+        path.write_text("whole")
+    assert listing(tmp_path) == {"state.npz": "whole", "record.csv": "mine"}
+
+
+def test_a_link_to_nothing_is_no_folder(tmp_path):
+    (tmp_path / "out").symlink_to(tmp_path / "gone")
+    for out in (tmp_path / "out", tmp_path / "out" / "below"):
+        with pytest.raises(OutputError, match="out is a link to nothing"), OutputFolder(out):
+            pytest.fail("the context must not be entered")
+
+
+def test_a_folder_in_the_way_of_a_file_is_found_before_the_work(tmp_path):
+    (tmp_path / "map.yaml").mkdir()
+    with pytest.raises(OutputError, match="got a folder"), OutputFolder(tmp_path, ["map.pgm", "map.yaml"]):
+        pytest.fail("the context must not be entered")
+
+
+def test_a_result_may_be_behind_a_link_and_keeps_its_permissions(tmp_path):
+    (tmp_path / "real").mkdir(mode=0o750)
+    (tmp_path / "out").symlink_to(tmp_path / "real")
+    for version in range(2):
+        with OutputFolder(tmp_path / "out") as output:
+            output.write_json("run.json", {"schema": "s/1", "version": version})
+    assert (tmp_path / "out").is_symlink()
+    assert (tmp_path / "real").stat().st_mode & 0o777 == 0o750
+    assert json.loads((tmp_path / "real" / "run.json").read_text())["version"] == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "real"]

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 import threading
+from collections import Counter
 
 import numpy as np
 import pytest
 
 from gridslam.io.bags.ros_messages import ScanMessage, StampedTransform
 from gridslam.ros.node.accepted_scan import AcceptedScan, find_refusal_reason
+from gridslam.ros.node.live_transforms import LiveTransforms
 from gridslam.ros.node.measurement_queue import MeasurementQueue, SessionEnd
 from gridslam.ros.node.messages import Level
 from gridslam.ros.node.parameters import NodeSettings
 from gridslam.ros.node.state_publisher import ThrottledWarnings
+from gridslam.transforms import TransformBuffer
 from support.ros_node import BASE, LASER, ODOM, mounting
 
 S = 10**9
@@ -333,3 +336,22 @@ def test_a_lidar_that_sees_nothing_is_named():
     setup.scan(0.0, ranges=np.full(20, np.nan, np.float32))
     assert setup.taken() == [0.0]
     assert setup.logs == ["no returns: /scan: none of 20 beams hits anything in range"]
+
+
+def test_made_up_frames_do_not_fill_the_memory():
+    """334,000 names of frames took a node to 844 MB: transforms that nothing uses expire, as do lasers' frames."""
+    warned = Counter()
+    transforms = LiveTransforms(1.0, lambda kind, problem: warned.update([kind]))
+    transforms.buffer = TransformBuffer(10.0, max_links=100)
+    for k in range(3000):
+        made_up = StampedTransform(k, "base_link", f"frame{k}", (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+        transforms.add([made_up], static=k % 2 == 0, publisher=f"/publisher{k}")
+        again = made_up._replace(child="laser", parent=f"parent{k}")
+        transforms.add([again], static=False, publisher=f"/publisher{k}")
+    assert warned["too many frames"] > 10
+    for held in (transforms._static, transforms._latest_ns, transforms._sources, transforms._sources["laser"]):
+        assert len(held) <= 100
+    setup = QueueSetup()
+    for k in range(1000):
+        setup.scan(k / 10, frame=f"laser{k}")
+    assert len(setup.queue._received_ns) <= 256

@@ -341,18 +341,47 @@ def test_a_filter_that_needs_odometry_is_not_run_without():
         NodeCore(NodeSettings(odometry="none"), preset("gmapping"), RecordedOutputs())
 
 
-def test_an_observer_that_fails_ends_the_node_and_not_unheard(drive):
+def test_an_observer_that_fails_is_reported_and_the_map_goes_on(drive):
     outputs = RecordedOutputs()
 
     def fails(report, state, seconds):
         raise RuntimeError("no more")
 
-    core = NodeCore(NodeSettings(), FEW, outputs, observers=[fails])
-    core.on_transforms([odometry_message(drive[0], SHIFT_NS)])
+    core = NodeCore(NodeSettings(queue_s=60.0), FEW, outputs, observers=[fails])
     core.on_transforms([mounting()], static=True)
     core.start()
-    core.on_scan(scan_message(drive[0], SHIFT_NS), "/scan")
-    assert core.ended.wait(10)
-    assert isinstance(core.failure, RuntimeError)
-    assert "the filter failed: RuntimeError: no more" in outputs.warnings()
-    core.close()
+    drive_all(core, outputs, drive[:20])
+    assert core.close().log.scan_count == 20
+    assert core.failure is None
+    assert "viewer failed: RuntimeError: no more (test_node_core.py, line" in outputs.warnings()
+
+
+def test_a_scan_that_fails_is_left_out_and_the_rest_is_saved(drive, tmp_path, monkeypatch):
+    """As an exception inside the filter: the state is consumed, and nothing could be saved."""
+    from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+
+    outputs = RecordedOutputs()
+    core = node(outputs, record=tmp_path / "scans.csv")
+    drive_all(core, outputs, drive[:60])
+    real = OccupancyGridMapping.__call__
+
+    def fail(self, maps, poses, beams):
+        real(self, maps, poses, beams)
+        raise MemoryError
+
+    with monkeypatch.context() as patched:
+        patched.setattr(OccupancyGridMapping, "__call__", fail)
+        play(core, outputs, drive[60:90], shift_ns=SHIFT_NS)
+        assert until(lambda: core._queue.counts.accepted == 90)
+        document = core.save(tmp_path / "saved")  # while every key scan fails
+    assert document["failures"]
+    play(core, outputs, drive[90:], shift_ns=SHIFT_NS)
+    assert until(lambda: core._queue.counts.accepted == len(drive))
+    session = core.close()
+    document = session.save(tmp_path / "out")
+    assert core.failure is None
+    assert "failed and left out: /scan, scan at 1700000" in document["failures"][0]
+    assert "scan failed: /scan, scan at" in outputs.warnings()
+    scans = len((tmp_path / "out" / "trajectory.tum").read_text().splitlines())
+    assert 60 < scans < len(drive)
+    assert document["scans"]["read"] == len(drive)

@@ -323,3 +323,30 @@ def test_values_that_are_no_transform_are_refused():
     with pytest.raises(ArgumentError, match="translation"):
         buffer.add_quaternion("odom", "base", 0, (0, math.nan, 0), (0, 0, 0, 1))
     assert len(buffer) == 0
+
+
+def test_links_that_nothing_uses_expire_and_those_of_the_robot_stay():
+    """As on a network where somebody makes up names of frames."""
+    buffer = TransformBuffer(10.0, max_links=64)
+    for name, child in (("base_link", "laser"), ("base_link", "camera")):
+        add(buffer, name, child, 0, pose(0.1), static=True)
+    for k in range(5000):
+        add(buffer, "odom", "base_link", k * S // 10, pose(k / 10))
+        add(buffer, f"frame{k}" if k % 2 else "base_link", f"other{k}", k * S // 10, pose(), static=k % 3 == 0)
+        expected = k / 10 + 0.1
+        assert buffer.planar("odom", "laser", k * S // 10)[0] == pytest.approx(expected)
+    assert len(buffer._links) <= 64
+    assert len(buffer._around) <= 2 * 64
+    assert buffer.expired > 4900
+    assert ("base_link", "laser") in buffer
+    assert ("/base_link", "laser") in buffer
+    assert ("frame1", "other1") not in buffer
+
+
+def test_chains_that_were_not_there_are_found_when_a_leaf_joins():
+    buffer = TransformBuffer()
+    add(buffer, "odom", "base", 0, pose(1.0))
+    with pytest.raises(MissingTransform):
+        buffer.lookup("odom", "laser", 0)
+    add(buffer, "base", "laser", 0, pose(0.5), static=True)
+    assert buffer.planar("odom", "laser", 0)[0] == pytest.approx(1.5)

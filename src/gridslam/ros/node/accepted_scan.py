@@ -9,6 +9,7 @@ import math
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
+from itertools import count
 from pathlib import Path
 from typing import IO, NamedTuple, final
 
@@ -142,7 +143,12 @@ class ScanRecorder:
     Parameters
     ----------
     path : str or Path
-        The file, which is replaced if it exists.
+        The file. An earlier record is never written to: where there is one, `-2`, `-3`, ... is added before the suffix.
+
+    Attributes
+    ----------
+    path : Path
+        The file that is written.
 
     Raises
     ------
@@ -151,9 +157,9 @@ class ScanRecorder:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        given = Path(path)
         try:
-            self._file: IO[bytes] = self.path.open("wb", buffering=0)
+            self.path, self._file = _create(given)
         except OSError as error:
             raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
         self._write(",".join(COLUMNS))
@@ -200,6 +206,17 @@ class ScanRecorder:
                 self._file.truncate(begin)
             self._file.close()
             raise OutputError(f"{self.path}: {error.strerror or error}; the record ends before this scan") from None
+
+
+def _create(given: Path) -> tuple[Path, IO[bytes]]:
+    """Create a file of this name, or of the first numbered one that is free."""
+    if given.exists() and not given.is_file():
+        return given, given.open("wb", buffering=0)  # a device
+    for number in count(1):
+        path = given if number == 1 else given.with_name(f"{given.stem}-{number}{given.suffix}")
+        with suppress(FileExistsError):
+            return path, path.open("xb", buffering=0)
+    raise AssertionError
 
 
 def _quote(name: str) -> str:

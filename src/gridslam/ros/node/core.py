@@ -17,7 +17,7 @@ from gridslam.doctor import EarlyCheck
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, OutputError
 from gridslam.io.measurement import Measurement
 from gridslam.particles import sample_gaussian
-from gridslam.pipeline import Observer
+from gridslam.pipeline import FailedStep, Observer, describe_error, isolate
 from gridslam.ros.node.accepted_scan import AcceptedScan, ScanRecorder
 from gridslam.ros.node.measurement_queue import MeasurementQueue, SessionEnd
 from gridslam.ros.node.messages import Diagnostics, GridMessage, Level, Outputs, ScanMessage, StampedTransform
@@ -51,8 +51,10 @@ class NodeCore:
     outputs : Outputs
         The transport that publishes the node's messages.
     record : str or Path, optional
-        CSV of the accepted scans, which `gridslam map` maps with identical results; later sessions get `-2`, `-3`, ...
-        before its suffix.
+        CSV of the accepted scans, which `gridslam map` maps with identical results; later sessions, and those of a node
+        that is started again, get `-2`, `-3`, ... before its suffix.
+    on_jump : callable, optional
+        Called in the filter's thread with a copy of each session that ends as time jumps back.
     observers : sequence of Observer
         Called after each scan in the filter's thread.
 
@@ -78,6 +80,7 @@ class NodeCore:
         outputs: Outputs,
         *,
         record: str | Path | None = None,
+        on_jump: Callable[[SessionCopy], None] | None = None,
         observers: Sequence[Observer] = (),
     ) -> None:
         by_odometry = isinstance(configuration, Localization) or isinstance(configuration.tracker, OdometryTracker)
@@ -92,6 +95,8 @@ class NodeCore:
         self._wrappers: list[SourceWrapper] = []
         self._diagnostics_callbacks: list[DiagnosticsCallback] = []
         self._record = None if record is None else Path(record)
+        self._recorder: ScanRecorder | None = None
+        self._on_jump = on_jump
         self._warn = ThrottledWarnings(outputs.log)
         self._queue = MeasurementQueue(settings, self._warn)
         self._known_map: GridMessage | None = None
@@ -100,6 +105,7 @@ class NodeCore:
             self._renderer = MapRenderer(configuration.mapper, settings, outputs.map)
         self._publisher = StatePublisher(settings, outputs, self._renderer, self._queue, self._warn)
         self._begin_session()
+        self._begin_record()
         self._session_end = SessionEnd.CLOSED
         timers = (
             ("transform", settings.transform_publish_period_s, self._publisher.publish_transform),
@@ -234,10 +240,15 @@ class NodeCore:
         try:
             while self._run_session():
                 if self._session.state is not None:
+                    self._hand_over_session()
                     self._close_record()
                     if self._renderer is not None:
                         self._renderer.reset()
                     self._begin_session()
+                    try:
+                        self._begin_record()
+                    except OutputError as error:
+                        self._warn("record", str(error))
         except BaseException as error:  # report any error of the thread
             self.failure = error
             self._outputs.log(Level.ERROR, f"the filter failed: {type(error).__name__}: {error}")
@@ -251,32 +262,63 @@ class NodeCore:
             source = wrap(source)
         first = next(source, None)
         if first is not None:
-            self._session.run(chain([first], source), [self._publisher, *self._observers])
+            observers = [
+                isolate(self._publisher, partial(self._warn, "publishing failed")),
+                *(isolate(observer, partial(self._warn, "viewer failed")) for observer in self._observers),
+            ]
+            self._session.run(chain([first], source), observers, self._report_failure)
         if self._session_end is SessionEnd.CLOSED:
             return False
         self._outputs.log(Level.WARN, f"{self._session.restart_message}: {self._session_end.value}")
         return True
 
+    def _hand_over_session(self) -> None:
+        """Give a copy of a session that was not ended on purpose to whoever saves it."""
+        if self._on_jump is None or self.localizes or self._session_end is not SessionEnd.JUMP:
+            return
+        try:
+            self._on_jump(self._session.copy(self._whole_record()))
+        except Exception as error:
+            self._warn("session not saved", describe_error(error))
+
+    def _report_failure(self, failed: FailedStep) -> None:
+        self._warn("scan failed", str(failed))
+
     def _measurements(self) -> Iterator[Measurement]:
         """Yield measurements as they arrive, and run posted calls between two of them."""
         while True:
             item = self._queue.take()
-            if isinstance(item, AcceptedScan):
-                self._session.add(item)
-                try:
-                    if self._recorder is not None:
-                        self._recorder.add(item)
-                except OutputError as error:
-                    self._warn("record", str(error))
-                for finding in self._check.take(item.measurement):
-                    self._warn(finding.code, f"{finding.message} {finding.remedy}".rstrip())
-                self._publisher.set_measurement(item)
-                yield item.measurement
-            elif isinstance(item, SessionEnd):
+            if isinstance(item, SessionEnd):
                 self._session_end = item
                 return
-            else:
+            if isinstance(item, AcceptedScan):
+                self._session.add(item)
+                self._record_scan(item)
+                self._report_findings(item.measurement)
+                self._publisher.set_measurement(item)
+                yield item.measurement
+                continue
+            try:
                 item()
+            except Exception as error:
+                self._warn("request failed", describe_error(error))
+
+    def _record_scan(self, accepted: AcceptedScan) -> None:
+        """Add a scan to the record, which ends if that fails."""
+        try:
+            if self._recorder is not None:
+                self._recorder.add(accepted)
+        except Exception as error:
+            self._close_record()
+            self._warn("record", describe_error(error))
+
+    def _report_findings(self, measurement: Measurement) -> None:
+        """Warn of what the doctor finds in the begin of the session."""
+        try:
+            for finding in self._check.take(measurement):
+                self._warn(finding.code, f"{finding.message} {finding.remedy}".rstrip())
+        except Exception as error:  # a check must not end the map
+            self._warn("checks failed", describe_error(error))
 
     def _publish_map(self) -> None:
         if self._session.state is not None:
@@ -292,15 +334,19 @@ class NodeCore:
     def _begin_session(self) -> None:
         self._publisher.start_session()
         self._check = EarlyCheck()
-        record = self._record
-        if record is not None and self._publisher.sessions > 1:
-            record = record.with_name(f"{record.stem}-{self._publisher.sessions}{record.suffix}")
-        self._recorder = None if record is None else ScanRecorder(record)
         self._session: Session | LocalizationSession
         if isinstance(self.configuration, Localization):
             self._session = LocalizationSession(self.configuration, self.settings.seed)
         else:
             self._session = Session(self.configuration, self.settings.seed, self.settings.threads)
+
+    def _begin_record(self) -> None:
+        self._recorder = None
+        if self._record is None:
+            return
+        self._recorder = ScanRecorder(self._record)
+        if self._recorder.path != self._record:
+            self._outputs.log(Level.OK, f"{self._record} is an earlier record: recording to {self._recorder.path}")
 
     def _whole_record(self) -> Path | None:
         """The record of the session, if it contains all its scans."""
@@ -312,4 +358,7 @@ class NodeCore:
 
     def _run_timer(self, period_s: float, callback: Callable[[], None]) -> None:
         while not self.ended.wait(period_s):
-            callback()
+            try:
+                callback()
+            except Exception as error:
+                self._warn("publishing failed", describe_error(error))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import TypeAlias, final
+from typing import Any, TypeAlias, final
 
 from gridslam.errors import ArgumentError
 from gridslam.io.bags.ros_messages import StampedTransform
@@ -15,6 +15,7 @@ Warn: TypeAlias = Callable[[str, str], None]
 """Called with the kind of a problem, and the problem."""
 
 _KEEP_S = 10.0
+_MAX_SOURCES = 16  # of one frame
 _SIMULTANEOUS_NS = 2_000_000_000  # readings of two publishers within this count as simultaneous
 
 
@@ -31,6 +32,10 @@ class JumpDetector:
     def __init__(self, jump_s: float) -> None:
         self._jump_ns = round(jump_s * 1e9)
         self._strays: dict[object, int] = {}
+
+    def keep(self, is_kept: Callable[[Any], bool]) -> None:
+        """Forget the sources that are not kept."""
+        self._strays = {source: stamp_ns for source, stamp_ns in self._strays.items() if is_kept(source)}
 
     def detect(self, source: object, stamp_ns: int, latest_ns: int) -> bool | None:
         """Whether this is the second stamp of a jump; None if it is the first one, which may be wrong."""
@@ -78,6 +83,8 @@ class LiveTransforms:
                     self._restart()
                 self._add(transform, static)
                 self._check_publishers(transform, static, publisher)
+                if self.buffer.expired:
+                    self._expire()
             except (ArgumentError, OverflowError) as error:
                 self._static.pop((transform.parent, transform.child), None)
                 self._warn("transform refused", f"{transform.parent} <- {transform.child}: {error}")
@@ -90,11 +97,29 @@ class LiveTransforms:
         stamp_ns, parent, child, pose = transform
         self.buffer.add_quaternion(parent, child, stamp_ns, pose[:3], pose[3:], static)
 
+    def _expire(self) -> None:
+        """Forget all of the links that the buffer has dropped."""
+        buffer = self.buffer
+        dropped = buffer.expired
+        buffer.expired = 0
+        self._warn("too many frames", f"{dropped} transforms that nothing uses are forgotten")
+        self._static = {link: transform for link, transform in self._static.items() if link in buffer}
+        self._latest_ns = {link: stamp_ns for link, stamp_ns in self._latest_ns.items() if link in buffer}
+        self._jumps.keep(buffer.__contains__)
+        kept: dict[str, dict[tuple[str, str], int | None]] = {}
+        for child, sources in self._sources.items():
+            known = [(source, at_ns) for source, at_ns in sources.items() if (source[0], child) in buffer]
+            if known:
+                kept[child] = dict(known[-_MAX_SOURCES:])
+        self._sources = kept
+
     def _check_publishers(self, transform: StampedTransform, static: bool, publisher: str) -> None:
         """Warn if a frame has two parents, or if two publishers publish its transform."""
         stamp_ns, parent, child, _ = transform
         sources = self._sources.setdefault(child, {})
         sources[parent, "" if static else publisher] = None if static else stamp_ns
+        if len(sources) > _MAX_SOURCES:
+            del sources[next(iter(sources))]
         for (other, of), at_ns in sources.items() if len(sources) > 1 else ():
             differs = other != parent or (of != publisher and not static and at_ns is not None)
             if differs and (static or at_ns is None or abs(stamp_ns - at_ns) < _SIMULTANEOUS_NS):

@@ -8,13 +8,13 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from enum import Enum
-from typing import NamedTuple, final
+from typing import NamedTuple, TypeVar, final
 
 import numpy as np
 
-from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between
 from gridslam.io.bags.ros_messages import ScanMessage, StampedTransform
+from gridslam.pipeline import describe_error
 from gridslam.ros.node.accepted_scan import AcceptedScan, MeasurementBuilder, find_refusal_reason
 from gridslam.ros.node.live_transforms import JumpDetector, LiveTransforms, Warn
 from gridslam.ros.node.parameters import NodeSettings
@@ -29,7 +29,12 @@ _IGNORED_S = 10.0
 _MIN_LATE_SCANS = 10  # in a row: a single scan may be delayed
 _MAX_STEP = 1.0  # m and rad
 _MAX_SPEED = 10.0  # m/s and rad/s: faster than any robot
+_MAX_FRAMES = 256  # of lasers
 _MAY_ARRIVE = (Coverage.NOT_YET, Coverage.NOT_CONNECTED)
+
+
+_Key = TypeVar("_Key")
+_Value = TypeVar("_Value")
 
 
 class SessionEnd(Enum):
@@ -125,7 +130,7 @@ class MeasurementQueue:
             if self._received_ns.get(source) == message.stamp_ns:
                 self._refuse("scan refused", f"{sensor}: duplicate stamp; are there two publishers?")
                 return
-            self._received_ns[source] = message.stamp_ns
+            _keep_newest(self._received_ns, source, message.stamp_ns)
             latest_ns = self._latest_ns.get(sensor, message.stamp_ns)
             jumped = self._jumps.detect(sensor, message.stamp_ns, latest_ns)
             if jumped is None:
@@ -202,9 +207,9 @@ class MeasurementQueue:
                 self._discard()
                 self._refuse("missing transform", str(missing))
                 continue
-            except ArgumentError as error:
+            except Exception as error:
                 self._discard()
-                self._refuse("scan refused", f"{waiting.sensor}: {error}")
+                self._refuse("scan refused", f"{waiting.sensor}: {describe_error(error)}")
                 continue
             if waiting.after_jump and not self._continues(accepted.measurement.odometry):
                 self._scans[0] = waiting._replace(after_jump=False)
@@ -233,7 +238,7 @@ class MeasurementQueue:
                 self._warn("scan without odometry", str(missing))
         try:
             mounting = self._transforms.buffer.lookup(settings.base_frame, message.frame, message.stamp_ns)
-            self._mountings[message.frame] = mounting
+            _keep_newest(self._mountings, message.frame, mounting)
         except MissingTransform:
             if message.frame not in self._mountings:
                 raise
@@ -289,3 +294,11 @@ class MeasurementQueue:
     def _refuse(self, kind: str, problem: str) -> None:
         self.counts.refused += 1
         self._warn(kind, problem)
+
+
+def _keep_newest(values: dict[_Key, _Value], key: _Key, value: _Value) -> None:
+    """Set a value, and forget the one that was set first when there are too many."""
+    values.pop(key, None)
+    values[key] = value
+    if len(values) > _MAX_FRAMES:
+        del values[next(iter(values))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, final
 
 import numpy as np
@@ -45,7 +46,12 @@ class EncodedOutputs:
         self._publish = publish
         self._name = name
         self.now_ns = now_ns
-        self.log = log
+        self._log = log
+
+    def log(self, level: Level, text: str) -> None:
+        """Report to the user, as long as there is one: the terminal may have been closed."""
+        with suppress(OSError, ValueError):
+            self._log(level, text)
 
     def map(self, message: GridMessage) -> None:
         """Publish the map and its metadata."""

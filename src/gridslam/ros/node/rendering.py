@@ -89,8 +89,10 @@ class MapRenderer:
 
         Call when idle; raises what rendering the map before raised.
         """
-        if self._rendered is not None:
-            self._rendered.result()
+        before = self._rendered
+        self._rendered = None  # one that failed is reported once
+        if before is not None:
+            before.result()
         arrays = state.maps.snapshot(np.array([state.best])).to_arrays()
         self._rendered = self._executor.submit(self._render, arrays, stamp_ns)
         return state.maps.nbytes

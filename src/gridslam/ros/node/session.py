@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -28,12 +28,15 @@ from gridslam.localization import (
     MonteCarloState,
 )
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
-from gridslam.pipeline import Observer, Stopwatch, run
+from gridslam.pipeline import FailedStep, FailureRecorder, Observer, Stopwatch, run
 from gridslam.ros.node.accepted_scan import AcceptedScan
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, LaserScan, Odometry, StepReport
 
-__all__ = ["InitialPose", "Localization", "LocalizationSession", "Session", "SessionCopy"]
+__all__ = ["FailureCallback", "InitialPose", "Localization", "LocalizationSession", "Session", "SessionCopy"]
+
+FailureCallback: TypeAlias = Callable[[FailedStep], None]
+"""Called with each step that failed."""
 
 InitialPose: TypeAlias = tuple[FloatArray, FloatArray] | None
 """A pose (3,) and its covariance (3, 3); None if the pose is unknown."""
@@ -84,11 +87,12 @@ class LocalizationSession:
     def __init__(self, localization: Localization, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
         self._mcl = MonteCarloLocalization(localization.known, localization.configuration)
-        self.set_pose(localization.initial_pose)
+        self.state = self._make_state(localization.initial_pose)
+        self._next_state: MonteCarloState | None = None
 
     def set_pose(self, pose: InitialPose) -> None:
         """Set the pose from the next scan on; None: the pose is unknown."""
-        self.state: MonteCarloState = self._mcl.init() if pose is None else self._mcl.init_gaussian(*pose, self._rng)
+        self._next_state = self._make_state(pose)
 
     def add(self, accepted: AcceptedScan) -> None:
         """Do nothing: a localization has no files, in which scans are counted."""
@@ -97,16 +101,28 @@ class LocalizationSession:
         """Raise ArgumentError: a localization has no map to save."""
         raise ArgumentError("save", "a node that maps", "one that localizes; `gridslam localize` takes its record")
 
-    def run(self, source: Iterator[Measurement], observers: Sequence[Any]) -> None:
-        """Run the filter on all measurements of a source."""
-        run(source, self, rng=self._rng, observers=observers, state=self.state)
+    def run(self, source: Iterator[Measurement], observers: Sequence[Any], on_failure: FailureCallback) -> None:
+        """Run the filter on all measurements of a source; scans at which it fails are skipped."""
+        run(
+            source,
+            self,
+            rng=self._rng,
+            observers=observers,
+            state=self.state,
+            on_failure=on_failure,
+        )
 
     def step(
         self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
     ) -> tuple[MonteCarloState, LocalizationReport]:
-        """Process a measurement from the session's own state, which `set_pose` may have changed since the last scan."""
-        self.state, report = self._mcl.step(self.state, odometry, scan, rng)
+        """Process a measurement, from the pose that was set since the last scan if there is one."""
+        begin = state if self._next_state is None else self._next_state.snapshot()
+        self.state, report = self._mcl.step(begin, odometry, scan, rng)
+        self._next_state = None
         return self.state, report
+
+    def _make_state(self, pose: InitialPose) -> MonteCarloState:
+        return self._mcl.init() if pose is None else self._mcl.init_gaussian(*pose, self._rng)
 
 
 @final
@@ -135,6 +151,7 @@ class Session:
         self._log = LogStatistics()
         self._stopwatch = Stopwatch()
         self._keys: list[tuple[StepReport, float]] = []
+        self._failures = FailureRecorder()
 
     def add(self, accepted: AcceptedScan) -> None:
         """Count a measurement before the filter processes it."""
@@ -144,13 +161,19 @@ class Session:
             self._log.mountings[scan.sensor] = Mounting(pose, f"tf, frame {scan.frame}")
         self._log.count(accepted.measurement)
 
-    def run(self, source: Iterator[Measurement], observers: Sequence[Observer]) -> None:
-        """Run the filter on all measurements of a source."""
+    def run(self, source: Iterator[Measurement], observers: Sequence[Observer], on_failure: FailureCallback) -> None:
+        """Run the filter on all measurements of a source; scans at which it fails are skipped."""
         slam = build(self._configuration, self._threads)
         rng = np.random.default_rng(self._seed)
         first, *others = observers
         every = [first, self._trajectory, self._statistics, self._note, *others]
-        run(source, slam, rng=rng, observers=every, stopwatch=self._stopwatch)
+
+        def note_failure(failed: FailedStep) -> None:
+            self.state = failed.state
+            self._failures(failed)
+            on_failure(failed)
+
+        run(source, slam, rng=rng, observers=every, stopwatch=self._stopwatch, on_failure=note_failure)
 
     def copy(self, record: Path | None) -> SessionCopy:
         """Copy everything that `save` needs; raises ArgumentError before the first scan.
@@ -167,6 +190,7 @@ class Session:
             *copy.deepcopy((self._trajectory, self._statistics, self._log, self._stopwatch)),
             tuple(self._keys),
             record,
+            self._failures.describe(),
         )
 
     def _note(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
@@ -190,6 +214,7 @@ class SessionCopy:
     stopwatch: Stopwatch
     keys: tuple[tuple[StepReport, float], ...]
     record: Path | None
+    failures: tuple[str, ...]
 
     def save(self, folder: str | Path) -> dict[str, Any]:
         """Write the files of `gridslam map` after the final refinement, which takes time; returns run.json's content.
@@ -224,4 +249,5 @@ class SessionCopy:
             digest="" if self.record is None else compute_digest(self.record),
             repair=Repair(),
             stopwatch=self.stopwatch,
+            failures=self.failures,
         )

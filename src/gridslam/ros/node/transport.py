@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import importlib
 import math
+import os
 import struct
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeAlias, final
 
 import numpy as np
 
+from gridslam.api.mapping import MapResult
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError
 from gridslam.io.bags.ros_messages import MessageError, Wire, decode_scan, decode_transforms
 from gridslam.io.output import OutputFolder
+from gridslam.pipeline import describe_error
 from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.messages import GridMessage, Level, Outputs
 from gridslam.ros.node.parameters import NodeParameters
+from gridslam.ros.node.session import SessionCopy
 
 __all__ = [
     "LATCHED",
@@ -139,12 +144,20 @@ class RosNode:
 
     def __init__(self, transport: Transport, parameters: NodeParameters) -> None:
         if parameters.out is not None:  # before the run rather than after it
-            with OutputFolder(parameters.out):
+            with OutputFolder(parameters.out, MapResult.all_names()):
                 pass
         self._transport = transport
         self._log = transport.outputs.log
         self._out = parameters.out
-        self.core = NodeCore(parameters.settings, parameters.configuration, transport.outputs, record=parameters.record)
+        self._saving: list[threading.Thread] = []
+        self._saved: set[Path] = set()
+        self.core = NodeCore(
+            parameters.settings,
+            parameters.configuration,
+            transport.outputs,
+            record=parameters.record,
+            on_jump=None if self._out is None else self._save_earlier,
+        )
         transport.connect(self.core.refuse_message)
         if parameters.warning:
             self._log(Level.WARN, parameters.warning)
@@ -183,7 +196,28 @@ class RosNode:
                 self._log(Level.OK, f"writing {session.log.scan_count} scans to {self._out.resolve()}")
                 session.save(self._out)
         finally:
+            for thread in self._saving:
+                thread.join()
             self._transport.close()
+
+    def _save_earlier(self, session: SessionCopy) -> None:
+        """Save a session to OUT-1, or the next number that is free, while the next session is mapped."""
+        assert self._out is not None
+        out = self._out.resolve()
+        numbered = (out.with_name(f"{out.name}-{number}") for number in count(1))
+        folder = next(path for path in numbered if path not in self._saved and not os.path.lexists(path))
+        self._saved.add(folder)
+
+        def save() -> None:
+            try:
+                self._log(Level.OK, f"writing {session.log.scan_count} scans of the session before to {folder}")
+                session.save(folder)
+            except Exception as error:
+                self._log(Level.ERROR, f"the session before is not saved: {describe_error(error)}")
+
+        thread = threading.Thread(target=save, name="gridslam-save")
+        self._saving.append(thread)
+        thread.start()
 
     def run(self, open_viewers: ViewerOpener, on_poll: Callable[[], None]) -> None:
         """Run until the transport or a KeyboardInterrupt ends it.
@@ -240,8 +274,9 @@ class RosNode:
         def on_message(data: bytes, publisher: str) -> None:
             try:
                 handle(data, self._transport.wire_of(data), publisher)
-            except MessageError as error:
-                self.core.refuse_message("message", f"{name}: {error}")
+            except Exception as error:  # the transport's thread goes on, whatever the bytes were
+                problem = str(error) if isinstance(error, MessageError) else describe_error(error)
+                self.core.refuse_message("message", f"{name}: {problem}")
 
         self._transport.subscribe(topic, kind, on_message, **qos)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Annotated, Any, final
+from typing import Annotated, Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +66,8 @@ class GridFastSlamState:
         Reported noise of the odometry since its last accepted pose (see `OdometryNoise`).
     """
 
+    scans_per_snapshot: ClassVar[int] = 512  # maps are copied where they are written, 0.5 % of the time of these scans
+
     tracker: TrackerState
     key_pose: Annotated[FloatArray, 3]
     sensor_key_poses: dict[str, Annotated[FloatArray, 3]]
@@ -82,6 +84,7 @@ class GridFastSlamState:
     closure_state: LoopClosureState | None = None
     odometry_covariance: Annotated[FloatArray, 3, 3] | None = None
     consumed: bool = field(default=False, metadata=NOT_SAVED)
+    steps_taken: tuple[int, int] = field(default=(0, 0), metadata=NOT_SAVED)  # key scans and stored scans when consumed
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -111,7 +114,25 @@ class GridFastSlamState:
         self._check()
         owner = replace(self)
         self.consumed = True
+        self.steps_taken = self.ancestry.steps, 0 if self.closure_state is None else len(self.closure_state.scans)
         return owner
+
+    def revive(self) -> None:
+        """Make a state whole again that was consumed by a step that failed: as before it, as far as that can be undone.
+
+        The tracker may have followed the scan, and maps may hold some of it. If the particles were resampled already,
+        they are those that survived, with equal weights.
+        """
+        key_scans, scans = self.steps_taken
+        if self.ancestry.steps > key_scans:
+            poses = self.ancestry.retract()
+            if not np.array_equal(poses, self.poses):
+                self.poses = poses
+                self.log_weights = np.full(len(poses), -np.log(len(poses)))
+                self.log_ancestry = np.zeros(len(poses))
+        if self.closure_state is not None:
+            self.closure_state.truncate(scans, key_scans)
+        self.consumed = False
 
     def move(self, poses: FloatArray, key_pose: FloatArray, sensor: str) -> None:
         """Move the particles to `poses` (N, 3); `key_pose` (3,) is the tracker's, at a key scan of `sensor`."""

@@ -165,6 +165,13 @@ class KeyGraph:
         self._add_link(constraint)
         self._shorten_way(constraint)
 
+    def truncate(self, keys: int) -> None:
+        """Forget all but the first key scans, and the constraints of the others."""
+        for own in (self.tracked, self.poses, self.variances, self.covariances, self.drift_covariances):
+            del own[keys:]
+        self.constraints = [constraint for constraint in self.constraints if constraint.to < keys]
+        self.correct(np.array(self.poses))
+
     def correct(self, poses: FloatArray) -> None:
         """Set all poses (T, 3)."""
         self.poses = list(poses)

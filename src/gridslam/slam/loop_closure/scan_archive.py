@@ -110,6 +110,11 @@ class ScanArchive:
         """Bytes of the end points."""
         return sum(ends.nbytes for ends in self._ends)
 
+    def truncate(self, scans: int, key_scans: int) -> None:
+        """Forget all but the first scans, of which `key_scans` are key scans."""
+        del self._ends[scans:], self._steps_m[scans:], self._origins[scans:], self.keys[key_scans:]
+        self.__post_init__()
+
     def snapshot(self) -> ScanArchive:
         """Keep a copy for later; the scans themselves, which never change, are shared."""
         return replace(

@@ -165,6 +165,23 @@ class LoopClosureState:
         self.search.forget()
         self.submap_cache.forget()
 
+    def truncate(self, scans: int, key_scans: int) -> None:
+        """Forget all but the first scans and key scans, wherever a step that added others has ended."""
+        self.scans.truncate(scans, key_scans)
+        self.graph.truncate(key_scans)
+        del self.online_poses[key_scans:]
+        self.unconfirmed = [constraint for constraint in self.unconfirmed if constraint.to < key_scans]
+        pending = self.pending_constraints
+        if pending is not None:
+            pending.computation = None
+            is_whole = pending.constraints <= len(self.graph.constraints) and pending.keys <= key_scans
+            self.pending_constraints = pending if is_whole else None
+        if self.correction is not None:
+            self.correction.poses = self.correction.poses[:key_scans]
+            self.correction.inserted = min(self.correction.inserted, len(self.correction.poses))
+        self.search.forget()
+        self.submap_cache = SubmapCache()
+
     def snapshot(self) -> LoopClosureState:
         """Return a copy; scans are shared and caches are not copied."""
         correction = self.correction

@@ -1,0 +1,113 @@
+"""What visitors can take of a run: connections, computing time and archives have limits."""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import socket
+import threading
+import time
+
+import pytest
+
+from gridslam.live.limits import ArchiveCache, LimitedConnection, PacedSelector, find_max_connections
+from gridslam.live.options import LiveOptions
+from gridslam.live.page import LivePage
+
+
+@pytest.fixture
+def page(monkeypatch):
+    monkeypatch.setattr(LimitedConnection, "most", 10)
+    with LivePage("test", LiveOptions(port=0)) as served:
+        yield served
+
+
+def connect(page):
+    return socket.create_connection(("127.0.0.1", int(page.url.rsplit(":", 1)[1].strip("/"))), timeout=10)
+
+
+def get(page, path):
+    client = http.client.HTTPConnection(page.url.split("/")[2], timeout=10)
+    client.request("GET", path)
+    answer = client.getresponse()
+    answer.read()
+    client.close()
+    return answer.status
+
+
+def test_idle_connections_give_way(page):
+    """1,100 of them ended a run by taking all files that a process may open."""
+    sockets = [connect(page) for _ in range(60)]
+    try:
+        assert get(page, "/") == 200
+        time.sleep(0.2)
+        lost = 0
+        for one in sockets:
+            one.setblocking(False)
+            try:
+                lost += one.recv(1) == b""
+            except BlockingIOError:
+                continue
+            except ConnectionError:
+                lost += 1
+        assert lost >= 45
+        assert get(page, "/") == 200
+    finally:
+        for one in sockets:
+            one.close()
+
+
+def test_the_limit_leaves_half_of_the_files():
+    assert 8 <= find_max_connections() <= 400
+
+
+def test_one_archive_is_made_at_a_time_and_given_to_all():
+    made = []
+
+    def make(grid):
+        made.append(grid)
+        time.sleep(0.05)
+        return b"archive"
+
+    async def ask() -> list[bytes | None]:
+        cache = ArchiveCache(lambda channel: f"map {channel}", make, 0.1)
+        return await asyncio.gather(*(cache.find(0) for _ in range(20)))
+
+    assert asyncio.run(ask()) == [b"archive"] * 20
+    assert made == ["map 0"]
+
+
+def test_another_map_waits_until_the_archive_before_is_paid_for():
+    async def ask() -> float:
+        cache = ArchiveCache(str, lambda text: time.sleep(0.05) or text.encode(), 0.25)
+        await cache.find(0)
+        start = time.monotonic()
+        assert await cache.find(1) == b"1"
+        return time.monotonic() - start
+
+    assert asyncio.run(ask()) > 0.15
+
+
+def test_a_loop_that_is_never_done_leaves_the_rest_of_the_time():
+    """By its own processor time, which does not depend on how busy the machine is."""
+    loop = asyncio.SelectorEventLoop(PacedSelector(0.1, burst_s=0.05))
+    spent = [0.0, 0.0]
+
+    async def work() -> None:
+        for _ in range(300):
+            until = time.thread_time() + 0.001
+            while time.thread_time() < until:
+                pass
+            await asyncio.sleep(0)
+
+    def run() -> None:
+        start = time.thread_time(), time.monotonic()
+        loop.run_until_complete(work())
+        spent[:] = time.thread_time() - start[0], time.monotonic() - start[1]
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    loop.close()
+    assert spent[0] >= 0.3
+    assert spent[1] >= (spent[0] - 0.05) / 0.1 * 0.8

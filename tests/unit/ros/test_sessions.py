@@ -1,0 +1,75 @@
+"""What a node leaves: of each session, whatever ends it, and of those of the node before."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from gridslam.errors import OutputError
+from gridslam.io.csv import CsvLog
+from gridslam.ros.node.parameters import node_parameters
+from gridslam.ros.node.transport import RosNode
+from support.node_faults import RunningNode, make_drive, run_fault
+from support.ros_node import LocalTransport
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return make_drive()[:80]
+
+
+def scans_of(out):
+    return json.loads((out / "run.json").read_text())["scans"]["read"]
+
+
+def test_a_node_that_is_started_again_keeps_the_record_of_the_one_before(drive, tmp_path):
+    for scans in (30, 20, 10):
+        node = RunningNode(record=str(tmp_path / "scans.csv"))
+        node.play(drive[:scans])
+        warnings = node.stop()
+    assert "scans.csv is an earlier record: recording to" in warnings
+    counts = {path.name: len(list(CsvLog(path))) for path in tmp_path.iterdir()}
+    assert counts == {"scans.csv": 30, "scans-2.csv": 20, "scans-3.csv": 10}
+
+
+def test_the_map_of_a_bag_that_is_played_twice_is_saved_before_the_second_one(drive, tmp_path):
+    (tmp_path / "out-1").mkdir()
+    (tmp_path / "out-1" / "mine.txt").write_text("mine")
+    node = RunningNode(out=str(tmp_path / "out"), record=str(tmp_path / "scans.csv"))
+    for scans in (80, 60, 40):
+        node.play(drive[:scans], lost=scans < 80)
+    node.stop()
+    assert [scans_of(tmp_path / out) for out in ("out-2", "out-3", "out")] == [80, 59, 39]
+    assert [path.name for path in (tmp_path / "out-1").iterdir()] == ["mine.txt"]
+    counts = {path.name: len(list(CsvLog(path))) for path in tmp_path.glob("*.csv")}
+    assert counts == {"scans.csv": 80, "scans-2.csv": 59, "scans-3.csv": 39}
+
+
+def test_where_a_later_record_cannot_be_created_the_map_goes_on(drive, tmp_path, monkeypatch):
+    node = RunningNode(out=str(tmp_path / "out"), record=str(tmp_path / "scans.csv"))
+    node.play(drive[:30])
+
+    def full(path):
+        raise OutputError("No space left on device")
+
+    monkeypatch.setattr("gridslam.ros.node.core.ScanRecorder", full)
+    node.play(drive[:20], lost=1)
+    warnings = node.stop()
+    assert node.error is None
+    assert "record: No space left on device" in warnings
+    assert [scans_of(tmp_path / out) for out in ("out-1", "out")] == [30, 19]
+
+
+def test_a_folder_in_the_way_of_the_map_is_found_at_the_start(tmp_path):
+    (tmp_path / "out" / "map.yaml").mkdir(parents=True)
+    with pytest.raises(OutputError, match="got a folder"):
+        RosNode(LocalTransport(), node_parameters({"out": str(tmp_path / "out")}, "default"))
+
+
+@pytest.mark.parametrize("name", ["proposal", "loop closure", "transport: map", "final refinement", "clock set back"])
+def test_what_was_mapped_is_saved_whatever_fails(tmp_path, name):
+    """Some of the faults of `tests/long/test_node_faults.py`."""
+    found = run_fault(name, make_drive(), tmp_path, stays=True)
+    assert found["error"] is None
+    assert found["saved"] >= 49  # the last one may still be at work when the fault begins

@@ -1,0 +1,220 @@
+"""A step that raises is skipped: the rest of the run is, to the last bit, that of the log without its scan."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gridslam.config import Configuration, build, override
+from gridslam.errors import ArgumentError
+from gridslam.geometry.se2 import between
+from gridslam.grid.arena import TileArena
+from gridslam.grid.tiles import TileMaps
+from gridslam.localization import KnownMap, MonteCarloLocalization
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.observers import TrajectoryRecorder
+from gridslam.particles.ancestry import Ancestry
+from gridslam.particles.resampling import Systematic
+from gridslam.pipeline import run
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.slam.loop_closure.loop_closure import LoopClosure
+from gridslam.slam.tracking.tracker import Tracker
+from support.localization_world import drive as flat_drive
+from support.localization_world import flat_map
+
+PARTS = [
+    (Tracker, "step"),
+    (Tracker, "_insert"),
+    (GridFastSlamState, "move"),
+    (OccupancyGridMapping, "__call__"),
+    (TileMaps, "_make_writable"),
+    (TileArena, "grow"),
+    (Ancestry, "extend"),
+    (ReportBuilder, "estimate"),
+    (Systematic, "__call__"),
+    (GridFastSlamState, "resample"),
+    (LoopClosure, "__call__"),
+]
+
+
+@pytest.fixture(scope="module")
+def measurements():
+    rng = np.random.default_rng(2)
+    log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=90), rng)
+    return log.measurements[:300]
+
+
+class Faults:
+    """Lets a method raise, once it has done its work, at the first call for each of some scans."""
+
+    def __init__(self, monkeypatch, owner, name, scans):
+        self.due = set(scans)
+        self.current = -1
+        self.hit = []
+        real = getattr(owner, name)
+
+        def failing(*arguments, **options):
+            result = real(*arguments, **options)
+            if self.current in self.due:
+                self.due.remove(self.current)
+                self.hit.append(self.current)
+                raise RuntimeError("injected")
+            return result
+
+        monkeypatch.setattr(owner, name, failing)
+
+    def watch(self, measurements):
+        for k, measurement in enumerate(measurements):
+            self.current = k
+            yield measurement
+
+
+def arrays_of(state):
+    return {name: array.tobytes() for name, array in state.to_arrays().items()}
+
+
+def map_all(source, failures=None):
+    slam = build(override(Configuration(particles=5), "when_to_resample.kind=AlwaysResample"))
+    recorder = TrajectoryRecorder()
+    rng = np.random.default_rng(3)
+    on_failure = None if failures is None else failures.append
+    state = run(source, slam, rng=rng, observers=[recorder], on_failure=on_failure)
+    return arrays_of(state), arrays_of(recorder), rng.bit_generator.state
+
+
+@pytest.mark.parametrize(("owner", "name"), PARTS, ids=[f"{owner.__name__}.{name}" for owner, name in PARTS])
+def test_a_step_that_fails_anywhere_leaves_the_state_before_it(measurements, monkeypatch, owner, name):
+    scans = np.random.default_rng(5).permutation(np.arange(1, 300))[:120].tolist()  # many are no key scan
+    faults = Faults(monkeypatch, owner, name, scans)
+    monkeypatch.setattr(GridFastSlamState, "scans_per_snapshot", 40)
+    failures = []
+    found = map_all(faults.watch(measurements), failures)
+    monkeypatch.undo()
+    assert faults.hit
+    assert [failure.scan for failure in failures] == [measurements[k].scan for k in faults.hit]
+    assert all("RuntimeError: injected (test_failed_steps.py, line" in str(failure) for failure in failures)
+    assert found == map_all([m for k, m in enumerate(measurements) if k not in faults.hit])
+
+
+def test_snapshots_change_nothing(measurements, monkeypatch):
+    monkeypatch.setattr(GridFastSlamState, "scans_per_snapshot", 1)
+    assert map_all(measurements, []) == map_all(measurements)
+
+
+def test_where_memory_for_tiles_cannot_be_had_the_arena_stays_whole(measurements, monkeypatch):
+    """Ids of tiles that were never allocated would let the kernels write outside the arena."""
+    due = set(range(0, 300, 2))
+    current = 0
+    real = TileArena._extend_ids
+
+    def scarce(refs):
+        free, size = real(refs)
+        if current not in due:
+            return free, size
+        due.remove(current)
+        return free, 1 << 40  # as much as no machine has
+
+    def watch():
+        nonlocal current
+        for k, measurement in enumerate(measurements):
+            current = k
+            yield measurement
+
+    monkeypatch.setattr(TileArena, "_extend_ids", staticmethod(scarce))
+    failures = []
+    found = map_all(watch(), failures)
+    monkeypatch.undo()
+    assert {type(failure.error) for failure in failures} == {MemoryError}
+    lost = {failure.scan.stamp_ns for failure in failures}
+    assert found == map_all([m for m in measurements if m.scan.stamp_ns not in lost])
+
+
+def test_a_copy_that_fails_gives_back_nothing(measurements, monkeypatch):
+    maps = OccupancyGridMapping().empty(2)
+    maps.update(np.array([0, 1], np.int32), np.zeros((2, 3)), measurements[0].scan.beams(0.05, 30.0))
+    before = maps._arena.page_refs.copy()
+
+    def fail(self, roots):
+        raise MemoryError
+
+    with monkeypatch.context() as patched:
+        patched.setattr(TileArena, "retain", fail)
+        with pytest.raises(MemoryError):
+            maps.snapshot()
+    assert np.array_equal(maps._arena.page_refs, before)
+
+
+def test_without_a_scan_that_succeeds_the_first_failure_is_raised(measurements):
+    slam = build(override(Configuration(), "tracker.kind=OdometryTracker"))
+    without = [(None, scan) for _, scan in measurements[:3]]
+    failures = []
+    with pytest.raises(ArgumentError, match="a pose with every scan"):
+        run(without, slam, rng=np.random.default_rng(1), on_failure=failures.append)
+    assert len(failures) == 3
+    assert failures[0].state is None
+
+
+def test_a_first_scan_that_fails_is_skipped(measurements, monkeypatch):
+    faults = Faults(monkeypatch, Tracker, "init", [0, 1])
+    failures = []
+    found = map_all(faults.watch(measurements[:40]), failures)
+    monkeypatch.undo()
+    assert len(failures) == 2
+    assert found == map_all(measurements[2:40])
+
+
+def test_localization_goes_on_after_a_step_that_failed(monkeypatch):
+    mcl = MonteCarloLocalization(KnownMap(flat_map()))
+    drive = list(flat_drive(0).measurements)[:60]
+
+    def localize(source, **options):
+        rng = np.random.default_rng(0)
+        state = mcl.init_gaussian(drive[0].odometry.pose, np.diag([0.01, 0.01, 0.01]), rng)
+        return arrays_of(run(source, mcl, rng=rng, state=state, **options))
+
+    faults = Faults(monkeypatch, MonteCarloLocalization, "_refine_pose", range(5, 60, 7))
+    failures = []
+    found = localize(faults.watch(drive), on_failure=failures.append)
+    monkeypatch.undo()
+    assert len(failures) == len(faults.hit) > 3
+    assert found == localize([m for k, m in enumerate(drive) if k not in faults.hit])
+
+
+@pytest.mark.parametrize("after", [False, True], ids=["before", "after"])
+@pytest.mark.parametrize(("owner", "name"), PARTS, ids=[f"{owner.__name__}.{name}" for owner, name in PARTS])
+def test_where_steps_cannot_be_repeated_the_state_is_revived(measurements, monkeypatch, owner, name, after):
+    """A fault that stays, as memory that is short: nothing is lost of what was mapped, and mapping goes on after it."""
+    slam = build(override(Configuration(particles=5), "when_to_resample.kind=AlwaysResample"))
+    recorder = TrajectoryRecorder()
+    real = getattr(owner, name)
+    is_broken = False
+
+    def failing(*arguments, **options):
+        if is_broken and not after:
+            raise MemoryError
+        result = real(*arguments, **options)
+        if is_broken:
+            raise MemoryError
+        return result
+
+    def watch():
+        nonlocal is_broken
+        for k, measurement in enumerate(measurements):
+            is_broken = 150 <= k < 200
+            yield measurement
+
+    failures = []
+    monkeypatch.setattr(owner, name, failing)
+    state = run(watch(), slam, rng=np.random.default_rng(0), observers=[recorder], on_failure=failures.append)
+    assert failures
+    stamps = recorder.online_trajectory().stamps_ns
+    assert set(stamps) == {m.scan.stamp_ns for m in measurements} - {failed.scan.stamp_ns for failed in failures}
+    assert len(state.best_trajectory()) == recorder.keys[-1] + 1
+    poses = recorder.best_trajectory(state).poses[:150]  # before the fault, as if it had never come
+    alone = TrajectoryRecorder()
+    before = run(measurements[:150], slam, rng=np.random.default_rng(0), observers=[alone])
+    assert np.abs(between(poses, alone.best_trajectory(before).poses)).max() < 0.5
+    restored = type(state).from_arrays(state.to_arrays(), slam.mapper)
+    assert arrays_of(restored) == arrays_of(state)
