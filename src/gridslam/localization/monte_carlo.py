@@ -28,6 +28,7 @@ from gridslam.localization.belief import (
 from gridslam.localization.kld_sampling import KldSampling
 from gridslam.localization.known_map import KnownMap, PoseLikelihood
 from gridslam.localization.match_covariance import MatchCovariance
+from gridslam.localization.odometry_check import OdometryCheck
 from gridslam.localization.place_verification import NO_SCANS, PlaceVerification
 from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
 from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState, validate_poses
@@ -40,6 +41,7 @@ from gridslam.models.parameters import STRICT, Kind
 from gridslam.particles.initial import sample_gaussian
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold
 from gridslam.particles.resampling import Systematic, effective_sample_size, normalize
+from gridslam.scan import Thinning
 from gridslam.types import (
     Beams,
     FloatArray,
@@ -73,6 +75,8 @@ class MonteCarloConfiguration:
 
     Parameters
     ----------
+    odometry_check : OdometryCheck or None
+        Whether the odometry is used, or the motion from scan to scan; None: always the odometry, as AMCL.
     motion : GMappingMotion, OdometryMotion or DiffusionMotion
         p(x_t | u_t, x_{t-1}), conditioned on the odometry since the last update. The default has noise across the
         motion, too: a base frame beside the wheels' axle slides sideways when the robot turns.
@@ -130,6 +134,7 @@ class MonteCarloConfiguration:
         A parameter is out of range, no beam could be used, or distances would saturate within a beam's noise.
     """
 
+    odometry_check: Annotated[OdometryCheck | None, Kind()] = Field(default_factory=OdometryCheck)
     motion: Annotated[GMappingMotion | OdometryMotion | DiffusionMotion, Kind()] = Field(default_factory=GMappingMotion)
     sensor: Annotated[LikelihoodField | BeamRangeFinder, Kind()] = Field(
         default_factory=lambda: LikelihoodField(tempering=0.05)
@@ -223,7 +228,7 @@ class MonteCarloLocalization:
         """
         require_step(MonteCarloState, state, odometry, scan, rng)
         state = state.take()
-        moved = np.zeros(3) if odometry is None else between(state.odometry_at_update(odometry), odometry.pose)
+        moved = self._moved(state, odometry, scan)
         beams = self._select_beams(state, odometry, moved, scan)
         if reason := self._skip_reason(state, odometry, moved, beams):
             return state, self._refine_pose(self._report_skipped(state, odometry, scan, moved, reason), beams)
@@ -241,6 +246,20 @@ class MonteCarloLocalization:
             report = replace(report, parents=parents, particles=len(parents))
         return state, report
 
+    def _moved(self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan) -> FloatArray:
+        """Motion (3,) since the last update: by the odometry, unless the scans contradict it."""
+        check = self.configuration.odometry_check
+        if check is not None:
+            beams = scan.beams(self.configuration.range_min_m, self.configuration.range_max_m, Thinning())
+            state.tracked = check.track(state.tracked, odometry, beams)
+        if odometry is None:
+            return np.zeros(3)
+        measured = between(state.odometry_at_update(odometry), odometry.pose)
+        if check is None or state.tracked is None:
+            return measured
+        state.tracked, moved = check(state.tracked, measured, self._motion)
+        return moved
+
     def _motion(self, moved: FloatArray) -> MotionSampler:
         return (self.motion or self.configuration.motion)(moved)
 
@@ -256,7 +275,10 @@ class MonteCarloLocalization:
             beams = Beams(scan, beams.indices[chosen], beams.ends[chosen], beams.origin)
         if scan.beam_times_s is None or last is None or odometry is None or odometry.stamp_ns <= last.stamp_ns:
             return beams
-        twist = log(between(last.pose, odometry.pose)) / (1e-9 * (odometry.stamp_ns - last.stamp_ns))
+        if state.odometry_rejected and state.tracked is not None:
+            twist = state.tracked.tracker.twist
+        else:
+            twist = log(between(last.pose, odometry.pose)) / (1e-9 * (odometry.stamp_ns - last.stamp_ns))
         if not len(state.poses):
             return beams.deskew(twist)
         guess = compose(state.estimate.pose, moved)
@@ -362,7 +384,7 @@ class MonteCarloLocalization:
         state.hypotheses = self.configuration.hypotheses(
             state.hypotheses, moved, estimate, state.poses, weights, agree, rng
         )
-        self._verify_place(state, beams, share, rng)
+        self._verify_place(state, moved, beams, share, rng)
         return LocalizationReport(
             scan.stamp_ns,
             estimate.pose,
@@ -370,12 +392,15 @@ class MonteCarloLocalization:
             state.inlier_ratio,
             len(state.poses),
             effective_sample_size(state.log_weights),
+            odometry_rejected=state.odometry_rejected,
             injection_ratio=share,
             poses=state.poses,
             log_weights=state.log_weights,
         )
 
-    def _verify_place(self, state: MonteCarloState, beams: Beams, share: float, rng: np.random.Generator) -> None:
+    def _verify_place(
+        self, state: MonteCarloState, moved: FloatArray, beams: Beams, share: float, rng: np.random.Generator
+    ) -> None:
         """Search for other places before the reported one counts as found; they become hypotheses.
 
         Where the reported place is one of a `share` of particles drawn from all over the map, odometry may not connect
@@ -383,10 +408,10 @@ class MonteCarloLocalization:
         """
         verification = self.configuration.verification
         tracker = self.configuration.hypotheses
-        if state.odometry is None or not verification.scans:
+        if not verification.scans:
             return
         before = NO_SCANS if share and not state.driven_since_found_m else state.recent
-        state.recent = before.append(state.odometry, beams.ends, verification.scans)
+        state.recent = before.append(moved, beams.ends, verification.scans)
         if state.verified or self._lost_probability(state) > self.configuration.lost_above:
             return
         reported = state.estimate.pose
@@ -417,6 +442,7 @@ class MonteCarloLocalization:
             state.inlier_ratio,
             len(state.poses),
             skipped=reason,
+            odometry_rejected=state.odometry_rejected,
         )
 
     def _with_lost_probability(

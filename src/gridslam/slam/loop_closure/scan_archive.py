@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.serialization import NOT_SAVED
-from gridslam.slam.tracking.state import is_within
+from gridslam.tracking.state import is_within
 from gridslam.types import BeamEnds, FloatArray, StoredScan
 
 __all__ = ["ScanArchive"]
