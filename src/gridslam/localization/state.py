@@ -105,7 +105,7 @@ class MonteCarloState:
     estimate : PoseEstimate
         Pose estimate from the particles at the last update.
     driven_since_found_m : float, m
-        Path length since the reported place was found; infinite if it was given.
+        Path length since the reported place was found on which the odometry was not rejected; infinite if it was given.
     hypotheses : PoseHypotheses
         Places that the particles have left, and that nothing has refuted yet.
     recent : RecentScans
@@ -186,9 +186,13 @@ class MonteCarloState:
             self.log_weights = np.concatenate([self.log_weights + rest, log_weights])
 
     def update_estimate(self, estimate: PoseEstimate, moved: FloatArray) -> None:
-        """Update the estimate after the robot has `moved` (3,): the same place, or another one."""
+        """Update the estimate after the robot has `moved` (3,): the same place, or another one.
+
+        Motion that odometry and scans do not agree on confirms no place: it may be the laser that is mirrored.
+        """
         same = is_in_cluster(compose(self.estimate.pose, moved)[None], estimate.pose)[0]
-        self.driven_since_found_m = self.driven_since_found_m + math.hypot(moved[0], moved[1]) if same else 0.0
+        confirms_m = 0.0 if self.odometry_rejected else math.hypot(moved[0], moved[1])
+        self.driven_since_found_m = self.driven_since_found_m + confirms_m if same else 0.0
         self.verified = self.verified and bool(same)
         self.estimate = estimate
 

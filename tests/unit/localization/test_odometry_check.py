@@ -11,6 +11,7 @@ from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloL
 from gridslam.localization.odometry_check import OdometryCheck
 from gridslam.models.motion import GMappingMotion
 from gridslam.sim import OdometryNoise
+from gridslam.sim.faults import reflected_laser
 from gridslam.types import Odometry
 from support.localization_world import drive, flat_map
 
@@ -95,6 +96,20 @@ def test_odometry_that_is_wrong_throughout_does_not_lose_the_robot(known, factor
     reports, metres = follow(known, faulty, log.truth.poses)
     assert not any(report.lost for report in reports)
     assert metres[5:].max() < 0.2
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_mirrored_laser_does_not_find_a_place_by_its_own_motion(known, seed):
+    """Its scans contradict all turns of the odometry, and the mirrored motion fits them."""
+    log = drive(seed, OdometryNoise())
+    mcl, rng = MonteCarloLocalization(known), np.random.default_rng(seed)
+    state = mcl.init()
+    rejected = 0
+    for odometry, scan in reflected_laser(log.measurements):
+        state, report = mcl.step(state, odometry, scan, rng)
+        rejected += report.odometry_rejected
+        assert report.lost
+    assert rejected > 0.5 * len(log)
 
 
 def test_motion_within_the_noise_of_the_odometry_is_no_contradiction():
