@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
+from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose, log
 from gridslam.localization.belief import (
     CLUSTER_RADIUS_M,
@@ -33,7 +34,7 @@ from gridslam.localization.place_verification import NO_SCANS, PlaceVerification
 from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
 from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState, validate_poses
 from gridslam.matching.beam_order import BeamOrder
-from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.endpoint import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
@@ -60,6 +61,9 @@ _UNKNOWN_POSE = PoseEstimate(np.zeros(3), np.diag([1e6, 1e6, math.pi**2]), 0.0)
 
 
 _ROUNDING = 1e-6 * np.eye(3)  # a millimetre, for beliefs without any spread
+
+
+_NO_PRIOR = 1e-9 * np.eye(3)  # information of a guess that means nothing
 
 
 _CLUSTER = np.diag([CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_RAD / 2]) ** 2
@@ -309,9 +313,9 @@ class MonteCarloLocalization:
         matcher = self.configuration.matcher
         if not report.particles or not matcher.max_iterations or len(beams) < matcher.min_beams:
             return report
-        pose = self._match(report.pose, report.covariance, beams)
         if report.lost:
-            return replace(report, pose=pose)
+            return replace(report, pose=self._match(report.pose, report.covariance, beams))
+        pose = self._match_from_several(report.pose, report.covariance, beams)
         covariance = self.configuration.match_covariance(self.map, matcher, pose, report.covariance + _ROUNDING, beams)
         return replace(report, pose=pose, covariance=covariance)
 
@@ -320,9 +324,37 @@ class MonteCarloLocalization:
 
     def _match_near(self, guesses: FloatArray, covariance: FloatArray, beams: Beams) -> FloatArray:
         """Poses (K, 3) where a scan fits best, given that each has this covariance (3, 3) about its guess (K, 3)."""
+        return self.map.match(self.configuration.matcher, guesses, self._prior(covariance), beams).poses
+
+    def _prior(self, covariance: FloatArray) -> FloatArray:
+        """Information (3, 3) of a pose with this covariance (3, 3), beside residuals in m."""
         variance = self.map.blurred_sigma_m(self.configuration.sensor.sigma_hit_m) ** 2
-        prior = np.asarray(variance * np.linalg.inv(covariance), np.float64)
-        return self.map.match(self.configuration.matcher, guesses, prior, beams).poses
+        return np.asarray(variance * np.linalg.inv(covariance), np.float64)
+
+    def _match_from_several(self, pose: FloatArray, covariance: FloatArray, beams: Beams) -> FloatArray:
+        """Match from a pose (3,) of this covariance (3, 3), and from one standard deviation beside it.
+
+        Where few beams determine a direction, as in a doorway, the likelihood has several maxima some centimetres
+        apart, and that nearest to the mean may be another one than the greatest. Those that are found without the prior
+        are compared with it afterwards, where they are determined by the scan.
+        """
+        matcher = self.configuration.matcher
+        near = self._match(pose, covariance, beams)
+        variances, axes = np.linalg.eigh(covariance[:2, :2])
+        beside = np.repeat(pose[None], 4, axis=0)
+        beside[:, :2] += np.concatenate([axes.T, -axes.T]) * np.sqrt(np.tile(np.maximum(variances, 0), 2))[:, None]
+        others = self.map.match(matcher, beside, _NO_PRIOR, beams)
+        first = self.map.match(replace(matcher, max_iterations=0), near[None], _NO_PRIOR, beams)
+        kept = [
+            degenerate_direction(information, float(score), matcher.min_information) is None
+            for information, score in zip(others.information, others.score, strict=True)
+        ]
+        poses = np.concatenate([near[None], others.poses[kept]])
+        away = poses - pose
+        away[:, 2] = wrap(away[:, 2])
+        cost = np.einsum("ki,ij,kj->k", away, self._prior(covariance + _ROUNDING), away)
+        cost -= matcher.cauchy_m**2 * np.concatenate([first.score, others.score[kept]])  # sum of w d^2, to a constant
+        return np.asarray(poses[cost.argmin()])
 
     def _likelihood(self, beams: Beams) -> PoseLikelihood:
         """Log likelihoods of poses (N, 3), which count less where there is no free space to be in."""
