@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from PIL import Image
 from gridslam import __version__
 from gridslam.cli.logs import check_log
 from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.csv import write_csv_log
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.measurement import Measurement
 from gridslam.sim.faults import with_fault
@@ -160,3 +162,20 @@ def test_what_was_asked_for_or_is_healthy_is_not_told(log, capsys):
     for options in (LogOptions(), LogOptions(no_odometry=True)):
         assert len(list(check_log(open_log(log, options), options))) == 120
     assert capsys.readouterr() == ("", "")
+
+
+def test_map_warns_of_ranges_in_another_unit_and_keeps_it_in_the_run(call, simulated, tmp_path):
+    log = tmp_path / "mm.csv"
+    scans = [m.scan for m in simulated.measurements[:120]]
+    wrong = [replace(scan, ranges=1000 * scan.ranges, range_max_m=1000 * scan.range_max_m) for scan in scans]
+    write_csv_log(log, (Measurement(m.odometry, scan) for m, scan in zip(simulated.measurements, wrong, strict=False)))
+    status, _, err = call("map", log, "-o", tmp_path / "out", "--particles", 2, "--json")
+    assert status == 0
+    (line,) = err.splitlines()
+    assert line.startswith(f"gridslam: {log}: range_units: The ranges are in millimetres, not in metres")
+    (fault,) = json.loads((tmp_path / "out" / "run.json").read_text())["input"]["faults"].items()
+    assert fault[0] == "range_units (laser)"
+    assert fault[1] in line
+    status, out, _ = call("doctor", log)
+    assert status == 3
+    assert "range_units (laser): The ranges are in millimetres" in out

@@ -27,7 +27,17 @@ def main(arguments: list[str]) -> int:
     began, clock = time.localtime(), time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         results = Path(folder) / "results.xml"
-        command = [sys.executable, "-m", "pytest", ROOT / "tests" / "long", "-m", "long", "-o", "junit_family=xunit1"]
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            ROOT / "tests" / "long",
+            ROOT / "tests" / "fuzz",
+            "-m",
+            "long",
+            "-o",
+            "junit_family=xunit1",
+        ]
         command += [f"--junitxml={results}", *arguments]
         status = subprocess.run(command, cwd=ROOT).returncode
         rows = list(outcomes(ET.parse(results).getroot()))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 import pytest
 
 from gridslam.doctor import Doctor, diagnose, quick_check
 from gridslam.doctor.reader import reader_findings
 from gridslam.io.log import open_log
+from implausible_ranges import VARIANTS, check, real_logs
 
 CLEAN = [
     "intel.clf.bz2",
@@ -37,3 +40,31 @@ def test_a_laser_that_tilts_is_told(data_dir):
 def test_a_log_without_odometry_and_transforms_is_doubtful(data_dir):
     diagnosis = diagnose(open_log(data_dir / "bags/handheld_broken_index.bag"))
     assert {finding.code for finding in diagnosis.faults} == {"no_odometry", "missing_transform"}
+
+
+@pytest.mark.parametrize(
+    ("name", "due"),
+    [
+        ("ranges_in_mm", "range_units 1000"),
+        ("ranges_in_feet", "range_units 3.281"),
+        ("frozen_scan", "laser_frozen"),
+        ("uniform_random_ranges", "random_ranges"),
+    ],
+)
+def test_ranges_of_which_no_map_can_be_built_are_named(data_dir, name, due):
+    log = open_log(data_dir / f"hostile/{name}.csv.gz")
+    assert check(log) == (due,)
+    assert [finding.code for finding in diagnose(log).faults] == [due.split()[0]]
+
+
+def test_no_ranges_of_good_logs_are_implausible(data_dir):
+    logs = list(real_logs(data_dir))
+    assert len(logs) > 15
+    assert {log.name: check(log.measurements) for log in logs} == {log.name: () for log in logs}
+
+
+@pytest.mark.parametrize("name", ["intel.clf.bz2", "mit-csail.clf.bz2", "loops/wean2.clf.gz", "sparse/seattle.clf.gz"])
+def test_good_logs_in_other_units_are_named(data_dir, name):
+    for variant in ("in feet", "in inches", "in centimetres", "in millimetres", "in millimetres, limit in m"):
+        (found,) = check(islice(VARIANTS[variant][1](open_log(data_dir / name)), 1500))
+        assert found.startswith("range_units"), (variant, found)

@@ -77,7 +77,7 @@ class Whole(NamedTuple):
 
 def whole_logs(folder: Path) -> list[Whole]:
     """One log of each format and compression, of the same short drive."""
-    measurements = _drive()
+    measurements = drive_about(_SCANS)
     write_csv_log(folder / "log.csv", measurements)
     convert_log(folder / "log.csv", folder / "log.clf")
     carmen, csv = (folder / "log.clf").read_bytes(), (folder / "log.csv").read_bytes()
@@ -107,11 +107,11 @@ def broken_logs(whole: list[Whole], count: int, seed: int) -> Iterator[tuple[str
 
 
 def _text(name: str, content: bytes, wrap: Callable[[bytes], bytes] = bytes) -> Whole:
-    return Whole(name, lambda rng: _damaged(content, _OF_TEXT, rng, wrap))
+    return Whole(name, lambda rng: damage(content, OF_TEXT, rng, wrap))
 
 
 def _packed(name: str, content: bytes) -> Whole:
-    return Whole(name, lambda rng: _damaged(content, _OF_BYTES, rng))
+    return Whole(name, lambda rng: damage(content, OF_BYTES, rng))
 
 
 def _of_messages(folder: Path, kind: str, measurements: Sequence[Measurement]) -> Whole:
@@ -123,7 +123,7 @@ def _of_messages(folder: Path, kind: str, measurements: Sequence[Measurement]) -
         def altered(message: bytes) -> bytes:
             if rng.random() >= share:
                 return message
-            content, what = _damaged(message, _OF_MESSAGES, rng)
+            content, what = damage(message, _OF_MESSAGES, rng)
             done.append(what)
             return content
 
@@ -142,21 +142,23 @@ def _bag(
         return file.replace(folder / file.name)
 
 
-def _damaged(
+def damage(
     content: bytes, damages: Sequence[Damage], rng: np.random.Generator, wrap: Callable[[bytes], bytes] = bytes
 ) -> tuple[bytes, str]:
+    """Damage bytes in one to three ways out of `damages`, and `wrap` them; what was done, too."""
     done = []
     for _ in range(rng.choice([1, 1, 1, 2, 3])):
-        damage = damages[rng.integers(len(damages))]
-        content = damage(content, rng)
-        done.append(damage.__name__.strip("_"))
+        kind = damages[rng.integers(len(damages))]
+        content = kind(content, rng)
+        done.append(kind.__name__.strip("_"))
     return wrap(content), " + ".join(done)
 
 
-def _drive() -> Sequence[Measurement]:
+def drive_about(scans: int) -> Sequence[Measurement]:
+    """Measurements of a short drive, every third of the laser's."""
     world, rng = make_world("demo", np.random.default_rng(0)), np.random.default_rng(1)
     lidar = LidarConfig(beams=_BEAMS, field_of_view_rad=math.pi, range_max_m=20.0)
-    return simulate(world, RobotConfig(), OdometryNoise(), lidar, rng).measurements[: 3 * _SCANS : 3]
+    return simulate(world, RobotConfig(), OdometryNoise(), lidar, rng).measurements[: 3 * scans : 3]
 
 
 def _robotlaser(measurements: Sequence[Measurement]) -> bytes:
@@ -266,8 +268,8 @@ def _swap_lines(content: bytes, rng: np.random.Generator) -> bytes:
     return b"\n".join(lines)
 
 
-_OF_BYTES: tuple[Damage, ...] = (_cut, _lose, _flip, _splice, _blank, _number)
-_OF_TEXT: tuple[Damage, ...] = (
+OF_BYTES: tuple[Damage, ...] = (_cut, _lose, _flip, _splice, _blank, _number)
+OF_TEXT: tuple[Damage, ...] = (
     _cut,
     _lose,
     _flip,

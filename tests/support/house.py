@@ -52,6 +52,7 @@ INNER_RANKS = {
         "full_slam": 3,
     },
     "io": {
+        "limits": -1,
         "measurement": 0,
         "output": 0,
         "text": 0,

@@ -9,6 +9,7 @@ import pytest
 
 import accuracy
 import kernels
+import landmarks
 import logs
 import measure
 import places
@@ -120,3 +121,13 @@ def test_tables_and_targets():
     low, high = report.summary().splitlines()[2:]
     assert low == "| low | 1 s | <= 2 s | yes |  |  |"
     assert high == "| high | 3 | <= 2 | **NO** | peer | other |"
+
+
+def test_cost_of_landmark_slam_without_real_logs(tmp_path):
+    """The time of a step has its target, the only one that needs no real log."""
+    report = Report()
+    landmarks.landmarks(report, tmp_path, (0,), steps=1)
+    (target,) = report.targets
+    assert target.name.startswith("FastSLAM 2.0, 1000 particles")
+    assert target.value > 0
+    assert len(report.sections) == 3

@@ -22,7 +22,13 @@ from gridslam.io.landmarks import write_landmarks
 from gridslam.io.output import OutputFolder
 from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import write_tum
-from gridslam.models.association import AMBIGUOUS, Association, KnownCorrespondence, MaximumLikelihood
+from gridslam.models.association import (
+    AMBIGUOUS,
+    Association,
+    KnownCorrespondence,
+    LandmarkExistence,
+    MaximumLikelihood,
+)
 from gridslam.models.landmark import (
     DepthBearing,
     LandmarkModel,
@@ -99,6 +105,17 @@ _WIDE_SENSOR: Final = DepthBearing(sigma_bearing_rad=0.015)
 _WIDE_MOTION: Final = DiffusionMotion(sigma_xy_m=0.06, sigma_theta_rad=0.12)
 """Errors of MRCLAM's commands for a filter that knows no systematic errors: measured over the 30 intervals of 4 s and
 more without observations, the NEES with `MOTION` is 13 instead of 3.
+"""
+
+_SMOOTH_MOTION: Final = DiffusionMotion(sigma_xy_m=0.03, sigma_theta_rad=0.03)
+"""The same when correspondences are revised, for steps of a quarter of a second: what the errors of a long interval add
+up to would let each pose follow a wrong correspondence by itself, by the 45 mrad between two barcodes at 4 m.
+"""
+
+_PATIENT: Final = LandmarkExistence(detection=0.1, log_odds_confirmed=3.0)
+"""Existence for data association: the filter keeps a barcode that is hidden or turned away for a minute.
+
+What is none is left out when the correspondences are revised.
 """
 
 MOTION: Final = DiffusionMotion(sigma_xy_m=0.05, sigma_theta_rad=0.08)
@@ -424,10 +441,11 @@ def _associate(
 ) -> list[LandmarkStep]:
     """Steps with estimated correspondences."""
     standard = model == SENSORS[ObservationKind.DEPTH_BEARING]
-    filters = LandmarkFilters(_WIDE_SENSOR if standard else model, MaximumLikelihood())
+    filters = LandmarkFilters(_WIDE_SENSOR if standard else model, MaximumLikelihood(), _PATIENT)
     slam: FastSlam2 = FastSlam2WithCalibration(filters) if has_noise else FastSlam2WithLocalFrames(filters)
     bias = SystematicErrors() if has_noise else COMMANDS
-    associate = BatchAssociation(slam, _RELATIVE if standard else model, bias)
+    smoothing = _SMOOTH_MOTION if motion == MOTION else motion
+    associate = BatchAssociation(slam, _RELATIVE if standard else model, bias, smoothing)
     return associate(steps, _WIDE_MOTION if motion == MOTION else motion, rng, on_progress)
 
 

@@ -216,6 +216,7 @@ class MapResult(Result):
             "no_return_beams": log.no_return_beams,
             "missing_transforms": dict(log.missing_transforms),
             "remarks": dict(log.remarks),
+            "faults": dict(log.faults),
         }
 
     def _describe_scans(self) -> dict[str, Any]:

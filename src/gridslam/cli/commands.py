@@ -33,11 +33,23 @@ __all__ = ["gridslam"]
 
 @click.group(context_settings=SETTINGS, no_args_is_help=False)
 @click.version_option(__version__, prog_name="gridslam", message="%(prog)s %(version)s")
-def gridslam() -> None:
+@click.option(
+    "--max-memory",
+    type=click.FloatRange(0.01, 1e6),
+    default=1.0,
+    show_default=True,
+    metavar="GB",
+    help="Refuse input of which a part takes more memory than this when it is read.",
+)
+@click.pass_context
+def gridslam(context: click.Context, max_memory: float) -> None:
     """2D lidar SLAM: from a robot's laser scans and odometry to a map and a trajectory.
 
     Start with `gridslam demo`, which needs no data.
     """
+    from gridslam.io.limits import limit_memory
+
+    context.with_resource(limit_memory(round(1e9 * max_memory)))
 
 
 class _MapCommand(click.Command):

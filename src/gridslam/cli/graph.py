@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gridslam import __version__
 from gridslam.cli import STARTED_S
 from gridslam.cli.output import open_output, print_result, warn
+from gridslam.errors import ArgumentError, InputError
 from gridslam.io.g2o import G2oGraph, read_g2o, write_g2o
 from gridslam.io.output import OutputFolder
 from gridslam.io.text import compute_digest
@@ -48,7 +49,10 @@ def graph_to_folder(
     with open_output(out) as folder:
         _import_algebra()
         watch.lap("start")
-        solution = solver.solve(source.graph)
+        try:
+            solution = solver.solve(source.graph)
+        except ArgumentError as error:
+            raise InputError(file, str(error)) from None
         watch.lap("solve")
         rejected = solution.weights < _MIN_WEIGHT if robust else None
         document = _document(file, source, solver, solution, rejected, watch)

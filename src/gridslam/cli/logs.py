@@ -49,16 +49,14 @@ def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) 
 
 
 def check_log(log: Log, options: LogOptions) -> CheckedLog:
-    """Wrap a log so that faults in its first minute are reported on stderr, one line each, while it is read.
+    """Wrap a log so that faults at its begin are reported on stderr, one line each, while it is read.
 
     That there is no odometry is no news to who asked for it.
     """
-    reported = {"no_odometry"} if options.no_odometry else set()
 
     def print_findings(found: tuple[Finding, ...]) -> None:
         for finding in found:
-            if finding.code not in reported:
-                reported.add(finding.code)  # the log may be read twice
+            if finding.code != "no_odometry" or not options.no_odometry:
                 warn(f"{log.path}: {finding.code}: {finding.message} {finding.remedy}".rstrip())
 
     return CheckedLog(log, print_findings)

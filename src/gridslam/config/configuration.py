@@ -55,6 +55,7 @@ PARAMETERS: Final[Mapping[str, tuple[str, str]]] = {
 }
 """The parameters that face the user: short name, dotted name and what it is."""
 
+_LARGEST_TEXT: Final = 1 << 20  # characters
 _RESAMPLERS: Final[Mapping[str, type[Resampler]]] = {
     "systematic": Systematic,
     "stratified": Stratified,
@@ -148,13 +149,19 @@ def loads(text: str, base: Configuration | None = None) -> Configuration:
         changes = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"expected TOML: {error}") from None
+    except RecursionError:
+        raise ConfigurationError("expected TOML: values are nested too deeply") from None
     return replace_parameters(base or Configuration(), changes)
 
 
 def load(path: str | Path, base: Configuration | None = None) -> Configuration:
     """Read a TOML file as `loads` does; errors name the file, and one that cannot be read is a ConfigurationError."""
     try:
-        return loads(Path(path).read_text(encoding="utf-8"), base)
+        with Path(path).open(encoding="utf-8") as file:
+            text = file.read(_LARGEST_TEXT + 1)
+        if len(text) > _LARGEST_TEXT:
+            raise ConfigurationError(f"expected TOML of at most {_LARGEST_TEXT} characters, got more")
+        return loads(text, base)
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:

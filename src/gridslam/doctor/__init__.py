@@ -1,6 +1,6 @@
 """Log diagnosis: content and faults; docs/doctor.md lists every finding."""
 
-from gridslam.doctor.diagnose import CheckedLog, Diagnosis, Doctor, LaserFacts, diagnose, quick_check
+from gridslam.doctor.diagnose import CheckedLog, Diagnosis, Doctor, EarlyCheck, LaserFacts, diagnose, quick_check
 from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
 from gridslam.doctor.repair import Repair, RepairedLog
 
@@ -8,6 +8,7 @@ __all__ = [
     "CheckedLog",
     "Diagnosis",
     "Doctor",
+    "EarlyCheck",
     "Figure",
     "Finding",
     "LaserFacts",

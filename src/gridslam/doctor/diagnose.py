@@ -13,6 +13,7 @@ from gridslam.doctor.finding import Finding, Severity
 from gridslam.doctor.lasers import BeamStatistics, Mounting, field_of_view_rad, mounting_findings, planar_mounting
 from gridslam.doctor.motion_findings import MotionExaminer
 from gridslam.doctor.odometry import OdometryExaminer
+from gridslam.doctor.range_checks import RangeExaminer
 from gridslam.doctor.range_limits import RangeCounts
 from gridslam.doctor.reader import estimate_cost, reader_findings
 from gridslam.doctor.stamps import StampStatistics
@@ -22,11 +23,13 @@ from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.types import FloatArray
 
-__all__ = ["CheckedLog", "Diagnosis", "Doctor", "LaserFacts", "diagnose", "quick_check"]
+__all__ = ["CheckedLog", "Diagnosis", "Doctor", "EarlyCheck", "LaserFacts", "diagnose", "quick_check"]
 
 _QUICK_S = 60.0
 _QUICK_SCANS = 300
 """How much `quick_check` looks at: 0.1 ms a scan and 30 ms in all, where the shortest map takes a second."""
+
+_RANGE_SCANS = 3000  # after which no motion is waited for: a robot that is parked
 
 _ONLY_WHOLE = ("standing_still",)
 
@@ -120,6 +123,7 @@ class _Laser:
     stamps: StampStatistics = field(default_factory=StampStatistics)
     beams: BeamStatistics = field(default_factory=BeamStatistics)
     ranges: RangeCounts = field(default_factory=RangeCounts)
+    examiner: RangeExaminer = field(default_factory=RangeExaminer)
     mounting: Mounting = field(default_factory=Mounting)
 
     def take(self, measurement: Measurement) -> None:
@@ -127,6 +131,7 @@ class _Laser:
         self.stamps.take(measurement)
         self.beams.take(scan)
         self.ranges.take(scan)
+        self.examiner.take(measurement)
         self.mounting.take(scan.geometry)
 
     def facts(self) -> LaserFacts:
@@ -176,20 +181,38 @@ class Doctor:
         if self._motion is not None:
             self._motion.take(measurement)
 
+    def take_ranges(self, measurement: Measurement) -> None:
+        """Look only at the ranges of the next measurement, for `range_findings`."""
+        self._lasers[measurement.scan.sensor].examiner.take(measurement)
+
+    @property
+    def is_range_check_complete(self) -> bool:
+        """Whether more scans would hardly change the `range_findings`."""
+        return all(laser.examiner.pairs.is_complete for laser in self._lasers.values())
+
+    def range_findings(self) -> Iterator[Finding]:
+        """Yield the findings on ranges that no map can be made of: range_units, laser_frozen, random_ranges."""
+        for sensor, laser in self._lasers.items():
+            yield from laser.examiner.findings(sensor)
+
     def findings(self) -> Iterator[Finding]:
-        """Yield the findings so far; a tilting laser is not used as a reference of the motion."""
+        """Yield the findings so far; a laser that tilts, or whose ranges are wrong, is no reference of the motion."""
         for sensor, laser in self._lasers.items():
             yield from laser.stamps.findings(sensor)
         for sensor, laser in self._lasers.items():
             yield from laser.beams.findings(sensor)
+        implausible = list(self.range_findings())
+        yield from implausible
         for sensor, laser in self._lasers.items():
             yield from laser.ranges.findings(sensor)
         mounted = list(mounting_findings({sensor: laser.mounting for sensor, laser in self._lasers.items()}))
         yield from mounted
-        yield from self._odometry.findings()
+        random = any(finding.code == "random_ranges" for finding in implausible)  # which change while the robot stands
+        yield from (f for f in self._odometry.findings() if not (random and f.code == "odometry_frozen"))
         if self._motion is not None:
-            tilting = {finding.sensor for finding in mounted if finding.code == "tilting_laser"}
-            yield from (finding for finding in self._motion.findings() if finding.sensor not in tilting)
+            no_reference = {finding.sensor for finding in mounted if finding.code == "tilting_laser"}
+            no_reference |= {finding.sensor for finding in implausible}
+            yield from (finding for finding in self._motion.findings() if finding.sensor not in no_reference)
 
     def cost(self) -> Finding:
         """Estimate the cost of mapping these scans; without odometry as if each updated the particles."""
@@ -254,22 +277,77 @@ def diagnose(
 
 
 @final
+class EarlyCheck:
+    """Checks a log while it is read: its first minute (at most 300 scans), and its ranges until motion shows the unit.
+
+    No scan is matched, and findings that need the whole log, such as that the robot never moves, are left out.
+
+    Attributes
+    ----------
+    is_complete : bool
+        Whether there is nothing more to look at.
+    """
+
+    def __init__(self) -> None:
+        """Begin with nothing seen."""
+        self._doctor = Doctor(matching=False)
+        self._scans = 0
+        self._first_ns = 0
+        self._reported: set[tuple[str, str]] | None = None
+        self.is_complete = False
+
+    def take(self, measurement: Measurement) -> tuple[Finding, ...]:
+        """Look at the next measurement; return the warnings and errors that are certain from here on, each once."""
+        if self.is_complete:
+            return ()
+        stamp_ns = measurement.scan.stamp_ns
+        self._scans += 1
+        if self._scans == 1:
+            self._first_ns = stamp_ns
+        if self._reported is None:
+            self._doctor.take(measurement)
+            over = self._scans >= _QUICK_SCANS or stamp_ns - self._first_ns > _QUICK_S * 1e9
+            return self._report(self._doctor.findings()) if over else ()
+        self._doctor.take_ranges(measurement)
+        self.is_complete = self._doctor.is_range_check_complete or self._scans >= _RANGE_SCANS
+        return self._report(self._doctor.range_findings()) if self.is_complete else ()
+
+    def end(self) -> tuple[Finding, ...]:
+        """Return the warnings and errors of a log that ends here, apart from those that `take` has returned."""
+        if self.is_complete:
+            return ()
+        self.is_complete = True
+        whole = self._doctor.findings() if self._reported is None else self._doctor.range_findings()
+        return self._report(whole)
+
+    def _report(self, findings: Iterable[Finding]) -> tuple[Finding, ...]:
+        reported = self._reported or set()
+        found = [f for f in findings if f.is_fault and f.code not in _ONLY_WHOLE]
+        fresh = tuple(f for f in found if (f.code, f.sensor) not in reported)
+        self._reported = reported | {(f.code, f.sensor) for f in fresh}
+        return fresh
+
+
+@final
 class CheckedLog:
-    """A log that is checked over its first minute (at most 300 scans) while it is read.
+    """A log that is checked over its begin while it is read; see `EarlyCheck`.
 
     Parameters
     ----------
     log : Log
         What is read.
     on_findings : callable
-        Gets the findings, if there are any that are more than information, once in each iteration: as soon as the
-        first minute is over, or the log.
+        Gets findings that are more than information, as soon as they are certain; each once, however often the log is
+        read.
     """
 
     def __init__(self, log: Log, on_findings: Callable[[tuple[Finding, ...]], None]) -> None:
         """Nothing is read before the iteration."""
         self._log = log
         self._on_findings = on_findings
+        self._check = EarlyCheck()
+        self._checked = 0
+        self._faults: dict[str, str] = {}
 
     @property
     def path(self) -> Path:
@@ -278,46 +356,32 @@ class CheckedLog:
 
     @property
     def statistics(self) -> LogStatistics:
-        """What the latest iteration has met so far."""
-        return self._log.statistics
+        """What the latest iteration has met so far, with all faults found."""
+        statistics = self._log.statistics
+        statistics.faults.update(self._faults)
+        return statistics
 
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start."""
-        measurements = iter(self._log)
-        yield from _check_first_minute(measurements, self._on_findings)
-        yield from measurements
+        for count, measurement in enumerate(self._log, 1):
+            if count > self._checked:
+                self._checked = count
+                self._report(self._check.take(measurement))
+            yield measurement
+        self._report(self._check.end())
+
+    def _report(self, found: tuple[Finding, ...]) -> None:
+        if found:
+            self._faults |= {f"{f.code} ({f.sensor})" if f.sensor else f.code: f.message for f in found}
+            self._on_findings(found)
 
 
 def quick_check(log: LogSource) -> tuple[Finding, ...]:
-    """Yield the warnings and errors of the first minute of a log (300 scans at most).
-
-    No scan is matched, and findings that need the whole log, such as that the robot never moves, are left out.
-    """
+    """Return the warnings and errors of the begin of a log; see `EarlyCheck`."""
+    check = EarlyCheck()
     found: list[Finding] = []
-    for _ in _check_first_minute(iter(open_if_path(log)), found.extend):
-        pass
-    return tuple(found)
-
-
-def _check_first_minute(
-    measurements: Iterator[Measurement], on_findings: Callable[[tuple[Finding, ...]], None]
-) -> Iterator[Measurement]:
-    """The measurements of the first minute; its findings are reported before the last of them is yielded."""
-    doctor = Doctor(matching=False)
-    first_ns: int | None = None
-    for count, measurement in enumerate(measurements, 1):
-        stamp_ns = measurement.scan.stamp_ns
-        first_ns = stamp_ns if first_ns is None else first_ns
-        doctor.take(measurement)
-        if count >= _QUICK_SCANS or stamp_ns - first_ns > _QUICK_S * 1e9:
-            _report_faults(doctor, on_findings)
-            yield measurement
-            return
-        yield measurement
-    _report_faults(doctor, on_findings)
-
-
-def _report_faults(doctor: Doctor, on_findings: Callable[[tuple[Finding, ...]], None]) -> None:
-    found = tuple(f for f in doctor.findings() if f.is_fault and f.code not in _ONLY_WHOLE)
-    if found:
-        on_findings(found)
+    for measurement in open_if_path(log):
+        found += check.take(measurement)
+        if check.is_complete:
+            break
+    return (*found, *check.end())

@@ -88,7 +88,8 @@ class RangeCounts:
         if total < _LEAST:
             return None
         farther = total - np.cumsum(by_bin)
-        for place in np.flatnonzero((by_bin >= max(_LEAST, _LEAST_SHARE * total)) & (farther <= _BEYOND * by_bin)):
+        often = (by_bin >= max(_LEAST, _LEAST_SHARE * total)) & (farther <= _BEYOND * by_bin)
+        for place in np.flatnonzero(often[:_BINS]):  # the last bin is of no range: all that is farther
             count = int(by_bin[max(place - 1, 0) : place + 2].sum())
             about = by_bin[max(place - 100, 0) : max(place - 2, 0)]
             steep = count > _STEEP * 3 * (float(about.max()) if len(about) else 0.0)

@@ -18,7 +18,7 @@ from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.output import write_atomically
 from gridslam.io.tables import check_rows, parse_tagged, symmetric_of_upper, upper_of_symmetric
 from gridslam.io.text import read_numbered_lines
-from gridslam.slam.pose_graph.linear import find_parts
+from gridslam.slam.pose_graph.linear import find_parts, initial_guess
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
@@ -30,7 +30,8 @@ _FIX = "FIX"
 _IDS = {_VERTEX: "id", _EDGE: "from to", _FIX: "id"}
 _VALUES = {_VERTEX: "x y theta", _EDGE: "x y theta I_xx I_xy I_xt I_yy I_yt I_tt", _FIX: ""}
 _FIELDS = {tag: f"{ids} {_VALUES[tag]}".strip() for tag, ids in _IDS.items()}
-_MOST = 1e30  # squares of errors, times this, are still numbers
+_MOST = 1e18  # standard deviations of a nanometre
+_LEAST = 1e-18
 _SHOWN = 10  # ids in a message
 
 
@@ -65,7 +66,9 @@ class G2oGraph:
 def read_g2o(path: str | Path, *, skip_unknown: bool = False) -> G2oGraph:
     """Read a planar pose graph; plain text, gzip or bzip2; lines in any order, those that begin with # are left out.
 
-    The vertex that a FIX line names is pose 0, else the first vertex of the file. Edges between consecutive ids are
+    The vertex that a FIX line names is pose 0, else the first vertex of the file. Of a file that has edges alone, the
+    vertices are what the edges name, in the order in which they do; the fixed one is at the origin, and the others are
+    where chordal relaxation of the edges puts them (`initial_guess`). Edges between consecutive ids are
     taken for odometry and trusted. Headings are brought to [-pi, pi).
 
     Parameters
@@ -81,11 +84,12 @@ def read_g2o(path: str | Path, *, skip_unknown: bool = False) -> G2oGraph:
         With the line, where one is malformed or its tag unknown, a vertex is there twice, an edge or FIX names a vertex
         that is not there, an edge joins a vertex to itself or its information matrix is not positive definite, more
         than one vertex is fixed, or a vertex is not connected to the fixed one; without, where the file cannot be read
-        or has no vertex.
+        or has neither vertices nor edges.
     """
     tables, skipped = _read_lines(path, skip_unknown)
-    vertices = tables[_VERTEX]
     edges = tables[_EDGE]
+    is_guessed = not tables[_VERTEX].lines and len(edges.lines) > 0
+    vertices = _name_vertices(edges) if is_guessed else tables[_VERTEX]
     names = vertices.ids[:, 0].tolist()
     row_of = dict(zip(reversed(names), reversed(range(len(names))), strict=True))  # the first row of each name
     _check_vertices(path, vertices, row_of)
@@ -94,7 +98,7 @@ def read_g2o(path: str | Path, *, skip_unknown: bool = False) -> G2oGraph:
     information = symmetric_of_upper(edges.values[:, 3:])
     least = np.linalg.eigvalsh(information)[:, 0]
     problem = "expected a positive definite information matrix, got one with the eigenvalue"
-    check_rows(path, edges.lines, least > 0, lambda edge: f"{problem} {least[edge]:g}")
+    check_rows(path, edges.lines, least >= _LEAST, lambda edge: f"{problem} {least[edge]:g}")
     _check_connected(path, vertices, pairs, fixed)
     order = np.insert(np.arange(1, len(names)), fixed, 0)
     by_place = np.argsort(order)
@@ -105,6 +109,11 @@ def read_g2o(path: str | Path, *, skip_unknown: bool = False) -> G2oGraph:
         information,
         np.abs(edges.ids[:, 1] - edges.ids[:, 0]) == 1,
     )
+    if is_guessed:
+        try:
+            graph = graph.with_poses(_wrapped(initial_guess(graph)))
+        except ArgumentError as error:
+            raise InputError(path, str(error)) from None
     return G2oGraph(graph, vertices.ids[by_place, 0], order, skipped)
 
 
@@ -194,10 +203,18 @@ def _wrapped(poses: FloatArray) -> FloatArray:
     return np.column_stack([poses[:, :2], wrap(poses[:, 2])])
 
 
+def _name_vertices(edges: _Rows) -> _Rows:
+    """The vertices that edges name, in the order in which they do, at the origin; each on the line that does first."""
+    names = edges.ids.ravel()
+    first = np.sort(np.unique(names, return_index=True)[1])
+    lines = [edges.lines[place] for place in (first // 2).tolist()]
+    return _Rows(names[first, None], np.zeros((len(first), 3)), lines)
+
+
 def _check_vertices(path: str | Path, vertices: _Rows, row_of: dict[int, int]) -> None:
     """Each vertex must be there once, and one at least."""
     if not row_of:
-        raise InputError(path, f"expected a vertex ({_VERTEX}), got none")
+        raise InputError(path, f"expected vertices ({_VERTEX}) or edges ({_EDGE}), got none")
     names = vertices.ids[:, 0].tolist()
     first = np.array([row_of[name] == row for row, name in enumerate(names)])
 

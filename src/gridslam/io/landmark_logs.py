@@ -13,10 +13,11 @@ from typing import Protocol, final, runtime_checkable
 
 import numpy as np
 
-from gridslam.arguments import describe
+from gridslam.arguments import describe, is_covariance
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, exp
+from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.tables import Row, parse_tagged, read_rows, read_table, symmetric_of_upper
 from gridslam.io.text import read_head, read_numbered_lines
 from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, LandmarkStep, ObservationKind
@@ -42,6 +43,9 @@ _PARK_COLUMNS = {
     "LANDMARK": ("pose landmark", "x_m y_m xx xy yy"),
 }
 _SECOND_NS = 10**9
+_LEAST_VARIANCE = 1e-12
+_MOST_VARIANCE = 1e12
+"""m^2 and rad^2: of standard deviations from a micrometre to a thousand kilometres."""
 
 
 @final
@@ -339,18 +343,24 @@ class VictoriaParkLog:
             size = 3 if tag == "ODOMETRY" else 2
             values = np.array(numbers[:size])
             covariance = _positive_definite(tuple(numbers[size:]))
-            if covariance is None or not np.isfinite(values).all():
-                problem = "expected finite numbers and a positive definite covariance"
-                raise InputError(self.path, f"{tag}: {problem}, got {text!r:.200}", line)
+            if not (np.abs(values) <= FARTHEST_M).all():
+                problem = f"{tag}: expected numbers up to {FARTHEST_M:g} m and rad, got {text!r:.200}"
+                raise InputError(self.path, problem, line)
+            if covariance is None:
+                problem = "expected a positive definite covariance"
+                problem = f"{tag}: {problem} with variances from {_LEAST_VARIANCE:g} to {_MOST_VARIANCE:g}"
+                raise InputError(self.path, f"{problem}, got {text!r:.200}", line)
             yield line, tag, ids, (values, covariance)
 
 
 @lru_cache(maxsize=16)  # most files have one covariance of each size
 def _positive_definite(upper: tuple[float, ...]) -> FloatArray | None:
-    """Matrix of an upper triangle; None where it is not finite and positive definite."""
+    """Matrix of an upper triangle; None where it is no covariance of anything that can be measured."""
     matrix = symmetric_of_upper(np.array(upper))
     matrix.flags.writeable = False
-    return matrix if np.isfinite(matrix).all() and np.linalg.eigvalsh(matrix)[0] > 0 else None
+    variances = np.diagonal(matrix)
+    plausible = ((variances >= _LEAST_VARIANCE) & (variances <= _MOST_VARIANCE)).all()
+    return matrix if plausible and is_covariance(matrix) else None
 
 
 def open_landmark_log(path: str | Path) -> LandmarkLog:

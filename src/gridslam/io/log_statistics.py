@@ -100,6 +100,8 @@ class LogStatistics:
         Scans, by sensor, whose laser was not mounted as at the first one: it tilts or turns on the robot.
     remarks : Counter of str
         What was decided, left out or doubtful, in sentences, and how often.
+    faults : dict of str to str
+        What the doctor found while the log was read, by code and laser, in sentences.
     selection : dict of str to int, float, bool or list of str
         Which part of the log was asked for, by the names of `LogOptions`; empty where all of it was.
     truncated : bool
@@ -130,6 +132,7 @@ class LogStatistics:
     odometry_source: str = ""
     moving_mountings: Counter[str] = field(default_factory=Counter)
     remarks: Counter[str] = field(default_factory=Counter)
+    faults: dict[str, str] = field(default_factory=dict)
     selection: dict[str, Any] = field(default_factory=dict)
     truncated: bool = False
     _last_sensor: str = ""

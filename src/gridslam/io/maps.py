@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.text import read_text
+from gridslam.io.limits import require_memory
+from gridslam.io.text import open_for_reading, read_text
 from gridslam.io.yaml import YamlError, parse_yaml
 from gridslam.types import GridRows, OccupancyGrid
 
@@ -38,10 +40,13 @@ FREE_THRESH = 0.196
 _OCCUPIED = 0  # what map savers write in trinary mode
 _FREE = 254
 _UNKNOWN = 205
-_BAND = 64  # rows turned to pixels at a time
+_BAND = 64  # rows turned to pixels, or back, at a time
+_BYTES_PER_PIXEL = 8  # of a map as it is read, beside the image as Pillow has it
+_LARGEST_YAML_BYTES = 1 << 16
 _SURE = 0.98  # an image represents probabilities 0.01 to 0.99, so that log-odds stay finite
 _REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 _MODES = ("trinary", "scale", "raw")
+_FARTHEST_CELL = 1 << 30  # rows and columns of cells are numbers of 32 bits
 _FINEST_M = 0.001  # what lies outside is another unit, or a slip
 _COARSEST_M = 10.0
 _Fields: TypeAlias = Mapping[str, tuple[Any, int]]
@@ -94,13 +99,13 @@ class MapImage:
 
     Attributes
     ----------
-    brightness : (H, W) float64
-        0 black to 255 white; whole numbers where a pixel has 8 bits. The first row is the top one.
+    brightness : (H, W) uint8 or float64
+        0 black to 255 white; uint8 where a pixel has 8 bits. The first row is the top one.
     opaque : (H, W) bool
         Which pixels are not transparent in the least.
     """
 
-    brightness: NDArray[np.float64]
+    brightness: NDArray[np.uint8] | NDArray[np.float64]
     opaque: NDArray[np.bool_]
 
 
@@ -164,10 +169,9 @@ def read_map(
     description = read_map_description(yaml_path)
     image = read_map_image(Path(yaml_path).parent / description.image)
     percent = occupancy_percent(image, description, strict_thresholds=strict_thresholds)
-    known = percent >= 0
-    probability = (1 - _SURE) / 2 + _SURE * percent / 100.0
-    odds = np.divide(probability, 1 - probability, out=np.ones(percent.shape), where=known)
-    grid = OccupancyGrid(np.log(odds).astype(np.float32), known, description.resolution_m, description.origin)
+    probability = (1 - _SURE) / 2 + _SURE * np.arange(101) / 100.0
+    log_odds = np.append(np.log(probability / (1 - probability)), 0.0).astype(np.float32)  # the last: of -1, unknown
+    grid = OccupancyGrid(log_odds[percent], percent >= 0, description.resolution_m, description.origin)
     spared = 0 if strict_thresholds else int(unknown_read_as_free(image, description).sum())
     if spared:
         on_remark(
@@ -211,6 +215,9 @@ def read_map_description(path: str | Path) -> MapDescription:
     if not (isinstance(origin, list) and len(origin) == 3):
         raise InputError(path, f"expected origin: [x, y, yaw], got {origin!r}", line)
     x, y, yaw = (_finite(path, "origin", word, line) for word in origin)
+    if not max(abs(x), abs(y)) <= _FARTHEST_CELL * resolution:
+        problem = f"expected an origin within {_FARTHEST_CELL * resolution:g} m (2^30 cells) of 0, got [{x:g}, {y:g}]"
+        raise InputError(path, problem, line)
     if yaw != 0:
         raise InputError(path, f"expected a map that is not rotated (yaw 0), got yaw {yaw:g}", line)
     negated = negate.lower() in ("1", "true")
@@ -220,7 +227,7 @@ def read_map_description(path: str | Path) -> MapDescription:
 def _read_fields(path: str | Path) -> _Fields:
     """Text of each key's value as it stands there, or texts of a list; and the line."""
     try:
-        tree = parse_yaml(read_text(path), as_nodes=True)
+        tree = parse_yaml(read_text(path, _LARGEST_YAML_BYTES), as_nodes=True)
     except YamlError as error:
         raise InputError(path, f"expected 'key: value' in YAML: {error}", error.line) from None
     if getattr(tree, "id", None) != "mapping":
@@ -250,33 +257,57 @@ def read_map_image(path: str | Path) -> MapImage:
     Raises
     ------
     InputError
-        There is no such file, it is no image, or one with colours.
+        There is no such file, it is no image, one with colours, or larger than the memory that readers are allowed.
     """
-    from PIL import Image, UnidentifiedImageError  # only readers of maps pay for its import
+    from PIL import Image  # only readers of maps pay for its import
 
-    if not Path(path).is_file():
-        raise InputError(path, "no such image file")
-    try:
-        with Image.open(path) as image:
-            transparency = "A" in image.getbands() or "transparency" in image.info
-            alpha = np.asarray(image.convert("RGBA"))[:, :, 3] if transparency else None
-            brightness = _brightness(path, image)
-    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, ValueError, SyntaxError) as error:
-        raise InputError(path, f"expected an image, got: {error}") from None
-    return MapImage(brightness, np.ones(brightness.shape, np.bool_) if alpha is None else alpha == 255)
+    with open_for_reading(path) as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            with Image.open(file) as image:
+                width, height = image.size
+                depth = _BYTES_PER_PIXEL + (4 if len(image.getbands()) > 1 or image.mode == "P" else 1)
+                depth += 8 * (image.mode == "I" or image.mode.startswith("I;16"))
+                require_memory(path, f"the image of {width} x {height} pixels", width * height * depth)
+                return _read_bands(path, image)
+        except InputError:
+            raise
+        except Exception as error:  # whatever a decoder comes across in a damaged image
+            raise InputError(path, f"expected an image, got: {error or type(error).__name__}") from None
 
 
-def _brightness(path: str | Path, image: Image) -> NDArray[np.float64]:
-    """Brightness (H, W) from 0 to 255."""
+def _read_bands(path: str | Path, image: Image) -> MapImage:
+    """Brightness and opacity, some rows at a time."""
+    width, height = image.size
+    transparent = "A" in image.getbands() or "transparency" in image.info
+    opaque = np.ones((height, width), np.bool_)
+    brightness: NDArray[Any] | None = None
+    coloured = 0
+    for top in range(0, height, _BAND):
+        band = image.crop((0, top, width, min(top + _BAND, height)))
+        band.info = image.info
+        if transparent:
+            opaque[top : top + _BAND] = np.asarray(band.convert("RGBA"))[:, :, 3] == 255
+        grey, colours = _brightness(band)
+        coloured += colours
+        if brightness is None:
+            brightness = np.empty((height, width), grey.dtype)
+        brightness[top : top + _BAND] = grey
+    if coloured:
+        raise InputError(path, f"expected a grey image, got colours in {coloured} of {width * height} pixels")
+    if brightness is None:
+        raise InputError(path, "expected an image with pixels, got one without")
+    return MapImage(brightness, opaque)
+
+
+def _brightness(image: Image) -> tuple[NDArray[Any], int]:
+    """Brightness (H, W) from 0 to 255, and in how many pixels there are colours."""
     if image.mode == "I" or image.mode.startswith("I;16"):  # Pillow would cut 16 bits off at 255
-        return np.asarray(image).astype(np.float64) / 257
+        return np.asarray(image).astype(np.float64) / 257, 0
     if image.mode in ("1", "L", "LA"):
-        return np.asarray(image.convert("L")).astype(np.float64)
+        return np.asarray(image.convert("L")), 0
     red, green, blue = (np.asarray(band) for band in image.convert("RGB").split())
-    coloured = (red != green) | (green != blue)
-    if coloured.any():
-        raise InputError(path, f"expected a grey image, got colours in {int(coloured.sum())} of {coloured.size} pixels")
-    return red.astype(np.float64)
+    return red, int(((red != green) | (green != blue)).sum())
 
 
 def occupancy_percent(
@@ -293,9 +324,19 @@ def occupancy_percent(
 
     A transparent pixel is unknown, but for raw.
     """
+    percent = np.empty(image.opaque.shape, np.int8)
+    for top in range(0, len(percent), _BAND):
+        rows = slice(top, top + _BAND)
+        band = MapImage(image.brightness[rows], image.opaque[rows])
+        percent[rows] = _band_percent(band, description, strict_thresholds)
+    return percent[::-1]
+
+
+def _band_percent(image: MapImage, description: MapDescription, strict_thresholds: bool) -> NDArray[np.float64]:
+    """`occupancy_percent` of some rows, the first row on top."""
     if description.mode == "raw":
         percent = np.rint(image.brightness)
-        return np.where(percent <= 100, percent, -1).astype(np.int8)[::-1]
+        return np.where(percent <= 100, percent, -1)
     darkness = _darkness(image, description)
     low = description.free_thresh
     high = description.occupied_thresh
@@ -304,20 +345,22 @@ def occupancy_percent(
     if not strict_thresholds:
         percent[unknown_read_as_free(image, description)] = -1
     percent[~image.opaque] = -1
-    return percent.astype(np.int8)[::-1]
+    return percent
 
 
 def unknown_read_as_free(image: MapImage, description: MapDescription) -> NDArray[np.bool_]:
     """Which pixels (H, W) savers write for unknown, but the file's thresholds, read literally, make free."""
     if description.mode != "trinary" or description.negate:
         return np.zeros(image.opaque.shape, np.bool_)
-    free = _darkness(image, description) < description.free_thresh
-    return np.asarray(image.opaque & (image.brightness == _UNKNOWN) & free)
+    if description.free_thresh <= (255 - _UNKNOWN) / 255:
+        return np.zeros(image.opaque.shape, np.bool_)
+    return np.asarray(image.opaque & (image.brightness == _UNKNOWN))
 
 
 def _darkness(image: MapImage, description: MapDescription) -> NDArray[np.float64]:
     """0 where a pixel is as a free one, 1 where it is as an occupied one."""
-    return (image.brightness if description.negate else 255 - image.brightness) / 255
+    brightness = image.brightness.astype(np.float64)
+    return (brightness if description.negate else 255 - brightness) / 255
 
 
 def _log_odds(probability: float) -> float:

@@ -12,6 +12,8 @@ from gridslam.io.yaml import YamlError, parse_yaml
 
 __all__ = ["read_parameter_file"]
 
+_LARGEST_BYTES = 1 << 18
+
 
 def read_parameter_file(path: str | Path) -> list[tuple[str, dict[str, Any]]]:
     """Read the nodes of a parameter file, in its order: their names, and their values by dotted names.
@@ -30,7 +32,7 @@ def read_parameter_file(path: str | Path) -> list[tuple[str, dict[str, Any]]]:
     ROS 2 Design, ROS Command Line Arguments, section Parameter files.
     """
     try:
-        tree = parse_yaml(read_text(path))
+        tree = parse_yaml(read_text(path, _LARGEST_BYTES))
     except YamlError as error:
         raise InputError(path, f"expected 'name: value' in YAML: {error}", error.line) from None
     if not isinstance(tree, dict):

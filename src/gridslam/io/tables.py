@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Iterator
+from array import array
+from collections.abc import Callable, Iterator, Sequence
 from decimal import Context, Decimal
 from pathlib import Path
 from typing import NamedTuple
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.errors import InputError
+from gridslam.io.limits import describe_bytes, max_memory_bytes
 from gridslam.io.text import read_numbered_lines
 from gridslam.types import FloatArray, IntArray
 
@@ -30,6 +32,7 @@ __all__ = [
 ]
 
 
+_CHECKED_ROWS = 1 << 16
 _EXACT = Context(prec=1000)  # digits
 _STAMPS_NS = Decimal(-(2**63)), Decimal(2**63)  # range of 64 bits
 
@@ -47,7 +50,7 @@ class Table(NamedTuple):
 
     stamps_ns: IntArray
     values: FloatArray
-    lines: list[int]
+    lines: Sequence[int]
 
 
 def parse_stamp_ns(text: str) -> int:
@@ -151,14 +154,24 @@ def parse_tagged(path: str | Path, number: int, line: str, ids: str, values: str
 
 def read_table(path: str | Path, columns: str, stamps: int = 0, *, in_order: bool = False) -> Table:
     """Read all rows of a table; as `read_rows`, and raises InputError where there is none."""
-    rows = list(read_rows(path, columns, stamps, in_order=in_order))
-    if not rows:
+    stamps_ns = array("q")
+    values = array("d")
+    lines = array("q")
+    most = max_memory_bytes() // 2  # the arrays are copied once
+    for row in read_rows(path, columns, stamps, in_order=in_order):
+        stamps_ns.extend(row.stamps_ns)
+        values.extend(row.values)
+        lines.append(row.line)
+        if len(lines) % _CHECKED_ROWS == 0 and 8 * (len(stamps_ns) + len(values) + len(lines)) > most:
+            problem = f"expected a table that takes less than the {describe_bytes(2 * most)} of --max-memory"
+            raise InputError(path, problem, row.line)
+    if not lines:
         raise InputError(path, f"expected rows of {columns}, got none")
-    stamps_ns, values, lines = zip(*rows, strict=True)
-    return Table(np.array(stamps_ns, np.int64), np.array(values), list(lines))
+    rows = len(lines)
+    return Table(np.array(stamps_ns, np.int64).reshape(rows, stamps), np.array(values).reshape(rows, -1), lines)
 
 
-def check_rows(path: str | Path, lines: list[int], good: ArrayLike, describe: Callable[[int], str]) -> None:
+def check_rows(path: str | Path, lines: Sequence[int], good: ArrayLike, describe: Callable[[int], str]) -> None:
     """Raise InputError for the first row that is not `good` (N,), with its line and the text that `describe` gives."""
     bad = np.flatnonzero(~np.asarray(good))
     if len(bad):

@@ -5,47 +5,83 @@ from __future__ import annotations
 import bz2
 import gzip
 import hashlib
+import json
 import os
 import re
+import stat
 import zlib
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
-from typing import IO, cast, final
+from typing import IO, Any, cast, final
 
 from gridslam.errors import InputError
+from gridslam.io.limits import UnpackingLimit, describe_bytes
 
-__all__ = ["TextSource", "compute_digest", "open_for_reading", "read_head", "read_numbered_lines", "read_text"]
+__all__ = [
+    "TextSource",
+    "compute_digest",
+    "open_for_reading",
+    "read_head",
+    "read_json",
+    "read_numbered_lines",
+    "read_text",
+]
 
 _BLOCK_BYTES = 1 << 17  # some hundred scans: large enough to parse in one go, small enough to stream
 _LONGEST_LINE_BYTES = 1 << 20
+_LARGEST_TEXT_BYTES = 1 << 26
 _NOT_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
 
 
 def open_for_reading(path: str | Path) -> IO[bytes]:
-    """Open a file that must exist, be a file and hold something; raises InputError otherwise."""
+    """Open a file that must exist, be a regular file and hold something; raises InputError otherwise.
+
+    Pipes, devices and sockets are refused: files are read more than once, and what comes of a pipe is there only once.
+    """
     where = Path(path)
-    if where.is_dir():
-        raise InputError(path, "expected a file, got a directory")
     try:
+        kind = where.stat().st_mode
+        if stat.S_ISDIR(kind):
+            raise InputError(path, "expected a file, got a directory")
+        if not stat.S_ISREG(kind):
+            what = "a pipe" if stat.S_ISFIFO(kind) else "a socket" if stat.S_ISSOCK(kind) else "a device"
+            raise InputError(path, f"expected a file, got {what}: write what it gives to a file first")
         file = where.open("rb")
     except FileNotFoundError:
         raise InputError(path, "no such file") from None
-    except OSError as error:
-        raise InputError(path, f"cannot be opened: {error.strerror}") from None
+    except (OSError, ValueError) as error:  # ValueError: a path with a zero byte in it
+        raise InputError(path, f"cannot be opened: {getattr(error, 'strerror', None) or error}") from None
     if os.fstat(file.fileno()).st_size == 0:
         file.close()
         raise InputError(path, "the file is empty")
     return file
 
 
-def read_text(path: str | Path) -> str:
-    """Read a whole small UTF-8 text file; raises InputError where it is none."""
+def read_text(path: str | Path, most: int = _LARGEST_TEXT_BYTES) -> str:
+    """Read a whole small UTF-8 text file; raises InputError where it is none, or larger than `most` bytes."""
     with open_for_reading(path) as file:
-        try:
-            return file.read().decode("utf-8")
-        except UnicodeDecodeError:
-            raise InputError(path, "expected a text file, got binary data") from None
+        text = file.read(most + 1)
+    if len(text) > most:
+        raise InputError(path, f"expected a text file of at most {describe_bytes(most)}, got a larger one")
+    try:
+        return text.decode("utf-8")
+    except UnicodeDecodeError:
+        raise InputError(path, "expected a text file, got binary data") from None
+
+
+def read_json(path: str | Path) -> dict[str, Any]:
+    """Read a JSON object; raises InputError, with the line, where the file holds none."""
+    try:
+        document = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise InputError(path, f"expected JSON, got: {error.msg}", error.lineno) from None
+    except (ValueError, RecursionError) as error:  # ValueError: a whole number of thousands of digits
+        problem = "values nested too deeply" if isinstance(error, RecursionError) else error
+        raise InputError(path, f"expected JSON, got: {problem}") from None
+    if not isinstance(document, dict):
+        raise InputError(path, f"expected a JSON object, got a {type(document).__name__}")
+    return document
 
 
 def read_head(path: str | Path, size: int) -> bytes:
@@ -136,7 +172,11 @@ class TextSource:
     def __iter__(self) -> Iterator[list[str]]:
         """Yield blocks of lines; raises InputError for binary, damaged or unreadable files."""
         rest = b""
+        blank = 0
         for chunk in self._chunks():
+            blank = blank + len(chunk) if chunk.isspace() else 0
+            if blank > _LONGEST_LINE_BYTES:
+                raise InputError(self.path, f"expected text, got blank lines of more than {_LONGEST_LINE_BYTES} bytes")
             text = rest + chunk
             end = text.rfind(b"\n") + 1
             rest = text[end:]
@@ -149,8 +189,11 @@ class TextSource:
             yield [rest.decode("latin-1")]
 
     def _chunks(self) -> Iterator[bytes]:
+        limit = UnpackingLimit(self.total_bytes)
         with open_for_reading(self.path) as file, _decompressed(file) as stream:
             while chunk := self._read(stream):
+                if not limit.take(len(chunk)):
+                    raise InputError(self.path, limit.problem)
                 if self.bytes_read == 0 and _NOT_TEXT.search(chunk):
                     raise InputError(self.path, "expected a text file, got binary data")
                 self.bytes_read = file.tell()

@@ -10,7 +10,8 @@ import numpy as np
 from gridslam.errors import ArgumentError
 from gridslam.evaluation.trajectory import Relations
 from gridslam.geometry.angles import wrap
-from gridslam.io.tables import check_rows, format_stamp_ns, read_table, symmetric_of_upper, upper_of_symmetric
+from gridslam.io.measurement import FARTHEST_M
+from gridslam.io.tables import Table, check_rows, format_stamp_ns, read_table, symmetric_of_upper, upper_of_symmetric
 from gridslam.types import FloatArray, Trajectory
 
 __all__ = [
@@ -55,14 +56,15 @@ def read_tum(path: str | Path) -> Trajectory:
     Raises
     ------
     InputError
-        Where the file cannot be read, holds no pose, or a line is not eight finite numbers with a quaternion of unit
-        norm (within 1 %).
+        Where the file cannot be read, holds no pose, or a line is not eight finite numbers with a position within 1e9 m
+        and a quaternion of unit norm (within 1 %).
     """
     table = read_table(path, "stamp x y z qx qy qz qw", stamps=1)
     x, y, _, qx, qy, qz, qw = table.values.T
     norm = np.sqrt(qx**2 + qy**2 + qz**2 + qw**2)
     unit = abs(norm - 1) <= 0.01
     check_rows(path, table.lines, unit, lambda row: f"expected a unit quaternion, got one of norm {norm[row]:g}")
+    _check_positions(path, table)
     yaw = wrap(np.arctan2(2 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2))
     return Trajectory(table.stamps_ns[:, 0], np.column_stack([x, y, yaw]))
 
@@ -109,11 +111,20 @@ def read_trajectory_csv(path: str | Path) -> tuple[Trajectory, FloatArray]:
     ------
     InputError
         Where the file cannot be read, its first line is not `CSV_HEADER`, it holds no pose, or a line is not ten finite
-        numbers.
+        numbers with a position within 1e9 m.
     """
     table = read_table(path, CSV_HEADER, stamps=1)
+    _check_positions(path, table)
     poses = np.column_stack([table.values[:, :2], wrap(table.values[:, 2])])  # nine decimals may round beyond pi
     return Trajectory(table.stamps_ns[:, 0], poses), symmetric_of_upper(table.values[:, 3:])
+
+
+def _check_positions(path: str | Path, table: Table) -> None:
+    """Refuse a pose farther than any robot can be; its x and y are the first two values."""
+    positions = table.values[:, :2]
+    expected = f"expected a position within {FARTHEST_M:g} m"
+    near = (np.abs(positions) <= FARTHEST_M).all(axis=1)
+    check_rows(path, table.lines, near, lambda row: f"{expected}, got {positions[row, 0]:g} {positions[row, 1]:g}")
 
 
 def read_relations(path: str | Path) -> Relations:

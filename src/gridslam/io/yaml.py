@@ -7,6 +7,8 @@ from typing import Any
 
 __all__ = ["YamlError", "parse_yaml"]
 
+_MOST_VALUES = 100_000
+
 
 class YamlError(ValueError):
     """A text is no YAML; `line` is where, from 1, or None."""
@@ -22,7 +24,7 @@ def parse_yaml(text: str, *, as_nodes: bool = False) -> Any:  # noqa: ANN401
 
     Keys of dicts are texts as they stand there, as in ROS: `y` is a coordinate, though the value `y` is true.
 
-    Raises YamlError.
+    Raises YamlError, also where values are nested too deeply, or refer to others so often that they would not fit.
     """
     from ruamel.yaml import YAML  # slow to import
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
@@ -34,6 +36,7 @@ def parse_yaml(text: str, *, as_nodes: bool = False) -> Any:  # noqa: ANN401
         warnings.simplefilter("ignore")  # of 1e-3, which YAML 1.1 would have as 1.0e-3
         try:
             root = reader.compose(text)
+            _count_values(root, {})
             if as_nodes or root is None:
                 return root
             _read_keys_as_texts(root)
@@ -42,8 +45,24 @@ def parse_yaml(text: str, *, as_nodes: bool = False) -> Any:  # noqa: ANN401
             begun = error.context_mark if isinstance(error, ScannerError) else None  # where what is not ended begins
             mark = begun or error.problem_mark
             raise YamlError(error.problem, mark.line + 1) from None
+        except RecursionError:
+            raise YamlError("values are nested too deeply", None) from None
         except YAMLError as error:
             raise YamlError(" ".join(str(error).split()), None) from None
+
+
+def _count_values(node: Any, counts: dict[int, int]) -> int:  # noqa: ANN401
+    """Count the values below a node, those it refers to included; `counts` has those of other nodes, by their ids."""
+    if node is None or node.id == "scalar":
+        return 1
+    if id(node) not in counts:
+        counts[id(node)] = _MOST_VALUES + 1  # until it is known: a node that contains itself has no end
+        below = [part for pair in node.value for part in pair] if node.id == "mapping" else node.value
+        counts[id(node)] = 1 + sum(_count_values(part, counts) for part in below)
+    if counts[id(node)] > _MOST_VALUES:
+        problem = f"expected at most {_MOST_VALUES} values, got more by references to others"
+        raise YamlError(problem, node.start_mark.line + 1)
+    return counts[id(node)]
 
 
 def _read_keys_as_texts(root: Any) -> None:  # noqa: ANN401

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -15,7 +14,7 @@ from gridslam.io.g2o import read_g2o
 from gridslam.io.landmarks import read_landmarks
 from gridslam.io.maps import read_map
 from gridslam.io.results.record import read_record
-from gridslam.io.text import read_text
+from gridslam.io.text import read_json, read_text
 from gridslam.io.trajectories import read_trajectory_csv, read_tum
 from gridslam.live.control import check_particle, check_speed
 from gridslam.live.results import MappedRun, Results, StaticMap, TrajectoryRun
@@ -26,6 +25,7 @@ from gridslam.types import FloatArray, IntArray, OccupancyGrid
 __all__ = ["Replay", "ReplayViewer"]
 
 _BELIEF_HEADER = "stamp_s,lost,lost_probability,inlier_ratio,particles,n_eff,injection_ratio"
+_MOST = 1e12  # of particles
 _WRITERS = "gridslam map, localize, grid or landmarks"
 
 
@@ -173,7 +173,7 @@ def _read_mapping(out: Path, document: dict[str, Any]) -> Results:
     grid = read_map(out / "map.yaml")
     if not len(record) or len(poses) != len(record):
         raise InputError(out / "record.npz", f"expected {len(poses)} key scans, got {len(record)}")
-    return MappedRun(record, trajectory, poses, grid, _read_closures(document, len(record)))
+    return MappedRun(record, trajectory, poses, grid, _read_closures(out / "run.json", document, len(record)))
 
 
 def _read_localization(out: Path, document: dict[str, Any]) -> Results:
@@ -207,20 +207,24 @@ _READERS: dict[str, Callable[[Path, dict[str, Any]], Results]] = {
 def _read_document(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise InputError(path, f"no such file; expected the folder that {_WRITERS} wrote")
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise InputError(path, f"expected JSON, got: {error}") from None
-    if not isinstance(document, dict):
-        raise InputError(path, "expected a JSON object")
-    return document
+    return read_json(path)
 
 
-def _read_closures(document: dict[str, Any], keys: int) -> IntArray:
+def _read_closures(path: Path, document: dict[str, Any], keys: int) -> IntArray:
     """Return the key scans (C, 2) of the loop closures, the older one first, without those not in the record."""
     source = document.get("loop_closure") or {}
-    pairs = np.array([closure["key_scans"] for closure in source.get("closures", [])], np.int64).reshape(-1, 2)
-    return pairs[(pairs >= 0).all(axis=1) & (pairs < keys).all(axis=1)]
+    closures = source.get("closures", []) if isinstance(source, dict) else None
+    if not isinstance(closures, list):
+        raise InputError(path, "loop_closure: expected an object with a list of closures, or false")
+    pairs: list[list[int]] = []
+    for number, closure in enumerate(closures):
+        pair = closure.get("key_scans") if isinstance(closure, dict) else None
+        if not (isinstance(pair, list) and len(pair) == 2 and all(type(key) is int for key in pair)):
+            problem = f"expected two key scans, got {pair!r:.60}"
+            raise InputError(path, f"loop_closure.closures[{number}].key_scans: {problem}")
+        if all(0 <= key < keys for key in pair):
+            pairs.append(pair)
+    return np.array(pairs, np.int64).reshape(-1, 2)
 
 
 def _read_known_map(document: dict[str, Any]) -> tuple[OccupancyGrid | None, str]:
@@ -246,5 +250,8 @@ def _read_belief(path: Path) -> FloatArray:
             raise InputError(path, f"expected numbers ({_BELIEF_HEADER}), got {line!r:.200}", number) from None
         if len(numbers) != 5:
             raise InputError(path, f"expected seven numbers ({_BELIEF_HEADER}), got {line!r:.200}", number)
+        if not all(0 <= value < _MOST for value in numbers[:4]) or numbers[4] >= _MOST:
+            problem = f"expected numbers >= 0 and below {_MOST:g} ({_BELIEF_HEADER})"
+            raise InputError(path, f"{problem}, got {line!r:.200}", number)
         rows.append(numbers)
     return np.array(rows).reshape(-1, 5)

@@ -37,6 +37,7 @@ CLUSTER_RADIUS_RAD = 0.5
 """Headings within this angle of the estimate's belong to its cluster."""
 
 _FEW = 10.0  # effective particles, below which their spread is that of chance
+_MOST_BINS = 1 << 20
 _SHIFTS = 3  # towards the mean of what is near; the first centre is off by less than half a bin
 
 
@@ -62,6 +63,8 @@ def estimate_pose(poses: FloatArray, weights: FloatArray) -> PoseEstimate:
     """Find the densest cluster of poses (N, 3) with weights (N,) that sum to 1: mean shift from the heaviest bin."""
     x, y, theta = poses.T.copy()
     names = cluster_bins(x, y, theta)
+    if names.max() >= _MOST_BINS:  # a few poses far apart: only the bins that hold some are counted
+        names = np.unique(names, return_inverse=True)[1]
     near = names == np.bincount(names, weights).argmax()
     centre = poses[np.flatnonzero(near)[weights[near].argmax()]]
     away = _relative_coordinates(x, y, theta, centre)

@@ -125,12 +125,13 @@ class SystematicErrors:
         Q[:, 3:, 3:] = (1 - kept**2) * self.covariance()
         return moved, F, Q
 
-    def by_errors(self, increment: FloatArray) -> FloatArray:
-        """Derivatives (3, B) of an increment [dx, dy, dtheta] by the errors."""
-        dx, dy, dtheta = increment
-        nothing = [0.0, 0.0, 0.0]
-        columns = np.array([[0.0, 0.0, dx], [0.0, 0.0, dtheta], [dx, dy, 0.0], nothing, nothing])
-        return np.asarray(columns[self._sought].T)
+    def by_errors(self, increments: FloatArray) -> FloatArray:
+        """Derivatives (..., 3, B) of increments (..., 3), [dx, dy, dtheta], by the errors."""
+        derivatives = np.zeros((*increments.shape, 5))
+        derivatives[..., 2, 0] = increments[..., 0]
+        derivatives[..., 2, 1] = increments[..., 2]
+        derivatives[..., :2, 2] = increments[..., :2]
+        return derivatives[..., self._sought]
 
     @property
     def _sigmas(self) -> FloatArray:

@@ -126,6 +126,11 @@ class Ancestry:
         return len(self._trunk) // self._width + len(self._levels)
 
     @property
+    def first_pose(self) -> FloatArray:
+        """Pose (3,) of one particle at step 0."""
+        return np.array(self._trunk[:3]) if self._trunk else self._levels[0].poses[0, :3]
+
+    @property
     def _trunk_poses(self) -> FloatArray:
         """Poses (S, 3) of the steps that all particles share."""
         return np.array(self._trunk).reshape(-1, self._width)

@@ -134,10 +134,10 @@ class ConstantVelocity:
     sigma_rps: float = Field(default=1.5, ge=0)
 
     def seconds(self, state: TrackerState, stamp_ns: int) -> float:
-        """Time from the last scan to one at `stamp_ns`, as far as stamps are to be trusted."""
+        """Time from the last scan to one at `stamp_ns`, >= 0, as far as stamps are to be trusted."""
         passed = min(max(1e-9 * (stamp_ns - state.stamp_ns), -MAX_INTERVAL_S), MAX_INTERVAL_S)
         state.period_s += NEWEST_WEIGHT * (passed - state.period_s)
-        return state.period_s if state.stamps_unreliable else max(passed, 0.0)
+        return state.interval_s if state.stamps_unreliable else max(passed, 0.0)
 
     def search(self, state: TrackerState, seconds: float) -> BranchAndBound:
         """Where the robot may be after `seconds`: as far as it can have come since something was known of it."""

@@ -94,7 +94,7 @@ class OdometrySearch:
 
     def is_sparse(self, state: TrackerState) -> bool:
         """Whether scans are far apart, in time or by the way driven between them."""
-        return state.period_s > self.sparse_period_s or state.mean_step > self.sparse_step
+        return state.interval_s > self.sparse_period_s or state.mean_step > self.sparse_step
 
     def control(self, state: TrackerState, found: PoseEstimate) -> tuple[FloatArray, FloatArray | None]:
         """Where the particles look for a scan (3,) by the odometry, and the variances (2,) of that beside their noise.

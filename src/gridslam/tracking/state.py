@@ -18,6 +18,9 @@ from gridslam.types import BeamEnds, Beams, FloatArray, Odometry, StoredScan
 __all__ = ["SensorTrack", "TrackedScan", "TrackerState", "UnmatchedMotion", "is_within", "pose_of"]
 
 _BOTH = np.array([0, 1], np.int32)
+_SHORTEST_INTERVAL_S = 0.005
+"""No laser, nor two together, measures more often; stamps that are all the same give no interval at all."""
+
 _ORDER_MARGIN = 0.005
 """Gain of the inlier ratio, averaged over scans, required to use an order of beams other than the reported one."""
 
@@ -94,11 +97,11 @@ class TrackerState:
     velocity_variances : (2,) float64
         Variances of what velocities predicted lately, m^2 (each of x and y) and rad^2.
     period_s : float
-        Mean time between scans.
+        Mean difference of the stamps of successive scans; negative where stamps run backward.
     mean_step : float
         Mean way between scans while the robot moves, m + rad.
     stamps_unreliable : bool
-        Stamps are unreliable: the time between scans is taken as `period_s`.
+        Stamps are unreliable: the time between scans is taken as `interval_s`.
     matched_map : int
         Which local map is matched against.
     scans : (int, int)
@@ -145,6 +148,11 @@ class TrackerState:
     def row(self) -> NDArray[np.int32]:
         """The local map that is matched against, (1,)."""
         return _ROWS[self.matched_map]
+
+    @property
+    def interval_s(self) -> float:
+        """Mean time between scans, > 0: their order is the true one, whether stamps run backward or stand still."""
+        return max(abs(self.period_s), _SHORTEST_INTERVAL_S)
 
     def update_track(self, sensor: str, track: SensorTrack) -> None:
         """Keep the last of a laser; copies that were made before do not change."""

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import bz2
+import importlib
 import itertools
 import shutil
 import sqlite3
+import sys
+from contextlib import nullcontext
 
+import lz4.frame
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,8 +18,11 @@ from hypothesis import strategies as st
 from gridslam.errors import InputError
 from gridslam.io.bags.ros1 import Ros1Bag
 from gridslam.io.bags.ros2 import Ros2Bag
-from gridslam.io.bags.source import merge_chunks
+from gridslam.io.bags.source import DamageError, merge_chunks
+from gridslam.io.limits import limit_memory
 from support import ros_bags
+
+zstd = importlib.import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
 
 FORMS = [
     *itertools.product(["ros1"], ["", "bz2", "lz4"]),
@@ -198,6 +206,103 @@ def test_what_is_no_ros1_bag(tmp_path, content, message):
     path.write_bytes(content)
     with pytest.raises(InputError, match=message):
         Ros1Bag(path)
+
+
+@pytest.mark.parametrize("name", ["drive%41", "a#b", "a?mode=rw", "a b", "%", "ä&c=d"])
+@pytest.mark.parametrize("kind", ["db3", "mcap"])
+def test_a_bag_may_have_any_name(tmp_path, kind, name):
+    (path,) = ros_bags.write(tmp_path, kind, ros_bags.drive()).glob(f"*.{kind}")
+    (other,) = ros_bags.write(tmp_path, kind, ros_bags.drive(1.0), name="other").glob(f"*.{kind}")
+    shutil.copy(other, tmp_path / f"driveA.{kind}")  # what drive%41 means where a name is a URI
+    whole = list(Ros2Bag(path).messages({"/odom"}))
+    assert list(Ros2Bag(path.rename(tmp_path / f"{name}.{kind}")).messages({"/odom"})) == whole
+
+
+RECURSIVE = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT x, 1, x, zeroblob(9) FROM c"
+
+
+@pytest.mark.parametrize(
+    ("sql", "got"),
+    [
+        (f"CREATE VIEW messages (id, topic_id, timestamp, data) AS {RECURSIVE}", "got a view"),
+        ("CREATE VIRTUAL TABLE messages USING fts4(id, topic_id, timestamp, data)", "got a virtual table"),
+        (
+            "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
+            "data BLOB AS (zeroblob(1000000000)))",
+            "computed columns",
+        ),
+    ],
+)
+@pytest.mark.parametrize("keep", [True, False])
+def test_a_database_that_computes_its_messages_is_refused(tmp_path, sql, got, keep):
+    (path,) = ros_bags.write(tmp_path, "db3", ros_bags.drive(1.0)).glob("*.db3")
+    with sqlite3.connect(path) as connection:
+        connection.execute("DROP TABLE messages")
+        connection.execute(sql)
+    connection.close()
+    if keep:
+        bag = Ros2Bag(path, keep_truncated=True)
+        assert not list(bag.messages({"/scan"}))
+    else:
+        with pytest.raises(InputError, match=got):
+            Ros2Bag(path)
+
+
+def record(content, **fields):
+    """A record of a ROS 1 bag."""
+    pairs = [name.encode() + b"=" + value for name, value in fields.items()]
+    header = b"".join(len(pair).to_bytes(4, "little") + pair for pair in pairs)
+    return len(header).to_bytes(4, "little") + header + len(content).to_bytes(4, "little") + content
+
+
+def packed_ros1(compression, packed, claimed, chunks=1):
+    """A ROS 1 bag without an index, whose chunks hold `packed` and claim a size."""
+    chunk = record(packed, op=b"\5", compression=compression, size=claimed.to_bytes(4, "little"))
+    sizes = {"index_pos": bytes(8), "conn_count": bytes(4), "chunk_count": bytes(4)}
+    return b"#ROSBAG V2.0\n" + record(b"", op=b"\3", **sizes) + chunks * chunk
+
+
+LARGE = record(bytes(10 << 20), op=b"\2", conn=bytes(4), time=bytes(8))
+
+
+@pytest.mark.parametrize("keep", [True, False])
+@pytest.mark.parametrize(
+    ("compression", "content", "claimed", "chunks"),
+    [
+        (b"bz2", bytes(40 << 20), 40 << 20, 1),
+        (b"lz4", bytes(10 << 20), 3 << 30, 1),
+        (b"bz2", LARGE, len(LARGE), 40),  # small ones, that are many
+    ],
+    ids=["large", "claims", "many"],
+)
+def test_chunks_that_unpack_to_far_more_than_the_file_are_refused(
+    tmp_path, compression, content, claimed, chunks, keep
+):
+    packed = bz2.compress(content) if compression == b"bz2" else lz4.frame.compress(content)
+    path = tmp_path / "log.bag"
+    path.write_bytes(packed_ros1(compression, packed, claimed, chunks))
+    with nullcontext() if keep else pytest.raises(InputError, match=r"unpack to more than 33\.6 MB"):
+        Ros1Bag(path, keep_truncated=keep)
+
+
+def test_a_compressed_file_or_message_that_unpacks_to_far_more_is_refused(tmp_path):
+    path = tmp_path / "log.db3.zst"
+    path.write_bytes(zstd.compress(b"SQLite format 3\0" + bytes(40 << 20)))
+    with pytest.raises(InputError, match=r"unpack to more than 33\.6 MB"):
+        Ros2Bag(path)
+    (path,) = ros_bags.write(tmp_path, "db3", ros_bags.drive(1.0)).glob("*.db3")
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE messages SET data = ?", (zstd.compress(bytes(20 << 20)),))
+    connection.close()
+    with pytest.raises(InputError, match=r"unpack to more than 33\.6 MB"):
+        list(Ros2Bag(path).messages({"/scan"}))
+
+
+def test_chunks_that_overlap_in_time_are_held_as_far_as_memory_is_allowed(tmp_path):
+    chunks = [(0, [(k, "/scan", bytes(100_000))]) for k in range(30)]
+    assert len(list(merge_chunks(chunks))) == 30
+    with limit_memory(1_000_000), pytest.raises(DamageError, match="1 MB of --max-memory"):
+        list(merge_chunks(chunks))
 
 
 def test_what_is_no_ros2_bag(tmp_path):

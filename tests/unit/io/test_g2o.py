@@ -11,7 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gridslam.errors import ArgumentError, InputError
+from gridslam.geometry.se2 import between
 from gridslam.io.g2o import read_g2o, write_g2o
+from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 
 FAR = "2 0 0 3 0 4"  # the end of an information matrix's row of six
@@ -49,6 +51,46 @@ def test_vertices_edges_and_the_fixed_one(file):
     np.testing.assert_array_equal(read.graph.information[0], [[2, 0.5, 0.25], [0.5, 3, 0.125], [0.25, 0.125, 4]])
     assert read.graph.trusted.tolist() == [False, True, False]
     assert read.skipped == {}
+
+
+def test_of_edges_alone_the_vertices_are_what_they_name_and_lie_where_they_agree(file):
+    """A square of 2 m sides, walked through once, and a way across it: consistent, so that the guess is exact."""
+    sides = [f"EDGE_SE2 {a} {b} 2 0 {np.pi / 2!r} 2 0 0 3 0 4\n" for a, b in ((30, 10), (10, 20), (20, 40), (40, 30))]
+    read = read_g2o(file("".join([*sides, f"EDGE_SE2 20 30 2 2 {np.pi!r} {FAR}\n"])))
+    assert read.ids.tolist() == [30, 10, 20, 40]
+    corners = [[0, 0, 0], [2, 0, np.pi / 2], [2, 2, -np.pi], [0, 2, -np.pi / 2]]
+    off = read.graph.poses - corners
+    off[:, 2] = np.angle(np.exp(1j * off[:, 2]))
+    np.testing.assert_allclose(off, 0, atol=1e-9)
+    fixed = read_g2o(file("".join([*sides, "FIX 40\n"])))
+    assert fixed.ids.tolist() == [40, 30, 10, 20]
+    assert fixed.graph.poses[0].tolist() == [0, 0, 0]
+    assert fixed.graph.chi2() < 1e-12
+
+
+def test_of_edges_alone_the_answer_is_that_of_the_whole_file(file):
+    """The same as with vertices whose poses mean nothing: the minimum does not depend on the guess."""
+    rng = np.random.default_rng(5)
+    angles = np.arange(30) * 2 * np.pi / 15
+    truth = np.stack([5 * np.cos(angles), 5 * np.sin(angles), angles], axis=1)
+    pairs = [(k, k + 1) for k in range(29)] + [(k, k + 15) for k in range(15)]
+    lines = []
+    for a, b in pairs:
+        x, y, theta = (between(truth[a], truth[b]) + rng.normal(0, [0.05, 0.05, 0.02])).tolist()  # in m and rad
+        lines.append(f"EDGE_SE2 {a} {b} {x!r} {y!r} {theta!r} 400 0 0 400 0 2500\n")
+    alone = GraphSlam().solve(read_g2o(file("".join(lines))).graph)
+    lines += [f"VERTEX_SE2 {k} 0 0 0\n" for k in range(30)]
+    whole = GraphSlam().solve(read_g2o(file("".join(lines))).graph)
+    assert alone.converged
+    assert alone.chi2_after == pytest.approx(whole.chi2_after, rel=1e-6)
+    np.testing.assert_allclose(alone.poses[:, :2], whole.poses[:, :2], atol=1e-4)
+
+
+def test_information_that_cannot_be_added_up_is_refused(file):
+    edges = [(0, 1, 1e-8), (1, 2, 1e11), (2, 3, 1e6), (0, 3, 1e-17)]
+    text = "".join(f"EDGE_SE2 {a} {b} 10 3 2 {i:g} 0 0 {i:g} 0 {i:g}\n" for a, b, i in edges)
+    with pytest.raises(InputError, match="information matrices that 64-bit numbers can add up"):
+        read_g2o(file(text))
 
 
 def test_what_is_read_is_a_valid_graph(file):
@@ -93,7 +135,7 @@ TWO = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n"
         (f"{TWO}FIX\n", 3, "expected 'FIX id'"),
         ("VERTEX_SE2 0 0 nan 0\n", 1, "numbers up to"),
         ("VERTEX_SE2 0 1e10 0 0\n", 1, "numbers up to 1e+09 m and rad for VERTEX_SE2"),
-        (f"{TWO}EDGE_SE2 0 1 1 0 0 {FAR.replace('3', '1e999')}\n", 3, "information up to 1e+30"),
+        (f"{TWO}EDGE_SE2 0 1 1 0 0 {FAR.replace('3', '1e999')}\n", 3, "information up to 1e+18"),
         (f"{TWO}VERTEX_SE3 2 0 0 0\n", 3, "--skip-unknown"),
         (f"{TWO}EDGE_SE2 0 1 1 0 0 {FAR}\nEDGE_SE2 1 2 1 0 0 {FAR}\n", 4, "vertex 2, which is not there"),
         (f"{TWO}VERTEX_SE2 0 0 0 0\n", 3, "got 0 again, which line 1 has"),
@@ -104,7 +146,10 @@ TWO = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n"
         (f"{TWO}EDGE_SE2 0 1 1 0 0 {FAR}\nFIX 1\nFIX 1\nFIX 0\n", 6, "one fixed vertex, got 0 after 1"),
         (f"{TWO}VERTEX_SE2 2 0 0 0\nEDGE_SE2 1 2 1 0 0 {FAR}\n", 2, "2 cannot be reached: 1 2"),
         (f"{TWO}VERTEX_SE2 2 0 0 0\nEDGE_SE2 1 2 1 0 0 {FAR}\nFIX 2", 1, "2 to all others, 1 cannot be reached: 0"),
-        ("# nothing\n", None, "expected a vertex"),
+        ("# nothing\n", None, "expected vertices (VERTEX_SE2) or edges"),
+        (f"{TWO}EDGE_SE2 0 1 1 0 0 1e-40 0 0 1e-40 0 1e-40\n", 3, "positive definite"),
+        (f"EDGE_SE2 0 1 1 0 0 {FAR}\nEDGE_SE2 2 3 1 0 0 {FAR}\n", 2, "0 to all others, 2 cannot be reached: 2 3"),
+        (f"EDGE_SE2 0 1 1 0 0 {FAR}\nFIX 5\n", 2, "vertex to fix, got 5"),
         ("", None, "empty"),
         ("VERTEX_SE2 0 \x00\n", None, "binary"),
     ],

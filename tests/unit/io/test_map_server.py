@@ -145,7 +145,7 @@ def test_bad_images(tmp_path):
     with pytest.raises(InputError, match="expected an image"):
         read_map(yaml)
     (tmp_path / "map.pgm").unlink()
-    with pytest.raises(InputError, match="no such image"):
+    with pytest.raises(InputError, match="no such file"):
         read_map(yaml)
 
 

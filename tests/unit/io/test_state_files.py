@@ -76,16 +76,23 @@ def file(measurements, tmp_path_factory):
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("schema", "gridslam.saved_run/1", "expected schema gridslam.saved_run/4, got gridslam.saved_run/1"),
+        ("schema", "gridslam.saved_run/1", "expected schema gridslam.saved_run/5, got gridslam.saved_run/1"),
         ("configuration", "particles = 0", "particles: expected a number greater than or equal to 1"),
         ("configuration", None, "a text named configuration"),
         ("generator", "{}", "generator: expected the state of PCG64"),
         ("generator", json.dumps({"bit_generator": "MT19937"}), "generator: expected the state of PCG64"),
-        ("state.schema", "gridslam.state/1", "a state of schema gridslam.state/9"),
+        ("state.schema", "gridslam.state/1", "a state of schema gridslam.state/10"),
         ("state.poses", None, "an array named poses"),
         ("state.maps.pages", None, "the arrays roots"),
         ("trajectory.keys", np.zeros(2), "keys: expected int64"),
         ("statistics.counts", None, "an array named counts"),
+        ("state.poses", np.full((5, 3), np.nan), "state.poses: expected numbers from -1e+09 to 1e+09, got nan"),
+        ("state.poses", np.full((5, 3), 2e6), "state.poses: expected poses on the map"),
+        ("state.tracker.matched_map", np.array(2), "state.tracker.matched_map: expected numbers from 0 to 1, got 2"),
+        ("state.tracker.velocity_variances", np.array([0.1, -1.0]), "expected numbers from 0 to 1e+18, got -1.0"),
+        ("state.log_weights", np.full(3, np.inf), "state.log_weights: expected numbers"),
+        ("trajectory.keys", np.zeros(30, np.int64), "trajectory.keys: expected key scans 0 to"),
+        ("state.closure_state.online_poses", np.zeros((1, 3)), "online_poses: expected"),
     ],
 )
 def test_what_is_wrong_with_a_file_is_told(file, tmp_path, name, value, message):

@@ -135,3 +135,13 @@ def test_drawn_poses_are_on_free_cells():
     poses, _ = MeasurementProposal(jitter_m=0.5)(known, beams, weigh, 0.2, np.random.default_rng(0))
     assert len(poses) == 10_000
     assert known.is_free(poses).all()
+
+
+def test_a_particle_that_is_far_away_changes_nothing_and_takes_no_memory():
+    """Bins are counted where there are particles: one 1e9 m away lay 1e17 bins from the others."""
+    poses = np.random.default_rng(0).normal([3, 4, 0.5], [0.2, 0.2, 0.1], (100, 3))
+    weights = np.full(100, 0.01)
+    near = estimate_pose(poses, weights)
+    far = estimate_pose(np.vstack([poses, [1e9, -1e9, 0.5]]), np.append(0.999 * weights, 0.001))
+    np.testing.assert_allclose(far.pose, near.pose, atol=1e-9)
+    assert far.mass == pytest.approx(0.999 * near.mass)

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from gridslam.config import Configuration, preset
 from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.geometry.se2 import compose
 from gridslam.io.maps import read_map
+from gridslam.io.measurement import Measurement
 from gridslam.ros import NodeCore, NodeSettings
 from gridslam.ros.node.messages import Level
 from gridslam.ros.node.rendering import map_cells
@@ -87,6 +89,17 @@ def test_a_disk_that_is_full_is_named_by_who_saves(drive, tmp_path, monkeypatch)
     )
     drive_all(core, outputs, drive[10:20])
     core.close()
+
+
+def test_ranges_in_another_unit_are_a_warning():
+    rng = np.random.default_rng(1)
+    log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=60), rng)
+    feet = [replace(m.scan, ranges=m.scan.ranges / 0.3048, range_max_m=80.0) for m in log.measurements[:310]]
+    outputs = RecordedOutputs()
+    core = node(outputs)
+    drive_all(core, outputs, [Measurement(m.odometry, scan) for m, scan in zip(log.measurements, feet, strict=False)])
+    core.close()
+    assert outputs.warnings().count("range_units: The ranges are in feet") == 1
 
 
 def test_what_it_says_of_a_drive(drive):

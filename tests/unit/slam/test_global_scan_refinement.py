@@ -206,7 +206,7 @@ def test_constraints_of_one_visit_share_the_information_of_one(halls, monkeypatc
         return list(KeyScanMatching()(one.closure_state, poses, SLAM.mapper, lambda: None))
 
     shared = matched()
-    monkeypatch.setattr(key_scan_matching, "_VISIT_GAP", -len(poses))
+    monkeypatch.setattr(key_scan_matching, "VISIT_GAP", -len(poses))
     alone = matched()
     assert [constraint.pair for constraint in shared] == [constraint.pair for constraint in alone]
     ratios = np.array([b.information[2, 2] / a.information[2, 2] for a, b in zip(shared, alone, strict=True)])

@@ -109,12 +109,15 @@ def test_between_key_scans_a_random_walk_is_added(run):
             key = report
             continue
         added = rotate_covariances(slam.reports.drift.covariance(report.key_from_base), report.pose[2])
-        grown = report.covariance - added
-        assert grown[2, 2] == pytest.approx(key.covariance[2, 2], rel=1e-9)
+        away = np.array([report.pose[:2], key.pose[:2]]) - reports[0].pose[:2]
+        of_scale, of_key_scale = slam.reports.drift.scale_covariances(away)
+        grown = report.covariance - added - of_scale
+        before = key.covariance - of_key_scale
+        assert grown[2, 2] == pytest.approx(before[2, 2], rel=1e-9)
         # what the heading has drifted by since the start turns what follows, too
-        turned = float(np.hypot(*(report.pose - key.pose)[:2])) * np.sqrt(key.covariance[2, 2])
-        of_key = np.sqrt(np.trace(key.covariance[:2, :2]))
-        assert of_key - turned <= np.sqrt(np.trace(grown[:2, :2])) <= of_key + turned
+        turned = float(np.hypot(*(report.pose - key.pose)[:2])) * np.sqrt(before[2, 2])
+        of_key, of_scan = (math.sqrt(max(0.0, np.trace(of[:2, :2]))) for of in (before, grown))
+        assert of_key - turned - 1e-9 <= of_scan <= of_key + turned + 1e-9
 
 
 def test_reports_read_the_state_and_never_write(run, drive):
@@ -222,7 +225,7 @@ def test_along_a_bare_corridor_the_covariance_grows_by_the_odometrys(bare):
     for reports, driven, _ in bare[True]:
         sigmas = np.sqrt(reports[-1].covariance.diagonal())
         assert 0.005 * driven < sigmas[0] < 0.1 * driven
-        assert sigmas[1] < 0.3 * sigmas[0]
+        assert sigmas[1] < 0.4 * sigmas[0]
         assert abs(driven - 10.0) < 3 * sigmas[0]
 
 

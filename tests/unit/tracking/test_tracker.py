@@ -181,9 +181,9 @@ def restamped(measurements, shift_ns):
     return [(odometry, replace(scan, stamp_ns=scan.stamp_ns + shift)) for (odometry, scan), shift in pairs]
 
 
-@pytest.mark.parametrize("kind", ["bursts", "jitter", "backward", "seconds", "leap"])
+@pytest.mark.parametrize("kind", ["bursts", "jitter", "backward", "descending", "seconds", "same", "leap", "wrap"])
 def test_without_odometry_stamps_need_not_be_true(perfect, kind):
-    """Scans that arrive three at a time, a clock that jitters, goes back, tells whole seconds, or is set by an hour."""
+    """Scans in bursts; clocks that jitter, go back, run backward, have whole seconds, stand, are set, or overflow."""
     n = np.arange(len(perfect))
     stamps = np.round(n * 2e8).astype(np.int64)
     noise = np.random.default_rng(4).uniform(-1, 1, len(n))
@@ -191,7 +191,10 @@ def test_without_odometry_stamps_need_not_be_true(perfect, kind):
         "bursts": (2 - n % 3) * 199_000_000,
         "jitter": (90e6 * noise).astype(np.int64),
         "backward": (600e6 * noise).astype(np.int64),
+        "descending": -2 * stamps,
         "seconds": -(stamps % 10**9),
+        "same": -stamps,
+        "wrap": np.where(n < 60, 2**62, -(2**62)),
         "leap": np.where(n < 60, 0, 3600 * 10**9),
     }[kind]
     told, _, _ = track(Tracker(), perfect, restamped(without(perfect), shift))

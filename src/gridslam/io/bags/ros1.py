@@ -27,6 +27,7 @@ from gridslam.io.bags.source import (
     merge_chunks,
     truncation_error,
 )
+from gridslam.io.limits import UnpackingLimit, require_memory
 from gridslam.io.log_statistics import Topic
 from gridslam.io.text import open_for_reading
 
@@ -34,6 +35,7 @@ __all__ = ["Ros1Bag"]
 
 _MAGIC = b"#ROSBAG V2.0\n"
 _LARGEST_HEADER = 1 << 24
+_FARTHEST = 1 << 62
 _U32 = struct.Struct("<I")
 _PAIR = struct.Struct("<II")
 _MESSAGE_HEADER = re.compile(
@@ -134,14 +136,19 @@ class Ros1Bag:
         wanted = {number.to_bytes(4, "little"): topic for number, topic in numbers.items()}
         chunks = [chunk for chunk in self._chunks if not chunk.connections.isdisjoint(numbers)]
         self.bytes_read = 0
+        limit = UnpackingLimit(self.total_bytes)
         with open_for_reading(self.path) as file:
-            yield from merge_chunks((chunk.start_ns, self._wanted(file, chunk, wanted)) for chunk in chunks)
+            merged = merge_chunks((chunk.start_ns, self._wanted(file, chunk, wanted, limit)) for chunk in chunks)
+            try:
+                yield from merged
+            except DamageError as damage:
+                self._cut(str(damage))
         self.bytes_read = self.total_bytes
 
-    def _wanted(self, file: IO[bytes], chunk: Chunk, topics: dict[bytes, str]) -> list[Message]:
+    def _wanted(self, file: IO[bytes], chunk: Chunk, topics: dict[bytes, str], limit: UnpackingLimit) -> list[Message]:
         found: list[Message] = []
         try:
-            data, whole = self._chunk(file, _read_record(file, chunk.position, _Op.CHUNK))
+            data, whole = self._chunk(file, _read_record(file, chunk.position, _Op.CHUNK), limit)
             self.bytes_read = max(self.bytes_read, file.tell())
             for number, time_ns, begin, end in _messages_in(data):
                 topic = topics.get(number)
@@ -205,11 +212,12 @@ class Ros1Bag:
     def _walk(self, file: IO[bytes]) -> str:
         """Find connections and chunks by reading the file from its start; returns what stopped it before the end."""
         position = len(_MAGIC)
+        limit = UnpackingLimit(self.total_bytes)
         while position < self.total_bytes:
             try:
                 record = _read_record(file, position)
                 if record.op == _Op.CHUNK:
-                    self._walk_chunk(file, record, position)
+                    self._walk_chunk(file, record, position, limit)
                 elif record.op == _Op.CONNECTION:
                     self._connect(record, self._data(file, record))
                 elif record.op not in (_Op.BAG_HEADER, _Op.INDEX, _Op.CHUNK_INFO):
@@ -221,8 +229,8 @@ class Ros1Bag:
                 return f"the file is damaged or cut off at byte {position} ({damage})"
         return "" if position == self.total_bytes else "the file is cut off at its end"
 
-    def _walk_chunk(self, file: IO[bytes], record: _Record, position: int) -> None:
-        data, whole = self._chunk(file, record)
+    def _walk_chunk(self, file: IO[bytes], record: _Record, position: int, limit: UnpackingLimit) -> None:
+        data, whole = self._chunk(file, record, limit)
         times: list[int] = []
         numbers: Counter[int] = Counter()
         try:
@@ -236,16 +244,18 @@ class Ros1Bag:
         if not whole:
             raise DamageError("the file ends within a chunk")
 
-    def _chunk(self, file: IO[bytes], record: _Record) -> tuple[bytes, bool]:
+    def _chunk(self, file: IO[bytes], record: _Record, limit: UnpackingLimit) -> tuple[bytes, bool]:
         """Decompressed data of a chunk, and whether they are all there."""
         raw = self._data(file, record, cut=True)
         size = record.u32(b"size")
-        data = decompress(record.field(b"compression"), raw, size)
+        data = decompress(record.field(b"compression"), raw, limit, size)
         return data, len(raw) == record.end - record.begin and len(data) == size
 
     def _data(self, file: IO[bytes], record: _Record, *, cut: bool = False) -> bytes:
         file.seek(record.begin)
-        data = file.read(min(record.end, self.total_bytes) - record.begin)
+        size = min(record.end, self.total_bytes) - record.begin
+        require_memory(self.path, f"the record at byte {record.begin}", size)
+        data = file.read(size)
         if len(data) != record.end - record.begin and not cut:
             raise DamageError("a record is cut off")
         return data
@@ -275,6 +285,8 @@ def _fields_of(header: bytes) -> dict[bytes, bytes]:
 
 def _read_record(file: IO[bytes], position: int, op: int = 0) -> _Record:
     """Read the header of the record at `position`, which must be of kind `op` if that is given; leaves its data."""
+    if position > _FARTHEST:
+        raise DamageError("there is no record")
     file.seek(position)
     head = file.read(4)
     length = int.from_bytes(head, "little") if len(head) == 4 else _LARGEST_HEADER + 1

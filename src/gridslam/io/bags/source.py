@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, Protocol, final
 from lz4.frame import LZ4FrameDecompressor
 
 from gridslam.errors import InputError
+from gridslam.io.limits import UnpackingLimit, describe_bytes, max_memory_bytes
 from gridslam.io.log_statistics import Topic
 
 __all__ = [
@@ -37,6 +38,7 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 _when = itemgetter(0)
 _BLOCK_BYTES = 1 << 20
+_MESSAGE_BYTES = 150  # that a message takes beside its data
 
 
 @final
@@ -98,16 +100,29 @@ def count_topics(found: Iterable[tuple[str, str, int]]) -> dict[str, Topic]:
 def merge_chunks(chunks: Iterable[tuple[int, Iterable[Message]]]) -> Iterator[Message]:
     """Merge chunks, given as start time and messages by ascending start time, into one stream ordered by time.
 
-    Holds no more messages than overlap in time; those of one time stay in the order in which they came.
+    Holds no more messages than overlap in time; those of one time stay in the order in which they came. Raises
+    DamageError where they take more memory than readers are allowed.
     """
     waiting: list[Message] = []
+    held = 0
+    most = max_memory_bytes()
     for start_ns, messages in chunks:
         ready = bisect_left(waiting, start_ns, key=_when)
+        held -= _size_of(waiting[:ready])
         yield from waiting[:ready]
         del waiting[:ready]
+        before = len(waiting)
         waiting.extend(messages)
+        held += _size_of(waiting[before:])
+        if held > most:
+            raise DamageError(f"chunks that overlap in time take more than the {describe_bytes(most)} of --max-memory")
         waiting.sort(key=_when)
     yield from waiting
+
+
+def _size_of(messages: Iterable[Message]) -> int:
+    """About what messages take in memory, bytes."""
+    return sum(len(data) + _MESSAGE_BYTES for _, _, data in messages)
 
 
 def truncation_error(path: Path, problem: str) -> InputError:
@@ -116,35 +131,49 @@ def truncation_error(path: Path, problem: str) -> InputError:
     return InputError(path, f"{one_line}; --keep-truncated reads what is there")
 
 
-def decompress(compression: bytes, data: bytes, size: int = -1) -> bytes:
+def decompress(compression: bytes, data: bytes, limit: UnpackingLimit, size: int = -1) -> bytes:
     """Decompress a chunk or a message, by the name that bags give to the compression.
 
     Gives `size` bytes at most if that is given, and less where `data` is cut off. Raises DamageError where they are
-    damaged or the compression is not known.
+    damaged, the compression is not known, or there are more bytes than `limit` leaves.
     """
+    at_once = limit.at_once
+    if size > at_once:
+        raise DamageError(limit.problem)
     if compression in (b"none", b""):
-        return data
-    zstd = _zstd()
-    known = {b"bz2": bz2.BZ2Decompressor, b"lz4": LZ4FrameDecompressor, b"zstd": zstd.ZstdDecompressor}
-    if compression not in known:
-        raise DamageError(f"it is compressed by '{compression.decode(errors='replace')}', which is not known")
-    try:
-        found: bytes = known[compression]().decompress(data, size)
-    except (OSError, ValueError, EOFError, RuntimeError, MemoryError, zstd.ZstdError) as error:
-        raise DamageError(f"its data cannot be decompressed: {error}") from None
+        found = data
+    else:
+        zstd = _zstd()
+        known = {b"bz2": bz2.BZ2Decompressor, b"lz4": LZ4FrameDecompressor, b"zstd": zstd.ZstdDecompressor}
+        if compression not in known:
+            raise DamageError(f"it is compressed by '{compression.decode(errors='replace')}', which is not known")
+        try:
+            found = known[compression]().decompress(data, at_once + 1 if size < 0 else size)
+        except (OSError, ValueError, EOFError, RuntimeError, MemoryError, zstd.ZstdError) as error:
+            raise DamageError(f"its data cannot be decompressed: {error}") from None
+    if len(found) > at_once or not limit.take(len(found)):
+        raise DamageError(limit.problem)
     return found
 
 
 def decompress_file(packed: Path, target: Path) -> str:
-    """Decompress a file (zstd) into another; returns why the latter is not whole, or an empty text."""
+    """Decompress a file (zstd) into another; returns why the latter is not whole, or an empty text.
+
+    Raises InputError where it unpacks to more than is allowed, or than there is room for.
+    """
     zstd = _zstd()
+    limit = UnpackingLimit(packed.stat().st_size)
     with target.open("wb") as file:
         try:
             with zstd.open(packed, "rb") as stream:
                 while block := stream.read1(_BLOCK_BYTES):
+                    if not limit.take(len(block)):
+                        raise InputError(packed, limit.problem)
                     file.write(block)
         except (zstd.ZstdError, EOFError, MemoryError) as error:
             return f"it cannot be decompressed to its end: {error}"
+        except OSError as error:
+            raise InputError(packed, f"cannot be unpacked to {target.parent}: {error.strerror}") from None
     return ""
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 import zipfile
-import zlib
 from dataclasses import dataclass
 from enum import IntFlag
 from pathlib import Path
@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError, InputError
+from gridslam.io.limits import UnpackingLimit, require_memory
+from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.text import open_for_reading
 from gridslam.types import FloatArray, IntArray, StepReport
 
@@ -133,20 +135,72 @@ def read_record(path: str | Path) -> Record:
         if name not in arrays or arrays[name].shape != want or arrays[name].dtype != dtype:
             got = f"{arrays[name].dtype} {arrays[name].shape}" if name in arrays else "nothing"
             raise InputError(path, f"expected {name} as {np.dtype(dtype)} {want}, got {got}")
+    if steps and not particles:
+        raise InputError(path, f"expected particles at {steps} key scans, got none")
+    for name, low, high, expected in (
+        ("poses", -FARTHEST_M, FARTHEST_M, f"finite numbers up to {FARTHEST_M:g} m and rad"),
+        ("log_weights", -np.inf, 50.0, "logarithms of weights"),
+        ("parents", 0, particles - 1, f"particles 0 to {particles - 1}"),
+        ("best", 0, particles - 1, f"particles 0 to {particles - 1}"),
+        ("n_eff", 0, 1.001 * particles, f"numbers of particles up to {particles}"),
+        ("latency_s", 0, 1e9, "times >= 0 s"),
+    ):
+        values = arrays[name]
+        bad = values[~((values >= low) & (values <= high))]
+        if bad.size:
+            raise InputError(path, f"{name}: expected {expected}, got {bad[0]:g}")
     return Record(**{name: arrays[name] for name in _FORMS})
 
 
 def read_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[Any]]:
-    """All arrays of an .npz without pickles; raises InputError where the file is not `what` or of another schema."""
+    """All arrays of an .npz without pickles.
+
+    Raises InputError where the file is not `what`, of another schema, or unpacks to more than is allowed.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
     with open_for_reading(path) as file:
         try:
-            with zipfile.ZipFile(file):
-                file.seek(0)
-            with np.load(file, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
-        except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-            raise InputError(path, f"expected {what}, got: {error}") from None
-    got = str(arrays.get("schema", "none"))
+            with zipfile.ZipFile(file) as archive:
+                _require_small(path, archive)
+                for member in archive.infolist():
+                    name = member.filename.removesuffix(".npy")
+                    arrays[name] = _read_member(archive, member)
+        except InputError:
+            raise
+        except Exception as error:  # whatever zip, zlib and NumPy come across in a damaged archive
+            raise InputError(path, f"expected {what}, got: {error or type(error).__name__}") from None
+    found = arrays.get("schema")
+    got = "none" if found is None else str(found) if found.size == 1 else f"{found.dtype} of shape {found.shape}"
     if got != schema:
-        raise InputError(path, f"expected schema {schema}, got {got}")
+        raise InputError(path, f"expected schema {schema}, got {got:.100}")
     return arrays
+
+
+def _require_small(path: str | Path, archive: zipfile.ZipFile) -> None:
+    """Refuse an archive that claims to hold more than is allowed; no more than it claims is unpacked."""
+    limit = UnpackingLimit(Path(path).stat().st_size)
+    size = sum(member.file_size for member in archive.infolist())
+    require_memory(path, "its content", size)
+    if not limit.take(size):
+        raise InputError(path, limit.problem)
+
+
+def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+    """Read an array; raises ValueError where its header does not fit its bytes."""
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{member.filename} is compressed in a way that is not known")
+    with archive.open(member) as stream:
+        version = np.lib.format.read_magic(stream)
+        if version not in _HEADERS:
+            raise ValueError(f"{member.filename} is of version {version}")
+        shape, is_fortran, dtype = _HEADERS[version](stream)
+        if dtype.hasobject:
+            raise ValueError(f"{member.filename} holds objects")
+        size = math.prod(shape) * dtype.itemsize
+        content = stream.read()
+    if len(content) != size:
+        raise ValueError(f"{member.filename} is {dtype} of shape {shape}, of which {len(content)} bytes are there")
+    return np.ndarray(shape, dtype, content, order="F" if is_fortran else "C")
+
+
+_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}

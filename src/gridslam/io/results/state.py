@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias, final
@@ -16,6 +17,7 @@ from gridslam.config.tables import replace_parameters, to_table
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
 from gridslam.io.output import write_atomically
 from gridslam.io.results.record import read_arrays
+from gridslam.io.results.state_values import require_near_maps, require_plausible
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.localization.state import MonteCarloState
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
@@ -24,7 +26,7 @@ from gridslam.slam.grid_fastslam.state import GridFastSlamState
 
 __all__ = ["SavedLocalization", "SavedRun", "read_localization", "read_state", "write_localization", "write_state"]
 
-_RUN_SCHEMA = "gridslam.saved_run/4"
+_RUN_SCHEMA = "gridslam.saved_run/5"
 _LOCALIZATION_SCHEMA = "gridslam.saved_localization/5"
 _GENERATORS = {"PCG64": np.random.PCG64, "PCG64DXSM": np.random.PCG64DXSM}
 """Bit generators whose state is plain integers; the first is that of `numpy.random.default_rng`."""
@@ -111,17 +113,18 @@ def read_state(path: str | Path, threads: int = 1) -> SavedRun:
         The file cannot be read, has another schema, or its arrays do not belong together.
     """
     arrays = read_arrays(path, _RUN_SCHEMA, "a saved run")
-    try:
+    with _name_file(path, "a saved run"):
+        require_plausible(arrays)
         configuration = loads(_text(arrays, "configuration"))
+        state = GridFastSlamState.from_arrays(select_part(arrays, "state"), configuration.mapper, threads)
+        require_near_maps(arrays, configuration.mapper.resolution_m)
         return SavedRun(
             configuration,
-            GridFastSlamState.from_arrays(select_part(arrays, "state"), configuration.mapper, threads),
+            state,
             _load_generator(_text(arrays, "generator")),
             TrajectoryRecorder.from_arrays(select_part(arrays, "trajectory")),
             StatisticsRecorder.from_arrays(select_part(arrays, "statistics")),
         )
-    except (ArgumentError, ConfigurationError) as error:
-        raise InputError(path, f"expected a saved run: {error}") from None
 
 
 def write_localization(path: str | Path, saved: SavedLocalization) -> None:
@@ -149,14 +152,25 @@ def read_localization(path: str | Path) -> SavedLocalization:
         The file cannot be read, has another schema, or its arrays do not belong together.
     """
     arrays = read_arrays(path, _LOCALIZATION_SCHEMA, "a saved localization")
-    try:
+    with _name_file(path, "a saved localization"):
+        require_plausible(arrays)
         return SavedLocalization(
             replace_parameters(MonteCarloConfiguration(), json.loads(_text(arrays, "configuration"))),
             MonteCarloState.from_arrays(select_part(arrays, "state")),
             _load_generator(_text(arrays, "generator")),
         )
-    except (ArgumentError, ConfigurationError, KeyError, ValueError) as error:
-        raise InputError(path, f"expected a saved localization: {error}") from None
+
+
+@contextmanager
+def _name_file(path: str | Path, what: str) -> Iterator[None]:
+    """Raise InputError where arrays do not make a state; some come from numbers that belong together, and do not."""
+    try:
+        yield
+    except (ArgumentError, ConfigurationError) as error:
+        raise InputError(path, f"expected {what}: {error}") from None
+    except (ValueError, TypeError, KeyError, IndexError, ArithmeticError, RecursionError) as error:
+        problem = f"its arrays do not belong together: {error or type(error).__name__}"
+        raise InputError(path, f"expected {what}: {problem}") from None
 
 
 def _write(

@@ -96,7 +96,7 @@ class MeasurementBuilder:
     ) -> AcceptedScan:
         """Build the measurement of a message that `find_refusal_reason` accepts."""
         mounting = self._stabilize_mounting(base_from_laser)
-        start = float(message.angle_min)
+        start = float(message.angle_min) + 0.0  # no -0.0, which the cache of geometries takes for 0.0
         step = float(message.angle_increment)
         time_increment = float(message.time_increment)
         scan = LaserScan.from_ros(

@@ -13,6 +13,7 @@ from typing import Any, TypeAlias, final
 import numpy as np
 
 from gridslam.config import Configuration
+from gridslam.doctor import EarlyCheck
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, OutputError
 from gridslam.io.measurement import Measurement
 from gridslam.particles import sample_gaussian
@@ -267,6 +268,8 @@ class NodeCore:
                         self._recorder.add(item)
                 except OutputError as error:
                     self._warn("record", str(error))
+                for finding in self._check.take(item.measurement):
+                    self._warn(finding.code, f"{finding.message} {finding.remedy}".rstrip())
                 self._publisher.set_measurement(item)
                 yield item.measurement
             elif isinstance(item, SessionEnd):
@@ -288,6 +291,7 @@ class NodeCore:
 
     def _begin_session(self) -> None:
         self._publisher.start_session()
+        self._check = EarlyCheck()
         record = self._record
         if record is not None and self._publisher.sessions > 1:
             record = record.with_name(f"{record.stem}-{self._publisher.sessions}{record.suffix}")

@@ -73,7 +73,7 @@ def drift_covariances(graph: PoseGraph) -> FloatArray:
 def scan_covariances(
     graph: PoseGraph, key_covariances: FloatArray, keys: IntArray, key_from_base: FloatArray, drift: DriftModel
 ) -> FloatArray:
-    """Covariances (N, 3, 3) of all scans; an upper bound where they are not key scans.
+    """Covariances (N, 3, 3) of all scans, with that of the scale; an upper bound where they are not key scans.
 
     Between two key scans tracking is a Brownian bridge over the share s of the way, of variance s (1 - s) times the
     increment's; what both ends err by is interpolated, which is no less than what any correlation of them leaves.
@@ -100,7 +100,8 @@ def scan_covariances(
     found[last:] = key_covariances[-1]
     for scan in range(last + 1, len(keys)):
         found[scan] += rotate_covariances(drift.covariance(key_from_base[scan]), graph.poses[-1, 2])
-    return found
+    poses = full_trajectory(graph.poses, keys, key_from_base)
+    return found + drift.scale_covariances(poses[:, :2] - poses[0, :2])
 
 
 def find_open_directions(graph: PoseGraph) -> FloatArray:

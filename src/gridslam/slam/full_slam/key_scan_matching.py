@@ -19,12 +19,12 @@ from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submaps import ROW, build_map, key_scans_of
 from gridslam.types import FloatArray
 
-__all__ = ["KeyScanMatching"]
+__all__ = ["VISIT_GAP", "KeyScanMatching"]
 
 _RECENT_SUBMAPS = 3
 """Submaps so near in time show what the tracker has matched already."""
 
-_VISIT_GAP = 3
+VISIT_GAP = 3
 """Key scans farther apart than this in time belong to different visits of a submap."""
 
 
@@ -92,7 +92,7 @@ class KeyScanMatching:
                 too_far = np.hypot(moved[0], moved[1]) > self.max_correction_m
                 if score < max(self.inlier_ratio * len(beams), 1.0) or too_far:
                     continue
-                if visit and key > visit[-1].to + _VISIT_GAP:
+                if visit and key > visit[-1].to + VISIT_GAP:
                     yield from _divide_information(visit)
                     visit = []
                 visit.append(

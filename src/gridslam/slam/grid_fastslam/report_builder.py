@@ -142,10 +142,10 @@ class ReportBuilder:
         first = state.ancestry.steps == 2
         return self.drift.covariance(increment, unmatched, float(state.key_pose[2]), first=first)
 
-    @staticmethod
-    def add_drift(state: GridFastSlamState, report: StepReport) -> StepReport:
-        """Add the drift up to the last key scan to the covariance of a report."""
+    def add_drift(self, state: GridFastSlamState, report: StepReport) -> StepReport:
+        """Add the drift up to the last key scan, and the error of the scale, to the covariance of a report."""
         drift = propagate_covariances(report.pose[None], state.drift[None])[0]
+        drift += self.drift.scale_covariances((report.pose - state.ancestry.first_pose)[None, :2])[0]
         return replace(report, covariance=report.covariance + drift)
 
     @staticmethod

@@ -258,7 +258,7 @@ class LandmarkGraph:
         """Return the same measurements without systematic errors (B,)."""
         if not len(errors):
             return self
-        increments = self.increments + np.array([bias.by_errors(increment) @ errors for increment in self.increments])
+        increments = self.increments + bias.by_errors(self.increments) @ errors
         mounted, scale = bias.calibration(errors)
         points = self.points.copy()
         points[:, :2] = points[:, :2] / (1.0 + scale) + [mounted, 0.0]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass, field, replace
-from typing import Annotated, final
+from typing import Annotated, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.errors import ArgumentError
 from gridslam.serialization import NOT_SAVED
 from gridslam.tracking.state import is_within
 from gridslam.types import BeamEnds, FloatArray, StoredScan
@@ -22,7 +24,7 @@ _BETWEEN_KEYS = 256
 _MOST_BYTES = 32_000_000
 """45,000 scans of 180 beams."""
 
-_NOTHING = np.empty((0, 2), np.int16)
+_NOTHING = StoredScan(np.empty((0, 2)), np.zeros(2))
 
 
 @final
@@ -42,30 +44,43 @@ class ScanArchive:
         Which scans are key scans.
     """
 
-    _ends: Annotated[list[Annotated[NDArray[np.int16], None, 2]], "S"] = field(default_factory=list)
-    _steps_m: Annotated[list[float], "S"] = field(default_factory=list)
-    _origins: Annotated[list[Annotated[FloatArray, 2]], "S"] = field(default_factory=list)
     keys: list[int] = field(default_factory=list)
+    _count: int = 0
+    _stored: Annotated[list[int], "E"] = field(default_factory=list)  # scans of which anything is kept, in their order
+    _ends: Annotated[list[Annotated[NDArray[np.int16], None, 2]], "E"] = field(default_factory=list)
+    _steps_m: Annotated[list[float], "E"] = field(default_factory=list)
+    _origins: Annotated[list[Annotated[FloatArray, 2]], "E"] = field(default_factory=list)
     _last_stored_pose: Annotated[FloatArray, 3] = field(default_factory=lambda: np.full(3, np.nan))
     _storage_interval: int = 1  # every n-th scan between key scans is stored
     _between_bytes: int = field(init=False, metadata=NOT_SAVED)
 
     def __post_init__(self) -> None:
         """Count the bytes of the scans between key scans."""
-        self._between_bytes = self.nbytes - sum(self._ends[key].nbytes for key in self.keys)
+        stored = np.array([-1, *self._stored, self._count])
+        if (np.diff(stored) < 1).any() or not set(self.keys) <= set(self._stored):
+            raise ArgumentError(
+                "stored", f"ascending scans below {self._count}, the key scans among them", self._stored
+            )
+        self._between_bytes = self.nbytes - sum(self._ends[self._find(key)].nbytes for key in self.keys)
 
     def append(self, beams: BeamEnds, pose: FloatArray, *, is_key: bool) -> None:
         """Append a scan from `pose` (3,) in a frame that drifts slowly."""
-        scan = len(self)
+        scan = self._count
         ends = beams.ends
+        self._count += 1
         if is_key:
             self.keys.append(scan)
-        elif scan % self._storage_interval or is_within(pose, self._last_stored_pose, _NEAR_M, _NEAR_RAD):
-            ends = ends[:0]
+        elif (
+            not len(ends)
+            or scan % self._storage_interval
+            or is_within(pose, self._last_stored_pose, _NEAR_M, _NEAR_RAD)
+        ):
+            return
         else:
             ends = ends[:: max(1, -(-len(ends) // _BETWEEN_KEYS))]
         step_m = (len(ends) and float(np.abs(ends).max()) / _STEPS) or 1.0
-        self._ends.append(np.rint(ends / step_m).astype(np.int16) if len(ends) else _NOTHING)
+        self._stored.append(scan)
+        self._ends.append(np.rint(ends / step_m).astype(np.int16))
         self._steps_m.append(step_m)
         self._origins.append(beams.origin)
         if len(ends):
@@ -77,11 +92,14 @@ class ScanArchive:
 
     def __len__(self) -> int:
         """Return the number of scans."""
-        return len(self._ends)
+        return self._count
 
     def __getitem__(self, scan: int) -> StoredScan:
-        """Scan number `scan`, from 0."""
-        return StoredScan(self._ends[scan] * np.float64(self._steps_m[scan]), self._origins[scan])
+        """Scan number `scan`, from 0; without beams if nothing is kept of it."""
+        place = self._find(scan)
+        if place < 0:
+            return _NOTHING
+        return StoredScan(self._ends[place] * np.float64(self._steps_m[place]), self._origins[place])
 
     def key(self, key: int) -> StoredScan:
         """Key scan number `key`, from 0."""
@@ -96,6 +114,7 @@ class ScanArchive:
         """Keep a copy for later; the scans themselves, which never change, are shared."""
         return replace(
             self,
+            _stored=self._stored.copy(),
             _ends=self._ends.copy(),
             _steps_m=self._steps_m.copy(),
             _origins=self._origins.copy(),
@@ -106,7 +125,13 @@ class ScanArchive:
         """Keep half as many of the scans that are no key scans."""
         self._storage_interval *= 2
         keys = set(self.keys)
-        for scan in range(len(self)):
-            if scan % self._storage_interval and scan not in keys:
-                self._between_bytes -= self._ends[scan].nbytes
-                self._ends[scan] = _NOTHING
+        kept = [place for place, scan in enumerate(self._stored) if not scan % self._storage_interval or scan in keys]
+        lists: tuple[list[Any], ...] = self._stored, self._ends, self._steps_m, self._origins
+        for values in lists:
+            values[:] = [values[place] for place in kept]
+        self.__post_init__()
+
+    def _find(self, scan: int) -> int:
+        """Place of a scan among those of which anything is kept; -1 if nothing is."""
+        place = bisect_left(self._stored, scan)
+        return place if place < len(self._stored) and self._stored[place] == scan else -1

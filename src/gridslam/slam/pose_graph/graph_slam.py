@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
+from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.models.parameters import Kind
 from gridslam.slam.pose_graph.descent import Computation, DescentResult, descend, run_to_completion, squared_mahalanobis
@@ -98,7 +99,7 @@ class GraphSlam:
         Raises
         ------
         ArgumentError
-            The measurements do not join all poses.
+            The measurements do not join all poses, or their information matrices differ too much for 64-bit numbers.
         """
         return run_to_completion(self.solve_in_steps(graph))
 
@@ -116,6 +117,8 @@ class GraphSlam:
             )
             found = estimate.solution
             weights = estimate.weights
+        if not math.isfinite(found.chi2):
+            raise ArgumentError("graph", "measurements whose chi2 is a finite number", found.chi2)
         poses = found.poses.copy()
         poses[:, 2] = wrap(poses[:, 2])
         before = float((weights * squared_mahalanobis(graph, graph.errors())).sum())

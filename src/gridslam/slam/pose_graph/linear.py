@@ -192,15 +192,23 @@ class BlockSystem:
         return np.asarray(np.stack(summed, axis=1).ravel(), np.float64)
 
     def factorize(self, matrix: FloatArray, damping: float = 0.0) -> None:
-        """Factorize H + damping diag(H) for `solve`, from the numbers that `assemble` returns."""
+        """Factorize H + damping diag(H) for `solve`, from the numbers that `assemble` returns.
+
+        Raises ArgumentError where rounding leaves nothing of H that can be factorized: the numbers differ too much.
+        """
         import qdldl
 
         self._matrix.data[:] = matrix
         self._matrix.data[self._pivots] *= 1.0 + damping
-        if self._solver is None:
-            self._solver = qdldl.Solver(self._matrix, upper=True)
-        else:
-            self._solver.update(self._matrix, upper=True)
+        try:
+            if self._solver is None:
+                self._solver = qdldl.Solver(self._matrix, upper=True)
+            else:
+                self._solver.update(self._matrix, upper=True)
+        except RuntimeError:
+            diagonal = self._matrix.data[self._pivots]
+            got = f"a diagonal of the normal equations from {diagonal.min():g} to {diagonal.max():g}"
+            raise ArgumentError("graph", "information matrices that 64-bit numbers can add up", got) from None
 
     def solve(self, right_side: FloatArray) -> FloatArray:
         """Solve for one right side (free * size,) with the last factorization; returns (N, size), 0 for pose 0."""

@@ -1,0 +1,259 @@
+"""Ranges that no map can be made of: in another unit than metres, of a frozen laser, or random."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.doctor.finding import Finding, Severity
+from gridslam.doctor.range_units import UNITS, PairComparison, RangeSizes, measured_beams, polar_scan
+from gridslam.doctor.scan_prediction import disagreement_as_reported, move_laser
+from gridslam.geometry.se2 import between
+from gridslam.io.measurement import Measurement
+from gridslam.types import FloatArray, LaserScan
+
+__all__ = ["RangeExaminer"]
+
+_FROZEN_M = 1.0  # of odometry: from here on the view is a new one, as after a gap
+_FROZEN_RAD = 0.5
+_CHANGES = 0.05  # of the view, that the motion must make: along a bare corridor it makes none
+_MOST_CHECKS = 100
+_FROZEN_SHARE = 0.1  # of the metres or radians: from here on the map is unusable
+
+_SAMPLED = 25  # scans whose ranges are looked at one by one; and then
+_RARE = 32  # one of as many
+_MOST_SCANS = 50
+_FEWEST_SCANS = 12
+_FEWEST_BEAMS = 30
+_SPREAD = 0.1  # of the logarithms of unrelated ranges: those in a round room are alike
+_UNRELATED = 0.8  # of that spread: random ranges have 1, and walls some hundredths
+
+
+@final
+@dataclass(slots=True)
+class _FrozenScans:
+    """Runs of scans that are identical to the last bit while the odometry moves."""
+
+    metres: float = 0.0
+    radians: float = 0.0
+    frozen_m: float = 0.0
+    frozen_rad: float = 0.0
+    _ranges: bytes = b""
+    _last: FloatArray | None = None
+    _start: FloatArray | None = None
+    _anchor: FloatArray | None = None
+    _run_m: float = 0.0
+    _run_rad: float = 0.0
+    _next_m: float = 0.0
+    _next_rad: float = 0.0
+    _checks: int = 0
+    _is_frozen: bool = False
+
+    def take(self, pose: FloatArray, scan: LaserScan) -> None:
+        """Take the next scan of the laser, with the pose (3,) of the odometry."""
+        before = self._last
+        self._last = pose
+        ranges = scan.ranges.tobytes()
+        same = ranges == self._ranges
+        self._ranges = ranges
+        if before is None:
+            return
+        x, y, theta = (pose - before).tolist()
+        metres = math.hypot(x, y)
+        radians = abs((theta + math.pi) % math.tau - math.pi)
+        self.metres += metres
+        self.radians += radians
+        if not same:
+            self._start = None
+            return
+        if self._start is None:
+            self._begin(before)
+        self._run_m += metres
+        self._run_rad += radians
+        if self._is_frozen:
+            self.frozen_m += metres
+            self.frozen_rad += radians
+        elif self._shows_motion(scan, pose):
+            self._is_frozen = True
+            self.frozen_m += self._run_m
+            self.frozen_rad += self._run_rad
+
+    def _begin(self, pose: FloatArray) -> None:
+        self._start = self._anchor = pose
+        self._run_m = self._run_rad = 0.0
+        self._next_m = _FROZEN_M
+        self._next_rad = _FROZEN_RAD
+        self._checks = 0
+        self._is_frozen = False
+
+    def _shows_motion(self, scan: LaserScan, pose: FloatArray) -> bool:
+        """Whether the motion since the last check, or since the begin of the run, must have changed the scan.
+
+        The view changes late in a large hall, and in a corridor in its bends alone.
+        """
+        if self._start is None or self._anchor is None or self._checks >= _MOST_CHECKS:
+            return False
+        if self._run_m < self._next_m and self._run_rad < self._next_rad:
+            return False
+        self._checks += 1
+        self._next_m = self._run_m + _FROZEN_M
+        self._next_rad = self._run_rad + _FROZEN_RAD
+        motions = between(np.stack([self._anchor, self._start]), pose)
+        self._anchor = pose
+        return any(_changes_view(scan, motion) for motion in motions)
+
+    def skip(self) -> None:
+        """Take a scan without odometry: the motion since the last one is not known."""
+        self._last = self._start = None
+
+    @property
+    def share(self) -> float:
+        """Share of the metres, or of the radians, in which the scans are frozen; the greater of the two."""
+        return max(self.frozen_m / max(self.metres, _FROZEN_M), self.frozen_rad / max(self.radians, _FROZEN_RAD))
+
+
+def _changes_view(scan: LaserScan, motion: FloatArray) -> bool:
+    """Whether a motion (3,) of the base must change the scan."""
+    view = polar_scan(scan)
+    if view is None:
+        return False
+    return _CHANGES < disagreement_as_reported(view, view, move_laser(view, view, motion)) < math.inf
+
+
+@final
+@dataclass(slots=True)
+class _Relations:
+    """How far ranges differ from their neighbours, and from those of the same beam in the scan before."""
+
+    _medians: list[tuple[float, float, float]] = field(default_factory=list)
+
+    def take(self, before: LaserScan, scan: LaserScan, measured: NDArray[np.bool_]) -> None:
+        """Take two scans that follow each other, and which beams (B,) the second measured."""
+        if len(before) != len(scan) or len(self._medians) >= _MOST_SCANS:
+            return
+        both = measured & measured_beams(before)
+        if np.count_nonzero(both) < _FEWEST_BEAMS:
+            return
+        now = np.log(scan.ranges[both])
+        count = len(now)
+        unrelated = np.abs(np.concatenate([now - np.roll(now, count // 3), now - np.roll(now, count // 5)]))
+        near = np.abs(np.diff(now))
+        then = np.abs(now - np.log(before.ranges[both]))
+        self._medians.append((float(np.median(unrelated)), float(np.median(near)), float(np.median(then))))
+
+    def find_random(self) -> tuple[float, float] | None:
+        """Spreads of neighbours and of successive ranges as shares of that of unrelated ones, if these are no less."""
+        if len(self._medians) < _FEWEST_SCANS:
+            return None
+        unrelated, near, then = np.median(np.array(self._medians), axis=0).tolist()
+        if unrelated < _SPREAD or min(near, then) < _UNRELATED * unrelated:
+            return None
+        return near / unrelated, then / unrelated
+
+
+@final
+@dataclass(slots=True)
+class RangeExaminer:
+    """The ranges of one laser, by themselves and against the odometry: range_units, laser_frozen, random_ranges."""
+
+    pairs: PairComparison = field(default_factory=PairComparison)
+    _sizes: RangeSizes = field(default_factory=RangeSizes)
+    _frozen: _FrozenScans = field(default_factory=_FrozenScans)
+    _relations: _Relations = field(default_factory=_Relations)
+    _scans: int = 0
+    _previous: LaserScan | None = None
+
+    def take(self, measurement: Measurement) -> None:
+        """Take the next scan of the laser."""
+        odometry, scan = measurement
+        if self._previous is not None and (self._scans <= _SAMPLED or self._scans % _RARE == 0):
+            measured = measured_beams(scan)
+            self._relations.take(self._previous, scan, measured)
+            self._sizes.take(scan.ranges[measured])
+        self._previous = scan
+        self._scans += 1
+        if odometry is None:
+            self._frozen.skip()
+        else:
+            self._frozen.take(odometry.pose, scan)
+            self.pairs.take(odometry.pose, scan)
+
+    def findings(self, sensor: str) -> Iterator[Finding]:
+        """Yield the finding on the ranges of the laser of that name: one at the most, as the others follow from it."""
+        found = self._random(sensor) or self._laser_frozen(sensor) or self._units(sensor)
+        if found is not None:
+            yield found
+
+    def _random(self, sensor: str) -> Finding | None:
+        relations = self._relations.find_random()
+        if relations is None:
+            return None
+        near, then = relations
+        return Finding(
+            "random_ranges",
+            Severity.ERROR,
+            f"The ranges are random: those of neighbouring beams differ {near:.2f} times as much as those of any two "
+            f"beams, and those of successive scans {then:.2f} times; walls make some hundredths.",
+            min(near, then),
+            "1",
+            "Look at the driver and the cable of the laser; no map can be made of such scans.",
+            sensor,
+        )
+
+    def _laser_frozen(self, sensor: str) -> Finding | None:
+        frozen = self._frozen
+        if frozen.frozen_m or frozen.frozen_rad:
+            return Finding(
+                "laser_frozen",
+                Severity.ERROR if frozen.share > _FROZEN_SHARE else Severity.WARNING,
+                f"The laser is frozen: its scans are identical over {frozen.frozen_m:.1f} of {frozen.metres:.1f} m and "
+                f"{frozen.frozen_rad:.1f} of {frozen.radians:.1f} rad of odometry.",
+                frozen.share,
+                "share",
+                "Look for what stops the laser or repeats its scans; there is nothing to map in between.",
+                sensor,
+            )
+        pairs = self.pairs.find_stop()
+        if pairs is None:
+            return None
+        return Finding(
+            "laser_frozen",
+            Severity.ERROR,
+            f"The laser sees no motion where the odometry moves, in nearly all of {pairs} pairs of scans: the laser is "
+            "frozen, it sees the robot itself or the floor, or the wheels turn on the spot.",
+            1.0,
+            "share",
+            "Look for what stops the laser or blocks its view, and whether the odometry is right.",
+            sensor,
+        )
+
+    def _units(self, sensor: str) -> Finding | None:
+        unit = self.pairs.find_unit()
+        odd = self._sizes.describe()
+        if unit is None and odd is None:
+            return None
+        reasons = []
+        name = "another unit"
+        size = None
+        if unit is not None:
+            name, count = unit
+            size = UNITS[name]
+            reasons.append(
+                f"in {count} pairs of scans the laser moved {size:.4g} times as far as the odometry in metres"
+            )
+        if odd is not None:
+            reasons.append(odd)
+        return Finding(
+            "range_units",
+            Severity.ERROR,
+            f"The ranges are in {name}, not in metres: {'; '.join(reasons)}.",
+            size,
+            "1/m",
+            "Convert the ranges and their limits to metres where they are recorded; they are never converted here.",
+            sensor,
+        )

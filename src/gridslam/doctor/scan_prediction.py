@@ -1,0 +1,135 @@
+"""What a laser sees from another place: one scan predicted from another, for any unit of the ranges.
+
+A surface seen from one place is seen from another at a bearing and range that follow from the motion between the two.
+How far the measured ranges are from those is a ratio, so that the unit of the ranges does not matter, only the length
+of the motion in this unit. No map is built, and neither a cell size nor a noise in metres is assumed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import adjoint
+from gridslam.types import FloatArray, LaserScan
+
+__all__ = ["FEWEST_BEAMS", "PolarScan", "disagreement_as_reported", "disagreements", "move_laser"]
+
+FEWEST_BEAMS = 10
+"""A scan of fewer ranges predicts nothing."""
+
+_MOST_BEAMS = 64  # of those predicted: more cost time and change no median
+_MOST_SEEN = 180  # of those they are compared with, or up to twice as many
+_LEAST_COMMON = 0.5  # of the beams: with fewer in view at both places nothing is known
+_WIDEST_RAD = 0.1  # between neighbouring ranges that are interpolated, or
+_WIDEST = 2.5  # times the usual gap between beams: what is in wider gaps is not known
+_NEAREST = 1e-9
+_COARSE_RAD = 0.05 * np.arange(-2, 3)
+_FINE_RAD = 0.0125 * np.arange(-2, 3)
+"""Turns tried beside that of odometry, which errs by some hundredths of a radian: wheels slip in turns."""
+
+
+@final
+class PolarScan:
+    """Ranges of a scan over their bearings, about the laser, by the axes of the base.
+
+    Parameters
+    ----------
+    scan : LaserScan
+        Its geometry is used.
+    measured : (B,) bool
+        Which of its ranges are distances; they are finite and positive.
+
+    Attributes
+    ----------
+    ends : (K, 2) float64
+        Ends of at most 64 of its beams, in the unit of the ranges.
+    origin : (2,) float64, m
+        The laser's place in the base frame.
+    """
+
+    __slots__ = ("_bearings", "_nearness", "ends", "origin")
+
+    def __init__(self, scan: LaserScan, measured: NDArray[np.bool_]) -> None:
+        """Order the beams by their bearings."""
+        beams = np.flatnonzero(measured)
+        beams = beams[:: max(len(beams) // _MOST_SEEN, 1)]
+        ends = scan.geometry.directions[beams] * scan.ranges[beams, None]
+        self.ends: FloatArray = ends[:: -(-len(ends) // _MOST_BEAMS) or 1]
+        self.origin: FloatArray = scan.geometry.origin
+        bearings = np.arctan2(ends[:, 1], ends[:, 0])
+        order = np.argsort(bearings, kind="stable")
+        around = np.concatenate([order[-1:], order, order[:1]])
+        bearings = bearings[around]
+        bearings[0] -= math.tau
+        bearings[-1] += math.tau
+        widths = np.diff(bearings)
+        gaps = np.flatnonzero(widths > max(_WIDEST_RAD, _WIDEST * float(np.median(widths))))
+        edges = np.concatenate([np.nextafter(bearings[gaps], np.inf), np.nextafter(bearings[gaps + 1], -np.inf)])
+        places = np.tile(gaps + 1, 2)
+        self._bearings: FloatArray = np.insert(bearings, places, edges)
+        nearness = 1 / np.maximum(np.hypot(ends[:, 0], ends[:, 1])[around], _NEAREST)
+        self._nearness: FloatArray = np.insert(nearness, places, np.nan)
+
+    def nearness_at(self, bearings: FloatArray) -> FloatArray:
+        """Inverse ranges at bearings (...,) in [-pi, pi); NaN between beams that are far apart.
+
+        Between two beams the inverse range is interpolated, which is exact on a straight wall.
+        """
+        return np.interp(bearings, self._bearings, self._nearness)
+
+
+def move_laser(first: PolarScan, second: PolarScan, motion: FloatArray) -> FloatArray:
+    """Motion (3,) of the laser between two scans, m and rad by the base's axes at the first, from that of the base."""
+    turn = adjoint(motion * [0.0, 0.0, 1.0])[:2, :2]
+    return np.array([*(motion[:2] + turn @ second.origin - first.origin), motion[2]])
+
+
+def disagreements(first: PolarScan, second: PolarScan, motion: FloatArray, scales: FloatArray) -> FloatArray:
+    """How badly the second scan agrees with the first one, seen after a motion of the laser.
+
+    Parameters
+    ----------
+    first, second : PolarScan
+        Each of at least `FEWEST_BEAMS` beams.
+    motion : (3,) float64
+        Motion of the laser as `move_laser` gives it, m and rad. Turns that differ by up to 0.125 rad are tried, too.
+    scales : (S,) float64
+        Units of range per metre.
+
+    Returns
+    -------
+    (S,) float64
+        Median of the absolute logarithms of the ratio of predicted and measured range, at the best of all turns;
+        infinite where less than half of the beams are in view of both.
+    """
+    predicted = _predict(first, motion, scales)
+    coarse = np.broadcast_to(_COARSE_RAD, (len(scales), len(_COARSE_RAD)))
+    best = _COARSE_RAD[_medians(second, *predicted, coarse).argmin(axis=1)]
+    return np.asarray(_medians(second, *predicted, best[:, None] + _FINE_RAD).min(axis=1))
+
+
+def disagreement_as_reported(first: PolarScan, second: PolarScan, motion: FloatArray) -> float:
+    """As `disagreements` for ranges in m, with the turn of the motion and no other."""
+    return float(_medians(second, *_predict(first, motion, np.ones(1)), np.zeros((1, 1)))[0, 0])
+
+
+def _predict(first: PolarScan, motion: FloatArray, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Ranges and bearings (S, K) of the ends of a scan after a motion of the laser."""
+    moved = (first.ends - scales[:, None, None] * motion[:2]) @ adjoint([0.0, 0.0, motion[2]])[:2, :2]
+    return np.maximum(np.hypot(moved[..., 0], moved[..., 1]), _NEAREST), np.arctan2(moved[..., 1], moved[..., 0])
+
+
+def _medians(scan: PolarScan, ranges: FloatArray, bearings: FloatArray, turns: FloatArray) -> FloatArray:
+    """Median disagreements (S, T) of predicted ranges (S, K) at bearings (S, K), turned by -`turns` (S, T)."""
+    turned = wrap(bearings[:, None, :] - turns[:, :, None])
+    apart = np.abs(np.log(ranges[:, None, :] * scan.nearness_at(turned)))
+    apart.sort(axis=2)  # what is unknown comes last
+    known = np.count_nonzero(np.isfinite(apart), axis=2)
+    beams = apart.shape[2]
+    median = np.take_along_axis(apart, np.minimum(known // 2, beams - 1)[..., None], axis=2)[..., 0]
+    return np.where(known >= max(FEWEST_BEAMS, _LEAST_COMMON * beams), median, np.inf)

@@ -1,0 +1,63 @@
+"""A damaged or hostile file of any format is read or refused by name, in bounded time and memory: a sample.
+
+Thousands of cases are in the long tier (`test_thousands_of_files.py`); `tests/fuzz/run.py` writes their table.
+"""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from support.fuzz_files import Family, families, run_cases, summarize
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="cases are read in processes that are forked")
+
+SLOW = ("text", "storage", "message", "chunk", "archive", "image", "nested")  # to make, or to read
+
+
+@pytest.fixture(scope="module")
+def chosen(tmp_path_factory) -> list[Family]:
+    made = families(tmp_path_factory.mktemp("fuzz") / "healthy")
+    return [family for family in made if family.name.removeprefix("growth: ") not in SLOW]
+
+
+def test_a_sample_of_damaged_files_is_read_or_refused(chosen, tmp_path):
+    rows = summarize(run_cases(chosen, 250, 0, tmp_path), chosen)
+    assert not [example for row in rows for example in row["examples"]]
+    assert {2, 8, 9, 10, 13, 14} <= {row["point"] for row in rows}
+    read, refused = (sum(row[verdict] for row in rows) for verdict in ("read", "refused"))
+    assert min(read, refused) > 40  # damage is neither always fatal nor never
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind"),
+    [
+        ("raise KeyError('field')", "KeyError"),
+        ("os.kill(os.getpid(), 11)", "SIGSEGV"),
+        ("bytearray(8 << 30)", "memory"),
+        ("b'a' * (700 << 20)", "memory"),
+        ("raise InputError('elsewhere', 'no file')", "unnamed"),
+    ],
+)
+def test_a_reader_that_fails_is_seen(tmp_path, monkeypatch, fault, kind):
+    monkeypatch.setattr("support.fuzz_files.MEMORY_LIMIT_BYTES", 600 << 20)
+
+    def read(where):
+        exec(f"import os\nfrom gridslam.errors import InputError\n{fault}")
+
+    family = Family("faulty", 0, lambda to, rng: None, read)
+    (row,) = summarize(run_cases([family], 1, 0, tmp_path), [family])
+    assert row["kinds"] == {kind: 1}
+
+
+def test_a_reader_that_never_ends_is_seen(tmp_path, monkeypatch):
+    monkeypatch.setattr("support.fuzz_files.CPU_LIMIT_S", 1)
+
+    def read(where):
+        while True:
+            pass
+
+    family = Family("endless", 0, lambda to, rng: None, read)
+    (row,) = summarize(run_cases([family], 1, 0, tmp_path), [family])
+    assert row["kinds"] == {"hang": 1}

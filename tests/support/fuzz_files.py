@@ -1,0 +1,675 @@
+"""Small healthy files of every format, damaged at random with stated seeds, and what readers make of them.
+
+Each case is read in a process of its own, forked from this one, that may take 6 GB of addresses and 20 s of CPU time.
+It passes where the file is read, or refused by an error that names it; whatever else comes (another exception, a
+signal, more than 2 GB, no end) is a failure.
+"""
+
+from __future__ import annotations
+
+import bz2
+import csv
+import faulthandler
+import gzip
+import io
+import json
+import math
+import os
+import resource
+import shutil
+import signal
+import warnings
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import numpy as np
+from PIL import Image
+
+import gridslam
+from gridslam.api.landmarks import map_landmarks
+from gridslam.api.mapping import map_log
+from gridslam.config import Configuration, load, override, preset
+from gridslam.errors import ArgumentError, ConfigurationError, InputError
+from gridslam.io.g2o import read_g2o, write_g2o
+from gridslam.io.landmark_logs import open_landmark_log
+from gridslam.io.log import LogOptions, open_log
+from gridslam.io.maps import read_map, write_map
+from gridslam.io.results.record import read_record
+from gridslam.io.results.state import (
+    SavedLocalization,
+    SavedRun,
+    read_localization,
+    read_state,
+    write_localization,
+    write_state,
+)
+from gridslam.io.ros_parameters import read_parameter_file
+from gridslam.io.trajectories import read_relations, read_trajectory_csv, read_tum
+from gridslam.live.replay import Replay
+from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
+from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
+from gridslam.slam.pose_graph.graph_slam import GraphSlam
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
+from support import ros_bags
+from support.broken_logs import OF_BYTES, OF_TEXT, damage, drive_about, whole_logs
+from support.fuzz_bombs import BOMBS, MAP_YAML
+
+__all__ = ["Family", "Outcome", "families", "run_cases", "summarize"]
+
+CPU_LIMIT_S = 20  # of CPU time
+_PATIENCE_S = 120  # for what waits; and other processes may be at work
+MEMORY_LIMIT_BYTES = 2 << 30
+_ADDRESSES = 6 << 30
+_SPECIAL_INTEGERS = (0, -1, 1, 255, 10**6, 2**31 - 1, -(2**31), 2**62)
+_SPECIAL_FLOATS = (math.nan, math.inf, -math.inf, 1e308, -1e30, 1e15, 1e9, 1e6, 1e-300, 0.0, -1.0)
+_MIXED: tuple[Any, ...] = (
+    None, True, -1, 0, 999, 10**30, 1e308, -1e12, "", "x", "nan", [], [1], {}, [[]], {"key_scans": 5}
+)  # fmt: skip
+
+
+class Outcome(NamedTuple):
+    """What came of a case: "read", "refused", or what failed; CPU time and memory of its process."""
+
+    verdict: str
+    seconds: float
+    bytes: int
+
+
+@dataclass(frozen=True)
+class Family:
+    """Cases of one kind of file.
+
+    Attributes
+    ----------
+    name : str
+        What is damaged.
+    point : int
+        Point of the report of hostile input that it belongs to; 0 for readers in general.
+    prepare : callable
+        Writes a case's files to an empty folder; gets the folder and the random generator of the case.
+    read : callable
+        Reads them; gets the folder.
+    weight : int
+        Cases in relation to other families.
+    """
+
+    name: str
+    point: int
+    prepare: Callable[[Path, np.random.Generator], None]
+    read: Callable[[Path], object]
+    weight: float = 1.0
+
+
+def run_cases(chosen: Sequence[Family], cases: int, seed: int, folder: Path) -> dict[str, list[tuple[int, Outcome]]]:
+    """Run `cases` cases, shared out by weight; the numbers of the cases of each family, and what came of them.
+
+    Case k of a family has the generator `numpy.random.default_rng([seed, crc32 of the family's name, k])`.
+    """
+    total = sum(family.weight for family in chosen)
+    found: dict[str, list[tuple[int, Outcome]]] = {}
+    for family in chosen:
+        name = zlib.crc32(family.name.encode())
+        count = max(1, round(cases * family.weight / total))
+        found[family.name] = [
+            (number, _run_case(family, np.random.default_rng([seed, name, number]), folder)) for number in range(count)
+        ]
+    return found
+
+
+def _run_case(family: Family, rng: np.random.Generator, folder: Path) -> Outcome:
+    with TemporaryDirectory(dir=folder) as aside:
+        family.prepare(Path(aside), rng)
+        receiver, sender = os.pipe()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of other threads, that the case does not need
+            process = os.fork()
+        if not process:
+            os.close(receiver)
+            _read_in_child(family, Path(aside), sender)
+        os.close(sender)
+        with open(receiver, "rb") as pipe:
+            verdict = pipe.read().decode("utf-8", "replace")
+        _, status, used = os.wait4(process, 0)
+        seconds = used.ru_utime + used.ru_stime
+    if os.WIFSIGNALED(status):
+        number = os.WTERMSIG(status)
+        hangs = number in (signal.SIGALRM, signal.SIGXCPU)
+        verdict = f"hang: not done after {CPU_LIMIT_S} s" if hangs else signal.Signals(number).name
+    elif used.ru_maxrss * 1024 > MEMORY_LIMIT_BYTES and verdict in ("read", "refused"):
+        verdict = "memory: more than 2 GB"
+    return Outcome(verdict, seconds, used.ru_maxrss * 1024)
+
+
+def _read_in_child(family: Family, folder: Path, sender: int) -> None:
+    """Read a case's files, and send the verdict; never returns."""
+    verdict = "no verdict"
+    try:
+        faulthandler.disable()
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(_PATIENCE_S)
+        resource.setrlimit(resource.RLIMIT_CPU, (CPU_LIMIT_S, CPU_LIMIT_S + 5))
+        resource.setrlimit(resource.RLIMIT_AS, (_ADDRESSES, _ADDRESSES))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        warnings.simplefilter("ignore")
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        family.read(folder)
+        verdict = "read"
+    except (InputError, ConfigurationError) as error:
+        text = str(error)
+        named = isinstance(error, ConfigurationError) or str(folder) in text
+        verdict = "refused" if named and "\n" not in text else f"unnamed: {text[:200]}"
+    except MemoryError:
+        verdict = "memory: MemoryError"
+    except BaseException as error:  # whatever it is, it is the verdict
+        verdict = f"{type(error).__name__}: {str(error)[:200]}"
+    finally:
+        os.write(sender, verdict.encode("utf-8", "replace"))
+        os._exit(0)
+
+
+def families(folder: Path) -> list[Family]:
+    """All families; healthy files are made in `folder`."""
+    folder.mkdir(exist_ok=True)
+    makers = (_logs, _stamps, _names, _streams, _growth, _tables, _graphs, _landmark_logs, _maps, _states, _results)
+    return [family for maker in makers for family in maker(folder)]
+
+
+def _scan(path: Path, *, keep: bool = False) -> None:
+    for odometry, scan in open_log(path, LogOptions(keep_truncated=keep)):
+        assert len(scan.ranges) == len(scan.geometry.bearings)
+        assert odometry is None or np.isfinite(odometry.pose).all()
+
+
+def _logs(folder: Path) -> Iterator[Family]:
+    """CARMEN, CSV and bags of all kinds, also compressed."""
+    (folder / "logs").mkdir(exist_ok=True)
+    whole = whole_logs(folder / "logs")
+
+    def prepare(to: Path, rng: np.random.Generator) -> None:
+        log = whole[rng.integers(len(whole))]
+        (to / log.name).write_bytes(log.damaged(rng)[0])
+
+    def read(where: Path) -> None:
+        (path,) = where.iterdir()
+        _scan(path, keep=True)
+        _scan(path)
+
+    yield Family("logs", 0, prepare, read, 6)
+
+
+def _stamps(folder: Path) -> Iterator[Family]:
+    """Healthy scans under stamps that mean nothing: they are mapped by their order, without odometry."""
+    log = (folder / "logs" / "log.csv").read_bytes().decode().splitlines()
+    rows = list(csv.reader(log))
+    place = rows[0].index("stamp_s")
+
+    def prepare(to: Path, rng: np.random.Generator) -> None:
+        count = len(rows) - 1
+        n = np.arange(count)
+        stamps = [
+            1000 - 0.2 * n,
+            1e6 * n,
+            np.zeros(count),
+            rng.permutation(n) * 0.2,
+            np.where(n < rng.integers(count), 1e9, -1e9) + n,
+            rng.uniform(-9e9, 9e9, count),
+            0.2 * n - rng.uniform(0, 3) * (n % rng.integers(2, 5)),
+            -0.2 * n * rng.uniform(0, 10),
+        ][rng.integers(8)]
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(rows[0])
+        for row, stamp in zip(rows[1:], stamps.tolist(), strict=True):
+            writer.writerow([*row[:place], f"{stamp:.6f}", *row[place + 1 :]])
+        (to / "log.csv").write_text(text.getvalue())
+
+    def read(where: Path) -> None:
+        options = LogOptions(no_odometry=True)
+        configuration = override(preset("default", 2), "loop_closure=false")
+        result = map_log(open_log(where / "log.csv", options), configuration=configuration)
+        assert len(result.trajectory.poses) == len(rows) - 1
+        assert np.isfinite(result.trajectory.poses).all()
+
+    yield Family("stamps", 2, prepare, read)
+
+
+def _names(folder: Path) -> Iterator[Family]:
+    """Bags by odd names, beside another bag that the name may be taken for."""
+    (folder / "names").mkdir(exist_ok=True)
+    bags = {}
+    for kind in ("db3", "mcap", "ros1"):
+        for seconds in (1.0, 2.0):
+            written = ros_bags.write(folder / "names", kind, ros_bags.drive(seconds), name=f"{kind}{seconds:g}")
+            file = written if written.is_file() else next(written.glob(f"*.{kind}"))
+            bags[kind, seconds] = file.read_bytes()
+
+    def prepare(to: Path, rng: np.random.Generator) -> None:
+        kind = ("db3", "mcap", "ros1")[rng.integers(3)]
+        pieces = [
+            "%",
+            "%41",
+            "%2F",
+            "#",
+            "?",
+            "&",
+            "=",
+            " ",
+            "'",
+            '"',
+            "mode=rw",
+            "ä",
+            "~",
+            "a",
+            "%00",
+            "%zz",
+            ";",
+            "+",
+        ]
+        name = "".join(pieces[k] for k in rng.integers(len(pieces), size=rng.integers(1, 5)))
+        for other in ("A", "a", name.split("?")[0].split("#")[0], name.replace("%41", "A")):
+            with suppress(OSError, ValueError):
+                (to / other).write_bytes(bags[kind, 1.0])
+        (to / name).write_bytes(bags[kind, 2.0])
+        (to / "name.txt").write_text(name)
+
+    def read(where: Path) -> None:
+        log = open_log(where / (where / "name.txt").read_text())
+        count = sum(1 for _ in log)
+        assert count == 20, f"another file was read: {count} scans"
+
+    yield Family("names", 8, prepare, read)
+
+
+def _streams(folder: Path) -> Iterator[Family]:
+    """Pipes, devices and directories in the place of files."""
+    readers: list[Callable[[Path], object]] = [
+        open_log, read_tum, read_g2o, read_map, read_state, read_record, open_landmark_log, read_relations,
+        read_parameter_file, read_localization, read_trajectory_csv
+    ]  # fmt: skip
+
+    def prepare(to: Path, rng: np.random.Generator) -> None:
+        what = rng.integers(3)
+        if what == 0:
+            os.mkfifo(to / "file")
+        else:
+            (to / "file").symlink_to(("/dev/zero", "/dev/null")[what - 1])
+        (to / "reader.txt").write_text(str(rng.integers(len(readers))))
+
+    def read(where: Path) -> None:
+        readers[int((where / "reader.txt").read_text())](where / "file")
+        raise AssertionError("a stream was accepted")
+
+    yield Family("streams", 9, prepare, read)
+
+
+def _growth(folder: Path) -> Iterator[Family]:
+    """Small files that unpack to much, or never end."""
+    drive = ros_bags.write(folder / "names", "db3", ros_bags.drive(1.0), name="growth")
+    shutil.copy(next(drive.glob("*.db3")), folder / "logs" / "log.db3")
+
+    def prepare(to: Path, rng: np.random.Generator, bomb: Callable[[Path, int, Path], None]) -> None:
+        bomb(to, int(rng.choice([60, 200, 3000]) + rng.integers(6)) << 20, folder / "logs")
+
+    def read(where: Path) -> None:
+        (path,) = (path for path in where.iterdir() if path.name != "map.png")
+        _READERS[path.name.rpartition(".")[2]](path)
+
+    for bomb in BOMBS:
+        yield Family(f"growth: {bomb.__name__}", 10, partial(prepare, bomb=bomb), read, 0.2)
+
+
+_READERS: dict[str, Callable[[Path], object]] = {
+    "clf": _scan,
+    "bag": _scan,
+    "db3": _scan,
+    "zst": _scan,
+    "npz": read_state,
+    "yaml": lambda path: (read_map if path.name == "map.yaml" else read_parameter_file)(path),
+    "tum": read_tum,
+    "g2o": read_g2o,
+    "json": lambda path: Replay(path.parent),
+    "toml": load,
+}
+
+
+def _tables(folder: Path) -> Iterator[Family]:
+    """Trajectories, relations, parameter files and configurations."""
+    rng = np.random.default_rng(0)
+    poses = np.cumsum(rng.normal(0, 0.1, (30, 3)), axis=0)
+    rows = [f"{0.1 * k:.6f} {x:.6f} {y:.6f} 0 0 0 {math.sin(t / 2):.9f} {math.cos(t / 2):.9f}" for k, (x, y, t) in
+            enumerate(poses.tolist())]  # fmt: skip
+    covariances = ",1e-4,0,0,1e-4,0,1e-5"
+    table = [f"{0.1 * k:.6f},{x:.6f},{y:.6f},{t:.6f}{covariances}" for k, (x, y, t) in enumerate(poses.tolist())]
+    header = (
+        "stamp_s,x_m,y_m,theta_rad,cov_xx_m2,cov_xy_m2,cov_xtheta_m_rad,cov_yy_m2,cov_ytheta_m_rad,cov_thetatheta_rad2"
+    )
+    relations = [f"{k}.5 {k + 1}.5 0.5 0.1 0 0 0 0.2" for k in range(20)]
+    parameters = (
+        "amcl:\n  ros__parameters:\n    max_particles: 2000\n    laser_model_type: likelihood_field\n"
+        "    initial_pose: {x: 1.0, y: 2.0, yaw: 0.5}\n    set_initial_pose: true\n    scan_topic: [a, b]\n"
+    )
+    configuration = "particles = 10\n\n[motion]\nkind = 'DiffusionMotion'\n\n[tracker]\nmap_scans = 30\n"
+    packed = [(gzip.compress, ".gz"), (bz2.compress, ".bz2")]
+    for name, lines, read in (
+        ("a.tum", rows, read_tum),
+        ("a.csv", [header, *table], read_trajectory_csv),
+        ("a.relations", relations, read_relations),
+        ("a.yaml", [parameters], read_parameter_file),
+        ("a.toml", [configuration], load),
+    ):
+        content = ("\n".join(lines) + "\n").encode()
+
+        def prepare(to: Path, rng: np.random.Generator, content: bytes = content, name: str = name) -> None:
+            pack = rng.integers(6)
+            if pack < 2 and name not in ("a.yaml", "a.toml"):
+                (to / name).write_bytes(damage(packed[pack][0](content), OF_BYTES, rng)[0])
+            else:
+                (to / name).write_bytes(damage(content, OF_TEXT, rng)[0])
+
+        def read_one(where: Path, name: str = name, read: Callable[[Path], object] = read) -> None:  # type: ignore[assignment]
+            read(where / name)
+
+        yield Family(f"table {name[2:]}", 0, prepare, read_one)
+
+
+def _graphs(folder: Path) -> Iterator[Family]:
+    """Pose graphs with vertices, and of edges alone."""
+    angles = np.arange(24) * 2 * np.pi / 12
+    truth = np.stack([5 * np.cos(angles), 5 * np.sin(angles), angles], axis=1)
+    pairs = np.array([(k, k + 1) for k in range(23)] + [(k, k + 12) for k in range(12)])
+    from gridslam.geometry.se2 import between
+
+    measured = between(truth[pairs[:, 0]], truth[pairs[:, 1]])
+    write_g2o(folder / "whole.g2o", PoseGraph.of(truth, pairs, measured, [np.diag([100.0, 100.0, 400.0])] * len(pairs)))
+    whole = (folder / "whole.g2o").read_bytes()
+    edges = b"".join(line for line in whole.splitlines(keepends=True) if line.startswith(b"EDGE"))
+
+    def prepare(to: Path, rng: np.random.Generator) -> None:
+        (to / "a.g2o").write_bytes(damage(whole, OF_TEXT, rng)[0])
+
+    def prepare_edges(to: Path, rng: np.random.Generator) -> None:
+        lines = edges.splitlines(keepends=True)
+        content = b"".join(lines[k] for k in rng.permutation(len(lines)))
+        healthy = rng.integers(3) == 0
+        (to / "a.g2o").write_bytes(content if healthy else damage(content, OF_TEXT, rng)[0])
+        (to / "healthy.txt").write_text(str(healthy))
+
+    def read(where: Path) -> float:
+        source = read_g2o(where / "a.g2o")
+        try:
+            return GraphSlam(max_iterations=30).solve(source.graph).chi2_after
+        except ArgumentError as error:  # as the command does
+            raise InputError(where / "a.g2o", str(error)) from None
+
+    def read_edges(where: Path) -> None:
+        if (where / "healthy.txt").read_text() == "False":
+            read(where)
+            return
+        try:
+            chi2 = read(where)
+        except InputError as error:
+            raise AssertionError(f"a graph of edges alone was refused: {error}") from None
+        assert chi2 < 1e-6, f"chi2 {chi2}"
+
+    yield Family("graphs", 0, prepare, read, 2)
+    yield Family("graphs of edges alone", 14, prepare_edges, read_edges)
+
+
+def _landmark_logs(folder: Path) -> Iterator[Family]:
+    """MRCLAM and Victoria Park, mapped by EKF SLAM."""
+    rng = np.random.default_rng(0)
+    park = ["ODOMETRY 0 1 0.5 0 0.1 0.01 0 0 0.01 0 0.001"]
+    for k in range(1, 12):
+        park += [f"LANDMARK {k} {100 + j} {rng.normal(3, 0.1):.4f} {j - 1.0:.4f} 0.1 0 0.1" for j in range(3)]
+        park += [f"ODOMETRY {k} {k + 1} 0.5 0 0.1 0.01 0 0 0.01 0 0.001"]
+    park_text = ("\n".join(park) + "\n").encode()
+    mrclam = {
+        "Robot1_Odometry.dat": "".join(f"{0.1 * k:.3f} 0.2 0.05\n" for k in range(60)),
+        "Robot1_Measurement.dat": "".join(f"{0.5 * k:.3f} {61 + k % 3} 2.0{k % 10} 0.1\n" for k in range(12)),
+        "Robot1_Groundtruth.dat": "".join(f"{0.1 * k:.3f} {0.02 * k:.3f} 0 0\n" for k in range(60)),
+        "Barcodes.dat": "".join(f"{6 + k} {61 + k}\n" for k in range(3)),
+        "Landmark_Groundtruth.dat": "".join(f"{6 + k} {k} 2 0.01 0.01\n" for k in range(3)),
+    }
+
+    def covariances(content: bytes, rng: np.random.Generator) -> bytes:
+        """Replace numbers of some lines by those that are numbers, but of no log."""
+        lines = content.split(b"\n")
+        for _ in range(rng.integers(1, 4)):
+            row = int(rng.integers(len(lines) - 1))
+            words = lines[row].split()
+            words[rng.integers(3, len(words))] = f"{10.0 ** rng.integers(-300, 300):g}".encode()
+            lines[row] = b" ".join(words)
+        return b"\n".join(lines)
+
+    def prepare_park(to: Path, rng: np.random.Generator) -> None:
+        made = covariances(park_text, rng) if rng.integers(2) else damage(park_text, OF_TEXT, rng)[0]
+        (to / "park.txt").write_bytes(made)
+
+    def prepare_mrclam(to: Path, rng: np.random.Generator) -> None:
+        chosen = sorted(mrclam)[rng.integers(len(mrclam))]
+        for name, text in mrclam.items():
+            content = damage(text.encode(), OF_TEXT, rng)[0] if name == chosen else text.encode()
+            (to / name).write_bytes(content)
+
+    def read(where: Path) -> None:
+        path = where / "park.txt"
+        method = "ekf" if path.exists() else "fastslam1"
+        log = open_landmark_log(path if path.exists() else where / "Robot1_Odometry.dat")
+        result = map_landmarks(log, method, particles=None if method == "ekf" else 5)
+        assert np.isfinite(result.trajectory.poses).all()
+
+    yield Family("Victoria Park", 13, prepare_park, read, 2)
+    yield Family("MRCLAM", 0, prepare_mrclam, read, 2)
+
+
+def _maps(folder: Path) -> Iterator[Family]:
+    """map.yaml with PGM and PNG."""
+    image = np.random.default_rng(0).choice([0, 205, 254], (40, 50)).astype(np.uint8)
+    images: dict[str, bytes] = {}
+    for name, made in (
+        ("map.pgm", Image.fromarray(image)),
+        ("map.png", Image.fromarray(image)),
+        ("deep.png", Image.fromarray(image.astype(np.uint16) * 257)),
+        ("clear.png", Image.fromarray(np.dstack([image, image, image, image]))),
+        ("map.tif", Image.fromarray(image)),
+        ("map.bmp", Image.fromarray(image)),
+    ):
+        made.save(folder / name)
+        images[name] = (folder / name).read_bytes()
+
+    def prepare(to: Path, rng: np.random.Generator) -> None:
+        name = sorted(images)[rng.integers(len(images))]
+        yaml = MAP_YAML.replace("map.pgm", name).encode()
+        what = rng.integers(3)
+        if what == 0:
+            lines = yaml.split(b"\n")
+            row = int(rng.integers(1, len(lines) - 1))
+            number = f"{_SPECIAL_FLOATS[rng.integers(len(_SPECIAL_FLOATS))]}".encode()
+            lines[row] = lines[row].split(b":")[0] + b": " + (b"[" + number + b", 0, 0]" if row == 2 else number)
+            yaml = b"\n".join(lines)
+        (to / "map.yaml").write_bytes(damage(yaml, OF_TEXT, rng)[0] if what == 1 else yaml)
+        (to / name).write_bytes(damage(images[name], OF_BYTES, rng)[0] if what == 2 else images[name])
+
+    def read(where: Path) -> None:
+        grid = read_map(where / "map.yaml")
+        with suppress(ArgumentError):  # a map without walls, which the command refuses by its file
+            KnownMap(grid)
+
+    yield Family("maps", 0, prepare, read, 3)
+
+
+def _states(folder: Path) -> Iterator[Family]:
+    """Saved runs and localizations: bytes, and arrays, are changed; what is read goes on for some scans."""
+    measurements = drive_about(40)
+    configuration = Configuration(particles=3)
+    rng, steps = np.random.default_rng(1), iter(measurements)
+    trajectory, statistics = TrajectoryRecorder(), StatisticsRecorder()
+    slam = gridslam.build(configuration)
+    observers = [trajectory, statistics]
+    state = gridslam.run(islice(steps, 35), slam, particles=3, rng=rng, observers=observers)
+    write_state(folder / "state.npz", SavedRun(configuration, state, rng, trajectory, statistics))
+    known = KnownMap(map_log_of(measurements).map)
+    mcl = MonteCarloLocalization(known, MonteCarloConfiguration(max_beams=40))
+    believed = gridslam.run(measurements[:10], mcl, rng=rng, state=mcl.init())
+    write_localization(folder / "mcl.npz", SavedLocalization(mcl.configuration, believed, rng))
+    arrays = {name: dict(np.load(folder / name).items()) for name in ("state.npz", "mcl.npz")}
+    rest = measurements[35:]
+
+    def prepare(to: Path, rng: np.random.Generator, name: str) -> None:
+        if rng.integers(4) == 0:
+            (to / name).write_bytes(damage((folder / name).read_bytes(), OF_BYTES, rng)[0])
+            return
+        changed = dict(arrays[name])
+        for _ in range(rng.choice([1, 1, 2])):
+            _change_array(changed, rng)
+        with open(to / name, "wb") as file:
+            np.savez(file, **changed)
+
+    def read_run(where: Path) -> None:
+        saved = read_state(where / "state.npz")
+        recorders = [saved.trajectory, saved.statistics]
+        slam = gridslam.build(saved.configuration)
+        end = gridslam.run(rest, slam, rng=saved.rng, state=saved.state, observers=recorders)
+        saved.trajectory.best_trajectory(end)
+        saved.statistics.summary()
+
+    def read_belief(where: Path) -> None:
+        saved = read_localization(where / "mcl.npz")
+        gridslam.run(rest, MonteCarloLocalization(known, saved.configuration), rng=saved.rng, state=saved.state)
+
+    yield Family("saved runs", 13, lambda to, rng: prepare(to, rng, "state.npz"), read_run, 3)
+    yield Family("saved localizations", 13, lambda to, rng: prepare(to, rng, "mcl.npz"), read_belief, 2)
+
+
+def _change_array(arrays: dict[str, Any], rng: np.random.Generator) -> None:
+    """Change one array: its values, type or shape, or leave it out."""
+    name = sorted(arrays)[rng.integers(len(arrays))]
+    values = np.array(arrays[name])
+    what = rng.integers(8)
+    flat = values.reshape(-1)
+    if what == 0:
+        del arrays[name]
+    elif what == 1:
+        arrays[name] = flat[: max(len(flat) - 1, 0)]
+    elif what == 2:
+        arrays[name] = values.astype(np.float32) if values.dtype.kind in "iuf" else np.array(5)
+    elif what == 3:
+        arrays[name] = np.zeros((2, *values.shape), values.dtype)
+    elif not len(flat):
+        arrays[name] = np.zeros(3, values.dtype)
+    elif values.dtype.kind == "f":
+        flat[rng.integers(len(flat))] = _SPECIAL_FLOATS[rng.integers(len(_SPECIAL_FLOATS))]
+        arrays[name] = values
+    elif values.dtype.kind in "iu":
+        number = _SPECIAL_INTEGERS[rng.integers(len(_SPECIAL_INTEGERS))]
+        flat[rng.integers(len(flat))] = np.array(number).astype(values.dtype)
+        arrays[name] = values
+    elif values.dtype.kind == "U":
+        text = str(flat[0])
+        place = int(rng.integers(len(text) + 1))
+        changed = [*map(str, flat)]
+        changed[0] = text[:place] + ("x", '"', "{", "9", "nan", "[[[")[rng.integers(6)] + text[place + 1 :]
+        arrays[name] = np.array(changed).reshape(values.shape)
+
+
+def map_log_of(measurements: Sequence[Any]) -> Any:
+    """The result of mapping these."""
+    with TemporaryDirectory() as aside:
+        from gridslam.io.csv import write_csv_log
+
+        write_csv_log(Path(aside) / "log.csv", measurements)
+        return map_log(Path(aside) / "log.csv", configuration=Configuration(particles=3))
+
+
+def _results(folder: Path) -> Iterator[Family]:
+    """Folders of results, as `gridslam view` reads them."""
+    result = map_log_of(drive_about(40))
+    result.save(folder / "out")
+    document = json.loads((folder / "out" / "run.json").read_text())
+    document["loop_closure"] = {"closures": [{"key_scans": [0, 3], "stamps_ns": [0, 1]}]}
+    (folder / "out" / "run.json").write_text(json.dumps(document))
+    write_map(folder / "out" / "map.yaml", result.map)
+    names = ("run.json", "record.npz", "graph.g2o", "trajectory.tum", "map.yaml", "map.pgm")
+    whole = {name: (folder / "out" / name).read_bytes() for name in names}
+    record = dict(np.load(folder / "out" / "record.npz").items())
+
+    def prepare(to: Path, rng: np.random.Generator) -> None:
+        chosen = names[rng.integers(len(names))]
+        for name, content in whole.items():
+            (to / name).write_bytes(content)
+        if chosen == "run.json" and rng.integers(4):
+            (to / chosen).write_text(json.dumps(_change_json(json.loads(whole[chosen]), rng)))
+        elif chosen == "record.npz" and rng.integers(4):
+            changed = dict(record)
+            _change_array(changed, rng)
+            with open(to / chosen, "wb") as file:
+                np.savez(file, **changed)
+        elif chosen == "map.yaml" and rng.integers(2):
+            corner = _SPECIAL_FLOATS[rng.integers(len(_SPECIAL_FLOATS))]
+            (to / chosen).write_text(MAP_YAML.replace("-1.0", repr(corner)).replace("-2.0", "1e12"))
+        else:
+            kinds = OF_BYTES if chosen.endswith((".npz", ".pgm")) else OF_TEXT
+            (to / chosen).write_bytes(damage(whole[chosen], kinds, rng)[0])
+
+    def read(where: Path) -> None:
+        replay = Replay(where)
+        viewer = replay.add_viewer(lambda: None)
+        for at in (10**6, 0, len(replay.results.times_s) // 2):
+            viewer.command({"do": "seek", "at": at})
+            while viewer.next_message() is not None:
+                pass
+
+    yield Family("result folders", 13, prepare, read, 3)
+
+
+def _change_json(document: Any, rng: np.random.Generator) -> Any:
+    """Replace a value somewhere in a document."""
+    here = document
+    while True:
+        places: list[Any] = list(here) if isinstance(here, dict) else list(range(len(here)))
+        place = places[rng.integers(len(places))]
+        if "loop_closure" in places and rng.integers(2):
+            place = "loop_closure"
+        below = here[place]
+        if not (isinstance(below, dict | list) and below) or rng.integers(4) == 0:
+            here[place] = _MIXED[rng.integers(len(_MIXED))]
+            return document
+        here = below
+
+
+def summarize(found: dict[str, list[tuple[int, Outcome]]], chosen: Sequence[Family]) -> list[dict[str, Any]]:
+    """A row for each family: cases, verdicts, worst time and memory, and the failures by kind with one case each."""
+    rows = []
+    for family in chosen:
+        cases = found[family.name]
+        kinds: Counter[str] = Counter()
+        first: dict[str, str] = {}
+        for number, outcome in cases:
+            if outcome.verdict not in ("read", "refused"):
+                kind = outcome.verdict.partition(":")[0]
+                kinds[kind] += 1
+                first.setdefault(kind, f"case {number}: {outcome.verdict}")
+        verdicts = Counter(outcome.verdict for _, outcome in cases)
+        rows.append(
+            {
+                "family": family.name,
+                "point": family.point,
+                "cases": len(cases),
+                "read": verdicts["read"],
+                "refused": verdicts["refused"],
+                "failures": sum(kinds.values()),
+                "kinds": dict(kinds),
+                "examples": list(first.values()),
+                "longest_s": round(max(outcome.seconds for _, outcome in cases), 2),
+                "largest_mb": round(max(outcome.bytes for _, outcome in cases) / 1e6),
+            }
+        )
+    return rows
