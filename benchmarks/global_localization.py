@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.localization.state import MonteCarloState
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
+from gridslam.sim.faults import with_fault
 
 ORDINARY = ("demo", "rooms", "hall", "corridor", "loop", "random", "moved_furniture")
 DECEPTIVE = ("equal_rooms", "symmetric", "bare_corridors")
@@ -65,14 +67,22 @@ class Building(NamedTuple):
     log: SimulatedLog
 
     @classmethod
-    def of(cls, name: str, seed: int) -> Building:
+    def of(cls, name: str, seed: int, *, backs_out: bool = False) -> Building:
+        """Build it; in the other drive the robot leaves dead ends backward if it `backs_out`."""
         world, maps = make_world(name, np.random.default_rng(seed)), OccupancyGridMapping().empty(1)
         robot = _FAST if name == "campus" else RobotConfig()
-        parts = world, robot, OdometryNoise(), LidarConfig(rate_hz=3.0)
-        first, second = (simulate(*parts, np.random.default_rng(drive + seed)) for drive in (1000, 2000))
+        first, second = (
+            simulate(world, driven, OdometryNoise(), LidarConfig(rate_hz=3.0), np.random.default_rng(drive + seed))
+            for driven, drive in ((robot, 1000), (replace(robot, backs_out=backs_out), 2000))
+        )
         for (_, scan), pose in zip(first.measurements, first.truth.poses, strict=True):
             maps.update(np.zeros(1, np.int32), pose[None], scan.beams(0.05, 30.0))
         return cls(KnownMap(maps.occupancy(0)), second)
+
+    def with_fault(self, name: str) -> Building:
+        """Give the other drive a fault, one of `gridslam.sim.faults.FAULTS`."""
+        faulty = with_fault(self.log.measurements, name, np.random.default_rng(0))
+        return self._replace(log=replace(self.log, measurements=tuple(faulty)))
 
     def localize_globally(
         self, seed: int, length_m: float = 30.0, configuration: MonteCarloConfiguration | None = None

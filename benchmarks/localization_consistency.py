@@ -1,13 +1,15 @@
 """Whether Monte Carlo localization knows how much it knows: covariances, and robots found where they are not.
 
-python benchmarks/localization_consistency.py [--first 100] [--runs 20] [-o FILE]
+python benchmarks/localization_consistency.py [--first 100] [--runs 20] [--part covariances|odometry|ekf] [-o FILE]
 
-Each run drives 30 m in a simulated building whose map is of another drive. A quarter of an hour on one core.
+Each run drives 30 m in a simulated building whose map is of another drive. The covariances take a quarter of an hour on
+one core; odometry that counts reverse motion as forward, and EKF localization, two minutes each.
 """
 
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,9 @@ from typing import Any
 import numpy as np
 
 from global_localization import INSIDE, ORDINARY, Building, GlobalRun
+from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.sim.worlds import DRAWN_WORLDS
+from landmark_drives import describe_ekf
 from measure import write_document
 from record import RESULTS
 
@@ -27,7 +31,10 @@ WORLDS = ("random", "rooms", "bare_corridors", "hall", "demo")
 ALIKE = {"campus": 40, "bare_corridors": 20, "equal_rooms": 20, "symmetric": 20}
 """A hundred starts in buildings with equal corridors and rooms; campus is 2 km of corridors."""
 
+PARTS = ("covariances", "odometry", "ekf")
+
 _BUILDINGS = 4
+_ODOMETRY_WAY_M = 60.0
 
 
 def main(arguments: Sequence[str] | None = None) -> Path:
@@ -37,9 +44,26 @@ def main(arguments: Sequence[str] | None = None) -> Path:
         "--first", type=int, default=100, help="first seed; parameters were chosen with those below 100"
     )
     parser.add_argument("--runs", type=int, default=20, help="runs in each building")
-    parser.add_argument("-o", "--out", type=Path, default=RESULTS / "localization.json")
+    parser.add_argument("--part", choices=PARTS, default="covariances")
+    parser.add_argument("--data", type=Path, default=RESULTS.parents[2] / "shared" / "data", help="real logs")
+    parser.add_argument("-o", "--out", type=Path, help="results/localization.json, or localization_PART.json")
     given = parser.parse_args(arguments)
     seeds = range(given.first, given.first + given.runs)
+    suffix = "" if given.part == "covariances" else f"_{given.part}"
+    out: Path = given.out or RESULTS / f"localization{suffix}.json"
+    how = f"seeds {seeds.start} to {seeds.stop - 1}"
+    if given.part == "ekf":
+        write_document(out, f"EKF localization, {how}, and MRCLAM 6", drives=describe_ekf(given.data, seeds))
+    elif given.part == "odometry":
+        how = f"odometry that counts reverse motion as forward, 60 m, {how}"
+        write_document(out, how, buildings=describe_odometry(seeds))
+    else:
+        _write_covariances(out, given.first, given.runs)
+    return out
+
+
+def _write_covariances(out: Path, first: int, count_of_runs: int) -> None:
+    seeds = range(first, first + count_of_runs)
     covariances: dict[str, Any] = {}
     for name in WORLDS:
         pairs = list(buildings(name, seeds))
@@ -50,20 +74,47 @@ def main(arguments: Sequence[str] | None = None) -> Path:
         print(name, covariances[name], flush=True)
     finds: dict[str, Any] = {}
     for name in (*ALIKE, *ORDINARY):
-        count = ALIKE.get(name, given.runs // 2)
-        some = range(given.first, given.first + count)
+        some = range(first, first + ALIKE.get(name, count_of_runs // 2))
         finds[name] = describe_finds([building.localize_globally(seed) for building, seed in buildings(name, some)])
         print(name, finds[name], flush=True)
     how = f"30 m of simulated drives, seeds {seeds.start} to {seeds.stop - 1}; the map is of another drive"
-    write_document(given.out, how, covariances=covariances, finds=finds)
-    path: Path = given.out
-    return path
+    write_document(out, how, covariances=covariances, finds=finds)
 
 
-def buildings(name: str, seeds: Sequence[int]) -> Iterator[tuple[Building, int]]:
+def describe_odometry(seeds: Sequence[int]) -> dict[str, dict[str, float]]:
+    """How many robots that leave dead ends backward are lost, by odometry that does not know it, and by healthy one."""
+    found: dict[str, dict[str, float]] = {}
+    unchecked = MonteCarloConfiguration(odometry_check=None)
+    for name in ("demo", "hall", "random"):
+        healthy = list(buildings(name, seeds, backs_out=True))
+        faulty = [(building.with_fault("unsigned_odometry"), seed) for building, seed in healthy]
+        for label, pairs, parts in (
+            ("healthy", healthy, MonteCarloConfiguration()),
+            ("healthy, not checked", healthy, unchecked),
+            ("unsigned", faulty, MonteCarloConfiguration()),
+            ("unsigned, not checked", faulty, unchecked),
+        ):
+            begin = time.process_time()
+            runs = GlobalRun.joined([building.track(seed, _ODOMETRY_WAY_M, parts) for building, seed in pairs])
+            cost = time.process_time() - begin
+            scans = len(runs.lost)
+            known = runs.nees[~runs.lost]
+            found[f"{name}, {label}"] = {
+                "scans": scans,
+                "lost": int(runs.lost.sum()),
+                "false": int((runs.wrong & ~runs.lost).sum()),
+                "nees": round(float(known.mean()), 3),
+                "inside": round(float((known < INSIDE).mean()), 4),
+                "ms_per_scan": round(1e3 * cost / scans, 2),
+            }
+            print(name, label, found[f"{name}, {label}"], flush=True)
+    return found
+
+
+def buildings(name: str, seeds: Sequence[int], *, backs_out: bool = False) -> Iterator[tuple[Building, int]]:
     """A building for each seed: one of four where they are drawn by chance, always the same otherwise."""
     count = min(_BUILDINGS, len(seeds)) if name in DRAWN_WORLDS else 1
-    drawn = [Building.of(name, seeds[k]) for k in range(count)]
+    drawn = [Building.of(name, seeds[k], backs_out=backs_out) for k in range(count)]
     yield from ((drawn[k % count], seed) for k, seed in enumerate(seeds))
 
 

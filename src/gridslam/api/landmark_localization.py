@@ -22,7 +22,7 @@ from gridslam.io.output import OutputFolder
 from gridslam.io.text import compute_digest
 from gridslam.localization.ekf import EkfLocalization, EkfLocalizationReport, KnownLandmarks
 from gridslam.models.association import KnownCorrespondence, MaximumLikelihood
-from gridslam.models.landmark import LandmarkModel, LandmarkStep
+from gridslam.models.landmark import LandmarkModel, LandmarkStep, with_durations
 from gridslam.models.systematic_errors import SystematicErrors
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, MotionModel, Trajectory
@@ -190,7 +190,7 @@ def localize_by_landmarks(
     association = _COMPLETE_MAP_GATES if unknown else KnownCorrespondence()
     model = sensor or SENSORS[source.kind]
     watch.lap("start")
-    steps = list(source)
+    steps = list(with_durations(source))
     watch.lap("read")
     has_noise = all(step.covariance is not None for step in steps)
     bias = SystematicErrors() if has_noise else COMMANDS

@@ -215,6 +215,7 @@ class LocalizationResult(Result):
                 "used": len(updates),
                 "skipped": {reason.value: reasons.count(reason) for reason in LocalizationSkip if reason in reasons},
                 "lost": int(self.lost.sum()),
+                "odometry_rejected": sum(report.odometry_rejected for report in self.reports),
             },
             "filter": {
                 "particles_mean": float(np.mean([report.particles for report in updates])),

@@ -39,7 +39,7 @@ from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.slam.loop_closure.state import RejectionReason
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
-from gridslam.slam.tracking.tracker import Tracker, TrackerState
+from gridslam.tracking.tracker import Tracker, TrackerState
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, StepReport, Trajectory
 
 if TYPE_CHECKING:

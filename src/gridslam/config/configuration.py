@@ -27,7 +27,7 @@ from gridslam.slam.grid_fastslam.map_limit import MapLimit
 from gridslam.slam.grid_fastslam.proposals import ImprovedProposal, MotionModelProposal, ScanMatchedProposal
 from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
-from gridslam.slam.tracking.tracker import OdometryTracker, Tracker
+from gridslam.tracking.tracker import OdometryTracker, Tracker
 from gridslam.types import Resampler
 
 if sys.version_info >= (3, 11):

@@ -15,7 +15,7 @@ from gridslam.models.endpoint import GMappingEndPoint
 from gridslam.models.motion import GMappingMotion
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold
 from gridslam.slam.grid_fastslam.proposals import ScanMatchedProposal
-from gridslam.slam.tracking.tracker import OdometryTracker
+from gridslam.tracking.tracker import OdometryTracker
 
 __all__ = ["LASERS", "PRESETS", "Laser", "apply_laser", "preset"]
 

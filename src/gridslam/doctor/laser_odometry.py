@@ -44,7 +44,7 @@ _LONGEST_S = 1.0  # after a longer gap a constant velocity is no prediction
 
 @final
 class LaserOdometry:
-    """Matches scan after scan; two local maps take turns, as in `gridslam.slam.tracking.tracker`.
+    """Matches scan after scan; two local maps take turns, as in `gridslam.tracking.tracker`.
 
     Attributes
     ----------

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
+from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose, log
 from gridslam.localization.belief import (
     CLUSTER_RADIUS_M,
@@ -28,11 +29,12 @@ from gridslam.localization.belief import (
 from gridslam.localization.kld_sampling import KldSampling
 from gridslam.localization.known_map import KnownMap, PoseLikelihood
 from gridslam.localization.match_covariance import MatchCovariance
+from gridslam.localization.odometry_check import OdometryCheck
 from gridslam.localization.place_verification import NO_SCANS, PlaceVerification
 from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
 from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState, validate_poses
 from gridslam.matching.beam_order import BeamOrder
-from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.endpoint import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
@@ -40,6 +42,7 @@ from gridslam.models.parameters import STRICT, Kind
 from gridslam.particles.initial import sample_gaussian
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold
 from gridslam.particles.resampling import Systematic, effective_sample_size, normalize
+from gridslam.scan import Thinning
 from gridslam.types import (
     Beams,
     FloatArray,
@@ -60,6 +63,9 @@ _UNKNOWN_POSE = PoseEstimate(np.zeros(3), np.diag([1e6, 1e6, math.pi**2]), 0.0)
 _ROUNDING = 1e-6 * np.eye(3)  # a millimetre, for beliefs without any spread
 
 
+_NO_PRIOR = 1e-9 * np.eye(3)  # information of a guess that means nothing
+
+
 _CLUSTER = np.diag([CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_RAD / 2]) ** 2
 
 
@@ -73,6 +79,8 @@ class MonteCarloConfiguration:
 
     Parameters
     ----------
+    odometry_check : OdometryCheck or None
+        Whether the odometry is used, or the motion from scan to scan; None: always the odometry, as AMCL.
     motion : GMappingMotion, OdometryMotion or DiffusionMotion
         p(x_t | u_t, x_{t-1}), conditioned on the odometry since the last update. The default has noise across the
         motion, too: a base frame beside the wheels' axle slides sideways when the robot turns.
@@ -130,6 +138,7 @@ class MonteCarloConfiguration:
         A parameter is out of range, no beam could be used, or distances would saturate within a beam's noise.
     """
 
+    odometry_check: Annotated[OdometryCheck | None, Kind()] = Field(default_factory=OdometryCheck)
     motion: Annotated[GMappingMotion | OdometryMotion | DiffusionMotion, Kind()] = Field(default_factory=GMappingMotion)
     sensor: Annotated[LikelihoodField | BeamRangeFinder, Kind()] = Field(
         default_factory=lambda: LikelihoodField(tempering=0.05)
@@ -223,7 +232,7 @@ class MonteCarloLocalization:
         """
         require_step(MonteCarloState, state, odometry, scan, rng)
         state = state.take()
-        moved = np.zeros(3) if odometry is None else between(state.odometry_at_update(odometry), odometry.pose)
+        moved = self._moved(state, odometry, scan)
         beams = self._select_beams(state, odometry, moved, scan)
         if reason := self._skip_reason(state, odometry, moved, beams):
             return state, self._refine_pose(self._report_skipped(state, odometry, scan, moved, reason), beams)
@@ -241,6 +250,20 @@ class MonteCarloLocalization:
             report = replace(report, parents=parents, particles=len(parents))
         return state, report
 
+    def _moved(self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan) -> FloatArray:
+        """Motion (3,) since the last update: by the odometry, unless the scans contradict it."""
+        check = self.configuration.odometry_check
+        if check is not None:
+            beams = scan.beams(self.configuration.range_min_m, self.configuration.range_max_m, Thinning())
+            state.tracked = check.track(state.tracked, odometry, beams)
+        if odometry is None:
+            return np.zeros(3)
+        measured = between(state.odometry_at_update(odometry), odometry.pose)
+        if check is None or state.tracked is None:
+            return measured
+        state.tracked, moved = check(state.tracked, measured, self._motion)
+        return moved
+
     def _motion(self, moved: FloatArray) -> MotionSampler:
         return (self.motion or self.configuration.motion)(moved)
 
@@ -256,7 +279,10 @@ class MonteCarloLocalization:
             beams = Beams(scan, beams.indices[chosen], beams.ends[chosen], beams.origin)
         if scan.beam_times_s is None or last is None or odometry is None or odometry.stamp_ns <= last.stamp_ns:
             return beams
-        twist = log(between(last.pose, odometry.pose)) / (1e-9 * (odometry.stamp_ns - last.stamp_ns))
+        if state.odometry_rejected and state.tracked is not None:
+            twist = state.tracked.tracker.twist
+        else:
+            twist = log(between(last.pose, odometry.pose)) / (1e-9 * (odometry.stamp_ns - last.stamp_ns))
         if not len(state.poses):
             return beams.deskew(twist)
         guess = compose(state.estimate.pose, moved)
@@ -287,9 +313,9 @@ class MonteCarloLocalization:
         matcher = self.configuration.matcher
         if not report.particles or not matcher.max_iterations or len(beams) < matcher.min_beams:
             return report
-        pose = self._match(report.pose, report.covariance, beams)
         if report.lost:
-            return replace(report, pose=pose)
+            return replace(report, pose=self._match(report.pose, report.covariance, beams))
+        pose = self._match_from_several(report.pose, report.covariance, beams)
         covariance = self.configuration.match_covariance(self.map, matcher, pose, report.covariance + _ROUNDING, beams)
         return replace(report, pose=pose, covariance=covariance)
 
@@ -298,9 +324,37 @@ class MonteCarloLocalization:
 
     def _match_near(self, guesses: FloatArray, covariance: FloatArray, beams: Beams) -> FloatArray:
         """Poses (K, 3) where a scan fits best, given that each has this covariance (3, 3) about its guess (K, 3)."""
+        return self.map.match(self.configuration.matcher, guesses, self._prior(covariance), beams).poses
+
+    def _prior(self, covariance: FloatArray) -> FloatArray:
+        """Information (3, 3) of a pose with this covariance (3, 3), beside residuals in m."""
         variance = self.map.blurred_sigma_m(self.configuration.sensor.sigma_hit_m) ** 2
-        prior = np.asarray(variance * np.linalg.inv(covariance), np.float64)
-        return self.map.match(self.configuration.matcher, guesses, prior, beams).poses
+        return np.asarray(variance * np.linalg.inv(covariance), np.float64)
+
+    def _match_from_several(self, pose: FloatArray, covariance: FloatArray, beams: Beams) -> FloatArray:
+        """Match from a pose (3,) of this covariance (3, 3), and from one standard deviation beside it.
+
+        Where few beams determine a direction, as in a doorway, the likelihood has several maxima some centimetres
+        apart, and that nearest to the mean may be another one than the greatest. Those that are found without the prior
+        are compared with it afterwards, where they are determined by the scan.
+        """
+        matcher = self.configuration.matcher
+        near = self._match(pose, covariance, beams)
+        variances, axes = np.linalg.eigh(covariance[:2, :2])
+        beside = np.repeat(pose[None], 4, axis=0)
+        beside[:, :2] += np.concatenate([axes.T, -axes.T]) * np.sqrt(np.tile(np.maximum(variances, 0), 2))[:, None]
+        others = self.map.match(matcher, beside, _NO_PRIOR, beams)
+        first = self.map.match(replace(matcher, max_iterations=0), near[None], _NO_PRIOR, beams)
+        kept = [
+            degenerate_direction(information, float(score), matcher.min_information) is None
+            for information, score in zip(others.information, others.score, strict=True)
+        ]
+        poses = np.concatenate([near[None], others.poses[kept]])
+        away = poses - pose
+        away[:, 2] = wrap(away[:, 2])
+        cost = np.einsum("ki,ij,kj->k", away, self._prior(covariance + _ROUNDING), away)
+        cost -= matcher.cauchy_m**2 * np.concatenate([first.score, others.score[kept]])  # sum of w d^2, to a constant
+        return np.asarray(poses[cost.argmin()])
 
     def _likelihood(self, beams: Beams) -> PoseLikelihood:
         """Log likelihoods of poses (N, 3), which count less where there is no free space to be in."""
@@ -362,7 +416,7 @@ class MonteCarloLocalization:
         state.hypotheses = self.configuration.hypotheses(
             state.hypotheses, moved, estimate, state.poses, weights, agree, rng
         )
-        self._verify_place(state, beams, share, rng)
+        self._verify_place(state, moved, beams, share, rng)
         return LocalizationReport(
             scan.stamp_ns,
             estimate.pose,
@@ -370,12 +424,15 @@ class MonteCarloLocalization:
             state.inlier_ratio,
             len(state.poses),
             effective_sample_size(state.log_weights),
+            odometry_rejected=state.odometry_rejected,
             injection_ratio=share,
             poses=state.poses,
             log_weights=state.log_weights,
         )
 
-    def _verify_place(self, state: MonteCarloState, beams: Beams, share: float, rng: np.random.Generator) -> None:
+    def _verify_place(
+        self, state: MonteCarloState, moved: FloatArray, beams: Beams, share: float, rng: np.random.Generator
+    ) -> None:
         """Search for other places before the reported one counts as found; they become hypotheses.
 
         Where the reported place is one of a `share` of particles drawn from all over the map, odometry may not connect
@@ -383,10 +440,10 @@ class MonteCarloLocalization:
         """
         verification = self.configuration.verification
         tracker = self.configuration.hypotheses
-        if state.odometry is None or not verification.scans:
+        if not verification.scans:
             return
         before = NO_SCANS if share and not state.driven_since_found_m else state.recent
-        state.recent = before.append(state.odometry, beams.ends, verification.scans)
+        state.recent = before.append(moved, beams.ends, verification.scans)
         if state.verified or self._lost_probability(state) > self.configuration.lost_above:
             return
         reported = state.estimate.pose
@@ -417,6 +474,7 @@ class MonteCarloLocalization:
             state.inlier_ratio,
             len(state.poses),
             skipped=reason,
+            odometry_rejected=state.odometry_rejected,
         )
 
     def _with_lost_probability(

@@ -31,7 +31,7 @@ class RecentScans(NamedTuple):
     Attributes
     ----------
     poses : (M, 3) float64
-        Odometry's poses at these scans.
+        The robot at these scans, by the motion between them; in the frame of the first one.
     ends : (M, 60, 2) float64, m
         Ends of evenly spaced beams in the base frame; of fewer beams some occur repeatedly.
     """
@@ -39,9 +39,10 @@ class RecentScans(NamedTuple):
     poses: Annotated[FloatArray, "M", 3]
     ends: Annotated[FloatArray, "M", _BEAMS, 2]
 
-    def append(self, pose: FloatArray, ends: FloatArray, most: int) -> RecentScans:
-        """Add a scan with ends (K, 2), taken at odometry's pose (3,), and forget all but the newest `most`."""
+    def append(self, moved: FloatArray, ends: FloatArray, most: int) -> RecentScans:
+        """Add a scan with ends (K, 2), taken after the robot has `moved` (3,), and forget all but the newest `most`."""
         some = ends[np.arange(_BEAMS) * len(ends) // _BEAMS]
+        pose = compose(self.poses[-1], moved) if len(self.poses) else np.zeros(3)
         poses = np.concatenate([self.poses, pose[None]])[-most:]
         return RecentScans(poses, np.concatenate([self.ends, some[None]])[-most:])
 

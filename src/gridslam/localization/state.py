@@ -15,7 +15,9 @@ from gridslam import serialization
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
+from gridslam.grid.tiles import TileMaps
 from gridslam.localization.belief import NO_HYPOTHESES, PoseEstimate, PoseHypotheses, is_in_cluster
+from gridslam.localization.odometry_check import LOCAL_MAPS, TrackedMotion
 from gridslam.localization.place_verification import NO_SCANS, RecentScans
 from gridslam.localization.recovery import InlierRatioAverages
 from gridslam.serialization import NOT_SAVED
@@ -57,6 +59,8 @@ class LocalizationReport:
         Effective sample size before resampling; NaN for a scan that was skipped.
     skipped : LocalizationSkip or None
         Why the particles were not updated; None where they were.
+    odometry_rejected : bool
+        Whether scans contradict the odometry since the last update, and their own motion was used.
     injection_ratio : float, [0, 1]
         Ratio of the belief that was sampled over the whole map; 1 if the pose is unknown.
     poses, log_weights : (N, 3), (N,) float64 or None
@@ -74,6 +78,7 @@ class LocalizationReport:
     particles: int
     n_eff: float = float("nan")
     skipped: LocalizationSkip | None = None
+    odometry_rejected: bool = False
     injection_ratio: float = 0.0
     poses: FloatArray | None = None
     log_weights: FloatArray | None = None
@@ -89,7 +94,7 @@ class LocalizationReport:
 @final
 @dataclass(slots=True, eq=False)
 class MonteCarloState:
-    """Everything that the filter knows between two scans; arrays in it are replaced, never written to.
+    """Everything that the filter knows between two scans; arrays in it are replaced, those of local maps written to.
 
     Attributes
     ----------
@@ -100,7 +105,7 @@ class MonteCarloState:
     estimate : PoseEstimate
         Pose estimate from the particles at the last update.
     driven_since_found_m : float, m
-        Path length since the reported place was found; infinite if it was given.
+        Path length since the reported place was found on which the odometry was not rejected; infinite if it was given.
     hypotheses : PoseHypotheses
         Places that the particles have left, and that nothing has refuted yet.
     recent : RecentScans
@@ -115,6 +120,8 @@ class MonteCarloState:
         Of the last scan.
     updates : int
         How many there were.
+    tracked : TrackedMotion or None
+        Motion from scan to scan, by which the odometry is checked; None before the first scan, and without a check.
     """
 
     scans_per_snapshot: ClassVar[int] = 1
@@ -131,6 +138,7 @@ class MonteCarloState:
     odometry: Annotated[FloatArray, 3] | None = None
     last: Odometry | None = None
     updates: int = 0
+    tracked: TrackedMotion | None = None
     consumed: bool = field(default=False, metadata=NOT_SAVED)
 
     def __repr__(self) -> str:
@@ -140,16 +148,20 @@ class MonteCarloState:
         at = f"the robot at {describe_pose(self.estimate.pose)}" if len(self.poses) else "nothing known"
         return f"MonteCarloState({len(self.poses)} particles, {at}, {self.updates} updates)"
 
+    @property
+    def odometry_rejected(self) -> bool:
+        """Whether scans contradict the odometry since the last update."""
+        return self.tracked is not None and self.tracked.replaces_odometry
+
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays, from which `from_arrays` restores a state with identical results."""
-        if self.consumed:
-            raise ConsumedStateError
+        self._check()
         return serialization.to_arrays(self)
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> MonteCarloState:
         """Rebuild a state; ArgumentError if an array is missing or has an inconsistent shape."""
-        return serialization.from_arrays(cls, arrays)
+        return serialization.from_arrays(cls, arrays, {TileMaps: LOCAL_MAPS.restore})
 
     def odometry_at_update(self, first: Odometry) -> FloatArray:
         """Odometry's pose (3,) at the last update; that of the `first` scan with odometry before there was any."""
@@ -165,6 +177,8 @@ class MonteCarloState:
         self.odometry = odometry.pose
         self.last = odometry
         self.updates += 1
+        if self.tracked is not None:
+            self.tracked = self.tracked._replace(pose_at_update=self.tracked.tracker.pose)
 
     def add_particles(self, poses: FloatArray, log_weights: FloatArray) -> None:
         """Mix particles (K, 3) into the belief of which they are a part by their log weights (K,)."""
@@ -174,9 +188,13 @@ class MonteCarloState:
             self.log_weights = np.concatenate([self.log_weights + rest, log_weights])
 
     def update_estimate(self, estimate: PoseEstimate, moved: FloatArray) -> None:
-        """Update the estimate after the robot has `moved` (3,): the same place, or another one."""
+        """Update the estimate after the robot has `moved` (3,): the same place, or another one.
+
+        Motion that odometry and scans do not agree on confirms no place: it may be the laser that is mirrored.
+        """
         same = is_in_cluster(compose(self.estimate.pose, moved)[None], estimate.pose)[0]
-        self.driven_since_found_m = self.driven_since_found_m + math.hypot(moved[0], moved[1]) if same else 0.0
+        confirms_m = 0.0 if self.odometry_rejected else math.hypot(moved[0], moved[1])
+        self.driven_since_found_m = self.driven_since_found_m + confirms_m if same else 0.0
         self.verified = self.verified and bool(same)
         self.estimate = estimate
 
@@ -187,19 +205,23 @@ class MonteCarloState:
 
     def take(self) -> MonteCarloState:
         """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
-        twin = self.snapshot()
+        self._check()
+        owner = replace(self)
         self.consumed = True
-        return twin
+        return owner
 
     def revive(self) -> None:
         """Make a state whole again that a step has consumed: nothing in it has changed."""
         self.consumed = False
 
     def snapshot(self) -> MonteCarloState:
-        """Keep this state for later; it costs nothing, as arrays in it are replaced, never written to."""
+        """Keep this state for later, at the cost of the tables of the tracker's local maps."""
+        self._check()
+        return replace(self, tracked=None if self.tracked is None else self.tracked.snapshot())
+
+    def _check(self) -> None:
         if self.consumed:
             raise ConsumedStateError
-        return replace(self)
 
 
 class LocalizationObserver(Protocol):

@@ -39,6 +39,7 @@ __all__ = [
     "standing_still",
     "tilted_laser",
     "tilting_laser",
+    "unsigned_odometry",
     "wheel_slip",
     "with_fault",
     "yaw_offset",
@@ -64,6 +65,11 @@ def odometry_rotation_bias(measurements: Iterable[Measurement], excess: float) -
 def odometry_drift(measurements: Iterable[Measurement], bias_rad_per_m: float) -> Iterator[Measurement]:
     """Odometry adds a left turn of `bias_rad_per_m` per metre driven to the true turn: unequal wheels."""
     return _distorted(measurements, lambda twist, _: np.add(twist, [0, 0, bias_rad_per_m * np.hypot(*twist[:2])]))
+
+
+def unsigned_odometry(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
+    """Odometry counts reverse motion as forward, as encoders without direction do; turns are unchanged."""
+    return _distorted(measurements, lambda twist, _: np.array([abs(twist[0]), twist[1], twist[2]]))
 
 
 def wheel_slip(
@@ -363,6 +369,7 @@ FAULTS: Final[Mapping[str, Fault]] = MappingProxyType(
         "odometry_scale": _certain(odometry_scale, 0.03, "m/m"),
         "odometry_rotation_bias": _certain(odometry_rotation_bias, 0.05, "rad/rad"),
         "odometry_drift": _certain(odometry_drift, 0.02, "rad/m"),
+        "unsigned_odometry": Fault(lambda measurements, *_: unsigned_odometry(measurements), 1.0, "yes or no"),
         "wheel_slip": Fault(wheel_slip, 0.3, "m"),
         "beam_count_varies": Fault(beam_count_varies, 6.0, "beams"),
         "invalid_beams": Fault(invalid_beams, 0.2, "share"),

@@ -37,6 +37,8 @@ class RobotConfig:
         Radius of the arc that rounds a corner of the route, where its legs are long enough.
     radius_m : float, m, >= 0
         Of the robot's body: it must pass every wall.
+    backs_out : bool
+        Whether it leaves a dead end backward, and drives so until the next one, instead of turning on the spot.
     """
 
     v_max_m_s: float = Field(default=0.6, gt=0)
@@ -44,6 +46,7 @@ class RobotConfig:
     acceleration_m_s2: float = Field(default=0.6, gt=0)
     turning_radius_m: float = Field(default=0.5, gt=0)
     radius_m: float = Field(default=0.22, ge=0)
+    backs_out: bool = False
 
 
 @final
@@ -146,6 +149,7 @@ def _pieces(route: FloatArray, robot: RobotConfig) -> list[_Piece]:
     metres_per_radian = robot.v_max_m_s / robot.omega_max_rad_s
     pieces = []
     cut = 0.0
+    direction = 1.0
     for leg, length in enumerate(lengths.tolist()):
         turn = float(turns[leg]) if leg < len(turns) else 0.0
         tangent = 0.0
@@ -153,14 +157,17 @@ def _pieces(route: FloatArray, robot: RobotConfig) -> list[_Piece]:
             room = 0.5 * float(min(length, lengths[leg + 1]))
             tangent = min(robot.turning_radius_m * math.tan(abs(turn) / 2), room)
         straight = length - cut - tangent
-        pieces.append(_Piece((straight, 0.0, 0.0), straight, robot.v_max_m_s, leg))
+        pieces.append(_Piece((direction * straight, 0.0, 0.0), straight, robot.v_max_m_s, leg))
         cut = tangent
         if tangent > 0:
             radius = tangent / math.tan(abs(turn) / 2)
             arc = radius * abs(turn)
             speed = min(robot.v_max_m_s, robot.omega_max_rad_s * radius)
-            pieces.append(_Piece((arc, 0.0, turn), arc, speed, leg))
+            pieces.append(_Piece((direction * arc, 0.0, turn), arc, speed, leg))
         elif turn:
+            if robot.backs_out and abs(turn) >= _SPOT_TURN_RAD:
+                direction = -direction
+                turn = float(wrap(turn - math.pi))
             pieces.append(_Piece((0.0, 0.0, turn), metres_per_radian * abs(turn), robot.v_max_m_s, leg))
     return [piece for piece in pieces if piece.length_m > 1e-9]
 
@@ -170,13 +177,16 @@ def _speeds(pieces: list[_Piece], begins: FloatArray, acceleration: float) -> tu
     nodes = []
     limits = []
     before = 0.0
+    direction = 0.0
     for piece, begin in zip(pieces, begins[:-1].tolist(), strict=True):
         count = max(2, math.ceil(piece.length_m / _STEP_M))
         nodes.append(begin + piece.length_m * np.arange(count) / count)
         limits.append(np.full(count, piece.v_max_m_s))
         spot = piece.twist[0] == 0.0
-        limits[-1][0] = 0.0 if spot else min(before, piece.v_max_m_s)
+        turns_back = direction * piece.twist[0] < 0.0
+        limits[-1][0] = 0.0 if spot or turns_back else min(before, piece.v_max_m_s)
         before = 0.0 if spot else piece.v_max_m_s
+        direction = piece.twist[0]
     driven = np.append(np.concatenate(nodes), begins[-1])
     square = np.append(np.concatenate(limits), 0.0) ** 2
     ramp = 2 * acceleration * driven

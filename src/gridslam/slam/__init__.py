@@ -10,7 +10,7 @@ from gridslam.slam.grid_fastslam.proposals import (
 )
 from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
 from gridslam.slam.grid_fastslam.state import STATE_SCHEMA, GridFastSlamState
-from gridslam.slam.tracking.tracker import OdometryTracker, TrackedScan, Tracker, TrackerState
+from gridslam.tracking.tracker import OdometryTracker, TrackedScan, Tracker, TrackerState
 
 __all__ = [
     "STATE_SCHEMA",

@@ -43,7 +43,7 @@ def verify(known: KnownMap, recent: RecentScans, pose: np.ndarray) -> PoseHypoth
 def drive(known: KnownMap, start: np.ndarray, steps: int) -> tuple[RecentScans, np.ndarray]:
     recent, pose = NO_SCANS, start
     for k in range(steps):
-        recent = recent.append(np.array([0.2 * k, 0.0, 0.0]), seen_from(known, pose), 48)
+        recent = recent.append(STEP, seen_from(known, pose), 48)
         pose = compose(pose, STEP) if k + 1 < steps else pose
     return recent, pose
 
@@ -67,7 +67,7 @@ def test_a_scan_that_was_taken_earlier_refutes_it():
 def test_the_newest_scans_are_kept():
     recent = NO_SCANS
     for k in range(7):
-        recent = recent.append(np.full(3, float(k)), np.full((5, 2), float(k)), 4)
+        recent = recent.append(np.array([1.0, 0.0, 0.0]), np.full((5, 2), float(k)), 4)
     np.testing.assert_array_equal(recent.poses[:, 0], [3, 4, 5, 6])
     assert recent.ends.shape == (4, 60, 2)  # of five beams each occurs twelve times
     assert (recent.ends[-1] == 6).all()

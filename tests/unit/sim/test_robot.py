@@ -61,6 +61,21 @@ def test_route_is_followed_from_end_to_end_and_sharp_corners_turn_on_the_spot():
     assert abs(wrap(poses[reversal, 2][-1] - poses[reversal, 2][0])) == pytest.approx(math.pi, abs=0.1)
 
 
+def test_dead_ends_may_be_left_backward():
+    """On the same way, without turning on the spot there, and as calmly."""
+    robot = RobotConfig(backs_out=True)
+    period = 0.02
+    poses = drive(ROUTE, robot, period)
+    assert clearance(polyline(ROUTE), poses[:, :2]).max() < 0.5 * (1 - math.cos(1.1))
+    assert poses[-1, :2] == pytest.approx(ROUTE[-1], abs=0.01)
+    twists = se2.log(se2.between(poses[:-1], poses[1:])) / period
+    dead_end = np.hypot(*(poses[:-1, :2] - [2.0, 1.5]).T).argmin()
+    assert twists[dead_end - 100, 0] > 0.1
+    assert (twists[dead_end + 100 :, 0] < 0.01).all()
+    assert abs(twists[dead_end, 0]) < robot.acceleration_m_s2 * period
+    assert np.abs(np.diff(twists[:, 0])).max() / period <= 1.05 * robot.acceleration_m_s2
+
+
 def test_odometry_without_error_is_the_truth():
     truth = drive(ROUTE, RobotConfig(), 0.2)
     odometry = simulate_odometry(truth, EXACT, np.random.default_rng(0))

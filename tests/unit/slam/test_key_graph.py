@@ -14,7 +14,7 @@ from gridslam.serialization import from_arrays, to_arrays
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel, propagate_covariances
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
-from gridslam.slam.tracking.state import UnmatchedMotion
+from gridslam.tracking.state import UnmatchedMotion
 
 DRIFT = DriftModel()
 

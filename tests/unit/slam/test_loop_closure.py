@@ -18,7 +18,7 @@ from gridslam.slam.grid_fastslam.proposals import MotionModelProposal
 from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.submaps import build_map
-from gridslam.slam.tracking.tracker import OdometryTracker
+from gridslam.tracking.tracker import OdometryTracker
 from gridslam.types import Odometry, StepReport
 from support import hall
 

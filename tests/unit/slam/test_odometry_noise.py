@@ -16,7 +16,7 @@ from gridslam.sim import OdometryNoise as SimulatedNoise
 from gridslam.slam import GridFastSlam, MotionModelProposal, OdometryTracker, Tracker
 from gridslam.slam.grid_fastslam.odometry_noise import OdometryNoise, is_worse_than_velocity
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.slam.tracking.prediction import ConstantVelocity
+from gridslam.tracking.prediction import ConstantVelocity
 from gridslam.types import Odometry
 
 SKEWED = np.array([[4e-4, 1e-4, 2e-5], [1e-4, 2e-4, -1e-5], [2e-5, -1e-5, 9e-4]])

@@ -17,7 +17,7 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_wo
 from gridslam.sim.floor_plan import box, polyline
 from gridslam.slam import GridFastSlam
 from gridslam.slam.grid_fastslam.proposals import ScanMatchedProposal
-from gridslam.slam.tracking.tracker import Tracker
+from gridslam.tracking.tracker import Tracker
 from gridslam.types import LaserScan, SkipReason
 
 PARTICLES = 8

@@ -27,7 +27,7 @@ from gridslam.slam.grid_fastslam.state import GridFastSlamState
 __all__ = ["SavedLocalization", "SavedRun", "read_localization", "read_state", "write_localization", "write_state"]
 
 _RUN_SCHEMA = "gridslam.saved_run/5"
-_LOCALIZATION_SCHEMA = "gridslam.saved_localization/4"
+_LOCALIZATION_SCHEMA = "gridslam.saved_localization/5"
 _GENERATORS = {"PCG64": np.random.PCG64, "PCG64DXSM": np.random.PCG64DXSM}
 """Bit generators whose state is plain integers; the first is that of `numpy.random.default_rng`."""
 _Arrays: TypeAlias = Mapping[str, NDArray[Any]]

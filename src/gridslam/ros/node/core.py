@@ -25,7 +25,7 @@ from gridslam.ros.node.parameters import NodeSettings
 from gridslam.ros.node.rendering import MapRenderer, make_grid_message
 from gridslam.ros.node.session import InitialPose, Localization, LocalizationSession, Session, SessionCopy
 from gridslam.ros.node.state_publisher import StatePublisher, ThrottledWarnings
-from gridslam.slam.tracking.tracker import OdometryTracker
+from gridslam.tracking.tracker import OdometryTracker
 
 __all__ = ["NodeCore", "SourceWrapper"]
 

@@ -31,8 +31,8 @@ from gridslam.slam.grid_fastslam.proposals import Proposal, ScanMatchedProposal
 from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
-from gridslam.slam.tracking.prediction import widen_motion
-from gridslam.slam.tracking.tracker import OdometryTracker, TrackedScan, Tracker
+from gridslam.tracking.prediction import widen_motion
+from gridslam.tracking.tracker import OdometryTracker, TrackedScan, Tracker
 from gridslam.types import (
     Beams,
     FloatArray,

@@ -16,7 +16,7 @@ import numpy as np
 from gridslam.geometry.se2 import between, compose, compose_jacobians, compound_covariance
 from gridslam.models.motion import GaussianIncrement
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.slam.tracking.prediction import MAX_INTERVAL_S, ConstantVelocity
+from gridslam.tracking.prediction import MAX_INTERVAL_S, ConstantVelocity
 from gridslam.types import FloatArray, MotionSampler, Odometry
 
 __all__ = ["OdometryNoise", "is_worse_than_velocity"]

@@ -14,7 +14,7 @@ from gridslam.geometry.se2 import compose, rotate_covariances
 from gridslam.matching.gauss_newton import degenerate_direction
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.drift_model import DriftModel, propagate_covariances
-from gridslam.slam.tracking.state import UnmatchedMotion
+from gridslam.tracking.state import UnmatchedMotion
 from gridslam.types import BeamEnds, FloatArray, IntArray, LaserScan, Match, SkipReason, StepReport
 
 __all__ = ["Estimate", "ReportBuilder"]

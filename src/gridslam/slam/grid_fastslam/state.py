@@ -18,8 +18,8 @@ from gridslam.particles.ancestry import Ancestry
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.drift_model import compute_moments
 from gridslam.slam.loop_closure.state import LoopClosureState
-from gridslam.slam.tracking.state import UnmatchedMotion
-from gridslam.slam.tracking.tracker import TrackerState
+from gridslam.tracking.state import UnmatchedMotion
+from gridslam.tracking.tracker import TrackerState
 from gridslam.types import FloatArray, IntArray, describe_pose
 
 __all__ = ["STATE_SCHEMA", "GridFastSlamState"]

@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import rotate_covariances
-from gridslam.slam.tracking.state import UnmatchedMotion
+from gridslam.tracking.state import UnmatchedMotion
 from gridslam.types import FloatArray
 
 __all__ = ["DriftModel", "compute_moments", "diagonal_covariances", "propagate_covariances"]

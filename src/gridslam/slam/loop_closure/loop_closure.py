@@ -20,7 +20,7 @@ from gridslam.slam.loop_closure.submaps import insert_key_scans
 from gridslam.slam.pose_graph.descent import advance
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
-from gridslam.slam.tracking.state import TrackerState, UnmatchedMotion
+from gridslam.tracking.state import TrackerState, UnmatchedMotion
 from gridslam.types import BeamEnds, FloatArray, StepReport
 
 __all__ = ["FilterState", "LoopClosure"]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
 from gridslam.serialization import NOT_SAVED
-from gridslam.slam.tracking.state import is_within
+from gridslam.tracking.state import is_within
 from gridslam.types import BeamEnds, FloatArray, StoredScan
 
 __all__ = ["ScanArchive"]

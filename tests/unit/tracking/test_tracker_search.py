@@ -14,9 +14,9 @@ from gridslam.mapping import OccupancyGridMapping
 from gridslam.matching import GaussNewton
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.slam import Tracker
-from gridslam.slam.tracking import search
-from gridslam.slam.tracking.prediction import Prediction
-from gridslam.slam.tracking.search import OdometrySearch
+from gridslam.tracking import search
+from gridslam.tracking.prediction import Prediction
+from gridslam.tracking.search import OdometrySearch
 from support import hall
 
 PERFECT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -12,8 +12,8 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose, exp, log, rotate_covariances
 from gridslam.matching.branch_and_bound import BranchAndBound
-from gridslam.slam.tracking.odometry_calibration import motion_of
-from gridslam.slam.tracking.state import SensorTrack, TrackerState
+from gridslam.tracking.odometry_calibration import motion_of
+from gridslam.tracking.state import SensorTrack, TrackerState
 from gridslam.types import FloatArray, MotionSampler
 
 __all__ = [

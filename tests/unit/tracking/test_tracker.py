@@ -14,7 +14,7 @@ from gridslam.serialization import to_arrays
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import furniture, join, room, wall
 from gridslam.slam import OdometryTracker, Tracker
-from gridslam.slam.tracking.prediction import widen_motion
+from gridslam.tracking.prediction import widen_motion
 from gridslam.types import LaserScan, Trajectory
 
 PERFECT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)

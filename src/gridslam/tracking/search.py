@@ -12,9 +12,9 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
 from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction, weigh_known_beams
-from gridslam.slam.tracking.odometry_calibration import MIN_SEGMENTS
-from gridslam.slam.tracking.prediction import MAX_INTERVAL_S, PoseEstimate, Prediction
-from gridslam.slam.tracking.state import TrackerState, is_within
+from gridslam.tracking.odometry_calibration import MIN_SEGMENTS
+from gridslam.tracking.prediction import MAX_INTERVAL_S, PoseEstimate, Prediction
+from gridslam.tracking.state import TrackerState, is_within
 from gridslam.types import BeamEnds, FloatArray
 
 __all__ = ["NO_PRIOR", "OdometrySearch", "calibrated", "local_pyramid"]

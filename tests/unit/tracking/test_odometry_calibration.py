@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gridslam.geometry.se2 import compose
 from gridslam.serialization import from_arrays, to_arrays
-from gridslam.slam.tracking.odometry_calibration import OdometryCalibration, OdometryErrorModel
+from gridslam.tracking.odometry_calibration import OdometryCalibration, OdometryErrorModel
 
 LEARN = OdometryCalibration()
 PERIOD_M = 0.05

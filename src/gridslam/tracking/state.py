@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gridslam.geometry.se2 import between, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.beam_order import BeamOrder
-from gridslam.slam.tracking.odometry_calibration import OdometryErrorModel
+from gridslam.tracking.odometry_calibration import OdometryErrorModel
 from gridslam.types import BeamEnds, Beams, FloatArray, Odometry, StoredScan
 
 __all__ = ["SensorTrack", "TrackedScan", "TrackerState", "UnmatchedMotion", "is_within", "pose_of"]

@@ -20,16 +20,16 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton, degenerate_direction
 from gridslam.models.parameters import Kind
-from gridslam.slam.tracking.odometry_calibration import OdometryCalibration, motion_of
-from gridslam.slam.tracking.prediction import (
+from gridslam.tracking.odometry_calibration import OdometryCalibration, motion_of
+from gridslam.tracking.prediction import (
     NEWEST_WEIGHT,
     ConstantVelocity,
     PoseEstimate,
     Prediction,
     predict_by_odometry,
 )
-from gridslam.slam.tracking.search import NO_PRIOR, OdometrySearch, calibrated, local_pyramid
-from gridslam.slam.tracking.state import (
+from gridslam.tracking.search import NO_PRIOR, OdometrySearch, calibrated, local_pyramid
+from gridslam.tracking.state import (
     SensorTrack,
     TrackedScan,
     TrackerState,
