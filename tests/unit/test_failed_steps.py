@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from gridslam.slam.tracking.tracker import Tracker
 
 from gridslam.config import Configuration, build, override
 from gridslam.errors import ArgumentError
@@ -20,7 +21,6 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, si
 from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
-from gridslam.slam.tracking.tracker import Tracker
 from support.localization_world import drive as flat_drive
 from support.localization_world import flat_map
 
