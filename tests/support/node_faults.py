@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gridslam.slam.tracking.tracker import Tracker
+from gridslam.tracking.tracker import Tracker
 
 from gridslam.grid.arena import TileArena
 from gridslam.io.measurement import Measurement

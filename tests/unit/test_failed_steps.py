@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gridslam.slam.tracking.tracker import Tracker
 
 from gridslam.config import Configuration, build, override
 from gridslam.errors import ArgumentError
@@ -21,6 +20,7 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, si
 from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
+from gridslam.tracking.tracker import Tracker
 from support.localization_world import drive as flat_drive
 from support.localization_world import flat_map
 
@@ -109,8 +109,8 @@ def test_where_memory_for_tiles_cannot_be_had_the_arena_stays_whole(measurements
     current = 0
     real = TileArena._extend_ids
 
-    def scarce(refs):
-        free, size = real(refs)
+    def scarce(refs, most):
+        free, size = real(refs, most)
         if current not in due:
             return free, size
         due.remove(current)

@@ -8,7 +8,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, cast, final
@@ -140,16 +140,13 @@ class OutputFolder:
         name = self.path.name
         if above != self.path:
             return StagingFolder(above, name)
-        inside = StagingFolder(self.path, name, self.path)  # always: it completes what was interrupted
         out = self.path.resolve()
-        try:
-            outside = StagingFolder(out.parent, out.name, out) if self._is_exchangeable(out.parent) else None
-        except OSError:
-            outside = None
-        if outside is None:
-            return inside
-        inside.remove()
-        return outside
+        if any(file.name.endswith(".partial") for file in out.iterdir()):
+            StagingFolder(self.path, name, self.path).remove()  # it completes what was interrupted
+        if self._is_exchangeable(out.parent):
+            with suppress(OSError):
+                return StagingFolder(out.parent, out.name, out)
+        return StagingFolder(self.path, name, self.path)
 
     def _is_exchangeable(self, beside: Path) -> bool:
         """Whether OUT is an earlier result and no more than that, and nobody stands in it as far as this process knows.

@@ -135,17 +135,20 @@ class ComponentAlignment:
         searches = [self._nearest_submaps(graph, keys, components[:k]) for k, keys in enumerate(components)]
         stride = -(-sum(len(ways) for of_older in searches for ways in of_older) // self.max_searches)
         found: list[Constraint] = []
+        count = 0
         for keys, of_older in zip(components, searches, strict=True):
             own: Pyramid | None = None
             for old, ways in zip(components, of_older, strict=False):
-                if not ways:
+                searched = list(ways)[-count % stride :: stride] if stride else []
+                count += len(ways)
+                if not searched:
                     continue
                 on_progress()
                 guesses = {key: compose(graph.poses[first_key_scan(way.submap)], way.pose) for key, way in ways.items()}
                 near = self._select_key_scans(poses, old, np.array(list(guesses.values())))
                 maps = build_map(mapper, closure_state.scans, near, poses[near])
                 alignment = _Alignment(self, closure_state, places, scorer, keys, near, maps)
-                best = alignment.select_hypothesis({key: (guesses[key], ways[key]) for key in list(ways)[::stride]})
+                best = alignment.select_hypothesis({key: (guesses[key], ways[key]) for key in searched})
                 if best is None:
                     continue
                 own = own or Pyramid.of(build_map(mapper, closure_state.scans, keys, poses[keys]), 0)
