@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gridslam.tracking.tracker import Tracker
 
 from gridslam.grid.arena import TileArena
 from gridslam.io.measurement import Measurement
@@ -36,6 +35,7 @@ from gridslam.slam.grid_fastslam.proposals import ScanMatchedProposal
 from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.place_recognition import PlaceRecognition
+from gridslam.tracking.tracker import Tracker
 from gridslam.transforms import TransformBuffer
 from support.ros_node import LocalTransport, RecordedOutputs, mounting, play, until
 
