@@ -110,7 +110,8 @@ def disagreements(first: PolarScan, second: PolarScan, motion: FloatArray, scale
     predicted = _predict(first, motion, scales)
     coarse = np.broadcast_to(_COARSE_RAD, (len(scales), len(_COARSE_RAD)))
     best = _COARSE_RAD[_medians(second, *predicted, coarse).argmin(axis=1)]
-    return np.asarray(_medians(second, *predicted, best[:, None] + _FINE_RAD).min(axis=1))
+    fine: FloatArray = best[:, None] + _FINE_RAD
+    return np.asarray(_medians(second, *predicted, fine).min(axis=1))
 
 
 def disagreement_as_reported(first: PolarScan, second: PolarScan, motion: FloatArray) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, final
+from typing import Annotated, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,9 +131,10 @@ class ScanArchive:
         self._storage_interval *= 2
         keys = set(self.keys)
         kept = [place for place, scan in enumerate(self._stored) if not scan % self._storage_interval or scan in keys]
-        lists: tuple[list[Any], ...] = self._stored, self._ends, self._steps_m, self._origins
-        for values in lists:
-            values[:] = [values[place] for place in kept]
+        self._stored = [self._stored[place] for place in kept]
+        self._ends = [self._ends[place] for place in kept]
+        self._steps_m = [self._steps_m[place] for place in kept]
+        self._origins = [self._origins[place] for place in kept]
         self.__post_init__()
 
     def _find(self, scan: int) -> int:
