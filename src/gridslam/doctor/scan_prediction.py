@@ -28,8 +28,8 @@ _LEAST_COMMON = 0.5  # of the beams: with fewer in view at both places nothing i
 _WIDEST_RAD = 0.1  # between neighbouring ranges that are interpolated, or
 _WIDEST = 2.5  # times the usual gap between beams: what is in wider gaps is not known
 _NEAREST = 1e-9
-_COARSE_RAD = 0.05 * np.arange(-2, 3)
-_FINE_RAD = 0.0125 * np.arange(-2, 3)
+_COARSE_RAD: FloatArray = np.linspace(-0.1, 0.1, 5, dtype=np.float64)
+_FINE_RAD: FloatArray = np.linspace(-0.025, 0.025, 5, dtype=np.float64)
 """Turns tried beside that of odometry, which errs by some hundredths of a radian: wheels slip in turns."""
 
 
@@ -110,7 +110,7 @@ def disagreements(first: PolarScan, second: PolarScan, motion: FloatArray, scale
     predicted = _predict(first, motion, scales)
     coarse = np.broadcast_to(_COARSE_RAD, (len(scales), len(_COARSE_RAD)))
     best = _COARSE_RAD[_medians(second, *predicted, coarse).argmin(axis=1)]
-    fine: FloatArray = best[:, None] + _FINE_RAD
+    fine = best[:, None] + _FINE_RAD
     return np.asarray(_medians(second, *predicted, fine).min(axis=1))
 
 
