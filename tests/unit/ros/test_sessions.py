@@ -42,7 +42,8 @@ def test_the_map_of_a_bag_that_is_played_twice_is_saved_before_the_second_one(dr
     node.stop()
     saved = [scans_of(tmp_path / out) for out in ("out-2", "out-3", "out")]
     assert saved[0] == 80
-    assert 57 <= saved[1] < 60  # without the first one, whose transform is that of the bag's end, and any that it delays
+    # without the first scan, whose transform is that of the bag's end, and any that it delays
+    assert 57 <= saved[1] < 60
     assert 37 <= saved[2] < 40
     assert [path.name for path in (tmp_path / "out-1").iterdir()] == ["mine.txt"]
     counts = {path.name: len(list(CsvLog(path))) for path in tmp_path.glob("*.csv")}
