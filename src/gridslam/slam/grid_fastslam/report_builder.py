@@ -61,7 +61,10 @@ class ReportBuilder:
     sigma_m: float = Field(default=0.05, ge=1e-6, le=100)
     lost_below: float = Field(default=0.15, ge=0, le=1)
     drift: DriftModel = DriftModel(
-        standstill_sigma_rad=0.0002, sigma_rad_per_sqrt_rad=0.0016, sigma_rad_per_sqrt_m=0.0008
+        standstill_sigma_rad=0.0002,
+        sigma_rad_per_sqrt_rad=0.0016,
+        sigma_rad_per_sqrt_m=0.0008,
+        open_heading_ratio=4.0,
     )
 
     @staticmethod
