@@ -31,6 +31,9 @@ ONLY_IN = {
     "uvicorn": {"live"},
     "websockets": set(),
     "pandas": {"api"},
+    "dask": {"batch"},
+    "dask_jobqueue": {"batch"},
+    "distributed": {"batch"},
 }
 """Who may import which dependency: help must not pay for drawing, nor the filter for a terminal."""
 

@@ -44,6 +44,7 @@ def run_batch(
     command: str,
     reference: str | None,
     workers: int | None,
+    scheduler: str | None,
     timeout_s: float | None,
     memory_mb: float | None,
     retries: int,
@@ -54,8 +55,8 @@ def run_batch(
     make = _Maker(command, words)
     entries = find_logs(logs, trajectories=command == "evaluate", reference=reference)
     prepared = [make.prepare(entry) for entry in entries]
-    executor: Executor = ProcessPool(workers or _count_processors())
     try:
+        executor = _open_executor(scheduler, workers)
         with Journal(out) as journal:
             jobs = _make_jobs(command, entries, prepared, journal)
         with _Progress(len(jobs), as_json) as progress:
@@ -75,6 +76,18 @@ def run_batch(
     if not as_json:
         click.echo("\n".join(progress.summarize(out)))
     return 1 if failed else 0
+
+
+def _open_executor(scheduler: str | None, workers: int | None) -> Executor:
+    """Connect to a cluster, or make the pool of this machine."""
+    if scheduler is None:
+        return ProcessPool(workers or _count_processors())
+    from gridslam.batch.cluster import DaskCluster
+
+    cluster = DaskCluster(scheduler, workers)
+    if cluster.dashboard:
+        warn(f"dashboard: {cluster.dashboard}")
+    return cluster
 
 
 def _count_processors() -> int:
