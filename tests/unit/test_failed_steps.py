@@ -109,8 +109,8 @@ def test_where_memory_for_tiles_cannot_be_had_the_arena_stays_whole(measurements
     current = 0
     real = TileArena._extend_ids
 
-    def scarce(refs, most):
-        free, size = real(refs, most)
+    def scarce(refs):
+        free, size = real(refs)
         if current not in due:
             return free, size
         due.remove(current)
