@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
@@ -226,39 +226,45 @@ def _make_jobs(
     command: str, entries: Sequence[Entry], prepared: Sequence[Mapping[str, Any]], journal: Journal
 ) -> list[Job]:
     """Make the jobs; the logs that have changed since the last time are read for their digests."""
-    with ThreadPoolExecutor(min(8, _count_processors())) as threads:
-        digests = list(threads.map(_guard(journal.digest), [Path(entry.path) for entry in entries]))
-        references = {Path(path) for entry in entries for path in (entry.reference,) if path}
-        maps = {Path(arguments["map"]) for arguments in prepared if "map" in arguments}
-        others = {path: _guard(journal.digest)(path) for path in sorted(references | maps)}
+    logs = [Path(entry.path) for entry in entries]
+    references = [Path(entry.reference) for entry in entries if entry.reference]
+    maps = [Path(arguments["map"]) for arguments in prepared if "map" in arguments]
+    digests = _compute_digests({*logs, *references, *maps}, journal)
     jobs = []
-    for entry, digest, arguments in zip(entries, digests, prepared, strict=True):
+    for entry, log, arguments in zip(entries, logs, prepared, strict=True):
         used = {name: path for name, path in (("reference", entry.reference), ("map", arguments.get("map"))) if path}
         parameters = {name: value for name, value in arguments.items() if name != "threads"} | {
-            name: others[Path(path)] for name, path in used.items()
+            name: digests[Path(path)] for name, path in used.items()
         }
         every = {
             "log": entry.path,
-            "digest": digest,
+            "digest": digests[log],
             "reference": entry.reference,
             "max_memory_bytes": max_memory_bytes(),
             **arguments,
         }
-        key = compute_key(command, digest, parameters)
+        key = compute_key(command, digests[log], parameters)
         jobs.append(Job(_TARGET.format(command), every, entry.log, entry.name, key, command))
     return jobs
 
 
-def _guard(digest: Callable[[Path], str]) -> Callable[[Path], str]:
-    """Digest of a file; of one that cannot be read there is none, and the job reports it."""
+def _compute_digests(paths: Collection[Path], journal: Journal) -> dict[Path, str]:
+    """SHA-256 of files; of one that cannot be read there is none, and the job reports it."""
 
     def compute(path: Path) -> str:
         try:
-            return digest(path)
+            return journal.digest(path)
         except InputError:
             return ""
 
-    return compute
+    threads = ThreadPoolExecutor(min(8, _count_processors()))
+    try:
+        pending = {threads.submit(compute, path): path for path in sorted(paths)}
+        for _ in as_completed(pending):
+            stop_if_interrupted()
+        return {path: future.result() for future, path in pending.items()}
+    finally:
+        threads.shutdown(cancel_futures=True)
 
 
 @final
