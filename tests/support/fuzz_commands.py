@@ -35,23 +35,22 @@ _PARTS = (
     "gridslam.particles.policies:MotionThreshold.__call__",
     "gridslam.particles.policies:EffectiveSampleSizeBelow.__call__",
     "gridslam.particles.ancestry:Ancestry.extend",
-    "gridslam.matching.gauss_newton:GaussNewton.__call__",
-    "gridslam.grid.tiles:TileMaps.update",
+    "gridslam.slam.grid_fastslam.proposals:ScanMatchedProposal.__call__",
 )
 
 Prepare = Callable[[Path, np.random.Generator], None]
 Read = Callable[[Path], object]
 
 
-def commands() -> Iterator[tuple[str, int, Prepare, Read]]:
-    """Name, point of the report of hostile input, and the two functions of each family."""
+def commands() -> Iterator[tuple[str, int, Prepare, Read, float]]:
+    """Name, point of the report of hostile input, the two functions and the weight of each family."""
     drive = _simulate("rooms", 300)
     short = drive[:60]
-    yield "far poses", 1, partial(_write_far_poses, short), _run
-    yield "steps that fail", 3, partial(_write_fault, short), _run_faulty
-    yield "implausible ranges", 7, partial(_write_ranges, drive), _run_named
-    yield "far beams", 11, partial(_write_far_beams, short), _run
-    yield "parameters", 12, partial(_write_parameter, short, cases()), _run
+    yield "far poses", 1, partial(_write_far_poses, short), _run, 1.0
+    yield "steps that fail", 3, partial(_write_fault, short), _run_faulty, 1.0
+    yield "implausible ranges", 7, partial(_write_ranges, drive), _run_named, 0.5
+    yield "far beams", 11, partial(_write_far_beams, short[:20]), _run, 0.3
+    yield "parameters", 12, partial(_write_parameter, short, cases()), _run, 1.0
 
 
 def _simulate(world: str, scans: int) -> list[Measurement]:
