@@ -31,6 +31,7 @@ ONLY_IN = {
     "uvicorn": {"live"},
     "websockets": set(),
     "pandas": {"api"},
+    "pyarrow": {"batch"},
 }
 """Who may import which dependency: help must not pay for drawing, nor the filter for a terminal."""
 
