@@ -391,6 +391,48 @@ def evaluate_command(**options: Any) -> None:  # noqa: ANN401
     evaluate(**options)
 
 
+@gridslam.command("regress")
+@click.argument("old", type=PATH)
+@click.argument("new", type=PATH)
+@click.option(
+    "--level",
+    type=click.FloatRange(1e-3, 0.5),
+    default=0.05,
+    show_default=True,
+    metavar="P",
+    help="Probability of any false alarm.",
+)
+@click.option(
+    "--error-margin",
+    type=click.FloatRange(0, 1000),
+    default=1.0,
+    show_default=True,
+    metavar="PERCENT",
+    help="By how much errors may grow.",
+)
+@click.option(
+    "--cost-margin",
+    type=click.FloatRange(0, 1000),
+    default=10.0,
+    show_default=True,
+    metavar="PERCENT",
+    help="By how much CPU time and memory may grow.",
+)
+@json_option
+def regress_command(**options: Any) -> Any:  # noqa: ANN401
+    """Compare NEW with OLD, two output folders of gridslam batch, and report what became worse beyond noise.
+
+    Runs are paired by log and seed (the folders of their results). Errors, CPU time, memory and failures of each log
+    and of all logs together are tested by permutation, which assumes no distribution; --level bounds the probability
+    of any false alarm over all of them. At least five pairs are needed, such as five seeds of a log.
+
+    Exit status: 1 if something became worse.
+    """
+    from gridslam.cli.regress import regress
+
+    return regress(**options)
+
+
 @gridslam.command("simulate")
 @click.argument("world")
 @click.option("-o", "--out", type=PATH, required=True, help="Output log, .clf, .clf.gz or .clf.bz2.")
