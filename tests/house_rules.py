@@ -30,6 +30,7 @@ ONLY_IN = {
     "starlette": {"live"},
     "uvicorn": {"live"},
     "websockets": set(),
+    "fsspec": {"io"},
     "pandas": {"api"},
     "pyarrow": {"batch"},
 }

@@ -10,6 +10,8 @@ import click
 
 from gridslam import __version__
 from gridslam.cli.options import (
+    LOG,
+    OUT,
     PATH,
     SEED,
     SETTINGS,
@@ -76,7 +78,7 @@ class _MapCommand(click.Command):
 
 
 @gridslam.command("map", cls=_MapCommand)
-@click.argument("log", type=PATH)
+@click.argument("log", type=LOG)
 @out_option
 @click.option("--particles", type=int, help="Number of particles.  [default: the preset's, 30]")
 @seed_option
@@ -108,8 +110,8 @@ def map_command(**options: Any) -> None:  # noqa: ANN401
 
 
 @gridslam.command("doctor")
-@click.argument("log", type=PATH)
-@click.option("-o", "--out", type=PATH, help="Folder for the report and its figures; created if missing.")
+@click.argument("log", type=LOG)
+@click.option("-o", "--out", type=OUT, help="Folder for the report and its figures; created if missing.")
 @log_options
 @json_option
 def doctor_command(**options: Any) -> Any:  # noqa: ANN401
@@ -123,7 +125,7 @@ def doctor_command(**options: Any) -> Any:  # noqa: ANN401
 
 
 @gridslam.command("convert")
-@click.argument("log", metavar="IN", type=PATH)
+@click.argument("log", metavar="IN", type=LOG)
 @click.argument("out", type=PATH)
 @click.option("--to", type=click.Choice(["carmen", "csv", "tum", "ros1", "ros2", "mcap"]), help="Format of OUT.")
 @log_options
@@ -202,7 +204,7 @@ def view_command(**options: Any) -> None:  # noqa: ANN401
 
 
 @gridslam.command("landmarks")
-@click.argument("log", type=PATH)
+@click.argument("log", type=LOG)
 @out_option
 @click.option(
     "--method",
@@ -244,7 +246,7 @@ def landmarks_command(**options: Any) -> None:  # noqa: ANN401
 
 
 @gridslam.command("grid")
-@click.argument("log", type=PATH)
+@click.argument("log", type=LOG)
 @click.option("--trajectory", type=PATH, required=True, help="Trajectory of the robot, a file in TUM format.")
 @out_option
 @click.option(
@@ -293,9 +295,9 @@ def grid_command(**options: Any) -> None:  # noqa: ANN401
 
 
 @gridslam.command("localize")
-@click.argument("log", type=PATH)
+@click.argument("log", type=LOG)
 @click.option("--map", "map_path", type=PATH, required=True, help="Map YAML file (map_server or nav2).")
-@click.option("-o", "--out", type=PATH, help="Output folder; created if missing.")
+@click.option("-o", "--out", type=OUT, help="Output folder; created if missing.")
 @click.option(
     "--initial-pose",
     metavar="X,Y,THETA",
