@@ -377,7 +377,7 @@ class CheckedLog:
 
 
 def quick_check(log: LogSource) -> tuple[Finding, ...]:
-    """Return the warnings and errors of the begin of a log; see `EarlyCheck`."""
+    """Return the warnings and errors of the beginning of a log; see `EarlyCheck`."""
     check = EarlyCheck()
     found: list[Finding] = []
     for measurement in open_if_path(log):
