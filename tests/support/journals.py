@@ -4,25 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-import sqlite3
 from collections.abc import Iterable
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from gridslam.batch.runs import COLUMNS, JOURNAL
+from gridslam.batch.journal import COLUMNS, Journal
 
-TYPES = {
-    "exit_status": "INTEGER",
-    "attempts": "INTEGER",
-    "wall_s": "REAL",
-    "cpu_s": "REAL",
-    "peak_memory_bytes": "INTEGER",
-    "started": "REAL",
-}
 FAILURES = (
     ("InputError", "log.clf, line 12: expected 180 ranges, got 3", 2),
     ("timeout", "stopped after 600 s", -15),
@@ -33,13 +23,10 @@ FAILURES = (
 
 def write_journal(out: Path, rows: Iterable[dict[str, Any]]) -> None:
     """Write OUT/runs.sqlite with these rows; what a row lacks is null."""
-    out.mkdir(parents=True, exist_ok=True)
-    columns = ", ".join(f"{name} {TYPES.get(name, 'TEXT')}" for name in COLUMNS)
-    with closing(sqlite3.connect(out / JOURNAL)) as journal, journal:
-        journal.execute("PRAGMA journal_mode=WAL")
-        journal.execute(f"CREATE TABLE runs ({columns}, PRIMARY KEY (key))")
-        marks = ", ".join("?" * len(COLUMNS))
-        journal.executemany(f"INSERT INTO runs VALUES ({marks})", ([row.get(name) for name in COLUMNS] for row in rows))
+    with Journal(out) as journal:
+        for row in rows:
+            document = row.get("document")
+            journal.write(dict.fromkeys(COLUMNS) | row | {"document": json.loads(document) if document else None})
 
 
 def make_document(rng: np.random.Generator, seed: int = 0, error_m: float | None = None) -> dict[str, Any]:
@@ -61,7 +48,7 @@ def make_document(rng: np.random.Generator, seed: int = 0, error_m: float | None
     }
     if error_m is not None:
         relations = {"trans_mean_m": error_m, "rot_mean_deg": 10 * error_m, "trans_max_m": 8 * error_m}
-        document["scores"] = {"relations": relations}
+        document["evaluation"] = {"relations": relations}
     return document
 
 
@@ -81,7 +68,7 @@ def make_rows(count: int, failed: int = 0, seed: int = 0) -> list[dict[str, Any]
             "wall_s": float(rng.uniform(1, 60)),
             "cpu_s": float(rng.uniform(1, 60)),
             "peak_memory_bytes": int(rng.uniform(1e8, 4e8)),
-            "started": 1.7e9 + i,
+            "started": f"2026-11-23T{i // 3600:02}:{i // 60 % 60:02}:{i % 60:02}.000+00:00",
             "worker": "local",
         }
         if i in broken:

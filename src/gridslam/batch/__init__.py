@@ -1,1 +1,1 @@
-"""Many logs: one command over all of them, and what came of it as a page, as a table and beside an earlier run."""
+"""Many logs: jobs in child processes, on this machine or a Dask cluster, and the journal of their results."""

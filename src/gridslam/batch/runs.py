@@ -11,36 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
 
+from gridslam.batch.journal import COLUMNS, JOURNAL
 from gridslam.errors import InputError, MissingDependencyError
 from gridslam.io.output import write_atomically
 
-__all__ = ["COLUMNS", "DONE", "JOURNAL", "Run", "read_runs", "write_parquet"]
-
-JOURNAL: Final = "runs.sqlite"
-"""Name of the journal in the output folder of a batch."""
+__all__ = ["DONE", "Run", "read_runs", "write_parquet"]
 
 DONE: Final = "done"
 """Status of a run that ended well; that of any other run is "failed"."""
-
-COLUMNS: Final = (
-    "key",
-    "log",
-    "command",
-    "folder",
-    "status",
-    "error",
-    "message",
-    "output_tail",
-    "exit_status",
-    "attempts",
-    "wall_s",
-    "cpu_s",
-    "peak_memory_bytes",
-    "started",
-    "worker",
-    "document",
-)
-"""Columns of the table `runs`."""
 
 _FIGURES: Final[dict[str, tuple[str, ...]]] = {
     "seed": ("seed",),
@@ -175,8 +153,8 @@ def _of_doctor(document: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
 
 
 def _errors(document: Mapping[str, Any]) -> dict[str, float | None]:
-    """Errors of a trajectory: of `gridslam evaluate` itself, or of a run that was scored (key `scores`)."""
-    scores = document.get("scores", document)
+    """Errors of a trajectory: of `gridslam evaluate` itself, or of a run that was scored (key `evaluation`)."""
+    scores = document.get("evaluation", document)
     found: dict[str, float | None] = {}
     for kind, names in _ERRORS.items():
         for name, key in names.items():

@@ -9,7 +9,8 @@ import sqlite3
 import numpy as np
 import pytest
 
-from gridslam.batch.runs import JOURNAL, read_runs, write_parquet
+from gridslam.batch.journal import JOURNAL
+from gridslam.batch.runs import read_runs, write_parquet
 from gridslam.errors import InputError, MissingDependencyError
 from support.journals import make_document, make_rows, write_journal
 
@@ -45,7 +46,7 @@ def test_scores_and_reports_of_other_commands_are_read(tmp_path):
     assert diagnosed.findings == (("error", "frozen", "The laser is frozen."),)
 
 
-@pytest.mark.parametrize("document", [None, "", "[]", "3", '{"scans": 3, "input": [], "scores": {"ate": null}}'])
+@pytest.mark.parametrize("document", [None, "[]", "3", '{"scans": 3, "input": [], "evaluation": {"ate": null}}'])
 def test_a_document_without_figures_is_no_failure(tmp_path, document):
     write_journal(tmp_path, [make_rows(1)[0] | {"document": document}])
     (run,) = read_runs(tmp_path)
