@@ -171,3 +171,52 @@ def test_a_log_on_a_web_server_is_mapped(web, log, tmp_path, capsys):
     assert describe_remote(f"{web}/run.clf") == describe_remote(f"{web}/run.clf")
     with pytest.raises(InputError, match="no such file"):
         fetch(f"{web}/absent.clf?token=abcdefgh")
+
+
+def test_a_batch_reads_logs_of_the_store_and_copies_its_results_there(s3, log, tmp_path, call):
+    for name in ("a", "b"):
+        s3.upload_file(str(log), "fleet", f"many/{name}.clf")
+    s3.put_object(Bucket="fleet", Key="many/broken.clf", Body=b"FLASER 3 1 2\n")
+    command = ("batch", "s3://fleet/many/", "-o", tmp_path / "out", "--workers", 2, "--upload", "s3://fleet/batch")
+    options = ("--parquet", "--", "--particles", "3", "--duration", "8")
+    status, out, err = call(*command, *options)
+    assert status == 1, err
+    assert "3 logs: 2 done, 1 failed" in out
+    assert "s3://fleet/many/broken.clf: InputError" in err
+    stored = names(s3, "batch/")
+    assert {"report.html", "runs.sqlite", "runs.parquet", "a/run.json", "b/map.png", "a/thumbnail.jpg"} <= set(stored)
+    assert not any(name.startswith("broken") for name in stored)
+    s3.delete_object(Bucket="fleet", Key="batch/b/run.json")
+    status, out, _ = call(*command, *options)
+    assert "2 done (2 of them before)" in out
+    assert names(s3, "batch/") == stored
+    everything = b"".join(path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file())
+    assert SECRET.encode() not in everything
+
+
+def test_a_signed_url_is_in_no_row_and_no_file_of_a_batch(web, tmp_path, call):
+    url = f"{web}/run.clf?X-Amz-Signature=abcdefgh"
+    status, out, err = call(
+        "batch", url, f"{web}/absent.clf?token=abcdefgh", "-o", tmp_path / "out", "--", "--particles", "3"
+    )
+    assert status == 1
+    assert "2 logs: 1 done, 1 failed" in out
+    assert (tmp_path / "out" / "run" / "map.png").exists()
+    everything = b"".join(path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file())
+    assert b"abcdefgh" not in everything + (out + err).encode()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("s3://fleet/none/*",), "s3://fleet/none/*: nothing matches this pattern"),
+        (("s3://fleet/none/",), "s3://fleet/none/: no logs below this URL"),
+        (("run.clf", "--upload", "bucket"), "bucket: expected a URL"),
+    ],
+)
+def test_bad_urls_of_a_batch_are_one_line(s3, tmp_path, call, arguments, message):
+    status, _, err = call("batch", *arguments, "-o", tmp_path / "out")
+    assert status == 2
+    assert err.startswith(f"gridslam: {message}")
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()

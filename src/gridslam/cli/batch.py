@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import time
@@ -20,6 +21,7 @@ from gridslam.batch.job import Job, compute_key
 from gridslam.batch.journal import Journal
 from gridslam.batch.manifest import COLUMNS, Entry, find_logs
 from gridslam.batch.pool import ProcessPool
+from gridslam.batch.publish import Publisher
 from gridslam.cli.localize import read_parameters
 from gridslam.cli.map import build_configuration
 from gridslam.cli.options import evaluate_options, localize_options, log_options, map_options
@@ -28,6 +30,7 @@ from gridslam.config.tables import suggest_names, to_table
 from gridslam.errors import ConfigurationError, GridslamError, InputError, OutputError
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions
+from gridslam.io.remote import describe_remote, is_url
 
 __all__ = ["run_batch"]
 
@@ -47,10 +50,13 @@ def run_batch(
     timeout_s: float | None,
     memory_mb: float | None,
     retries: int,
+    parquet: bool,
+    upload: str | None,
     as_json: bool,
     words: Sequence[str],
 ) -> int:
     """Run a command over many logs; returns the exit status."""
+    publisher = Publisher(out, upload, parquet=parquet)
     make = _Maker(command, words)
     entries = find_logs(logs, trajectories=command == "evaluate", reference=reference)
     prepared = [make.prepare(entry) for entry in entries]
@@ -66,14 +72,15 @@ def run_batch(
                 timeout_s=timeout_s,
                 memory_bytes=None if memory_mb is None else round(1e6 * memory_mb),
                 retries=retries,
-                on_row=progress.on_row,
+                on_row=_call_both(progress.on_row, publisher.on_row),
                 on_poll=progress.on_poll,
             )
+        published = publisher.finish()
     except OutputError as error:
         raise click.ClickException(str(error)) from None
     failed = sum(row["status"] == "failed" for row in rows)
     if not as_json:
-        click.echo("\n".join(progress.summarize(out)))
+        click.echo("\n".join([*progress.summarize(out), *published]))
     return 1 if failed else 0
 
 
@@ -214,7 +221,7 @@ def _make_jobs(
 ) -> list[Job]:
     """Make the jobs; the logs that have changed since the last time are read for their digests."""
     with ThreadPoolExecutor(min(8, _count_processors())) as threads:
-        digests = list(threads.map(_guard(journal.digest), [Path(entry.path) for entry in entries]))
+        digests = list(threads.map(_identify(journal), entries))
         references = {Path(path) for entry in entries for path in (entry.reference,) if path}
         maps = {Path(arguments["map"]) for arguments in prepared if "map" in arguments}
         others = {path: _guard(journal.digest)(path) for path in sorted(references | maps)}
@@ -226,7 +233,7 @@ def _make_jobs(
         }
         every = {
             "log": entry.path,
-            "digest": digest,
+            "digest": "" if is_url(entry.path) else digest,
             "reference": entry.reference,
             "max_memory_bytes": max_memory_bytes(),
             **arguments,
@@ -246,6 +253,31 @@ def _guard(digest: Callable[[Path], str]) -> Callable[[Path], str]:
             return ""
 
     return compute
+
+
+def _identify(journal: Journal) -> Callable[[Entry], str]:
+    """Digest of a log for its key; of one at a URL that of its size, time and ETag, as far as these are known."""
+    digest = _guard(journal.digest)
+
+    def compute(entry: Entry) -> str:
+        if not is_url(entry.path):
+            return digest(Path(entry.path))
+        try:
+            return hashlib.sha256(f"{entry.log}\n{describe_remote(entry.path)}".encode()).hexdigest()
+        except InputError:
+            return ""
+
+    return compute
+
+
+def _call_both(
+    first: Callable[[dict[str, Any]], None], second: Callable[[dict[str, Any]], None]
+) -> Callable[[dict[str, Any]], None]:
+    def call(row: dict[str, Any]) -> None:
+        first(row)
+        second(row)
+
+    return call
 
 
 @final

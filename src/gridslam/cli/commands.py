@@ -497,19 +497,22 @@ class _BatchCommand(click.Command):
     metavar="N",
     help="Run a log whose worker is lost again elsewhere, at most N times.",
 )
+@click.option("--parquet", is_flag=True, help="Write runs.parquet, too (extra: parquet).")
+@click.option("--upload", metavar="URL", help="Copy all results to this URL, too (extra: remote).")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line for each log, and no progress.")
 def batch_command(**options: Any) -> int:  # noqa: ANN401
     """Map many logs, or run another command over them, each in a process of its own.
 
-    LOGS are files, folders, patterns in quotes ('logs/**/*.bag') or manifests: CSV files with a column log and
+    LOGS are files, folders, URLs, patterns in quotes ('logs/**/*.bag') or manifests: CSV files with a column log and
     optionally name, reference and options of the command (seed, preset, ...), a line for each log.
 
     \b
       gridslam batch logs -o OUT --workers 4 --timeout 600 -- --preset fast
       gridslam batch logs -o OUT --command doctor
 
-    Writes to OUT a folder for each log, with the files of the command and run.json, and runs.sqlite with a row for
-    each log. The same command again runs what is missing. Exit status: 1 if a log failed.
+    Writes to OUT a folder for each log, with the files of the command and run.json, report.html, the page of all of
+    them, and runs.sqlite with a row for each log. The same command again runs what is missing. Exit status: 1 if a log
+    failed.
     """
     from gridslam.cli.batch import run_batch
 
