@@ -65,9 +65,9 @@ def find_logs(patterns: Sequence[str], *, trajectories: bool = False, reference:
     Parameters
     ----------
     patterns : sequence of str
-        Each a file, a folder (all logs below it; the folder of a ROS 2 bag is one log), a pattern with ``*``, ``?``,
-        ``[...]`` or ``**``, a URL (of a log, of a pattern, or of a folder, with a slash at its end), or a manifest: a
-        CSV with a column ``log`` and optionally ``name``, ``reference`` and options of the command. Paths in a manifest are
+        Each a file, a folder (all logs below it; the folder of a ROS 2 bag is one log), a pattern (``*``, ``?``,
+        ``[...]``, ``**``), a URL (of a log, of a pattern, or of a folder, with a slash at its end), or a manifest: a CSV
+        with a column ``log`` and optionally ``name``, ``reference`` and options of the command. Paths in a manifest are
         relative to its folder.
     trajectories : bool
         Trajectories are wanted instead of logs: a folder stands for all trajectory.tum below it, each named as the
