@@ -66,7 +66,7 @@ def find_logs(patterns: Sequence[str], *, trajectories: bool = False, reference:
     ----------
     patterns : sequence of str
         Each a file, a folder (all logs below it; the folder of a ROS 2 bag is one log), a pattern (``*``, ``?``,
-        ``[...]``, ``**``), a URL (of a log, of a pattern, or of a folder, with a slash at its end), or a manifest: a CSV
+        ``[...]``, ``**``), a URL (of a log, of a pattern, or a folder, with a slash at its end), or a manifest: a CSV
         with a column ``log`` and optionally ``name``, ``reference`` and options of the command. Paths in a manifest are
         relative to its folder.
     trajectories : bool
