@@ -22,12 +22,14 @@ from gridslam.batch.journal import Journal
 from gridslam.batch.manifest import COLUMNS, Entry, find_logs
 from gridslam.batch.pool import ProcessPool
 from gridslam.batch.publish import Publisher
+from gridslam.batch.suite import load_suite
 from gridslam.cli.localize import read_parameters
 from gridslam.cli.map import build_configuration
 from gridslam.cli.options import evaluate_options, localize_options, log_options, map_options
 from gridslam.cli.output import open_display, stop_if_interrupted, warn
 from gridslam.config.tables import suggest_names, to_table
 from gridslam.errors import ConfigurationError, GridslamError, InputError, OutputError
+from gridslam.io.cache import LogCache
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions
 from gridslam.io.remote import describe_remote, is_url
@@ -50,6 +52,7 @@ def run_batch(
     timeout_s: float | None,
     memory_mb: float | None,
     retries: int,
+    suite: str | None,
     parquet: bool,
     upload: str | None,
     as_json: bool,
@@ -58,7 +61,10 @@ def run_batch(
     """Run a command over many logs; returns the exit status."""
     publisher = Publisher(out, upload, parquet=parquet)
     make = _Maker(command, words)
-    entries = find_logs(logs, trajectories=command == "evaluate", reference=reference)
+    if suite is None:
+        entries = find_logs(logs, trajectories=command == "evaluate", reference=reference)
+    else:
+        entries = _find_suite(suite, logs, command, reference)
     prepared = [make.prepare(entry) for entry in entries]
     executor: Executor = ProcessPool(workers or _count_processors())
     try:
@@ -82,6 +88,20 @@ def run_batch(
     if not as_json:
         click.echo("\n".join([*progress.summarize(out), *published]))
     return 1 if failed else 0
+
+
+def _find_suite(name: str, folders: Sequence[str], command: str, reference: str | None) -> list[Entry]:
+    """The runs of a suite; what is absent is named."""
+    if command != "map" or reference is not None:
+        raise click.UsageError("--suite takes neither --command nor --reference", click.get_current_context())
+    for folder in folders:
+        if not Path(folder).is_dir():
+            raise click.ClickException(f"{folder}: expected a folder with logs of the suite")
+    entries, absent = load_suite(name).find(
+        [Path(folder) for folder in folders], LogCache.default().folder / "datasets"
+    )
+    warn(*absent)
+    return entries
 
 
 def _count_processors() -> int:

@@ -461,7 +461,7 @@ class _BatchCommand(click.Command):
 
 
 @gridslam.command("batch", cls=_BatchCommand)
-@click.argument("logs", nargs=-1, required=True)
+@click.argument("logs", nargs=-1)
 @click.option("-o", "--out", type=PATH, required=True, help="Output folder; created if missing.")
 @click.option(
     "--command",
@@ -497,6 +497,12 @@ class _BatchCommand(click.Command):
     metavar="N",
     help="Run a log whose worker is lost again elsewhere, at most N times.",
 )
+@click.option(
+    "--suite",
+    metavar="NAME|FILE",
+    help="Map the logs of a suite, public or a TOML file, by each of its variants and seeds; LOGS are folders with "
+    "them, or none: then public logs are downloaded (extra: datasets).",
+)
 @click.option("--parquet", is_flag=True, help="Write runs.parquet, too (extra: parquet).")
 @click.option("--upload", metavar="URL", help="Copy all results to this URL, too (extra: remote).")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line for each log, and no progress.")
@@ -516,6 +522,8 @@ def batch_command(**options: Any) -> int:  # noqa: ANN401
     """
     from gridslam.cli.batch import run_batch
 
+    if not options["logs"] and options["suite"] is None:
+        raise click.UsageError("Missing argument 'LOGS...'.", click.get_current_context())
     return run_batch(**options, words=click.get_current_context().meta["gridslam.batch"])
 
 
