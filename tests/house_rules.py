@@ -30,7 +30,9 @@ ONLY_IN = {
     "starlette": {"live"},
     "uvicorn": {"live"},
     "websockets": set(),
+    "fsspec": {"io"},
     "pandas": {"api"},
+    "pyarrow": {"batch"},
 }
 """Who may import which dependency: help must not pay for drawing, nor the filter for a terminal."""
 

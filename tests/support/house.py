@@ -39,6 +39,7 @@ RANKS = {
     "api": 13,
     "live": 13,
     "ros": 14,
+    "batch": 14,
     "cli": 15,
 }
 """Rank of each folder and of each single module of the package: it imports lower ranks and itself, nothing else."""
@@ -59,6 +60,8 @@ INNER_RANKS = {
         "text": 0,
         "yaml": 0,
         "datasets": 1,
+        "cache": 1,
+        "remote": 2,
         "log_statistics": 1,
         "maps": 1,
         "results": 1,

@@ -17,16 +17,21 @@ if TYPE_CHECKING:
     from gridslam.live.options import LiveOptions
 
 __all__ = [
+    "LOG",
+    "OUT",
     "PATH",
     "SEED",
     "SETTINGS",
     "THREADS",
     "add_options",
     "assignment_option",
+    "evaluate_options",
     "host_options",
     "json_option",
     "live_options",
+    "localize_options",
     "log_options",
+    "map_options",
     "name_option",
     "out_option",
     "read_pose",
@@ -39,7 +44,6 @@ __all__ = [
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
-@final
 class _Path(click.Path):
     """A path; the empty one, as of a shell's variable that is not set, would mean the current folder."""
 
@@ -49,12 +53,60 @@ class _Path(click.Path):
         return super().convert(value, param, ctx)
 
 
+@final
+class _Log(_Path):
+    """The path of a log; one at a URL is copied into the cache first, and the path is that of the copy."""
+
+    name = "path or URL"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
+        if isinstance(value, str) and "://" in value:
+            from gridslam.io.remote import fetch, is_url
+
+            if is_url(value):
+                return fetch(value).path
+        return super().convert(value, param, ctx)
+
+
+@final
+class _Out(_Path):
+    """The path of an output folder; at a URL, that of a temporary folder, uploaded when the command has written it."""
+
+    name = "path or URL"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
+        if isinstance(value, str) and "://" in value and ctx is not None:
+            from gridslam.io.remote import is_url
+
+            if is_url(value):
+                return ctx.with_resource(_uploaded(value))
+        return super().convert(value, param, ctx)
+
+
+@contextmanager
+def _uploaded(url: str) -> Iterator[Path]:
+    """Give a folder that does not exist yet; what is in it at the end is uploaded, unless an exception passes."""
+    import tempfile
+
+    from gridslam.io.remote import connect, mask_url, upload_folder
+
+    connect(url)
+    with tempfile.TemporaryDirectory(prefix="gridslam-") as folder:
+        out = Path(folder) / "out"
+        yield out
+        if out.is_dir():
+            upload_folder(out, url)
+            click.echo(f"gridslam: uploaded to {mask_url(url)}", err=True)
+
+
 PATH = _Path(path_type=Path)
+LOG = _Log(path_type=Path)
+OUT = _Out(path_type=Path)
 SEED = click.IntRange(min=0)
 THREADS = click.IntRange(1, 256)
 SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
-out_option = click.option("-o", "--out", type=PATH, required=True, help="Output folder; created if missing.")
+out_option = click.option("-o", "--out", type=OUT, required=True, help="Output folder; created if missing.")
 seed_option = click.option(
     "--seed", type=SEED, default=0, show_default=True, help="Random seed; the same seed gives identical output files."
 )
@@ -180,3 +232,73 @@ def _read_live_options(port: int | None, host: str | None) -> LiveOptions:
     given = {name: value for name, value in (("port", port), ("host", host)) if value is not None}
     with name_option(port="--live-port", host="--live-host"):
         return LiveOptions(**given)  # type: ignore[arg-type]
+
+
+def map_options(command: _Command) -> _Command:
+    """Add the options that determine the result of `gridslam map`."""
+    return add_options(command, _MAP_OPTIONS)  # type: ignore[return-value]
+
+
+def localize_options(command: _Command) -> _Command:
+    """Add the options that determine the result of `gridslam localize`."""
+    return add_options(command, _LOCALIZE_OPTIONS)  # type: ignore[return-value]
+
+
+def evaluate_options(command: _Command) -> _Command:
+    """Add the options that determine the result of `gridslam evaluate`."""
+    return add_options(command, _EVALUATE_OPTIONS)  # type: ignore[return-value]
+
+
+_MAP_OPTIONS = (
+    click.option("--particles", type=int, help="Number of particles.  [default: the preset's, 30]"),
+    seed_option,
+    threads_option,
+    click.option("--preset", default="default", show_default=True, help="Preset: default, fast, accurate or gmapping."),
+    click.option("--laser", metavar="NAME", help="Laser model; sets its range limits and map resolution (see below)."),
+    click.option("--config", type=PATH, help="TOML file with parameters; overrides the preset."),
+    assignment_option(help="Set one parameter (see below)."),
+    click.option("--no-loop-closure", is_flag=True, help="Disable loop closure."),
+    repair_option(
+        help="Faults to correct before mapping; needed: those that make any map unusable, all: all measurable ones."
+    ),
+    log_options,
+)
+_LOCALIZE_OPTIONS = (
+    click.option("--map", "map_path", type=PATH, required=True, help="Map YAML file (map_server or nav2)."),
+    click.option(
+        "--initial-pose",
+        metavar="X,Y,THETA",
+        callback=read_pose,
+        default="global",
+        show_default=True,
+        help="Initial pose, m and rad; global: unknown.",
+    ),
+    seed_option,
+    click.option("--particles", type=click.IntRange(min=1), help="Maximum number of particles.  [default: 20000]"),
+    threads_option,
+    click.option(
+        "--preset",
+        type=click.Choice(["default", "amcl", "nav2"]),
+        default="default",
+        show_default=True,
+        help="Base parameters: gridslam's, or the AMCL defaults of ROS 1 or nav2.",
+    ),
+    click.option("--config", type=PATH, help="Parameter file of AMCL, nav2 or Beluga (YAML); overrides the preset."),
+    assignment_option(help="Set one parameter, by its gridslam or AMCL name."),
+    click.option(
+        "--strict-thresholds", is_flag=True, help="Apply the map's thresholds literally, also to pixel value 205."
+    ),
+    repair_option(help="Faults corrected before the log is used, as in gridslam map."),
+    log_options,
+)
+_EVALUATE_OPTIONS = (
+    click.option(
+        "--distance",
+        "distance_m",
+        type=float,
+        default=1.0,
+        show_default=True,
+        metavar="M",
+        help="Path length between the pose pairs of the RPE, m.",
+    ),
+)
