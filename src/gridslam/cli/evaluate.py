@@ -10,6 +10,7 @@ import click
 
 from gridslam.cli.output import print_result
 from gridslam.errors import ArgumentError, InputError
+from gridslam.evaluation.self_consistency import SelfConsistency, measure_self_consistency
 from gridslam.evaluation.trajectory import (
     PoseErrors,
     RelationErrors,
@@ -17,6 +18,7 @@ from gridslam.evaluation.trajectory import (
     relation_errors,
     relative_errors_by_distance,
 )
+from gridslam.io.log import detect_log_format, open_log
 from gridslam.io.trajectories import read_relations, read_tum
 from gridslam.types import Trajectory
 
@@ -26,7 +28,7 @@ EVALUATION_SCHEMA = "gridslam.evaluation/1"
 
 
 def evaluate(trajectory: Path, reference: Path, distance_m: float, as_json: bool) -> None:
-    """Score a trajectory against relations, or against another trajectory."""
+    """Score a trajectory against relations, against another trajectory, or against its own scans in a log."""
     if not distance_m > 0:
         raise click.ClickException(f"--distance: expected a length above 0 m, got {distance_m:g}")
     estimate = read_tum(trajectory)
@@ -35,6 +37,10 @@ def evaluate(trajectory: Path, reference: Path, distance_m: float, as_json: bool
             relations = relation_errors(estimate, read_relations(reference))
             scores: dict[str, Any] = {"relations": asdict(relations)}
             lines = [_format_relation_errors(relations)]
+        elif _is_log(reference):
+            agreement = measure_self_consistency(estimate, (scan for _, scan in open_log(reference)))
+            scores = {"self_consistency": asdict(agreement)}
+            lines = [_format_self_consistency(agreement)]
         else:
             scores = score_against_truth(estimate, read_tum(reference), distance_m)
             lines = format_scores(scores)
@@ -76,3 +82,19 @@ def _format_relation_errors(errors: RelationErrors) -> str:
         f"{errors.rot_std_deg:.3f} deg, at most {errors.trans_max_m:.4f} m and {errors.rot_max_deg:.3f} deg, "
         f"{errors.n} relations, {errors.exact:.1%} of the poses at their exact time"
     )
+
+
+def _format_self_consistency(agreement: SelfConsistency) -> str:
+    return (
+        f"self-consistency: {agreement.nats_per_beam:.4f} nats a beam, {agreement.beams} beams of {agreement.scans} "
+        "scans (less is better, between trajectories of one log)"
+    )
+
+
+def _is_log(path: Path) -> bool:
+    """Whether a reference holds scans; a file that cannot be read is left to the reader of trajectories."""
+    try:
+        detect_log_format(path)
+    except InputError:
+        return False
+    return True
