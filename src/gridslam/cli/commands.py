@@ -62,7 +62,8 @@ class _MapCommand(click.Command):
 
         defaults = Configuration()
         rows = [
-            (name, f"{what} [{str(value_of(defaults, path)).lower()}]") for name, (path, what) in PARAMETERS.items()
+            (name, f"{known.description} [{str(value_of(defaults, known.path)).lower()}]")
+            for name, known in PARAMETERS.items()
         ]
         with formatter.section("Lasers for --laser"):
             formatter.write_dl([(name, laser.description) for name, laser in LASERS.items()])
