@@ -39,6 +39,7 @@ RANKS = {
     "api": 13,
     "live": 13,
     "ros": 14,
+    "batch": 14,
     "cli": 15,
 }
 """Rank of each folder and of each single module of the package: it imports lower ranks and itself, nothing else."""

@@ -161,6 +161,17 @@ class LocalizationResult(Result):
         pairs = zip(begins.tolist(), ends.tolist(), strict=True)
         return [LocalizationInterval(bool(lost[a]), a, b, float(self.driven_m[a])) for a, b in pairs]
 
+    def warnings(self) -> Iterator[str]:
+        """Yield what the user should know of log and map, a sentence each."""
+        for fault in self.repair.describe():
+            yield f"{self.source}: {fault}: corrected (disable with --repair none; details: gridslam doctor)"
+        yield from (f"{self.map_path}: {remark} (--strict-thresholds reads literally)" for remark in self.remarks)
+        if self.lost.all():
+            yield (
+                f"{self.source}: the robot was never localized with confidence: the drive is too short, or the "
+                "map is ambiguous"
+            )
+
     def caption(self) -> list[str]:
         """Lines that describe the result."""
         scans = len(self.reports)
@@ -252,6 +263,7 @@ def localize(
     gate: Callable[[Iterable[Measurement]], Iterable[Measurement]] = iter,
     on_progress: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
+    digest: str | None = None,
 ) -> LocalizationResult:
     """Localize the robot of a log in a map, by Monte Carlo localization.
 
@@ -285,6 +297,8 @@ def localize(
         Called after each scan.
     stopwatch : Stopwatch, optional
         To go on with.
+    digest : str, optional
+        SHA-256 of the log, where it is known (see `gridslam.io.text.compute_digest`).
 
     Returns
     -------
@@ -349,7 +363,7 @@ def localize(
         log=source.statistics,
         source=source.path,
         map_path=path,
-        digest=compute_digest(source.path),
+        digest=digest or compute_digest(source.path),
         remarks=remarks,
         repair=find_repair(source),
         stopwatch=watch,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -51,6 +51,8 @@ _MOST_DRAWN = 300
 """Recognized closures in the picture; of more every second, third, ... is drawn."""
 _APART = 20
 """Key scans between two tracked revisits that are drawn."""
+_MAX_BACKWARD_RATIO = 0.1
+"""Ratio of scans stamped before their predecessor above which a warning is given; jitter causes up to 0.05."""
 _ORDERS = {1: "as reported", 0: "none", -1: "backward"}
 
 
@@ -142,6 +144,23 @@ class MapResult(Result):
         """Odometry path length as text."""
         log = self.log
         return "no odometry" if log.without_odometry == log.scan_count else f"{log.odometry_length_m:.0f} m driven"
+
+    def warnings(self) -> Iterator[str]:
+        """Yield what the user should know of the log, a sentence each."""
+        log = self.log
+        for fault in self.repair.describe():
+            yield f"{fault}: corrected before mapping (disable with --repair none; details: gridslam doctor)"
+        yield from log.remarks
+        if log.truncated:
+            yield f"the log is truncated after {log.scan_count} scans"
+        if log.backward_stamps > _MAX_BACKWARD_RATIO * log.scan_count:
+            yield (
+                f"{log.backward_stamps} of {log.scan_count} scans have a stamp older than their predecessor: "
+                "check the order of the log"
+            )
+        beams = sum(count * scans for count, scans in log.beam_counts.items())
+        if log.invalid_beams > 0.5 * beams:
+            yield f"{log.invalid_beams} of {beams} ranges are invalid (zero, negative or not a number)"
 
     def caption(self) -> list[str]:
         """Lines that describe the map."""
@@ -301,6 +320,7 @@ def map_log(
     on_progress: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
     keep_particles: bool = True,
+    digest: str | None = None,
 ) -> MapResult:
     """Map a log with grid-based FastSLAM and loop closure.
 
@@ -338,6 +358,8 @@ def map_log(
     keep_particles : bool
         False: after the last scan the best particle alone is kept, so that the final refinement can use the memory of
         the others' maps. The result is the same.
+    digest : str, optional
+        SHA-256 of the log, where it is known (see `gridslam.io.text.compute_digest`).
 
     Raises
     ------
@@ -378,7 +400,7 @@ def map_log(
         stopwatch=watch,
         on_failure=failures,
     )
-    digest = compute_digest(source.path)
+    digest = digest or compute_digest(source.path)
     watch.lap("finish")
     result = finish_mapping(
         state,

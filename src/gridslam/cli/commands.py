@@ -16,10 +16,13 @@ from gridslam.cli.options import (
     THREADS,
     add_options,
     assignment_option,
+    evaluate_options,
     host_options,
     json_option,
     live_options,
+    localize_options,
     log_options,
+    map_options,
     out_option,
     read_pose,
     repair_option,
@@ -79,18 +82,7 @@ class _MapCommand(click.Command):
 @gridslam.command("map", cls=_MapCommand)
 @click.argument("log", type=PATH)
 @out_option
-@click.option("--particles", type=int, help="Number of particles.  [default: the preset's, 30]")
-@seed_option
-@threads_option
-@click.option("--preset", default="default", show_default=True, help="Preset: default, fast, accurate or gmapping.")
-@click.option("--laser", metavar="NAME", help="Laser model; sets its range limits and map resolution (see below).")
-@click.option("--config", type=PATH, help="TOML file with parameters; overrides the preset.")
-@assignment_option(help="Set one parameter (see below).")
-@click.option("--no-loop-closure", is_flag=True, help="Disable loop closure.")
-@repair_option(
-    help="Faults to correct before mapping; needed: those that make any map unusable, all: all measurable ones."
-)
-@log_options
+@map_options
 @live_options
 @rerun_option
 @json_option
@@ -295,33 +287,8 @@ def grid_command(**options: Any) -> None:  # noqa: ANN401
 
 @gridslam.command("localize")
 @click.argument("log", type=PATH)
-@click.option("--map", "map_path", type=PATH, required=True, help="Map YAML file (map_server or nav2).")
 @click.option("-o", "--out", type=PATH, help="Output folder; created if missing.")
-@click.option(
-    "--initial-pose",
-    metavar="X,Y,THETA",
-    callback=read_pose,
-    default="global",
-    show_default=True,
-    help="Initial pose, m and rad; global: unknown.",
-)
-@seed_option
-@click.option("--particles", type=click.IntRange(min=1), help="Maximum number of particles.  [default: 20000]")
-@threads_option
-@click.option(
-    "--preset",
-    type=click.Choice(["default", "amcl", "nav2"]),
-    default="default",
-    show_default=True,
-    help="Base parameters: gridslam's, or the AMCL defaults of ROS 1 or nav2.",
-)
-@click.option("--config", type=PATH, help="Parameter file of AMCL, nav2 or Beluga (YAML); overrides the preset.")
-@assignment_option(help="Set one parameter, by its gridslam or AMCL name.")
-@click.option(
-    "--strict-thresholds", is_flag=True, help="Apply the map's thresholds literally, also to pixel value 205."
-)
-@repair_option(help="Faults corrected before the log is used, as in gridslam map.")
-@log_options
+@localize_options
 @live_options
 @rerun_option
 @json_option
@@ -369,15 +336,7 @@ def graph_command(**options: Any) -> None:  # noqa: ANN401
 @gridslam.command("evaluate")
 @click.argument("trajectory", type=PATH)
 @click.argument("reference", type=PATH)
-@click.option(
-    "--distance",
-    "distance_m",
-    type=float,
-    default=1.0,
-    show_default=True,
-    metavar="M",
-    help="Path length between the pose pairs of the RPE, m.",
-)
+@evaluate_options
 @json_option
 def evaluate_command(**options: Any) -> None:  # noqa: ANN401
     """Compute the errors of TRAJECTORY with respect to REFERENCE.
@@ -443,6 +402,76 @@ def simulate_command(**options: Any) -> None:  # noqa: ANN401
     from gridslam.cli.simulate import simulate_to_log
 
     simulate_to_log(**options)
+
+
+class _BatchCommand(click.Command):
+    """Command that hands on what follows ``--``: the options of the command that it runs."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse what precedes ``--``."""
+        at = args.index("--") if "--" in args else len(args)
+        ctx.meta["gridslam.batch"] = args[at + 1 :]
+        return super().parse_args(ctx, args[:at])
+
+    def format_usage(self, context: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the usage."""
+        formatter.write_usage(context.command_path, "LOGS... -o OUT [OPTIONS] [-- OPTIONS OF THE COMMAND]")
+
+
+@gridslam.command("batch", cls=_BatchCommand)
+@click.argument("logs", nargs=-1, required=True)
+@out_option
+@click.option(
+    "--command",
+    type=click.Choice(["map", "doctor", "localize", "evaluate"]),
+    default="map",
+    show_default=True,
+    help="What to do with each log.",
+)
+@click.option(
+    "--reference",
+    metavar="PATTERN",
+    help="File of relations (.relations) or true trajectory of each log, with {name}, {stem} or {parent} for the log's "
+    "name, its file's and its folder's: results are scored against it.",
+)
+@click.option(
+    "--workers", type=click.IntRange(1, 256), metavar="N", help="Logs at a time.  [default: number of processors]"
+)
+@click.option(
+    "--timeout", "timeout_s", type=click.FloatRange(0, min_open=True), metavar="S", help="Time limit for a log, s."
+)
+@click.option(
+    "--memory",
+    "memory_mb",
+    type=click.FloatRange(500, 1e9),
+    metavar="MB",
+    help="Limit of the address space for a log, MB (Linux only).",
+)
+@click.option(
+    "--retries",
+    type=click.IntRange(0, 100),
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="Run a log whose worker is lost again elsewhere, at most N times.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line for each log, and no progress.")
+def batch_command(**options: Any) -> int:  # noqa: ANN401
+    """Map many logs, or run another command over them, each in a process of its own.
+
+    LOGS are files, folders, patterns in quotes ('logs/**/*.bag') or manifests: CSV files with a column log and
+    optionally name, reference and options of the command (seed, preset, ...), a line for each log.
+
+    \b
+      gridslam batch logs -o OUT --workers 4 --timeout 600 -- --preset fast
+      gridslam batch logs -o OUT --command doctor
+
+    Writes to OUT a folder for each log, with the files of the command and run.json, and runs.sqlite with a row for
+    each log. The same command again runs what is missing. Exit status: 1 if a log failed.
+    """
+    from gridslam.cli.batch import run_batch
+
+    return run_batch(**options, words=click.get_current_context().meta["gridslam.batch"])
 
 
 _NODE_OPTIONS = (

@@ -2,65 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import click
 
+from gridslam.api.evaluation import evaluate_trajectory
+from gridslam.cli.options import name_option
 from gridslam.cli.output import print_result
-from gridslam.errors import ArgumentError, InputError
-from gridslam.evaluation.self_consistency import SelfConsistency, measure_self_consistency
-from gridslam.evaluation.trajectory import (
-    PoseErrors,
-    RelationErrors,
-    absolute_errors,
-    relation_errors,
-    relative_errors_by_distance,
-)
-from gridslam.io.log import detect_log_format, open_log
-from gridslam.io.trajectories import read_relations, read_tum
-from gridslam.types import Trajectory
+from gridslam.evaluation.self_consistency import SelfConsistency
+from gridslam.evaluation.trajectory import PoseErrors, RelationErrors
 
-__all__ = ["EVALUATION_SCHEMA", "evaluate", "format_scores", "score_against_truth"]
-
-EVALUATION_SCHEMA = "gridslam.evaluation/1"
+__all__ = ["evaluate", "format_scores"]
 
 
 def evaluate(trajectory: Path, reference: Path, distance_m: float, as_json: bool) -> None:
     """Score a trajectory against relations, against another trajectory, or against its own scans in a log."""
     if not distance_m > 0:
         raise click.ClickException(f"--distance: expected a length above 0 m, got {distance_m:g}")
-    estimate = read_tum(trajectory)
-    try:
-        if reference.suffix == ".relations":
-            relations = relation_errors(estimate, read_relations(reference))
-            scores: dict[str, Any] = {"relations": asdict(relations)}
-            lines = [_format_relation_errors(relations)]
-        elif _is_log(reference):
-            agreement = measure_self_consistency(estimate, (scan for _, scan in open_log(reference)))
-            scores = {"self_consistency": asdict(agreement)}
-            lines = [_format_self_consistency(agreement)]
-        else:
-            scores = score_against_truth(estimate, read_tum(reference), distance_m)
-            lines = format_scores(scores)
-    except ArgumentError as error:
-        if error.argument == "distance_m":
-            raise click.ClickException(str(error).replace("distance_m", "--distance", 1)) from None
-        raise InputError(trajectory, f"cannot be compared with {reference}: {error}") from None
-    document = {"schema": EVALUATION_SCHEMA, "trajectory": str(trajectory), "reference": str(reference), **scores}
-    print_result(document, lines, as_json)
-
-
-def score_against_truth(estimate: Trajectory, truth: Trajectory, distance_m: float = 1.0) -> dict[str, Any]:
-    """Absolute errors after alignment, and relative ones over `distance_m` of the truth's path, as JSON values."""
-    absolute = absolute_errors(estimate, truth)
-    relative = relative_errors_by_distance(estimate, truth, distance_m)
-    return {"ate": asdict(absolute), "rpe": {"distance_m": distance_m, **asdict(relative)}}
+    with name_option(distance_m="--distance"):
+        document = evaluate_trajectory(trajectory, reference, distance_m)
+    print_result(document, format_scores(document), as_json)
 
 
 def format_scores(scores: dict[str, Any]) -> list[str]:
-    """The scores of `score_against_truth` in words."""
+    """The scores of `evaluate_trajectory` in words."""
+    if "relations" in scores:
+        return [_format_relation_errors(RelationErrors(**scores["relations"]))]
+    if "self_consistency" in scores:
+        return [_format_self_consistency(SelfConsistency(**scores["self_consistency"]))]
     rpe = dict(scores["rpe"])
     distance_m = rpe.pop("distance_m")
     return [
@@ -89,12 +59,3 @@ def _format_self_consistency(agreement: SelfConsistency) -> str:
         f"self-consistency: {agreement.nats_per_beam:.4f} nats a beam, {agreement.beams} beams of {agreement.scans} "
         "scans (less is better, between trajectories of one log)"
     )
-
-
-def _is_log(path: Path) -> bool:
-    """Whether a reference holds scans; a file that cannot be read is left to the reader of trajectories."""
-    try:
-        detect_log_format(path)
-    except InputError:
-        return False
-    return True

@@ -23,7 +23,7 @@ from gridslam.live.options import LiveOptions
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.pipeline import Stopwatch
 
-__all__ = ["localize_to_folder"]
+__all__ = ["localize_to_folder", "read_parameters"]
 
 _MAX_LINES = 8
 """Intervals in the summary."""
@@ -49,7 +49,7 @@ def localize_to_folder(
 ) -> None:
     """Localize a log in a map, write the results if a folder is given and print a summary."""
     watch = Stopwatch(STARTED_S, 0.0)
-    read = _read_parameters(preset, config, particles, assignments)
+    read = read_parameters(preset, config, particles, assignments)
     source = check_log(open_log(log, options), options)
     is_watched = live is not None or rerun is not None
     known = read_map(map_path, strict_thresholds=strict_thresholds) if is_watched else None
@@ -74,11 +74,13 @@ def localize_to_folder(
                 **viewers.watch(source, watch),
             )
             document = result.document() if folder is None else result.write(folder)
-        warn(*_find_warnings(result, read.ignored))
+        warn(*result.warnings())
+        if read.ignored:
+            warn(f"{', '.join(read.ignored)}: not supported, ignored")
         print_result(document, _summarize(document, result, out), as_json)
 
 
-def _read_parameters(
+def read_parameters(
     preset: str, path: Path | None, particles: int | None, assignments: Sequence[str]
 ) -> AmclParameters:
     """Build the parameters from preset, file and assignments, the later ones first; --particles overrides them."""
@@ -128,17 +130,3 @@ def _summarize_intervals(result: LocalizationResult) -> Iterator[str]:
             yield f"found after {interval.driven_m:.1f} m ({after:.1f} s)"
     if len(intervals) > _MAX_LINES:
         yield f"... {len(intervals)} intervals in total, listed in run.json"
-
-
-def _find_warnings(result: LocalizationResult, ignored: Sequence[str]) -> Iterator[str]:
-    """Yield the warnings about log, map and ignored parameters."""
-    for fault in result.repair.describe():
-        yield f"{result.source}: {fault}: corrected (disable with --repair none; details: gridslam doctor)"
-    yield from (f"{result.map_path}: {remark} (--strict-thresholds reads literally)" for remark in result.remarks)
-    if ignored:
-        yield f"{', '.join(ignored)}: not supported, ignored"
-    if result.lost.all():
-        yield (
-            f"{result.source}: the robot was never localized with confidence: the drive is too short, or the "
-            "map is ambiguous"
-        )

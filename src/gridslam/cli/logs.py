@@ -8,13 +8,14 @@ from pathlib import Path
 import click
 
 from gridslam.api.conversion import Conversion, convert_log, infer_format
+from gridslam.api.diagnosis import check_log as check_and_warn
+from gridslam.api.diagnosis import write_diagnosis
 from gridslam.cli.output import open_output, print_result, reading_progress, warn
-from gridslam.doctor import CheckedLog, Diagnosis, Finding, Severity, diagnose
-from gridslam.doctor.report import document, markdown, picture_name, text
+from gridslam.doctor import CheckedLog, Diagnosis, Severity, diagnose
+from gridslam.doctor.report import document, text
 from gridslam.errors import ArgumentError
 from gridslam.io.datasets import DATASETS, fetch_dataset, find_dataset
 from gridslam.io.log import Log, LogOptions, open_log
-from gridslam.io.output import OutputFolder
 
 __all__ = [
     "CONVERSION_SCHEMA",
@@ -42,41 +43,20 @@ def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) 
     else:
         with open_output(out) as folder:
             diagnosis = _diagnose_with_progress(source, not as_json)
-            _write_report(diagnosis, folder)
+            write_diagnosis(diagnosis, folder)
     report = [] if out is None else [f"report: {out / 'report.md'}"]
     print_result(document(diagnosis), [*text(diagnosis), *report], as_json)
     return EXIT_FOUND_ERRORS if diagnosis.worst is Severity.ERROR else 0
 
 
 def check_log(log: Log, options: LogOptions) -> CheckedLog:
-    """Wrap a log so that faults at its begin are reported on stderr, one line each, while it is read.
-
-    That there is no odometry is no news to who asked for it.
-    """
-
-    def print_findings(found: tuple[Finding, ...]) -> None:
-        for finding in found:
-            if finding.code != "no_odometry" or not options.no_odometry:
-                warn(f"{log.path}: {finding.code}: {finding.message} {finding.remedy}".rstrip())
-
-    return CheckedLog(log, print_findings)
+    """Wrap a log so that faults at its begin are reported on stderr, one line each, while it is read."""
+    return check_and_warn(log, options, warn)
 
 
 def _diagnose_with_progress(source: Log, shown: bool) -> Diagnosis:
     with reading_progress(lambda: source.statistics, shown=shown) as on_progress:
         return diagnose(source, on_progress=on_progress)
-
-
-def _write_report(diagnosis: Diagnosis, folder: OutputFolder) -> None:
-    from gridslam.viz.chart import draw_chart
-
-    folder.write_json("report.json", document(diagnosis))
-    folder.file("report.md").write_text("\n".join(markdown(diagnosis)) + "\n", encoding="utf-8")
-    for number, finding in enumerate(diagnosis.findings, 1):
-        name = picture_name(number, finding)
-        if name is not None and finding.figure is not None:
-            lines = [finding.message, *([finding.remedy] if finding.remedy else [])]
-            draw_chart(finding.figure, caption=lines).save(folder.file(name), optimize=True)
 
 
 def convert(log: Path, out: Path, options: LogOptions, to: str | None, as_json: bool) -> None:

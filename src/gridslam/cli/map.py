@@ -16,10 +16,7 @@ from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.live.options import LiveOptions
 from gridslam.pipeline import Stopwatch
 
-__all__ = ["map_to_folder", "map_with_progress", "summarize"]
-
-_MAX_BACKWARD_RATIO = 0.1
-"""Ratio of scans stamped before their predecessor above which a warning is printed; jitter causes up to 0.05."""
+__all__ = ["build_configuration", "map_to_folder", "map_with_progress", "summarize"]
 
 
 def map_to_folder(
@@ -41,7 +38,7 @@ def map_to_folder(
 ) -> None:
     """Map a log, write the results to a folder and print a summary."""
     watch = Stopwatch(STARTED_S, 0.0)
-    configuration = _build_configuration(preset, particles, laser, config, assignments, no_loop_closure)
+    configuration = build_configuration(preset, particles, laser, config, assignments, no_loop_closure)
     source = check_log(open_log(log, options), options)
     with open_viewers(live, rerun, source.path.name, configuration.range_max_m) as viewers:
         with open_output(out, MapResult.all_names()) as folder:
@@ -49,7 +46,7 @@ def map_to_folder(
                 source, configuration, watch, viewers, shown=not as_json, seed=seed, threads=threads, repair=repair
             )
             document = result.write(folder)
-        warn(*(f"{log}: {warning}" for warning in _find_warnings(result)))
+        warn(*(f"{log}: {warning}" for warning in result.warnings()))
         print_result(document, summarize(document, result, out), as_json)
 
 
@@ -105,7 +102,7 @@ def summarize(document: dict[str, Any], result: MapResult, out: Path) -> list[st
     ]
 
 
-def _build_configuration(
+def build_configuration(
     name: str,
     particles: int | None,
     laser: str | None,
@@ -136,21 +133,3 @@ def _summarize_loop_closure(loops: dict[str, Any] | Literal[False]) -> Iterator[
     yield f"{len(loops['closures'])} places recognized, {tracked}, {corrections}; {moved}"
     if rejected:
         yield f"{sum(rejected.values())} loop-closure candidates rejected: {reasons}"
-
-
-def _find_warnings(result: MapResult) -> Iterator[str]:
-    """Yield the warnings about the log and the map."""
-    log = result.log
-    for fault in result.repair.describe():
-        yield f"{fault}: corrected before mapping (disable with --repair none; details: gridslam doctor)"
-    yield from log.remarks
-    if log.truncated:
-        yield f"the log is truncated after {log.scan_count} scans"
-    if log.backward_stamps > _MAX_BACKWARD_RATIO * log.scan_count:
-        yield (
-            f"{log.backward_stamps} of {log.scan_count} scans have a stamp older than their predecessor: "
-            "check the order of the log"
-        )
-    beams = sum(count * scans for count, scans in log.beam_counts.items())
-    if log.invalid_beams > 0.5 * beams:
-        yield f"{log.invalid_beams} of {beams} ranges are invalid (zero, negative or not a number)"

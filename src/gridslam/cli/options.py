@@ -23,10 +23,13 @@ __all__ = [
     "THREADS",
     "add_options",
     "assignment_option",
+    "evaluate_options",
     "host_options",
     "json_option",
     "live_options",
+    "localize_options",
     "log_options",
+    "map_options",
     "name_option",
     "out_option",
     "read_pose",
@@ -180,3 +183,73 @@ def _read_live_options(port: int | None, host: str | None) -> LiveOptions:
     given = {name: value for name, value in (("port", port), ("host", host)) if value is not None}
     with name_option(port="--live-port", host="--live-host"):
         return LiveOptions(**given)  # type: ignore[arg-type]
+
+
+def map_options(command: _Command) -> _Command:
+    """Add the options that determine the result of `gridslam map`."""
+    return add_options(command, _MAP_OPTIONS)  # type: ignore[return-value]
+
+
+def localize_options(command: _Command) -> _Command:
+    """Add the options that determine the result of `gridslam localize`."""
+    return add_options(command, _LOCALIZE_OPTIONS)  # type: ignore[return-value]
+
+
+def evaluate_options(command: _Command) -> _Command:
+    """Add the options that determine the result of `gridslam evaluate`."""
+    return add_options(command, _EVALUATE_OPTIONS)  # type: ignore[return-value]
+
+
+_MAP_OPTIONS = (
+    click.option("--particles", type=int, help="Number of particles.  [default: the preset's, 30]"),
+    seed_option,
+    threads_option,
+    click.option("--preset", default="default", show_default=True, help="Preset: default, fast, accurate or gmapping."),
+    click.option("--laser", metavar="NAME", help="Laser model; sets its range limits and map resolution (see below)."),
+    click.option("--config", type=PATH, help="TOML file with parameters; overrides the preset."),
+    assignment_option(help="Set one parameter (see below)."),
+    click.option("--no-loop-closure", is_flag=True, help="Disable loop closure."),
+    repair_option(
+        help="Faults to correct before mapping; needed: those that make any map unusable, all: all measurable ones."
+    ),
+    log_options,
+)
+_LOCALIZE_OPTIONS = (
+    click.option("--map", "map_path", type=PATH, required=True, help="Map YAML file (map_server or nav2)."),
+    click.option(
+        "--initial-pose",
+        metavar="X,Y,THETA",
+        callback=read_pose,
+        default="global",
+        show_default=True,
+        help="Initial pose, m and rad; global: unknown.",
+    ),
+    seed_option,
+    click.option("--particles", type=click.IntRange(min=1), help="Maximum number of particles.  [default: 20000]"),
+    threads_option,
+    click.option(
+        "--preset",
+        type=click.Choice(["default", "amcl", "nav2"]),
+        default="default",
+        show_default=True,
+        help="Base parameters: gridslam's, or the AMCL defaults of ROS 1 or nav2.",
+    ),
+    click.option("--config", type=PATH, help="Parameter file of AMCL, nav2 or Beluga (YAML); overrides the preset."),
+    assignment_option(help="Set one parameter, by its gridslam or AMCL name."),
+    click.option(
+        "--strict-thresholds", is_flag=True, help="Apply the map's thresholds literally, also to pixel value 205."
+    ),
+    repair_option(help="Faults corrected before the log is used, as in gridslam map."),
+    log_options,
+)
+_EVALUATE_OPTIONS = (
+    click.option(
+        "--distance",
+        "distance_m",
+        type=float,
+        default=1.0,
+        show_default=True,
+        metavar="M",
+        help="Path length between the pose pairs of the RPE, m.",
+    ),
+)

@@ -28,6 +28,7 @@ __all__ = [
     "Progress",
     "handle_signals",
     "mapping_progress",
+    "open_display",
     "open_output",
     "print_json",
     "print_result",
@@ -124,14 +125,14 @@ def stop_if_interrupted() -> None:
 @contextmanager
 def mapping_progress(statistics: Callable[[], LogStatistics], *, shown: bool = True) -> Iterator[Progress]:
     """Yield the progress of a mapping run, which prints nothing if disabled."""
-    with _display(shown) as (show, every_s):
+    with open_display(shown) as (show, every_s):
         yield Progress(statistics, show, every_s)
 
 
 @contextmanager
 def reading_progress(statistics: Callable[[], LogStatistics], *, shown: bool = True) -> Iterator[Callable[[], None]]:
     """Give what is called after each scan: it shows now and then how far the reading is, and stops if interrupted."""
-    with _display(shown) as (show, every_s):
+    with open_display(shown) as (show, every_s):
         began = time.perf_counter()
         due = began + every_s
         scans = 0
@@ -206,7 +207,7 @@ class Progress:
 
 
 @contextmanager
-def _display(shown: bool) -> Iterator[tuple[Callable[[float, str], None], float]]:
+def open_display(shown: bool) -> Iterator[tuple[Callable[[float, str], None], float]]:
     """Yield a function that displays a fraction and a text, and its period in seconds."""
     if not shown:
         yield lambda share, text: None, math.inf

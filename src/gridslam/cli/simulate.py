@@ -10,9 +10,10 @@ from pathlib import Path
 import click
 import numpy as np
 
+from gridslam.api.evaluation import score_against_truth
 from gridslam.api.mapping import MapResult
 from gridslam.cli import STARTED_S
-from gridslam.cli.evaluate import format_scores, score_against_truth
+from gridslam.cli.evaluate import format_scores
 from gridslam.cli.live import open_viewers
 from gridslam.cli.map import map_with_progress, summarize
 from gridslam.cli.options import name_option

@@ -1,0 +1,42 @@
+"""The diagnosis of a log as files, and the check of its first minute while another command reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from gridslam.doctor import CheckedLog, Diagnosis, Finding
+from gridslam.doctor.report import document, markdown, picture_name
+from gridslam.io.log import Log, LogOptions
+from gridslam.io.output import OutputFolder
+
+__all__ = ["check_log", "write_diagnosis"]
+
+
+def check_log(log: Log, options: LogOptions, warn: Callable[[str], None]) -> CheckedLog:
+    """Wrap a log so that faults at its begin are reported while it is read, one line each.
+
+    That there is no odometry is no news to who asked for it.
+    """
+
+    def report(found: tuple[Finding, ...]) -> None:
+        for finding in found:
+            if finding.code != "no_odometry" or not options.no_odometry:
+                warn(f"{log.path}: {finding.code}: {finding.message} {finding.remedy}".rstrip())
+
+    return CheckedLog(log, report)
+
+
+def write_diagnosis(diagnosis: Diagnosis, folder: OutputFolder) -> dict[str, Any]:
+    """Write report.json, report.md and a picture for each finding that has one; returns the content of report.json."""
+    from gridslam.viz.chart import draw_chart  # only drawing pays for the import of Pillow
+
+    content = document(diagnosis)
+    folder.write_json("report.json", content)
+    folder.file("report.md").write_text("\n".join(markdown(diagnosis)) + "\n", encoding="utf-8")
+    for number, finding in enumerate(diagnosis.findings, 1):
+        name = picture_name(number, finding)
+        if name is not None and finding.figure is not None:
+            lines = [finding.message, *([finding.remedy] if finding.remedy else [])]
+            draw_chart(finding.figure, caption=lines).save(folder.file(name), optimize=True)
+    return content

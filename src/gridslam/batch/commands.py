@@ -1,0 +1,129 @@
+"""What a job of `gridslam batch` calls: map, doctor, localize and evaluate, each with a JSON object of arguments.
+
+Importing this module imports all that they need, so that children are forked with it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import gridslam.viz  # noqa: F401
+from gridslam.api.diagnosis import check_log, write_diagnosis
+from gridslam.api.evaluation import evaluate_trajectory, score_against_reference
+from gridslam.api.localization import LocalizationResult, localize
+from gridslam.api.mapping import MapResult, map_log
+from gridslam.config import Configuration
+from gridslam.config.tables import replace_parameters
+from gridslam.doctor import diagnose
+from gridslam.io.carmen import reader  # noqa: F401
+from gridslam.io.limits import limit_memory
+from gridslam.io.log import Log, LogOptions, open_log
+from gridslam.io.output import OutputFolder
+from gridslam.localization.monte_carlo import MonteCarloConfiguration
+from gridslam.slam.full_slam import full_slam  # noqa: F401
+
+__all__ = ["TARGETS", "run_doctor", "run_evaluate", "run_localize", "run_map"]
+
+TARGETS: Final = {name: f"{__name__}:run_{name}" for name in ("map", "doctor", "localize", "evaluate")}
+"""Target of the jobs of each command."""
+
+
+def run_map(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Map a log into a folder as `gridslam map` does.
+
+    Parameters
+    ----------
+    arguments : mapping
+        ``log``, its path, and ``digest``, its SHA-256; ``configuration``, a table of parameters; ``seed``, ``threads``,
+        ``repair``; ``options``, the fields of `LogOptions`; ``max_memory_bytes``; ``reference``, a file of relations or
+        a true trajectory, or None; ``out`` and ``job`` (see `Job`).
+
+    Returns
+    -------
+    dict
+        The content of run.json; with a reference, its scores under ``evaluation``.
+    """
+    with limit_memory(arguments["max_memory_bytes"]), OutputFolder(arguments["out"], MapResult.all_names()) as folder:
+        result = map_log(
+            _open(arguments),
+            configuration=replace_parameters(Configuration(), arguments["configuration"]),
+            seed=arguments["seed"],
+            threads=arguments["threads"],
+            repair=arguments["repair"],
+            digest=arguments["digest"],
+            keep_particles=False,
+        )
+        _warn(*result.warnings(), *result.failures)
+        return _write(result, folder, arguments)
+
+
+def run_localize(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Localize a log in a map as `gridslam localize` does; arguments as of `run_map`, and of `localize`."""
+    with (
+        limit_memory(arguments["max_memory_bytes"]),
+        OutputFolder(arguments["out"], LocalizationResult.all_names()) as folder,
+    ):
+        result = localize(
+            _open(arguments),
+            arguments["map"],
+            pose=arguments["pose"],
+            covariance=arguments["covariance"],
+            strict_thresholds=arguments["strict_thresholds"],
+            configuration=replace_parameters(MonteCarloConfiguration(), arguments["configuration"]),
+            seed=arguments["seed"],
+            threads=arguments["threads"],
+            repair=arguments["repair"],
+            digest=arguments["digest"],
+        )
+        _warn(*result.warnings(), *result.failures)
+        return _write(result, folder, arguments)
+
+
+def run_doctor(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Diagnose a log as `gridslam doctor` does; returns the content of report.json."""
+    with limit_memory(arguments["max_memory_bytes"]), OutputFolder(arguments["out"]) as folder:
+        diagnosis = diagnose(open_log(arguments["log"], _read_options(arguments)))
+        document = write_diagnosis(diagnosis, folder) | {"job": arguments["job"]}
+        folder.write_json("run.json", document)
+        return document
+
+
+def run_evaluate(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Score the trajectory ``log`` against ``reference`` as `gridslam evaluate` does."""
+    return evaluate_trajectory(arguments["log"], arguments["reference"], arguments["distance_m"])
+
+
+def _write(
+    result: MapResult | LocalizationResult, folder: OutputFolder, arguments: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Write the results; run.json also contains the job, and the scores where there is a reference."""
+    if any("MemoryError" in failure for failure in result.failures):
+        raise MemoryError(result.failures[0])  # what a limit of memory leaves out is no result of the log
+    document = result.write(folder) | {"job": arguments["job"]}
+    reference = arguments["reference"]
+    if reference is not None:
+        source = Path(arguments["out"]) / "trajectory.tum"
+        document["evaluation"] = {"reference": reference} | score_against_reference(
+            result.trajectory, source, reference
+        )
+    folder.write_json("run.json", document)
+    return document
+
+
+def _open(arguments: Mapping[str, Any]) -> Log:
+    """Open the log; faults at its begin go to standard error, and so to the row's output."""
+    options = _read_options(arguments)
+    return check_log(open_log(arguments["log"], options), options, _warn)
+
+
+def _read_options(arguments: Mapping[str, Any]) -> LogOptions:
+    options = arguments["options"]
+    return LogOptions(**{**options, "scan_topics": tuple(options["scan_topics"])})
+
+
+def _warn(*warnings: str) -> None:
+    for warning in warnings:
+        print(warning, file=sys.stderr)

@@ -1,0 +1,245 @@
+"""`run_jobs`: many jobs by an executor, each with exactly one row in the journal; what is done is not done again."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+from gridslam.batch.child import LostWorkerError, lost_row, remove_partial
+from gridslam.batch.job import Job
+from gridslam.batch.journal import Journal
+from gridslam.errors import ArgumentError, InputError, OutputError
+from gridslam.io.text import read_json
+
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks
+    fcntl = None  # type: ignore[assignment]
+
+__all__ = ["Executor", "run_jobs"]
+
+_POLL_S = 0.5
+_ENDING_S = 2.0
+_OF_THE_LOG: Final = frozenset({"InputError", "ArgumentError", "ConfigurationError"})
+"""Errors that the same key always has; all others may have had to do with the machine, and are tried again."""
+_FULL: Final = tuple(os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT))
+
+
+class Executor(Protocol):
+    """Runs jobs somewhere; a context manager that ends what is still running when it is left."""
+
+    def capacity(self) -> int:
+        """Return how many jobs are to be handed over at a time: enough that no worker waits."""
+        ...
+
+    def submit(self, job: dict[str, Any], limits: dict[str, Any]) -> Future[dict[str, Any]]:
+        """Call `run_job` with these somewhere; the future raises LostWorkerError where the worker was lost."""
+        ...
+
+    def __enter__(self) -> Executor:
+        """Return the executor itself."""
+        ...
+
+    def __exit__(self, *error: object) -> None:
+        """End the workers and their jobs."""
+        ...
+
+
+def run_jobs(
+    jobs: Sequence[Job],
+    out: str | Path,
+    *,
+    executor: Executor,
+    timeout_s: float | None = None,
+    memory_bytes: int | None = None,
+    retries: int = 1,
+    on_row: Callable[[dict[str, Any]], None] = lambda row: None,
+    on_poll: Callable[[], None] = lambda: None,
+) -> list[dict[str, Any]]:
+    """Run jobs, at most once each, and write a row of the journal OUT/runs.sqlite for each.
+
+    A job is done when run.json in its folder has its key. Such jobs are not run again, nor those that failed for their
+    log's own sake (InputError); those that failed for another reason are. A row is written when its job has ended, so a
+    batch that is killed at any time goes on where it was.
+
+    Parameters
+    ----------
+    jobs : sequence of Job
+        Begun in this order.
+    out : str or Path
+        OUT; created if missing. One batch at a time may run in it.
+    executor : Executor
+        Where they run; its context is entered and left here.
+    timeout_s : float, optional
+        Time limit of each job, s.
+    memory_bytes : int, optional
+        Limit of the address space of each job (Linux).
+    retries : int, >= 0
+        A job whose worker is lost is run again elsewhere, at most this many times.
+    on_row : callable
+        Called with each row when its job has ended, first with those of earlier runs, whose ``resumed`` is true.
+    on_poll : callable
+        Called at least twice a second.
+
+    Returns
+    -------
+    list of dict
+        The rows, in the order of `jobs`; ``document`` is an object or None.
+
+    Raises
+    ------
+    ArgumentError
+        Two jobs have the same folder, or a limit is out of range.
+    OutputError
+        OUT cannot be written (the disk is full), or another batch runs in it. Rows that were written stay.
+    """
+    _check(jobs, timeout_s, memory_bytes, retries)
+    folder = Path(out)
+    rows = dict[str, dict[str, Any]]()
+    with Journal(folder) as journal, _lock(folder):
+        _clean(folder)
+
+        def record(row: dict[str, Any], *, resumed: bool) -> None:
+            rows[row["folder"]] = row | {"resumed": resumed}
+            on_row(rows[row["folder"]])
+
+        queue = deque[Job]()
+        for job in jobs:
+            earlier = _find_earlier(job, folder, journal)
+            if earlier is None:
+                queue.append(job)
+            else:
+                record(earlier, resumed=True)
+            on_poll()
+        limits = {
+            "out": os.fspath(folder.absolute()),
+            "timeout_s": timeout_s,
+            "memory_bytes": memory_bytes,
+            "attempts": retries + 1,
+        }
+        if queue:
+            try:
+                with closing(_run(queue, limits, executor, on_poll)) as ended:
+                    for row in ended:
+                        _require_space(row, folder)
+                        journal.write(row)
+                        (folder / ".attempts" / row["key"]).unlink(missing_ok=True)
+                        record(row, resumed=False)
+            finally:
+                _clean(folder)
+    return [rows[job.folder] for job in jobs]
+
+
+def _run(
+    queue: deque[Job], limits: dict[str, Any], executor: Executor, on_poll: Callable[[], None]
+) -> Generator[dict[str, Any], None, None]:
+    """Yield the rows of jobs as they end."""
+    lost = Counter[str]()
+    pending = dict[Future[dict[str, Any]], Job]()
+    with executor:
+        while queue or pending:
+            while queue and len(pending) < executor.capacity():
+                job = queue.popleft()
+                pending[executor.submit(job.to_dict(), limits)] = job
+            ended, _ = wait(pending, _POLL_S, FIRST_COMPLETED)
+            on_poll()
+            for future in ended:
+                job = pending.pop(future)
+                try:
+                    row = future.result()
+                except LostWorkerError:
+                    lost[job.folder] += 1
+                    if lost[job.folder] < limits["attempts"]:
+                        queue.appendleft(job)
+                        continue
+                    row = lost_row(job.to_dict(), lost[job.folder])
+                except OSError as error:
+                    raise OutputError(f"{limits['out']}: {job.folder} cannot be run: {error}") from None
+                yield row
+
+
+def _find_earlier(job: Job, out: Path, journal: Journal) -> dict[str, Any] | None:
+    """Row of a job that needs not be run, from the journal; or from run.json, where the journal was not written."""
+    row = journal.find(job.folder)
+    same = row is not None and row["key"] == job.key
+    document = _read_done(out / job.folder / "run.json", job.key)
+    if document is not None:
+        if row is not None and same and row["status"] == "done":
+            return row
+        restored = lost_row(job.to_dict(), 1) | {"status": "done", "error": None, "message": None, "document": document}
+        journal.write(restored)
+        return restored
+    if row is not None and same and row["error"] in _OF_THE_LOG and "--max-memory" not in (row["message"] or ""):
+        return row
+    return None
+
+
+def _read_done(path: Path, key: str) -> dict[str, Any] | None:
+    """Content of run.json, if it is the result of the job with this key."""
+    if not path.is_file():
+        return None
+    try:
+        document = read_json(path)
+    except InputError:
+        return None
+    job = document.get("job")
+    return document if isinstance(job, dict) and job.get("key") == key else None
+
+
+def _require_space(row: dict[str, Any], out: Path) -> None:
+    """Raise OutputError where a job has failed since the disk is full: the others would, too."""
+    message = row["message"] or ""
+    if row["error"] in ("OutputError", "OSError") and any(text in message for text in _FULL):
+        raise OutputError(f"{out}: {message}; run the same command again when there is space")
+
+
+def _check(jobs: Sequence[Job], timeout_s: float | None, memory_bytes: int | None, retries: int) -> None:
+    twice = [name for name, count in Counter(job.folder for job in jobs).items() if count > 1]
+    if twice:
+        raise ArgumentError("jobs", "a folder for each", f"{twice[0]} twice")
+    if timeout_s is not None and not 0 < timeout_s < float("inf"):
+        raise ArgumentError("timeout_s", "a time > 0 s", timeout_s)
+    if memory_bytes is not None and memory_bytes < 1:
+        raise ArgumentError("memory_bytes", "a number >= 1", memory_bytes)
+    if retries < 0:
+        raise ArgumentError("retries", "a number >= 0", retries)
+
+
+def _clean(out: Path) -> None:
+    """Remove what killed processes have left in OUT; nothing else is running there but those that are about to end."""
+    end = time.monotonic() + _ENDING_S
+    with suppress(OSError):
+        while left := list(out.glob(".*.partial")):
+            for path in left:
+                remove_partial(out / path.name[1:].rsplit(".", 2)[0])
+            if time.monotonic() > end:
+                break
+            time.sleep(0.02)
+    shutil.rmtree(out / ".attempts", ignore_errors=True)
+
+
+@contextmanager
+def _lock(out: Path) -> Iterator[None]:
+    """Lock OUT for this process, as far as its file system has locks."""
+    if fcntl is None:
+        yield
+        return
+    descriptor = os.open(out, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise OutputError(f"{out}: another batch is running in this folder") from None
+        except OSError:
+            pass
+        yield
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,233 @@
+"""Which logs a batch has: paths, folders, patterns and manifests, and the name of the folder of each."""
+
+from __future__ import annotations
+
+import csv
+import glob
+import io
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final, final
+
+from gridslam.errors import InputError
+from gridslam.io.text import read_text
+
+__all__ = ["COLUMNS", "Entry", "find_logs", "is_remote"]
+
+COLUMNS: Final = ("log", "name", "reference")
+"""Columns of a manifest beside the options of the command."""
+
+_SUFFIXES: Final = (".clf", ".log", ".carmen", ".bag", ".mcap", ".db3", ".csv")
+_PACKED: Final = (".gz", ".bz2")
+_OWN_NAMES: Final = ("runs.", "report.")
+"""Beginnings of names that OUT needs for itself."""
+_LARGEST_MANIFEST: Final = 1 << 28
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One log of a batch.
+
+    Attributes
+    ----------
+    log : str
+        Path or URL as the user gave it.
+    path : str
+        The same, absolute.
+    name : str
+        Name of the folder of its results, unique in the batch.
+    reference : str or None
+        Path of its relations or true trajectory, absolute.
+    options : dict of str to str
+        Options of the command by their long names without dashes, from a manifest.
+    where : str
+        Line of the manifest, for messages; empty for others.
+    """
+
+    log: str
+    path: str
+    name: str = ""
+    reference: str | None = None
+    options: dict[str, str] = field(default_factory=dict)
+    where: str = ""
+
+
+def find_logs(patterns: Sequence[str], *, trajectories: bool = False, reference: str | None = None) -> list[Entry]:
+    """Find the logs of a batch and name them.
+
+    A name is that of the file without suffixes; where two would be equal, the names of folders above precede it.
+
+    Parameters
+    ----------
+    patterns : sequence of str
+        Each a file, a folder (all logs below it; the folder of a ROS 2 bag is one log), a pattern (``*``, ``?``,
+        ``[...]``, ``**``), a URL, or a manifest: a CSV with a column ``log`` and optionally ``name``, ``reference`` and
+        options of the command. Paths in a manifest are relative to its folder.
+    trajectories : bool
+        Trajectories are wanted instead of logs: a folder stands for all trajectory.tum below it, each named as the
+        folder that it is in.
+    reference : str, optional
+        Path of the reference of each log, with ``{name}`` (its name), ``{stem}`` (its file's without suffixes) and
+        ``{parent}`` (its folder's).
+
+    Raises
+    ------
+    InputError
+        Nothing matches a pattern, a log is listed twice, or a manifest is malformed: names file and line.
+    """
+    entries = [entry for pattern in patterns for entry in _expand(pattern, trajectories)]
+    entries = _name_all(entries, trajectories)
+    if reference is None:
+        return entries
+    return [entry if entry.reference else replace(entry, reference=_refer(reference, entry)) for entry in entries]
+
+
+def is_remote(path: str) -> bool:
+    """Whether a path is a URL."""
+    return "://" in path
+
+
+def _expand(pattern: str, trajectories: bool) -> Iterator[Entry]:
+    path = Path(pattern)
+    if is_remote(pattern):
+        yield Entry(pattern, pattern)
+    elif path.is_dir() and (trajectories or not (path / "metadata.yaml").exists()):
+        found = sorted(path.rglob("trajectory.tum")) if trajectories else list(_walk(path))
+        if not found:
+            raise InputError(path, f"no {'trajectory.tum' if trajectories else 'logs'} in this folder")
+        yield from (_make_entry(str(file)) for file in found)
+    elif path.suffix == ".csv" and path.is_file() and not trajectories and _is_manifest(path):
+        yield from _read_manifest(path)
+    elif glob.has_magic(pattern) and not path.exists():
+        names = sorted(glob.glob(pattern, recursive=True))
+        if not names:
+            raise InputError(pattern, "nothing matches this pattern")
+        yield from map(_make_entry, names)
+    else:  # one that is absent is a row with an error
+        yield _make_entry(pattern)
+
+
+def _make_entry(path: str, **values: Any) -> Entry:  # noqa: ANN401
+    return Entry(path, os.path.abspath(path), **values)
+
+
+def _walk(folder: Path) -> Iterator[Path]:
+    """Yield the logs below a folder, by their names; bags that are folders are not entered."""
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith("."):
+            continue
+        if path.is_dir():
+            if (path / "metadata.yaml").exists():
+                yield path
+            else:
+                yield from _walk(path)
+        elif _strip(path.name)[1] in _SUFFIXES:
+            yield path
+
+
+def _strip(name: str) -> tuple[str, str]:
+    """A file's name without its suffixes, and the suffix without that of a compression."""
+    stem, suffix = os.path.splitext(name)
+    if suffix in _PACKED:
+        stem, suffix = os.path.splitext(stem)
+    if suffix in (*_SUFFIXES, ".tum"):
+        return stem, suffix
+    return name, ""
+
+
+def _is_manifest(path: Path) -> bool:
+    """Whether a CSV has a column log; raises InputError if it is no log either."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        header = {name.strip() for name in next(csv.reader([file.readline(1 << 16)]), [])}
+    if "log" in header:
+        return True
+    if header & {"stamp_s", "ranges_m"} or len(header) < 2:
+        return False  # a log, or none; its reader decides
+    raise InputError(path, "expected a manifest with a column log, or a CSV of scans with stamp_s and ranges_m", 1)
+
+
+def _read_manifest(path: Path) -> Iterator[Entry]:
+    rows = csv.reader(io.StringIO(read_text(path, _LARGEST_MANIFEST).removeprefix("\ufeff"), newline=""), strict=True)
+    try:
+        columns = [name.strip() for name in next(rows)]
+        twice = [name for name, count in Counter(columns).items() if count > 1]
+        if twice or "" in columns:
+            raise InputError(
+                path, f"expected columns with different names, got {twice[0] if twice else 'an empty one'!r}", 1
+            )
+        lines = [(rows.line_num, cells) for cells in rows if any(cell.strip() for cell in cells)]
+    except csv.Error as error:
+        raise InputError(path, f"expected a CSV: {error}", rows.line_num) from None
+    if not lines:
+        raise InputError(path, "the manifest lists no logs")
+    for line, cells in lines:
+        if len(cells) != len(columns):
+            raise InputError(path, f"expected {len(columns)} cells, got {len(cells)}", line)
+        yield _read_line(path, line, {name: cell.strip() for name, cell in zip(columns, cells, strict=True)})
+
+
+def _read_line(path: Path, line: int, cells: Mapping[str, str]) -> Entry:
+    given = {name: cell for name, cell in cells.items() if cell}
+    if "log" not in given:
+        raise InputError(path, "expected a path in the column log, got an empty cell", line)
+    log = given.pop("log")
+    name = given.pop("name", "")
+    if name.startswith((".", *_OWN_NAMES)) or {"/", "\\", "\0"} & set(name):
+        raise InputError(path, f"expected the name of a folder in the column name, got {name!r}", line)
+    reference = given.pop("reference", None)
+    return Entry(
+        log,
+        log if is_remote(log) else os.path.abspath(path.parent / log),
+        name,
+        None if reference is None else os.path.abspath(path.parent / reference),
+        given,
+        f"{path}, line {line}",
+    )
+
+
+def _name_all(entries: Sequence[Entry], trajectories: bool) -> list[Entry]:
+    """Name those without a name; where names would be equal, all of them get longer ones."""
+    candidates = [[entry.name] if entry.name else _list_names(entry.path, trajectories) for entry in entries]
+    levels = [0] * len(entries)
+    while True:
+        names = [names[level] for names, level in zip(candidates, levels, strict=True)]
+        counts = Counter(name.casefold() for name in names)
+        clashing = [k for k, name in enumerate(names) if counts[name.casefold()] > 1]
+        if not clashing:
+            return [replace(entry, name=name) for entry, name in zip(entries, names, strict=True)]
+        longer = [k for k in clashing if levels[k] + 1 < len(candidates[k])]
+        if not longer:
+            entry = entries[clashing[-1]]
+            where = f"{entry.where}: " if entry.where else ""
+            problem = f"the name {names[clashing[-1]]!r}" if entry.name else "this log"
+            raise InputError(
+                entry.log, f"{where}{problem} is given twice; a column name in a manifest distinguishes them"
+            )
+        for k in longer:
+            levels[k] += 1
+
+
+def _list_names(path: str, trajectories: bool) -> list[str]:
+    """Possible names of a log, from the shortest on."""
+    parts = [part for part in path.replace("\\", "/").split("/") if part and not part.endswith(":")]
+    stem = _strip(parts[-1])[0].lstrip(".") or "log"
+    if trajectories and stem == "trajectory" and len(parts) > 1:
+        parts.pop()
+        stem = parts[-1].lstrip(".") or "log"
+    above = parts[-2::-1]
+    names = [stem, *("_".join([*reversed(above[: k + 1]), stem]).lstrip(".") for k in range(len(above)))]
+    names.append("_".join(parts).lstrip("."))
+    return [f"log_{name}" if name.startswith(_OWN_NAMES) else name for name in names]
+
+
+def _refer(pattern: str, entry: Entry) -> str:
+    path = Path(entry.path)
+    values = {"name": entry.name, "stem": _strip(path.name)[0], "parent": path.parent.name}
+    try:
+        return os.path.abspath(pattern.format(**values))
+    except (KeyError, IndexError, ValueError):
+        raise InputError(pattern, "expected a path with {name}, {stem} or {parent}") from None

@@ -1,0 +1,305 @@
+"""gridslam batch."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Literal, final
+
+import click
+
+from gridslam.api.amcl import AmclParameters
+from gridslam.batch.engine import Executor, run_jobs
+from gridslam.batch.job import Job, compute_key
+from gridslam.batch.journal import Journal
+from gridslam.batch.manifest import COLUMNS, Entry, find_logs
+from gridslam.batch.pool import ProcessPool
+from gridslam.cli.localize import read_parameters
+from gridslam.cli.map import build_configuration
+from gridslam.cli.options import evaluate_options, localize_options, log_options, map_options
+from gridslam.cli.output import open_display, stop_if_interrupted, warn
+from gridslam.config.tables import suggest_names, to_table
+from gridslam.errors import ConfigurationError, GridslamError, InputError, OutputError
+from gridslam.io.limits import max_memory_bytes
+from gridslam.io.log import LogOptions
+
+__all__ = ["run_batch"]
+
+_TARGET = "gridslam.batch.commands:run_{}"
+_TRUE = ("1", "true", "yes", "on")
+_FALSE = ("0", "false", "no", "off")
+
+_Repair = Literal["needed", "all", "none"]
+
+
+def run_batch(
+    logs: Sequence[str],
+    out: Path,
+    command: str,
+    reference: str | None,
+    workers: int | None,
+    timeout_s: float | None,
+    memory_mb: float | None,
+    retries: int,
+    as_json: bool,
+    words: Sequence[str],
+) -> int:
+    """Run a command over many logs; returns the exit status."""
+    make = _Maker(command, words)
+    entries = find_logs(logs, trajectories=command == "evaluate", reference=reference)
+    prepared = [make.prepare(entry) for entry in entries]
+    executor: Executor = ProcessPool(workers or _count_processors())
+    try:
+        with Journal(out) as journal:
+            jobs = _make_jobs(command, entries, prepared, journal)
+        with _Progress(len(jobs), as_json) as progress:
+            rows = run_jobs(
+                jobs,
+                out,
+                executor=executor,
+                timeout_s=timeout_s,
+                memory_bytes=None if memory_mb is None else round(1e6 * memory_mb),
+                retries=retries,
+                on_row=progress.on_row,
+                on_poll=progress.on_poll,
+            )
+    except OutputError as error:
+        raise click.ClickException(str(error)) from None
+    failed = sum(row["status"] == "failed" for row in rows)
+    if not as_json:
+        click.echo("\n".join(progress.summarize(out)))
+    return 1 if failed else 0
+
+
+def _count_processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@final
+class _Maker:
+    """Reads the options of a command, as on its own command line, into the arguments of its jobs."""
+
+    def __init__(self, command: str, words: Sequence[str]) -> None:
+        """Take the options that hold for all logs."""
+        self._command = command
+        self._words = tuple(words)
+        self._read_before = dict[tuple[str, ...], dict[str, Any]]()
+        self._parser = _PARSERS[command]
+        self._known = {
+            option.removeprefix("--"): parameter
+            for parameter in self._parser.params
+            if isinstance(parameter, click.Option)
+            for option in parameter.opts
+            if option.startswith("--")
+        }
+
+    def prepare(self, entry: Entry) -> dict[str, Any]:
+        """Arguments for a log, but for what its bytes determine; raises InputError for an unknown column."""
+        if self._command == "evaluate" and entry.reference is None:
+            raise click.ClickException("evaluate needs --reference PATTERN, or a manifest with a column reference")
+        if self._command == "doctor" and entry.reference is not None:
+            raise click.ClickException("doctor has no use for a reference")
+        words = tuple(word for name, value in entry.options.items() for word in self._to_words(entry, name, value))
+        if not words:
+            return self._read(self._words)
+        try:
+            return self._read(self._words + words)
+        except (click.ClickException, GridslamError) as error:
+            text = error.format_message() if isinstance(error, click.ClickException) else str(error)
+            raise ConfigurationError(f"{entry.where}: {text}") from None
+
+    def _to_words(self, entry: Entry, name: str, value: str) -> list[str]:
+        option = self._known.get(name)
+        if option is None:
+            names = [*COLUMNS, *self._known]
+            path, _, _ = entry.where.rpartition(", line ")
+            expected = f"{', '.join(COLUMNS)} or an option of gridslam {self._command}"
+            raise InputError(path, f"unknown column {name!r}: expected {expected}{suggest_names(name, names)}", 1)
+        if not option.is_flag:
+            return [f"--{name}={value}"]
+        if value.lower() not in (*_TRUE, *_FALSE):
+            raise ConfigurationError(f"{entry.where}: {name}: expected true or false, got {value!r}")
+        return [f"--{name}"] if value.lower() in _TRUE else []
+
+    def _read(self, words: tuple[str, ...]) -> dict[str, Any]:
+        if words not in self._read_before:
+            name = f"gridslam {self._command}"
+            self._read_before[words] = self._parser.main(list(words), prog_name=name, standalone_mode=False)
+        return self._read_before[words]
+
+
+@click.command("map", add_help_option=False)
+@map_options
+def _read_map(
+    preset: str,
+    particles: int | None,
+    laser: str | None,
+    config: Path | None,
+    assignments: Sequence[str],
+    no_loop_closure: bool,
+    seed: int,
+    threads: int,
+    options: LogOptions,
+    repair: _Repair,
+) -> dict[str, Any]:
+    configuration = build_configuration(preset, particles, laser, config, assignments, no_loop_closure)
+    return {
+        "configuration": to_table(configuration),
+        "seed": seed,
+        "threads": threads,
+        "options": _to_json(options),
+        "repair": repair,
+    }
+
+
+@click.command("localize", add_help_option=False)
+@localize_options
+def _read_localize(
+    map_path: Path,
+    initial_pose: tuple[float, float, float] | None,
+    strict_thresholds: bool,
+    preset: str,
+    config: Path | None,
+    particles: int | None,
+    assignments: Sequence[str],
+    seed: int,
+    threads: int,
+    options: LogOptions,
+    repair: _Repair,
+) -> dict[str, Any]:
+    read: AmclParameters = read_parameters(preset, config, particles, assignments)
+    pose = read.pose if initial_pose is None else initial_pose
+    return {
+        "map": os.path.abspath(map_path),
+        "pose": None if pose is None else [float(value) for value in pose],
+        "covariance": read.covariance.tolist(),
+        "strict_thresholds": strict_thresholds,
+        "configuration": to_table(read.configuration),
+        "seed": seed,
+        "threads": threads,
+        "options": _to_json(options),
+        "repair": repair,
+    }
+
+
+@click.command("doctor", add_help_option=False)
+@log_options
+def _read_doctor(options: LogOptions) -> dict[str, Any]:
+    return {"options": _to_json(options)}
+
+
+@click.command("evaluate", add_help_option=False)
+@evaluate_options
+def _read_evaluate(distance_m: float) -> dict[str, Any]:
+    if not distance_m > 0:
+        raise click.ClickException(f"--distance: expected a length above 0 m, got {distance_m:g}")
+    return {"distance_m": distance_m}
+
+
+_PARSERS = {"map": _read_map, "doctor": _read_doctor, "localize": _read_localize, "evaluate": _read_evaluate}
+
+
+def _to_json(options: LogOptions) -> dict[str, Any]:
+    return {**asdict(options), "scan_topics": list(options.scan_topics)}
+
+
+def _make_jobs(
+    command: str, entries: Sequence[Entry], prepared: Sequence[Mapping[str, Any]], journal: Journal
+) -> list[Job]:
+    """Make the jobs; the logs that have changed since the last time are read for their digests."""
+    with ThreadPoolExecutor(min(8, _count_processors())) as threads:
+        digests = list(threads.map(_guard(journal.digest), [Path(entry.path) for entry in entries]))
+        references = {Path(path) for entry in entries for path in (entry.reference,) if path}
+        maps = {Path(arguments["map"]) for arguments in prepared if "map" in arguments}
+        others = {path: _guard(journal.digest)(path) for path in sorted(references | maps)}
+    jobs = []
+    for entry, digest, arguments in zip(entries, digests, prepared, strict=True):
+        used = {name: path for name, path in (("reference", entry.reference), ("map", arguments.get("map"))) if path}
+        parameters = {name: value for name, value in arguments.items() if name != "threads"} | {
+            name: others[Path(path)] for name, path in used.items()
+        }
+        every = {
+            "log": entry.path,
+            "digest": digest,
+            "reference": entry.reference,
+            "max_memory_bytes": max_memory_bytes(),
+            **arguments,
+        }
+        key = compute_key(command, digest, parameters)
+        jobs.append(Job(_TARGET.format(command), every, entry.log, entry.name, key, command))
+    return jobs
+
+
+def _guard(digest: Callable[[Path], str]) -> Callable[[Path], str]:
+    """Digest of a file; of one that cannot be read there is none, and the job reports it."""
+
+    def compute(path: Path) -> str:
+        try:
+            return digest(path)
+        except InputError:
+            return ""
+
+    return compute
+
+
+@final
+class _Progress:
+    """Shows how far a batch is: on standard error a bar and a line for each failure, or JSON on standard output."""
+
+    def __init__(self, total: int, as_json: bool) -> None:
+        """Count to `total`."""
+        self._total = total
+        self._as_json = as_json
+        self._began = self._due = time.perf_counter()
+        self._done = self._failed = self._resumed = self._new = 0
+        self._stack = ExitStack()
+
+    def __enter__(self) -> _Progress:
+        """Open the display."""
+        self._show, self._every_s = self._stack.enter_context(open_display(not self._as_json))
+        self._due = self._began + self._every_s
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close the display."""
+        self._stack.close()
+
+    def on_row(self, row: Mapping[str, Any]) -> None:
+        """Count a row; print it, or that its log has failed."""
+        self._done += row["status"] == "done"
+        self._failed += row["status"] == "failed"
+        self._resumed += row["resumed"] and row["status"] == "done"
+        self._new += not row["resumed"]
+        if self._as_json:
+            click.echo(json.dumps({name: value for name, value in row.items() if name != "document"}))
+        elif row["status"] == "failed":
+            warn(f"{row['log']}: {row['error']}: {row['message']}")
+
+    def on_poll(self) -> None:
+        """Show the progress when it is time, and stop if interrupted."""
+        stop_if_interrupted()
+        now = time.perf_counter()
+        if now < self._due:
+            return
+        self._due = now + self._every_s
+        ended = self._done + self._failed
+        passed_s = now - self._began
+        left = f", {passed_s * (self._total - ended) / self._new:.0f} s left" if self._new else ""
+        failed = f", {self._failed} failed" if self._failed else ""
+        self._show(ended / self._total, f"{ended} of {self._total} logs{failed}{left}")
+
+    def summarize(self, out: Path) -> list[str]:
+        """Format the summary."""
+        earlier = f" ({self._resumed} of them before)" if self._resumed else ""
+        failed = f", {self._failed} failed" if self._failed else ""
+        seconds = time.perf_counter() - self._began
+        return [
+            f"{self._total} logs: {self._done} done{earlier}{failed}, in {seconds:.1f} s",
+            f"rows: {out / 'runs.sqlite'}",
+        ]

@@ -1,0 +1,189 @@
+"""`gridslam batch`: many logs by one command, what it prints, its exit status and bad input."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+
+import pytest
+
+from gridslam.io.trajectories import read_tum, write_tum
+
+SAME = "map.pgm", "map.yaml", "trajectory.tum", "trajectory.csv", "trajectory_online.tum", "graph.g2o"
+FAST = "--", "--particles", "3", "--duration", "8"
+
+
+@pytest.fixture
+def logs(log, tmp_path):
+    """Two logs and one that is broken."""
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    shutil.copy(log, folder / "a.clf.bz2")
+    shutil.copy(log, folder / "b.clf.bz2")
+    (folder / "broken.clf").write_text("FLASER 3 1 2\n")
+    return folder
+
+
+def read_rows(out):
+    database = sqlite3.connect(out / "runs.sqlite")
+    database.row_factory = sqlite3.Row
+    rows = [dict(row) for row in database.execute("SELECT * FROM runs ORDER BY folder")]
+    database.close()
+    return rows
+
+
+def test_each_log_is_mapped_as_by_map_and_the_broken_one_is_named(logs, tmp_path, call):
+    status, out, err = call("batch", logs, "-o", tmp_path / "out", "--workers", 2, *FAST)
+    assert status == 1
+    assert "3 logs: 2 done, 1 failed" in out
+    assert f"gridslam: {logs / 'broken.clf'}: InputError: {logs / 'broken.clf'}, line 1: " in err
+    assert call("map", logs / "a.clf.bz2", "-o", tmp_path / "one", *FAST[1:])[0] == 0
+    for name in SAME:
+        assert (tmp_path / "out" / "a" / name).read_bytes() == (tmp_path / "one" / name).read_bytes(), name
+    one, two = (json.loads((path / "run.json").read_text()) for path in (tmp_path / "one", tmp_path / "out" / "a"))
+    assert two.pop("job")["folder"] == "a"
+    changing = "time", "latency", "peak_memory_bytes"
+    assert {k: v for k, v in one.items() if k not in changing} == {k: v for k, v in two.items() if k not in changing}
+    rows = read_rows(tmp_path / "out")
+    assert [(row["folder"], row["status"], row["error"]) for row in rows] == [
+        ("a", "done", None),
+        ("b", "done", None),
+        ("broken", "failed", "InputError"),
+    ]
+    assert json.loads(rows[0]["document"])["schema"] == "gridslam.run/3"
+
+    status, out, err = call("batch", logs, "-o", tmp_path / "out", "--json", *FAST)
+    assert status == 1
+    printed = [json.loads(line) for line in out.splitlines()]
+    assert [(row["folder"], row["resumed"]) for row in printed] == [("a", True), ("b", True), ("broken", True)]
+    assert err == ""
+
+    status, out, _ = call("batch", logs / "a.clf.bz2", "-o", tmp_path / "out", *FAST, "--seed", 1)
+    assert (status, "1 logs: 1 done, in" in out) == (0, True)
+
+
+def test_a_manifest_has_options_of_its_own(logs, tmp_path, call, log):
+    shutil.copy(log.with_name("truth.tum"), tmp_path / "truth.tum")
+    manifest = tmp_path / "fleet.csv"
+    manifest.write_text(
+        "log,name,seed,no-loop-closure,reference\n"
+        "logs/a.clf.bz2,first,3,true,truth.tum\n"
+        "logs/a.clf.bz2,second,,,\n"
+        "logs/absent.clf,,,,\n"
+    )
+    status, _, err = call("batch", manifest, "-o", tmp_path / "out", "--workers", 1, *FAST)
+    assert (status, err.count("\n")) == (1, 1)
+    assert "absent.clf: no such file" in err
+    first, second = (json.loads((tmp_path / "out" / name / "run.json").read_text()) for name in ("first", "second"))
+    assert (first["seed"], first["loop_closure"], second["seed"]) == (3, False, 0)
+    assert second["loop_closure"]
+    assert first["evaluation"]["ate"]["trans_rmse_m"] < 0.2
+    assert "evaluation" not in second
+
+
+def test_doctor_localize_and_evaluate_run_over_many_logs(logs, tmp_path, call, log):
+    (logs / "broken.clf").unlink()
+    maps = tmp_path / "maps"
+    assert call("batch", logs, "-o", maps, *FAST)[0] == 0
+    assert call("batch", logs, "-o", tmp_path / "doctor", "--command", "doctor", *FAST[:1], *FAST[3:])[0] == 0
+    report = json.loads((tmp_path / "doctor" / "a" / "report.json").read_text())
+    assert read_rows(tmp_path / "doctor")[0]["document"] is not None
+    assert report["schema"] == json.loads((tmp_path / "doctor" / "a" / "run.json").read_text())["schema"]
+
+    arguments = "batch", logs, "-o", tmp_path / "mcl", "--command", "localize", "--"
+    arguments = *arguments, "--map", maps / "a" / "map.yaml", "--initial-pose", "0,0,0", "--duration", "5"
+    assert call(*arguments)[0] == 0
+    assert len(read_tum(tmp_path / "mcl" / "b" / "trajectory.tum")) == 25
+
+    shutil.copy(log.with_name("truth.tum"), tmp_path / "a.tum")
+    write_tum(tmp_path / "b.tum", read_tum(maps / "b" / "trajectory.tum"))
+    arguments = (
+        "batch",
+        maps,
+        "-o",
+        tmp_path / "scores",
+        "--command",
+        "evaluate",
+        "--reference",
+        tmp_path / "{name}.tum",
+    )
+    assert call(*arguments)[0] == 0
+    rows = read_rows(tmp_path / "scores")
+    errors = [json.loads(row["document"])["ate"]["trans_rmse_m"] for row in rows]
+    assert [row["folder"] for row in rows] == ["a", "b"]
+    assert errors[1] < 1e-6 < errors[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (["nothing/*.bag"], "nothing/*.bag: nothing matches this pattern"),
+        (["empty"], "empty: no logs in this folder"),
+        (["columns.csv"], "columns.csv, line 1: unknown column 'sed': expected log, name, reference or an option of "),
+        (["short.csv"], "short.csv, line 2: expected 2 cells, got 1"),
+        (["twice.csv"], "twice.csv, line 3: this log is given twice; a column name in a manifest distinguishes them"),
+        (["value.csv"], "value.csv, line 2: Invalid value for '--seed': 'x' is not a valid integer"),
+        (["none.csv"], "none.csv: the manifest lists no logs"),
+        (["other.csv"], "other.csv, line 1: expected a manifest with a column log, or a CSV of scans"),
+        (["a.clf", "--", "--partcles", "3"], "No such option '--partcles'"),
+        (["a.clf", "--", "--set", "particles=0"], "particles: expected a number greater than or equal to 1, got 0"),
+        (["a.clf", "--", "--live"], "No such option '--live'"),
+        (["a.clf", "--command", "evaluate"], "evaluate needs --reference PATTERN"),
+        (["a.clf", "--command", "doctor", "--reference", "x"], "doctor has no use for a reference"),
+        (["a.clf", "--reference", "{nme}.tum"], "expected a path with {name}, {stem} or {parent}"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(tmp_path, call, monkeypatch, arguments, problem):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    for name, text in {
+        "columns": "log,sed\na.clf,1\n",
+        "short": "log,seed\na.clf\n",
+        "twice": "log,seed\na.clf,1\na.clf,2\n",
+        "value": "log,seed\na.clf,x\n",
+        "none": "log,seed\n",
+        "other": "path,seed\na.clf,1\n",
+    }.items():
+        (tmp_path / f"{name}.csv").write_text(text)
+    before = sorted(tmp_path.rglob("*"))
+    logs, dashes, words = arguments[:1], arguments[1:], []
+    if "--" in dashes:
+        words = dashes[dashes.index("--") :]
+        dashes = dashes[: dashes.index("--")]
+    status, out, err = call("batch", *logs, "-o", "out", *dashes, *words)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert problem in err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_an_out_that_cannot_be_written_is_one_line(logs, tmp_path, call):
+    (tmp_path / "file").write_text("")
+    status, out, err = call("batch", logs, "-o", tmp_path / "file", *FAST)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert "file: cannot be written" in err
+
+
+@pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs process groups")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_ends_a_batch_cleanly_and_it_goes_on_later(logs, tmp_path, number):
+    (logs / "broken.clf").unlink()
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "gridslam.cli.main", "batch", str(logs), "-o", str(out), "--workers", "1"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as run:
+        while not list(out.glob(".*.partial")):
+            assert run.poll() is None, run.communicate()
+            time.sleep(0.01)
+        os.killpg(run.pid, number)  # as Ctrl-C does
+        problem = run.communicate(timeout=60)[1]
+    assert (run.returncode, problem.splitlines()[-1]) == (130, "gridslam: interrupted")
+    assert "Traceback" not in problem
+    done = {row["folder"] for row in read_rows(out)}
+    assert {path.name for path in out.iterdir()} == {"runs.sqlite", *done}
+    subprocess.run(command, check=True, capture_output=True)
+    assert [row["folder"] for row in read_rows(out)] == ["a", "b"]

@@ -1,0 +1,95 @@
+"""Jobs whose children end in every way, for the tests of `gridslam.batch`."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from gridslam.batch.job import Job, compute_key
+from gridslam.errors import InputError
+from gridslam.io.output import OutputFolder
+
+
+def make_job(function, name, **arguments):
+    """A job of a function of this module; what only counts is no part of the key."""
+    key = compute_key("test", function, {"name": name, **arguments})
+    return Job(f"support.batch_jobs:{function}", arguments, f"{name}.clf", name, key, "test")
+
+
+def count(arguments):
+    """Leave a trace of a call: a line with the name of the job."""
+    if "trace" in arguments:
+        with Path(arguments["trace"]).open("a") as file:
+            file.write(f"{arguments['job']['folder']}\n")
+
+
+def write_number(arguments):
+    """Write two files, slowly if wanted, and leave run.json to the caller."""
+    count(arguments)
+    with OutputFolder(arguments["out"]) as folder:
+        folder.file("number.txt").write_text(str(arguments["number"]))
+        time.sleep(arguments.get("seconds", 0))
+        folder.file("square.txt").write_text(str(arguments["number"] ** 2))
+    print("a line of output")
+    return {"schema": "test.number/1", "number": arguments["number"]}
+
+
+def reject(arguments):
+    count(arguments)
+    raise InputError("broken.clf", "expected a scan", 3)
+
+
+def fail(arguments):
+    raise ValueError("two\nlines")
+
+
+def fill_disk(arguments):
+    raise OSError(28, os.strerror(28), "trajectory.tum")
+
+
+def hang(arguments):
+    """Hang with a child of its own and a file half written."""
+    with OutputFolder(arguments["out"]) as folder:
+        folder.file("half.txt").write_text("half")
+        child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+        if "pids" in arguments:
+            Path(arguments["pids"]).write_text(f"{os.getpid()} {child.pid} {os.getppid()}")
+        print("now it hangs", flush=True)
+        time.sleep(600)
+
+
+def take_memory(arguments):
+    return {"size": len(bytearray(10 * 10**9))}
+
+
+def segfault(arguments):
+    with OutputFolder(arguments["out"]) as folder:
+        folder.file("half.txt").write_text("half")
+        ctypes.string_at(0)
+
+
+def kill_itself(arguments):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def leave(arguments):
+    os._exit(7)
+
+
+def return_nonsense(arguments):
+    return {"value": float("nan")}
+
+
+def kill_worker(arguments):
+    """Kill the process that this one was forked from, the first few times."""
+    count(arguments)
+    trace = Path(arguments["trace"])
+    if trace.read_text().split().count(arguments["job"]["folder"]) <= arguments["times"]:
+        os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(600)
+    return {"value": 1}

@@ -1,0 +1,159 @@
+"""A job in a child process: whatever becomes of it is a row with a name."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+
+import pytest
+
+from gridslam.batch.child import ForkServer, LostWorkerError
+from gridslam.batch.journal import COLUMNS
+from support.batch_jobs import make_job
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the children of this system are not forked")
+
+
+@pytest.fixture(scope="module")
+def server():
+    server = ForkServer()
+    yield server
+    server.close()
+
+
+@pytest.fixture
+def run(server, tmp_path):
+    def run(function, *, timeout_s=30.0, memory_bytes=None, attempts=1, **arguments):
+        limits = {"out": str(tmp_path), "timeout_s": timeout_s, "memory_bytes": memory_bytes, "attempts": attempts}
+        return server.run(make_job(function, "a", **arguments).to_dict(), limits)
+
+    return run
+
+
+def is_alive(pid):
+    """Whether there is such a process that is no zombie of another's."""
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def wait_until(condition, seconds=10.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_a_job_that_is_done_has_its_document_its_files_and_its_costs(run, tmp_path):
+    row = run("write_number", number=3)
+    assert (row["status"], row["error"], row["exit_status"], row["attempts"]) == ("done", None, 0, 1)
+    assert row["document"]["number"] == 3
+    assert row["document"]["job"] == {"key": row["key"], "command": "test", "log": "a.clf", "folder": "a"}
+    assert row["output_tail"] == "a line of output\n"
+    assert set(row) == set(COLUMNS)
+    assert row["wall_s"] > 0
+    assert row["cpu_s"] > 0
+    assert 10e6 < row["peak_memory_bytes"] < 1e9
+    assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["number.txt", "run.json", "square.txt"]
+
+
+@pytest.mark.parametrize(
+    ("function", "error", "message"),
+    [
+        ("reject", "InputError", "broken.clf, line 3: expected a scan"),
+        ("fail", "ValueError", "two lines"),
+        ("fill_disk", "OSError", "No space left on device"),
+        ("segfault", "SIGSEGV", "ended by SIGSEGV"),
+        ("kill_itself", "SIGKILL", "ended by SIGKILL"),
+        ("leave", "exit", "ended with status 7 and without a result"),
+        ("return_nonsense", "ValueError", "not JSON compliant"),
+        ("absent", "AttributeError", "absent"),
+    ],
+)
+def test_each_end_has_a_name(run, tmp_path, function, error, message):
+    row = run(function)
+    assert (row["status"], row["error"], row["document"]) == ("failed", error, None)
+    assert message in row["message"]
+    assert "\n" not in row["message"]
+    assert not list(tmp_path.glob("**/half.txt"))
+    assert not list(tmp_path.glob(".*.partial"))
+
+
+def test_the_output_of_a_job_that_failed_has_its_traceback(run):
+    assert "batch_jobs.py" in run("fail")["output_tail"]
+    assert "Segmentation fault" in run("segfault")["output_tail"]
+
+
+def test_a_job_that_hangs_is_killed_with_its_children(run, tmp_path):
+    row = run("hang", timeout_s=1.0, pids=str(tmp_path / "pids"))
+    assert (row["error"], row["message"]) == ("timeout", "killed after 1 s")
+    assert row["output_tail"] == "now it hangs\n"
+    child, grandchild, _ = map(int, (tmp_path / "pids").read_text().split())
+    wait_until(lambda: not is_alive(child) and not is_alive(grandchild))
+    assert not list(tmp_path.glob("**/half.txt"))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit the address space")
+def test_a_job_that_wants_more_memory_than_it_may_have_is_out_of_memory(run):
+    row = run("take_memory", memory_bytes=2 * 10**9)
+    assert row["error"] == "out of memory"
+    assert run("write_number", memory_bytes=2 * 10**9, number=2)["status"] == "done"
+
+
+def test_the_server_that_is_killed_takes_its_child_along_and_the_next_job_runs(run, server, tmp_path):
+    trace = tmp_path / "trace"
+    with pytest.raises(LostWorkerError):
+        run("kill_worker", trace=str(trace), times=1, attempts=2)
+    assert run("kill_worker", trace=str(trace), times=1, attempts=2)["attempts"] == 2
+
+
+def test_a_job_is_not_begun_more_often_than_it_may(run, tmp_path):
+    trace = tmp_path / "trace"
+    for _ in range(2):
+        with pytest.raises(LostWorkerError):
+            run("kill_worker", trace=str(trace), times=9, attempts=2)
+    row = run("kill_worker", trace=str(trace), times=9, attempts=2)
+    assert (row["error"], row["message"]) == ("lost worker", "all 2 workers that ran it were killed or ended")
+    assert trace.read_text().split() == ["a", "a"]
+
+
+def test_children_end_with_the_worker_that_is_closed(tmp_path):
+    import threading
+
+    server = ForkServer()
+    limits = {"out": str(tmp_path), "timeout_s": None, "memory_bytes": None, "attempts": 1}
+    job = make_job("hang", "a", pids=str(tmp_path / "pids")).to_dict()
+    lost = []
+
+    def run_it():
+        try:
+            server.run(job, limits)
+        except LostWorkerError as error:
+            lost.append(error)
+
+    thread = threading.Thread(target=run_it)
+    thread.start()
+    wait_until(lambda: (tmp_path / "pids").exists() and (tmp_path / "pids").read_text())
+    pids = [*map(int, (tmp_path / "pids").read_text().split())]
+    server.close()
+    thread.join(10)
+    assert len(lost) == 1
+    wait_until(lambda: not any(map(is_alive, pids)))
+
+
+def test_a_system_that_cannot_fork_runs_jobs_in_processes_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.setattr("gridslam.batch.child._CAN_FORK", False)
+    server = ForkServer()
+    limits = {"out": str(tmp_path), "timeout_s": 10.0, "memory_bytes": None, "attempts": 1}
+    assert server.run(make_job("write_number", "a", number=2).to_dict(), limits)["document"]["number"] == 2
+    rejected = server.run(make_job("reject", "b").to_dict(), limits)
+    assert (rejected["error"], rejected["message"]) == ("InputError", "broken.clf, line 3: expected a scan")
+    job = make_job("hang", "c", pids=str(tmp_path / "pids"))
+    hung = server.run(job.to_dict(), {**limits, "timeout_s": 1.5})
+    os.kill(int((tmp_path / "pids").read_text().split()[1]), signal.SIGKILL)
+    assert hung["error"] == "timeout"
+    assert not list(tmp_path.glob("**/half.txt"))

@@ -1,0 +1,197 @@
+"""Laws of a batch: each job has exactly one row, and what is done is not done again."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from collections import Counter
+from concurrent.futures import Future
+
+import pytest
+
+from gridslam.batch.child import LostWorkerError
+from gridslam.batch.engine import run_jobs
+from gridslam.batch.journal import JOURNAL, Journal
+from gridslam.batch.pool import ProcessPool
+from gridslam.errors import ArgumentError, OutputError
+from support.batch_jobs import make_job
+
+
+def read_rows(out):
+    with Journal(out) as journal:
+        return list(journal.rows())
+
+
+def run(jobs, out, workers=2, **options):
+    return run_jobs(jobs, out, executor=ProcessPool(workers), **options)
+
+
+@pytest.fixture
+def trace(tmp_path):
+    path = tmp_path / "trace"
+    path.touch()
+    return path
+
+
+def numbers(count, trace):
+    return [make_job("write_number", f"log{k}", number=k, trace=str(trace)) for k in range(count)]
+
+
+def test_each_job_has_exactly_one_row_and_nothing_runs_twice(tmp_path, trace):
+    jobs = [*numbers(5, trace), make_job("reject", "bad", trace=str(trace))]
+    seen = []
+    rows = run(jobs, tmp_path / "out", on_row=seen.append)
+    assert [row["folder"] for row in rows] == [job.folder for job in jobs]
+    assert [row["status"] for row in rows] == 5 * ["done"] + ["failed"]
+    assert sorted(row["folder"] for row in seen) == sorted(job.folder for job in jobs)
+    assert [row["folder"] for row in read_rows(tmp_path / "out")] == sorted(job.folder for job in jobs)
+    again = run(jobs, tmp_path / "out")
+    assert all(row["resumed"] for row in again)
+    assert [row["document"] for row in again] == [row["document"] for row in rows]
+    assert set(Counter(trace.read_text().split()).values()) == {1}
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"runs.sqlite", *(f"log{k}" for k in range(5))}
+
+
+def test_what_was_done_is_known_without_the_journal_and_what_is_gone_is_done_again(tmp_path, trace):
+    jobs = numbers(4, trace)
+    before = run(jobs, tmp_path)
+    (tmp_path / JOURNAL).unlink()
+    rows = run(jobs, tmp_path)
+    assert [row["document"] for row in rows] == [row["document"] for row in before]
+    assert len(read_rows(tmp_path)) == 4
+    shutil.rmtree(tmp_path / "log1")
+    (tmp_path / "log2" / "run.json").write_text("{")
+    rows = run(jobs, tmp_path)
+    assert [row["resumed"] for row in rows] == [True, False, False, True]
+    assert Counter(trace.read_text().split()) == {"log0": 1, "log1": 2, "log2": 2, "log3": 1}
+
+
+def test_another_key_replaces_the_row_of_the_folder(tmp_path, trace):
+    run([make_job("write_number", "a", number=1)], tmp_path)
+    run([make_job("write_number", "a", number=2)], tmp_path)
+    (row,) = read_rows(tmp_path)
+    assert row["document"]["number"] == json.loads((tmp_path / "a" / "run.json").read_text())["number"] == 2
+
+
+def test_what_failed_for_the_machines_sake_is_tried_again(tmp_path, trace):
+    jobs = [make_job("reject", "a", trace=str(trace)), make_job("leave", "b")]
+    run(jobs, tmp_path)
+    assert [row["resumed"] for row in run(jobs, tmp_path)] == [True, False]
+
+
+def test_a_log_whose_worker_is_lost_runs_again_and_one_that_kills_workers_is_named(tmp_path, trace):
+    once = make_job("kill_worker", "once", times=1, trace=str(trace))
+    always = make_job("kill_worker", "always", times=99, trace=str(trace))
+    rows = run([once, always, *numbers(3, trace)], tmp_path / "out", retries=2)
+    assert [row["status"] for row in rows] == ["done", "failed", "done", "done", "done"]
+    assert [row["attempts"] for row in rows] == [2, 3, 1, 1, 1]
+    assert (rows[1]["error"], rows[0]["error"]) == ("lost worker", None)
+    assert Counter(trace.read_text().split())["always"] == 3
+
+
+def test_a_full_disk_ends_the_batch_and_loses_nothing(tmp_path, trace):
+    jobs = [*numbers(3, trace), make_job("fill_disk", "full"), *numbers(9, trace)[3:]]
+    with pytest.raises(OutputError, match=r"No space left on device.*again"):
+        run(jobs, tmp_path / "out", workers=1)
+    rows = run([job for job in jobs if job.folder != "full"], tmp_path / "out")
+    assert sum(row["resumed"] for row in rows) >= 3
+    assert set(Counter(trace.read_text().split()).values()) == {1}
+
+
+def test_an_interrupt_ends_the_children_and_what_they_began(tmp_path, trace):
+    def interrupt():
+        if list(tmp_path.glob("out/.*.partial")):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run([make_job("hang", "a"), make_job("hang", "b")], tmp_path / "out", on_poll=interrupt)
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["runs.sqlite"]
+    assert read_rows(tmp_path / "out") == []
+
+
+def test_one_batch_at_a_time_runs_in_a_folder(tmp_path):
+    def start_another():
+        with pytest.raises(OutputError, match="another batch is running"):
+            run([make_job("write_number", "b", number=1)], tmp_path)
+
+    run([make_job("write_number", "a", number=1)], tmp_path, on_poll=start_another)
+
+
+def test_a_journal_of_another_form_is_refused(tmp_path):
+    (tmp_path / JOURNAL).write_text("no database, but a text of some length " * 20)
+    with pytest.raises(Exception, match="expected the journal of a batch"):
+        run([], tmp_path)
+    (tmp_path / JOURNAL).unlink()
+    with sqlite3.connect(tmp_path / JOURNAL) as database:
+        database.execute("CREATE TABLE runs (a)")
+    database.close()
+    with pytest.raises(Exception, match="expected a table runs with the columns key, log"):
+        run([], tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("options", "argument"),
+    [({"timeout_s": 0}, "timeout_s"), ({"memory_bytes": 0}, "memory_bytes"), ({"retries": -1}, "retries")],
+)
+def test_limits_out_of_range_are_refused(tmp_path, options, argument):
+    with pytest.raises(ArgumentError, match=argument):
+        run([], tmp_path, **options)
+    with pytest.raises(ArgumentError, match="a folder for each"):
+        run([make_job("leave", "a"), make_job("leave", "a", b=1)], tmp_path)
+    with pytest.raises(ArgumentError, match="workers"):
+        ProcessPool(0)
+
+
+def test_a_log_is_hashed_again_only_if_it_has_changed(tmp_path, monkeypatch):
+    log = tmp_path / "a.clf"
+    log.write_text("one")
+    hashed = []
+
+    def digest(path):
+        hashed.append(path)
+        return "0" * 64
+
+    monkeypatch.setattr("gridslam.batch.journal.compute_digest", digest)
+    with Journal(tmp_path) as journal:
+        journal.digest(log)
+        journal.digest(log)
+    with Journal(tmp_path) as journal:
+        journal.digest(log)
+        assert len(hashed) == 1
+        log.write_text("other")
+        journal.digest(log)
+    assert len(hashed) == 2
+
+
+class Unlucky:
+    """An executor that loses every other job before it begins."""
+
+    def __init__(self, pool):
+        self.pool = pool
+        self.count = 0
+
+    def __enter__(self):
+        self.pool.__enter__()
+        return self
+
+    def __exit__(self, *error):
+        self.pool.__exit__(*error)
+
+    def capacity(self):
+        return 3
+
+    def submit(self, job, limits):
+        self.count += 1
+        if self.count % 2:
+            future = Future()
+            future.set_exception(LostWorkerError("lost"))
+            return future
+        return self.pool.submit(job, limits)
+
+
+def test_jobs_that_an_executor_loses_are_handed_over_again(tmp_path, trace):
+    rows = run_jobs(numbers(6, trace), tmp_path / "out", executor=Unlucky(ProcessPool(1)), retries=9)
+    assert {row["status"] for row in rows} == {"done"}
+    assert set(Counter(trace.read_text().split()).values()) == {1}
