@@ -67,7 +67,8 @@ class _MapCommand(click.Command):
 
         defaults = Configuration()
         rows = [
-            (name, f"{what} [{str(value_of(defaults, path)).lower()}]") for name, (path, what) in PARAMETERS.items()
+            (name, f"{known.description} [{str(value_of(defaults, known.path)).lower()}]")
+            for name, known in PARAMETERS.items()
         ]
         with formatter.section("Lasers for --laser"):
             formatter.write_dl([(name, laser.description) for name, laser in LASERS.items()])
@@ -345,7 +346,8 @@ def evaluate_command(**options: Any) -> None:  # noqa: ANN401
     TRAJECTORY is in TUM format: stamp x y z qx qy qz qw.
 
     REFERENCE is a file of true relative poses (Kuemmerle et al. 2009) if its name ends in .relations; otherwise a true
-    trajectory in TUM format, for which the absolute (ATE, aligned) and relative (RPE) errors are reported.
+    trajectory in TUM format, for which the absolute (ATE, aligned) and relative (RPE) errors are reported; or, where
+    there is no truth, the log itself: how well its scans, drawn along TRAJECTORY, agree with each other.
     """
     from gridslam.cli.evaluate import evaluate
 
