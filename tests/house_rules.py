@@ -33,6 +33,9 @@ ONLY_IN = {
     "fsspec": {"io"},
     "pandas": {"api"},
     "pyarrow": {"batch"},
+    "dask": {"batch"},
+    "dask_jobqueue": {"batch"},
+    "distributed": {"batch"},
 }
 """Who may import which dependency: help must not pay for drawing, nor the filter for a terminal."""
 

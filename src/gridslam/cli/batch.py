@@ -49,6 +49,7 @@ def run_batch(
     command: str,
     reference: str | None,
     workers: int | None,
+    scheduler: str | None,
     timeout_s: float | None,
     memory_mb: float | None,
     retries: int,
@@ -66,8 +67,8 @@ def run_batch(
     else:
         entries = _find_suite(suite, logs, command, reference)
     prepared = [make.prepare(entry) for entry in entries]
-    executor: Executor = ProcessPool(workers or _count_processors())
     try:
+        executor = _open_executor(scheduler, workers)
         with Journal(out) as journal:
             jobs = _make_jobs(command, entries, prepared, journal)
         with _Progress(len(jobs), as_json) as progress:
@@ -102,6 +103,18 @@ def _find_suite(name: str, folders: Sequence[str], command: str, reference: str 
     )
     warn(*absent)
     return entries
+
+
+def _open_executor(scheduler: str | None, workers: int | None) -> Executor:
+    """Connect to a cluster, or make the pool of this machine."""
+    if scheduler is None:
+        return ProcessPool(workers or _count_processors())
+    from gridslam.batch.cluster import DaskCluster
+
+    cluster = DaskCluster(scheduler, workers)
+    if cluster.dashboard:
+        warn(f"dashboard: {cluster.dashboard}")
+    return cluster
 
 
 def _count_processors() -> int:

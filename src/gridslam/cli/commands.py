@@ -480,6 +480,12 @@ class _BatchCommand(click.Command):
     "--workers", type=click.IntRange(1, 256), metavar="N", help="Logs at a time.  [default: number of processors]"
 )
 @click.option(
+    "--scheduler",
+    metavar="ADDRESS|FILE",
+    help="Run on a Dask cluster: address of its scheduler (tcp://, tls://), its scheduler file, or a configuration of "
+    "dask-jobqueue, YAML, from which --workers are started (extra: cluster).",
+)
+@click.option(
     "--timeout", "timeout_s", type=click.FloatRange(0, min_open=True), metavar="S", help="Time limit for a log, s."
 )
 @click.option(
