@@ -52,6 +52,7 @@ def test_every_log_has_its_row_where_two_of_four_workers_are_killed(tmp_path, se
     check_same_results(tmp_path / "one", tmp_path / "two", [job.folder for job in jobs])
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # dask-jobqueue waits for no process
 def test_a_cluster_is_started_from_a_configuration_of_dask_jobqueue(tmp_path):
     pytest.importorskip("dask_jobqueue")
     file = tmp_path / "cluster.yaml"

@@ -161,6 +161,8 @@ class DaskCluster:
             raise ConfigurationError(f"--scheduler {scheduler}: {error}") from None
         except Exception:
             problem = f"no Dask scheduler answers within {_CONNECT_S:g} s"
+            if address.startswith("tls:"):
+                problem += " and accepts this machine's certificate (distributed.comm.tls in ~/.config/dask)"
             raise ConfigurationError(f"--scheduler {scheduler}: {problem}") from None
 
 
