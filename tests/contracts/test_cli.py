@@ -415,12 +415,29 @@ def test_evaluate_against_relations(call, tmp_path):
     assert "relations: 0.2500 +- 0.0000 m" in call("evaluate", tmp_path / "t.tum", tmp_path / "t.relations")[1]
 
 
+def test_evaluate_against_the_log_itself(call, log, tmp_path):
+    truth = read_tum(log.with_name("truth.tum"))
+    noise = np.random.default_rng(0).normal(0, 0.03, truth.poses.shape)
+    write_tum(tmp_path / "noisy.tum", Trajectory(truth.stamps_ns, truth.poses + noise))
+    scores = []
+    for trajectory in (log.with_name("truth.tum"), tmp_path / "noisy.tum"):
+        status, out, err = call("evaluate", trajectory, log, "--json")
+        assert (status, err) == (0, "")
+        document = json.loads(out)
+        assert set(document) == {"schema", "trajectory", "reference", "self_consistency"}
+        assert set(document["self_consistency"]) == {"scans", "beams", "nats_per_beam"}
+        scores.append(document["self_consistency"]["nats_per_beam"])
+    assert scores[0] < scores[1]
+    assert "nats a beam" in call("evaluate", tmp_path / "noisy.tum", log)[1]
+
+
 def test_evaluate_refuses_what_does_not_belong_together(call, log, tmp_path):
     truth, other, relations = log.with_name("truth.tum"), tmp_path / "other.tum", tmp_path / "other.relations"
     write_tum(other, Trajectory(np.array([10**18]), np.zeros((1, 3))))
     relations.write_text("1e6 1e7 1 0 0 0 0 0\n")
     for reference in (other, relations):
         assert f"{truth}: cannot be compared with {reference}" in refused(call, tmp_path, "evaluate", truth, reference)
+    assert f"{other}: cannot be compared with {log}" in refused(call, tmp_path, "evaluate", other, log)
     assert "no such file" in refused(call, tmp_path, "evaluate", truth, tmp_path / "none.tum")
     assert "line 1" in refused(call, tmp_path, "evaluate", relations, truth)
     assert "above 0 m" in refused(call, tmp_path, "evaluate", truth, truth, "--distance", 0)

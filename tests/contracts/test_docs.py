@@ -177,7 +177,7 @@ def test_every_schema_is_told():
 def test_tuning_names_every_parameter_with_its_default():
     text = (DOCS / "tuning.md").read_text(encoding="utf-8")
     rows = dict(re.findall(r"^\| `(\w+)` \| (\S+) \|", text, re.MULTILINE))
-    defaults = {name: value_of(Configuration(), dotted) for name, (dotted, _) in PARAMETERS.items()}
+    defaults = {name: value_of(Configuration(), known.path) for name, known in PARAMETERS.items()}
     assert {name: str(value).lower() for name, value in defaults.items()} == rows
 
 

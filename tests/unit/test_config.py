@@ -111,8 +111,19 @@ def test_gmapping_preset_decides_as_gmapping():
 def test_at_most_fifteen_parameters_face_the_user_and_each_is_one():
     assert len(PARAMETERS) <= 15
     known = list(names(Configuration()))
-    for path, _ in PARAMETERS.values():
-        assert path in known or f"{path}.kind" in known
+    for parameter in PARAMETERS.values():
+        assert parameter.path in known or f"{parameter.path}.kind" in known
+
+
+def test_ranges_that_are_searched_are_valid_and_hold_the_default():
+    default = Configuration()
+    for name, parameter in PARAMETERS.items():
+        if parameter.search is None:
+            continue
+        assert parameter.search.low <= float(value_of(default, parameter.path)) <= parameter.search.high
+        assert parameter.search.low > 0 or not parameter.search.log
+        for value in parameter.search[:2]:
+            override(default, f"{name}={str(bool(value)).lower() if name == 'loop_closure' else value}")
 
 
 def test_the_tracker_has_at_most_twenty_parameters_beside_those_of_its_matcher():
@@ -122,7 +133,7 @@ def test_the_tracker_has_at_most_twenty_parameters_beside_those_of_its_matcher()
 
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_short_name_means_the_dotted_one(name):
-    path = PARAMETERS[name][0]
+    path = PARAMETERS[name].path
     value = {"loop_closure": False, "particles": 7}.get(name, 0.125)
     config = override(Configuration(), f"{name}={str(value).lower()}")
     assert value_of(config, path) == value

@@ -1,4 +1,4 @@
-"""Scores of a trajectory against relations or another trajectory, as JSON values."""
+"""Scores of a trajectory against relations, another trajectory or its own scans, as JSON values."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import Any
 
 from gridslam.arguments import require_instance
 from gridslam.errors import ArgumentError, InputError
+from gridslam.evaluation.self_consistency import measure_self_consistency
 from gridslam.evaluation.trajectory import absolute_errors, relation_errors, relative_errors_by_distance
+from gridslam.io.log import detect_log_format, open_log
 from gridslam.io.trajectories import read_relations, read_tum
 from gridslam.types import Trajectory
 
@@ -18,21 +20,22 @@ EVALUATION_SCHEMA = "gridslam.evaluation/1"
 
 
 def evaluate_trajectory(trajectory: str | Path, reference: str | Path, distance_m: float = 1.0) -> dict[str, Any]:
-    """Score a trajectory file against relations, or against another trajectory.
+    """Score a trajectory file against relations, against another trajectory, or against its own scans.
 
     Parameters
     ----------
     trajectory : str or Path
         A file in TUM format.
     reference : str or Path
-        True relations if its name ends in .relations; else the true trajectory, a file in TUM format.
+        True relations if its name ends in .relations; the log that the trajectory is of, in any format; or else the
+        true trajectory, a file in TUM format.
     distance_m : float, m, > 0
         Path length between the pairs of poses of the RPE.
 
     Returns
     -------
     dict
-        The document of `gridslam evaluate`: ``relations``, or ``ate`` and ``rpe``.
+        The document of `gridslam evaluate`: ``relations``, ``self_consistency``, or ``ate`` and ``rpe``.
 
     Raises
     ------
@@ -53,6 +56,9 @@ def score_against_reference(
     try:
         if Path(reference).suffix == ".relations":
             return {"relations": asdict(relation_errors(estimate, read_relations(reference)))}
+        if _is_log(reference):
+            agreement = measure_self_consistency(estimate, (scan for _, scan in open_log(reference)))
+            return {"self_consistency": asdict(agreement)}
         return score_against_truth(estimate, read_tum(reference), distance_m)
     except ArgumentError as error:
         if error.argument == "distance_m":
@@ -65,3 +71,12 @@ def score_against_truth(estimate: Trajectory, truth: Trajectory, distance_m: flo
     absolute = absolute_errors(estimate, truth)
     relative = relative_errors_by_distance(estimate, truth, distance_m)
     return {"ate": asdict(absolute), "rpe": {"distance_m": distance_m, **asdict(relative)}}
+
+
+def _is_log(path: str | Path) -> bool:
+    """Whether a reference holds scans; a file that cannot be read is left to the reader of trajectories."""
+    try:
+        detect_log_format(path)
+    except InputError:
+        return False
+    return True

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import asdict
@@ -20,14 +21,18 @@ from gridslam.batch.job import Job, compute_key
 from gridslam.batch.journal import Journal
 from gridslam.batch.manifest import COLUMNS, Entry, find_logs
 from gridslam.batch.pool import ProcessPool
+from gridslam.batch.publish import Publisher
+from gridslam.batch.suite import load_suite
 from gridslam.cli.localize import read_parameters
 from gridslam.cli.map import build_configuration
 from gridslam.cli.options import evaluate_options, localize_options, log_options, map_options
 from gridslam.cli.output import open_display, stop_if_interrupted, warn
 from gridslam.config.tables import suggest_names, to_table
 from gridslam.errors import ConfigurationError, GridslamError, InputError, OutputError
+from gridslam.io.cache import LogCache
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions
+from gridslam.io.remote import describe_remote, is_url
 
 __all__ = ["run_batch"]
 
@@ -48,12 +53,19 @@ def run_batch(
     timeout_s: float | None,
     memory_mb: float | None,
     retries: int,
+    suite: str | None,
+    parquet: bool,
+    upload: str | None,
     as_json: bool,
     words: Sequence[str],
 ) -> int:
     """Run a command over many logs; returns the exit status."""
+    publisher = Publisher(out, upload, parquet=parquet)
     make = _Maker(command, words)
-    entries = find_logs(logs, trajectories=command == "evaluate", reference=reference)
+    if suite is None:
+        entries = find_logs(logs, trajectories=command == "evaluate", reference=reference)
+    else:
+        entries = _find_suite(suite, logs, command, reference)
     prepared = [make.prepare(entry) for entry in entries]
     try:
         executor = _open_executor(scheduler, workers)
@@ -67,15 +79,30 @@ def run_batch(
                 timeout_s=timeout_s,
                 memory_bytes=None if memory_mb is None else round(1e6 * memory_mb),
                 retries=retries,
-                on_row=progress.on_row,
+                on_row=_call_both(progress.on_row, publisher.on_row),
                 on_poll=progress.on_poll,
             )
+        published = publisher.finish()
     except OutputError as error:
         raise click.ClickException(str(error)) from None
     failed = sum(row["status"] == "failed" for row in rows)
     if not as_json:
-        click.echo("\n".join(progress.summarize(out)))
+        click.echo("\n".join([*progress.summarize(out), *published]))
     return 1 if failed else 0
+
+
+def _find_suite(name: str, folders: Sequence[str], command: str, reference: str | None) -> list[Entry]:
+    """The runs of a suite; what is absent is named."""
+    if command != "map" or reference is not None:
+        raise click.UsageError("--suite takes neither --command nor --reference", click.get_current_context())
+    for folder in folders:
+        if not Path(folder).is_dir():
+            raise click.ClickException(f"{folder}: expected a folder with logs of the suite")
+    entries, absent = load_suite(name).find(
+        [Path(folder) for folder in folders], LogCache.default().folder / "datasets"
+    )
+    warn(*absent)
+    return entries
 
 
 def _open_executor(scheduler: str | None, workers: int | None) -> Executor:
@@ -226,34 +253,38 @@ def _make_jobs(
     command: str, entries: Sequence[Entry], prepared: Sequence[Mapping[str, Any]], journal: Journal
 ) -> list[Job]:
     """Make the jobs; the logs that have changed since the last time are read for their digests."""
-    logs = [Path(entry.path) for entry in entries]
-    references = [Path(entry.reference) for entry in entries if entry.reference]
-    maps = [Path(arguments["map"]) for arguments in prepared if "map" in arguments]
-    digests = _compute_digests({*logs, *references, *maps}, journal)
+    references = [entry.reference for entry in entries if entry.reference]
+    maps = [arguments["map"] for arguments in prepared if "map" in arguments]
+    digests = _compute_digests({*(entry.path for entry in entries), *references, *maps}, journal)
     jobs = []
-    for entry, log, arguments in zip(entries, logs, prepared, strict=True):
+    for entry, arguments in zip(entries, prepared, strict=True):
         used = {name: path for name, path in (("reference", entry.reference), ("map", arguments.get("map"))) if path}
         parameters = {name: value for name, value in arguments.items() if name != "threads"} | {
-            name: digests[Path(path)] for name, path in used.items()
+            name: digests[path] for name, path in used.items()
         }
         every = {
             "log": entry.path,
-            "digest": digests[log],
+            "digest": "" if is_url(entry.path) else digests[entry.path],
             "reference": entry.reference,
             "max_memory_bytes": max_memory_bytes(),
             **arguments,
         }
-        key = compute_key(command, digests[log], parameters)
+        key = compute_key(command, digests[entry.path], parameters)
         jobs.append(Job(_TARGET.format(command), every, entry.log, entry.name, key, command))
     return jobs
 
 
-def _compute_digests(paths: Collection[Path], journal: Journal) -> dict[Path, str]:
-    """SHA-256 of files; of one that cannot be read there is none, and the job reports it."""
+def _compute_digests(paths: Collection[str], journal: Journal) -> dict[str, str]:
+    """SHA-256 of files; of one at a URL that of its size, time and ETag, as far as these are known.
 
-    def compute(path: Path) -> str:
+    Of one that cannot be read there is none, and the job reports it.
+    """
+
+    def compute(path: str) -> str:
         try:
-            return journal.digest(path)
+            if is_url(path):
+                return hashlib.sha256(f"{path}\n{describe_remote(path)}".encode()).hexdigest()
+            return journal.digest(Path(path))
         except InputError:
             return ""
 
@@ -265,6 +296,16 @@ def _compute_digests(paths: Collection[Path], journal: Journal) -> dict[Path, st
         return {path: future.result() for future, path in pending.items()}
     finally:
         threads.shutdown(cancel_futures=True)
+
+
+def _call_both(
+    first: Callable[[dict[str, Any]], None], second: Callable[[dict[str, Any]], None]
+) -> Callable[[dict[str, Any]], None]:
+    def call(row: dict[str, Any]) -> None:
+        first(row)
+        second(row)
+
+    return call
 
 
 @final

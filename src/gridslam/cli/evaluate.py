@@ -10,13 +10,14 @@ import click
 from gridslam.api.evaluation import evaluate_trajectory
 from gridslam.cli.options import name_option
 from gridslam.cli.output import print_result
+from gridslam.evaluation.self_consistency import SelfConsistency
 from gridslam.evaluation.trajectory import PoseErrors, RelationErrors
 
 __all__ = ["evaluate", "format_scores"]
 
 
 def evaluate(trajectory: Path, reference: Path, distance_m: float, as_json: bool) -> None:
-    """Score a trajectory against relations, or against another trajectory."""
+    """Score a trajectory against relations, against another trajectory, or against its own scans in a log."""
     if not distance_m > 0:
         raise click.ClickException(f"--distance: expected a length above 0 m, got {distance_m:g}")
     with name_option(distance_m="--distance"):
@@ -28,6 +29,8 @@ def format_scores(scores: dict[str, Any]) -> list[str]:
     """The scores of `evaluate_trajectory` in words."""
     if "relations" in scores:
         return [_format_relation_errors(RelationErrors(**scores["relations"]))]
+    if "self_consistency" in scores:
+        return [_format_self_consistency(SelfConsistency(**scores["self_consistency"]))]
     rpe = dict(scores["rpe"])
     distance_m = rpe.pop("distance_m")
     return [
@@ -48,4 +51,11 @@ def _format_relation_errors(errors: RelationErrors) -> str:
         f"relations: {errors.trans_mean_m:.4f} +- {errors.trans_std_m:.4f} m and {errors.rot_mean_deg:.3f} +- "
         f"{errors.rot_std_deg:.3f} deg, at most {errors.trans_max_m:.4f} m and {errors.rot_max_deg:.3f} deg, "
         f"{errors.n} relations, {errors.exact:.1%} of the poses at their exact time"
+    )
+
+
+def _format_self_consistency(agreement: SelfConsistency) -> str:
+    return (
+        f"self-consistency: {agreement.nats_per_beam:.4f} nats a beam, {agreement.beams} beams of {agreement.scans} "
+        "scans (less is better, between trajectories of one log)"
     )

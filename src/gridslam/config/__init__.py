@@ -1,6 +1,16 @@
 """The configuration of a run: presets, TOML in and out, single parameters by name, and the filter built from it."""
 
-from gridslam.config.configuration import PARAMETERS, Configuration, build, dumps, load, loads, override
+from gridslam.config.configuration import (
+    PARAMETERS,
+    Configuration,
+    Parameter,
+    Search,
+    build,
+    dumps,
+    load,
+    loads,
+    override,
+)
 from gridslam.config.presets import LASERS, PRESETS, apply_laser, preset
 
 __all__ = [
@@ -8,6 +18,8 @@ __all__ = [
     "PARAMETERS",
     "PRESETS",
     "Configuration",
+    "Parameter",
+    "Search",
     "apply_laser",
     "build",
     "dumps",

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Final, Literal, final
+from typing import Annotated, Final, Literal, NamedTuple, final
 
 from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.config.tables import nest, read_assignments, replace_parameters, to_table
+from gridslam.config.tables import nest, parse_toml, read_assignments, replace_parameters, to_table
 from gridslam.errors import ConfigurationError
 from gridslam.grid.tiles import MOST_BEAM_CELLS
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
@@ -30,31 +29,73 @@ from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.tracking.tracker import OdometryTracker, Tracker
 from gridslam.types import Resampler
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+__all__ = ["PARAMETERS", "Configuration", "Parameter", "Search", "build", "dumps", "load", "loads", "override"]
 
-__all__ = ["PARAMETERS", "Configuration", "build", "dumps", "load", "loads", "override"]
 
-PARAMETERS: Final[Mapping[str, tuple[str, str]]] = {
-    "particles": ("particles", "number of particles"),
-    "resolution_m": ("mapper.resolution_m", "map resolution, m per cell"),
-    "range_min_m": ("range_min_m", "shorter beams are ignored: they hit the robot itself"),
-    "range_max_m": ("range_max_m", "beams of this range or more are ignored"),
-    "key_scan_m": ("when_to_update.translation_m", "distance between key scans"),
-    "key_scan_rad": ("when_to_update.rotation_rad", "... or after this much rotation"),
-    "insert_m": ("tracker.insert_m", "distance between the scans that the tracker inserts into its local map"),
-    "insert_rad": ("tracker.insert_rad", "... or after this much rotation"),
-    "beam_sigma_m": ("tracker.beam_sigma_m", "standard deviation of a beam; larger values favour the odometry"),
-    "noise_m": ("motion.sigma_xy_m", "standard deviation of the position per sqrt metre of tracked motion"),
-    "noise_rad": ("motion.sigma_theta_rad", "... and of the heading"),
-    "tempering": ("sensor.tempering", "exponent of the likelihood (0 to 1); accounts for correlated beams"),
-    "resample_below": ("when_to_resample.fraction", "resample if N_eff falls below this fraction of the particles"),
-    "lost_below": ("reports.lost_below", "inlier ratio with the map below which the robot is lost"),
-    "loop_closure": ("loop_closure", "detect loop closures and correct the trajectory; false: filter only"),
+@final
+class Search(NamedTuple):
+    """Where `gridslam tune` looks for a parameter: from `low` to `high`, evenly in its logarithm or in itself.
+
+    Values outside are valid, but no log is known on which they would be better.
+    """
+
+    low: float
+    high: float
+    log: bool = True
+
+
+@final
+class Parameter(NamedTuple):
+    """A parameter that faces the user: its dotted name, what it is, and where it is tuned; None: it is not."""
+
+    path: str
+    description: str
+    search: Search | None = None
+
+
+_SWITCH = Search(0, 1, log=False)
+
+PARAMETERS: Final[Mapping[str, Parameter]] = {
+    # Not tuned: more particles are never worse, and cost in proportion.
+    "particles": Parameter("particles", "number of particles"),
+    "resolution_m": Parameter("mapper.resolution_m", "map resolution, m per cell", Search(0.025, 0.15)),
+    # Not tuned: a matter of the robot.
+    "range_min_m": Parameter("range_min_m", "shorter beams are ignored: they hit the robot itself"),
+    "range_max_m": Parameter("range_max_m", "beams of this range or more are ignored", Search(5.0, 80.0)),
+    "key_scan_m": Parameter("when_to_update.translation_m", "distance between key scans", Search(0.1, 2.0)),
+    "key_scan_rad": Parameter("when_to_update.rotation_rad", "... or after this much rotation", Search(0.1, 1.0)),
+    "insert_m": Parameter(
+        "tracker.insert_m",
+        "distance between the scans that the tracker inserts into its local map",
+        Search(0.05, 1.0),
+    ),
+    "insert_rad": Parameter("tracker.insert_rad", "... or after this much rotation", Search(0.03, 0.5)),
+    "beam_sigma_m": Parameter(
+        "tracker.beam_sigma_m",
+        "standard deviation of a beam; larger values favour the odometry",
+        Search(0.0005, 0.02),
+    ),
+    "noise_m": Parameter(
+        "motion.sigma_xy_m", "standard deviation of the position per sqrt metre of tracked motion", Search(0.003, 0.2)
+    ),
+    "noise_rad": Parameter("motion.sigma_theta_rad", "... and of the heading", Search(0.002, 0.1)),
+    "tempering": Parameter(
+        "sensor.tempering",
+        "exponent of the likelihood (0 to 1); accounts for correlated beams",
+        Search(0.003, 0.3),
+    ),
+    "resample_below": Parameter(
+        "when_to_resample.fraction",
+        "resample if N_eff falls below this fraction of the particles",
+        Search(0.1, 0.9, log=False),
+    ),
+    # Not tuned: it changes what is reported, and no pose.
+    "lost_below": Parameter("reports.lost_below", "inlier ratio with the map below which the robot is lost"),
+    "loop_closure": Parameter(
+        "loop_closure", "detect loop closures and correct the trajectory; false: filter only", _SWITCH
+    ),
 }
-"""The parameters that face the user: short name, dotted name and what it is."""
+"""The parameters that face the user, by their short names."""
 
 _LARGEST_TEXT: Final = 1 << 20  # characters
 _RESAMPLERS: Final[Mapping[str, type[Resampler]]] = {
@@ -155,13 +196,7 @@ def loads(text: str, base: Configuration | None = None) -> Configuration:
     ConfigurationError
         The text is no TOML, or a parameter is unknown, of a wrong type or out of range.
     """
-    try:
-        changes = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigurationError(f"expected TOML: {error}") from None
-    except RecursionError:
-        raise ConfigurationError("expected TOML: values are nested too deeply") from None
-    return replace_parameters(base or Configuration(), changes)
+    return replace_parameters(base or Configuration(), parse_toml(text))
 
 
 def load(path: str | Path, base: Configuration | None = None) -> Configuration:
@@ -190,5 +225,7 @@ def override(config: Configuration, *assignments: str) -> Configuration:
     """
     values = read_assignments(assignments)
     return replace_parameters(
-        config, nest({PARAMETERS.get(name, (name,))[0]: value for name, value in values.items()}), PARAMETERS
+        config,
+        nest({PARAMETERS[name].path if name in PARAMETERS else name: value for name, value in values.items()}),
+        PARAMETERS,
     )

@@ -3,6 +3,7 @@
 from gridslam.evaluation.closures import closure_errors, false_closures
 from gridslam.evaluation.consistency import Consistency, check_consistency, chi_square_quantile, nees
 from gridslam.evaluation.maps import MapAgreement, compare_maps
+from gridslam.evaluation.self_consistency import SelfConsistency, measure_self_consistency
 from gridslam.evaluation.trajectory import (
     PoseErrors,
     RelationErrors,
@@ -22,6 +23,7 @@ __all__ = [
     "PoseErrors",
     "RelationErrors",
     "Relations",
+    "SelfConsistency",
     "absolute_errors",
     "align",
     "associate",
@@ -31,6 +33,7 @@ __all__ = [
     "compare_maps",
     "false_closures",
     "interpolate",
+    "measure_self_consistency",
     "nees",
     "relation_errors",
     "relative_errors_by_distance",

@@ -97,6 +97,11 @@ class BeamCounts:
         hits, net = (counts[slots].swapaxes(1, 2).reshape(shape) for counts in (self._hits, self._net))
         return hits, np.maximum(hits - net, 0.0)
 
+    def observed(self) -> tuple[FloatArray, FloatArray]:
+        """Hits and misses (S, 32, 32) of the S tiles that were observed; both are 0 in cells that were not."""
+        hits, net = (counts[1 : len(self._slots) + 1] for counts in (self._hits, self._net))
+        return hits, np.maximum(hits - net, 0.0)
+
     def _slots_of(self, tiles: IntArray) -> list[int]:
         """Slots (K,) of tiles (K, 2) = [row, column], new ones where need be."""
         slots = [self._slots.setdefault((row, column), len(self._slots) + 1) for row, column in tiles.tolist()]
