@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import gc
-import math
 import sys
 import threading
 import time
@@ -27,11 +26,11 @@ from gridslam import preset
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
 from gridslam.ros import NodeCore, NodeSettings
-from gridslam.ros.node.messages import Level, ScanMessage, StampedTransform
+from gridslam.ros.node.messages import ScanMessage, StampedTransform
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, StepReport
-from load import MOUNTING, resident_mb
+from load import MOUNTING, NoOutputs, odometry_message, resident_mb, scan_message
 from measure import write_document
 
 __all__ = ["Watch", "drive", "main"]
@@ -46,28 +45,13 @@ _SEAM_M = 0.05
 
 @final
 class Watch:
-    """Outputs that only count, and an observer that notes the filter's CPU time and lets the next scan come."""
+    """An observer that notes the filter's CPU time and lets the next scan come."""
 
     def __init__(self) -> None:
         self.mapped = threading.Semaphore(0)
         self.cpu_s: list[float] = []
         self.key_scans = 0
-        self.log_lines: list[str] = []
         self._last_s: float | None = None
-
-    def now_ns(self) -> int:
-        return time.time_ns()
-
-    def map(self, message: object) -> None:
-        pass
-
-    transform = pose = particles = diagnostics = map
-
-    def entropy(self, nats: float) -> None:
-        pass
-
-    def log(self, level: Level, text: str) -> None:
-        self.log_lines.append(text)
 
     def note(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         now_s = time.thread_time()
@@ -97,16 +81,12 @@ def drive(kind: str, scans: int) -> Iterator[tuple[StampedTransform, ScanMessage
         ranges = [measurement.scan.ranges for measurement in log.measurements[begin : end + 1]]
         poses = np.array([m.odometry.pose for m in log.measurements[begin : end + 1] if m.odometry is not None])
         bearings = log.measurements[0].scan.geometry.bearings
-    step = float(bearings[1] - bearings[0])
     increments = between(poses[:-1], poses[1:])
     pose = np.zeros(3)
     for k in range(scans):
         phase = k % len(increments)
         stamp_ns = round((1 + k / rate_hz) * 1e9)
-        scan = ScanMessage(
-            stamp_ns, "laser", float(bearings[0]), step, 0.0, 0.02, 30.0, ranges[phase].astype(np.float32)
-        )
-        yield _to_transform(stamp_ns, pose), scan
+        yield odometry_message(stamp_ns, pose), scan_message(stamp_ns, bearings, ranges[phase])
         pose = compose(pose, increments[phase])
 
 
@@ -120,17 +100,11 @@ def find_lap(truth: FloatArray) -> tuple[int, int]:
     return begin, int(later[nearest])
 
 
-def _to_transform(stamp_ns: int, pose: FloatArray) -> StampedTransform:
-    x, y, theta = pose.tolist()
-    return StampedTransform(
-        stamp_ns, "odom", "base_link", (x, y, 0.0, 0.0, 0.0, math.sin(theta / 2), math.cos(theta / 2))
-    )
-
-
 def endure(kind: str, hours: float) -> dict[str, Any]:
     """Map for hours of the robot's time; a row for each hour, or for each tenth."""
     watch = Watch()
-    core = NodeCore(NodeSettings(), preset("default", 30), watch, observers=[watch.note])
+    outputs = NoOutputs()
+    core = NodeCore(NodeSettings(), preset("default", 30), outputs, observers=[watch.note])
     core.on_transforms([MOUNTING], static=True)
     core.start()
     scans = round(hours * 3600 * RATE_HZ[kind])
@@ -140,7 +114,7 @@ def endure(kind: str, hours: float) -> dict[str, Any]:
         core.on_transforms([transform])
         core.on_scan(scan)
         if not watch.mapped.acquire(timeout=120):
-            raise SystemExit(f"the node did not map scan {sent}: {watch.log_lines[-3:]}")
+            raise SystemExit(f"the node did not map scan {sent}: {outputs.log_lines[-3:]}")
         if sent == ends[len(rows)]:
             gc.collect()
             spent_ms = 1e3 * np.array(watch.cpu_s)
@@ -157,7 +131,7 @@ def endure(kind: str, hours: float) -> dict[str, Any]:
             rows.append(row)
             print(_format(row), flush=True)
     core.close()
-    return {"kind": kind, "scans": scans, "rows": rows, "log": watch.log_lines[:20]}
+    return {"kind": kind, "scans": scans, "rows": rows, "log": outputs.log_lines[:20]}
 
 
 def _format(row: dict[str, Any]) -> str:

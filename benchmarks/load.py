@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import resource
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,12 +13,21 @@ from typing import Final, final
 
 import numpy as np
 
-from gridslam.io.measurement import Measurement
-from gridslam.ros.node.messages import ScanMessage, StampedTransform
+from gridslam.ros.node.messages import Level, PoseMessage, ScanMessage, StampedTransform
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate_stream
 from gridslam.types import FloatArray
 
-__all__ = ["LATENCY", "MOUNTING", "START_S", "Load", "drive", "resident_mb"]
+__all__ = [
+    "LATENCY",
+    "MOUNTING",
+    "START_S",
+    "Load",
+    "NoOutputs",
+    "drive",
+    "odometry_message",
+    "resident_mb",
+    "scan_message",
+]
 
 LATENCY: Final = "scan in to transform out"
 MOUNTING: Final = StampedTransform(0, "base_link", "laser", (0.1, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0))
@@ -35,22 +45,54 @@ def drive(seconds: float, rate_hz: float, beams: int) -> Iterator[tuple[StampedT
     robot = RobotConfig(v_max_m_s=1.0)
     stream = simulate_stream(replace(there, route=way), robot, OdometryNoise(), lidar, rng)
     for one in itertools.islice(stream.measurements, round(seconds * rate_hz)):
-        yield _odometry_of(one), _scan_of(one)
+        assert one.odometry is not None
+        stamp_ns = one.scan.stamp_ns
+        scan = scan_message(stamp_ns, one.scan.geometry.bearings, one.scan.ranges)
+        yield odometry_message(stamp_ns, one.odometry.pose), scan
 
 
-def _odometry_of(measurement: Measurement) -> StampedTransform:
-    assert measurement.odometry is not None
-    x, y, theta = measurement.odometry.pose.tolist()
-    pose = (x, y, 0.0, 0.0, 0.0, math.sin(theta / 2), math.cos(theta / 2))
-    return StampedTransform(measurement.scan.stamp_ns, "odom", "base_link", pose)
+def odometry_message(stamp_ns: int, pose: FloatArray) -> StampedTransform:
+    """The transform of a pose (3,) of the odometry."""
+    x, y, theta = pose.tolist()
+    rotation = (0.0, 0.0, math.sin(theta / 2), math.cos(theta / 2))
+    return StampedTransform(stamp_ns, "odom", "base_link", (x, y, 0.0, *rotation))
 
 
-def _scan_of(measurement: Measurement) -> ScanMessage:
-    scan = measurement.scan
-    bearings = scan.geometry.bearings
+def scan_message(stamp_ns: int, bearings: FloatArray, ranges: FloatArray) -> ScanMessage:
+    """The message of ranges (B,) at evenly spaced bearings (B,)."""
     step = float(bearings[-1] - bearings[0]) / (len(bearings) - 1)
-    ranges = scan.ranges.astype(np.float32)
-    return ScanMessage(scan.stamp_ns, "laser", float(bearings[0]), step, 0.0, 0.02, 30.0, ranges)
+    return ScanMessage(stamp_ns, "laser", float(bearings[0]), step, 0.0, 0.02, 30.0, ranges.astype(np.float32))
+
+
+class NoOutputs:
+    """Outputs of a node that keep its log and nothing else."""
+
+    def __init__(self) -> None:
+        self.log_lines: list[str] = []
+
+    def now_ns(self) -> int:
+        return time.time_ns()
+
+    def map(self, message: object) -> None:
+        pass
+
+    def transform(self, message: object) -> None:
+        pass
+
+    def pose(self, message: PoseMessage) -> None:
+        pass
+
+    def particles(self, message: object) -> None:
+        pass
+
+    def diagnostics(self, message: object) -> None:
+        pass
+
+    def entropy(self, nats: float) -> None:
+        pass
+
+    def log(self, level: Level, text: str) -> None:
+        self.log_lines.append(text)
 
 
 @final

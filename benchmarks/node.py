@@ -13,7 +13,6 @@ import argparse
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
@@ -21,15 +20,15 @@ import numpy as np
 from gridslam import preset
 from gridslam.pipeline import Stopwatch
 from gridslam.ros import NodeCore, NodeSettings
-from gridslam.ros.node.messages import CloudMessage, Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
+from gridslam.ros.node.messages import PoseMessage
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import StepReport
-from load import LATENCY, MOUNTING, START_S, Load, drive, resident_mb
+from load import LATENCY, MOUNTING, START_S, Load, NoOutputs, drive, resident_mb
 from measure import provenance
 from node_dds import grid_ms, load_on_dds
 from report import Report, Target, table
 
-__all__ = ["Told", "load_on_core", "main"]
+__all__ = ["TimedOutputs", "load_on_core", "main"]
 
 LATENCY_MS, BEHIND_MS = 25.0, 1000.0
 """Targets: of 99 in 100 scans at the usual rate, and of all at ten times that."""
@@ -41,40 +40,19 @@ _RATE_HZ, _BEAMS, _SECONDS = 40.0, 1080, 60.0
 
 
 @final
-@dataclass
-class Told:
-    """Outputs that note when a scan's pose, and with it its transform, was told; and the filter's own times."""
+class TimedOutputs(NoOutputs):
+    """Outputs that note when a scan's pose, and with it its transform, was sent; and the filter's own times."""
 
-    came_s: dict[int, float] = field(default_factory=dict)
-    latency_s: dict[int, float] = field(default_factory=dict)
-    step_s: dict[int, float] = field(default_factory=dict)
-    cpu_s: dict[int, float] = field(default_factory=dict)
-    said: list[str] = field(default_factory=list)
-    corrections: int = 0
-
-    def now_ns(self) -> int:
-        return time.time_ns()
-
-    def map(self, message: GridMessage) -> None:
-        pass
-
-    def transform(self, message: StampedTransform) -> None:
-        pass
+    def __init__(self) -> None:
+        super().__init__()
+        self.came_s: dict[int, float] = {}
+        self.latency_s: dict[int, float] = {}
+        self.step_s: dict[int, float] = {}
+        self.cpu_s: dict[int, float] = {}
+        self.corrections = 0
 
     def pose(self, message: PoseMessage) -> None:
         self.latency_s[message.stamp_ns] = time.perf_counter() - self.came_s[message.stamp_ns]
-
-    def entropy(self, nats: float) -> None:
-        pass
-
-    def particles(self, message: CloudMessage) -> None:
-        pass
-
-    def diagnostics(self, message: Diagnostics) -> None:
-        pass
-
-    def log(self, level: Level, text: str) -> None:
-        self.said.append(text)
 
     def note(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         self.step_s[report.stamp_ns] = seconds
@@ -84,8 +62,8 @@ class Told:
 
 def load_on_core(seconds: float, rate_hz: float, beams: int, particles: int) -> Load:
     """Hand a drive to the core in this process, at its pace; what the driver itself costs is not counted."""
-    messages, told = list(drive(seconds, rate_hz, beams)), Told()
-    core = NodeCore(NodeSettings(), preset("default", particles), told, observers=[told.note])
+    messages, outputs = list(drive(seconds, rate_hz, beams)), TimedOutputs()
+    core = NodeCore(NodeSettings(), preset("default", particles), outputs, observers=[outputs.note])
     core.on_transforms([MOUNTING], static=True)
     core.start()
     driver_s, memory_mb = [0.0], list[float]()
@@ -96,7 +74,7 @@ def load_on_core(seconds: float, rate_hz: float, beams: int, particles: int) -> 
             due_s, stamp_ns = begin_s + scan.stamp_ns * 1e-9, begin_ns + scan.stamp_ns
             time.sleep(max(0.0, due_s - time.perf_counter()))
             core.on_transforms([transform._replace(stamp_ns=stamp_ns)])
-            told.came_s[stamp_ns] = time.perf_counter()
+            outputs.came_s[stamp_ns] = time.perf_counter()
             core.on_scan(scan._replace(stamp_ns=stamp_ns), "/scan")
         driver_s[0] = time.thread_time()
 
@@ -109,7 +87,7 @@ def load_on_core(seconds: float, rate_hz: float, beams: int, particles: int) -> 
     core.close()
     watch.lap("node")
     counts = {name: int(value) for name, value in core.diagnostics().values.items() if value.isdecimal()}
-    latency, step, clock = (np.array([*of.values()]) for of in (told.latency_s, told.step_s, told.cpu_s))
+    latency, step, clock = (np.array([*of.values()]) for of in (outputs.latency_s, outputs.step_s, outputs.cpu_s))
     parts = {
         LATENCY: latency,
         "of it the step": step,
@@ -121,7 +99,7 @@ def load_on_core(seconds: float, rate_hz: float, beams: int, particles: int) -> 
         len(messages),
         counts["dropped"],
         counts["refused"],
-        told.corrections,
+        outputs.corrections,
         watch.stages["node"][1] - driver_s[0],
         memory_mb,
     )

@@ -31,7 +31,12 @@ ONLY_IN = {
     "starlette": {"live"},
     "uvicorn": {"live"},
     "websockets": set(),
+    "fsspec": {"io"},
     "pandas": {"api"},
+    "pyarrow": {"batch"},
+    "dask": {"batch"},
+    "dask_jobqueue": {"batch"},
+    "distributed": {"batch"},
 }
 """Who may import which dependency: help must not pay for drawing, nor the filter for a terminal."""
 

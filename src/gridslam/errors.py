@@ -23,7 +23,7 @@ class ArgumentError(GridslamError, ValueError):
     """An argument does not meet the contract: names the argument, what was expected and what came."""
 
     def __init__(self, argument: str, expected: str, got: object) -> None:
-        super().__init__(f"{argument}: expected {expected}, got {got}")
+        super().__init__(f"{argument}: expected {expected}, got {' '.join(str(got).split())}")
         self.argument = argument
 
 

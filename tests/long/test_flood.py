@@ -24,7 +24,7 @@ def watch():
     while True:
         time.sleep(0.2)
         for thread in threading.enumerate():
-            if thread.name in ("MainThread", "gridslam-live"):
+            if thread.name in ("MainThread", "gridslam-live") and thread.ident is not None:
                 spent[thread.name] = time.clock_gettime(time.pthread_getcpuclockid(thread.ident))
         spent["wall"] = time.monotonic() - start_s
 

@@ -8,17 +8,101 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
+from dataclasses import asdict
+from itertools import islice
 from pathlib import Path
 
+import numpy as np
+
+from gridslam.batch.commands import TARGETS
 from gridslam.batch.job import Job, compute_key
+from gridslam.config import Configuration
+from gridslam.config.tables import to_table
 from gridslam.errors import InputError
+from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.log import LogOptions
 from gridslam.io.output import OutputFolder
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate_stream
 
 
 def make_job(function, name, **arguments):
     """A job of a function of this module; what only counts is no part of the key."""
     key = compute_key("test", function, {"name": name, **arguments})
     return Job(f"support.batch_jobs:{function}", arguments, f"{name}.clf", name, key, "test")
+
+
+def map_job(log, name):
+    """A job that maps a log with few particles."""
+    arguments = {
+        "log": str(log),
+        "digest": None,
+        "configuration": to_table(Configuration(particles=3)),
+        "seed": 0,
+        "threads": 1,
+        "repair": "needed",
+        "options": asdict(LogOptions()),
+        "max_memory_bytes": 10**9,
+        "reference": None,
+    }
+    return Job(TARGETS["map"], arguments, str(log), name, compute_key("map", name, arguments))
+
+
+def write_logs(folder, count, scans=40):
+    """Write the beginnings of drives through one building, with noise of their own."""
+    folder.mkdir()
+    lidar = LidarConfig(beams=90)
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        log = simulate_stream(make_world("rooms", rng), RobotConfig(), OdometryNoise(), lidar, rng)
+        write_carmen(folder / f"log{seed:03d}.clf", islice(log.measurements, scans))
+    return sorted(folder.iterdir())
+
+
+def with_faults(healthy, broken, hanging, greedy, crashing):
+    """Jobs of a fleet: the healthy ones with the others among them, in a fixed order."""
+    jobs = [
+        *healthy,
+        *(make_job("reject", f"broken{k}") if k % 2 else map_job("absent.clf", f"broken{k}") for k in range(broken)),
+        *(make_job("hang", f"hanging{k}") for k in range(hanging)),
+        *(make_job("take_memory", f"greedy{k}") for k in range(greedy)),
+        *(make_job("segfault", f"crashing{k}") for k in range(crashing)),
+    ]
+    return [jobs[k] for k in np.random.default_rng(0).permutation(len(jobs))]
+
+
+def check_faults(rows, out, **expected):
+    """Each fault has its name, and nothing is left of what failed: no process, no file."""
+    names = {"broken": "InputError", "hanging": "timeout", "greedy": "out of memory", "crashing": "SIGSEGV"}
+    assert Counter(row["error"] for row in rows if row["status"] == "failed") == {
+        names[kind]: count for kind, count in expected.items()
+    }
+    for row in rows:
+        assert row["error"] == names.get(row["folder"].rstrip("0123456789")), row
+    done = {row["folder"] for row in rows if row["status"] == "done"}
+    assert {path.name for path in out.iterdir()} == {"runs.sqlite", *done}
+    assert not list(out.rglob(".*"))
+    assert children_of(os.getpid()) == []
+
+
+def children_of(pid):
+    """Processes whose parent this is, zombies included."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text().rpartition(")")[2].split()
+        except OSError:  # it has ended
+            continue
+        if int(fields[1]) == pid:
+            found.append(path.parent.name)
+    return found
+
+
+def check_same_results(one, two, names):
+    """The results of two batches are the same, but for times."""
+    for name in names:
+        for file in ("map.pgm", "map.yaml", "trajectory.tum", "trajectory.csv", "trajectory_online.tum", "graph.g2o"):
+            assert (one / name / file).read_bytes() == (two / name / file).read_bytes(), (name, file)
 
 
 def count(arguments):
@@ -93,3 +177,11 @@ def kill_worker(arguments):
         os.kill(os.getppid(), signal.SIGKILL)
         time.sleep(600)
     return {"value": 1}
+
+
+def kill_cluster_worker(arguments):
+    """Kill the worker of a cluster that has asked for this child."""
+    count(arguments)
+    worker = Path(f"/proc/{os.getppid()}/stat").read_text().rpartition(")")[2].split()[1]
+    os.kill(int(worker), signal.SIGKILL)
+    time.sleep(600)

@@ -61,6 +61,8 @@ INNER_RANKS = {
         "text": 0,
         "yaml": 0,
         "datasets": 1,
+        "cache": 1,
+        "remote": 2,
         "log_statistics": 1,
         "maps": 1,
         "results": 1,

@@ -43,7 +43,7 @@ SHIFT_NS = 1_700_000_000 * 10**9
 BEFORE = 50
 """Scans before the fault."""
 AFTER = 40
-QUICK = {"particles": 3, "queue": 60.0, "map_update_interval": 0.05}
+QUICK = {"particles": 3, "queue": 60.0, "map_update_interval": 0.05, "transform_wait": 10.0}
 
 PARTS = {
     "tracker": (Tracker, "step"),

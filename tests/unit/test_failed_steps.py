@@ -109,8 +109,8 @@ def test_where_memory_for_tiles_cannot_be_had_the_arena_stays_whole(measurements
     current = 0
     real = TileArena._extend_ids
 
-    def scarce(refs, most):
-        free, size = real(refs, most)
+    def scarce(refs):
+        free, size = real(refs)
         if current not in due:
             return free, size
         due.remove(current)
@@ -212,6 +212,10 @@ def test_where_steps_cannot_be_repeated_the_state_is_revived(measurements, monke
     stamps = recorder.online_trajectory().stamps_ns
     assert set(stamps) == {m.scan.stamp_ns for m in measurements} - {failed.scan.stamp_ns for failed in failures}
     assert len(state.best_trajectory()) == recorder.keys[-1] + 1
+    archive = state.closure_state.scans
+    assert len(archive) == len(stamps)
+    assert archive.keys == [0, *(np.flatnonzero(np.diff(recorder.keys)) + 1)]
+    assert all(len(archive.key(key)) for key in range(len(archive.keys)))
     poses = recorder.best_trajectory(state).poses[:150]  # before the fault, as if it had never come
     alone = TrajectoryRecorder()
     before = run(measurements[:150], slam, rng=np.random.default_rng(0), observers=[alone])

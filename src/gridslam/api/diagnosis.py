@@ -14,7 +14,7 @@ __all__ = ["check_log", "write_diagnosis"]
 
 
 def check_log(log: Log, options: LogOptions, warn: Callable[[str], None]) -> CheckedLog:
-    """Wrap a log so that faults at its begin are reported while it is read, one line each.
+    """Wrap a log so that faults at its beginning are reported while it is read, one line each.
 
     That there is no odometry is no news to who asked for it.
     """

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from gridslam import __version__
 from gridslam.doctor.repair import Repair, RepairedLog
 from gridslam.errors import MissingDependencyError
+from gridslam.io.cache import find_origin
 from gridslam.io.log import Log
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.output import OutputFolder
@@ -161,9 +162,9 @@ def write_trajectory(out: OutputFolder, trajectory: Trajectory, covariances: Flo
 
 
 def describe_input(source: Path, digest: str, log: LogStatistics, repair: Repair) -> dict[str, Any]:
-    """Part `input` of run.json that all logs of scans have."""
+    """Part `input` of run.json that all logs of scans have; the path of a copy is the URL that it was read from."""
     return {
-        "path": os.fspath(source),
+        "path": find_origin(source) or os.fspath(source),
         "sha256": digest,
         "selection": log.selection,
         "duration_s": log.duration_s,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import signal
 import socket
 import subprocess
@@ -17,16 +18,18 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, final
 
+from gridslam import __version__
 from gridslam.batch.fork_server import read_tail
-from gridslam.errors import GridslamError
+from gridslam.errors import GridslamError, OutputError
 from gridslam.io.staging import StagingFolder
 
-__all__ = ["ForkServer", "LostWorkerError", "claim_attempt", "lost_row", "run_job"]
+__all__ = ["ForkServer", "LostWorkerError", "attempts_folder", "lost_row", "remove_partial", "run_job"]
 
 _CAN_FORK = hasattr(os, "fork")
 _BOOT = "import sys; sys.path[:] = sys.argv[1:]; from gridslam.batch.fork_server import {0}; {0}()"
 _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _END_S = 5.0
+_LOOK_S = 1.0
 
 _of_thread = threading.local()
 
@@ -44,7 +47,8 @@ def run_job(job: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
         A `Job`, as `Job.to_dict` returns it.
     limits : dict
         ``out``: OUT, the folder of the batch; ``timeout_s``: time limit in s, or None; ``memory_bytes``: limit of the
-        address space (Linux), or None; ``attempts``: how often the job may be begun, by any worker.
+        address space (Linux), or None; ``attempts``: how often the job may be begun, by any worker; ``version``: that
+        of gridslam.
 
     Returns
     -------
@@ -56,6 +60,8 @@ def run_job(job: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
     ------
     LostWorkerError
         The server that the child came from was killed.
+    OutputError
+        This machine does not have OUT, or has another version of gridslam.
     """
     if not hasattr(_of_thread, "server"):
         _of_thread.server = ForkServer()
@@ -75,7 +81,11 @@ class ForkServer:
 
     def run(self, job: Mapping[str, Any], limits: Mapping[str, Any]) -> dict[str, Any]:
         """Run a job as `run_job` does."""
-        attempt = claim_attempt(Path(limits["out"]), job["key"])
+        host = socket.gethostname()
+        if limits["version"] != __version__:
+            raise OutputError(f"worker {host} has gridslam {__version__}, and the batch is of {limits['version']}")
+        claim = attempts_folder(limits["out"]) / job["key"]
+        attempt = _claim_attempt(claim, host)
         if attempt > limits["attempts"]:
             return lost_row(job, attempt - 1)
         started = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
@@ -88,7 +98,7 @@ class ForkServer:
             "timeout_s": limits["timeout_s"],
             "memory_bytes": limits["memory_bytes"],
         }
-        reply = self._ask(request) if _CAN_FORK else _spawn(request)
+        reply = self._ask(request, claim) if _CAN_FORK else _spawn(request)
         row = _start_row(job, attempt) | {
             "exit_status": reply["exit_code"],
             "output_tail": reply["output_tail"],
@@ -96,7 +106,7 @@ class ForkServer:
             "cpu_s": reply["cpu_s"],
             "peak_memory_bytes": reply["peak_memory_bytes"],
             "started": started,
-            "worker": f"{socket.gethostname()}:{os.getpid() if self._process is None else self._process.pid}",
+            "worker": f"{host}:{os.getpid() if self._process is None else self._process.pid}",
         }
         result = reply["result"] or {}
         if "document" in result:
@@ -112,8 +122,11 @@ class ForkServer:
         if self._process is not None:
             _end(self._process)
 
-    def _ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Send a request to the server, which is started first where there is none, and wait for the reply."""
+    def _ask(self, request: Mapping[str, Any], claim: Path) -> dict[str, Any]:
+        """Send a request to the server, which is started first where there is none, and wait for the reply.
+
+        When the batch ends it removes the claim of the job, and the child is killed.
+        """
         with self._starting:
             if self._closed:
                 raise LostWorkerError("the worker was ended")
@@ -126,6 +139,9 @@ class ForkServer:
         with suppress(OSError, ValueError):  # ValueError: closed by another thread
             process.stdin.write(json.dumps(request).encode() + b"\n")
             process.stdin.flush()
+            while not select.select([process.stdout], [], [], _LOOK_S)[0]:
+                if not claim.exists():
+                    raise OSError("the batch has ended")
             line = process.stdout.readline()
         if line.endswith(b"\n"):
             reply: dict[str, Any] = json.loads(line)
@@ -135,14 +151,20 @@ class ForkServer:
         raise LostWorkerError(f"worker {process.pid} ended while it ran a job")
 
 
-def claim_attempt(out: Path, key: str) -> int:
-    """Count a beginning of a job, by any worker, in OUT; gives its number, from 1.
+def attempts_folder(out: str | Path) -> Path:
+    """Folder of OUT, there as long as a batch runs, in which workers count how often each job was begun."""
+    return Path(out) / ".attempts"
 
-    The file is removed when the job has its row. A scheduler that repeats a job by itself cannot exceed the limit so.
+
+def _claim_attempt(claim: Path, host: str) -> int:
+    """Count a beginning of a job by a byte in its file; gives its number, from 1.
+
+    So also a scheduler that repeats a job by itself cannot exceed the limit.
     """
-    folder = out / ".attempts"
-    folder.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(folder / key, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+    try:
+        descriptor = os.open(claim, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+    except FileNotFoundError:
+        raise OutputError(f"{claim.parents[1]}: worker {host} does not see this folder of a running batch") from None
     try:
         os.write(descriptor, b"+")
         return os.fstat(descriptor).st_size

@@ -114,7 +114,7 @@ def _write(
 
 
 def _open(arguments: Mapping[str, Any]) -> Log:
-    """Open the log; faults at its begin go to standard error, and so to the row's output."""
+    """Open the log; faults at its beginning go to standard error, and so to the row's output."""
     options = _read_options(arguments)
     return check_log(open_log(arguments["log"], options), options, _warn)
 

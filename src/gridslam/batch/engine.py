@@ -13,7 +13,8 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from gridslam.batch.child import LostWorkerError, lost_row, remove_partial
+from gridslam import __version__
+from gridslam.batch.child import LostWorkerError, attempts_folder, lost_row, remove_partial
 from gridslam.batch.job import Job
 from gridslam.batch.journal import Journal
 from gridslam.errors import ArgumentError, InputError, OutputError
@@ -28,6 +29,8 @@ __all__ = ["Executor", "run_jobs"]
 
 _POLL_S = 0.5
 _ENDING_S = 2.0
+_MOST_LOST: Final = 10
+"""Times that a job may be lost before a worker has begun it."""
 _OF_THE_LOG: Final = frozenset({"InputError", "ArgumentError", "ConfigurationError"})
 """Errors that the same key always has; all others may have had to do with the machine, and are tried again."""
 _FULL: Final = tuple(os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT))
@@ -124,14 +127,16 @@ def run_jobs(
             "timeout_s": timeout_s,
             "memory_bytes": memory_bytes,
             "attempts": retries + 1,
+            "version": __version__,
         }
         if queue:
             try:
+                attempts_folder(folder).mkdir(exist_ok=True)
                 with closing(_run(queue, limits, executor, on_poll)) as ended:
                     for row in ended:
                         _require_space(row, folder)
                         journal.write(row)
-                        (folder / ".attempts" / row["key"]).unlink(missing_ok=True)
+                        (attempts_folder(folder) / row["key"]).unlink(missing_ok=True)
                         record(row, resumed=False)
             finally:
                 _clean(folder)
@@ -157,13 +162,22 @@ def _run(
                     row = future.result()
                 except LostWorkerError:
                     lost[job.folder] += 1
-                    if lost[job.folder] < limits["attempts"]:
+                    begun = _count_attempts(limits["out"], job.key)
+                    if begun < limits["attempts"] and lost[job.folder] < limits["attempts"] + _MOST_LOST:
                         queue.appendleft(job)
                         continue
-                    row = lost_row(job.to_dict(), lost[job.folder])
+                    row = lost_row(job.to_dict(), begun)
                 except OSError as error:
                     raise OutputError(f"{limits['out']}: {job.folder} cannot be run: {error}") from None
                 yield row
+
+
+def _count_attempts(out: str, key: str) -> int:
+    """How often workers have begun a job."""
+    try:
+        return (attempts_folder(out) / key).stat().st_size
+    except OSError:
+        return 0
 
 
 def _find_earlier(job: Job, out: Path, journal: Journal) -> dict[str, Any] | None:
@@ -223,7 +237,7 @@ def _clean(out: Path) -> None:
             if time.monotonic() > end:
                 break
             time.sleep(0.02)
-    shutil.rmtree(out / ".attempts", ignore_errors=True)
+    shutil.rmtree(attempts_folder(out), ignore_errors=True)
 
 
 @contextmanager

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from gridslam.errors import InputError
+from gridslam.io.remote import is_url, list_files, mask_url
 from gridslam.io.text import read_text
 
-__all__ = ["COLUMNS", "Entry", "find_logs", "is_remote"]
+__all__ = ["COLUMNS", "Entry", "find_logs"]
 
 COLUMNS: Final = ("log", "name", "reference")
 """Columns of a manifest beside the options of the command."""
@@ -35,9 +36,9 @@ class Entry:
     Attributes
     ----------
     log : str
-        Path or URL as the user gave it.
+        Path or URL as the user gave it, without credentials.
     path : str
-        The same, absolute.
+        The same, absolute, with them.
     name : str
         Name of the folder of its results, unique in the batch.
     reference : str or None
@@ -65,8 +66,9 @@ def find_logs(patterns: Sequence[str], *, trajectories: bool = False, reference:
     ----------
     patterns : sequence of str
         Each a file, a folder (all logs below it; the folder of a ROS 2 bag is one log), a pattern (``*``, ``?``,
-        ``[...]``, ``**``), a URL, or a manifest: a CSV with a column ``log`` and optionally ``name``, ``reference`` and
-        options of the command. Paths in a manifest are relative to its folder.
+        ``[...]``, ``**``), a URL (of a log, of a pattern, or a folder, with a slash at its end), or a manifest: a CSV
+        with a column ``log`` and optionally ``name``, ``reference`` and options of the command. Paths in a manifest are
+        relative to its folder.
     trajectories : bool
         Trajectories are wanted instead of logs: a folder stands for all trajectory.tum below it, each named as the
         folder that it is in.
@@ -86,15 +88,10 @@ def find_logs(patterns: Sequence[str], *, trajectories: bool = False, reference:
     return [entry if entry.reference else replace(entry, reference=_refer(reference, entry)) for entry in entries]
 
 
-def is_remote(path: str) -> bool:
-    """Whether a path is a URL."""
-    return "://" in path
-
-
 def _expand(pattern: str, trajectories: bool) -> Iterator[Entry]:
     path = Path(pattern)
-    if is_remote(pattern):
-        yield Entry(pattern, pattern)
+    if is_url(pattern):
+        yield from _expand_url(pattern)
     elif path.is_dir() and (trajectories or not (path / "metadata.yaml").exists()):
         found = sorted(path.rglob("trajectory.tum")) if trajectories else list(_walk(path))
         if not found:
@@ -109,6 +106,18 @@ def _expand(pattern: str, trajectories: bool) -> Iterator[Entry]:
         yield from map(_make_entry, names)
     else:  # one that is absent is a row with an error
         yield _make_entry(pattern)
+
+
+def _expand_url(pattern: str) -> Iterator[Entry]:
+    """Yield the logs at URLs: those that a pattern matches, or that are below a folder, whose URL ends in a slash."""
+    wild = "*" in pattern or "[" in pattern
+    if not wild and not pattern.endswith("/"):
+        yield Entry(mask_url(pattern), pattern)
+        return
+    found = [url for url in list_files(pattern) if wild or _strip(url)[1] in _SUFFIXES]
+    if not found:
+        raise InputError(mask_url(pattern), "nothing matches this pattern" if wild else "no logs below this URL")
+    yield from (Entry(mask_url(url), url) for url in found)
 
 
 def _make_entry(path: str, **values: Any) -> Entry:  # noqa: ANN401
@@ -180,8 +189,8 @@ def _read_line(path: Path, line: int, cells: Mapping[str, str]) -> Entry:
         raise InputError(path, f"expected the name of a folder in the column name, got {name!r}", line)
     reference = given.pop("reference", None)
     return Entry(
-        log,
-        log if is_remote(log) else os.path.abspath(path.parent / log),
+        mask_url(log),
+        log if is_url(log) else os.path.abspath(path.parent / log),
         name,
         None if reference is None else os.path.abspath(path.parent / reference),
         given,
@@ -191,7 +200,7 @@ def _read_line(path: Path, line: int, cells: Mapping[str, str]) -> Entry:
 
 def _name_all(entries: Sequence[Entry], trajectories: bool) -> list[Entry]:
     """Name those without a name; where names would be equal, all of them get longer ones."""
-    candidates = [[entry.name] if entry.name else _list_names(entry.path, trajectories) for entry in entries]
+    candidates = [[entry.name] if entry.name else _list_names(_find_path(entry), trajectories) for entry in entries]
     levels = [0] * len(entries)
     while True:
         names = [names[level] for names, level in zip(candidates, levels, strict=True)]
@@ -209,6 +218,11 @@ def _name_all(entries: Sequence[Entry], trajectories: bool) -> list[Entry]:
             )
         for k in longer:
             levels[k] += 1
+
+
+def _find_path(entry: Entry) -> str:
+    """Path of a log, of a URL without its query."""
+    return entry.log.partition("?")[0] if is_url(entry.path) else entry.path
 
 
 def _list_names(path: str, trajectories: bool) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import time
@@ -20,14 +21,18 @@ from gridslam.batch.job import Job, compute_key
 from gridslam.batch.journal import Journal
 from gridslam.batch.manifest import COLUMNS, Entry, find_logs
 from gridslam.batch.pool import ProcessPool
+from gridslam.batch.publish import Publisher
+from gridslam.batch.suite import load_suite
 from gridslam.cli.localize import read_parameters
 from gridslam.cli.map import build_configuration
 from gridslam.cli.options import evaluate_options, localize_options, log_options, map_options
 from gridslam.cli.output import open_display, stop_if_interrupted, warn
 from gridslam.config.tables import suggest_names, to_table
 from gridslam.errors import ConfigurationError, GridslamError, InputError, OutputError
+from gridslam.io.cache import LogCache
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions
+from gridslam.io.remote import describe_remote, is_url
 
 __all__ = ["run_batch"]
 
@@ -44,18 +49,26 @@ def run_batch(
     command: str,
     reference: str | None,
     workers: int | None,
+    scheduler: str | None,
     timeout_s: float | None,
     memory_mb: float | None,
     retries: int,
+    suite: str | None,
+    parquet: bool,
+    upload: str | None,
     as_json: bool,
     words: Sequence[str],
 ) -> int:
     """Run a command over many logs; returns the exit status."""
+    publisher = Publisher(out, upload, parquet=parquet)
     make = _Maker(command, words)
-    entries = find_logs(logs, trajectories=command == "evaluate", reference=reference)
+    if suite is None:
+        entries = find_logs(logs, trajectories=command == "evaluate", reference=reference)
+    else:
+        entries = _find_suite(suite, logs, command, reference)
     prepared = [make.prepare(entry) for entry in entries]
-    executor: Executor = ProcessPool(workers or _count_processors())
     try:
+        executor = _open_executor(scheduler, workers)
         with Journal(out) as journal:
             jobs = _make_jobs(command, entries, prepared, journal)
         with _Progress(len(jobs), as_json) as progress:
@@ -66,15 +79,42 @@ def run_batch(
                 timeout_s=timeout_s,
                 memory_bytes=None if memory_mb is None else round(1e6 * memory_mb),
                 retries=retries,
-                on_row=progress.on_row,
+                on_row=_call_both(progress.on_row, publisher.on_row),
                 on_poll=progress.on_poll,
             )
+        published = publisher.finish()
     except OutputError as error:
         raise click.ClickException(str(error)) from None
     failed = sum(row["status"] == "failed" for row in rows)
     if not as_json:
-        click.echo("\n".join(progress.summarize(out)))
+        click.echo("\n".join([*progress.summarize(out), *published]))
     return 1 if failed else 0
+
+
+def _find_suite(name: str, folders: Sequence[str], command: str, reference: str | None) -> list[Entry]:
+    """The runs of a suite; what is absent is named."""
+    if command != "map" or reference is not None:
+        raise click.UsageError("--suite takes neither --command nor --reference", click.get_current_context())
+    for folder in folders:
+        if not Path(folder).is_dir():
+            raise click.ClickException(f"{folder}: expected a folder with logs of the suite")
+    entries, absent = load_suite(name).find(
+        [Path(folder) for folder in folders], LogCache.default().folder / "datasets"
+    )
+    warn(*absent)
+    return entries
+
+
+def _open_executor(scheduler: str | None, workers: int | None) -> Executor:
+    """Connect to a cluster, or make the pool of this machine."""
+    if scheduler is None:
+        return ProcessPool(workers or _count_processors())
+    from gridslam.batch.cluster import DaskCluster
+
+    cluster = DaskCluster(scheduler, workers)
+    if cluster.dashboard:
+        warn(f"dashboard: {cluster.dashboard}")
+    return cluster
 
 
 def _count_processors() -> int:
@@ -214,7 +254,7 @@ def _make_jobs(
 ) -> list[Job]:
     """Make the jobs; the logs that have changed since the last time are read for their digests."""
     with ThreadPoolExecutor(min(8, _count_processors())) as threads:
-        digests = list(threads.map(_guard(journal.digest), [Path(entry.path) for entry in entries]))
+        digests = list(threads.map(_identify(journal), entries))
         references = {Path(path) for entry in entries for path in (entry.reference,) if path}
         maps = {Path(arguments["map"]) for arguments in prepared if "map" in arguments}
         others = {path: _guard(journal.digest)(path) for path in sorted(references | maps)}
@@ -226,7 +266,7 @@ def _make_jobs(
         }
         every = {
             "log": entry.path,
-            "digest": digest,
+            "digest": "" if is_url(entry.path) else digest,
             "reference": entry.reference,
             "max_memory_bytes": max_memory_bytes(),
             **arguments,
@@ -246,6 +286,31 @@ def _guard(digest: Callable[[Path], str]) -> Callable[[Path], str]:
             return ""
 
     return compute
+
+
+def _identify(journal: Journal) -> Callable[[Entry], str]:
+    """Digest of a log for its key; of one at a URL that of its size, time and ETag, as far as these are known."""
+    digest = _guard(journal.digest)
+
+    def compute(entry: Entry) -> str:
+        if not is_url(entry.path):
+            return digest(Path(entry.path))
+        try:
+            return hashlib.sha256(f"{entry.log}\n{describe_remote(entry.path)}".encode()).hexdigest()
+        except InputError:
+            return ""
+
+    return compute
+
+
+def _call_both(
+    first: Callable[[dict[str, Any]], None], second: Callable[[dict[str, Any]], None]
+) -> Callable[[dict[str, Any]], None]:
+    def call(row: dict[str, Any]) -> None:
+        first(row)
+        second(row)
+
+    return call
 
 
 @final

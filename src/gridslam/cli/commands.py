@@ -10,6 +10,8 @@ import click
 
 from gridslam import __version__
 from gridslam.cli.options import (
+    LOG,
+    OUT,
     PATH,
     SEED,
     SETTINGS,
@@ -80,7 +82,7 @@ class _MapCommand(click.Command):
 
 
 @gridslam.command("map", cls=_MapCommand)
-@click.argument("log", type=PATH)
+@click.argument("log", type=LOG)
 @out_option
 @map_options
 @live_options
@@ -101,8 +103,8 @@ def map_command(**options: Any) -> None:  # noqa: ANN401
 
 
 @gridslam.command("doctor")
-@click.argument("log", type=PATH)
-@click.option("-o", "--out", type=PATH, help="Folder for the report and its figures; created if missing.")
+@click.argument("log", type=LOG)
+@click.option("-o", "--out", type=OUT, help="Folder for the report and its figures; created if missing.")
 @log_options
 @json_option
 def doctor_command(**options: Any) -> Any:  # noqa: ANN401
@@ -116,7 +118,7 @@ def doctor_command(**options: Any) -> Any:  # noqa: ANN401
 
 
 @gridslam.command("convert")
-@click.argument("log", metavar="IN", type=PATH)
+@click.argument("log", metavar="IN", type=LOG)
 @click.argument("out", type=PATH)
 @click.option("--to", type=click.Choice(["carmen", "csv", "tum", "ros1", "ros2", "mcap"]), help="Format of OUT.")
 @log_options
@@ -195,7 +197,7 @@ def view_command(**options: Any) -> None:  # noqa: ANN401
 
 
 @gridslam.command("landmarks")
-@click.argument("log", type=PATH)
+@click.argument("log", type=LOG)
 @out_option
 @click.option(
     "--method",
@@ -237,7 +239,7 @@ def landmarks_command(**options: Any) -> None:  # noqa: ANN401
 
 
 @gridslam.command("grid")
-@click.argument("log", type=PATH)
+@click.argument("log", type=LOG)
 @click.option("--trajectory", type=PATH, required=True, help="Trajectory of the robot, a file in TUM format.")
 @out_option
 @click.option(
@@ -286,8 +288,8 @@ def grid_command(**options: Any) -> None:  # noqa: ANN401
 
 
 @gridslam.command("localize")
-@click.argument("log", type=PATH)
-@click.option("-o", "--out", type=PATH, help="Output folder; created if missing.")
+@click.argument("log", type=LOG)
+@click.option("-o", "--out", type=OUT, help="Output folder; created if missing.")
 @localize_options
 @live_options
 @rerun_option
@@ -350,6 +352,48 @@ def evaluate_command(**options: Any) -> None:  # noqa: ANN401
     from gridslam.cli.evaluate import evaluate
 
     evaluate(**options)
+
+
+@gridslam.command("regress")
+@click.argument("old", type=PATH)
+@click.argument("new", type=PATH)
+@click.option(
+    "--level",
+    type=click.FloatRange(1e-3, 0.5),
+    default=0.05,
+    show_default=True,
+    metavar="P",
+    help="Probability of any false alarm.",
+)
+@click.option(
+    "--error-margin",
+    type=click.FloatRange(0, 1000),
+    default=1.0,
+    show_default=True,
+    metavar="PERCENT",
+    help="By how much errors may grow.",
+)
+@click.option(
+    "--cost-margin",
+    type=click.FloatRange(0, 1000),
+    default=10.0,
+    show_default=True,
+    metavar="PERCENT",
+    help="By how much CPU time and memory may grow.",
+)
+@json_option
+def regress_command(**options: Any) -> Any:  # noqa: ANN401
+    """Compare NEW with OLD, two output folders of gridslam batch, and report what became worse beyond noise.
+
+    Runs are paired by log and seed (the folders of their results). Errors, CPU time, memory and failures of each log
+    and of all logs together are tested by permutation, which assumes no distribution; --level bounds the probability
+    of any false alarm over all of them. At least five pairs are needed, such as five seeds of a log.
+
+    Exit status: 1 if something became worse.
+    """
+    from gridslam.cli.regress import regress
+
+    return regress(**options)
 
 
 @gridslam.command("simulate")
@@ -419,8 +463,8 @@ class _BatchCommand(click.Command):
 
 
 @gridslam.command("batch", cls=_BatchCommand)
-@click.argument("logs", nargs=-1, required=True)
-@out_option
+@click.argument("logs", nargs=-1)
+@click.option("-o", "--out", type=PATH, required=True, help="Output folder; created if missing.")
 @click.option(
     "--command",
     type=click.Choice(["map", "doctor", "localize", "evaluate"]),
@@ -436,6 +480,12 @@ class _BatchCommand(click.Command):
 )
 @click.option(
     "--workers", type=click.IntRange(1, 256), metavar="N", help="Logs at a time.  [default: number of processors]"
+)
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS|FILE",
+    help="Run on a Dask cluster: address of its scheduler (tcp://, tls://), its scheduler file, or a configuration of "
+    "dask-jobqueue, YAML, from which --workers are started (extra: cluster).",
 )
 @click.option(
     "--timeout", "timeout_s", type=click.FloatRange(0, min_open=True), metavar="S", help="Time limit for a log, s."
@@ -455,22 +505,33 @@ class _BatchCommand(click.Command):
     metavar="N",
     help="Run a log whose worker is lost again elsewhere, at most N times.",
 )
+@click.option(
+    "--suite",
+    metavar="NAME|FILE",
+    help="Map the logs of a suite, public or a TOML file, by each of its variants and seeds; LOGS are folders with "
+    "them, or none: then public logs are downloaded (extra: datasets).",
+)
+@click.option("--parquet", is_flag=True, help="Write runs.parquet, too (extra: parquet).")
+@click.option("--upload", metavar="URL", help="Copy all results to this URL, too (extra: remote).")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line for each log, and no progress.")
 def batch_command(**options: Any) -> int:  # noqa: ANN401
     """Map many logs, or run another command over them, each in a process of its own.
 
-    LOGS are files, folders, patterns in quotes ('logs/**/*.bag') or manifests: CSV files with a column log and
+    LOGS are files, folders, URLs, patterns in quotes ('logs/**/*.bag') or manifests: CSV files with a column log and
     optionally name, reference and options of the command (seed, preset, ...), a line for each log.
 
     \b
       gridslam batch logs -o OUT --workers 4 --timeout 600 -- --preset fast
       gridslam batch logs -o OUT --command doctor
 
-    Writes to OUT a folder for each log, with the files of the command and run.json, and runs.sqlite with a row for
-    each log. The same command again runs what is missing. Exit status: 1 if a log failed.
+    Writes to OUT a folder for each log, with the files of the command and run.json, report.html, the page of all of
+    them, and runs.sqlite with a row for each log. The same command again runs what is missing. Exit status: 1 if a log
+    failed.
     """
     from gridslam.cli.batch import run_batch
 
+    if not options["logs"] and options["suite"] is None:
+        raise click.UsageError("Missing argument 'LOGS...'.", click.get_current_context())
     return run_batch(**options, words=click.get_current_context().meta["gridslam.batch"])
 
 

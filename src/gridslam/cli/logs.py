@@ -50,7 +50,7 @@ def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) 
 
 
 def check_log(log: Log, options: LogOptions) -> CheckedLog:
-    """Wrap a log so that faults at its begin are reported on stderr, one line each, while it is read."""
+    """Wrap a log so that faults at its beginning are reported on stderr, one line each, while it is read."""
     return check_and_warn(log, options, warn)
 
 

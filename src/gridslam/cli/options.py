@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from gridslam.live.options import LiveOptions
 
 __all__ = [
+    "LOG",
+    "OUT",
     "PATH",
     "SEED",
     "SETTINGS",
@@ -42,7 +44,6 @@ __all__ = [
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
-@final
 class _Path(click.Path):
     """A path; the empty one, as of a shell's variable that is not set, would mean the current folder."""
 
@@ -52,12 +53,60 @@ class _Path(click.Path):
         return super().convert(value, param, ctx)
 
 
+@final
+class _Log(_Path):
+    """The path of a log; one at a URL is copied into the cache first, and the path is that of the copy."""
+
+    name = "path or URL"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
+        if isinstance(value, str) and "://" in value:
+            from gridslam.io.remote import fetch, is_url
+
+            if is_url(value):
+                return fetch(value).path
+        return super().convert(value, param, ctx)
+
+
+@final
+class _Out(_Path):
+    """The path of an output folder; at a URL, that of a temporary folder, uploaded when the command has written it."""
+
+    name = "path or URL"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
+        if isinstance(value, str) and "://" in value and ctx is not None:
+            from gridslam.io.remote import is_url
+
+            if is_url(value):
+                return ctx.with_resource(_uploaded(value))
+        return super().convert(value, param, ctx)
+
+
+@contextmanager
+def _uploaded(url: str) -> Iterator[Path]:
+    """Give a folder that does not exist yet; what is in it at the end is uploaded, unless an exception passes."""
+    import tempfile
+
+    from gridslam.io.remote import connect, mask_url, upload_folder
+
+    connect(url)
+    with tempfile.TemporaryDirectory(prefix="gridslam-") as folder:
+        out = Path(folder) / "out"
+        yield out
+        if out.is_dir():
+            upload_folder(out, url)
+            click.echo(f"gridslam: uploaded to {mask_url(url)}", err=True)
+
+
 PATH = _Path(path_type=Path)
+LOG = _Log(path_type=Path)
+OUT = _Out(path_type=Path)
 SEED = click.IntRange(min=0)
 THREADS = click.IntRange(1, 256)
 SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
-out_option = click.option("-o", "--out", type=PATH, required=True, help="Output folder; created if missing.")
+out_option = click.option("-o", "--out", type=OUT, required=True, help="Output folder; created if missing.")
 seed_option = click.option(
     "--seed", type=SEED, default=0, show_default=True, help="Random seed; the same seed gives identical output files."
 )

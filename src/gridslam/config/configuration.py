@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Final, Literal, NamedTuple, final
@@ -10,7 +9,7 @@ from typing import Annotated, Final, Literal, NamedTuple, final
 from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.config.tables import nest, read_assignments, replace_parameters, to_table
+from gridslam.config.tables import nest, parse_toml, read_assignments, replace_parameters, to_table
 from gridslam.errors import ConfigurationError
 from gridslam.grid.tiles import MOST_BEAM_CELLS
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
@@ -29,11 +28,6 @@ from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.tracking.tracker import OdometryTracker, Tracker
 from gridslam.types import Resampler
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 __all__ = ["PARAMETERS", "Configuration", "Parameter", "Search", "build", "dumps", "load", "loads", "override"]
 
@@ -202,13 +196,7 @@ def loads(text: str, base: Configuration | None = None) -> Configuration:
     ConfigurationError
         The text is no TOML, or a parameter is unknown, of a wrong type or out of range.
     """
-    try:
-        changes = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigurationError(f"expected TOML: {error}") from None
-    except RecursionError:
-        raise ConfigurationError("expected TOML: values are nested too deeply") from None
-    return replace_parameters(base or Configuration(), changes)
+    return replace_parameters(base or Configuration(), parse_toml(text))
 
 
 def load(path: str | Path, base: Configuration | None = None) -> Configuration:

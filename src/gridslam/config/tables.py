@@ -28,6 +28,7 @@ __all__ = [
     "describe_error",
     "names",
     "nest",
+    "parse_toml",
     "read_assignments",
     "replace_parameters",
     "suggest_names",
@@ -88,6 +89,16 @@ def read_assignments(assignments: Iterable[str]) -> Table:
         values.pop(name, None)  # the last one counts, by whatever name
         values[name] = _read_value(text)
     return values
+
+
+def parse_toml(text: str) -> Table:
+    """Read TOML; raises ConfigurationError where the text is none."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"expected TOML: {error}") from None
+    except RecursionError:
+        raise ConfigurationError("expected TOML: values are nested too deeply") from None
 
 
 def _read_value(text: str) -> Any:  # noqa: ANN401

@@ -6,6 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import final
 
@@ -21,6 +22,7 @@ from gridslam.errors import InputError
 from gridslam.io.log import Log, LogOptions, LogSource, open_if_path
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
+from gridslam.pipeline import describe_error
 from gridslam.types import FloatArray
 
 __all__ = ["CheckedLog", "Diagnosis", "Doctor", "EarlyCheck", "LaserFacts", "diagnose", "quick_check"]
@@ -366,18 +368,23 @@ class CheckedLog:
         for count, measurement in enumerate(self._log, 1):
             if count > self._checked:
                 self._checked = count
-                self._report(self._check.take(measurement))
+                self._report(partial(self._check.take, measurement))
             yield measurement
-        self._report(self._check.end())
+        self._report(self._check.end)
 
-    def _report(self, found: tuple[Finding, ...]) -> None:
+    def _report(self, check: Callable[[], tuple[Finding, ...]]) -> None:
+        try:
+            found = check()
+        except Exception as error:  # a check must not end the map
+            self._check.is_complete = True
+            found = (Finding("checks_failed", Severity.WARNING, describe_error(error)),)
         if found:
             self._faults |= {f"{f.code} ({f.sensor})" if f.sensor else f.code: f.message for f in found}
             self._on_findings(found)
 
 
 def quick_check(log: LogSource) -> tuple[Finding, ...]:
-    """Return the warnings and errors of the begin of a log; see `EarlyCheck`."""
+    """Return the warnings and errors of the beginning of a log; see `EarlyCheck`."""
     check = EarlyCheck()
     found: list[Finding] = []
     for measurement in open_if_path(log):

@@ -15,7 +15,7 @@ import numpy as np
 from gridslam.geometry.se2 import between, compose, exp, log
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.beam_order import ORDERS
-from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton
 from gridslam.models.inverse_sensor import InverseSensorModel
 from gridslam.types import FloatArray, Match, StoredScan
 
@@ -24,7 +24,6 @@ __all__ = ["LaserOdometry"]
 _ROWS = (np.array([0], np.int32), np.array([1], np.int32))
 _BOTH = np.array([0, 1], np.int32)
 _ORIGIN = np.zeros(2)
-_NO_PRIOR = 1e-9 * np.eye(3)
 
 _GOOD_SHARE = 0.75  # a match with which fewer beams agree may be a wrong one: others are tried
 _LOST_SHARE = 0.35  # and with which even fewer agree ends the track: a new one is begun
@@ -150,7 +149,7 @@ class LaserOdometry:
 
     def _match(self, matcher: GaussNewton, guesses: FloatArray, ends: FloatArray) -> Match:
         rows = np.full(len(guesses), self._active, np.int32)
-        priors = np.broadcast_to(_NO_PRIOR, (len(guesses), 3, 3)).copy()
+        priors = np.broadcast_to(NO_PRIOR, (len(guesses), 3, 3)).copy()
         return matcher(self._maps, rows, guesses, priors, StoredScan(ends, _ORIGIN))
 
     def _search(self, predicted: FloatArray, first: Match, ends: FloatArray) -> Match:

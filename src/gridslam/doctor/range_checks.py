@@ -92,7 +92,7 @@ class _FrozenScans:
         self._is_frozen = False
 
     def _shows_motion(self, scan: LaserScan, pose: FloatArray) -> bool:
-        """Whether the motion since the last check, or since the begin of the run, must have changed the scan.
+        """Whether the motion since the last check, or since the beginning of the run, must have changed the scan.
 
         The view changes late in a large hall, and in a corridor in its bends alone.
         """

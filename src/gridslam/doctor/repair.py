@@ -133,7 +133,7 @@ def find_full_repair(calibration: MotionCalibration, range_max_m: float | None =
 
 
 def calibrate_early(measurements: Iterable[Measurement]) -> MotionCalibration:
-    """Calibrate with the begin of a log: until 8 m and 6 rad of odometry, or 1000 scans of the first laser.
+    """Calibrate with the beginning of a log: until 8 m and 6 rad of odometry, or 1000 scans of the first laser.
 
     That settles the two faults of `find_needed_repair` in a fraction of a second, and mostly after 2 m and 1.6 rad
     where neither is there; a log without odometry settles neither.
@@ -258,8 +258,8 @@ class RepairedLog:
         What is read. What is wrong with its first laser is found out before the first iteration, from a reading of its
         own.
     kind : "needed" or "all"
-        Only faults that make any map unusable, estimated from the begin of the log (see `find_needed_repair`), or all
-        faults that are certain, estimated from the whole log (see `find_full_repair`).
+        Only faults that make any map unusable, estimated from the beginning of the log (see `find_needed_repair`), or
+        all faults that are certain, estimated from the whole log (see `find_full_repair`).
     on_repair : callable
         Gets the repair, if there is any, before the first measurement.
 

@@ -9,6 +9,7 @@ from typing import Any
 from gridslam import __version__
 from gridslam.doctor.diagnose import Diagnosis, LaserFacts
 from gridslam.doctor.finding import Finding, Severity, percent
+from gridslam.io.cache import find_origin
 
 __all__ = ["SCHEMA", "document", "markdown", "picture_name", "text"]
 
@@ -28,7 +29,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         "schema": SCHEMA,
         "version": __version__,
         "log": {
-            "path": str(diagnosis.path),
+            "path": find_origin(diagnosis.path) or str(diagnosis.path),
             "scans": sum(facts.scans for facts in diagnosis.lasers.values()),
             "duration_s": statistics.duration_s,
             "odometry_length_m": diagnosis.metres,

@@ -13,13 +13,10 @@ from gridslam.kernels import PAGE, TILE, UNKNOWN
 from gridslam.kernels.reference_update import Int32Array
 from gridslam.types import IntArray
 
-__all__ = ["MOST_TILES", "TILE_BYTES", "Int32Array", "TileArena", "renumber"]
+__all__ = ["TILE_BYTES", "Int32Array", "TileArena", "renumber"]
 
 TILE_BYTES = 3 * TILE * TILE
 """Of a tile's log-odds and field."""
-
-MOST_TILES = 500_000
-"""Tiles of an arena where nothing else is asked for: 1.5 GB."""
 
 _MOVED = 1024
 """Tiles that are copied at a time."""
@@ -37,14 +34,11 @@ class TileArena:
         In units of `gridslam.grid.LOG_ODDS_UNIT` nats; -32768 is unknown.
     field : (T, 32, 32) uint8
         255 at an occupied cell, falling linearly with the distance to 0 at the field's reach.
-    most_tiles : int
-        The arena grows to no more.
     """
 
-    __slots__ = ("_free_pages", "_free_tiles", "field", "log_odds", "most_tiles", "page_refs", "pages", "tile_refs")
+    __slots__ = ("_free_pages", "_free_tiles", "field", "log_odds", "page_refs", "pages", "tile_refs")
 
-    def __init__(self, most_tiles: int = MOST_TILES) -> None:
-        self.most_tiles = most_tiles
+    def __init__(self) -> None:
         self.pages = np.zeros((8, PAGE, PAGE), np.int32)
         self.log_odds = np.full((64, TILE, TILE), UNKNOWN, np.int16)
         self.field = np.zeros((64, TILE, TILE), np.uint8)
@@ -60,7 +54,6 @@ class TileArena:
         pages: Int32Array,
         log_odds: NDArray[np.int16],
         field: NDArray[np.uint8],
-        most_tiles: int = MOST_TILES,
     ) -> TileArena:
         """Build the arena whose pages and tiles are all in use by the one table `roots`; copies.
 
@@ -77,7 +70,7 @@ class TileArena:
             raise ArgumentError("roots", "at least one map", "none")
         if pages[:1].any() or (log_odds[:1] != UNKNOWN).any() or field[:1].any() or not (len(pages) and len(log_odds)):
             raise ArgumentError("pages, log_odds, field", "an empty page and an empty tile first", "something in them")
-        arena = cls(most_tiles)
+        arena = cls()
         arena.pages = pages.copy()
         arena.log_odds = log_odds.copy()
         arena.field = field.copy()
@@ -105,19 +98,15 @@ class TileArena:
     def grow(self) -> None:
         """Make more pages or tiles, or both, where none is free: a sixteenth of what there is.
 
-        Raises ArgumentError where there are `most_tiles`; what the maps hold stays as it is. Ids are free only once
-        their memory is there: after a MemoryError all is as it was.
+        Ids are free only once their memory is there: after a MemoryError all is as it was.
         """
-        if not len(self._free_tiles) and len(self.tile_refs) > self.most_tiles:
-            limit = f"at most {self.most_tiles} tiles, {1e-9 * self.most_tiles * TILE_BYTES:.2g} GB (mapper.max_tiles)"
-            raise ArgumentError("maps", limit, "a scan that needs more: fewer particles or coarser cells need less")
         if not len(self._free_pages):
-            free, new = self._extend_ids(self.page_refs, np.iinfo(np.int32).max)
+            free, new = self._extend_ids(self.page_refs)
             self.pages.resize((new, PAGE, PAGE), refcheck=False)
             self.page_refs.resize(new, refcheck=False)
             self._free_pages = free
         if not len(self._free_tiles):
-            free, new = self._extend_ids(self.tile_refs, self.most_tiles + 1)
+            free, new = self._extend_ids(self.tile_refs)
             # resize extends large arrays in place: no second copy of the maps is ever held
             self.log_odds.resize((new, TILE, TILE), refcheck=False)
             self.field.resize((new, TILE, TILE), refcheck=False)
@@ -125,9 +114,9 @@ class TileArena:
             self._free_tiles = free
 
     @staticmethod
-    def _extend_ids(refs: Int32Array, most: int) -> tuple[Int32Array, int]:
-        """Ids to be added to those that `refs` counts, and how many there are then: `most` at most."""
-        size = min(len(refs) + max(len(refs) // 16, 64), most)
+    def _extend_ids(refs: Int32Array) -> tuple[Int32Array, int]:
+        """Ids to be added to those that `refs` counts, and how many there are then."""
+        size = min(len(refs) + max(len(refs) // 16, 64), np.iinfo(np.int32).max)
         return np.arange(size - 1, len(refs) - 1, -1, dtype=np.int32), size
 
     def allocate(self, pages: int, tiles: int) -> None:

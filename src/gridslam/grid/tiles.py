@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
-from gridslam.grid.arena import Int32Array, TileArena, renumber
+from gridslam.grid.arena import TILE_BYTES, Int32Array, TileArena, renumber
 from gridslam.grid.cells import LOG_ODDS_UNIT, Evidence, cell_corner, cells_of
 from gridslam.kernels import FARTHEST, PAGE, TILE, UNKNOWN, backend
 from gridslam.kernels.reference_update import cell_addresses
@@ -419,7 +419,7 @@ class TileMaps:
         is_new = (tile == 0) | (arena.tile_refs[tile] > 1) | (arena.page_refs[page] > 1)
         needed = self.tiles_used + int(np.count_nonzero(is_new))
         if needed > self.most_tiles:
-            size = f"{self.most_tiles} tiles, {3e-9 * self.most_tiles * TILE * TILE:.2g} GB"
+            size = f"{self.most_tiles} tiles, {1e-9 * self.most_tiles * TILE_BYTES:.2g} GB"
             expected = (
                 f"at most {size} for all particles (mapper.max_tiles; larger cells and fewer particles need less)"
             )

@@ -215,6 +215,8 @@ class MrclamLog:
 
     def _commands(self) -> Iterator[tuple[int, tuple[float, float]]]:
         for row in read_rows(self._odometry, "time_s v_m_s omega_rad_s", stamps=1, in_order=True):
+            if not max(map(abs, row.values)) <= FARTHEST_M:
+                raise InputError(self._odometry, f"expected speeds up to {FARTHEST_M:g}, got {row.values}", row.line)
             self.statistics.odometry += 1
             yield row.stamps_ns[0] + self._delay_ns, (row.values[0], row.values[1])
 
@@ -235,8 +237,9 @@ class MrclamLog:
     def _subject(self, row: Row) -> int | None:
         """Return the landmark that a row is of; None where it is of a robot, or misread."""
         barcode, distance, bearing = row.values
-        if not (barcode.is_integer() and distance > 0 and abs(bearing) <= np.pi):
-            problem = f"expected {_MEASUREMENT} with a whole barcode, a range above 0 and a bearing within pi"
+        if not (barcode.is_integer() and 0 < distance <= FARTHEST_M and abs(bearing) <= np.pi):
+            expected = f"a whole barcode, a range above 0 and up to {FARTHEST_M:g} and a bearing within pi"
+            problem = f"expected {_MEASUREMENT} with {expected}"
             raise InputError(self._measurement, f"{problem}, got {barcode:g} {distance:g} {bearing:g}", row.line)
         subject = self._subject_of.get(int(barcode))
         if subject is None:

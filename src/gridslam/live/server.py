@@ -201,6 +201,7 @@ def _ignore_connections(loop: asyncio.AbstractEventLoop, context: dict[str, Any]
 def _make_application(content: PageContent, host: str, token: str | None, share: float) -> ASGIApp:
     """The page of a show, for everyone who has the token; without one for requests to this very host alone."""
     archives = ArchiveCache(content.channel_map, _zip_map, share)
+    turn = asyncio.Lock()
 
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
@@ -209,7 +210,7 @@ def _make_application(content: PageContent, host: str, token: str | None, share:
         if foreign or not _is_authorized(websocket, token):
             await websocket.close(_BAD_TOKEN, "this page needs the address with its token")
             return
-        await _serve_viewer(websocket, content)
+        await _serve_viewer(websocket, content, turn)
 
     async def map_files(request: Request) -> Response:
         if not _is_authorized(request, token):
@@ -260,12 +261,12 @@ def _guard(app: ASGIApp, names: set[str] | None) -> ASGIApp:
     return guarded
 
 
-async def _serve_viewer(websocket: WebSocket, content: PageContent) -> None:
-    """Send messages to one viewer and execute its commands until it disconnects."""
+async def _serve_viewer(websocket: WebSocket, content: PageContent, turn: asyncio.Lock) -> None:
+    """Send messages to one viewer and execute its commands until it disconnects; viewers take `turn` in turn."""
     notify = asyncio.Event()
     window = asyncio.BoundedSemaphore(_MAX_UNACKNOWLEDGED)
     viewer = content.add_viewer(notify.set)
-    sender = asyncio.create_task(_send_all(websocket, viewer, notify, window))
+    sender = asyncio.create_task(_send_all(websocket, viewer, notify, window, turn))
     try:
         while True:
             command = json.loads(await websocket.receive_text())
@@ -285,28 +286,33 @@ async def _serve_viewer(websocket: WebSocket, content: PageContent) -> None:
         await asyncio.gather(sender, return_exceptions=True)
 
 
-async def _send_all(websocket: WebSocket, viewer: Viewer, notify: asyncio.Event, window: asyncio.Semaphore) -> None:
+async def _send_all(
+    websocket: WebSocket, viewer: Viewer, notify: asyncio.Event, window: asyncio.Semaphore, turn: asyncio.Lock
+) -> None:
     clock = asyncio.get_running_loop().time
     while True:
         await window.acquire()
-        message = await _next_message(viewer, notify)
+        message = await _next_message(viewer, notify, turn)
         due = clock() + max(_PERIOD_S, len(message) / _BYTES_PER_S)
         await websocket.send_bytes(message)
         await asyncio.sleep(due - clock())
 
 
-async def _next_message(viewer: Viewer, notify: asyncio.Event) -> bytes:
+async def _next_message(viewer: Viewer, notify: asyncio.Event, turn: asyncio.Lock) -> bytes:
     """The data that the viewer lacks, or an empty heartbeat."""
     clock = asyncio.get_running_loop().time
     due = clock() + _HEARTBEAT_S
-    notify.clear()
-    while (message := viewer.next_message()) is None:
+    while True:
+        notify.clear()
+        async with turn:
+            message = viewer.next_message()
+            await asyncio.sleep(0)  # the others wait until the loop has passed its selector, which paces it
+        if message is not None:
+            return message
         try:
             await asyncio.wait_for(notify.wait(), due - clock())
         except asyncio.TimeoutError:
             return encode({}, {})
-        notify.clear()
-    return message
 
 
 def _zip_map(grid: OccupancyGrid) -> bytes:

@@ -63,8 +63,6 @@ def estimate_pose(poses: FloatArray, weights: FloatArray) -> PoseEstimate:
     """Find the densest cluster of poses (N, 3) with weights (N,) that sum to 1: mean shift from the heaviest bin."""
     x, y, theta = poses.T.copy()
     names = cluster_bins(x, y, theta)
-    if names.max() >= _MOST_BINS:  # a few poses far apart: only the bins that hold some are counted
-        names = np.unique(names, return_inverse=True)[1]
     near = names == np.bincount(names, weights).argmax()
     centre = poses[np.flatnonzero(near)[weights[near].argmax()]]
     away = _relative_coordinates(x, y, theta, centre)
@@ -80,12 +78,15 @@ def estimate_pose(poses: FloatArray, weights: FloatArray) -> PoseEstimate:
 
 
 def cluster_bins(x: FloatArray, y: FloatArray, theta: FloatArray) -> IntArray:
-    """Number (N,) of the bin that each pose is in; bins are as wide as a cluster."""
+    """Number (N,) of the bin that each pose is in; bins are as wide as a cluster, and numbered in order."""
     column, row, turn = (
         np.floor((values - values.min()) * (0.5 / width)).astype(np.int64)
         for values, width in ((x, CLUSTER_RADIUS_M), (y, CLUSTER_RADIUS_M), (theta, CLUSTER_RADIUS_RAD))
     )
-    return np.asarray((column * (row.max() + 1) + row) * (turn.max() + 1) + turn)
+    if float(column.max()) * float(row.max()) >= _MOST_BINS:  # far apart: only places that hold some are numbered
+        column, row = (np.unique(places, return_inverse=True)[1] for places in (column, row))
+    names = np.asarray((column * (row.max() + 1) + row) * (turn.max() + 1) + turn)
+    return names if names.max() < _MOST_BINS else np.unique(names, return_inverse=True)[1]
 
 
 def is_in_cluster(poses: FloatArray, centre: FloatArray) -> NDArray[np.bool_]:

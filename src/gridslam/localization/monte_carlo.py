@@ -34,7 +34,7 @@ from gridslam.localization.place_verification import NO_SCANS, PlaceVerification
 from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
 from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState, validate_poses
 from gridslam.matching.beam_order import BeamOrder
-from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction
+from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, degenerate_direction
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.endpoint import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
@@ -56,19 +56,9 @@ from gridslam.types import (
 
 __all__ = ["MonteCarloConfiguration", "MonteCarloLocalization"]
 
-
 _UNKNOWN_POSE = PoseEstimate(np.zeros(3), np.diag([1e6, 1e6, math.pi**2]), 0.0)
-
-
 _ROUNDING = 1e-6 * np.eye(3)  # a millimetre, for beliefs without any spread
-
-
-_NO_PRIOR = 1e-9 * np.eye(3)  # information of a guess that means nothing
-
-
 _CLUSTER = np.diag([CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_RAD / 2]) ** 2
-
-
 _MAX_EVALUATED = 500  # particles whose agreement with a scan stands for that of all
 
 
@@ -343,8 +333,8 @@ class MonteCarloLocalization:
         variances, axes = np.linalg.eigh(covariance[:2, :2])
         beside = np.repeat(pose[None], 4, axis=0)
         beside[:, :2] += np.concatenate([axes.T, -axes.T]) * np.sqrt(np.tile(np.maximum(variances, 0), 2))[:, None]
-        others = self.map.match(matcher, beside, _NO_PRIOR, beams)
-        first = self.map.match(replace(matcher, max_iterations=0), near[None], _NO_PRIOR, beams)
+        others = self.map.match(matcher, beside, NO_PRIOR, beams)
+        first = self.map.match(replace(matcher, max_iterations=0), near[None], NO_PRIOR, beams)
         kept = [
             degenerate_direction(information, float(score), matcher.min_information) is None
             for information, score in zip(others.information, others.score, strict=True)

@@ -18,6 +18,7 @@ from gridslam.types import BeamEnds, FloatArray, Match
 __all__ = [
     "EVALUATE_ONLY",
     "MIN_INFORMATION",
+    "NO_PRIOR",
     "GaussNewton",
     "cauchy_weights",
     "degenerate_direction",
@@ -101,6 +102,9 @@ class GaussNewton:
 
 EVALUATE_ONLY = GaussNewton(max_iterations=0)
 """Evaluates the score at the guess without iterating."""
+
+NO_PRIOR = 1e-9 * np.eye(3)
+"""Prior information (3, 3) of a guess that means nothing, and keeps what no beam determines."""
 
 
 def degenerate_direction(information: FloatArray, score: float, least: float = MIN_INFORMATION) -> FloatArray | None:

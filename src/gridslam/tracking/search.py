@@ -11,15 +11,14 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
-from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction, weigh_known_beams
+from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, degenerate_direction, weigh_known_beams
 from gridslam.tracking.odometry_calibration import MIN_SEGMENTS
 from gridslam.tracking.prediction import MAX_INTERVAL_S, PoseEstimate, Prediction
 from gridslam.tracking.state import TrackerState, is_within
 from gridslam.types import BeamEnds, FloatArray
 
-__all__ = ["NO_PRIOR", "OdometrySearch", "calibrated", "local_pyramid"]
+__all__ = ["OdometrySearch", "calibrated", "local_pyramid"]
 
-NO_PRIOR = np.full((1, 3, 3), 1e-9) * np.eye(3)
 """Information (1, 3, 3) of a guess that means nothing."""
 
 _GATES = ((2.0, 0.1), (5.0, 0.1), (12.0, 0.3))
@@ -165,12 +164,12 @@ def _refine(
     If the scan is degenerate the odometry constrains it.
     """
     held = calibrated(matcher)
-    match = matcher(state.maps, state.row, pose[None], NO_PRIOR, beams)
+    match = matcher(state.maps, state.row, pose[None], NO_PRIOR[None], beams)
     weak = degenerate_direction(match.information[0], float(match.score[0]), held.min_information)
     if weak is not None:
         along = match.poses[0].copy()
         along[:2] -= weak * float(weak @ (along - predicted.pose)[:2])
-        match = held(state.maps, state.row, along[None], NO_PRIOR, beams)
+        match = held(state.maps, state.row, along[None], NO_PRIOR[None], beams)
     best = match.poses[0]
     weights = weigh_known_beams(state.maps, state.row, best, beams.ends, matcher.cauchy_m)
     inlier_ratio = float(weights.sum()) / max(len(weights), _MIN_OVERLAP * len(beams))

@@ -18,7 +18,7 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton, degenerate_direction
+from gridslam.matching.gauss_newton import EVALUATE_ONLY, NO_PRIOR, GaussNewton, degenerate_direction
 from gridslam.models.parameters import Kind
 from gridslam.tracking.odometry_calibration import OdometryCalibration, motion_of
 from gridslam.tracking.prediction import (
@@ -28,7 +28,7 @@ from gridslam.tracking.prediction import (
     Prediction,
     predict_by_odometry,
 )
-from gridslam.tracking.search import NO_PRIOR, OdometrySearch, calibrated, local_pyramid
+from gridslam.tracking.search import OdometrySearch, calibrated, local_pyramid
 from gridslam.tracking.state import (
     SensorTrack,
     TrackedScan,
@@ -239,7 +239,7 @@ class Tracker:
         """Whether the robot has not moved according to the odometry, and the scan does not contradict it."""
         if not is_within(track.matched_pose, predicted.pose, self.standstill_m, self.standstill_rad):
             return False
-        ratio = EVALUATE_ONLY(state.maps, state.row, predicted.pose[None], NO_PRIOR, beams).score[0] / len(beams)
+        ratio = EVALUATE_ONLY(state.maps, state.row, predicted.pose[None], NO_PRIOR[None], beams).score[0] / len(beams)
         return bool(ratio > track.inlier_ratio - self.slip_inlier_gain)
 
     def _match_from_odometry(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
@@ -254,7 +254,7 @@ class Tracker:
         stayed = np.array([predicted.pose[0], predicted.pose[1], pose[2]])
         away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
         if away > max(self.slip_m, 4 * predicted.sigma_m):
-            before = EVALUATE_ONLY(state.maps, state.row, stayed[None], NO_PRIOR, beams).score[0]
+            before = EVALUATE_ONLY(state.maps, state.row, stayed[None], NO_PRIOR[None], beams).score[0]
             pose = pose if score - float(before) > self.slip_inlier_gain * len(beams) else stayed
         determined = pose is not stayed and self._is_determined(match)
         return PoseEstimate(
@@ -275,7 +275,7 @@ class Tracker:
             search = self.velocity.search(state, predicted.seconds)
             place = search.search(local_pyramid(state), predicted.pose, None, beams.ends)
             if place is not None:
-                other = self.matcher(state.maps, state.row, place.pose[None], NO_PRIOR, beams)
+                other = self.matcher(state.maps, state.row, place.pose[None], NO_PRIOR[None], beams)
                 convinces = other.score[0] - match.score[0] > self.slip_inlier_gain * count
                 match = other if convinces and other.score[0] >= self.search_inlier_ratio * count else match
         if match.score[0] < self.min_inlier_ratio * count:

@@ -91,7 +91,7 @@ def to_document(tuning: Tuning, settings: Settings, logs: Sequence[TunedLog], tr
 
 
 def plot_convergence(tuning: Tuning) -> tuple[Figure, str]:
-    """Figure with its caption: the error of each trial as a ratio to the start's, and the best of those on whole logs."""
+    """Figure and caption: the error of each trial as a ratio to the start's, and the best on whole logs."""
     number = np.arange(1.0, len(tuning.trials) + 1)
     ratio = np.array([trial.ratio for trial in tuning.trials])
     whole = np.array([trial.part == 1.0 for trial in tuning.trials])

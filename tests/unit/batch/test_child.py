@@ -5,12 +5,15 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 import time
 
 import pytest
 
+from gridslam import __version__
 from gridslam.batch.child import ForkServer, LostWorkerError
 from gridslam.batch.journal import COLUMNS
+from gridslam.errors import OutputError
 from support.batch_jobs import make_job
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the children of this system are not forked")
@@ -26,10 +29,15 @@ def server():
 @pytest.fixture
 def run(server, tmp_path):
     def run(function, *, timeout_s=30.0, memory_bytes=None, attempts=1, **arguments):
-        limits = {"out": str(tmp_path), "timeout_s": timeout_s, "memory_bytes": memory_bytes, "attempts": attempts}
+        limits = limits_of(tmp_path, timeout_s=timeout_s, memory_bytes=memory_bytes, attempts=attempts)
         return server.run(make_job(function, "a", **arguments).to_dict(), limits)
 
     return run
+
+
+def limits_of(out, **limits):
+    (out / ".attempts").mkdir(exist_ok=True)
+    return {"out": str(out), "timeout_s": None, "memory_bytes": None, "attempts": 1, "version": __version__, **limits}
 
 
 def is_alive(pid):
@@ -122,10 +130,8 @@ def test_a_job_is_not_begun_more_often_than_it_may(run, tmp_path):
 
 
 def test_children_end_with_the_worker_that_is_closed(tmp_path):
-    import threading
-
     server = ForkServer()
-    limits = {"out": str(tmp_path), "timeout_s": None, "memory_bytes": None, "attempts": 1}
+    limits = limits_of(tmp_path)
     job = make_job("hang", "a", pids=str(tmp_path / "pids")).to_dict()
     lost = []
 
@@ -148,7 +154,7 @@ def test_children_end_with_the_worker_that_is_closed(tmp_path):
 def test_a_system_that_cannot_fork_runs_jobs_in_processes_of_their_own(tmp_path, monkeypatch):
     monkeypatch.setattr("gridslam.batch.child._CAN_FORK", False)
     server = ForkServer()
-    limits = {"out": str(tmp_path), "timeout_s": 10.0, "memory_bytes": None, "attempts": 1}
+    limits = limits_of(tmp_path, timeout_s=10.0)
     assert server.run(make_job("write_number", "a", number=2).to_dict(), limits)["document"]["number"] == 2
     rejected = server.run(make_job("reject", "b").to_dict(), limits)
     assert (rejected["error"], rejected["message"]) == ("InputError", "broken.clf, line 3: expected a scan")
@@ -157,3 +163,30 @@ def test_a_system_that_cannot_fork_runs_jobs_in_processes_of_their_own(tmp_path,
     os.kill(int((tmp_path / "pids").read_text().split()[1]), signal.SIGKILL)
     assert hung["error"] == "timeout"
     assert not list(tmp_path.glob("**/half.txt"))
+
+
+def test_a_job_whose_batch_has_ended_is_killed(tmp_path):
+    server = ForkServer()
+    limits = limits_of(tmp_path)
+    job = make_job("hang", "a", pids=str(tmp_path / "pids")).to_dict()
+
+    def end_batch():
+        wait_until(lambda: (tmp_path / "pids").exists())
+        (tmp_path / ".attempts" / job["key"]).unlink()
+
+    thread = threading.Thread(target=end_batch)
+    thread.start()
+    with pytest.raises(LostWorkerError):
+        server.run(job, limits)
+    thread.join()
+    pids = [*map(int, (tmp_path / "pids").read_text().split())]
+    wait_until(lambda: not any(map(is_alive, pids)))
+
+
+def test_a_worker_of_another_version_or_without_the_folder_refuses(server, tmp_path):
+    job = make_job("write_number", "a", number=1).to_dict()
+    with pytest.raises(OutputError, match=r"has gridslam .*, and the batch is of 0\.0"):
+        server.run(job, limits_of(tmp_path) | {"version": "0.0"})
+    with pytest.raises(OutputError, match="does not see this folder"):
+        server.run(job, limits_of(tmp_path) | {"out": str(tmp_path / "absent")})
+    assert not (tmp_path / "absent").exists()

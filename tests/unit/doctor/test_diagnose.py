@@ -175,6 +175,19 @@ def test_a_checked_log_gives_all_and_tells_early(count):
     assert log.statistics.scan_count == count
 
 
+def test_a_check_that_fails_ends_no_map(monkeypatch):
+    def fail(self, measurement):
+        raise RuntimeError("injected")
+
+    monkeypatch.setattr(Doctor, "take", fail)
+    reported = []
+    log = CheckedLog(Memory(drive(10)), reported.append)
+    assert len(list(log)) == 50
+    ((finding,),) = reported
+    assert finding.code == "checks_failed"
+    assert "RuntimeError: injected" in finding.message
+
+
 FINDINGS = (
     Finding("topics", Severity.INFO, "It holds things.", 3, "topics"),
     Finding("gaps", Severity.WARNING, "A gap.", np.float64(2.5), "s", "Mend it.", "front"),

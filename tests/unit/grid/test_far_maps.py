@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 import gridslam
 from gridslam.errors import ArgumentError
 from gridslam.grid import Evidence, TileMaps
+from gridslam.grid.arena import TileArena
 from gridslam.grid.tiles import MOST_BEAM_CELLS
 from gridslam.kernels import FARTHEST, FREE_CELLS, PAGE, TILE
 from gridslam.mapping.beam_counts import BeamCounts
@@ -198,6 +199,18 @@ def test_maps_never_take_more_tiles_than_they_may():
         assert_same_map(maps.occupancy(row), grid)
     assert 300 < maps.tiles_used <= 400 + 3 * 60  # a ring about the ends of one scan
     maps.update(rows, np.zeros((3, 3)), room_from(8))  # what is mapped already costs nothing
+
+
+def test_an_arena_has_no_limit_of_its_own():
+    """mapper.max_tiles may be larger than its default."""
+    arena = TileArena()
+    full = 1_000_000
+    arena.log_odds = np.zeros((full, TILE, TILE), np.int16)  # never written, so no memory is behind it
+    arena.field = np.zeros((full, TILE, TILE), np.uint8)
+    arena.tile_refs = np.ones(full, np.int32)
+    arena.allocate(0, 63)
+    arena.grow()
+    assert len(arena.free_ids[1]) == full // 16
 
 
 @pytest.mark.parametrize("count", [255, 256, 32_767, 32_768, 40_000, 65_535, 65_536, 70_000])

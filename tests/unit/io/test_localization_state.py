@@ -59,7 +59,10 @@ def test_what_is_no_saved_localization(known, measurements, tmp_path):
         ("generator", np.array("{}")),
         ("configuration", np.array('{"max_beams": 0}')),
         ("schema", np.array("other/1")),
+        ("state.tracked.tracker.matched_map", np.array(2)),
+        ("state.tracked.tracker.maps.first", np.array([1 << 40, 0])),
     ):
+        assert name in whole
         np.savez(path, **{**whole, name: wrong})
         with pytest.raises(InputError, match=r"saved\.npz"):
             read_localization(path)

@@ -9,7 +9,7 @@ import pytest
 
 from gridslam.geometry.se2 import compose
 from gridslam.localization import KnownMap, MonteCarloLocalization
-from gridslam.localization.belief import NO_HYPOTHESES, HypothesisTracker, PoseEstimate, PoseHypotheses
+from gridslam.localization.belief import NO_HYPOTHESES, HypothesisTracker, PoseEstimate, PoseHypotheses, cluster_bins
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import box, join
 from gridslam.types import OccupancyGrid
@@ -38,6 +38,24 @@ def followed(hypotheses: PoseHypotheses, agree, steps: int):
     for _ in range(steps):
         hypotheses = FIXED(hypotheses, STILL, ALONE, CLOUD, EVEN, agree, rng)
     return hypotheses
+
+
+@pytest.mark.parametrize("apart_m", [1.0, 1e3, 1e6, 1e9])
+def test_bins_number_what_is_in_them(apart_m):
+    """Clusters share no bin however far they are apart, and the numbers stay small."""
+    rng = np.random.default_rng(2)
+    corners = np.array([[0.0, 0.0], [apart_m, 0.0], [apart_m, apart_m]])
+    within = rng.uniform(0, 0.4, (3, 50, 2))
+    headings = rng.uniform(-1, 1, (3, 50))
+    places = (corners[:, None] + within).reshape(-1, 2)
+    names = cluster_bins(*places.T.copy(), headings.ravel())
+    assert names.min() >= 0
+    assert names.max() < 1 << 20
+    groups = [set(part.tolist()) for part in names.reshape(3, 50)]
+    if apart_m >= 1e3:
+        assert not groups[0] & groups[1]
+        assert not groups[1] & groups[2]
+        assert not groups[0] & groups[2]
 
 
 def test_each_cluster_becomes_a_rival_but_that_which_is_told():

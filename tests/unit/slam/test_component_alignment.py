@@ -129,6 +129,25 @@ def test_the_number_of_searches_is_bounded(seen, monkeypatch):
     assert len(calls) > 30
 
 
+def test_many_components_share_the_searches(seen, monkeypatch):
+    """Each pair was once allowed its own: a log whose rows were shuffled has hundreds of components."""
+    closure_state = interrupted(seen, LAP + 5)
+    blind = range(15, len(closure_state.graph), 15)
+    for key in blind:
+        closure_state.graph.variances[key] = (1.5**2, 0.3**2)
+    pieces = LoopClosureState(scans=closure_state.scans)
+    for pose, spread in zip(closure_state.graph.poses, closure_state.graph.variances, strict=True):
+        pieces.graph.extend(pose, pose, spread)
+    search, calls = BranchAndBound.search, []
+    monkeypatch.setattr(BranchAndBound, "search", lambda self, *given: calls.append(given) or search(self, *given))
+    most = 8
+    alignment = ComponentAlignment(max_searches=most)
+    monkeypatch.setattr("gridslam.slam.full_slam.component_alignment._Alignment.is_self_similar", lambda *_: True)
+    aligned(pieces, alignment)
+    assert len(np.unique(pieces.graph.label_rigid_components())) > 10
+    assert 0 < len(calls) <= most
+
+
 def test_a_scan_without_a_beam_is_passed_over(seen):
     blind = replace(seen.beams[0], indices=seen.beams[0].indices[:0], ends=seen.beams[0].ends[:0])
     beams = [blind if k % 9 == 0 else b for k, b in enumerate(seen.beams)]

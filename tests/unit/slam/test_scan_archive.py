@@ -46,6 +46,20 @@ def test_what_goes_in_comes_out(archive):
     assert archive.nbytes == 4 * sum(len(scan.ends) for scan in scans())
 
 
+@pytest.mark.parametrize("count", range(10))
+def test_what_is_truncated_is_as_if_no_more_had_come(count):
+    """Some scans are not kept, as they have no beam; none but the first `count` may be left of the others."""
+    whole = ScanArchive()
+    first = ScanArchive()
+    for k, scan in enumerate(scans()):
+        for archive in (whole, first)[: 1 + (k < count)]:
+            archive.append(scan, np.array([0.1 * k, 0.0, 0.0]), is_key=k in (0, 3, 5))
+    whole.truncate(count, sum(k < count for k in (0, 3, 5)))
+    for archive in (whole, first):
+        archive.append(scans()[1], np.array([9.0, 0.0, 0.0]), is_key=True)
+    assert contents(whole) == contents(first)
+
+
 def test_of_a_robot_that_stands_nothing_is_kept():
     """But of every key scan, and of what was seen from 2 cm or 0.01 rad away from the last scan that was kept."""
     scan, kept = scans()[1], ScanArchive()

@@ -120,10 +120,6 @@ def _index_ranges(arrays: _Arrays) -> dict[str, _Range]:
     submap = _Range(0, keys // _SUBMAP)
     closure = "state.closure_state"
     ranges = {
-        "state.tracker.matched_map": _Range(0, 1),
-        "state.tracker.scans": count,
-        "state.tracker.unlocalized_scans": count,
-        "state.tracker.rejected_odometry": count,
         "state.updates": count,
         "trajectory.keys": key,
         "statistics.counts": count,
@@ -142,8 +138,15 @@ def _index_ranges(arrays: _Arrays) -> dict[str, _Range]:
     }
     ends = [f"{closure}.{part}.{end}" for part in ("graph.constraints", "unconfirmed") for end in ("from", "to")]
     ranges |= dict.fromkeys(ends, key)
-    pages = _Range(-_MOST_PAGES, _MOST_PAGES)
-    return ranges | {name: pages for name in arrays if name.endswith("maps.first")}
+    everywhere = {
+        "maps.first": _Range(-_MOST_PAGES, _MOST_PAGES),
+        "tracker.matched_map": _Range(0, 1),
+        "tracker.scans": count,
+        "tracker.unlocalized_scans": count,
+        "tracker.rejected_odometry": count,
+    }
+    parts = {name: limits for name in arrays for part, limits in everywhere.items() if name.endswith(f".{part}")}
+    return ranges | parts
 
 
 def _require_rows(arrays: _Arrays) -> None:

@@ -313,7 +313,7 @@ class NodeCore:
             self._warn("record", describe_error(error))
 
     def _report_findings(self, measurement: Measurement) -> None:
-        """Warn of what the doctor finds in the begin of the session."""
+        """Warn of what the doctor finds in the beginning of the session."""
         try:
             for finding in self._check.take(measurement):
                 self._warn(finding.code, f"{finding.message} {finding.remedy}".rstrip())

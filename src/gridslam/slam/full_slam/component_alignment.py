@@ -133,13 +133,14 @@ class ComponentAlignment:
         poses = np.array(graph.poses)
         components = [np.flatnonzero(labels == label) for label in np.unique(labels)]
         searches = [self._nearest_submaps(graph, keys, components[:k]) for k, keys in enumerate(components)]
-        stride = -(-sum(len(ways) for of_older in searches for ways in of_older) // self.max_searches)
+        total = sum(len(ways) for of_older in searches for ways in of_older)
+        stride = max(1, -(-total // self.max_searches))
         found: list[Constraint] = []
         count = 0
         for keys, of_older in zip(components, searches, strict=True):
             own: Pyramid | None = None
             for old, ways in zip(components, of_older, strict=False):
-                searched = list(ways)[-count % stride :: stride] if stride else []
+                searched = list(ways)[-count % stride :: stride]
                 count += len(ways)
                 if not searched:
                     continue

@@ -144,7 +144,7 @@ def full_slam(
         loops = _summarize(state.closure_state, closure_state, refined, trajectory)
     has_loops = len(graph.edges) >= len(graph.poses)
     key_covariances = marginal_covariances(graph) if has_loops else drift_covariances(graph)
-    covariances = scan_covariances(graph, key_covariances, keys, key_from_base, closure.drift)
+    covariances = scan_covariances(graph, key_covariances, poses, keys, key_from_base, closure.drift)
     return FullSlam(poses, covariances, graph, tiled_map, loops)
 
 

@@ -71,7 +71,12 @@ def drift_covariances(graph: PoseGraph) -> FloatArray:
 
 
 def scan_covariances(
-    graph: PoseGraph, key_covariances: FloatArray, keys: IntArray, key_from_base: FloatArray, drift: DriftModel
+    graph: PoseGraph,
+    key_covariances: FloatArray,
+    poses: FloatArray,
+    keys: IntArray,
+    key_from_base: FloatArray,
+    drift: DriftModel,
 ) -> FloatArray:
     """Covariances (N, 3, 3) of all scans, with that of the scale; an upper bound where they are not key scans.
 
@@ -85,8 +90,8 @@ def scan_covariances(
         The T key scans; its first T - 1 measurements are the increments.
     key_covariances : (T, 3, 3) float64
         Covariances of the key scans.
-    keys, key_from_base : (N,) int64, (N, 3) float64
-        As for `full_trajectory`.
+    poses, keys, key_from_base : (N, 3) float64, (N,) int64, (N, 3) float64
+        The scans', and as for `full_trajectory`.
     drift : DriftModel
         How uncertain tracking is.
     """
@@ -100,7 +105,6 @@ def scan_covariances(
     found[last:] = key_covariances[-1]
     for scan in range(last + 1, len(keys)):
         found[scan] += rotate_covariances(drift.covariance(key_from_base[scan]), graph.poses[-1, 2])
-    poses = full_trajectory(graph.poses, keys, key_from_base)
     return found + drift.scale_covariances(poses[:, :2] - poses[0, :2])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, final
 
@@ -36,7 +37,7 @@ class ScanArchive:
     matched again, one by one: of them every k-th beam is kept, with the least k that leaves at most 256. Of one taken
     within 2 cm and 0.01 rad of the last one that was kept nothing is kept: it saw the same, and a robot that stands for
     hours would fill the memory. So would one that drives for hours: when all these come to more than 32 MB, only every
-    second scan is kept from then on and from the begin, later only every fourth.
+    second scan is kept from then on and from the beginning, later only every fourth.
 
     Attributes
     ----------
@@ -58,10 +59,9 @@ class ScanArchive:
         """Count the bytes of the scans between key scans."""
         stored = np.array([-1, *self._stored, self._count])
         if (np.diff(stored) < 1).any() or not set(self.keys) <= set(self._stored):
-            raise ArgumentError(
-                "stored", f"ascending scans below {self._count}, the key scans among them", self._stored
-            )
-        self._between_bytes = self.nbytes - sum(self._ends[self._find(key)].nbytes for key in self.keys)
+            expected = f"ascending scans below {self._count}, the key scans among them"
+            raise ArgumentError("stored", expected, f"{len(self._stored)} that are not")
+        self._between_bytes = self._count_between_bytes()
 
     def append(self, beams: BeamEnds, pose: FloatArray, *, is_key: bool) -> None:
         """Append a scan from `pose` (3,) in a frame that drifts slowly."""
@@ -112,8 +112,10 @@ class ScanArchive:
 
     def truncate(self, scans: int, key_scans: int) -> None:
         """Forget all but the first scans, of which `key_scans` are key scans."""
-        del self._ends[scans:], self._steps_m[scans:], self._origins[scans:], self.keys[key_scans:]
-        self.__post_init__()
+        del self.keys[key_scans:]
+        self._count = scans
+        self._last_stored_pose = np.full(3, np.nan)  # so the next scan is kept
+        self._keep(range(bisect_left(self._stored, scans)))
 
     def snapshot(self) -> ScanArchive:
         """Keep a copy for later; the scans themselves, which never change, are shared."""
@@ -130,12 +132,19 @@ class ScanArchive:
         """Keep half as many of the scans that are no key scans."""
         self._storage_interval *= 2
         keys = set(self.keys)
-        kept = [place for place, scan in enumerate(self._stored) if not scan % self._storage_interval or scan in keys]
-        self._stored = [self._stored[place] for place in kept]
-        self._ends = [self._ends[place] for place in kept]
-        self._steps_m = [self._steps_m[place] for place in kept]
-        self._origins = [self._origins[place] for place in kept]
-        self.__post_init__()
+        interval = self._storage_interval
+        self._keep([place for place, scan in enumerate(self._stored) if not scan % interval or scan in keys])
+
+    def _keep(self, places: Sequence[int]) -> None:
+        """Forget all stored scans but those at these places."""
+        self._stored = [self._stored[place] for place in places]
+        self._ends = [self._ends[place] for place in places]
+        self._steps_m = [self._steps_m[place] for place in places]
+        self._origins = [self._origins[place] for place in places]
+        self._between_bytes = self._count_between_bytes()
+
+    def _count_between_bytes(self) -> int:
+        return self.nbytes - sum(self._ends[self._find(key)].nbytes for key in self.keys)
 
     def _find(self, scan: int) -> int:
         """Place of a scan among those of which anything is kept; -1 if nothing is."""

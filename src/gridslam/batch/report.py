@@ -1,0 +1,189 @@
+"""OUT/report.html: the runs of a batch as one static page, which opens without a network or a server."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+import os
+import re
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Final
+
+from gridslam.batch.runs import Run, read_runs
+from gridslam.errors import OutputError
+from gridslam.io.output import write_atomically
+
+__all__ = ["COLUMNS", "REPORT", "write_report"]
+
+REPORT: Final = "report.html"
+"""Name of the page in the output folder of a batch."""
+
+COLUMNS: Final = (
+    ("error_m", "error", "m"),
+    ("error_rad", "error, heading", "rad"),
+    ("worst_m", "worst error", "m"),
+    ("latency_median_s", "scan, median", "ms"),
+    ("latency_p99_s", "scan, 99 %", "ms"),
+    ("cpu_s", "CPU time", "s"),
+    ("wall_s", "wall time", "s"),
+    ("peak_memory_bytes", "memory", "bytes"),
+    ("scans", "scans", "count"),
+    ("duration_s", "length", "s"),
+    ("path_m", "driven", "m"),
+    ("closures", "closures", "count"),
+    ("lost_scans", "lost scans", "count"),
+    ("attempts", "attempts", "count"),
+)
+"""Figures that the page can show: name, label and unit; a column without a value, or attempts of 1, is left out."""
+
+_PICTURES = ("map.png", "localization.png", "landmarks.png")
+_THUMBNAIL = "thumbnail.jpg"
+_SIDE = 250  # of the square that a trajectory is drawn in
+_POINTS = 64  # of a trajectory as it is drawn
+_TAIL_LETTERS = 600
+_DIGITS = 6
+
+
+def write_report(out: str | Path) -> Path:
+    """Write OUT/report.html, and a thumbnail beside each map that has none yet.
+
+    Parameters
+    ----------
+    out : str or Path
+        Output folder of `gridslam batch`, with its journal.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    InputError
+        There is no journal in the folder, or it is damaged.
+    OutputError
+        The page cannot be written.
+    """
+    folder = Path(out)
+    runs = [_describe(folder, run) for run in read_runs(folder)]
+    columns = [list(column) for column in COLUMNS if _is_shown(column[0], runs)]
+    if any(run["findings"] for run in runs):
+        columns.insert(0, ["findings", "findings", "text"])
+    page = _fill(f"gridslam batch: {folder.resolve().name}", {"columns": columns, "runs": runs})
+    path = folder / REPORT
+    with write_atomically(path) as target:
+        target.write_text(page, encoding="utf-8")
+    return path
+
+
+def _is_shown(name: str, runs: list[dict[str, Any]]) -> bool:
+    values = [run["figures"].get(name) for run in runs]
+    return any(value is not None and (name != "attempts" or value > 1) for value in values)
+
+
+def _fill(title: str, data: dict[str, Any]) -> str:
+    static = files("gridslam.batch") / "static"
+    # As JSON within a script element, "<" must not begin a tag.
+    text = json.dumps(data, separators=(",", ":"), ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
+    parts = {
+        "title": html.escape(title),
+        "css": (static / "report.css").read_text(encoding="utf-8"),
+        "js": (static / "report.js").read_text(encoding="utf-8"),
+        "data": text,
+    }
+    page = (static / "report.html").read_text(encoding="utf-8")
+    return re.sub(r"\{(title|css|js|data)\}", lambda name: parts[name[1]], page)
+
+
+def _describe(out: Path, run: Run) -> dict[str, Any]:
+    """What the page shows of a run."""
+    row = run.row
+    figures = run.figures | {
+        name: row[name] for name in ("attempts", "wall_s", "cpu_s", "peak_memory_bytes") if row[name] is not None
+    }
+    picture, path, extent = _draw(out / row["folder"]) if run.is_done and row["folder"] else (None, None, None)
+    log = str(row["log"])
+    seed = run.figures.get("seed")
+    return {
+        "log": log,
+        "name": log.rstrip("/").rpartition("/")[2] or log,
+        "note": row["command"] + (f", seed {seed:.0f}" if seed is not None else ""),
+        "folder": row["folder"],
+        "failed": not run.is_done,
+        "error": row["error"] or ("" if run.is_done else "failed"),
+        "message": row["message"] or "",
+        "tail": "" if run.is_done else (row["output_tail"] or "")[-_TAIL_LETTERS:],
+        "figures": {name: _round(value) for name, value in figures.items() if name in _NAMES},
+        "findings": [list(finding) for finding in run.findings],
+        "picture": picture,
+        "path": path,
+        "extent": extent,
+    }
+
+
+_NAMES = frozenset(name for name, _, _ in COLUMNS)
+
+
+def _round(value: float) -> float:
+    return value if value == 0 else round(value, _DIGITS - 1 - math.floor(math.log10(abs(value))))
+
+
+def _draw(folder: Path) -> tuple[str | None, str | None, str | None]:
+    """Name of the picture that the thumbnail opens, the trajectory as points of a polyline, and its extent."""
+    picture = next((name for name in _PICTURES if (folder / name).is_file()), None)
+    if picture is not None and not _make_thumbnail(folder, picture):
+        picture = None
+    path, extent = _outline(folder / "trajectory.tum")
+    return picture, path, extent
+
+
+def _make_thumbnail(folder: Path, picture: str) -> bool:
+    """Make the thumbnail unless there is one of this picture; returns whether there is one now."""
+    thumbnail = folder / _THUMBNAIL
+    source = folder / "map.pgm" if picture == "map.png" and (folder / "map.pgm").is_file() else folder / picture
+    if thumbnail.is_file() and thumbnail.stat().st_mtime_ns >= source.stat().st_mtime_ns:
+        return True
+    from gridslam.viz.thumbnail import write_thumbnail  # only those who draw pay for Pillow
+
+    partial = folder / f".{_THUMBNAIL}.partial"
+    try:
+        if not write_thumbnail(source, partial):
+            return False
+        os.replace(partial, thumbnail)  # not synced: it can be made again
+    except OSError as error:
+        raise OutputError(f"{thumbnail}: cannot be written: {error.strerror or error}") from None
+    return True
+
+
+def _outline(path: Path) -> tuple[str | None, str | None]:
+    """Points of a trajectory in a square, y down, and its extent in metres; of a file that can be read."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return None, None
+    chosen = {round(i * (len(lines) - 1) / (_POINTS - 1)) for i in range(_POINTS)}
+    try:
+        points = list(_positions([lines[i] for i in sorted(chosen)] if lines else []))
+    except ValueError:  # a trajectory that was damaged later must not hide the other runs
+        points = []
+    if not points:
+        return None, None
+    xs, ys = zip(*points, strict=True)
+    left, bottom = min(xs), min(ys)
+    width, height = max(xs) - left, max(ys) - bottom
+    scale = _SIDE / max(width, height, 1e-9)
+    x0, y0 = (_SIDE - scale * width) / 2, (_SIDE - scale * height) / 2
+    outline = " ".join(f"{x0 + scale * (x - left):.0f},{_SIDE - y0 - scale * (y - bottom):.0f}" for x, y in points)
+    return outline, f"{width:.0f} x {height:.0f} m"
+
+
+def _positions(lines: list[str]) -> Iterator[tuple[float, float]]:
+    for line in lines:
+        words = line.split()
+        if len(words) >= 3 and not line.startswith("#"):
+            x, y = float(words[1]), float(words[2])
+            if math.isfinite(x) and math.isfinite(y):
+                yield x, y

@@ -1,0 +1,222 @@
+"""Logs and results at URLs: in an object store with the interface of S3, and on a web server."""
+
+from __future__ import annotations
+
+import functools
+import http.server
+import json
+import sys
+import threading
+
+import pytest
+
+from gridslam.cli.main import main
+from gridslam.errors import GridslamError, InputError, MissingDependencyError
+from gridslam.io import remote
+from gridslam.io.log import open_log
+from gridslam.io.remote import describe_remote, fetch, is_url, list_files, mask_url, upload_folder
+from support.object_store import SECRET, bucket, names, object_store
+
+SIGNED = "https://user:pass-word@host:8000/logs/run.clf?X-Amz-Signature=abcdef&X-Amz-Credential=id#part"
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    path = tmp_path_factory.mktemp("log") / "run.clf"
+    assert main(["simulate", "rooms", "-o", str(path), "--duration", "20", "--beams", "60"]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def store():
+    for name in ("s3fs", "moto.server", "flask_cors"):
+        pytest.importorskip(name, reason=f"no object store to test with: {name} is missing")
+    with object_store() as environment:
+        yield environment, bucket(environment)
+
+
+@pytest.fixture
+def s3(store, tmp_path, monkeypatch):
+    """The client of a server that s3:// of this process means, too."""
+    environment, client = store
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setenv("GRIDSLAM_CACHE", str(tmp_path / "cache"))
+    import s3fs
+
+    s3fs.S3FileSystem.clear_instance_cache()
+    yield client
+    s3fs.S3FileSystem.clear_instance_cache()
+
+
+@pytest.fixture
+def web(log, tmp_path, monkeypatch):
+    pytest.importorskip("aiohttp")
+    monkeypatch.setenv("GRIDSLAM_CACHE", str(tmp_path / "cache"))
+
+    class Quiet(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, *arguments):
+            pass
+
+    handler = functools.partial(Quiet, directory=str(log.parent))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+@pytest.mark.parametrize(
+    ("url", "masked"),
+    [
+        (SIGNED, "https://***@host:8000/logs/run.clf?***"),
+        ("s3://key:secret@bucket/run.bag", "s3://***@bucket/run.bag"),
+        ("s3://bucket/run-?.bag", "s3://bucket/run-?.bag"),
+        ("s3://bucket/run.bag?versionId=3", "s3://bucket/run.bag?***"),
+        ("/data/user:pass@host/run.bag", "/data/user:pass@host/run.bag"),
+    ],
+)
+def test_credentials_are_masked(url, masked):
+    assert mask_url(url) == masked
+
+
+def test_what_a_library_says_is_masked():
+    error = ValueError(f"cannot open {SIGNED} as abcdef is no signature of pass-word")
+    text = remote._without_secrets(error, SIGNED)
+    assert not any(secret in text for secret in ("abcdef", "pass-word", "user:"))
+    assert "host:8000/logs/run.clf" in text
+
+
+def test_a_path_is_no_url(tmp_path):
+    assert is_url("s3://bucket/run.bag")
+    assert not any(map(is_url, ["run.bag", "C:/logs/run.bag", "c://run", tmp_path, "a b://c"]))
+
+
+def test_a_missing_library_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "fsspec", None)
+    with pytest.raises(MissingDependencyError, match=r"s3:// needs fsspec.*gridslam\[remote\]"):
+        fetch("s3://bucket/run.bag")
+
+
+def test_a_missing_library_for_one_kind_of_url_is_named(monkeypatch):
+    pytest.importorskip("fsspec")
+    monkeypatch.setitem(sys.modules, "gcsfs", None)
+    with pytest.raises(GridslamError, match=r"gs://bucket/run\.bag: cannot be read: .*gcsfs"):
+        fetch("gs://bucket/run.bag")
+    assert main(["doctor", "nothing-such://host/run.bag"]) == 2
+
+
+def test_a_log_in_an_object_store_is_mapped_and_the_results_are_written_there(s3, log, tmp_path, capsys):
+    s3.upload_file(str(log), "fleet", "logs/run.clf")
+    assert main(["map", "s3://fleet/logs/run.clf", "-o", "s3://fleet/out", "--particles", "3"]) == 0
+    assert "uploaded to s3://fleet/out" in capsys.readouterr().err
+    assert main(["map", str(log), "-o", str(tmp_path / "local"), "--particles", "3"]) == 0
+    assert names(s3, "out/") == sorted(path.name for path in (tmp_path / "local").iterdir())
+    stored = {name: s3.get_object(Bucket="fleet", Key=f"out/{name}")["Body"].read() for name in names(s3, "out/")}
+    assert stored["trajectory.tum"] == (tmp_path / "local" / "trajectory.tum").read_bytes()
+    assert json.loads(stored["run.json"])["input"]["path"] == "s3://fleet/logs/run.clf"
+    assert not any(SECRET.encode() in content for content in stored.values())
+
+
+def test_a_run_that_fails_writes_nothing_there(s3, capsys):
+    s3.put_object(Bucket="fleet", Key="logs/broken.clf", Body=b"no log at all\n")
+    assert main(["map", "s3://fleet/logs/broken.clf", "-o", "s3://fleet/none"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert names(s3, "none/") == []
+
+
+def test_the_store_is_asked_for_a_log_once_and_again_where_it_has_changed(s3, log, capsys, monkeypatch):
+    downloads = []
+    monkeypatch.setattr(remote, "_download", lambda *given, load=remote._download: downloads.append(load(*given)))
+
+    def doctor():
+        assert main(["doctor", "s3://fleet/logs/again.clf", "--json"]) == 0
+        document = json.loads(capsys.readouterr().out)["log"]
+        assert document["path"] == "s3://fleet/logs/again.clf"
+        return document["scans"]
+
+    s3.upload_file(str(log), "fleet", "logs/again.clf")
+    assert doctor() == doctor() == 101
+    assert len(downloads) == 1
+    scans = [line for line in log.read_text().splitlines(keepends=True) if line.startswith("FLASER")]
+    s3.put_object(Bucket="fleet", Key="logs/again.clf", Body="".join(scans[:51]).encode())
+    assert doctor() == 51
+    assert len(downloads) == 2
+
+
+def test_a_bag_that_is_a_folder_is_read_from_the_store(s3, log, tmp_path):
+    assert main(["convert", str(log), str(tmp_path / "bag")]) == 0
+    upload_folder(tmp_path / "bag", "s3://fleet/bags/one")
+    assert len(list(open_log("s3://fleet/bags/one"))) == len(list(open_log(log)))
+
+
+def test_patterns_and_folders_of_the_store_are_listed(s3):
+    for name in ("a/1.bag", "a/2.bag", "b/1.bag"):
+        s3.put_object(Bucket="fleet", Key=f"list/{name}", Body=b"x")
+    assert list_files("s3://fleet/list/*/1.bag") == ["s3://fleet/list/a/1.bag", "s3://fleet/list/b/1.bag"]
+    assert list_files("s3://fleet/list/a") == ["s3://fleet/list/a/1.bag", "s3://fleet/list/a/2.bag"]
+    assert list_files("s3://fleet/list/c/*") == []
+
+
+def test_what_is_not_there_is_one_line(s3, capsys):
+    for url in ("s3://fleet/absent.clf", "s3://no-such-bucket/run.clf"):
+        assert main(["doctor", url]) == 2
+        assert capsys.readouterr().err == f"gridslam: {url}: no such file\n"
+
+
+def test_a_log_on_a_web_server_is_mapped(web, log, tmp_path, capsys):
+    assert main(["map", f"{web}/run.clf?token=abcdefgh", "-o", str(tmp_path / "out"), "--particles", "3"]) == 0
+    document = (tmp_path / "out" / "run.json").read_text()
+    assert json.loads(document)["input"]["path"] == f"{web}/run.clf?***"
+    assert "abcdefgh" not in document + "".join(capsys.readouterr())
+    assert describe_remote(f"{web}/run.clf") == describe_remote(f"{web}/run.clf")
+    with pytest.raises(InputError, match="no such file"):
+        fetch(f"{web}/absent.clf?token=abcdefgh")
+
+
+def test_a_batch_reads_logs_of_the_store_and_copies_its_results_there(s3, log, tmp_path, call):
+    for name in ("a", "b"):
+        s3.upload_file(str(log), "fleet", f"many/{name}.clf")
+    s3.put_object(Bucket="fleet", Key="many/broken.clf", Body=b"FLASER 3 1 2\n")
+    command = ("batch", "s3://fleet/many/", "-o", tmp_path / "out", "--workers", 2, "--upload", "s3://fleet/batch")
+    options = ("--parquet", "--", "--particles", "3", "--duration", "8")
+    status, out, err = call(*command, *options)
+    assert status == 1, err
+    assert "3 logs: 2 done, 1 failed" in out
+    assert "s3://fleet/many/broken.clf: InputError" in err
+    stored = names(s3, "batch/")
+    assert {"report.html", "runs.sqlite", "runs.parquet", "a/run.json", "b/map.png", "a/thumbnail.jpg"} <= set(stored)
+    assert not any(name.startswith("broken") for name in stored)
+    s3.delete_object(Bucket="fleet", Key="batch/b/run.json")
+    status, out, _ = call(*command, *options)
+    assert "2 done (2 of them before)" in out
+    assert names(s3, "batch/") == stored
+    everything = b"".join(path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file())
+    assert SECRET.encode() not in everything
+
+
+def test_a_signed_url_is_in_no_row_and_no_file_of_a_batch(web, tmp_path, call):
+    url = f"{web}/run.clf?X-Amz-Signature=abcdefgh"
+    status, out, err = call(
+        "batch", url, f"{web}/absent.clf?token=abcdefgh", "-o", tmp_path / "out", "--", "--particles", "3"
+    )
+    assert status == 1
+    assert "2 logs: 1 done, 1 failed" in out
+    assert (tmp_path / "out" / "run" / "map.png").exists()
+    everything = b"".join(path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file())
+    assert b"abcdefgh" not in everything + (out + err).encode()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("s3://fleet/none/*",), "s3://fleet/none/*: nothing matches this pattern"),
+        (("s3://fleet/none/",), "s3://fleet/none/: no logs below this URL"),
+        (("run.clf", "--upload", "bucket"), "bucket: expected a URL"),
+    ],
+)
+def test_bad_urls_of_a_batch_are_one_line(s3, tmp_path, call, arguments, message):
+    status, _, err = call("batch", *arguments, "-o", tmp_path / "out")
+    assert status == 2
+    assert err.startswith(f"gridslam: {message}")
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,82 @@
+"""Rows of a batch: what is read of a journal, and written as a table."""
+
+from __future__ import annotations
+
+import json
+import math
+import sqlite3
+
+import numpy as np
+import pytest
+
+from gridslam.batch.journal import JOURNAL
+from gridslam.batch.runs import read_runs, write_parquet
+from gridslam.errors import InputError, MissingDependencyError
+from support.journals import make_document, make_rows, write_journal
+
+
+def test_figures_of_a_run_are_those_of_its_document(tmp_path):
+    document = make_document(np.random.default_rng(0), seed=3, error_m=0.02)
+    document["input"]["faults"] = {"mirrored": "The laser is mirrored."}
+    write_journal(tmp_path, [make_rows(1)[0] | {"document": json.dumps(document)}])
+    (run,) = read_runs(tmp_path)
+    assert run.is_done
+    assert (run.figures["seed"], run.figures["error_m"], run.figures["worst_m"]) == (3, 0.02, 0.16)
+    assert run.figures["error_rad"] == pytest.approx(math.radians(0.2))
+    assert run.figures["scans"] == document["scans"]["read"]
+    assert run.findings == (("warning", "mirrored", "The laser is mirrored."),)
+
+
+def test_scores_and_reports_of_other_commands_are_read(tmp_path):
+    ate = {"schema": "gridslam.evaluation/1", "ate": {"trans_rmse_m": 0.1, "rot_rmse_deg": 1.0, "trans_max_m": 0.4}}
+    doctor = {
+        "schema": "gridslam.doctor/2",
+        "log": {"scans": 7, "duration_s": 1.4},
+        "findings": [
+            {"severity": "info", "code": "topics", "message": "The log holds scans."},
+            {"severity": "error", "code": "frozen", "message": "The laser is frozen."},
+        ],
+    }
+    rows = make_rows(2)
+    rows[0]["document"], rows[1]["document"] = json.dumps(ate), json.dumps(doctor)
+    write_journal(tmp_path, rows)
+    evaluated, diagnosed = read_runs(tmp_path)
+    assert evaluated.figures == {"error_m": 0.1, "error_rad": math.radians(1.0), "worst_m": 0.4}
+    assert diagnosed.figures == {"scans": 7, "duration_s": 1.4}
+    assert diagnosed.findings == (("error", "frozen", "The laser is frozen."),)
+
+
+@pytest.mark.parametrize("document", [None, "[]", "3", '{"scans": 3, "input": [], "evaluation": {"ate": null}}'])
+def test_a_document_without_figures_is_no_failure(tmp_path, document):
+    write_journal(tmp_path, [make_rows(1)[0] | {"document": document}])
+    (run,) = read_runs(tmp_path)
+    assert (run.figures, run.findings) == ({}, ())
+
+
+def test_a_folder_without_a_journal_and_a_damaged_one_are_named(tmp_path):
+    with pytest.raises(InputError, match=r"runs\.sqlite: no such file"):
+        list(read_runs(tmp_path))
+    (tmp_path / JOURNAL).write_bytes(b"no database at all, however long it may be" * 100)
+    with pytest.raises(InputError, match="expected a journal of gridslam batch, got: file is not a database"):
+        list(read_runs(tmp_path))
+    (tmp_path / JOURNAL).unlink()
+    with sqlite3.connect(tmp_path / JOURNAL) as journal:
+        journal.execute("CREATE TABLE runs (key TEXT)")
+    with pytest.raises(InputError, match="no such column: log"):
+        list(read_runs(tmp_path))
+
+
+def test_parquet_has_a_row_for_each_run_and_a_column_for_each_figure(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    rows = make_rows(12, failed=3)
+    write_journal(tmp_path, rows)
+    table = parquet.read_table(write_parquet(tmp_path)).to_pydict()
+    assert table["log"] == [row["log"] for row in rows]
+    assert [status == "failed" for status in table["status"]] == [error is None for error in table["error_m"]]
+    assert "document" not in table
+
+
+def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
+    with pytest.raises(MissingDependencyError, match=r"gridslam\[parquet\]"):
+        write_parquet(tmp_path)
