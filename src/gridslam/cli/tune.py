@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import re
+import time
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, final
 
@@ -23,6 +25,7 @@ from gridslam.errors import InputError, OutputError
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.output import write_atomically
+from gridslam.tuning.evolution import load_library
 from gridslam.tuning.report import describe_verdict, plot_convergence, plot_importance, to_document, to_toml
 from gridslam.tuning.search_space import SearchSpace
 from gridslam.tuning.trial import find_reference
@@ -68,13 +71,21 @@ def run_tune(
     options: LogOptions,
 ) -> None:
     """Search parameters for logs, and write the configuration to use, tune.json, the figures and the journal."""
+    if trials is not None and budget is not None:
+        raise click.ClickException("--trials and --budget exclude each other")
     budget_s = None if budget is None else read_duration_s(budget)
     base = build_configuration(preset, particles, laser, config, assignments, no_loop_closure)
     space = SearchSpace.of(base, names)
+    load_library()
+    entries = find_logs([*logs, *held_out], reference=reference)
+    searched = len(find_logs(logs))
+    if split:
+        searched = max(1, round((1 - split) * searched))
+    read = _read_logs(entries, searched, without_reference, options)
     folder = out.with_suffix(".tune")
     try:
         with Journal(folder) as journal:
-            chosen = _describe_logs(logs, held_out, split, reference, without_reference, options, journal)
+            chosen = [_digest(log, journal) for log in read]
         settings = Settings(
             base, space, trials or _most_trials(budget_s), seed, judging_seeds, options, repair, max_memory_bytes()
         )
@@ -109,45 +120,26 @@ def _most_trials(budget_s: float | None) -> int:
     return 60 if budget_s is None else 100_000
 
 
-def _describe_logs(
-    logs: Sequence[str],
-    held_out: Sequence[str],
-    split: float | None,
-    reference: str | None,
-    without_reference: bool,
-    options: LogOptions,
-    journal: Journal,
-) -> list[TunedLog]:
-    """The logs with what is known of them; those of the search first."""
-    entries = find_logs([*logs, *held_out], reference=reference)
-    first = len(find_logs(logs)) if held_out else len(entries)
-    if split:
-        first = max(1, len(entries) - round(split * len(entries)))
-    return [_describe_log(entry, k >= first, without_reference, options, journal) for k, entry in enumerate(entries)]
+def _read_logs(entries: Sequence[Entry], searched: int, without_reference: bool, options: LogOptions) -> list[TunedLog]:
+    """What is known of logs, those of the search first, but for their digests; raises InputError for one of no use."""
+    found = []
+    for k, entry in enumerate(entries):
+        log = open_log(entry.path, options)
+        for _ in log:
+            stop_if_interrupted()
+        duration_s = log.statistics.duration_s
+        if not duration_s > 0:
+            raise InputError(entry.path, "expected a log of more than one scan")
+        reference = None if without_reference else entry.reference or find_reference(entry.path)
+        where = None if reference is None else os.fspath(reference)
+        found.append(TunedLog(entry.name, entry.path, "", duration_s, where, held_out=k >= searched))
+    return found
 
 
-def _describe_log(
-    entry: Entry, held_out: bool, without_reference: bool, options: LogOptions, journal: Journal
-) -> TunedLog:
-    path = Path(entry.path)
-    digest = journal.digest(path)
-    beside = Path(entry.reference) if entry.reference else find_reference(path)
-    found = None if without_reference else beside
-    log = open_log(path, options)
-    for _ in log:
-        stop_if_interrupted()
-    duration_s = log.statistics.duration_s
-    if not duration_s > 0:
-        raise InputError(path, "expected a log of more than one scan")
-    return TunedLog(
-        entry.name,
-        entry.path,
-        digest,
-        duration_s,
-        None if found is None else os.fspath(found),
-        None if found is None else journal.digest(found),
-        held_out,
-    )
+def _digest(log: TunedLog, journal: Journal) -> TunedLog:
+    """The log with what its results are recognized by."""
+    reference = None if log.reference is None else journal.digest(Path(log.reference))
+    return replace(log, digest=journal.digest(Path(log.path)), reference_digest=reference)
 
 
 @final
@@ -164,6 +156,7 @@ class _Progress:
     def __enter__(self) -> _Progress:
         """Open the display."""
         self._show, self._every_s = self._stack.enter_context(open_display(self._shown))
+        self._due = time.perf_counter() + self._every_s
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -185,5 +178,7 @@ class _Progress:
     def on_poll(self) -> None:
         """Show how far it is, and stop if interrupted."""
         stop_if_interrupted()
-        if self._tuner is not None and self._tuner.planned:
+        now = time.perf_counter()
+        if now >= self._due and self._tuner is not None and self._tuner.planned:
+            self._due = now + self._every_s
             self._show(min(len(self._tuner.trials) / self._tuner.planned, 1.0), self._text)
