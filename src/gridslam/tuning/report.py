@@ -24,7 +24,7 @@ _HIGHEST = 3.0  # ratio to the start up to which trials are drawn
 
 
 def describe_verdict(tuning: Tuning, logs: Sequence[TunedLog]) -> list[str]:
-    """Say in plain lines whether the best is recommended, and by what."""
+    """State in plain lines whether the best is recommended, and by what."""
     where = "held-out logs" if any(log.held_out for log in logs) else "the logs of the search, with other seeds"
     if tuning.comparison is None:
         return ["no gain: nothing that was tried is better than the configuration that the search began with"]

@@ -83,7 +83,7 @@ class Settings:
 
 @final
 class Budget(NamedTuple):
-    """Wall time that a tuning may take, s, with so many workers."""
+    """Wall time that a tuning may take, s, and the number of workers."""
 
     seconds: float
     workers: int
