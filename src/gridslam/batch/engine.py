@@ -28,7 +28,7 @@ except ImportError:  # Windows has no such locks
 __all__ = ["Executor", "run_jobs"]
 
 _POLL_S = 0.5
-_ENDING_S = 2.0
+_ENDING_S = 5.0
 _MOST_LOST: Final = 10
 """Times that a job may be lost before a worker has begun it."""
 _OF_THE_LOG: Final = frozenset({"InputError", "ArgumentError", "ConfigurationError"})
@@ -129,17 +129,16 @@ def run_jobs(
             "attempts": retries + 1,
             "version": __version__,
         }
-        if queue:
-            try:
-                attempts_folder(folder).mkdir(exist_ok=True)
-                with closing(_run(queue, limits, executor, on_poll)) as ended:
-                    for row in ended:
-                        _require_space(row, folder)
-                        journal.write(row)
-                        (attempts_folder(folder) / row["key"]).unlink(missing_ok=True)
-                        record(row, resumed=False)
-            finally:
-                _clean(folder)
+        try:
+            attempts_folder(folder).mkdir(exist_ok=True)
+            with closing(_run(queue, limits, executor, on_poll)) as ended:
+                for row in ended:
+                    _require_space(row, folder)
+                    journal.write(row)
+                    (attempts_folder(folder) / row["key"]).unlink(missing_ok=True)
+                    record(row, resumed=False)
+        finally:
+            _clean(folder)
     return [rows[job.folder] for job in jobs]
 
 
@@ -229,6 +228,7 @@ def _check(jobs: Sequence[Job], timeout_s: float | None, memory_bytes: int | Non
 
 def _clean(out: Path) -> None:
     """Remove what killed processes have left in OUT; nothing else is running there but those that are about to end."""
+    shutil.rmtree(attempts_folder(out), ignore_errors=True)  # where it is gone, workers end their children
     end = time.monotonic() + _ENDING_S
     with suppress(OSError):
         while left := list(out.glob(".*.partial")):
@@ -237,7 +237,6 @@ def _clean(out: Path) -> None:
             if time.monotonic() > end:
                 break
             time.sleep(0.02)
-    shutil.rmtree(attempts_folder(out), ignore_errors=True)
 
 
 @contextmanager
