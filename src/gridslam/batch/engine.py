@@ -130,12 +130,12 @@ def run_jobs(
             "version": __version__,
         }
         try:
-            attempts_folder(folder).mkdir(exist_ok=True)
+            _make_attempts_folder(folder)
             with closing(_run(queue, limits, executor, on_poll)) as ended:
                 for row in ended:
                     _require_space(row, folder)
                     journal.write(row)
-                    (attempts_folder(folder) / row["key"]).unlink(missing_ok=True)
+                    (attempts_folder(folder) / row["folder"]).unlink(missing_ok=True)
                     record(row, resumed=False)
         finally:
             _clean(folder)
@@ -163,7 +163,7 @@ def _run(
                     row = future.result()
                 except LostWorkerError:
                     lost[job.folder] += 1
-                    begun = _count_attempts(limits["out"], job.key)
+                    begun = _count_attempts(limits["out"], job.folder)
                     if begun < limits["attempts"] and lost[job.folder] < limits["attempts"] + _MOST_LOST:
                         queue.appendleft(job)
                         continue
@@ -173,10 +173,17 @@ def _run(
                 yield row
 
 
-def _count_attempts(out: str, key: str) -> int:
-    """How often workers have begun a job."""
+def _make_attempts_folder(out: Path) -> None:
     try:
-        return (attempts_folder(out) / key).stat().st_size
+        attempts_folder(out).mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be written: {error.strerror}") from None
+
+
+def _count_attempts(out: str, folder: str) -> int:
+    """How often workers have begun the job of a folder."""
+    try:
+        return (attempts_folder(out) / folder).stat().st_size
     except OSError:
         return 0
 
