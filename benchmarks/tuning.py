@@ -66,10 +66,12 @@ def simulate_logs(lidar: LidarConfig, seeds: Sequence[int], folder: Path) -> lis
 
 
 def _tune(arguments: Sequence[str | Path], out: Path) -> dict[str, Any]:
-    """What tune.json has of a search, without its trials."""
+    """What tune.json has of a search; of its trials only the stage, the part of the logs and the ratio."""
     assert gridslam(["tune", *map(str, arguments), "-o", str(out)]) == 0
     document = json.loads((out.with_suffix(".tune") / "tune.json").read_text(encoding="utf-8"))
-    return {name: document[name] for name in ("start", "verdict", "recommended", "comparison", "best", "importance")}
+    kept = {name: document[name] for name in ("start", "verdict", "recommended", "comparison", "best", "importance")}
+    trials = [[trial["stage"], round(trial["part"], 4), trial["ratio"]] for trial in document["trials"]]
+    return {**kept, "trials": trials}
 
 
 def _against_default(tuned: Configuration, log: Path, seeds: Sequence[int], options: dict[str, Any]) -> list[Pair]:
