@@ -2,9 +2,9 @@
 
     python benchmarks/batch.py [--logs N] [--out benchmarks/results/batch.json]
 
-Simulated logs of 60 s (301 scans), one thread each. Of each way the wall time and the CPU time; of the batches the share
-of the workers' time that no child ran, by the rows of the journal. The children of a batch are timed from their fork to
-their end, the workers from the start of the command to its end.
+Simulated logs of 60 s (301 scans), one thread each. Of each way the wall time and the CPU time; of the batches the
+share of the workers' time that no child ran, by the rows of the journal. The children of a batch are timed from their
+fork to their end, the workers from the start of the command to its end.
 """
 
 from __future__ import annotations

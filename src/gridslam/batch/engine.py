@@ -7,7 +7,7 @@ import os
 import shutil
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
@@ -62,7 +62,7 @@ def run_jobs(
     *,
     executor: Executor,
     timeout_s: float | None = None,
-    memory_bytes: int | None = None,
+    memory_bytes: int | Mapping[str, int] | None = None,
     retries: int = 1,
     on_row: Callable[[dict[str, Any]], None] = lambda row: None,
     on_poll: Callable[[], None] = lambda: None,
@@ -83,8 +83,8 @@ def run_jobs(
         Where they run; its context is entered and left here.
     timeout_s : float, optional
         Time limit of each job, s.
-    memory_bytes : int, optional
-        Limit of the address space of each job (Linux).
+    memory_bytes : int or mapping of str to int, optional
+        Limit of the address space of each job (Linux); or of each by its folder.
     retries : int, >= 0
         A job whose worker is lost is run again elsewhere, at most this many times.
     on_row : callable
@@ -153,7 +153,9 @@ def _run(
         while queue or pending:
             while queue and len(pending) < executor.capacity():
                 job = queue.popleft()
-                pending[executor.submit(job.to_dict(), limits)] = job
+                memory = limits["memory_bytes"]
+                own = limits | {"memory_bytes": memory[job.folder]} if isinstance(memory, Mapping) else limits
+                pending[executor.submit(job.to_dict(), own)] = job
             ended, _ = wait(pending, _POLL_S, FIRST_COMPLETED)
             on_poll()
             for future in ended:
@@ -215,14 +217,17 @@ def _require_space(row: dict[str, Any], out: Path) -> None:
         raise OutputError(f"{out}: {message}; run the same command again when there is space")
 
 
-def _check(jobs: Sequence[Job], timeout_s: float | None, memory_bytes: int | None, retries: int) -> None:
+def _check(
+    jobs: Sequence[Job], timeout_s: float | None, memory_bytes: int | Mapping[str, int] | None, retries: int
+) -> None:
     twice = [name for name, count in Counter(job.folder for job in jobs).items() if count > 1]
     if twice:
         raise ArgumentError("jobs", "a folder for each", f"{twice[0]} twice")
     if timeout_s is not None and not 0 < timeout_s < float("inf"):
         raise ArgumentError("timeout_s", "a time > 0 s", timeout_s)
-    if memory_bytes is not None and memory_bytes < 1:
-        raise ArgumentError("memory_bytes", "a number >= 1", memory_bytes)
+    for limit in memory_bytes.values() if isinstance(memory_bytes, Mapping) else (memory_bytes,):
+        if limit is not None and limit < 1:
+            raise ArgumentError("memory_bytes", "a number >= 1", limit)
     if retries < 0:
         raise ArgumentError("retries", "a number >= 0", retries)
 

@@ -90,10 +90,12 @@ def find_logs(patterns: Sequence[str], *, trajectories: bool = False, reference:
 
 def _expand(pattern: str, trajectories: bool) -> Iterator[Entry]:
     path = Path(pattern)
+    if not pattern:
+        raise InputError(pattern, "expected a path, got an empty string")
     if is_url(pattern):
         yield from _expand_url(pattern)
     elif path.is_dir() and (trajectories or not (path / "metadata.yaml").exists()):
-        found = sorted(path.rglob("trajectory.tum")) if trajectories else list(_walk(path))
+        found = list(_walk(path, trajectories))
         if not found:
             raise InputError(path, f"no {'trajectory.tum' if trajectories else 'logs'} in this folder")
         yield from (_make_entry(str(file)) for file in found)
@@ -103,7 +105,8 @@ def _expand(pattern: str, trajectories: bool) -> Iterator[Entry]:
         names = sorted(glob.glob(pattern, recursive=True))
         if not names:
             raise InputError(pattern, "nothing matches this pattern")
-        yield from map(_make_entry, names)
+        for name in names:
+            yield from _expand(name, trajectories)
     else:  # one that is absent is a row with an error
         yield _make_entry(pattern)
 
@@ -124,18 +127,23 @@ def _make_entry(path: str, **values: Any) -> Entry:  # noqa: ANN401
     return Entry(path, os.path.abspath(path), **values)
 
 
-def _walk(folder: Path) -> Iterator[Path]:
-    """Yield the logs below a folder, by their names; bags that are folders are not entered."""
+def _walk(folder: Path, trajectories: bool) -> Iterator[Path]:
+    """Yield the logs below a folder, by their names, or all trajectory.tum.
+
+    Bags that are folders are not entered; results of gridslam are no logs.
+    """
+    if not trajectories and (folder / "run.json").exists():
+        return
     for path in sorted(folder.iterdir()):
         if path.name.startswith("."):
             continue
-        if path.is_dir():
-            if (path / "metadata.yaml").exists():
+        if not path.is_dir():
+            if path.name == "trajectory.tum" if trajectories else _strip(path.name)[1] in _SUFFIXES:
                 yield path
-            else:
-                yield from _walk(path)
-        elif _strip(path.name)[1] in _SUFFIXES:
+        elif not trajectories and (path / "metadata.yaml").exists():
             yield path
+        else:
+            yield from _walk(path, trajectories)
 
 
 def _strip(name: str) -> tuple[str, str]:
@@ -233,8 +241,8 @@ def _list_names(path: str, trajectories: bool) -> list[str]:
         parts.pop()
         stem = parts[-1].lstrip(".") or "log"
     above = parts[-2::-1]
-    names = [stem, *("_".join([*reversed(above[: k + 1]), stem]).lstrip(".") for k in range(len(above)))]
-    names.append("_".join(parts).lstrip("."))
+    prefixes = ["_".join(reversed(above[: k + 1])) for k in range(len(above))]
+    names = [stem, *(f"{prefix}_{last}".lstrip(".") for prefix in prefixes for last in (stem, parts[-1]))]
     return [f"log_{name}" if name.startswith(_OWN_NAMES) else name for name in names]
 
 

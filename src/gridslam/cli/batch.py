@@ -6,8 +6,8 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
@@ -16,12 +16,14 @@ from typing import Any, Literal, final
 import click
 
 from gridslam.api.amcl import AmclParameters
+from gridslam.batch.cost import estimate, limit_memory
 from gridslam.batch.engine import Executor, run_jobs
 from gridslam.batch.job import Job, compute_key
 from gridslam.batch.journal import Journal
 from gridslam.batch.manifest import COLUMNS, Entry, find_logs
 from gridslam.batch.pool import ProcessPool
 from gridslam.batch.publish import Publisher
+from gridslam.batch.runs import read_runs
 from gridslam.batch.suite import load_suite
 from gridslam.cli.localize import read_parameters
 from gridslam.cli.map import build_configuration
@@ -29,10 +31,11 @@ from gridslam.cli.options import evaluate_options, localize_options, log_options
 from gridslam.cli.output import open_display, stop_if_interrupted, warn
 from gridslam.config.tables import suggest_names, to_table
 from gridslam.errors import ConfigurationError, GridslamError, InputError, OutputError
+from gridslam.evaluation.cost import Cost
 from gridslam.io.cache import LogCache
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions
-from gridslam.io.remote import describe_remote, is_url
+from gridslam.io.remote import describe_remote, is_url, mask_url
 
 __all__ = ["run_batch"]
 
@@ -51,7 +54,7 @@ def run_batch(
     workers: int | None,
     scheduler: str | None,
     timeout_s: float | None,
-    memory_mb: float | None,
+    memory_mb: float | Literal["auto"] | None,
     retries: int,
     suite: str | None,
     parquet: bool,
@@ -71,13 +74,15 @@ def run_batch(
         executor = _open_executor(scheduler, workers)
         with Journal(out) as journal:
             jobs = _make_jobs(command, entries, prepared, journal)
-        with _Progress(len(jobs), as_json) as progress:
+        costs = {job.folder: cost for job, cost in zip(jobs, estimate(jobs, read_runs(out)), strict=True)}
+        jobs.sort(key=lambda job: -costs[job.folder].cpu_s)  # the longest first: the last one is waited for alone
+        with _Progress({folder: cost.cpu_s for folder, cost in costs.items()}, as_json) as progress:
             rows = run_jobs(
                 jobs,
                 out,
                 executor=executor,
                 timeout_s=timeout_s,
-                memory_bytes=None if memory_mb is None else round(1e6 * memory_mb),
+                memory_bytes=_limit(memory_mb, costs),
                 retries=retries,
                 on_row=_call_both(progress.on_row, publisher.on_row),
                 on_poll=progress.on_poll,
@@ -89,6 +94,13 @@ def run_batch(
     if not as_json:
         click.echo("\n".join([*progress.summarize(out), *published]))
     return 1 if failed else 0
+
+
+def _limit(memory_mb: float | Literal["auto"] | None, costs: Mapping[str, Cost]) -> int | dict[str, int] | None:
+    """Limit of memory: one for all jobs, or for each by its folder."""
+    if memory_mb == "auto":
+        return {folder: limit_memory(cost) for folder, cost in costs.items()}
+    return None if memory_mb is None else round(1e6 * memory_mb)
 
 
 def _find_suite(name: str, folders: Sequence[str], command: str, reference: str | None) -> list[Entry]:
@@ -253,54 +265,49 @@ def _make_jobs(
     command: str, entries: Sequence[Entry], prepared: Sequence[Mapping[str, Any]], journal: Journal
 ) -> list[Job]:
     """Make the jobs; the logs that have changed since the last time are read for their digests."""
-    with ThreadPoolExecutor(min(8, _count_processors())) as threads:
-        digests = list(threads.map(_identify(journal), entries))
-        references = {Path(path) for entry in entries for path in (entry.reference,) if path}
-        maps = {Path(arguments["map"]) for arguments in prepared if "map" in arguments}
-        others = {path: _guard(journal.digest)(path) for path in sorted(references | maps)}
+    references = [entry.reference for entry in entries if entry.reference]
+    maps = [arguments["map"] for arguments in prepared if "map" in arguments]
+    digests = _compute_digests({*(entry.path for entry in entries), *references, *maps}, journal)
     jobs = []
-    for entry, digest, arguments in zip(entries, digests, prepared, strict=True):
+    for entry, arguments in zip(entries, prepared, strict=True):
         used = {name: path for name, path in (("reference", entry.reference), ("map", arguments.get("map"))) if path}
         parameters = {name: value for name, value in arguments.items() if name != "threads"} | {
-            name: others[Path(path)] for name, path in used.items()
+            name: digests[path] for name, path in used.items()
         }
         every = {
             "log": entry.path,
-            "digest": "" if is_url(entry.path) else digest,
+            "digest": "" if is_url(entry.path) else digests[entry.path],
             "reference": entry.reference,
             "max_memory_bytes": max_memory_bytes(),
             **arguments,
         }
-        key = compute_key(command, digest, parameters)
+        key = compute_key(command, digests[entry.path], parameters)
         jobs.append(Job(_TARGET.format(command), every, entry.log, entry.name, key, command))
     return jobs
 
 
-def _guard(digest: Callable[[Path], str]) -> Callable[[Path], str]:
-    """Digest of a file; of one that cannot be read there is none, and the job reports it."""
+def _compute_digests(paths: Collection[str], journal: Journal) -> dict[str, str]:
+    """SHA-256 of files; of one at a URL that of its size, time and ETag, as far as these are known.
 
-    def compute(path: Path) -> str:
+    Of one that cannot be read there is none, and the job reports it.
+    """
+
+    def compute(path: str) -> str:
         try:
-            return digest(path)
+            if is_url(path):
+                return hashlib.sha256(f"{mask_url(path)}\n{describe_remote(path)}".encode()).hexdigest()
+            return journal.digest(Path(path))
         except InputError:
             return ""
 
-    return compute
-
-
-def _identify(journal: Journal) -> Callable[[Entry], str]:
-    """Digest of a log for its key; of one at a URL that of its size, time and ETag, as far as these are known."""
-    digest = _guard(journal.digest)
-
-    def compute(entry: Entry) -> str:
-        if not is_url(entry.path):
-            return digest(Path(entry.path))
-        try:
-            return hashlib.sha256(f"{entry.log}\n{describe_remote(entry.path)}".encode()).hexdigest()
-        except InputError:
-            return ""
-
-    return compute
+    threads = ThreadPoolExecutor(min(8, _count_processors()))
+    try:
+        pending = {threads.submit(compute, path): path for path in sorted(paths)}
+        for _ in as_completed(pending):
+            stop_if_interrupted()
+        return {path: future.result() for future, path in pending.items()}
+    finally:
+        threads.shutdown(cancel_futures=True)
 
 
 def _call_both(
@@ -317,12 +324,15 @@ def _call_both(
 class _Progress:
     """Shows how far a batch is: on standard error a bar and a line for each failure, or JSON on standard output."""
 
-    def __init__(self, total: int, as_json: bool) -> None:
-        """Count to `total`."""
-        self._total = total
+    def __init__(self, expected_s: Mapping[str, float], as_json: bool) -> None:
+        """Take the time that each job is expected to take, by its folder."""
+        self._total = len(expected_s)
+        self._expected_s = expected_s
+        self._left_s = sum(expected_s.values())
+        self._ended_s = 0.0
         self._as_json = as_json
         self._began = self._due = time.perf_counter()
-        self._done = self._failed = self._resumed = self._new = 0
+        self._done = self._failed = self._resumed = 0
         self._stack = ExitStack()
 
     def __enter__(self) -> _Progress:
@@ -340,7 +350,9 @@ class _Progress:
         self._done += row["status"] == "done"
         self._failed += row["status"] == "failed"
         self._resumed += row["resumed"] and row["status"] == "done"
-        self._new += not row["resumed"]
+        expected_s = self._expected_s[row["folder"]]
+        self._left_s -= expected_s
+        self._ended_s += 0.0 if row["resumed"] else expected_s
         if self._as_json:
             click.echo(json.dumps({name: value for name, value in row.items() if name != "document"}))
         elif row["status"] == "failed":
@@ -355,7 +367,7 @@ class _Progress:
         self._due = now + self._every_s
         ended = self._done + self._failed
         passed_s = now - self._began
-        left = f", {passed_s * (self._total - ended) / self._new:.0f} s left" if self._new else ""
+        left = f", {passed_s * self._left_s / self._ended_s:.0f} s left" if self._ended_s else ""
         failed = f", {self._failed} failed" if self._failed else ""
         self._show(ended / self._total, f"{ended} of {self._total} logs{failed}{left}")
 

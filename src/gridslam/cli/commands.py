@@ -11,6 +11,7 @@ import click
 from gridslam import __version__
 from gridslam.cli.options import (
     LOG,
+    MEMORY,
     OUT,
     PATH,
     SEED,
@@ -493,9 +494,9 @@ class _BatchCommand(click.Command):
 @click.option(
     "--memory",
     "memory_mb",
-    type=click.FloatRange(500, 1e9),
-    metavar="MB",
-    help="Limit of the address space for a log, MB (Linux only).",
+    type=MEMORY,
+    metavar="MB|auto",
+    help="Limit of the address space for a log, MB (Linux only); auto: four times what it is estimated to need.",
 )
 @click.option(
     "--retries",

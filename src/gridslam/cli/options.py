@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LOG",
+    "MEMORY",
     "OUT",
     "PATH",
     "SEED",
@@ -99,7 +100,16 @@ def _uploaded(url: str) -> Iterator[Path]:
             click.echo(f"gridslam: uploaded to {mask_url(url)}", err=True)
 
 
+@final
+class _Memory(click.FloatRange):
+    """A limit of memory, MB, or the word auto."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
+        return value if value == "auto" else super().convert(value, param, ctx)
+
+
 PATH = _Path(path_type=Path)
+MEMORY = _Memory(500, 1e9)
 LOG = _Log(path_type=Path)
 OUT = _Out(path_type=Path)
 SEED = click.IntRange(min=0)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 
 from gridslam.doctor.finding import Finding, Severity, percent
+from gridslam.evaluation.cost import DEFAULT_COSTS, Work
 from gridslam.io.log_statistics import LogStatistics
 
 __all__ = ["estimate_cost", "reader_findings"]
@@ -14,18 +15,6 @@ _LATE = "no reading"  # a link that has readings, but none at the scan's time
 _FEW = 0.02  # share of the scans, as at the begin and the end of a recording: their neighbours show the same walls
 _SHOWN = 40
 
-_START_S = 1.3
-_SCAN_S = 3e-4
-_KEY_SCAN_S = 1.5e-3
-_PARTICLE_S = 1.8e-4
-"""CPU time to begin and to write, of a scan read and tracked, of a key scan by itself and for each particle.
-
-Measured on the Intel, ACES and CSAIL logs (30 particles; 13.2, 9.4 and 8.1 s where this predicts 17, 9.3 and 7.6 s)."""
-_START_BYTES = 170e6
-_KEY_SCAN_BYTES = 2.2e4
-"""Memory of the program and of loop closure, and for each key scan.
-
-Measured: 207, 198 and 212 MB on those logs (this predicts 208, 188 and 188), 738 MB with 25,000 key scans (720)."""
 _PARTICLES = 30
 _MUCH_BYTES = 2e9  # more than a small computer on a robot may have to spare
 
@@ -86,15 +75,15 @@ def _topics(statistics: LogStatistics) -> Finding:
 
 def estimate_cost(scans: int, key_scans: int) -> Finding:
     """Predict the time and memory of `gridslam map` with 30 particles from the number of scans and of key scans."""
-    seconds = _START_S + scans * _SCAN_S + key_scans * (_KEY_SCAN_S + _PARTICLES * _PARTICLE_S)
-    memory = _START_BYTES + key_scans * _KEY_SCAN_BYTES
-    remedy = "If that is too much, map with --no-loop-closure or fewer --particles." if memory > _MUCH_BYTES else ""
+    cost = DEFAULT_COSTS.estimate(Work(scans, key_scans, _PARTICLES))
+    is_much = cost.memory_bytes > _MUCH_BYTES
+    remedy = "If that is too much, map with --no-loop-closure or fewer --particles." if is_much else ""
     return Finding(
         "expected_cost",
         Severity.INFO,
-        f"Mapping takes about {_rounded(seconds)} s and {_rounded(memory / 1e6)} MB: {scans} scans, some "
+        f"Mapping takes about {_rounded(cost.cpu_s)} s and {_rounded(cost.memory_bytes / 1e6)} MB: {scans} scans, some "
         f"{_rounded(key_scans)} key scans.",
-        seconds,
+        cost.cpu_s,
         "s",
         remedy,
     )

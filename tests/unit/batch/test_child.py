@@ -97,8 +97,8 @@ def test_the_output_of_a_job_that_failed_has_its_traceback(run):
 
 
 def test_a_job_that_hangs_is_killed_with_its_children(run, tmp_path):
-    row = run("hang", timeout_s=1.0, pids=str(tmp_path / "pids"))
-    assert (row["error"], row["message"]) == ("timeout", "killed after 1 s")
+    row = run("hang", timeout_s=4.0, pids=str(tmp_path / "pids"))  # on a busy machine it takes two to begin
+    assert (row["error"], row["message"]) == ("timeout", "killed after 4 s")
     assert row["output_tail"] == "now it hangs\n"
     child, grandchild, _ = map(int, (tmp_path / "pids").read_text().split())
     wait_until(lambda: not is_alive(child) and not is_alive(grandchild))
@@ -154,12 +154,12 @@ def test_children_end_with_the_worker_that_is_closed(tmp_path):
 def test_a_system_that_cannot_fork_runs_jobs_in_processes_of_their_own(tmp_path, monkeypatch):
     monkeypatch.setattr("gridslam.batch.child._CAN_FORK", False)
     server = ForkServer()
-    limits = limits_of(tmp_path, timeout_s=10.0)
+    limits = limits_of(tmp_path, timeout_s=60.0)
     assert server.run(make_job("write_number", "a", number=2).to_dict(), limits)["document"]["number"] == 2
     rejected = server.run(make_job("reject", "b").to_dict(), limits)
     assert (rejected["error"], rejected["message"]) == ("InputError", "broken.clf, line 3: expected a scan")
     job = make_job("hang", "c", pids=str(tmp_path / "pids"))
-    hung = server.run(job.to_dict(), {**limits, "timeout_s": 1.5})
+    hung = server.run(job.to_dict(), {**limits, "timeout_s": 6.0})
     os.kill(int((tmp_path / "pids").read_text().split()[1]), signal.SIGKILL)
     assert hung["error"] == "timeout"
     assert not list(tmp_path.glob("**/half.txt"))

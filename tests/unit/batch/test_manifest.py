@@ -1,0 +1,126 @@
+"""Which logs a batch has, and their names."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from gridslam.batch.manifest import find_logs
+from gridslam.errors import InputError
+
+
+@pytest.fixture
+def tree(tmp_path, monkeypatch):
+    for name in (
+        "logs/mon/run.clf",
+        "logs/mon/run.1.clf.gz",
+        "logs/tue/run.clf",
+        "logs/tue/run.bag",
+        "logs/tue/notes.txt",
+        "logs/tue/.hidden.clf",
+        "logs/ros2/metadata.yaml",
+        "logs/ros2/ros2_0.db3",
+        "out/mon_run/run.json",
+        "out/tue_run/run.json",
+        "out/mon_run/trajectory.csv",
+        "out/mon_run/trajectory.tum",
+        "out/tue_run/trajectory.tum",
+        "out/.x.partial/trajectory.tum",
+        "one/run.json",
+        "one/trajectory.csv",
+        "runs.clf",
+    ):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def names(*patterns, **options):
+    return {entry.name: entry.log for entry in find_logs(patterns, **options)}
+
+
+def test_a_folder_stands_for_the_logs_below_it(tree):
+    assert names(".") == {
+        "run.1": "logs/mon/run.1.clf.gz",
+        "mon_run": "logs/mon/run.clf",
+        "tue_run.bag": "logs/tue/run.bag",
+        "tue_run.clf": "logs/tue/run.clf",
+        "ros2": "logs/ros2",
+        "runs": "runs.clf",
+    }
+
+
+def test_patterns_files_and_urls(tree):
+    assert names("logs/mon/*", "runs.clf", "s3://bucket/a/b.bag", "absent.clf") == {
+        "run": "logs/mon/run.clf",
+        "run.1": "logs/mon/run.1.clf.gz",
+        "runs": "runs.clf",
+        "b": "s3://bucket/a/b.bag",
+        "absent": "absent.clf",
+    }
+    assert set(names("logs/**/*.clf")) == {"mon_run", "tue_run"}
+    assert set(names("logs/*")) == set(names("logs"))
+    (entry,) = find_logs(["runs.clf"])
+    assert entry.path == os.fspath(tree / "runs.clf")
+
+
+def test_names_do_not_depend_on_the_order_and_are_unique_whatever_their_case(tree):
+    assert names("logs/tue/run.clf", "logs/mon/run.clf") == names("logs/mon/run.clf", "logs/tue/run.clf")
+    (tree / "logs" / "RUN.clf").touch()
+    assert set(names("logs/RUN.clf", "logs/mon/run.clf")) == {"logs_RUN", "mon_run"}
+    (tree / "report.html.clf").touch()
+    assert set(names("report.html.clf", "runs.sqlite.clf")) == {"log_report.html", "log_runs.sqlite"}
+
+
+def test_trajectories_are_named_as_their_folders(tree):
+    assert names("out", trajectories=True) == {
+        "mon_run": "out/mon_run/trajectory.tum",
+        "tue_run": "out/tue_run/trajectory.tum",
+    }
+    assert set(names("out/*/trajectory.tum", trajectories=True)) == {"mon_run", "tue_run"}
+
+
+def test_references_by_pattern(tree):
+    entries = find_logs(["logs/mon"], reference="truth/{parent}/{name}.{stem}.tum")
+    assert [os.path.relpath(entry.reference) for entry in entries] == [
+        "truth/mon/run.1.run.1.tum",
+        "truth/mon/run.run.tum",
+    ]
+
+
+def test_a_manifest_is_relative_to_its_folder(tree):
+    (tree / "logs" / "fleet.csv").write_text(
+        '\ufefflog, name ,reference,seed\nmon/run.clf,a,../truth.tum,3\n\n"tue/run.clf",,,\n', encoding="utf-8"
+    )
+    one, two = find_logs(["logs/fleet.csv"], reference="{name}.tum")
+    assert (one.name, one.path, one.options) == ("a", os.fspath(tree / "logs/mon/run.clf"), {"seed": "3"})
+    assert one.reference == os.fspath(tree / "truth.tum")
+    assert one.where == "logs/fleet.csv, line 2"
+    assert (two.name, two.options, two.reference) == ("run", {}, os.fspath(tree / "run.tum"))
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("log,log\na,b\n", r"m.csv, line 1: expected columns with different names, got 'log'"),
+        ("log,\na,b\n", r"m.csv, line 1: expected columns with different names, got 'an empty one'"),
+        ("log,seed\n,1\n", r"m.csv, line 2: expected a path in the column log"),
+        ("log,name\na.clf,../b\n", r"m.csv, line 2: expected the name of a folder in the column name, got '../b'"),
+        ("log,name\na.clf,runs.sqlite\n", r"expected the name of a folder"),
+        ("log,name\na.clf,x\nb.clf,x\n", r"the name 'x' is given twice"),
+        ('log,name\n"a.clf,x\n', r"m.csv, line 2: expected a CSV"),
+        ("log\na.clf\n\xff\xfe", r"expected a text file, got binary data"),
+    ],
+)
+def test_a_malformed_manifest_is_refused_with_its_line(tree, text, problem):
+    (tree / "m.csv").write_bytes(text.encode("latin-1"))
+    with pytest.raises(InputError, match=problem):
+        find_logs(["m.csv"])
+
+
+@pytest.mark.parametrize(("pattern", "problem"), [("", "empty string"), ("x*", "nothing matches"), ("one", "no logs")])
+def test_a_pattern_without_logs_is_refused(tree, pattern, problem):
+    with pytest.raises(InputError, match=problem):
+        find_logs([pattern])

@@ -1,0 +1,75 @@
+"""The model of cost: a fit finds its own coefficients, and the committed runs within 30 % of what they cost."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from gridslam.errors import ArgumentError
+from gridslam.evaluation.cost import DEFAULT_COSTS, Cost, Work, check_costs, fit_costs
+from record import RESULTS
+
+
+def some_work(count, seed=0):
+    rng = np.random.default_rng(seed)
+    scans = rng.uniform(100, 30_000, count)
+    return [Work(s, s * rng.uniform(0.05, 0.9), int(rng.integers(5, 200)), rng.uniform(100, 20_000)) for s in scans]
+
+
+@pytest.fixture(scope="module")
+def committed():
+    """Work, costs and kinds of the runs of benchmarks/results/costs.json."""
+    runs = json.loads((RESULTS / "costs.json").read_text(encoding="utf-8"))["runs"]
+    work = [Work(run["scans"], run["key_scans"], run["particles"], run["area_m2"]) for run in runs]
+    costs = [Cost(run["cpu_s"], run["peak_memory_bytes"]) for run in runs]
+    return work, costs, [run["kind"] for run in runs]
+
+
+def test_a_fit_finds_the_coefficients_of_what_is_linear():
+    work = some_work(40)
+    costs = [DEFAULT_COSTS.estimate(each) for each in work]
+    fitted = fit_costs(work, costs)
+    for each in some_work(20, seed=1):
+        assert fitted.estimate(each).cpu_s == pytest.approx(DEFAULT_COSTS.estimate(each).cpu_s, rel=1e-6)
+        assert fitted.estimate(each).memory_bytes == pytest.approx(DEFAULT_COSTS.estimate(each).memory_bytes, rel=1e-6)
+
+
+def test_costs_grow_with_the_work():
+    small = DEFAULT_COSTS.estimate(Work(1000, 300, 30))
+    for more in (Work(2000, 300, 30), Work(1000, 600, 30), Work(1000, 300, 60), Work(1000, 300, 30, 1e5)):
+        assert DEFAULT_COSTS.estimate(more).cpu_s > small.cpu_s
+
+
+def test_kinds_of_logs_that_were_held_back_are_estimated_within_30_percent(committed):
+    """Of worlds and logs that the fit has not seen; the others are the simulated hall and a log of distant scans."""
+    seconds, memory = check_costs(*committed)
+    assert np.mean(np.abs(seconds) <= 0.3) >= 0.9
+    assert np.mean(np.abs(memory) <= 0.3) >= 0.9
+    assert np.median(np.abs(seconds)) <= 0.12
+
+
+def test_the_defaults_are_those_of_the_committed_runs(committed):
+    work, costs, _ = committed
+    off = [DEFAULT_COSTS.estimate(each).cpu_s / cost.cpu_s - 1 for each, cost in zip(work, costs, strict=True)]
+    assert np.mean(np.abs(off) <= 0.3) >= 0.9
+
+
+@pytest.mark.parametrize(
+    ("work", "costs", "message"),
+    [
+        ([], [], "costs: expected one for each of at least one run"),
+        ([Work(1, 1, 1)], [], "costs: expected one for each"),
+        ([Work(1, 1, 1)], [Cost(0.0, 1.0)], "costs: expected a cpu_s above 0"),
+    ],
+)
+def test_bad_arguments_are_named(work, costs, message):
+    with pytest.raises(ArgumentError, match=message):
+        fit_costs(work, costs)
+
+
+def test_one_kind_cannot_be_held_back():
+    work = some_work(3)
+    with pytest.raises(ArgumentError, match="groups: expected at least two"):
+        check_costs(work, [DEFAULT_COSTS.estimate(each) for each in work], ["a"] * 3)
