@@ -113,7 +113,8 @@ def run_tune(
             path.write_text(to_toml(tuning, chosen), encoding="utf-8")
     except OutputError as error:
         raise click.ClickException(str(error)) from None
-    lines = [f"{len(tuning.trials)} trials", *describe_verdict(tuning, chosen), f"{out}; details: {folder}"]
+    tried = len({tuple(trial.values.items()) for trial in tuning.trials})
+    lines = [f"{tried} configurations were tried", *describe_verdict(tuning, chosen), f"{out}; details: {folder}"]
     print_result(document, lines, as_json)
 
 
