@@ -40,7 +40,8 @@ RANKS = {
     "live": 13,
     "ros": 14,
     "batch": 14,
-    "cli": 15,
+    "tuning": 15,
+    "cli": 16,
 }
 """Rank of each folder and of each single module of the package: it imports lower ranks and itself, nothing else."""
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import gridslam.viz  # noqa: F401
 from gridslam.api.diagnosis import check_log, write_diagnosis
@@ -25,10 +25,7 @@ from gridslam.io.output import OutputFolder
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.slam.full_slam import full_slam  # noqa: F401
 
-__all__ = ["TARGETS", "run_doctor", "run_evaluate", "run_localize", "run_map"]
-
-TARGETS: Final = {name: f"{__name__}:run_{name}" for name in ("map", "doctor", "localize", "evaluate")}
-"""Target of the jobs of each command."""
+__all__ = ["run_doctor", "run_evaluate", "run_localize", "run_map"]
 
 
 def run_map(arguments: Mapping[str, Any]) -> dict[str, Any]:

@@ -536,6 +536,60 @@ def batch_command(**options: Any) -> int:  # noqa: ANN401
     return run_batch(**options, words=click.get_current_context().meta["gridslam.batch"])
 
 
+@gridslam.command("tune")
+@click.argument("logs", nargs=-1, required=True)
+@click.option(
+    "-o", "--out", type=PATH, required=True, metavar="BEST.toml", help="Configuration to use; details in BEST.tune."
+)
+@click.option("--trials", type=click.IntRange(1, 100_000), metavar="N", help="Configurations to try.  [default: 60]")
+@click.option("--budget", metavar="TIME", help="Wall time that it may take, as 90s, 15m or 1h, instead of --trials.")
+@click.option(
+    "--reference",
+    metavar="PATTERN",
+    help="File of relations (.relations) or true trajectory of each log, with {name}, {stem} or {parent}.  [default: "
+    "NAME.relations, NAME.truth.tum or NAME.ref.tum beside it; where there is none its self-consistency is the score]",
+)
+@click.option("--held-out", multiple=True, metavar="LOG", help="Log that judges the best and is not searched on.")
+@click.option(
+    "--split", type=click.FloatRange(0, 0.9), metavar="SHARE", help="Hold out this share of LOGS, from the end."
+)
+@click.option("--without-reference", is_flag=True, help="Score by self-consistency also where there is a reference.")
+@click.option("--tune", "names", multiple=True, metavar="NAME", help="Parameter to search.  [default: all that are]")
+@click.option(
+    "--judging-seeds",
+    type=click.IntRange(2, 1000),
+    default=5,
+    show_default=True,
+    metavar="N",
+    help="Seeds of the comparison between the best and the start.",
+)
+@click.option(
+    "--workers", type=click.IntRange(1, 256), default=1, show_default=True, metavar="N", help="Logs mapped at a time."
+)
+@click.option(
+    "--timeout", "timeout_s", type=click.FloatRange(0, min_open=True), metavar="S", help="Time limit of one run, s."
+)
+@map_options
+@json_option
+def tune_command(**options: Any) -> None:  # noqa: ANN401
+    """Search parameters that suit LOGS better than those given by --preset, --config and --set.
+
+    LOGS are what gridslam batch accepts. Many configurations are tried on parts of the logs, the better ones on longer
+    parts (successive halving), and about the best one more are tried on whole logs (CMA-ES). The best is then compared
+    with the start on held-out logs, or with other seeds. It is written only if it is better beyond the noise of seeds
+    and logs; else the start is, and the exit status is 0 as well.
+
+    \b
+      gridslam tune logs/*.clf -o best.toml --budget 1h --split 0.3
+      gridslam map log.clf -o out --config best.toml
+
+    The same command again goes on where it was interrupted. Needs the extra: tune.
+    """
+    from gridslam.cli.tune import run_tune
+
+    run_tune(**options)
+
+
 _NODE_OPTIONS = (
     click.argument("arguments", nargs=-1, type=click.UNPROCESSED),
     click.option("--preset", help="Preset: default, fast, accurate or gmapping."),

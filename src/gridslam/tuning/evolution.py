@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
 from gridslam.errors import MissingDependencyError
 from gridslam.types import FloatArray
 
-__all__ = ["Evaluated", "evolve", "population_of"]
+__all__ = ["Evaluated", "evolve", "load_library", "population_of"]
 
 _SIGMA = 0.15
 """First standard deviation, of the width of each range: the halving has found the region."""
@@ -26,6 +26,17 @@ class Evaluated(NamedTuple):
 
     point: FloatArray
     loss: float
+
+
+def load_library() -> Any:  # noqa: ANN401
+    """Class CMA of the library cmaes; raises MissingDependencyError where it is not installed (extra: tune)."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            from cmaes import CMA
+    except ImportError:
+        raise MissingDependencyError("gridslam tune", "cmaes", "tune") from None
+    return CMA
 
 
 def population_of(dimensions: int, trials: int) -> int:
@@ -72,18 +83,13 @@ def evolve(
     generations = trials // population
     if not generations or not len(start):
         return []
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            from cmaes import CMA
-    except ImportError:
-        raise MissingDependencyError("gridslam tune", "cmaes", "tune") from None
+    cma = load_library()
     # CMA-ES adapts one dimension by no covariance of others: a second, unused one makes it work, too.
     padded = max(len(start), 2)
     bounds = np.tile([0.0, 1.0], (padded, 1))
     mean = np.full(padded, 0.5)
     mean[: len(start)] = start
-    search = CMA(mean=mean, sigma=_SIGMA, bounds=bounds, seed=seed, population_size=population)
+    search = cma(mean=mean, sigma=_SIGMA, bounds=bounds, seed=seed, population_size=population)
     found = list[Evaluated]()
     for _ in range(generations):
         if not goes_on():

@@ -1,0 +1,187 @@
+"""gridslam tune."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal, final
+
+import click
+
+from gridslam.batch.engine import run_jobs
+from gridslam.batch.job import Job
+from gridslam.batch.journal import Journal
+from gridslam.batch.manifest import Entry, find_logs
+from gridslam.batch.pool import ProcessPool
+from gridslam.cli.map import build_configuration
+from gridslam.cli.output import open_display, print_result, stop_if_interrupted
+from gridslam.errors import InputError, OutputError
+from gridslam.io.limits import max_memory_bytes
+from gridslam.io.log import LogOptions, open_log
+from gridslam.io.output import write_atomically
+from gridslam.tuning.evolution import load_library
+from gridslam.tuning.report import describe_verdict, plot_convergence, plot_importance, to_document, to_toml
+from gridslam.tuning.search_space import SearchSpace
+from gridslam.tuning.trial import find_reference
+from gridslam.tuning.tune import Budget, Settings, Trial, TunedLog, Tuner
+from gridslam.viz.chart import draw_chart
+
+__all__ = ["read_duration_s", "run_tune"]
+
+_UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
+
+
+def read_duration_s(text: str) -> float:
+    """Seconds of ``90``, ``90s``, ``15m`` or ``1.5h``; raises ClickException for another text."""
+    found = re.fullmatch(r"(\d+(?:\.\d*)?)\s*([a-z]*)", text.strip())
+    if found is None or found[2] not in _UNITS or not float(found[1]):
+        raise click.ClickException(f"--budget: expected a time above 0, as 90s, 15m or 1h, got {text!r}")
+    return float(found[1]) * _UNITS[found[2]]
+
+
+def run_tune(
+    logs: Sequence[str],
+    out: Path,
+    trials: int | None,
+    budget: str | None,
+    reference: str | None,
+    held_out: Sequence[str],
+    split: float | None,
+    without_reference: bool,
+    names: Sequence[str],
+    judging_seeds: int,
+    workers: int,
+    timeout_s: float | None,
+    as_json: bool,
+    particles: int | None,
+    seed: int,
+    threads: int,
+    preset: str,
+    laser: str | None,
+    config: Path | None,
+    assignments: Sequence[str],
+    no_loop_closure: bool,
+    repair: Literal["needed", "all", "none"],
+    options: LogOptions,
+) -> None:
+    """Search parameters for logs, and write the configuration to use, tune.json, the figures and the journal."""
+    if trials is not None and budget is not None:
+        raise click.ClickException("--trials and --budget exclude each other")
+    budget_s = None if budget is None else read_duration_s(budget)
+    base = build_configuration(preset, particles, laser, config, assignments, no_loop_closure)
+    space = SearchSpace.of(base, names)
+    folder = out.with_suffix(".tune")
+    if out.is_dir() or folder == out:
+        raise click.ClickException(f"{out}: expected the name of a file to write, as best.toml")
+    load_library()
+    entries = find_logs([*logs, *held_out], reference=reference)
+    searched = len(find_logs(logs))
+    if split:
+        searched = max(1, round((1 - split) * searched))
+    read = _read_logs(entries, searched, without_reference, options)
+    try:
+        with Journal(folder) as journal:
+            chosen = [_digest(log, journal) for log in read]
+        settings = Settings(
+            base, space, trials or _most_trials(budget_s), seed, judging_seeds, options, repair, max_memory_bytes()
+        )
+        with _Progress(not as_json) as progress:
+
+            def run(jobs: Sequence[Job]) -> list[dict[str, Any]]:
+                return run_jobs(
+                    jobs, folder, executor=ProcessPool(workers), timeout_s=timeout_s, on_poll=progress.on_poll
+                )
+
+            allowed = None if budget_s is None else Budget(budget_s, workers)
+            tuner = Tuner(settings, chosen, run, allowed, progress.on_trial)
+            progress.watch(tuner)
+            tuning = tuner()
+        document = to_document(tuning, settings, chosen, tuner.planned)
+        with write_atomically(folder / "tune.json") as path:
+            path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        for name, plot in (("convergence.png", plot_convergence), ("importance.png", plot_importance)):
+            figure, caption = plot(tuning)
+            with write_atomically(folder / name) as path:
+                draw_chart(figure, caption=[caption]).save(path)
+        with write_atomically(out) as path:
+            path.write_text(to_toml(tuning, chosen), encoding="utf-8")
+    except OutputError as error:
+        raise click.ClickException(str(error)) from None
+    tried = len({tuple(trial.values.items()) for trial in tuning.trials})
+    lines = [f"{tried} configurations were tried", *describe_verdict(tuning, chosen), f"{out}; details: {folder}"]
+    print_result(document, lines, as_json)
+
+
+def _most_trials(budget_s: float | None) -> int:
+    """Trials without --trials: 60, or as many as the budget allows."""
+    return 60 if budget_s is None else 100_000
+
+
+def _read_logs(entries: Sequence[Entry], searched: int, without_reference: bool, options: LogOptions) -> list[TunedLog]:
+    """What is known of logs, those of the search first, but for their digests; raises InputError for one of no use."""
+    found = []
+    for k, entry in enumerate(entries):
+        log = open_log(entry.path, options)
+        for _ in log:
+            stop_if_interrupted()
+        duration_s = log.statistics.duration_s
+        if not duration_s > 0:
+            raise InputError(entry.path, "expected a log of more than one scan")
+        reference = None if without_reference else entry.reference or find_reference(entry.path)
+        where = None if reference is None else os.fspath(reference)
+        found.append(TunedLog(entry.name, entry.path, "", duration_s, where, held_out=k >= searched))
+    return found
+
+
+def _digest(log: TunedLog, journal: Journal) -> TunedLog:
+    """The log with what its results are recognized by."""
+    reference = None if log.reference is None else journal.digest(Path(log.reference))
+    return replace(log, digest=journal.digest(Path(log.path)), reference_digest=reference)
+
+
+@final
+class _Progress:
+    """Shows on standard error how far a tuning is."""
+
+    def __init__(self, shown: bool) -> None:
+        """Open the display when the context is entered."""
+        self._shown = shown
+        self._stack = ExitStack()
+        self._tuner: Tuner | None = None
+        self._text = "the configuration that the search begins with"
+
+    def __enter__(self) -> _Progress:
+        """Open the display."""
+        self._show, self._every_s = self._stack.enter_context(open_display(self._shown))
+        self._due = time.perf_counter() + self._every_s
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close the display."""
+        self._stack.close()
+
+    def watch(self, tuner: Tuner) -> None:
+        """Show the progress of this one."""
+        self._tuner = tuner
+
+    def on_trial(self, trial: Trial) -> None:
+        """Show a trial."""
+        assert self._tuner is not None
+        done = self._tuner.trials
+        whole = [one.ratio for one in done if one.part == 1.0]
+        best = f", best {min(whole):.3f} times the start's error" if whole else ""
+        self._text = f"{trial.stage} on {trial.part:.0%} of the logs: trial {len(done)}{best}"
+
+    def on_poll(self) -> None:
+        """Show how far it is, and stop if interrupted."""
+        stop_if_interrupted()
+        now = time.perf_counter()
+        if now >= self._due and self._tuner is not None and self._tuner.planned:
+            self._due = now + self._every_s
+            self._show(min(len(self._tuner.trials) / self._tuner.planned, 1.0), self._text)

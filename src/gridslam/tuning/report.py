@@ -1,0 +1,161 @@
+"""What a tuning writes: the configuration with its verdict, a JSON document, and two figures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any, Final
+
+import numpy as np
+
+from gridslam import __version__
+from gridslam.config import PARAMETERS, Configuration, dumps
+from gridslam.config.tables import to_table, value_of
+from gridslam.doctor.finding import Figure, Mark, Series
+from gridslam.tuning.comparison import CONFIDENCE, Comparison
+from gridslam.tuning.tune import Settings, TunedLog, Tuning
+
+__all__ = ["TUNING_SCHEMA", "describe_verdict", "plot_convergence", "plot_importance", "to_document", "to_toml"]
+
+TUNING_SCHEMA: Final = "gridslam.tuning/1"
+
+_HIGHEST = 3.0  # ratio to the start up to which trials are drawn
+
+
+def describe_verdict(tuning: Tuning, logs: Sequence[TunedLog]) -> list[str]:
+    """State in plain lines whether the best is recommended, and by what."""
+    held_out = any(log.held_out for log in logs)
+    if tuning.comparison is None:
+        return ["no gain: nothing that was tried is better than the configuration that the search began with"]
+    found = tuning.comparison
+    where = "held-out logs" if held_out else "logs of the search, with other seeds"
+    runs = f"{found.observations} {where}" if found.units == "logs" else f"{found.observations} runs on {where}"
+    measured = f"its error is {found.ratio:.3f} times that of the start ({_interval(found)}, {runs})"
+    noise = f"one seed differs from another by {100 * (found.seed_noise - 1):.1f} %"
+    if tuning.gains:
+        changed = ", ".join(f"{name} {_text(value)}" for name, value in tuning.best.values.items())
+        return [f"gain: {measured}; {noise}", f"values: {changed}"]
+    failed = f"; {found.failed} of its runs failed" if found.failed else ""
+    return [f"no gain: {measured}{failed}; {noise}", "the configuration that the search began with is kept"]
+
+
+def to_toml(tuning: Tuning, logs: Sequence[TunedLog]) -> str:
+    """Text for --config: the configuration to use, with the verdict as comments."""
+    lines = [f"# {line}" for line in describe_verdict(tuning, logs)]
+    return "\n".join([f"# gridslam tune, version {__version__}", *lines, "", dumps(tuning.configuration)])
+
+
+def to_document(tuning: Tuning, settings: Settings, logs: Sequence[TunedLog], trials: int) -> dict[str, Any]:
+    """JSON object of a tuning; the same logs, settings and number of trials give the same one."""
+    return {
+        "schema": TUNING_SCHEMA,
+        "version": __version__,
+        "seed": settings.seed,
+        "trials_planned": trials,
+        "logs": [
+            {
+                "name": log.name,
+                "path": log.path,
+                "sha256": log.digest,
+                "duration_s": log.duration_s,
+                "held_out": log.held_out,
+                "score": "self-consistency" if log.reference is None else "reference",
+                "reference": log.reference,
+            }
+            for log in logs
+        ],
+        "searched": [
+            {"name": one.name, **one.search._asdict(), "start": value_of(settings.base, PARAMETERS[one.name].path)}
+            for one in settings.space.dimensions
+        ],
+        "start": _differences(to_table(settings.base), to_table(Configuration())),
+        "recommended": tuning.gains,
+        "verdict": describe_verdict(tuning, logs),
+        "comparison": _describe_comparison(tuning.comparison),
+        "pairs": [
+            {"log": pair.log, "seed": pair.seed, "start": _loss(pair.base), "best": _loss(pair.tuned)}
+            for pair in tuning.pairs
+        ],
+        "best": tuning.best.values,
+        "importance": tuning.importance,
+        "configuration": to_table(tuning.configuration),
+        "trials": [
+            {
+                **asdict(trial),
+                "losses": {name: _finite(loss) for name, loss in trial.losses.items()},
+                "ratio": _finite(trial.ratio),
+            }
+            for trial in tuning.trials
+        ],
+    }
+
+
+def plot_convergence(tuning: Tuning) -> tuple[Figure, str]:
+    """Figure and caption: the error of each trial as a ratio to the start's, and the best on whole logs."""
+    number = np.arange(1.0, len(tuning.trials) + 1)
+    ratio = np.array([trial.ratio for trial in tuning.trials])
+    whole = np.array([trial.part == 1.0 for trial in tuning.trials])
+    best = np.minimum.accumulate(np.where(whole, ratio, np.inf))
+    drawn = np.where(ratio <= _HIGHEST, ratio, np.nan)
+    figure = Figure(
+        "Convergence",
+        "trial",
+        "error as a ratio to that of the start",
+        (
+            Series("on parts of the logs", number[~whole], drawn[~whole], "dots"),
+            Series("on whole logs", number[whole], drawn[whole], "dots"),
+            Series("best on whole logs", number, best),
+        ),
+        (Mark("the start", 1.0),),
+    )
+    beyond = int(np.isnan(drawn).sum())
+    return figure, f"{beyond} trials are above {_HIGHEST:g} times the start, or failed."
+
+
+def plot_importance(tuning: Tuning) -> tuple[Figure, str]:
+    """Figure with its caption: the share of the variance that each parameter explains by itself, the greatest first."""
+    ordered = sorted(tuning.importance.items(), key=lambda one: -one[1])
+    shares = np.array([share for _, share in ordered])
+    figure = Figure(
+        "Importance of parameters",
+        "parameter",
+        "share of the variance of ranks",
+        (Series("share", np.arange(1.0, len(ordered) + 1), shares, "bars"),),
+    )
+    key = ", ".join(f"{k} {name} ({share:.2f})" for k, (name, share) in enumerate(ordered, 1))
+    return figure, key
+
+
+def _interval(found: Comparison) -> str:
+    return f"{100 * CONFIDENCE:g} % interval {found.lower:.3f} to {found.upper:.3f}"
+
+
+def _text(value: object) -> str:
+    return str(value).lower()
+
+
+def _differences(table: Mapping[str, Any], default: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """Parameters of a table that are not as in another one, by dotted names."""
+    found = dict[str, Any]()
+    for name, value in table.items():
+        usual = default.get(name)
+        if isinstance(value, dict):
+            found |= _differences(value, usual if isinstance(usual, dict) else {}, f"{above}{name}.")
+        elif value != usual:
+            found[f"{above}{name}"] = value
+    return found
+
+
+def _describe_comparison(found: Comparison | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {name: _finite(value) if isinstance(value, float) else value for name, value in asdict(found).items()}
+
+
+def _loss(logarithm: float) -> float | None:
+    return _finite(math.exp(logarithm))
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,87 @@
+"""One trial: a log, or a part of it, is mapped with one configuration and one seed, and the trajectory is scored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from gridslam.api.mapping import map_log
+from gridslam.config import Configuration
+from gridslam.config.tables import replace_parameters
+from gridslam.errors import ArgumentError, InputError
+from gridslam.evaluation.self_consistency import measure_self_consistency
+from gridslam.evaluation.trajectory import absolute_errors, clip_relations, relation_errors
+from gridslam.io.limits import limit_memory
+from gridslam.io.log import LogOptions, open_log
+from gridslam.io.trajectories import read_relations, read_tum
+from gridslam.types import Trajectory
+
+__all__ = ["TARGET", "find_reference", "run_trial"]
+
+TARGET: Final = f"{__name__}:run_trial"
+"""Target of the jobs of a tuning."""
+
+_BESIDE: Final = (".relations", ".truth.tum", ".ref.tum", ".ref.tum.gz")
+
+
+def find_reference(log: str | Path) -> Path | None:
+    """File beside a log that has its name and is a reference: NAME.relations, NAME.truth.tum or NAME.ref.tum[.gz]."""
+    path = Path(log)
+    stem = path.name.partition(".")[0]
+    return next((found for ending in _BESIDE if (found := path.with_name(stem + ending)).is_file()), None)
+
+
+def run_trial(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Map a log and score the trajectory.
+
+    Parameters
+    ----------
+    arguments : mapping
+        ``log``, its path, and ``digest``, its SHA-256; ``configuration``, a table of parameters; ``seed``; ``repair``;
+        ``options``, the fields of `LogOptions`; ``reference``, a file of relations (.relations) or a true trajectory,
+        or None; ``max_memory_bytes``.
+
+    Returns
+    -------
+    dict
+        ``loss``, less is better: with relations the mean error of the translation, with a true trajectory the root mean
+        square after alignment, both in m; else the self-consistency in nats a beam. And ``loop_closures``, the number
+        of places that were recognized.
+
+    Raises
+    ------
+    InputError
+        The log or the reference cannot be read, or they have no time in common.
+    """
+    with limit_memory(arguments["max_memory_bytes"]):
+        options = LogOptions(**{**arguments["options"], "scan_topics": tuple(arguments["options"]["scan_topics"])})
+        result = map_log(
+            arguments["log"],
+            configuration=replace_parameters(Configuration(), arguments["configuration"]),
+            seed=arguments["seed"],
+            options=options,
+            repair=arguments["repair"],
+            digest=arguments["digest"],
+            keep_particles=False,
+        )
+        if arguments["reference"] is None:
+            scans = (scan for _, scan in open_log(arguments["log"], options))
+            loss = measure_self_consistency(result.trajectory, scans).nats_per_beam
+        else:
+            loss = _measure_error(result.trajectory, arguments["log"], Path(arguments["reference"]))
+    recognized = 0 if result.loop_summary is None else len(result.loop_summary.closures)
+    return {"loss": loss, "loop_closures": recognized}
+
+
+def _measure_error(trajectory: Trajectory, log: str, reference: Path) -> float:
+    """Error (m) by the reference, over the part of it that the trajectory covers."""
+    if reference.suffix == ".relations":
+        relations = clip_relations(read_relations(reference), trajectory)
+        if relations is None:
+            raise InputError(reference, f"expected a relation within the time of this part of {log}, got none")
+        return relation_errors(trajectory, relations).trans_mean_m
+    try:
+        return absolute_errors(trajectory, read_tum(reference)).trans_rmse_m
+    except ArgumentError as error:
+        raise InputError(reference, f"cannot be compared with {log}: {error}") from None

@@ -1,0 +1,344 @@
+"""The search: halving, then evolution, then a comparison of the best with the start on runs that chose neither."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+
+from gridslam.batch.job import Job, compute_key
+from gridslam.config import Configuration
+from gridslam.config.tables import to_table
+from gridslam.errors import ArgumentError, InputError
+from gridslam.io.log import LogOptions
+from gridslam.tuning.comparison import Comparison, Pair, compare, measure_importance
+from gridslam.tuning.evolution import evolve
+from gridslam.tuning.halving import halve, plan_rungs
+from gridslam.tuning.search_space import SearchSpace, Value
+from gridslam.tuning.trial import TARGET
+from gridslam.types import FloatArray
+
+__all__ = ["Budget", "Settings", "Trial", "TunedLog", "Tuner", "Tuning"]
+
+_RESERVE: Final = 1.3
+"""Configurations that are tried cost more than the one that the search began with: finer cells, more key scans."""
+
+_FEWEST_TRIALS: Final = 4
+
+Row = dict[str, Any]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class TunedLog:
+    """A log of the search, or one that is held out from it.
+
+    `duration_s` is that of its part which `options` choose; `reference` is None where self-consistency is the score.
+    """
+
+    name: str
+    path: str
+    digest: str
+    duration_s: float
+    reference: str | None = None
+    reference_digest: str | None = None
+    held_out: bool = False
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What a tuning does, whatever the logs are.
+
+    Attributes
+    ----------
+    base : Configuration
+        Where the search begins, and what its result is compared with.
+    space : SearchSpace
+        What is searched.
+    trials : int
+        Configurations to try; with a budget the most.
+    seed : int
+        Of the search, and of its runs; those that judge have the next ones.
+    judging_seeds : int
+        Runs of each log by which the best is judged, each with a seed of its own.
+    options, repair
+        As in `map_log`.
+    max_memory_bytes : int
+        As in `limit_memory`.
+    """
+
+    base: Configuration
+    space: SearchSpace
+    trials: int
+    seed: int = 0
+    judging_seeds: int = 5
+    options: LogOptions = field(default_factory=LogOptions)
+    repair: str = "needed"
+    max_memory_bytes: int = 1 << 32
+
+
+@final
+class Budget(NamedTuple):
+    """Wall time that a tuning may take, s, and the number of workers."""
+
+    seconds: float
+    workers: int
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A configuration that was tried: on which part of the logs, and the loss of each log; infinite where one failed.
+
+    `ratio` is its loss as a ratio to the start's, geometric mean over the logs.
+    """
+
+    stage: str
+    part: float
+    values: dict[str, Value]
+    losses: dict[str, float]
+    ratio: float
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Tuning:
+    """What a search found.
+
+    Attributes
+    ----------
+    configuration : Configuration
+        The one to use: the best where it is better than the start beyond the noise, else the start.
+    comparison : Comparison or None
+        The best against the start; None where nothing that was tried was better.
+    pairs : tuple of Pair
+        The runs of the comparison.
+    best : Trial
+        The best on the logs of the search.
+    trials : tuple of Trial
+        All, in their order.
+    importance : dict
+        By short name, as `measure_importance`.
+    """
+
+    configuration: Configuration
+    comparison: Comparison | None
+    pairs: tuple[Pair, ...]
+    best: Trial
+    trials: tuple[Trial, ...]
+    importance: dict[str, float]
+
+    @property
+    def gains(self) -> bool:
+        """Whether the best is recommended."""
+        return self.comparison is not None and self.comparison.gains
+
+
+@final
+@dataclass(slots=True)
+class Tuner:
+    """Runs a search; all that is random in it comes from its seed.
+
+    Parameters
+    ----------
+    settings : Settings
+        What to do.
+    logs : sequence of TunedLog
+        At least one that is not held out.
+    run : callable
+        Runs jobs, and gives a row of the journal for each (see `run_jobs`).
+    budget : Budget, optional
+        Time after which no further generation is begun; from it the number of trials is computed, too.
+    on_trial : callable
+        Called with each trial.
+    """
+
+    settings: Settings
+    logs: Sequence[TunedLog]
+    run: Callable[[Sequence[Job]], Sequence[Row]]
+    budget: Budget | None = None
+    on_trial: Callable[[Trial], None] = lambda trial: None
+    trials: list[Trial] = field(default_factory=list, init=False)
+    planned: int = field(default=0, init=False)
+    _rows: dict[str, Row] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        """Check that there is something to search on."""
+        if not self._searched:
+            raise ArgumentError("logs", "at least one that is not held out", "none")
+
+    def __call__(self) -> Tuning:
+        """Search, judge and give what was found.
+
+        Raises
+        ------
+        InputError
+            A log cannot be mapped with the configuration that the search begins with, or the budget is too small.
+        """
+        settings = self.settings
+        space = settings.space
+        self._require_base(1.0, [settings.seed], self._searched)
+        self.planned = self._plan_trials()
+        rng = np.random.default_rng(settings.seed)
+        rungs = plan_rungs(max(1, round(self.planned / 2)))
+        drawn = space.draw(rungs[0].candidates, rng)
+        starts = [space.point_of(settings.base), space.point_of(Configuration())]
+        ordered = [*starts, *drawn][: rungs[0].candidates]
+        candidates = list({tuple(point.tolist()): point for point in ordered}.values())  # the start may be the default
+        finalists = halve(candidates, rungs, lambda points, part: self._try("halving", points, part))
+        first_rung = [trial for trial in self.trials if trial.part == rungs[0].part][: len(candidates)]
+        evolve(
+            finalists[0][0],
+            self.planned - rungs[0].candidates,
+            lambda points: self._try("evolution", list(points), 1.0),
+            seed=settings.seed,
+            goes_on=self._has_time,
+        )
+        whole = [trial for trial in self.trials if trial.part == 1.0]
+        best = min(whole, key=lambda trial: trial.ratio)
+        pairs = self._judge(best) if best.ratio < 1 else ()
+        comparison = compare(pairs) if pairs else None
+        gains = comparison is not None and comparison.gains
+        importance = measure_importance(
+            np.array([self._point_of(trial) for trial in first_rung]), [trial.ratio for trial in first_rung]
+        )
+        return Tuning(
+            space.apply(settings.base, best.values) if gains else settings.base,
+            comparison,
+            tuple(pairs),
+            best,
+            tuple(self.trials),
+            {one.name: round(share, 4) for one, share in zip(space.dimensions, importance.tolist(), strict=True)},
+        )
+
+    @property
+    def _searched(self) -> list[TunedLog]:
+        return [log for log in self.logs if not log.held_out]
+
+    @property
+    def judged(self) -> list[TunedLog]:
+        """The logs that the best is judged on: those held out, else those of the search."""
+        return [log for log in self.logs if log.held_out] or self._searched
+
+    def _try(self, stage: str, points: Sequence[FloatArray], part: float) -> list[float]:
+        """Evaluate points of the unit cube on a part of each log of the search; ratios to the start."""
+        settings = self.settings
+        values = [settings.space.values_at(point) for point in points]
+        logs = self._searched
+        base = self._require_base(part, [settings.seed], logs)
+        configurations = [settings.space.apply(settings.base, one) for one in values]
+        losses = self._evaluate(configurations, part, [settings.seed], logs)[:, :, 0]
+        ratios = np.exp(np.log(losses / base[:, 0]).mean(axis=1))
+        for one, of_logs, ratio in zip(values, losses.tolist(), ratios.tolist(), strict=True):
+            by_log = {log.name: loss for log, loss in zip(logs, of_logs, strict=True)}
+            self.trials.append(Trial(stage, part, one, by_log, ratio))
+            self.on_trial(self.trials[-1])
+        return [float(ratio) for ratio in ratios]
+
+    def _judge(self, best: Trial) -> list[Pair]:
+        """Run the best and the start with seeds that the search did not use."""
+        settings = self.settings
+        seeds = [settings.seed + 1 + k for k in range(settings.judging_seeds)]
+        tuned = settings.space.apply(settings.base, best.values)
+        losses = self._evaluate([settings.base, tuned], 1.0, seeds, self.judged)
+        return [
+            Pair(log.name, seed, *np.log(losses[:, i, k]).tolist())
+            for i, log in enumerate(self.judged)
+            for k, seed in enumerate(seeds)
+        ]
+
+    def _require_base(self, part: float, seeds: Sequence[int], logs: Sequence[TunedLog]) -> FloatArray:
+        """Losses (logs, seeds) of the start; raises InputError where it fails: nothing could be compared with it."""
+        losses = self._evaluate([self.settings.base], part, seeds, logs)[0]
+        failed = np.argwhere(~np.isfinite(losses))
+        if len(failed):
+            log = logs[int(failed[0, 0])]
+            row = self._rows[self._job(self.settings.base, part, seeds[int(failed[0, 1])], log).key]
+            problem = row["message"] or row["error"]
+            raise InputError(log.path, f"the configuration that the search begins with fails: {problem}")
+        return np.asarray(losses)
+
+    def _evaluate(
+        self, configurations: Sequence[Configuration], part: float, seeds: Sequence[int], logs: Sequence[TunedLog]
+    ) -> FloatArray:
+        """Losses (configurations, logs, seeds) > 0; infinite where a run fails."""
+        jobs = [
+            self._job(configuration, part, seed, log)
+            for configuration in configurations
+            for log in logs
+            for seed in seeds
+        ]
+        new = {job.key: job for job in jobs if job.key not in self._rows}
+        if new:
+            self._rows |= dict(zip(new, self.run(list(new.values())), strict=True))
+        losses: FloatArray = np.array([_loss_of(self._rows[job.key]) for job in jobs])
+        return losses.reshape(len(configurations), len(logs), len(seeds))
+
+    def _job(self, configuration: Configuration, part: float, seed: int, log: TunedLog) -> Job:
+        settings = self.settings
+        duration_s = settings.options.duration_s if part == 1.0 else round(part * log.duration_s, 3)
+        options = asdict(replace(settings.options, duration_s=duration_s))
+        parameters = {
+            "configuration": to_table(configuration),
+            "seed": seed,
+            "options": {**options, "scan_topics": list(settings.options.scan_topics)},
+            "repair": settings.repair,
+        }
+        key = compute_key("tune", log.digest, {**parameters, "reference": log.reference_digest})
+        arguments = {
+            **parameters,
+            "log": log.path,
+            "digest": log.digest,
+            "reference": log.reference,
+            "max_memory_bytes": settings.max_memory_bytes,
+        }
+        return Job(TARGET, arguments, log.path, f"{log.name}-{key[:16]}", key, "tune")
+
+    def _point_of(self, trial: Trial) -> FloatArray:
+        return self.settings.space.point_of(self.settings.space.apply(self.settings.base, trial.values))
+
+    def _plan_trials(self) -> int:
+        """Number of trials: as given, or as many as the budget allows by what the start has cost."""
+        trials = self.settings.trials
+        if self.budget is None:
+            return trials
+        each = self._spent_s()
+        share = sum(rung.part * rung.candidates for rung in plan_rungs(max(1, trials // 2))) / trials + 0.5
+        left = self.budget.seconds * self.budget.workers - each - self._judging_s()
+        affordable = math.floor(left / (_RESERVE * each * share)) if each else trials
+        if affordable < _FEWEST_TRIALS:
+            needed = (each + self._judging_s() + _FEWEST_TRIALS * _RESERVE * each * share) / self.budget.workers
+            problem = f"the budget of {self.budget.seconds:.0f} s is too small: expected {math.ceil(needed)} s at least"
+            raise InputError(self._searched[0].path, problem)
+        return min(trials, affordable)
+
+    def _judging_s(self) -> float:
+        """What the comparison will cost, by the length of its logs."""
+        searched_s = sum(log.duration_s for log in self._searched)
+        judged_s = sum(log.duration_s for log in self.judged)
+        one = self._base_s() * judged_s / searched_s if searched_s else 0.0
+        return 2 * _RESERVE * self.settings.judging_seeds * one
+
+    def _base_s(self) -> float:
+        base = (self._job(self.settings.base, 1.0, self.settings.seed, log) for log in self._searched)
+        return sum(self._rows[job.key]["wall_s"] or 0.0 for job in base)
+
+    def _spent_s(self) -> float:
+        return sum(row["wall_s"] or 0.0 for row in self._rows.values())
+
+    def _has_time(self) -> bool:
+        """Whether the budget allows another generation, and the comparison after it."""
+        if self.budget is None:
+            return True
+        return self._spent_s() + self._judging_s() < self.budget.seconds * self.budget.workers
+
+
+def _loss_of(row: Mapping[str, Any]) -> float:
+    document = row["document"]
+    if row["status"] != "done" or document is None:
+        return math.inf
+    return max(float(document["loss"]), 1e-12)  # logarithms are compared

@@ -1,0 +1,150 @@
+"""gridslam tune: what it writes, that it goes on where it was, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+
+import pytest
+from PIL import Image
+
+from gridslam.cli import tune as tune_module
+from gridslam.cli.main import main
+from gridslam.cli.tune import read_duration_s
+from gridslam.config import Configuration, load, override
+
+START = override(Configuration(), "particles=2", "loop_closure=false")
+FEW = "--particles", "2", "--trials", "8", "--judging-seeds", "2", "--no-loop-closure"
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    for seed in (1, 2):
+        path = folder / f"log{seed}.clf"
+        assert (
+            main(["simulate", "rooms", "-o", str(path), "--seed", str(seed), "--duration", "8", "--beams", "60"]) == 0
+        )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tuned(logs, tmp_path_factory):
+    out = tmp_path_factory.mktemp("tuned") / "best.toml"
+    arguments = [str(logs / "log1.clf"), "--held-out", str(logs / "log2.clf"), "-o", str(out), *FEW]
+    assert main(["tune", *arguments, "--json"]) == 0
+    return out, arguments
+
+
+def test_it_writes_a_configuration_a_document_and_figures(tuned, logs):
+    out, _ = tuned
+    folder = out.with_suffix(".tune")
+    document = json.loads((folder / "tune.json").read_text())
+    assert document["schema"] == "gridslam.tuning/1"
+    assert [log["held_out"] for log in document["logs"]] == [False, True]
+    assert document["logs"][0]["reference"] == str(logs / "log1.truth.tum")
+    assert {trial["stage"] for trial in document["trials"]} == {"halving", "evolution"}
+    assert document["start"] == {"particles": 2, "loop_closure.kind": "none"}
+    configuration = load(out)
+    assert configuration.particles == 2
+    assert document["recommended"] is (configuration != START)
+    if document["comparison"]:
+        assert document["comparison"]["observations"] == 2
+        assert {pair["log"] for pair in document["pairs"]} == {"log2"}
+    for name in ("convergence.png", "importance.png"):
+        with Image.open(folder / name) as picture:
+            assert min(picture.size) > 500
+    assert (folder / "runs.sqlite").is_file()
+
+
+def test_what_is_done_is_not_done_again_and_the_result_has_the_same_bytes(tuned, monkeypatch):
+    out, arguments = tuned
+    folder = out.with_suffix(".tune")
+    before = out.read_bytes(), (folder / "tune.json").read_bytes()
+    out.unlink()
+    (folder / "tune.json").unlink()
+    rows = []
+    original = tune_module.run_jobs
+
+    def recorded(jobs, *rest, **options):
+        found = original(jobs, *rest, **options)
+        rows.extend(found)
+        return found
+
+    monkeypatch.setattr(tune_module, "run_jobs", recorded)
+    for removed in sorted(folder.glob("log1-*"))[:2]:
+        shutil.rmtree(removed)
+    assert main(["tune", *arguments]) == 0
+    assert (out.read_bytes(), (folder / "tune.json").read_bytes()) == before
+    assert sum(not row["resumed"] for row in rows) == 2
+
+
+def test_an_interrupted_search_goes_on_to_the_same_bytes(tuned, tmp_path, monkeypatch):
+    done, arguments = tuned
+    out = tmp_path / "again.toml"
+    words = [str(out) if word == str(done) else word for word in arguments]
+    original = tune_module.run_jobs
+    calls = iter(range(100))
+
+    def interrupted(jobs, *rest, **options):
+        if next(calls) == 3:
+            raise KeyboardInterrupt
+        return original(jobs, *rest, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(tune_module, "run_jobs", interrupted)
+        assert main(["tune", *words]) == 130
+    assert not out.exists()
+    assert main(["tune", *words]) == 0
+    assert out.read_bytes() == done.read_bytes()
+    assert (out.with_suffix(".tune") / "tune.json").read_bytes() == (
+        done.with_suffix(".tune") / "tune.json"
+    ).read_bytes()
+
+
+def test_without_references_the_score_is_self_consistency(logs, tmp_path, capsys):
+    out = tmp_path / "best.toml"
+    words = [str(logs / "log*.clf"), "--without-reference", "--split", "0.5", "-o", str(out), *FEW, "--tune", "noise_m"]
+    assert main(["tune", *words, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert [log["score"] for log in document["logs"]] == ["self-consistency"] * 2
+    assert [log["held_out"] for log in document["logs"]] == [False, True]
+    assert [one["name"] for one in document["searched"]] == ["noise_m"]
+    assert set(document["best"]) == {"noise_m"}
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["none*.clf"], "nothing matches this pattern"),
+        (["none.clf"], "none.clf: no such file"),
+        (["LOG", "--budget", "soon"], "--budget: expected a time above 0, as 90s, 15m or 1h, got 'soon'"),
+        (["LOG", "--budget", "1s"], "the budget of 1 s is too small"),
+        (["LOG", "--tune", "particles"], "particles: cannot be tuned; expected one of resolution_m"),
+        (["LOG", "--held-out", "LOG"], "given twice"),
+        (["LOG", "--set", "noise_m=-1"], "motion.sigma_xy_m"),
+        (["LOG", "--budget", "1h", "--trials", "3"], "--trials"),
+        (["LOG", "-o", "best.tune"], "best.tune: expected the name of a file to write"),
+    ],
+)
+def test_bad_input_is_one_line_and_nothing_is_written(logs, tmp_path, capsys, words, expected):
+    out = tmp_path / "best.toml"
+    named = [str(logs / "log1.clf") if word == "LOG" else word for word in words]
+    assert main(["tune", "-o", str(out), *named, "--particles", "2"]) == 2
+    error = capsys.readouterr().err
+    assert re.search(re.escape(expected), error), error
+    assert "small" in expected or list(tmp_path.iterdir()) == []
+
+
+def test_without_the_library_the_extra_is_named_before_anything_runs(logs, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "cmaes", None)
+    assert main(["tune", str(logs / "log1.clf"), "-o", str(tmp_path / "best.toml")]) == 1
+    assert "pip install 'gridslam[tune]'" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("90", 90.0), ("90s", 90.0), ("15m", 900.0), ("1.5h", 5400.0)])
+def test_durations(text, seconds):
+    assert read_duration_s(text) == seconds

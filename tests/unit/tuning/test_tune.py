@@ -1,0 +1,155 @@
+"""The search as a whole, over runs whose losses are a known function of the parameters."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridslam.config import Configuration, loads, override
+from gridslam.errors import ArgumentError, InputError
+from gridslam.tuning.report import describe_verdict, plot_convergence, plot_importance, to_document, to_toml
+from gridslam.tuning.search_space import SearchSpace
+from gridslam.tuning.tune import Budget, Settings, TunedLog, Tuner
+
+NAMES = "key_scan_m", "noise_m", "tempering"
+TARGET = {"key_scan_m": 0.3, "noise_m": 0.05, "tempering": 0.01}
+LOGS = [TunedLog("a", "a.clf", "1", 100.0), TunedLog("b", "b.clf", "2", 50.0, held_out=True)]
+LENGTHS = {log.path: log.duration_s for log in LOGS}
+SPACE = SearchSpace.of(Configuration(), NAMES)
+SETTINGS = Settings(Configuration(), SPACE, 60)
+
+
+class Runs:
+    """Answers jobs; the loss depends on the distance to the target, and on noise of its own for each job."""
+
+    def __init__(self, sensitivity=1.0, noise=0.05, fails=lambda values: False):
+        self.sensitivity, self.noise, self.fails = sensitivity, noise, fails
+        self.jobs = []
+
+    def __call__(self, jobs):
+        self.jobs += jobs
+        return [self.row(job) for job in jobs]
+
+    def row(self, job):
+        table = job.arguments["configuration"]
+        values = {
+            "key_scan_m": table["when_to_update"]["translation_m"],
+            "noise_m": table["motion"]["sigma_xy_m"],
+            "tempering": table["sensor"]["tempering"],
+        }
+        row = {"status": "failed", "document": None, "message": "out of luck", "error": "InputError"}
+        row["wall_s"] = 0.02 * (job.arguments["options"]["duration_s"] or LENGTHS[job.log])
+        if self.fails(values):
+            return row
+        away = sum(math.log(values[name] / TARGET[name]) ** 2 for name in NAMES)
+        seed = int(hashlib.sha256(job.key.encode()).hexdigest()[:8], 16)
+        noise = self.noise * np.random.default_rng(seed).standard_normal()
+        return row | {"status": "done", "document": {"loss": math.exp(self.sensitivity * away + noise)}}
+
+
+def test_a_real_gain_is_found_and_recommended():
+    tuning = Tuner(SETTINGS, LOGS, Runs())()
+    assert tuning.gains
+    assert tuning.comparison.ratio < 0.3
+    for name in NAMES:
+        assert abs(math.log(tuning.best.values[name] / TARGET[name])) < 0.7
+    assert tuning.configuration == SPACE.apply(Configuration(), tuning.best.values)
+    assert describe_verdict(tuning, LOGS)[0].startswith("gain: its error is 0.")
+
+
+def test_where_nothing_matters_the_start_is_kept():
+    """The same distribution for all configurations: the best of 12 is so by luck, which fresh seeds do not share."""
+    space = SearchSpace.of(Configuration(), NAMES)
+    recommended = 0
+    for seed in range(200):
+        tuning = Tuner(Settings(Configuration(), space, 12, seed=10_000 * seed), LOGS, Runs(sensitivity=0.0))()
+        recommended += tuning.gains
+        if not tuning.gains:
+            assert tuning.configuration == Configuration()
+    assert recommended <= 10  # 5 % of 200; 2.5 % are expected
+
+
+def test_what_is_the_best_already_is_kept():
+    base = override(Configuration(), *(f"{name}={value}" for name, value in TARGET.items()))
+    tuning = Tuner(replace(SETTINGS, base=base, trials=20), LOGS, Runs(noise=0.0))()
+    assert not tuning.gains
+    assert tuning.comparison is None
+    assert describe_verdict(tuning, LOGS) == [
+        "no gain: nothing that was tried is better than the configuration that the search began with"
+    ]
+
+
+def test_seeds_are_common_and_those_that_judge_are_fresh():
+    runs = Runs()
+    Tuner(replace(SETTINGS, seed=7), LOGS, runs)()
+    searched = {job.arguments["seed"] for job in runs.jobs if job.log == "a.clf"}
+    judged = {job.arguments["seed"] for job in runs.jobs if job.log == "b.clf"}
+    assert searched == {7}
+    assert judged == {8, 9, 10, 11, 12}
+    assert len({job.key for job in runs.jobs}) == len(runs.jobs) == len({job.folder for job in runs.jobs})
+
+
+def test_without_held_out_logs_those_of_the_search_judge_with_fresh_seeds():
+    runs = Runs()
+    tuning = Tuner(SETTINGS, LOGS[:1], runs)()
+    assert {pair.seed for pair in tuning.pairs} == {1, 2, 3, 4, 5}
+    assert "5 runs on logs of the search, with other seeds" in describe_verdict(tuning, LOGS[:1])[0]
+
+
+def test_parts_are_the_beginnings_of_logs():
+    runs = Runs()
+    Tuner(SETTINGS, LOGS, runs)()
+    lengths = {job.arguments["options"]["duration_s"] for job in runs.jobs}
+    assert lengths == {11.111, 33.333, None}
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_one_others():
+    texts = []
+    for seed in (0, 0, 1):
+        settings = replace(SETTINGS, seed=seed)
+        tuner = Tuner(settings, LOGS, Runs())
+        tuning = tuner()
+        texts.append(json.dumps(to_document(tuning, settings, LOGS, tuner.planned)) + to_toml(tuning, LOGS))
+    assert texts[0] == texts[1] != texts[2]
+
+
+def test_failures_rank_last_and_a_start_that_fails_ends_it():
+    tuning = Tuner(SETTINGS, LOGS, Runs(fails=lambda values: values["key_scan_m"] > 0.6))()
+    assert any(math.isinf(trial.ratio) for trial in tuning.trials)
+    assert tuning.best.values["key_scan_m"] <= 0.6
+    assert json.dumps(to_document(tuning, SETTINGS, LOGS, 60), allow_nan=False)
+    with pytest.raises(InputError, match=r"a\.clf: the configuration that the search begins with fails: out of luck"):
+        Tuner(SETTINGS, LOGS, Runs(fails=lambda values: True))()
+    with pytest.raises(ArgumentError, match="at least one that is not held out"):
+        Tuner(SETTINGS, LOGS[1:], Runs())
+
+
+def test_a_budget_limits_the_time_and_one_that_is_too_small_is_refused():
+    """A run takes 2 s for 100 s of a log: the search and its comparison must end within the budget."""
+    for seconds in (100.0, 300.0):
+        runs = Runs()
+        tuner = Tuner(replace(SETTINGS, trials=100_000), LOGS, runs, Budget(seconds, 2))
+        tuner()
+        spent_s = sum(runs.row(job)["wall_s"] for job in runs.jobs)
+        assert 0.5 * seconds < spent_s / 2 <= seconds
+        assert 4 <= tuner.planned < 100_000
+    with pytest.raises(InputError, match=r"the budget of 10 s is too small: expected [0-9]+ s at least"):
+        Tuner(SETTINGS, LOGS, Runs(), Budget(10.0, 1))()
+
+
+def test_the_file_is_a_configuration_and_the_figures_show_all_trials():
+    tuning = Tuner(SETTINGS, LOGS, Runs())()
+    text = to_toml(tuning, LOGS)
+    assert text.startswith("# gridslam tune, version ")
+    assert loads(text) == tuning.configuration
+    convergence, caption = plot_convergence(tuning)
+    assert sum(len(series.x) for series in convergence.series[:2]) == len(tuning.trials)
+    assert "above 3 times the start" in caption
+    importance, key = plot_importance(tuning)
+    assert len(importance.series[0].x) == len(NAMES)
+    assert all(name in key for name in NAMES)
