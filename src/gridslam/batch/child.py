@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any, final
+from typing import IO, Any, final
 
 from gridslam import __version__
 from gridslam.batch.fork_server import read_tail
@@ -131,7 +131,7 @@ class ForkServer:
             if self._closed:
                 raise LostWorkerError("the worker was ended")
             if self._process is None:
-                self._process = _start("serve", stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+                self._process = _start("serve")
             process = self._process
         assert process.stdin is not None
         assert process.stdout is not None
@@ -219,11 +219,12 @@ def _name_failure(reply: Mapping[str, Any], result: Mapping[str, Any], timeout_s
     return "exit", f"ended with status {code} and without a result"
 
 
-def _start(program: str, **pipes: Any) -> subprocess.Popen[bytes]:  # noqa: ANN401
+def _start(program: str, errors: IO[bytes] | None = None) -> subprocess.Popen[bytes]:
     """Start one of the programs of `fork_server`, in a session of its own: Ctrl-C does not reach it."""
     environment = {**dict.fromkeys(_BLAS_THREADS, "1"), **os.environ}
     command = [sys.executable, "-c", _BOOT.format(program), *(path or os.getcwd() for path in sys.path)]
-    return subprocess.Popen(command, env=environment, start_new_session=True, **pipes)
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, env=environment, start_new_session=True, stdin=pipe, stdout=pipe, stderr=errors)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
@@ -244,7 +245,7 @@ def _spawn(request: Mapping[str, Any]) -> dict[str, Any]:
     """Run a request in a process of its own, on systems that cannot fork; its memory is not limited."""
     began = time.perf_counter()
     with tempfile.TemporaryFile() as output:
-        process = _start("serve_once", stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=output)
+        process = _start("serve_once", output)
         timed_out = False
         try:
             answer, _ = process.communicate(json.dumps(request).encode() + b"\n", request["timeout_s"])

@@ -10,7 +10,7 @@ import uuid
 from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, cast, final
 
 from gridslam.batch.child import LostWorkerError, run_job
 from gridslam.errors import ConfigurationError, InputError, MissingDependencyError, OutputError
@@ -106,7 +106,7 @@ class DaskCluster:
         now = time.monotonic()
         if now >= self._counted_s + _COUNT_EVERY_S:
             try:
-                self._capacity = 2 * sum(self._connection.nthreads().values())
+                self._capacity = 2 * sum(cast("dict[str, int]", self._connection.nthreads()).values())
             except Exception:
                 raise OutputError(self._lost()) from None
             self._counted_s = now
@@ -177,7 +177,7 @@ def _read_address(path: str) -> str:
 async def _greet(address: str) -> None:
     """Exchange greetings with a scheduler; raises an exception of any type where there is none."""
     from distributed import Security
-    from distributed.comm import connect
+    from distributed.comm.core import connect
 
     answer = connect(address, timeout=_CONNECT_S, **Security().get_connection_args("client"))
     comm = await asyncio.wait_for(answer, _CONNECT_S)
