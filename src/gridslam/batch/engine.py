@@ -221,11 +221,23 @@ def _find_earlier(job: Job, out: Path, journal: Journal) -> dict[str, Any] | Non
         if row is not None and same and row["status"] == "done":
             return row
         restored = lost_row(job.to_dict(), 1) | {"status": "done", "error": None, "message": None, "document": document}
+        restored |= _read_costs(document)
         journal.write(restored)
         return restored
     if row is not None and same and row["error"] in _OF_THE_LOG and "--max-memory" not in (row["message"] or ""):
         return row
     return None
+
+
+def _read_costs(document: dict[str, Any]) -> dict[str, Any]:
+    """What run.json contains of the costs of its job."""
+    time_ = document.get("time")
+    times = time_ if isinstance(time_, dict) else {}
+    return {
+        "wall_s": times.get("wall_s"),
+        "cpu_s": times.get("cpu_s"),
+        "peak_memory_bytes": document.get("peak_memory_bytes"),
+    }
 
 
 def _read_done(path: Path, key: str) -> dict[str, Any] | None:

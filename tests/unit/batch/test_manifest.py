@@ -54,6 +54,12 @@ def test_a_folder_stands_for_the_logs_below_it(tree):
     }
 
 
+@pytest.mark.skipif(not hasattr(os, "symlink"), reason="needs links")
+def test_a_link_to_a_folder_above_is_not_followed(tree):
+    os.symlink(tree, tree / "logs" / "above")
+    assert len(names("logs")) == 5
+
+
 def test_patterns_files_and_urls(tree):
     assert names("logs/mon/*", "runs.clf", "s3://bucket/a/b.bag", "absent.clf") == {
         "run": "logs/mon/run.clf",
