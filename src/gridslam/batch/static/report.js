@@ -74,9 +74,9 @@ function picture(run) {
 }
 
 function describe(run) {
-  const name = make("div", "log", run.name);
+  const name = make("div", "log", run.folder);
   name.title = run.log;
-  const text = make("div", "", name, make("div", "message note", `${run.note} · ${run.folder}`));
+  const text = make("div", "", name, make("div", "message note", `${run.note} · ${run.name}`));
   if (run.failed) text.append(make("div", "message", make("span", "error", run.error), run.message ? `: ${run.message}` : ""));
   if (run.tail) text.append(make("details", "", make("summary", "", "Output"), make("pre", "", run.tail)));
   return text;
@@ -122,7 +122,7 @@ function path(run) {
     box = make(run.picture ? "a" : "span", "none", drawing);
     if (run.picture) box.href = url(run.folder, run.picture);
   }
-  const name = make("p", "log", run.name);
+  const name = make("p", "log", run.folder);
   name.title = run.log;
   const [sorted, , form] = columns.find(([column]) => column === state.sort) ?? [];
   const value = run.figures[sorted];
