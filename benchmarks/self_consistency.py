@@ -18,7 +18,7 @@ import numpy as np
 from gridslam.api.mapping import map_log
 from gridslam.config import Configuration, override
 from gridslam.evaluation.self_consistency import sample_evenly, score_drawn_scans
-from gridslam.evaluation.trajectory import Relations, absolute_errors, relation_errors
+from gridslam.evaluation.trajectory import Relations, absolute_errors, associate, clip_relations, relation_errors
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose, transform_points
 from gridslam.io.carmen.writer import write_carmen
@@ -116,11 +116,13 @@ def rank_correlation(scores: Sequence[float], errors: Sequence[float]) -> tuple[
 
 
 def _real_drives(data: Path) -> list[Drive]:
-    sparse = data / "sparse"
+    log = data / "sparse" / "freiburg-101.clf.gz"
+    path = read_tum(data / "sparse" / "freiburg-101.ref.tum.gz")
     return [
         Drive("intel", data / "intel.clf.bz2", LogOptions(every=4), read_relations(data / "intel.relations")),
         Drive("aces", data / "aces.clf.bz2", LogOptions(every=3), read_relations(data / "aces.relations")),
-        Drive("freiburg", sparse / "freiburg-101.clf.gz", LogOptions(), read_tum(sparse / "freiburg-101.ref.tum.gz")),
+        Drive("freiburg", log, LogOptions(), path),
+        Drive("freiburg-every2", log, LogOptions(every=2), path),
     ]
 
 
@@ -149,11 +151,12 @@ def _map_all(drive: Drive, folder: Path) -> list[Trajectory]:
 def _errors(trajectory: Trajectory, truth: Relations | Trajectory) -> dict[str, float]:
     if isinstance(truth, Trajectory):
         absolute = absolute_errors(trajectory, truth)
-        return {**_errors(trajectory, draw_relations(truth)), "ate_m": absolute.trans_rmse_m}
-    first, last = trajectory.stamps_ns.min(), trajectory.stamps_ns.max()
-    inside = (np.minimum(truth.from_ns, truth.to_ns) >= first) & (np.maximum(truth.from_ns, truth.to_ns) <= last)
-    kept = Relations(truth.from_ns[inside], truth.to_ns[inside], truth.poses[inside])
-    return {"relations_m": relation_errors(trajectory, kept).trans_mean_m}
+        known, _ = associate(truth, trajectory, tolerance_ns=1000)  # of a thinned log the others are interpolated
+        used = Trajectory(truth.stamps_ns[known], truth.poses[known])
+        return {**_errors(trajectory, draw_relations(used)), "ate_m": absolute.trans_rmse_m}
+    relations = clip_relations(truth, trajectory)
+    assert relations is not None
+    return {"relations_m": relation_errors(trajectory, relations).trans_mean_m}
 
 
 def _scores(scans: Sequence[Beams], poses: FloatArray) -> dict[str, float]:

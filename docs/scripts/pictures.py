@@ -5,6 +5,7 @@ Worlds, noise and seeds are fixed, so that the same version draws the same pictu
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import subprocess
@@ -21,17 +22,28 @@ from PIL import Image
 from gridslam import GraphSlam, GridFastSlam, GridFastSlamState, OccupancyGrid, PoseGraph, run
 from gridslam.api.mapping import map_log
 from gridslam.config import Configuration
+from gridslam.doctor.finding import Figure, Series
 from gridslam.evaluation import relation_errors
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.trajectories import read_relations
 from gridslam.localization import KnownMap, MonteCarloLocalization
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig
+from gridslam.tuning.report import plot_convergence, plot_importance
+from gridslam.tuning.tune import Trial, Tuning
 from gridslam.types import FloatArray, StepReport
 from gridslam.viz import draw_graph
 from gridslam.viz.canvas import CLOSURE, TRUTH
+from gridslam.viz.chart import draw_chart
 
 DATA = Path(os.environ.get("GRIDSLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
+RESULTS = Path(__file__).resolve().parents[2] / "benchmarks" / "results"
+LOGS_DRAWN = {
+    "simulated": [f"world{seed}" for seed in range(1, 7)],
+    "Intel": ["intel"],
+    "ACES": ["aces"],
+    "Freiburg 101": ["freiburg"],
+}
 
 
 def grid_fastslam() -> None:
@@ -200,7 +212,29 @@ def small_copy(name: str, drawn: str, *command: str) -> None:
         keep(name, Image.open(Path(folder) / drawn), 760)
 
 
+def tuning() -> None:
+    """Self-consistency against true errors, and the course of a search: both from the benchmarks' results."""
+    logs = json.loads((RESULTS / "self_consistency.json").read_text())["logs"]
+    series = []
+    for name, names in LOGS_DRAWN.items():
+        ratios = [
+            (one["relations_m"] / logs[log]["errors"][0]["relations_m"], score / logs[log]["scores"][0])
+            for log in names
+            for one, score in zip(logs[log]["errors"], logs[log]["scores"], strict=True)
+        ]
+        series.append(Series(name, *np.log10(np.array(ratios)).T, "dots"))
+    labels = "log10 of the error as a ratio to the default's", "log10 of the score as a ratio to the default's"
+    keep("self_consistency", draw_chart(Figure("30 configurations on each log", *labels, tuple(series))), 760)
+    found = json.loads((RESULTS / "tuning.json").read_text())["from_spoiled"]
+    trials = tuple(Trial(stage, part, {}, {}, ratio or math.inf) for stage, part, ratio in found["trials"])
+    done = Tuning(Configuration(), None, (), trials[0], trials, found["importance"])
+    for name, plot in (("tuning_convergence", plot_convergence), ("tuning_importance", plot_importance)):
+        figure, caption = plot(done)
+        keep(name, draw_chart(figure, caption=[caption]), 760)
+
+
 PICTURES = (
+    tuning,
     first_map,
     grid_fastslam,
     mapping,

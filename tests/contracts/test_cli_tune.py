@@ -126,12 +126,13 @@ def test_without_references_the_score_is_self_consistency(logs, tmp_path, capsys
         (["LOG", "--held-out", "LOG"], "given twice"),
         (["LOG", "--set", "noise_m=-1"], "motion.sigma_xy_m"),
         (["LOG", "--budget", "1h", "--trials", "3"], "--trials"),
+        (["LOG", "-o", "best.tune"], "best.tune: expected the name of a file to write"),
     ],
 )
 def test_bad_input_is_one_line_and_nothing_is_written(logs, tmp_path, capsys, words, expected):
     out = tmp_path / "best.toml"
     named = [str(logs / "log1.clf") if word == "LOG" else word for word in words]
-    assert main(["tune", *named, "-o", str(out), "--particles", "2"]) == 2
+    assert main(["tune", "-o", str(out), *named, "--particles", "2"]) == 2
     error = capsys.readouterr().err
     assert re.search(re.escape(expected), error), error
     assert "small" in expected or list(tmp_path.iterdir()) == []

@@ -152,9 +152,11 @@ def test_a_bag_that_is_a_folder_is_read_from_the_store(s3, log, tmp_path):
 def test_patterns_and_folders_of_the_store_are_listed(s3):
     for name in ("a/1.bag", "a/2.bag", "b/1.bag"):
         s3.put_object(Bucket="fleet", Key=f"list/{name}", Body=b"x")
-    assert list_files("s3://fleet/list/*/1.bag") == ["s3://fleet/list/a/1.bag", "s3://fleet/list/b/1.bag"]
-    assert list_files("s3://fleet/list/a") == ["s3://fleet/list/a/1.bag", "s3://fleet/list/a/2.bag"]
-    assert list_files("s3://fleet/list/c/*") == []
+    assert list(list_files("s3://fleet/list/*/1.bag")) == ["s3://fleet/list/a/1.bag", "s3://fleet/list/b/1.bag"]
+    assert list(list_files("s3://fleet/list/a")) == ["s3://fleet/list/a/1.bag", "s3://fleet/list/a/2.bag"]
+    assert list_files("s3://fleet/list/c/*") == {}
+    for url, state in list_files("s3://fleet/list/").items():
+        assert state == describe_remote(url)  # so that a key does not depend on how a log was named
 
 
 def test_what_is_not_there_is_one_line(s3, capsys):
@@ -192,6 +194,12 @@ def test_a_batch_reads_logs_of_the_store_and_copies_its_results_there(s3, log, t
     assert names(s3, "batch/") == stored
     everything = b"".join(path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file())
     assert SECRET.encode() not in everything
+    scores = ("--command", "evaluate", "--reference", tmp_path / "out" / "a" / "trajectory.tum")
+    status, _, err = call(
+        "batch", tmp_path / "out", "-o", tmp_path / "scores", *scores, "--upload", "s3://fleet/scores"
+    )
+    assert (status, err) == (0, "")
+    assert {"a/run.json", "b/run.json"} <= set(names(s3, "scores/"))
 
 
 def test_a_signed_url_is_in_no_row_and_no_file_of_a_batch(web, tmp_path, call):

@@ -8,9 +8,10 @@ import shutil
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import Future
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any, Final, Protocol
 
 from gridslam import __version__
@@ -28,6 +29,7 @@ except ImportError:  # Windows has no such locks
 __all__ = ["Executor", "run_jobs"]
 
 _POLL_S = 0.5
+_MOST_ROWS = 1000  # of a transaction of the journal
 _ENDING_S = 5.0
 _MOST_LOST: Final = 10
 """Times that a job may be lost before a worker has begun it."""
@@ -132,11 +134,18 @@ def run_jobs(
         try:
             _make_attempts_folder(folder)
             with closing(_run(queue, limits, executor, on_poll)) as ended:
-                for row in ended:
-                    _require_space(row, folder)
-                    journal.write(row)
-                    (attempts_folder(folder) / row["folder"]).unlink(missing_ok=True)
-                    record(row, resumed=False)
+                for together in ended:
+                    full = next((row for row in together if _is_disk_full(row)), None)
+                    kept = [row for row in together if not _is_disk_full(row)]
+                    with journal.transaction():
+                        for row in kept:
+                            journal.write(row)
+                    for row in kept:
+                        (attempts_folder(folder) / row["folder"]).unlink(missing_ok=True)
+                        record(row, resumed=False)
+                    if full is not None:
+                        problem = f"{full['message']}; run the same command again when there is space"
+                        raise OutputError(f"{out}: {problem}")
         finally:
             _clean(folder)
     return [rows[job.folder] for job in jobs]
@@ -144,20 +153,22 @@ def run_jobs(
 
 def _run(
     queue: deque[Job], limits: dict[str, Any], executor: Executor, on_poll: Callable[[], None]
-) -> Generator[dict[str, Any], None, None]:
-    """Yield the rows of jobs as they end."""
+) -> Generator[list[dict[str, Any]], None, None]:
+    """Yield the rows of jobs as they end, those together that have ended since the last time."""
     lost = Counter[str]()
     pending = dict[Future[dict[str, Any]], Job]()
+    ended = SimpleQueue[Future[dict[str, Any]]]()  # asking all that are pending would take longer, the more there are
     with executor:
         while queue or pending:
             while queue and len(pending) < executor.capacity():
                 job = queue.popleft()
                 memory = limits["memory_bytes"]
                 own = limits | {"memory_bytes": memory[job.folder]} if isinstance(memory, Mapping) else limits
-                pending[executor.submit(job.to_dict(), own)] = job
-            ended, _ = wait(pending, _POLL_S, FIRST_COMPLETED)
-            on_poll()
-            for future in ended:
+                future = executor.submit(job.to_dict(), own)
+                pending[future] = job
+                future.add_done_callback(ended.put)
+            rows = []
+            for future in _take(ended):
                 job = pending.pop(future)
                 try:
                     row = future.result()
@@ -170,7 +181,20 @@ def _run(
                     row = lost_row(job.to_dict(), begun)
                 except OSError as error:
                     raise OutputError(f"{limits['out']}: {job.folder} cannot be run: {error}") from None
-                yield row
+                rows.append(row)
+            on_poll()
+            if rows:
+                yield rows
+
+
+def _take(ended: SimpleQueue[Future[dict[str, Any]]]) -> list[Future[dict[str, Any]]]:
+    """Wait for a moment until a job has ended; return all that have, up to a number."""
+    taken = []
+    with suppress(Empty):
+        taken.append(ended.get(timeout=_POLL_S))
+        while len(taken) < _MOST_ROWS:
+            taken.append(ended.get_nowait())
+    return taken
 
 
 def _make_attempts_folder(out: Path) -> None:
@@ -228,11 +252,10 @@ def _read_done(path: Path, key: str) -> dict[str, Any] | None:
     return document if isinstance(job, dict) and job.get("key") == key else None
 
 
-def _require_space(row: dict[str, Any], out: Path) -> None:
-    """Raise OutputError where a job has failed since the disk is full: the others would, too."""
+def _is_disk_full(row: Mapping[str, Any]) -> bool:
+    """Whether a job has failed since the disk is full: the others would, too."""
     message = row["message"] or ""
-    if row["error"] in ("OutputError", "OSError") and any(text in message for text in _FULL):
-        raise OutputError(f"{out}: {message}; run the same command again when there is space")
+    return row["error"] in ("OutputError", "OSError") and any(text in message for text in _FULL)
 
 
 def _check(

@@ -112,6 +112,18 @@ class Journal:
                 [values[name] for name in COLUMNS],
             )
 
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """Write rows together: all or none."""
+        with self._translate_errors():
+            self._database.execute("BEGIN")
+            try:
+                yield
+            except BaseException:
+                self._database.execute("ROLLBACK")
+                raise
+            self._database.execute("COMMIT")
+
     def digest(self, path: Path) -> str:
         """Return the SHA-256 of a log, computed only if its size or its time of modification has changed.
 

@@ -47,6 +47,8 @@ class Entry:
         Options of the command by their long names without dashes, from a manifest.
     where : str
         Line of the manifest, for messages; empty for others.
+    state : str, optional
+        What the server reported of the log when it was listed (see `describe_remote`).
     """
 
     log: str
@@ -55,6 +57,7 @@ class Entry:
     reference: str | None = None
     options: dict[str, str] = field(default_factory=dict)
     where: str = ""
+    state: str | None = None
 
 
 def find_logs(patterns: Sequence[str], *, trajectories: bool = False, reference: str | None = None) -> list[Entry]:
@@ -117,10 +120,10 @@ def _expand_url(pattern: str) -> Iterator[Entry]:
     if not wild and not pattern.endswith("/"):
         yield Entry(mask_url(pattern), pattern)
         return
-    found = [url for url in list_files(pattern) if wild or _strip(url)[1] in _SUFFIXES]
+    found = {url: state for url, state in list_files(pattern).items() if wild or _strip(url)[1] in _SUFFIXES}
     if not found:
         raise InputError(mask_url(pattern), "nothing matches this pattern" if wild else "no logs below this URL")
-    yield from (Entry(mask_url(url), url) for url in found)
+    yield from (Entry(mask_url(url), url, state=state) for url, state in found.items())
 
 
 def _make_entry(path: str, **values: Any) -> Entry:  # noqa: ANN401

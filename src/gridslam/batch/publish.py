@@ -1,22 +1,30 @@
-"""What follows the jobs of a batch: its page, its table, and copies of all results at a URL."""
+"""What follows the jobs of a batch: its page, its table, and copies of all results at a URL.
+
+The results of a job are uploaded by its child, so that as many connections as workers carry them; the page, the table
+and the journal by the batch itself.
+"""
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, final
 
+from gridslam.batch.job import Job
 from gridslam.batch.journal import JOURNAL
 from gridslam.batch.report import write_report
 from gridslam.batch.runs import DONE, write_parquet
 from gridslam.errors import InputError, OutputError
+from gridslam.io.output import OutputFolder
 from gridslam.io.remote import connect, describe_remote, is_url, mask_url, upload_file, upload_folder
 
-__all__ = ["Publisher"]
+__all__ = ["Publisher", "run_and_upload"]
 
-_UPLOADS: Final = 8
-"""Folders that are uploaded at a time: a request waits some 50 ms for its answer."""
+_UPLOADS: Final = 32
+"""Files and folders that are uploaded at a time: a request waits some 50 ms for its answer."""
 
 
 @final
@@ -28,7 +36,7 @@ class Publisher:
     out : Path
         OUT, the folder of the batch.
     url : str, optional
-        Where its results are copied to: the folder of a job when it has ended, the rest by `finish`.
+        Where its results are copied to: the folder of a job by its child (see `wrap`), the rest by `finish`.
     parquet : bool
         Whether `finish` writes runs.parquet.
 
@@ -45,7 +53,8 @@ class Publisher:
         self._out = out
         self._url = None if url is None else url.rstrip("/")
         self._parquet = parquet
-        self._uploads: dict[str, Future[None]] = {}
+        self._done: list[str] = []
+        self._uploads: list[Future[None]] = []
         self._threads: ThreadPoolExecutor | None = None
         if self._url is not None:
             if not is_url(self._url):
@@ -53,11 +62,19 @@ class Publisher:
             connect(self._url)
             self._threads = ThreadPoolExecutor(_UPLOADS, thread_name_prefix="upload")
 
+    def wrap(self, job: Job) -> Job:
+        """Let a job upload its results when it has them, if they are wanted elsewhere."""
+        if self._url is None:
+            return job
+        arguments = job.arguments | {"target": job.target, "upload": self._url}
+        return replace(job, target=f"{__name__}:{run_and_upload.__name__}", arguments=arguments)
+
     def on_row(self, row: Mapping[str, Any]) -> None:
-        """Begin to upload the results of a job that is done; those of an earlier batch unless they are there."""
+        """Upload the results of a job that was done before, unless they are there."""
         if self._threads is not None and row["status"] == DONE:
-            upload = self._upload_missing if row.get("resumed") else self._upload
-            self._uploads[row["folder"]] = self._threads.submit(upload, row["folder"])
+            self._done.append(row["folder"])
+            if row.get("resumed"):
+                self._uploads.append(self._threads.submit(self._upload_missing, row["folder"]))
 
     def finish(self) -> list[str]:
         """Write the page and the table, wait for the uploads, and return lines for the summary.
@@ -72,28 +89,36 @@ class Publisher:
             lines.append(f"table: {write_parquet(self._out)}")
         if self._threads is None or self._url is None:
             return lines
-        failed = {
-            folder: error for folder, future in self._uploads.items() if (error := future.exception()) is not None
-        }
         files = [path for path in self._out.iterdir() if path.name.startswith(("report.", "runs.")) and path.is_file()]
-        files += [path for folder in self._uploads for path in (self._out / folder).glob("thumbnail.jpg")]
-        rest = [
+        files += [path for folder in self._done for path in (self._out / folder).glob("thumbnail.jpg")]
+        self._uploads += [
             self._threads.submit(upload_file, path, f"{self._url}/{path.relative_to(self._out).as_posix()}")
             for path in files
             if path.name not in (f"{JOURNAL}-wal", f"{JOURNAL}-shm")
         ]
-        failed |= {f"file {k}": error for k, future in enumerate(rest) if (error := future.exception()) is not None}
+        failed = [error for future in self._uploads if (error := future.exception()) is not None]
         self._threads.shutdown()
         if failed:
-            first = next(iter(failed.values()))
-            raise OutputError(f"{len(failed)} uploads failed, the same command tries them again; the first: {first}")
+            raise OutputError(
+                f"{len(failed)} uploads failed, the same command tries them again; the first: {failed[0]}"
+            )
         return [*lines, f"uploaded to {mask_url(self._url)}"]
-
-    def _upload(self, folder: str) -> None:
-        upload_folder(self._out / folder, f"{self._url}/{folder}")
 
     def _upload_missing(self, folder: str) -> None:
         try:
             describe_remote(f"{self._url}/{folder}/run.json")
         except InputError:
-            self._upload(folder)
+            upload_folder(self._out / folder, f"{self._url}/{folder}")
+
+
+def run_and_upload(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Call the function ``target`` of a job, and copy its folder below the URL ``upload``, run.json as the last."""
+    module, _, name = arguments["target"].partition(":")
+    out = Path(arguments["out"])
+    document: dict[str, Any] = getattr(importlib.import_module(module), name)(arguments)
+    if not (out / "run.json").is_file():  # otherwise it would be written after the upload
+        document = document | {"job": arguments["job"]}
+        with OutputFolder(out) as folder:
+            folder.write_json("run.json", document)
+    upload_folder(out, f"{arguments['upload']}/{out.name}")
+    return document

@@ -74,7 +74,7 @@ def run_batch(
     try:
         executor = _open_executor(scheduler, workers)
         with Journal(out) as journal:
-            jobs = _make_jobs(command, entries, prepared, journal)
+            jobs = [publisher.wrap(job) for job in _make_jobs(command, entries, prepared, journal)]
         costs = {job.folder: cost for job, cost in zip(jobs, estimate(jobs, read_runs(out)), strict=True)}
         jobs.sort(key=lambda job: -costs[job.folder].cpu_s)  # the longest first: the last one is waited for alone
         with _Progress({folder: cost.cpu_s for folder, cost in costs.items()}, as_json) as progress:
@@ -269,7 +269,8 @@ def _make_jobs(
     references = [entry.reference for entry in entries if entry.reference]
     images = {path: _find_image(path) for path in {arguments["map"] for arguments in prepared if "map" in arguments}}
     sizes = {entry.path: _measure(entry.path) for entry in entries}
-    digests = _compute_digests({*sizes, *references, *images, *images.values()}, journal)
+    states = {entry.path: entry.state for entry in entries if entry.state is not None}
+    digests = _compute_digests({*sizes, *references, *images, *images.values()}, states, journal)
     jobs = []
     for entry, arguments in zip(entries, prepared, strict=True):
         used = {name: path for name, path in (("reference", entry.reference), ("map", arguments.get("map"))) if path}
@@ -305,8 +306,8 @@ def _find_image(path: str) -> str:
     return path
 
 
-def _compute_digests(paths: Collection[str], journal: Journal) -> dict[str, str]:
-    """SHA-256 of files; of one at a URL that of its size, time and ETag, as far as these are known.
+def _compute_digests(paths: Collection[str], states: Mapping[str, str], journal: Journal) -> dict[str, str]:
+    """SHA-256 of files; of one at a URL that of its size, time and ETag, as far as these are known or in `states`.
 
     Of one that cannot be read there is none, and the job reports it.
     """
@@ -314,7 +315,9 @@ def _compute_digests(paths: Collection[str], journal: Journal) -> dict[str, str]
     def compute(path: str) -> str:
         try:
             if is_url(path):
-                return hashlib.sha256(f"{mask_url(path)}\n{describe_remote(path)}".encode()).hexdigest()
+                return hashlib.sha256(
+                    f"{mask_url(path)}\n{states.get(path) or describe_remote(path)}".encode()
+                ).hexdigest()
             return journal.digest(Path(path))
         except InputError:
             return ""

@@ -76,13 +76,15 @@ def run_tune(
     budget_s = None if budget is None else read_duration_s(budget)
     base = build_configuration(preset, particles, laser, config, assignments, no_loop_closure)
     space = SearchSpace.of(base, names)
+    folder = out.with_suffix(".tune")
+    if out.is_dir() or folder == out:
+        raise click.ClickException(f"{out}: expected the name of a file to write, as best.toml")
     load_library()
     entries = find_logs([*logs, *held_out], reference=reference)
     searched = len(find_logs(logs))
     if split:
         searched = max(1, round((1 - split) * searched))
     read = _read_logs(entries, searched, without_reference, options)
-    folder = out.with_suffix(".tune")
     try:
         with Journal(folder) as journal:
             chosen = [_digest(log, journal) for log in read]
@@ -111,7 +113,8 @@ def run_tune(
             path.write_text(to_toml(tuning, chosen), encoding="utf-8")
     except OutputError as error:
         raise click.ClickException(str(error)) from None
-    lines = [f"{len(tuning.trials)} trials", *describe_verdict(tuning, chosen), f"{out}; details: {folder}"]
+    tried = len({tuple(trial.values.items()) for trial in tuning.trials})
+    lines = [f"{tried} configurations were tried", *describe_verdict(tuning, chosen), f"{out}; details: {folder}"]
     print_result(document, lines, as_json)
 
 

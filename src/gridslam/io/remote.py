@@ -9,7 +9,6 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from fnmatch import fnmatch
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 from urllib.parse import parse_qsl, unquote, urlsplit
@@ -111,18 +110,22 @@ def fetch(url: str, cache: LogCache | None = None) -> Cached:
         return cache.get(mask_url(url), _state(files), download)
 
 
-def list_files(pattern: str) -> list[str]:
+def list_files(pattern: str) -> dict[str, str]:
     """URLs that a pattern with ``*``, ``?`` or ``[...]`` matches, or of all files below a folder; sorted.
 
-    A ``?`` in an http URL begins its query. Raises as `describe_remote`; the list may be empty.
+    Each with what `describe_remote` returns of it, from the listing: that is one request for a thousand files. A ``?``
+    in an http URL begins its query. Raises as `describe_remote`; there may be none.
     """
     with _translate(pattern, "read"):
         system, path = _connect(pattern)
         wild = "*" in path or "[" in path
-        found = system.glob(path) if wild else system.find(path)
+        found: dict[str, dict[str, Any]] = system.glob(path, detail=True) if wild else system.find(path, detail=True)
         scheme = pattern.partition("://")[0]
-        names = sorted(file for file in found if not wild or fnmatch(file, path))
-        return [name if is_url(name) else f"{scheme}://{name}" for name in names]
+        return {
+            name if is_url(name) else f"{scheme}://{name}": _state({name: info})
+            for name, info in sorted(found.items())
+            if info["type"] != "directory"
+        }
 
 
 def upload_folder(folder: Path, url: str) -> None:

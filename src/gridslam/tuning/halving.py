@@ -55,7 +55,7 @@ def halve(
     Parameters
     ----------
     candidates : sequence
-        At least as many as the first rung has; where losses are equal the earlier one stays.
+        Those beyond the first rung's number are left out; where losses are equal the earlier one stays.
     rungs : sequence of Rung
         As `plan_rungs` makes them.
     evaluate : callable

@@ -25,11 +25,12 @@ _HIGHEST = 3.0  # ratio to the start up to which trials are drawn
 
 def describe_verdict(tuning: Tuning, logs: Sequence[TunedLog]) -> list[str]:
     """State in plain lines whether the best is recommended, and by what."""
-    where = "held-out logs" if any(log.held_out for log in logs) else "the logs of the search, with other seeds"
+    held_out = any(log.held_out for log in logs)
     if tuning.comparison is None:
         return ["no gain: nothing that was tried is better than the configuration that the search began with"]
     found = tuning.comparison
-    runs = f"{found.observations} {found.units} on {where}"
+    where = "held-out logs" if held_out else "logs of the search, with other seeds"
+    runs = f"{found.observations} {where}" if found.units == "logs" else f"{found.observations} runs on {where}"
     measured = f"its error is {found.ratio:.3f} times that of the start ({_interval(found)}, {runs})"
     noise = f"one seed differs from another by {100 * (found.seed_noise - 1):.1f} %"
     if tuning.gains:

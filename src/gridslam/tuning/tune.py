@@ -187,7 +187,8 @@ class Tuner:
         rungs = plan_rungs(max(1, round(self.planned / 2)))
         drawn = space.draw(rungs[0].candidates, rng)
         starts = [space.point_of(settings.base), space.point_of(Configuration())]
-        candidates = [*starts, *drawn][: rungs[0].candidates]
+        ordered = [*starts, *drawn][: rungs[0].candidates]
+        candidates = list({tuple(point.tolist()): point for point in ordered}.values())  # the start may be the default
         finalists = halve(candidates, rungs, lambda points, part: self._try("halving", points, part))
         first_rung = [trial for trial in self.trials if trial.part == rungs[0].part][: len(candidates)]
         evolve(

@@ -9,7 +9,7 @@ import sqlite3
 import numpy as np
 import pytest
 
-from gridslam.batch.journal import JOURNAL
+from gridslam.batch.journal import COLUMNS, JOURNAL, Journal
 from gridslam.batch.runs import read_runs, write_parquet
 from gridslam.errors import InputError, MissingDependencyError
 from support.journals import make_document, make_rows, write_journal
@@ -80,3 +80,21 @@ def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
     with pytest.raises(MissingDependencyError, match=r"gridslam\[parquet\]"):
         write_parquet(tmp_path)
+
+
+def test_rows_of_a_transaction_are_written_together_or_not_at_all(tmp_path):
+    rows = [dict.fromkeys(COLUMNS) | row | {"document": None} for row in make_rows(4)]
+    with Journal(tmp_path) as journal:
+        with journal.transaction():
+            journal.write(rows[0])
+            journal.write(rows[1])
+        with pytest.raises(InputError):
+            write_and_fail(journal, rows[2])
+        journal.write(rows[3])
+    assert [run.row["folder"] for run in read_runs(tmp_path)] == ["run-00000", "run-00001", "run-00003"]
+
+
+def write_and_fail(journal, row):
+    with journal.transaction():
+        journal.write(row)
+        raise InputError("a.clf", "what comes between")

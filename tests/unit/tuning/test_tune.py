@@ -98,7 +98,7 @@ def test_without_held_out_logs_those_of_the_search_judge_with_fresh_seeds():
     runs = Runs()
     tuning = Tuner(SETTINGS, LOGS[:1], runs)()
     assert {pair.seed for pair in tuning.pairs} == {1, 2, 3, 4, 5}
-    assert "the logs of the search" in describe_verdict(tuning, LOGS[:1])[0]
+    assert "5 runs on logs of the search, with other seeds" in describe_verdict(tuning, LOGS[:1])[0]
 
 
 def test_parts_are_the_beginnings_of_logs():
