@@ -34,7 +34,8 @@ def kill_and_repeat(logs, out, kills, rng, most_s):
             except subprocess.TimeoutExpired:
                 os.kill(run.pid, signal.SIGKILL)
         now = find_done(out)
-        assert {name: now.get(name) for name in done} == done
+        changed = {name: (state, now.get(name)) for name, state in done.items() if now.get(name) != state}
+        assert not changed, f"kill {kill}: {changed}"
         done = now
         counts.append(len(done))
     assert run.returncode == 0
