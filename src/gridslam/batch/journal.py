@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -62,6 +63,7 @@ class Journal:
     def __init__(self, folder: Path) -> None:
         """Open the journal, or create it."""
         self.path = folder / JOURNAL
+        self._lock = threading.Lock()
         columns = ", ".join(f"{name} {kind}" for name, kind in COLUMNS.items())
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -127,16 +129,16 @@ class Journal:
     def digest(self, path: Path) -> str:
         """Return the SHA-256 of a log, computed only if its size or its time of modification has changed.
 
-        Raises InputError where it cannot be read.
+        Several threads may call it at a time. Raises InputError where it cannot be read.
         """
         where = os.fspath(path.absolute())
         state = describe_file(path)
-        with self._translate_errors():
+        with self._lock, self._translate_errors():
             found = self._database.execute("SELECT state, sha256 FROM digests WHERE path = ?", (where,)).fetchone()
         if found is not None and found[0] == state:
             return str(found[1])
         digest = compute_digest(path)
-        with self._translate_errors():
+        with self._lock, self._translate_errors():
             self._database.execute("INSERT OR REPLACE INTO digests VALUES (?, ?, ?)", (where, state, digest))
         return digest
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import closing
@@ -96,12 +97,19 @@ def read_runs(out: str | Path) -> Iterator[Run]:
     if not path.is_file():
         raise InputError(path, "no such file: expected the journal of gridslam batch")
     try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as journal:
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?{_choose_mode(path)}", uri=True)) as journal:
             cursor = journal.execute(f"SELECT {', '.join(COLUMNS)} FROM runs ORDER BY started, log, key")
             for values in cursor:
                 yield _make_run(path, dict(zip(COLUMNS, values, strict=True)))
     except sqlite3.Error as error:
         raise InputError(path, f"expected a journal of gridslam batch, got: {error}") from None
+
+
+def _choose_mode(path: Path) -> str:
+    """Open for writing where that is allowed: else SQLite leaves its -wal and -shm files beside the journal."""
+    if os.access(path, os.W_OK) and os.access(path.parent, os.W_OK):
+        return "mode=rw"
+    return "mode=ro" if path.with_name(f"{path.name}-wal").exists() else "mode=ro&immutable=1"
 
 
 def write_parquet(out: str | Path) -> Path:

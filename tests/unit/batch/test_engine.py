@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 import sqlite3
 from collections import Counter
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
@@ -204,3 +205,13 @@ def test_jobs_that_an_executor_loses_are_handed_over_again(tmp_path, trace):
     rows = run_jobs(numbers(6, trace), tmp_path / "out", executor=Unlucky(ProcessPool(1)), retries=9)
     assert {row["status"] for row in rows} == {"done"}
     assert set(Counter(trace.read_text().split()).values()) == {1}
+
+
+def test_digests_from_many_threads_are_each_files_own(tmp_path):
+    files = [tmp_path / f"{k}.clf" for k in range(60)]
+    for file in files:
+        file.write_text(file.name)  # all of nearly the same size, and at nearly the same time
+    expected = [hashlib.sha256(file.name.encode()).hexdigest() for file in files]
+    for _ in range(5):
+        with Journal(tmp_path / "out") as journal, ThreadPoolExecutor(8) as threads:
+            assert list(threads.map(journal.digest, files)) == expected
