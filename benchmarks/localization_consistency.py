@@ -20,8 +20,7 @@ from global_localization import INSIDE, ORDINARY, Building, GlobalRun
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.sim.worlds import DRAWN_WORLDS
 from landmark_drives import describe_ekf
-from measure import write_document
-from record import RESULTS
+from measure import RESULTS, write_document
 
 __all__ = ["ALIKE", "WORLDS", "buildings", "describe_covariances", "describe_finds", "main"]
 

@@ -24,6 +24,7 @@ from gridslam.kernels import backend, compiled
 
 __all__ = [
     "GRIDSLAM",
+    "RESULTS",
     "Cost",
     "MapRun",
     "document",
@@ -35,7 +36,8 @@ __all__ = [
 ]
 
 GRIDSLAM = (sys.executable, "-m", "gridslam.cli.main")
-_ROOT = Path(__file__).resolve().parent.parent
+RESULTS = Path(__file__).resolve().parent / "results"
+_ROOT = RESULTS.parents[1]
 
 
 def yardstick_s() -> float:

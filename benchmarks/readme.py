@@ -1,64 +1,98 @@
-"""Write the README's figures from the committed results: python benchmarks/readme.py.
+"""Write the README's figures and docs/scoreboard.md from the committed results: python benchmarks/readme.py.
 
-The table between `<!-- figures -->` and `<!-- end of figures -->` is made here; the figures in the sentences below it
-stand in `results/quoted.json`, each with the commit that it is of.
+The tables between `<!-- figures -->` and `<!-- end of figures -->` are made here, of `results/suite.json` (by
+`scoreboard.py`) and `results/others.json`; the figures in the README's sentences stand in `results/quoted.json`, each
+with the commit that it is of.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from record import RESULTS
+from measure import RESULTS
 from report import table
 
-__all__ = ["block", "main", "quoted", "strangers"]
+__all__ = ["SCOREBOARD", "block", "main", "quoted", "scoreboard", "strangers"]
 
 README = Path(__file__).resolve().parents[1] / "README.md"
+SCOREBOARD = README.parent / "docs" / "scoreboard.md"
 BLOCK = re.compile(r"(?<=<!-- figures -->\n).*?(?=<!-- end of figures -->)", re.DOTALL)
 _FIGURE = re.compile(r"[\d,.]*\d(?: to [\d.]*\d)? (?:m|km|deg|ms|s|MB|scans)\b")
 _LOGS = {"intel": "Intel", "aces": "ACES"}
+_OWN = ("default", "filter")
 
 
 class _Row(NamedTuple):
-    """A row of the table for each log: what it is of, and how a figure is told."""
+    """A row of the table for each log: what it is of, its keys with us and with others, and its unit."""
 
     name: str
     key: str
-    form: str
-    tells_worst: bool = False
+    other: str
+    unit: str
+    scale: float = 1.0
+    digits: int = 1
 
 
 _ROWS = (
-    _Row("translation", "translation_m", "{:.4f} m", tells_worst=True),
-    _Row("rotation", "rotation_deg", "{:.3f} deg"),
-    _Row("worst single relation", "worst_relation_m", "{:.3f} m"),
-    _Row("CPU time", "cpu_s", "{:.1f} s"),
-    _Row("peak memory", "peak_mb", "{:.0f} MB"),
+    _Row("translation", "error_m", "translation_m", "m", digits=4),
+    _Row("rotation", "error_rad", "rotation_deg", "deg", 180.0 / math.pi, 3),
+    _Row("worst single relation", "worst_m", "worst_relation_m", "m", digits=3),
+    _Row("CPU time", "cpu_s", "cpu_s", "s"),
+    _Row("peak memory", "peak_memory_bytes", "peak_mb", "MB", 1e-6, 0),
 )
 
 
 def block() -> str:
     """The generated part of the README: what was measured on what, and the table."""
-    present, others = _read("present.json"), _read("others.json")
-    seeds = {variant["seeds"] for variants in present["logs"].values() for variant in variants.values()}
-    assert len(seeds) == 1, f"logs were measured with different numbers of seeds: {seeds}"
-    ratio = present["ratio"]
-    changes = [
-        f"{_LOGS[log]} {variants['gridslam']['translation_m']:.2f} times the error and "
-        f"{variants['gridslam']['cpu_s']:.2f} times the CPU time"
-        for log, variants in ratio["logs"].items()
-    ]
+    suite, others = _read("suite.json"), _read("others.json")
     head = ["", "gridslam", "filter only", *(system["name"] for system in others["systems"].values())]
-    rows = [_cells(log, row, present, others) for log in _LOGS for row in _ROWS]
-    machine = present["machine"]
+    rows = [_cells(log, row, suite["cells"][log], others) for log in _LOGS for row in _ROWS]
+    return f"{_describe_machine(suite)}\n{_describe_ratio(suite)}\n\n{table(head, rows)}\n"
+
+
+def scoreboard() -> str:
+    """The generated part of docs/scoreboard.md: all logs, variants and systems."""
+    suite = _read("suite.json")
+    ratio = suite.get("ratio", {"to": "", "logs": {}})
+    head = ["log", "variant", "seeds", *(row.name for row in _ROWS), f"CPU time beside {ratio['to']}"]
+    rows: list[list[object]] = []
+    for log, variants in suite["cells"].items():
+        for variant, cell in variants.items():
+            cost = ratio["logs"].get(log, {}).get(variant, {}).get("cpu_s")
+            failed = f", {cell['failed']} failed" if cell["failed"] else ""
+            figures = [_write(row, cell) for row in _ROWS]
+            rows.append([log, variant, f"{cell['seeds']}{failed}", *figures, "" if cost is None else f"{cost:.2f}"])
+    systems = [
+        [name, log, f"{scores['relations']['trans_mean_m']:.4f} m", f"{scores['relations']['rot_mean_deg']:.3f} deg"]
+        for name, logs in suite["systems"].items()
+        for log, scores in logs.items()
+    ]
+    text = f"{_describe_machine(suite)}\n\n{table(head, rows)}\n"
+    return text + (f"\n{table(['system', 'log', 'translation', 'rotation'], systems)}\n" if systems else "")
+
+
+def _describe_machine(suite: Mapping[str, Any]) -> str:
+    seeds = sorted({cell["seeds"] for variants in suite["cells"].values() for cell in variants.values()})
+    machine = suite["machine"]
     load = machine["load, yardstick"].partition(",")[0]
-    return (
-        f"Commit {present['commit'][:7]}, {seeds.pop()} seeds; {machine['machine']}, at a load of {load}.\n"
-        f"Beside commit {ratio['to']}: {'; '.join(changes)}.\n\n{table(head, rows)}\n"
-    )
+    count = " to ".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))
+    return f"Commit {suite['commit'][:7]}, {count} seeds; {machine['machine']}, at a load of {load}."
+
+
+def _describe_ratio(suite: Mapping[str, Any]) -> str:
+    ratio = suite["ratio"]
+    changes = [
+        f"{_LOGS[log]} {variants['default']['error_m']:.2f} times the error and "
+        f"{variants['default']['cpu_s']:.2f} times the CPU time"
+        for log, variants in ratio["logs"].items()
+        if log in _LOGS
+    ]
+    return f"Beside commit {ratio['to'][:7]}: {'; '.join(changes)}."
 
 
 def quoted() -> list[str]:
@@ -77,10 +111,11 @@ def strangers(section: str) -> list[str]:
 
 
 def main() -> None:
-    """Write the block into the README."""
-    text = README.read_text(encoding="utf-8")
-    assert BLOCK.search(text), "the README has no <!-- figures --> ... <!-- end of figures -->"
-    README.write_text(BLOCK.sub(lambda _: block(), text), encoding="utf-8")
+    """Write the blocks into the README and the page."""
+    for path, text in ((README, block()), (SCOREBOARD, scoreboard())):
+        page = path.read_text(encoding="utf-8")
+        assert BLOCK.search(page), f"{path.name} has no <!-- figures --> ... <!-- end of figures -->"
+        path.write_text(BLOCK.sub(lambda _, text=text: text, page), encoding="utf-8")
 
 
 def _read(name: str) -> dict[str, Any]:
@@ -88,28 +123,28 @@ def _read(name: str) -> dict[str, Any]:
     return found
 
 
-def _cells(log: str, row: _Row, present: dict[str, Any], others: dict[str, Any]) -> list[str]:
-    own = [present["logs"][log][variant] for variant in ("gridslam", "filter")]
-    systems = [system[log] for system in others["systems"].values()]
+def _cells(log: str, row: _Row, cells: Mapping[str, Any], others: Mapping[str, Any]) -> list[str]:
+    own = [_write(row, cells[variant]) for variant in _OWN]
     return [
         f"{_LOGS[log]}, {row.name}",
-        *(_make_writable(row, figures) for figures in own),
-        *(_other(row, s) for s in systems),
+        *own,
+        *(_write_other(row, system[log]) for system in others["systems"].values()),
     ]
 
 
-def _make_writable(row: _Row, figures: dict[str, Any]) -> str:
-    figure = figures[row.key]
-    if not isinstance(figure, dict):
-        return row.form.format(figure)
-    if row.tells_worst:
-        return f"{row.form.format(figure['mean'])} ({row.form.format(figure['worst']).split()[0]})"
-    return row.form.format(figure["worst" if row.key == "worst_relation_m" else "mean"])
+def _write(row: _Row, cell: Mapping[str, Any]) -> str:
+    """The mean with its 95 % interval; of worst relations the worst of all seeds."""
+    if row.key not in cell:
+        return ""
+    mean, low, high, worst = (row.scale * cell[row.key][name] for name in ("mean", "low", "high", "worst"))
+    if row.key == "worst_m":
+        return f"{worst:.{row.digits}f} {row.unit}"
+    return f"{mean:.{row.digits}f} {row.unit} ({low:.{row.digits}f} to {high:.{row.digits}f})"
 
 
-def _other(row: _Row, figures: dict[str, Any]) -> str:
-    """As it was told: its digits are not ours."""
-    return f"{figures[row.key]} {row.form.rpartition(' ')[2]}" if row.key in figures else ""
+def _write_other(row: _Row, figures: Mapping[str, Any]) -> str:
+    """As it was published: its digits are not ours."""
+    return f"{figures[row.other]} {row.unit}" if row.other in figures else ""
 
 
 if __name__ == "__main__":

@@ -101,6 +101,11 @@ def test_doctor_localize_and_evaluate_run_over_many_logs(logs, tmp_path, call, l
     assert call(*arguments)[0] == 0
     assert len(read_tum(tmp_path / "mcl" / "b" / "trajectory.tum")) == 25
 
+    image = maps / "a" / "map.pgm"
+    content = image.read_bytes()
+    image.write_bytes(content[:-1] + bytes([content[-1] ^ 205]))  # of another map the results are others
+    assert "2 logs: 2 done, in" in call(*arguments)[1]
+
     shutil.copy(log.with_name("truth.tum"), tmp_path / "a.tum")
     write_tum(tmp_path / "b.tum", read_tum(maps / "b" / "trajectory.tum"))
     arguments = (
@@ -219,3 +224,12 @@ def test_bad_use_of_a_suite_is_one_line(tmp_path, call, arguments, message):
     assert status == 2
     assert message in err
     assert err.count("\n") == 1
+
+
+def test_a_log_that_grows_while_the_batch_runs_is_named_and_mapped_the_next_time(logs, tmp_path, call, monkeypatch):
+    arguments = "batch", logs / "a.clf.bz2", "-o", tmp_path / "out", *FAST
+    monkeypatch.setattr("gridslam.cli.batch.measure_size", lambda path: path.stat().st_size - 1)
+    status, _, err = call(*arguments)
+    assert status == 1
+    assert "a.clf.bz2: has changed since the batch began: run the same command again" in err
+    assert not (tmp_path / "out" / "a").exists()

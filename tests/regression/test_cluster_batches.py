@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -33,6 +34,16 @@ def test_a_cluster_that_loses_workers_gives_the_same_results_as_this_machine(tmp
         assert cluster.dashboard.startswith("http://127.0.0.1:")
         rows = run_jobs([jobs[0], killer, *jobs[1:]], tmp_path / "one", executor=cluster, retries=1)
         assert sum(worker.poll() is not None for worker in local.workers) == 2
+        hanging = make_job("hang", "hanging", pids=str(tmp_path / "pids"))
+
+        def interrupt():
+            if (tmp_path / "pids").exists():
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            run_jobs([hanging], tmp_path / "three", executor=DaskCluster(local.address), on_poll=interrupt)
+        assert [path.name for path in (tmp_path / "three").iterdir()] == ["runs.sqlite"]
+        assert not any(Path(f"/proc/{pid}").exists() for pid in (tmp_path / "pids").read_text().split()[:1])
     assert [row["status"] for row in rows] == ["done", "failed", *4 * ["done"]]
     assert (rows[1]["error"], rows[1]["attempts"]) == ("lost worker", 2)
     assert all(row["attempts"] <= 2 for row in rows)

@@ -1,9 +1,13 @@
-"""Jobs whose children end in every way, for the tests of `gridslam.batch`."""
+"""Jobs whose children end in every way, for the tests of `gridslam.batch`.
+
+Each child imports this module: what only the tests need is imported where it is used.
+"""
 
 from __future__ import annotations
 
 import ctypes
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -13,17 +17,9 @@ from dataclasses import asdict
 from itertools import islice
 from pathlib import Path
 
-import numpy as np
-
-from gridslam.batch.commands import TARGETS
 from gridslam.batch.job import Job, compute_key
-from gridslam.config import Configuration
-from gridslam.config.tables import to_table
 from gridslam.errors import InputError
-from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.log import LogOptions
 from gridslam.io.output import OutputFolder
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate_stream
 
 
 def make_job(function, name, **arguments):
@@ -34,6 +30,10 @@ def make_job(function, name, **arguments):
 
 def map_job(log, name):
     """A job that maps a log with few particles."""
+    from gridslam.config import Configuration
+    from gridslam.config.tables import to_table
+    from gridslam.io.log import LogOptions
+
     arguments = {
         "log": str(log),
         "digest": None,
@@ -45,11 +45,16 @@ def map_job(log, name):
         "max_memory_bytes": 10**9,
         "reference": None,
     }
-    return Job(TARGETS["map"], arguments, str(log), name, compute_key("map", name, arguments))
+    return Job("gridslam.batch.commands:run_map", arguments, str(log), name, compute_key("map", name, arguments))
 
 
 def write_logs(folder, count, scans=40):
     """Write the beginnings of drives through one building, with noise of their own."""
+    import numpy as np
+
+    from gridslam.io.carmen.writer import write_carmen
+    from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate_stream
+
     folder.mkdir()
     lidar = LidarConfig(beams=90)
     for seed in range(count):
@@ -68,7 +73,8 @@ def with_faults(healthy, broken, hanging, greedy, crashing):
         *(make_job("take_memory", f"greedy{k}") for k in range(greedy)),
         *(make_job("segfault", f"crashing{k}") for k in range(crashing)),
     ]
-    return [jobs[k] for k in np.random.default_rng(0).permutation(len(jobs))]
+    random.Random(0).shuffle(jobs)
+    return jobs
 
 
 def check_faults(rows, out, **expected):

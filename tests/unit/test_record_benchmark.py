@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 
+import numpy as np
 import pytest
 
 import count
-import record
-from measure import Cost, MapRun
+import measure
+import scoreboard
+from measure import RESULTS
+from support.journals import make_rows, write_journal
 
 CODE = '"""A docstring."""\n\nimport math\n\n\ndef f(x):\n    """Another."""\n    if x:  # so\n        return x\n'
 
@@ -29,22 +33,52 @@ def test_a_packed_assignment_counts_as_what_it_assigns(code, statements):
     assert counted.packed == (100.0 if statements > 1 else 0.0)
 
 
-def test_figures_are_the_mean_and_the_worst_of_the_seeds_and_the_cost_of_the_first():
-    first = MapRun(Cost(wall_s=3.0, cpu_s=2.0, yardstick_s=0.25), {"peak_memory_bytes": 3e6}, None)
-    found = record.summary({"translation_m": [0.01, 0.03], "rotation_deg": [0.2, 0.2]}, first)
-    assert found["seeds"] == 2
-    assert found["translation_m"] == {"mean": 0.02, "worst": 0.03}
-    assert (found["cpu_s"], found["yardsticks"], found["peak_mb"]) == (2.0, 8.0, 3.0)
+def run(seed, error_m, **more):
+    return {"log": "intel", "variant": "default", "seed": seed, "failed": False, "error_m": error_m, **more}
 
 
-def test_ratios_are_told_of_what_both_files_have():
-    present = {"intel": {"gridslam": {"translation_m": {"mean": 0.03}, "cpu_s": 5.0, "yardsticks": 20.0}}}
-    earlier = {"intel": {"gridslam": {"translation_m": {"mean": 0.02}, "cpu_s": 10.0}}}
-    told = record.ratios(present, earlier)["intel"]["gridslam"]
-    assert told == {"translation_m": pytest.approx(1.5), "cpu_s": pytest.approx(0.5)}
+def test_figures_are_means_over_the_seeds_with_their_interval():
+    runs = [run(0, 0.01, cpu_s=3.0), run(1, 0.03, cpu_s=5.0), run(2, None, failed=True)]
+    cell = scoreboard.collect(runs)["intel"]["default"]
+    assert (cell["seeds"], cell["failed"]) == (3, 1)
+    assert (cell["error_m"]["mean"], cell["error_m"]["worst"]) == (0.02, 0.03)
+    assert cell["cpu_s"]["high"] - 4.0 == pytest.approx(12.706 * math.sqrt(2) / math.sqrt(2), abs=0.01)  # t of 1 degree
 
 
-@pytest.mark.parametrize("path", sorted(record.RESULTS.glob("*.json")), ids=lambda path: path.name)
+def test_the_interval_holds_the_mean_in_95_of_100_cases():
+    rng = np.random.default_rng(0)
+    found = [scoreboard.interval(list(rng.normal(1.0, 0.1, 10)), 9) for _ in range(2000)]
+    inside = np.mean([each["low"] <= 1.0 <= each["high"] for each in found])
+    assert abs(inside - 0.95) < 4 * math.sqrt(0.95 * 0.05 / 2000)
+
+
+def test_ratios_are_of_what_both_files_have():
+    cells = scoreboard.collect([run(0, 0.03, cpu_s=5.0), run(1, 0.03, cpu_s=5.0)])
+    old = {"logs": {"intel": {"gridslam": {"translation_m": {"mean": 0.02}, "cpu_s": 10.0}}}}
+    assert scoreboard.ratios(cells, old) == {"intel": {"default": {"error_m": 1.5, "cpu_s": 0.5}}}
+    new = {"cells": scoreboard.collect([run(0, 0.01), run(1, 0.01)])}
+    assert scoreboard.ratios(cells, new) == {"intel": {"default": {"error_m": 3.0}}}
+
+
+def test_a_scoreboard_is_made_of_a_batch_and_of_the_trajectories_of_others(tmp_path, monkeypatch):
+    rows = make_rows(4)
+    for seed, row in enumerate(rows):
+        row["folder"] = f"mit-csail-default-seed{seed}"
+    rows[3] |= {"status": "failed", "error": "SIGSEGV", "document": None}
+    write_journal(tmp_path / "out", rows)
+    (tmp_path / "systems" / "lama").mkdir(parents=True)
+    relations = "".join(f"{k} {k + 1} 1 0 0 0 0 0\n" for k in range(5))
+    (tmp_path / "intel.relations").write_text(relations)
+    (tmp_path / "systems" / "lama" / "intel.tum").write_text("".join(f"{k} {k} 0 0 0 0 0 1\n" for k in range(6)))
+    monkeypatch.setattr(measure, "yardstick_s", lambda: 0.25)
+    path = scoreboard.main([str(tmp_path / "out"), "--data", str(tmp_path), "-o", str(tmp_path / "suite.json")])
+    found = json.loads(path.read_text(encoding="utf-8"))
+    assert found["cells"]["mit-csail"]["default"]["failed"] == 1
+    assert [each["failed"] for each in found["runs"]] == [False, False, False, True]
+    assert found["systems"]["lama"]["intel"]["relations"]["trans_mean_m"] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.name)
 def test_every_committed_result_tells_its_source(path):
     document = json.loads(path.read_text(encoding="utf-8"))
     assert document["schema"] == "gridslam.benchmark/1"

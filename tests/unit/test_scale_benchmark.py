@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from record import RESULTS
+from measure import RESULTS
 from scale import BUILT, SCENARIOS, Parts, main, make_durations, simulate
 
 DURATIONS = make_durations(2000, np.random.default_rng(1))

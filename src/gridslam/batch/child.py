@@ -84,7 +84,7 @@ class ForkServer:
         host = socket.gethostname()
         if limits["version"] != __version__:
             raise OutputError(f"worker {host} has gridslam {__version__}, and the batch is of {limits['version']}")
-        claim = attempts_folder(limits["out"]) / job["key"]
+        claim = attempts_folder(limits["out"]) / job["folder"]
         attempt = _claim_attempt(claim, host)
         if attempt > limits["attempts"]:
             return lost_row(job, attempt - 1)

@@ -6,18 +6,21 @@ Importing this module imports all that they need, so that children are forked wi
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import gridslam.viz  # noqa: F401
 from gridslam.api.diagnosis import check_log, write_diagnosis
 from gridslam.api.evaluation import evaluate_trajectory, score_against_reference
 from gridslam.api.localization import LocalizationResult, localize
 from gridslam.api.mapping import MapResult, map_log
+from gridslam.batch.journal import measure_size
 from gridslam.config import Configuration
 from gridslam.config.tables import replace_parameters
 from gridslam.doctor import diagnose
+from gridslam.errors import InputError
 from gridslam.io.carmen import reader  # noqa: F401
 from gridslam.io.limits import limit_memory
 from gridslam.io.log import Log, LogOptions, open_log
@@ -25,10 +28,7 @@ from gridslam.io.output import OutputFolder
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.slam.full_slam import full_slam  # noqa: F401
 
-__all__ = ["TARGETS", "run_doctor", "run_evaluate", "run_localize", "run_map"]
-
-TARGETS: Final = {name: f"{__name__}:run_{name}" for name in ("map", "doctor", "localize", "evaluate")}
-"""Target of the jobs of each command."""
+__all__ = ["run_doctor", "run_evaluate", "run_localize", "run_map"]
 
 
 def run_map(arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -37,16 +37,16 @@ def run_map(arguments: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     arguments : mapping
-        ``log``, its path, and ``digest``, its SHA-256; ``configuration``, a table of parameters; ``seed``, ``threads``,
-        ``repair``; ``options``, the fields of `LogOptions`; ``max_memory_bytes``; ``reference``, a file of relations or
-        a true trajectory, or None; ``out`` and ``job`` (see `Job`).
+        ``log``, its path, ``digest``, its SHA-256, and ``bytes``, its size then, if known; ``configuration``, a table
+        of parameters; ``seed``, ``threads``, ``repair``; ``options``, the fields of `LogOptions`; ``max_memory_bytes``;
+        ``reference``, a file of relations or a true trajectory, or None; ``out`` and ``job`` (see `Job`).
 
     Returns
     -------
     dict
         The content of run.json; with a reference, its scores under ``evaluation``.
     """
-    with limit_memory(arguments["max_memory_bytes"]), OutputFolder(arguments["out"], MapResult.all_names()) as folder:
+    with _open_output(arguments, MapResult.all_names()) as folder:
         result = map_log(
             _open(arguments),
             configuration=replace_parameters(Configuration(), arguments["configuration"]),
@@ -62,10 +62,7 @@ def run_map(arguments: Mapping[str, Any]) -> dict[str, Any]:
 
 def run_localize(arguments: Mapping[str, Any]) -> dict[str, Any]:
     """Localize a log in a map as `gridslam localize` does; arguments as of `run_map`, and of `localize`."""
-    with (
-        limit_memory(arguments["max_memory_bytes"]),
-        OutputFolder(arguments["out"], LocalizationResult.all_names()) as folder,
-    ):
+    with _open_output(arguments, LocalizationResult.all_names()) as folder:
         result = localize(
             _open(arguments),
             arguments["map"],
@@ -84,7 +81,7 @@ def run_localize(arguments: Mapping[str, Any]) -> dict[str, Any]:
 
 def run_doctor(arguments: Mapping[str, Any]) -> dict[str, Any]:
     """Diagnose a log as `gridslam doctor` does; returns the content of report.json."""
-    with limit_memory(arguments["max_memory_bytes"]), OutputFolder(arguments["out"]) as folder:
+    with _open_output(arguments) as folder:
         diagnosis = diagnose(open_log(arguments["log"], _read_options(arguments)))
         document = write_diagnosis(diagnosis, folder) | {"job": arguments["job"]}
         folder.write_json("run.json", document)
@@ -94,6 +91,16 @@ def run_doctor(arguments: Mapping[str, Any]) -> dict[str, Any]:
 def run_evaluate(arguments: Mapping[str, Any]) -> dict[str, Any]:
     """Score the trajectory ``log`` against ``reference`` as `gridslam evaluate` does."""
     return evaluate_trajectory(arguments["log"], arguments["reference"], arguments["distance_m"])
+
+
+@contextmanager
+def _open_output(arguments: Mapping[str, Any], names: Sequence[str] = ()) -> Iterator[OutputFolder]:
+    """Open OUT for a job; nothing is written if its log has another size than when its digest was computed."""
+    with limit_memory(arguments["max_memory_bytes"]), OutputFolder(arguments["out"], names) as folder:
+        yield folder
+        size = arguments.get("bytes")
+        if size is not None and measure_size(Path(arguments["log"])) != size:
+            raise InputError(arguments["log"], "has changed since the batch began: run the same command again")
 
 
 def _write(

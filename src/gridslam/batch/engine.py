@@ -30,7 +30,7 @@ __all__ = ["Executor", "run_jobs"]
 
 _POLL_S = 0.5
 _MOST_ROWS = 1000  # of a transaction of the journal
-_ENDING_S = 2.0
+_ENDING_S = 5.0
 _MOST_LOST: Final = 10
 """Times that a job may be lost before a worker has begun it."""
 _OF_THE_LOG: Final = frozenset({"InputError", "ArgumentError", "ConfigurationError"})
@@ -131,24 +131,23 @@ def run_jobs(
             "attempts": retries + 1,
             "version": __version__,
         }
-        if queue:
-            try:
-                attempts_folder(folder).mkdir(exist_ok=True)
-                with closing(_run(queue, limits, executor, on_poll)) as ended:
-                    for together in ended:
-                        full = next((row for row in together if _is_disk_full(row)), None)
-                        kept = [row for row in together if not _is_disk_full(row)]
-                        with journal.transaction():
-                            for row in kept:
-                                journal.write(row)
+        try:
+            _make_attempts_folder(folder)
+            with closing(_run(queue, limits, executor, on_poll)) as ended:
+                for together in ended:
+                    full = next((row for row in together if _is_disk_full(row)), None)
+                    kept = [row for row in together if not _is_disk_full(row)]
+                    with journal.transaction():
                         for row in kept:
-                            (attempts_folder(folder) / row["key"]).unlink(missing_ok=True)
-                            record(row, resumed=False)
-                        if full is not None:
-                            problem = f"{full['message']}; run the same command again when there is space"
-                            raise OutputError(f"{out}: {problem}")
-            finally:
-                _clean(folder)
+                            journal.write(row)
+                    for row in kept:
+                        (attempts_folder(folder) / row["folder"]).unlink(missing_ok=True)
+                        record(row, resumed=False)
+                    if full is not None:
+                        problem = f"{full['message']}; run the same command again when there is space"
+                        raise OutputError(f"{out}: {problem}")
+        finally:
+            _clean(folder)
     return [rows[job.folder] for job in jobs]
 
 
@@ -175,7 +174,7 @@ def _run(
                     row = future.result()
                 except LostWorkerError:
                     lost[job.folder] += 1
-                    begun = _count_attempts(limits["out"], job.key)
+                    begun = _count_attempts(limits["out"], job.folder)
                     if begun < limits["attempts"] and lost[job.folder] < limits["attempts"] + _MOST_LOST:
                         queue.appendleft(job)
                         continue
@@ -198,10 +197,17 @@ def _take(ended: SimpleQueue[Future[dict[str, Any]]]) -> list[Future[dict[str, A
     return taken
 
 
-def _count_attempts(out: str, key: str) -> int:
-    """How often workers have begun a job."""
+def _make_attempts_folder(out: Path) -> None:
     try:
-        return (attempts_folder(out) / key).stat().st_size
+        attempts_folder(out).mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be written: {error.strerror}") from None
+
+
+def _count_attempts(out: str, folder: str) -> int:
+    """How often workers have begun the job of a folder."""
+    try:
+        return (attempts_folder(out) / folder).stat().st_size
     except OSError:
         return 0
 
@@ -215,11 +221,23 @@ def _find_earlier(job: Job, out: Path, journal: Journal) -> dict[str, Any] | Non
         if row is not None and same and row["status"] == "done":
             return row
         restored = lost_row(job.to_dict(), 1) | {"status": "done", "error": None, "message": None, "document": document}
+        restored |= _read_costs(document)
         journal.write(restored)
         return restored
     if row is not None and same and row["error"] in _OF_THE_LOG and "--max-memory" not in (row["message"] or ""):
         return row
     return None
+
+
+def _read_costs(document: dict[str, Any]) -> dict[str, Any]:
+    """What run.json contains of the costs of its job."""
+    time_ = document.get("time")
+    times = time_ if isinstance(time_, dict) else {}
+    return {
+        "wall_s": times.get("wall_s"),
+        "cpu_s": times.get("cpu_s"),
+        "peak_memory_bytes": document.get("peak_memory_bytes"),
+    }
 
 
 def _read_done(path: Path, key: str) -> dict[str, Any] | None:
@@ -257,6 +275,7 @@ def _check(
 
 def _clean(out: Path) -> None:
     """Remove what killed processes have left in OUT; nothing else is running there but those that are about to end."""
+    shutil.rmtree(attempts_folder(out), ignore_errors=True)  # where it is gone, workers end their children
     end = time.monotonic() + _ENDING_S
     with suppress(OSError):
         while left := list(out.glob(".*.partial")):
@@ -265,7 +284,6 @@ def _clean(out: Path) -> None:
             if time.monotonic() > end:
                 break
             time.sleep(0.02)
-    shutil.rmtree(attempts_folder(out), ignore_errors=True)
 
 
 @contextmanager

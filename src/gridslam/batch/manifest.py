@@ -137,7 +137,11 @@ def _walk(folder: Path, trajectories: bool) -> Iterator[Path]:
     """
     if not trajectories and (folder / "run.json").exists():
         return
-    for path in sorted(folder.iterdir()):
+    try:
+        content = sorted(folder.iterdir())
+    except OSError as error:
+        raise InputError(folder, f"cannot be read: {error.strerror}") from None
+    for path in content:
         if path.name.startswith("."):
             continue
         if not path.is_dir():
@@ -145,7 +149,7 @@ def _walk(folder: Path, trajectories: bool) -> Iterator[Path]:
                 yield path
         elif not trajectories and (path / "metadata.yaml").exists():
             yield path
-        else:
+        elif path.resolve() not in path.absolute().parents:  # a link to a folder above has no end
             yield from _walk(path, trajectories)
 
 

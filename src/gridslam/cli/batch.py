@@ -8,7 +8,7 @@ import os
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal, final
@@ -19,7 +19,7 @@ from gridslam.api.amcl import AmclParameters
 from gridslam.batch.cost import estimate, limit_memory
 from gridslam.batch.engine import Executor, run_jobs
 from gridslam.batch.job import Job, compute_key
-from gridslam.batch.journal import Journal
+from gridslam.batch.journal import Journal, measure_size
 from gridslam.batch.manifest import COLUMNS, Entry, find_logs
 from gridslam.batch.pool import ProcessPool
 from gridslam.batch.publish import Publisher
@@ -35,6 +35,7 @@ from gridslam.evaluation.cost import Cost
 from gridslam.io.cache import LogCache
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions
+from gridslam.io.maps import read_map_description
 from gridslam.io.remote import describe_remote, is_url, mask_url
 
 __all__ = ["run_batch"]
@@ -266,18 +267,22 @@ def _make_jobs(
 ) -> list[Job]:
     """Make the jobs; the logs that have changed since the last time are read for their digests."""
     references = [entry.reference for entry in entries if entry.reference]
-    maps = [arguments["map"] for arguments in prepared if "map" in arguments]
+    images = {path: _find_image(path) for path in {arguments["map"] for arguments in prepared if "map" in arguments}}
+    sizes = {entry.path: _measure(entry.path) for entry in entries}
     states = {entry.path: entry.state for entry in entries if entry.state is not None}
-    digests = _compute_digests({*(entry.path for entry in entries), *references, *maps}, states, journal)
+    digests = _compute_digests({*sizes, *references, *images, *images.values()}, states, journal)
     jobs = []
     for entry, arguments in zip(entries, prepared, strict=True):
         used = {name: path for name, path in (("reference", entry.reference), ("map", arguments.get("map"))) if path}
+        if "map" in used:
+            used["map_image"] = images[used["map"]]
         parameters = {name: value for name, value in arguments.items() if name != "threads"} | {
             name: digests[path] for name, path in used.items()
         }
         every = {
             "log": entry.path,
             "digest": "" if is_url(entry.path) else digests[entry.path],
+            "bytes": sizes[entry.path],
             "reference": entry.reference,
             "max_memory_bytes": max_memory_bytes(),
             **arguments,
@@ -285,6 +290,20 @@ def _make_jobs(
         key = compute_key(command, digests[entry.path], parameters)
         jobs.append(Job(_TARGET.format(command), every, entry.log, entry.name, key, command))
     return jobs
+
+
+def _measure(path: str) -> int | None:
+    """Size of a log, if it is there and not at a URL."""
+    with suppress(InputError):
+        return None if is_url(path) else measure_size(Path(path))
+    return None
+
+
+def _find_image(path: str) -> str:
+    """Image of a map; the map's file itself where it cannot be read, which the jobs report."""
+    with suppress(InputError):
+        return os.path.join(os.path.dirname(path), read_map_description(path).image)
+    return path
 
 
 def _compute_digests(paths: Collection[str], states: Mapping[str, str], journal: Journal) -> dict[str, str]:

@@ -7,6 +7,7 @@ import shutil
 import sqlite3
 from collections import Counter
 from concurrent.futures import Future
+from dataclasses import replace
 
 import pytest
 
@@ -89,6 +90,14 @@ def test_a_log_whose_worker_is_lost_runs_again_and_one_that_kills_workers_is_nam
     assert [row["attempts"] for row in rows] == [2, 3, 1, 1, 1]
     assert (rows[1]["error"], rows[0]["error"]) == ("lost worker", None)
     assert Counter(trace.read_text().split())["always"] == 3
+
+
+def test_copies_of_a_log_are_jobs_of_their_own(tmp_path, trace):
+    one = make_job("write_number", "a", number=1, seconds=0.3, trace=str(trace))
+    copies = [replace(one, folder=name, log=f"{name}.clf") for name in "abcd"]
+    rows = run(copies, tmp_path / "out", retries=0)
+    assert [row["status"] for row in rows] == 4 * ["done"]
+    assert Counter(trace.read_text().split()) == dict.fromkeys("abcd", 1)
 
 
 def test_a_full_disk_ends_the_batch_and_loses_nothing(tmp_path, trace):

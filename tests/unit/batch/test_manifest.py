@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from gridslam.batch.manifest import find_logs
 from gridslam.errors import InputError
@@ -50,6 +52,12 @@ def test_a_folder_stands_for_the_logs_below_it(tree):
         "ros2": "logs/ros2",
         "runs": "runs.clf",
     }
+
+
+@pytest.mark.skipif(not hasattr(os, "symlink"), reason="needs links")
+def test_a_link_to_a_folder_above_is_not_followed(tree):
+    os.symlink(tree, tree / "logs" / "above")
+    assert len(names("logs")) == 5
 
 
 def test_patterns_files_and_urls(tree):
@@ -124,3 +132,21 @@ def test_a_malformed_manifest_is_refused_with_its_line(tree, text, problem):
 def test_a_pattern_without_logs_is_refused(tree, pattern, problem):
     with pytest.raises(InputError, match=problem):
         find_logs([pattern])
+
+
+CELLS = st.sampled_from(
+    ["log", "name", "reference", "seed", "a.clf", "b.clf", "x", "", '"', "\\", "/", "\x00", "s3://a/b"]
+)
+ROWS = st.lists(st.lists(CELLS, min_size=1, max_size=4).map(",".join), max_size=5)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(rows=ROWS, more=st.binary(max_size=8))
+def test_any_manifest_is_read_or_refused(tmp_path, rows, more):
+    path = tmp_path / "m.csv"
+    path.write_bytes(b"log,name" + "\n".join(["", *rows]).encode() + more)
+    try:
+        entries = find_logs([str(path)])
+    except InputError:
+        return
+    assert len({entry.name.casefold() for entry in entries}) == len(entries) > 0

@@ -10,7 +10,7 @@ from gridslam.batch.suite import PUBLIC_SUITE, load_suite
 from gridslam.errors import InputError
 from gridslam.io import datasets
 from gridslam.io.datasets import DATASETS, DatasetError
-from record import RESULTS
+from measure import RESULTS
 
 SUITE = """
 seeds = 2

@@ -9,7 +9,7 @@ import pytest
 
 from gridslam.errors import ArgumentError
 from gridslam.evaluation.cost import DEFAULT_COSTS, Cost, Work, check_costs, fit_costs
-from record import RESULTS
+from measure import RESULTS
 
 
 def some_work(count, seed=0):

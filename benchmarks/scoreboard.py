@@ -1,0 +1,130 @@
+"""The scoreboard, from a run of the public suite, as a file to be committed.
+
+    gridslam batch ../shared/data --suite public -o OUT --workers 1
+    python benchmarks/scoreboard.py OUT [--data FOLDER] [--beside benchmarks/results/COMMIT.json] [-o FILE]
+
+`python benchmarks/readme.py` then writes it into the README and docs/scoreboard.md. Other systems are those of the
+suite whose trajectories are below the folder of logs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from gridslam.api.evaluation import evaluate_trajectory
+from gridslam.batch.runs import Run, read_runs
+from gridslam.batch.suite import PUBLIC_SUITE, load_suite
+from measure import RESULTS, document
+
+__all__ = ["FIGURES", "collect", "interval", "main", "ratios"]
+
+FIGURES = {"error_m": 6, "error_rad": 7, "worst_m": 6, "cpu_s": 2, "peak_memory_bytes": 0}
+"""Figures of a run, and the decimals that are kept."""
+
+_OLD_NAMES = {"default": "gridslam", "filter": "filter"}
+_OLD_FIGURES = {"error_m": "translation_m", "cpu_s": "cpu_s"}
+
+
+def main(arguments: Sequence[str] | None = None) -> Path:
+    """Collect, and write the file; returns its path."""
+    parser = argparse.ArgumentParser(description="The scoreboard, with the commit and the machine.")
+    parser.add_argument("batch", type=Path, metavar="OUT", help="output folder of gridslam batch --suite")
+    parser.add_argument("--suite", default=PUBLIC_SUITE)
+    parser.add_argument("--data", type=Path, default=RESULTS.parents[2] / "shared" / "data", help="folder of logs")
+    parser.add_argument("--beside", type=Path, help="an earlier file, to which the ratios are")
+    parser.add_argument("--commit", help="commit that was run, if it is not the present one")
+    parser.add_argument("-o", "--out", type=Path, default=RESULTS / "suite.json")
+    given = parser.parse_args(arguments)
+    suite = load_suite(given.suite)
+    runs = [_describe(run) for run in read_runs(given.batch)]
+    cells = collect(runs)
+    found = document(
+        "gridslam batch --suite public --workers 1; CPU time of the children, which Python's start is no part of",
+        cells=cells,
+        systems=_score_systems(suite.model_dump(), given.data),
+        runs=runs,
+    )
+    found["commit"] = given.commit or found["commit"]
+    if given.beside:
+        earlier = json.loads(given.beside.read_text(encoding="utf-8"))
+        found["ratio"] = {"to": earlier["commit"], "logs": ratios(cells, earlier)}
+    given.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    path: Path = given.out
+    return path
+
+
+def collect(runs: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
+    """Of each log and variant the figures over its seeds: mean, 95 % interval of the mean, and worst."""
+    cells: dict[str, dict[str, dict[str, Any]]] = {}
+    for log, variant in dict.fromkeys((run["log"], run["variant"]) for run in runs):
+        own = [run for run in runs if (run["log"], run["variant"]) == (log, variant)]
+        columns = {name: [run[name] for run in own if run.get(name) is not None] for name in FIGURES}
+        cell: dict[str, Any] = {"seeds": len(own), "failed": sum(run["failed"] for run in own)}
+        cell |= {name: interval(values, FIGURES[name]) for name, values in columns.items() if values}
+        cells.setdefault(log, {})[variant] = cell
+    return cells
+
+
+def interval(values: Sequence[float], decimals: int) -> dict[str, float]:
+    """Mean, its 95 % interval by Student's t, and the largest."""
+    mean = float(np.mean(values))
+    half = 0.0
+    if len(values) > 1:
+        half = float(student.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / np.sqrt(len(values)))
+    found = {"mean": mean, "low": max(mean - half, 0.0), "high": mean + half, "worst": max(values)}
+    return {name: round(value, decimals) for name, value in found.items()}
+
+
+def ratios(cells: Mapping[str, Any], earlier: Mapping[str, Any]) -> dict[str, dict[str, dict[str, float]]]:
+    """Means divided by those of an earlier scoreboard, or of an earlier file of Intel and ACES."""
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for log, variants in cells.items():
+        for variant, cell in variants.items():
+            if "cells" in earlier:
+                before = earlier["cells"].get(log, {}).get(variant, {})
+                means = {name: before[name]["mean"] for name in FIGURES if name in before}
+            else:
+                before = earlier["logs"].get(log, {}).get(_OLD_NAMES.get(variant), {})
+                means = {name: _mean(before[old]) for name, old in _OLD_FIGURES.items() if old in before}
+            told = {name: round(cell[name]["mean"] / mean, 3) for name, mean in means.items() if name in cell}
+            if told:
+                found.setdefault(log, {})[variant] = told
+    return found
+
+
+def _mean(figure: float | dict[str, float]) -> float:
+    return figure["mean"] if isinstance(figure, dict) else figure
+
+
+def _describe(run: Run) -> dict[str, Any]:
+    name, _, seed = run.row["folder"].rpartition("-seed")
+    log, _, variant = name.rpartition("-")
+    found: dict[str, Any] = {"log": log, "variant": variant, "seed": int(seed), "failed": not run.is_done}
+    for figure, decimals in FIGURES.items():
+        value = run.row.get(figure, run.figures.get(figure))
+        if value is not None and run.is_done:
+            found[figure] = round(value, decimals)
+    return found
+
+
+def _score_systems(suite: Mapping[str, Any], data: Path) -> dict[str, dict[str, Any]]:
+    """Errors of other systems, where their trajectories are there; without a reference there is nothing to score."""
+    found: dict[str, dict[str, Any]] = {}
+    for system in suite["systems"]:
+        for log in suite["logs"]:
+            trajectory = data / system["trajectories"].format(log=log["name"])
+            if log["reference"] and trajectory.is_file() and (data / log["reference"]).is_file():
+                scores = evaluate_trajectory(trajectory, data / log["reference"], 1.0)
+                found.setdefault(system["name"], {})[log["name"]] = scores
+    return found
+
+
+if __name__ == "__main__":
+    print(main())
