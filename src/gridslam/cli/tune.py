@@ -89,7 +89,15 @@ def run_tune(
         with Journal(folder) as journal:
             chosen = [_digest(log, journal) for log in read]
         settings = Settings(
-            base, space, trials or _most_trials(budget_s), seed, judging_seeds, options, repair, max_memory_bytes()
+            base,
+            space,
+            trials or _most_trials(budget_s),
+            seed,
+            judging_seeds,
+            options,
+            repair,
+            max_memory_bytes(),
+            threads,
         )
         with _Progress(not as_json) as progress:
 

@@ -31,9 +31,12 @@ def describe_verdict(tuning: Tuning, logs: Sequence[TunedLog]) -> list[str]:
     found = tuning.comparison
     where = "held-out logs" if held_out else "logs of the search, with other seeds"
     runs = f"{found.observations} {where}" if found.units == "logs" else f"{found.observations} runs on {where}"
-    measured = f"its error is {found.ratio:.3f} times that of the start ({_interval(found)}, {runs})"
+    who = "of the default values" if tuning.prefers_default else "of the best"
+    measured = f"the error {who} is {found.ratio:.3f} times that of the start ({_interval(found)}, {runs})"
     noise = f"one seed differs from another by {100 * (found.seed_noise - 1):.1f} %"
     if tuning.gains:
+        if tuning.prefers_default:
+            return [f"gain: {measured}; {noise}", "nothing that was tried is better than the default beyond the noise"]
         changed = ", ".join(f"{name} {_text(value)}" for name, value in tuning.best.values.items())
         return [f"gain: {measured}; {noise}", f"values: {changed}"]
     failed = f"; {found.failed} of its runs failed" if found.failed else ""
@@ -71,10 +74,11 @@ def to_document(tuning: Tuning, settings: Settings, logs: Sequence[TunedLog], tr
         ],
         "start": _differences(to_table(settings.base), to_table(Configuration())),
         "recommended": tuning.gains,
+        "prefers_default": tuning.prefers_default,
         "verdict": describe_verdict(tuning, logs),
         "comparison": _describe_comparison(tuning.comparison),
         "pairs": [
-            {"log": pair.log, "seed": pair.seed, "start": _loss(pair.base), "best": _loss(pair.tuned)}
+            {"log": pair.log, "seed": pair.seed, "start": _loss(pair.base), "compared": _loss(pair.tuned)}
             for pair in tuning.pairs
         ],
         "best": tuning.best.values,

@@ -38,9 +38,9 @@ def run_trial(arguments: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     arguments : mapping
-        ``log``, its path, and ``digest``, its SHA-256; ``configuration``, a table of parameters; ``seed``; ``repair``;
-        ``options``, the fields of `LogOptions`; ``reference``, a file of relations (.relations) or a true trajectory,
-        or None; ``max_memory_bytes``.
+        ``log``, its path, and ``digest``, its SHA-256; ``configuration``, a table of parameters; ``seed``, ``threads``,
+        ``repair``; ``options``, the fields of `LogOptions`; ``reference``, a file of relations (.relations) or a true
+        trajectory, or None; ``max_memory_bytes``.
 
     Returns
     -------
@@ -62,6 +62,7 @@ def run_trial(arguments: Mapping[str, Any]) -> dict[str, Any]:
             seed=arguments["seed"],
             options=options,
             repair=arguments["repair"],
+            threads=arguments["threads"],
             digest=arguments["digest"],
             keep_particles=False,
         )

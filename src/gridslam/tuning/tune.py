@@ -65,7 +65,7 @@ class Settings:
         Of the search, and of its runs; those that judge have the next ones.
     judging_seeds : int
         Runs of each log by which the best is judged, each with a seed of its own.
-    options, repair
+    options, repair, threads
         As in `map_log`.
     max_memory_bytes : int
         As in `limit_memory`.
@@ -79,6 +79,7 @@ class Settings:
     options: LogOptions = field(default_factory=LogOptions)
     repair: str = "needed"
     max_memory_bytes: int = 1 << 32
+    threads: int = 1
 
 
 @final
@@ -112,9 +113,13 @@ class Tuning:
     Attributes
     ----------
     configuration : Configuration
-        The one to use: the best where it is better than the start beyond the noise, else the start.
+        The one to use: the best where it is better beyond the noise than the start, and than the default values; else
+        these, where they are better than the start beyond the noise; else the start.
     comparison : Comparison or None
-        The best against the start; None where nothing that was tried was better.
+        The best, or the default values where these are preferred, against the start; None where nothing that was tried
+        was better.
+    prefers_default : bool
+        Whether the best is not better than the default values beyond the noise, and the search began elsewhere.
     pairs : tuple of Pair
         The runs of the comparison.
     best : Trial
@@ -131,10 +136,11 @@ class Tuning:
     best: Trial
     trials: tuple[Trial, ...]
     importance: dict[str, float]
+    prefers_default: bool = False
 
     @property
     def gains(self) -> bool:
-        """Whether the best is recommended."""
+        """Whether another configuration than the start is recommended."""
         return self.comparison is not None and self.comparison.gains
 
 
@@ -200,19 +206,27 @@ class Tuner:
         )
         whole = [trial for trial in self.trials if trial.part == 1.0]
         best = min(whole, key=lambda trial: trial.ratio)
-        pairs = self._judge(best) if best.ratio < 1 else ()
+        chosen = best.values
+        start, default = (space.values_at(point) for point in starts)
+        prefers_default = False
+        pairs = list[Pair]()
+        if best.ratio < 1:
+            prefers_default = default != start and not compare(self._judge(default, best.values)).gains
+            chosen = default if prefers_default else best.values
+            pairs = self._judge(None, chosen)
         comparison = compare(pairs) if pairs else None
         gains = comparison is not None and comparison.gains
         importance = measure_importance(
             np.array([self._point_of(trial) for trial in first_rung]), [trial.ratio for trial in first_rung]
         )
         return Tuning(
-            space.apply(settings.base, best.values) if gains else settings.base,
+            space.apply(settings.base, chosen) if gains else settings.base,
             comparison,
             tuple(pairs),
             best,
             tuple(self.trials),
             {one.name: round(share, 4) for one, share in zip(space.dimensions, importance.tolist(), strict=True)},
+            prefers_default,
         )
 
     @property
@@ -239,12 +253,13 @@ class Tuner:
             self.on_trial(self.trials[-1])
         return [float(ratio) for ratio in ratios]
 
-    def _judge(self, best: Trial) -> list[Pair]:
-        """Run the best and the start with seeds that the search did not use."""
+    def _judge(self, one: Mapping[str, Value] | None, other: Mapping[str, Value]) -> list[Pair]:
+        """Run two configurations, the start for None, with seeds that the search did not use."""
         settings = self.settings
         seeds = [settings.seed + 1 + k for k in range(settings.judging_seeds)]
-        tuned = settings.space.apply(settings.base, best.values)
-        losses = self._evaluate([settings.base, tuned], 1.0, seeds, self.judged)
+        both = [settings.base if one is None else settings.space.apply(settings.base, one)]
+        both.append(settings.space.apply(settings.base, other))
+        losses = self._evaluate(both, 1.0, seeds, self.judged)
         return [
             Pair(log.name, seed, *np.log(losses[:, i, k]).tolist())
             for i, log in enumerate(self.judged)
@@ -295,6 +310,7 @@ class Tuner:
             "digest": log.digest,
             "reference": log.reference,
             "max_memory_bytes": settings.max_memory_bytes,
+            "threads": settings.threads,
         }
         return Job(TARGET, arguments, log.path, f"{log.name}-{key[:16]}", key, "tune")
 
@@ -321,7 +337,7 @@ class Tuner:
         searched_s = sum(log.duration_s for log in self._searched)
         judged_s = sum(log.duration_s for log in self.judged)
         one = self._base_s() * judged_s / searched_s if searched_s else 0.0
-        return 2 * _RESERVE * self.settings.judging_seeds * one
+        return 3 * _RESERVE * self.settings.judging_seeds * one
 
     def _base_s(self) -> float:
         base = (self._job(self.settings.base, 1.0, self.settings.seed, log) for log in self._searched)

@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridslam.config import Configuration, loads, override
+from gridslam.config import PARAMETERS, Configuration, loads, override
+from gridslam.config.tables import value_of
 from gridslam.errors import ArgumentError, InputError
 from gridslam.tuning.report import describe_verdict, plot_convergence, plot_importance, to_document, to_toml
 from gridslam.tuning.search_space import SearchSpace
@@ -27,8 +28,9 @@ SETTINGS = Settings(Configuration(), SPACE, 60)
 class Runs:
     """Answers jobs; the loss depends on the distance to the target, and on noise of its own for each job."""
 
-    def __init__(self, sensitivity=1.0, noise=0.05, fails=lambda values: False):
+    def __init__(self, sensitivity=1.0, noise=0.05, fails=lambda values: False, target=TARGET):
         self.sensitivity, self.noise, self.fails = sensitivity, noise, fails
+        self.target = target
         self.jobs = []
 
     def __call__(self, jobs):
@@ -46,7 +48,7 @@ class Runs:
         row["wall_s"] = 0.02 * (job.arguments["options"]["duration_s"] or LENGTHS[job.log])
         if self.fails(values):
             return row
-        away = sum(math.log(values[name] / TARGET[name]) ** 2 for name in NAMES)
+        away = sum(math.log(values[name] / self.target[name]) ** 2 for name in NAMES)
         seed = int(hashlib.sha256(job.key.encode()).hexdigest()[:8], 16)
         noise = self.noise * np.random.default_rng(seed).standard_normal()
         return row | {"status": "done", "document": {"loss": math.exp(self.sensitivity * away + noise)}}
@@ -59,7 +61,7 @@ def test_a_real_gain_is_found_and_recommended():
     for name in NAMES:
         assert abs(math.log(tuning.best.values[name] / TARGET[name])) < 0.7
     assert tuning.configuration == SPACE.apply(Configuration(), tuning.best.values)
-    assert describe_verdict(tuning, LOGS)[0].startswith("gain: its error is 0.")
+    assert describe_verdict(tuning, LOGS)[0].startswith("gain: the error of the best is 0.")
 
 
 def test_where_nothing_matters_the_start_is_kept():
@@ -82,6 +84,19 @@ def test_what_is_the_best_already_is_kept():
     assert describe_verdict(tuning, LOGS) == [
         "no gain: nothing that was tried is better than the configuration that the search began with"
     ]
+
+
+def test_the_default_is_preferred_where_nothing_is_better_than_it():
+    """The optimum is the default, and the search begins far from it: what it finds is near the default, not better."""
+    base = override(Configuration(), "key_scan_m=2.0", "noise_m=0.2")
+    runs = Runs(target={name: value_of(Configuration(), PARAMETERS[name].path) for name in NAMES})
+    tuning = Tuner(replace(SETTINGS, base=base), LOGS, runs)()
+    assert tuning.prefers_default
+    assert tuning.configuration == Configuration()
+    assert "of the default values is 0." in describe_verdict(tuning, LOGS)[0]
+    far = Tuner(replace(SETTINGS, base=base), LOGS, Runs())()
+    assert not far.prefers_default
+    assert far.gains
 
 
 def test_seeds_are_common_and_those_that_judge_are_fresh():
