@@ -68,7 +68,7 @@ def main() -> int:
         how = f"python tests/fuzz/run.py --cases {arguments.cases} --seed {arguments.seed}"
         beside = {"commit": commit, "families": other} if other else {}
         figures = {"cases": cases, "seed": arguments.seed, "failures": failures, "families": rows, "beside": beside}
-        write_document(arguments.out, how, figures=figures)
+        write_document(arguments.out, how, **figures)
     return int(failures > 0)
 
 

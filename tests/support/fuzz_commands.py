@@ -10,6 +10,7 @@ import importlib
 import json
 import os
 from collections.abc import Callable, Iterator
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -69,9 +70,13 @@ def _run(where: Path) -> str:
     """Run a case's command, and return what it has printed as warnings."""
     command, *arguments = json.loads((where / "arguments.json").read_text())
     arguments = [argument.replace("HERE", str(where)) for argument in arguments]
-    with open(where / "stderr.txt", "w") as errors, open(os.devnull, "w") as nothing:
-        os.dup2(errors.fileno(), 2)
-        os.dup2(nothing.fileno(), 1)
+    with (
+        open(where / "stderr.txt", "w") as errors,
+        open(os.devnull, "w") as nothing,
+        redirect_stderr(errors),
+        redirect_stdout(nothing),
+    ):
+        os.dup2(errors.fileno(), 2)  # what is not written by way of sys.stderr
         status = main([command, str(where / "log.csv"), "-o", str(where / "out"), "--json", *arguments])
     text = (where / "stderr.txt").read_text().strip()
     lines = text.splitlines() or [""]
@@ -79,6 +84,7 @@ def _run(where: Path) -> str:
     assert "Traceback" not in text, lines[-1]
     if status == 2:
         assert len(lines) == 1, f"{len(lines)} lines: {text[:200]}"
+        assert text.startswith("gridslam: "), text
         raise InputError(where, text)
     assert (where / "out" / "map.yaml").exists()
     return text
