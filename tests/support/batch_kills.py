@@ -51,9 +51,12 @@ def kill_and_repeat(logs, out, kills, rng, most_s):
 
 
 def find_done(out):
-    """Which jobs are done, and the file by which: one that is written again is another file."""
+    """Which jobs are done, and the file by which: one that is written again is another file.
+
+    Results that a kill has left in a temporary folder, whole or not, are not done.
+    """
     found = {}
-    for path in out.glob("*/run.json"):
+    for path in out.glob("[!.]*/run.json"):
         if "job" in json.loads(path.read_text()):
             state = path.stat()
             found[path.parent.name] = (state.st_ino, state.st_mtime_ns)
