@@ -16,7 +16,6 @@ from gridslam.api.diagnosis import check_log, write_diagnosis
 from gridslam.api.evaluation import evaluate_trajectory, score_against_reference
 from gridslam.api.localization import LocalizationResult, localize
 from gridslam.api.mapping import MapResult, map_log
-from gridslam.batch.journal import measure_size
 from gridslam.config import Configuration
 from gridslam.config.tables import replace_parameters
 from gridslam.doctor import diagnose
@@ -25,6 +24,7 @@ from gridslam.io.carmen import reader  # noqa: F401
 from gridslam.io.limits import limit_memory
 from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.io.output import OutputFolder
+from gridslam.io.text import measure_size
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.slam.full_slam import full_slam  # noqa: F401
 
@@ -127,8 +127,7 @@ def _open(arguments: Mapping[str, Any]) -> Log:
 
 
 def _read_options(arguments: Mapping[str, Any]) -> LogOptions:
-    options = arguments["options"]
-    return LogOptions(**{**options, "scan_topics": tuple(options["scan_topics"])})
+    return LogOptions.from_dict(arguments["options"])
 
 
 def _warn(*warnings: str) -> None:

@@ -6,7 +6,6 @@ import os
 import statistics
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Final, final
 
 from gridslam.batch.job import Job
@@ -94,7 +93,7 @@ def estimate(jobs: Sequence[Job], runs: Iterable[Run]) -> list[Cost]:
     Parameters
     ----------
     jobs : sequence of Job
-        Of `gridslam batch`: their arguments hold the path of the log, and the configuration. A log whose size is
+        Of `gridslam batch`: their arguments hold the size of the log, and the configuration. A log whose size is
         unknown, as one at a URL, is taken to be as large as the mean of the others.
     runs : iterable of Run
         Of the same or of another batch; may be empty.
@@ -105,7 +104,7 @@ def estimate(jobs: Sequence[Job], runs: Iterable[Run]) -> list[Cost]:
         In the order of `jobs`.
     """
     estimator = Estimator.learn(runs)
-    sizes = [_size(str(job.arguments.get("log", ""))) for job in jobs]
+    sizes = [job.arguments["bytes"] for job in jobs]
     seen = [size for size in sizes if size]
     typical = round(statistics.fmean(seen)) if seen else 1_000_000
     return [
@@ -130,16 +129,6 @@ def find_work(run: Run) -> Work | None:
 
 def _suffix(log: str) -> str:
     return os.path.splitext(log.partition("?")[0])[1].lower()
-
-
-def _size(path: str) -> int:
-    try:
-        file = Path(path)
-        if file.is_dir():
-            return sum(each.stat().st_size for each in file.rglob("*") if each.is_file())
-        return file.stat().st_size
-    except OSError:
-        return 0
 
 
 def _particles(arguments: dict[str, Any]) -> int:

@@ -14,7 +14,7 @@ from typing import Any, final
 from gridslam.errors import InputError, OutputError
 from gridslam.io.text import compute_digest
 
-__all__ = ["COLUMNS", "JOURNAL", "Journal", "describe_file", "measure_size"]
+__all__ = ["COLUMNS", "JOURNAL", "Journal", "describe_file"]
 
 JOURNAL = "runs.sqlite"
 
@@ -161,15 +161,6 @@ class Journal:
             raise OutputError(f"{self.path}: cannot be written: {error}") from None
         except sqlite3.DatabaseError as error:
             raise InputError(self.path, f"expected the journal of a batch: {error}") from None
-
-
-def measure_size(path: Path) -> int:
-    """Bytes of a file, or of all files in a folder; raises InputError if it is absent."""
-    try:
-        files = path.rglob("*") if path.is_dir() else [path]
-        return sum(file.stat().st_size for file in files if not file.is_dir())
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror}") from None
 
 
 def describe_file(path: Path) -> str:

@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack, suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal, final
 
@@ -19,7 +18,7 @@ from gridslam.api.amcl import AmclParameters
 from gridslam.batch.cost import estimate, limit_memory
 from gridslam.batch.engine import Executor, run_jobs
 from gridslam.batch.job import Job, compute_key
-from gridslam.batch.journal import Journal, measure_size
+from gridslam.batch.journal import Journal
 from gridslam.batch.manifest import COLUMNS, Entry, find_logs
 from gridslam.batch.pool import ProcessPool
 from gridslam.batch.publish import Publisher
@@ -37,6 +36,7 @@ from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions
 from gridslam.io.maps import read_map_description
 from gridslam.io.remote import describe_remote, is_url, mask_url
+from gridslam.io.text import measure_size
 
 __all__ = ["run_batch"]
 
@@ -206,7 +206,7 @@ def _read_map(
         "configuration": to_table(configuration),
         "seed": seed,
         "threads": threads,
-        "options": _to_json(options),
+        "options": options.to_dict(),
         "repair": repair,
     }
 
@@ -236,7 +236,7 @@ def _read_localize(
         "configuration": to_table(read.configuration),
         "seed": seed,
         "threads": threads,
-        "options": _to_json(options),
+        "options": options.to_dict(),
         "repair": repair,
     }
 
@@ -244,7 +244,7 @@ def _read_localize(
 @click.command("doctor", add_help_option=False)
 @log_options
 def _read_doctor(options: LogOptions) -> dict[str, Any]:
-    return {"options": _to_json(options)}
+    return {"options": options.to_dict()}
 
 
 @click.command("evaluate", add_help_option=False)
@@ -256,10 +256,6 @@ def _read_evaluate(distance_m: float) -> dict[str, Any]:
 
 
 _PARSERS = {"map": _read_map, "doctor": _read_doctor, "localize": _read_localize, "evaluate": _read_evaluate}
-
-
-def _to_json(options: LogOptions) -> dict[str, Any]:
-    return {**asdict(options), "scan_topics": list(options.scan_topics)}
 
 
 def _make_jobs(

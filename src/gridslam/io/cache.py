@@ -16,7 +16,7 @@ from typing import Any, final
 from gridslam.errors import InputError, OutputError
 from gridslam.io.limits import describe_bytes
 from gridslam.io.staging import StagingFolder
-from gridslam.io.text import compute_digest
+from gridslam.io.text import compute_digest, measure_size
 
 try:
     import fcntl
@@ -152,7 +152,7 @@ class LogCache:
             inner = staging.path / "entry"
             inner.mkdir()
             path = download(inner)
-            size = sum(file.stat().st_size for file in inner.rglob("*") if file.is_file())
+            size = measure_size(inner)
             self.require_size(size, origin)
             description = {"origin": origin, "name": path.name, "sha256": compute_digest(path), "bytes": size}
             (inner / _ENTRY).write_text(json.dumps(description), encoding="utf-8")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
 from itertools import dropwhile
 from pathlib import Path
 from typing import Any, Protocol, final, runtime_checkable
@@ -88,6 +88,15 @@ class LogOptions:
             raise ArgumentError("duration_s", "a time > 0 s", self.duration_s)
         if self.every < 1:
             raise ArgumentError("every", "a number >= 1", self.every)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> LogOptions:
+        """Options from the JSON values of `to_dict`; raises ArgumentError where a number is out of its range."""
+        return cls(**{**values, "scan_topics": tuple(values["scan_topics"])})
+
+    def to_dict(self) -> dict[str, Any]:
+        """All options as JSON values."""
+        return {**asdict(self), "scan_topics": list(self.scan_topics)}
 
 
 def select(log: Log, options: LogOptions) -> Log:

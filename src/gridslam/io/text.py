@@ -21,6 +21,7 @@ from gridslam.io.limits import UnpackingLimit, describe_bytes
 __all__ = [
     "TextSource",
     "compute_digest",
+    "measure_size",
     "open_for_reading",
     "read_head",
     "read_json",
@@ -115,6 +116,15 @@ def compute_digest(path: str | Path) -> str:
             while block := stream.read(1 << 20):
                 digest.update(block)
     return digest.hexdigest()
+
+
+def measure_size(path: Path) -> int:
+    """Bytes of a file, or of all files in a folder; raises InputError if it is absent."""
+    try:
+        files = path.rglob("*") if path.is_dir() else [path]
+        return sum(file.stat().st_size for file in files if not file.is_dir())
+    except OSError as error:
+        raise InputError(path, f"cannot be read: {error.strerror}") from None
 
 
 def read_numbered_lines(path: str | Path, *, with_comments: bool = False) -> Iterator[tuple[int, str]]:

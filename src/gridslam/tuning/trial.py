@@ -55,7 +55,7 @@ def run_trial(arguments: Mapping[str, Any]) -> dict[str, Any]:
         The log or the reference cannot be read, or they have no time in common.
     """
     with limit_memory(arguments["max_memory_bytes"]):
-        options = LogOptions(**{**arguments["options"], "scan_topics": tuple(arguments["options"]["scan_topics"])})
+        options = LogOptions.from_dict(arguments["options"])
         result = map_log(
             arguments["log"],
             configuration=replace_parameters(Configuration(), arguments["configuration"]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
@@ -296,11 +296,10 @@ class Tuner:
     def _job(self, configuration: Configuration, part: float, seed: int, log: TunedLog) -> Job:
         settings = self.settings
         duration_s = settings.options.duration_s if part == 1.0 else round(part * log.duration_s, 3)
-        options = asdict(replace(settings.options, duration_s=duration_s))
         parameters = {
             "configuration": to_table(configuration),
             "seed": seed,
-            "options": {**options, "scan_topics": list(settings.options.scan_topics)},
+            "options": replace(settings.options, duration_s=duration_s).to_dict(),
             "repair": settings.repair,
         }
         key = compute_key("tune", log.digest, {**parameters, "reference": log.reference_digest})

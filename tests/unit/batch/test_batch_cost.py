@@ -15,7 +15,8 @@ from support.journals import make_document, make_rows, write_journal
 
 
 def job(path, particles=30, command="map"):
-    arguments = {"log": str(path), "configuration": {"particles": particles}}
+    size = path.stat().st_size if path.exists() else None
+    arguments = {"log": str(path), "bytes": size, "configuration": {"particles": particles}}
     return Job("a:b", arguments, str(path), path.name.replace(".", "_"), "0" * 64, command)
 
 
