@@ -165,6 +165,25 @@ class KeyGraph:
         self._add_link(constraint)
         self._shorten_way(constraint)
 
+    def append(self, later: KeyGraph, poses: FloatArray, variances: tuple[float, float]) -> None:
+        """Append the key scans of another graph, at `poses` (K, 3) in this one's map, and its constraints.
+
+        `variances` (m^2, rad^2) are those of the increment from the last key scan of this graph to the first one of the
+        other. The tracked motion is each graph's own; across that increment it is what the poses make of it.
+        """
+        first = len(self)
+        arrival = compose(self.tracked[-1], between(self.poses[-1], poses[0]))
+        self.tracked += list(compose(arrival, between(later.tracked[0], np.array(later.tracked))))
+        unknown = np.diag(np.take(variances, [0, 0, 1]))
+        self.variances += [variances, *later.variances[1:]]
+        self.covariances += [unknown, *later.covariances[1:]]
+        self.drift_covariances += [unknown, *later.drift_covariances[1:]]
+        self.constraints += [
+            constraint._replace(from_=first + constraint.from_, to=first + constraint.to)
+            for constraint in later.constraints
+        ]
+        self.correct(np.concatenate([np.array(self.poses), poses]))
+
     def truncate(self, keys: int) -> None:
         """Forget all but the first key scans, and the constraints of the others."""
         for own in (self.tracked, self.poses, self.variances, self.covariances, self.drift_covariances):

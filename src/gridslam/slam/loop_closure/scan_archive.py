@@ -110,6 +110,19 @@ class ScanArchive:
         """Bytes of the end points."""
         return sum(ends.nbytes for ends in self._ends)
 
+    def extend(self, later: ScanArchive) -> None:
+        """Append the scans of another archive, which follow those of this one."""
+        first = self._count
+        self.keys += [first + key for key in later.keys]
+        self._count += later._count
+        self._stored += [first + scan for scan in later._stored]
+        self._ends += later._ends
+        self._steps_m += later._steps_m
+        self._origins += later._origins
+        self._last_stored_pose = later._last_stored_pose
+        self._storage_interval = max(self._storage_interval, later._storage_interval)
+        self._between_bytes += later._between_bytes
+
     def truncate(self, scans: int, key_scans: int) -> None:
         """Forget all but the first scans, of which `key_scans` are key scans."""
         del self.keys[key_scans:]

@@ -1,0 +1,67 @@
+"""A piece of a map: key scans and a graph in one frame, which earlier drives have left."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from gridslam.geometry.se2 import compose
+from gridslam.grid.tiles import TileMaps
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.scan_archive import ScanArchive
+from gridslam.slam.loop_closure.submaps import build_map
+from gridslam.types import FloatArray
+
+__all__ = ["UNKNOWN_VARIANCES", "MapPiece"]
+
+UNKNOWN_VARIANCES = (1e6, math.pi**2)
+"""Variances (m^2, rad^2) of the increment from the last key scan of a drive to the first one of the next: none is known
+of it."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class MapPiece:
+    """What earlier drives have left of a place: all that a later one needs to be located in it and joined with it.
+
+    Of one drive or of several that were joined. Drives follow one another in the order of the key scans, separated by
+    an increment of `UNKNOWN_VARIANCES`.
+
+    Attributes
+    ----------
+    scans : ScanArchive
+        All scans, in the order of the drives.
+    graph : KeyGraph
+        The key scans at their final poses, and the constraints that were accepted.
+    """
+
+    scans: ScanArchive
+    graph: KeyGraph
+
+    def __len__(self) -> int:
+        """Return the number of key scans."""
+        return len(self.graph)
+
+    @property
+    def poses(self) -> FloatArray:
+        """Poses (T, 3) of the key scans in the piece's map frame."""
+        return np.array(self.graph.poses).reshape(-1, 3)
+
+    def build_map(self, mapper: OccupancyGridMapping) -> TileMaps:
+        """Draw the piece as one map, in the order of the key scans."""
+        return build_map(mapper, self.scans, np.arange(len(self)), self.poses)
+
+    def append(self, later: MapPiece, map_from_later: FloatArray) -> MapPiece:
+        """Join with a piece whose frame is at `map_from_later` (3,) in this one's; its key scans follow.
+
+        The drives stay apart in the graph but for the constraints that are added to it (see `KeyGraph.append`).
+        """
+        scans = self.scans.snapshot()
+        scans.extend(later.scans)
+        graph = self.graph.snapshot()
+        graph.append(later.graph, compose(map_from_later, later.poses), UNKNOWN_VARIANCES)
+        return MapPiece(scans, graph)
