@@ -32,8 +32,7 @@ def map_drive(
     )
     full = full_slam(
         state,
-        recorder.keys,
-        recorder.key_from_base,
+        [recorder.tracked_scans()],
         configuration.mapper,
         configuration.loop_closure,
         configuration.final_refinement,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
 from gridslam.serialization import read_array, select_part
-from gridslam.slam.full_slam.full_trajectory import full_trajectory
+from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectory
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, IntArray, SkipReason, StepReport, Trajectory
 
@@ -99,6 +99,10 @@ class TrajectoryRecorder:
     def keys(self) -> IntArray:
         """Index of the key scan at or before each scan, from 0: (N,) int64."""
         return np.repeat(_as_integers(self._keys), self._repeats)
+
+    def tracked_scans(self, first_key: int = 0) -> TrackedScans:
+        """Return the scans as a drive whose first key scan is number `first_key`."""
+        return TrackedScans(first_key + self.keys, self.key_from_base)
 
     @property
     def key_from_base(self) -> FloatArray:

@@ -43,7 +43,7 @@ def driven(request) -> tuple[str, Driven]:
     rng = np.random.default_rng(0)
     state = run(stream.measurements, build(CONFIG), particles=PARTICLES, rng=rng, observers=[recorder])
     parts = CONFIG.mapper, CONFIG.loop_closure, CONFIG.final_refinement
-    answer = full_slam(state, recorder.keys, recorder.key_from_base, *parts)
+    answer = full_slam(state, [recorder.tracked_scans()], *parts)
     return request.param, Driven(stream.truth, stream.odometry, state, answer)
 
 

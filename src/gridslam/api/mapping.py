@@ -450,8 +450,7 @@ def finish_mapping(
         state.keep_best()
     refine = partial(
         full_slam,
-        keys=trajectory.keys,
-        key_from_base=trajectory.key_from_base,
+        drives=[trajectory.tracked_scans()],
         mapper=configuration.mapper,
         loop_closure=configuration.loop_closure,
         final_refinement=configuration.final_refinement,

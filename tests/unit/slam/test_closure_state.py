@@ -84,8 +84,7 @@ def test_final_refinement_changes_nothing_and_is_the_same_after_reading(loop, co
     words = [
         full_slam(
             s,
-            first.trajectory.keys,
-            first.trajectory.key_from_base,
+            [first.trajectory.tracked_scans()],
             CONFIG.mapper,
             CONFIG.loop_closure,
             CONFIG.final_refinement,

@@ -27,10 +27,8 @@ def answered(config, measurements, on_progress=lambda: None):
     recorder = TrajectoryRecorder()
     rng = np.random.default_rng(0)
     state = run(measurements, build(config), particles=config.particles, rng=rng, observers=[recorder])
-    keys, key_from_base = recorder.keys, recorder.key_from_base
-    answer = full_slam(
-        state, keys, key_from_base, config.mapper, config.loop_closure, config.final_refinement, on_progress
-    )
+    drives = [recorder.tracked_scans()]
+    answer = full_slam(state, drives, config.mapper, config.loop_closure, config.final_refinement, on_progress)
     return state, recorder, answer
 
 

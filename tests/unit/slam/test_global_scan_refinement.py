@@ -49,9 +49,7 @@ def refine(
     state = run(log.measurements[:scans], SLAM, particles=3, rng=np.random.default_rng(1), observers=[recorder])
     closure_state = state.closure_state.snapshot()
     trajectory = state.ancestry.trajectory(state.best)
-    said = refinement(
-        closure_state, trajectory, recorder.keys, recorder.key_from_base, SLAM.mapper, CLOSURE, on_progress
-    )
+    said = refinement(closure_state, trajectory, [recorder.tracked_scans()], SLAM.mapper, CLOSURE, on_progress)
     return Refined(log, state, recorder, closure_state, said)
 
 
@@ -146,7 +144,7 @@ def test_the_run_may_go_on_as_if_nothing_had_been_said(untied):
     before = {name: array.tobytes() for name, array in untied.state.to_arrays().items()}
     closure_state = untied.state.closure_state.snapshot()
     moved = untied.state.ancestry.trajectory(untied.state.best) + np.array([1.0, 2.0, 0.0])
-    REFINEMENT(closure_state, moved, untied.recorder.keys, untied.recorder.key_from_base, SLAM.mapper, CLOSURE)
+    REFINEMENT(closure_state, moved, [untied.recorder.tracked_scans()], SLAM.mapper, CLOSURE)
     assert {name: array.tobytes() for name, array in untied.state.to_arrays().items()} == before
 
 

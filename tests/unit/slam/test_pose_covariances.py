@@ -7,6 +7,7 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose, rotate_covariances
 from gridslam.slam.full_slam.full_trajectory import (
+    TrackedScans,
     drift_covariances,
     find_open_directions,
     full_trajectory,
@@ -54,7 +55,7 @@ def test_between_key_scans_it_is_no_less_than_drift_and_at_them_it_is_theirs():
     key_from_base = steps[before] * at[:, None]
     key_from_base[0], key_from_base[-1] = 0.0, (0.4, 0.0, 0.1)
     assert path_fractions(keys, key_from_base)[[0, 3, 5, 7]].tolist() == [0, 0, 0, 0]
-    found = scan_covariances(graph, of_keys, np.zeros((9, 3)), keys, key_from_base, DriftModel())
+    found = scan_covariances(graph, of_keys, np.zeros((9, 3)), [TrackedScans(keys, key_from_base)], DriftModel())
     assert np.array_equal(found[[0, 3, 5, 7]], of_keys)
     for scan in (1, 2, 4, 6):
         k, share = keys[scan], path_fractions(keys, key_from_base)[scan]
@@ -69,11 +70,9 @@ def test_the_scale_of_the_map_is_no_better_known_for_what_was_measured():
     """A pose d m from the first one is uncertain by d times the scale's standard deviation, along the line to it."""
     graph = chain(3)
     keys = np.arange(4)
-    key_from_base = np.concatenate([np.zeros((1, 3)), graph.measurements])
+    drives = [TrackedScans(keys, np.concatenate([np.zeros((1, 3)), graph.measurements]))]
     without, scaled = (
-        scan_covariances(
-            graph, drift_covariances(graph), graph.poses, keys, key_from_base, DriftModel(scale_sigma=sigma)
-        )
+        scan_covariances(graph, drift_covariances(graph), graph.poses, drives, DriftModel(scale_sigma=sigma))
         for sigma in (0, 0.01)
     )
     for pose, added in zip(graph.poses, scaled - without, strict=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -12,7 +12,12 @@ import numpy as np
 from gridslam.geometry.se2 import between
 from gridslam.grid.tiles import TiledGrid
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.slam.full_slam.full_trajectory import drift_covariances, full_trajectory, scan_covariances
+from gridslam.slam.full_slam.full_trajectory import (
+    TrackedScans,
+    drift_covariances,
+    full_trajectories,
+    scan_covariances,
+)
 from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
@@ -106,8 +111,7 @@ class FullSlam:
 
 def full_slam(
     state: GridFastSlamState,
-    keys: IntArray,
-    key_from_base: FloatArray,
+    drives: Sequence[TrackedScans],
     mapper: OccupancyGridMapping,
     loop_closure: LoopClosure | None,
     final_refinement: GlobalScanRefinement,
@@ -121,8 +125,8 @@ def full_slam(
     ----------
     state
         The filter after the last scan.
-    keys, key_from_base : (N,) int64, (N, 3) float64
-        For each scan the key scan at or before it, and the tracked motion (see `full_trajectory`).
+    drives : sequence of TrackedScans
+        The scans of the drives that the state is of, one or several that were joined, in the order of their key scans.
     mapper, loop_closure, final_refinement
         Components of the run. Without loop closure the covariances are those of the default drift model.
     on_progress
@@ -131,27 +135,29 @@ def full_slam(
     closure = loop_closure or LoopClosure()
     trajectory = state.best_trajectory()
     if state.closure_state is None:
-        graph = _build_odometry_graph(trajectory, keys, key_from_base, closure.drift)
-        poses = full_trajectory(trajectory, keys, key_from_base)
+        graph = _build_odometry_graph(trajectory, drives, closure.drift)
+        poses = full_trajectories(trajectory, drives)
         tiled_map = state.maps.tiled(state.best)
         loops = None
     else:
         closure_state = state.closure_state.snapshot()  # the final refinement modifies it
-        refined = final_refinement(closure_state, trajectory, keys, key_from_base, mapper, closure, on_progress)
+        refined = final_refinement(closure_state, trajectory, drives, mapper, closure, on_progress)
         graph = scale_information(refined.best.graph, refined.best.weights)
         poses = refined.poses
         tiled_map = refined.maps.tiled(0)
         loops = _summarize(state.closure_state, closure_state, refined, trajectory)
     has_loops = len(graph.edges) >= len(graph.poses)
     key_covariances = marginal_covariances(graph) if has_loops else drift_covariances(graph)
-    covariances = scan_covariances(graph, key_covariances, poses, keys, key_from_base, closure.drift)
+    covariances = scan_covariances(graph, key_covariances, poses, drives, closure.drift)
     return FullSlam(poses, covariances, graph, tiled_map, loops)
 
 
-def _build_odometry_graph(
-    trajectory: FloatArray, keys: IntArray, key_from_base: FloatArray, drift: DriftModel
-) -> PoseGraph:
-    """Give the graph of the key scans (T, 3) that only the motion between them joins, as uncertain as tracked."""
+def _build_odometry_graph(trajectory: FloatArray, drives: Sequence[TrackedScans], drift: DriftModel) -> PoseGraph:
+    """Give the graph of the key scans (T, 3) that only the motion between them joins, as uncertain as tracked.
+
+    Without loop closure no drives are joined: there is one.
+    """
+    ((keys, key_from_base),) = drives
     tracked = key_from_base[np.flatnonzero(np.diff(keys) > 0) + 1]
     information = np.linalg.inv(
         np.array([drift.covariance(moved, first=not k) for k, moved in enumerate(tracked)]).reshape(-1, 3, 3)

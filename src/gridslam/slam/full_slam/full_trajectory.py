@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple, final
+
 import numpy as np
 
 from gridslam.geometry.angles import wrap
@@ -10,10 +13,51 @@ from gridslam.slam.loop_closure.drift_model import DriftModel, compute_moments, 
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["drift_covariances", "find_open_directions", "full_trajectory", "path_fractions", "scan_covariances"]
+__all__ = [
+    "TrackedScans",
+    "drift_covariances",
+    "find_open_directions",
+    "full_trajectories",
+    "full_trajectory",
+    "path_fractions",
+    "scan_covariances",
+]
 
 _HALF_LINE_M = 0.4
 """Half the length of a line along an open direction: those of key scans half a metre apart touch."""
+
+
+@final
+class TrackedScans(NamedTuple):
+    """The N scans of one drive as they were tracked; each drive begins with a key scan.
+
+    Attributes
+    ----------
+    keys : (N,) int64
+        For each scan the key scan at or before it, counted over all drives.
+    key_from_base : (N, 3) float64
+        The tracked motion since the key scan *before* each scan, as `StepReport` gives it.
+    """
+
+    keys: IntArray
+    key_from_base: FloatArray
+
+
+def full_trajectories(key_poses: FloatArray, drives: Sequence[TrackedScans]) -> FloatArray:
+    """Poses (N, 3) of the scans of several drives, one drive after the other, each as `full_trajectory` gives them.
+
+    Parameters
+    ----------
+    key_poses : (T, 3) float64
+        Poses at the key scans of all drives.
+    drives : sequence of TrackedScans
+        In the order of their key scans.
+    """
+    parts = [
+        full_trajectory(key_poses[own], drive.keys - own.start, drive.key_from_base)
+        for own, drive in _split(drives, len(key_poses))
+    ]
+    return np.concatenate(parts)
 
 
 def full_trajectory(key_poses: FloatArray, keys: IntArray, key_from_base: FloatArray) -> FloatArray:
@@ -74,15 +118,14 @@ def scan_covariances(
     graph: PoseGraph,
     key_covariances: FloatArray,
     poses: FloatArray,
-    keys: IntArray,
-    key_from_base: FloatArray,
+    drives: Sequence[TrackedScans],
     drift: DriftModel,
 ) -> FloatArray:
     """Covariances (N, 3, 3) of all scans, with that of the scale; an upper bound where they are not key scans.
 
     Between two key scans tracking is a Brownian bridge over the share s of the way, of variance s (1 - s) times the
     increment's; what both ends err by is interpolated, which is no less than what any correlation of them leaves.
-    After the last key scan tracking drifts.
+    After the last key scan of a drive tracking drifts.
 
     Parameters
     ----------
@@ -90,22 +133,27 @@ def scan_covariances(
         The T key scans; its first T - 1 measurements are the increments.
     key_covariances : (T, 3, 3) float64
         Covariances of the key scans.
-    poses, keys, key_from_base : (N, 3) float64, (N,) int64, (N, 3) float64
-        The scans', and as for `full_trajectory`.
+    poses : (N, 3) float64
+        The scans'.
+    drives : sequence of TrackedScans
+        In the order of their key scans.
     drift : DriftModel
         How uncertain tracking is.
     """
-    fraction = path_fractions(keys, key_from_base)[:, None, None]
     bridge = np.zeros_like(key_covariances)
     bridge[:-1] = rotate_covariances(_increment_covariances(graph), graph.poses[1:, 2])
-    nearer = key_covariances[keys]
-    farther = key_covariances[np.minimum(keys + 1, len(key_covariances) - 1)]
-    found: FloatArray = nearer + fraction * (farther - nearer) + fraction * (1 - fraction) * bridge[keys]
-    last = int(np.searchsorted(keys, len(key_covariances) - 1))
-    found[last:] = key_covariances[-1]
-    for scan in range(last + 1, len(keys)):
-        found[scan] += rotate_covariances(drift.covariance(key_from_base[scan]), graph.poses[-1, 2])
-    return found + drift.scale_covariances(poses[:, :2] - poses[0, :2])
+    parts = []
+    for own, (keys, key_from_base) in _split(drives, len(key_covariances)):
+        fraction = path_fractions(keys - own.start, key_from_base)[:, None, None]
+        nearer = key_covariances[keys]
+        farther = key_covariances[np.minimum(keys + 1, own.stop - 1)]
+        found: FloatArray = nearer + fraction * (farther - nearer) + fraction * (1 - fraction) * bridge[keys]
+        last = int(np.searchsorted(keys, own.stop - 1))
+        found[last:] = key_covariances[own.stop - 1]
+        for scan in range(last + 1, len(keys)):
+            found[scan] += rotate_covariances(drift.covariance(key_from_base[scan]), graph.poses[own.stop - 1, 2])
+        parts.append(found)
+    return np.concatenate(parts) + drift.scale_covariances(poses[:, :2] - poses[0, :2])
 
 
 def find_open_directions(graph: PoseGraph) -> FloatArray:
@@ -119,6 +167,13 @@ def find_open_directions(graph: PoseGraph) -> FloatArray:
     is_open = variances[:, 1] > 4 * variances[:, 0]
     half: FloatArray = _HALF_LINE_M * axes[is_open, :, 1]
     return np.concatenate([poses[is_open, :2] - half, poses[is_open, :2] + half], axis=1)
+
+
+def _split(drives: Sequence[TrackedScans], key_scans: int) -> Iterator[tuple[slice, TrackedScans]]:
+    """The key scans of each drive, out of all `key_scans`, and the drive."""
+    firsts = [int(drive.keys[0]) for drive in drives]
+    for first, end, drive in zip(firsts, [*firsts[1:], key_scans], drives, strict=True):
+        yield slice(first, end), drive
 
 
 def _increment_covariances(graph: PoseGraph) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -15,7 +15,7 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.slam.full_slam.component_alignment import ComponentAlignment
-from gridslam.slam.full_slam.full_trajectory import full_trajectory
+from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
 from gridslam.slam.full_slam.key_scan_matching import KeyScanMatching
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore, TrajectoryScorer
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
@@ -26,7 +26,7 @@ from gridslam.slam.loop_closure.submaps import ROW
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import CauchyEstimator
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import FloatArray
 
 __all__ = ["Candidate", "CandidateSelection", "GlobalScanRefinement", "RefinementResult"]
 
@@ -179,8 +179,7 @@ class GlobalScanRefinement:
         self,
         closure_state: LoopClosureState,
         trajectory: FloatArray,
-        keys: IntArray,
-        key_from_base: FloatArray,
+        drives: Sequence[TrackedScans],
         mapper: OccupancyGridMapping,
         closure: LoopClosure,
         on_progress: Callable[[], None] = lambda: None,
@@ -193,8 +192,8 @@ class GlobalScanRefinement:
             Scans, and which places were recognized; modified.
         trajectory : (T, 3) float64
             Of the key scans, as the filter has it.
-        keys, key_from_base : (N,) int64, (N, 3) float64
-            For each scan the key scan at or before it, and the tracked motion (see `full_trajectory`).
+        drives : sequence of TrackedScans
+            The scans, by drives in the order of their key scans.
         closure
             Place recognition and outlier rejection.
         on_progress
@@ -202,7 +201,7 @@ class GlobalScanRefinement:
         """
         refinement = _Refinement(self, closure_state, mapper, closure, on_progress)
         selection = refinement.select(trajectory)
-        bent = full_trajectory(selection.best.graph.poses, keys, key_from_base)
+        bent = full_trajectories(selection.best.graph.poses, drives)
         poses = refinement.match_scans(bent, selection.maps)
         return RefinementResult(selection.best, poses, selection.maps, selection.scores)
 
