@@ -24,7 +24,7 @@ from gridslam.types import FloatArray, IntArray, describe_pose
 
 __all__ = ["STATE_SCHEMA", "GridFastSlamState"]
 
-STATE_SCHEMA = "gridslam.state/10"
+STATE_SCHEMA = "gridslam.state/11"
 
 
 @final

@@ -169,11 +169,11 @@ class KeyGraph:
         """Append the key scans of another graph, at `poses` (K, 3) in this one's map, and its constraints.
 
         `variances` (m^2, rad^2) are those of the increment from the last key scan of this graph to the first one of the
-        other. The tracked motion is each graph's own; across that increment it is what the poses make of it.
+        other. The tracker's frame becomes that of the other graph, whose robot drives on.
         """
         first = len(self)
-        arrival = compose(self.tracked[-1], between(self.poses[-1], poses[0]))
-        self.tracked += list(compose(arrival, between(later.tracked[0], np.array(later.tracked))))
+        last = compose(later.tracked[0], between(poses[0], self.poses[-1]))
+        self.tracked = [*compose(last, between(self.tracked[-1], np.array(self.tracked))), *later.tracked]
         unknown = np.diag(np.take(variances, [0, 0, 1]))
         self.variances += [variances, *later.variances[1:]]
         self.covariances += [unknown, *later.covariances[1:]]

@@ -14,6 +14,7 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.loop_closure.constraints import Constraint, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import DriftModel
+from gridslam.slam.loop_closure.map_piece import PieceMatch
 from gridslam.slam.loop_closure.place_recognition import PlaceRecognition
 from gridslam.slam.loop_closure.state import Correction, LoopClosureState, PendingConstraints, RejectionReason
 from gridslam.slam.loop_closure.submaps import insert_key_scans
@@ -143,6 +144,26 @@ class LoopClosure:
         state.drift = closure_state.graph.drift
         closures = tuple(constraint.pair for constraint in constraints)
         return replace(report, pose=state.best_pose, closures=closures, corrected=corrected)
+
+    def join(
+        self,
+        state: FilterState,
+        closure_state: LoopClosureState,
+        piece: int,
+        match: PieceMatch,
+        maps: TileMaps,
+    ) -> None:
+        """Put an earlier piece in front of the drive so far, which was found in it.
+
+        As after a loop closure, all particles share one past from then on: the piece's key scans, and the drive's where
+        they were found. Their map is that of the piece, `maps`, with the drive's key scans drawn into it.
+        """
+        first = len(closure_state.earlier[piece])
+        closure_state.join(piece, match)
+        trajectory = np.array(closure_state.graph.poses)
+        joined = maps.snapshot()
+        insert_key_scans(joined, closure_state.scans, range(first, len(trajectory)), trajectory[first:])
+        state.replace_trajectory(trajectory, joined)
 
     def _add_key_scan(self, closure_state: LoopClosureState, state: FilterState) -> None:
         """Add the newest key scan, where it was tracked to."""

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.geometry.se2 import compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.slam.loop_closure.constraints import Constraint
 from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.submaps import build_map
 from gridslam.types import FloatArray
 
-__all__ = ["UNKNOWN_VARIANCES", "MapPiece"]
+__all__ = ["UNKNOWN_VARIANCES", "MapPiece", "PieceMatch"]
 
 UNKNOWN_VARIANCES = (1e6, math.pi**2)
 """Variances (m^2, rad^2) of the increment from the last key scan of a drive to the first one of the next: none is known
@@ -55,13 +55,28 @@ class MapPiece:
         """Draw the piece as one map, in the order of the key scans."""
         return build_map(mapper, self.scans, np.arange(len(self)), self.poses)
 
-    def append(self, later: MapPiece, map_from_later: FloatArray) -> MapPiece:
-        """Join with a piece whose frame is at `map_from_later` (3,) in this one's; its key scans follow.
-
-        The drives stay apart in the graph but for the constraints that are added to it (see `KeyGraph.append`).
-        """
+    def append(self, later: MapPiece, match: PieceMatch) -> MapPiece:
+        """Join with a piece that was found in this one; its key scans follow, and the constraints join both."""
         scans = self.scans.snapshot()
         scans.extend(later.scans)
         graph = self.graph.snapshot()
-        graph.append(later.graph, compose(map_from_later, later.poses), UNKNOWN_VARIANCES)
+        graph.append(later.graph, match.poses, UNKNOWN_VARIANCES)
+        for constraint in match.constraints:
+            graph.add(constraint._replace(to=len(self) + constraint.to))
         return MapPiece(scans, graph)
+
+
+@final
+class PieceMatch(NamedTuple):
+    """Where a later piece lies in an earlier one.
+
+    Attributes
+    ----------
+    poses : (K, 3) float64
+        Poses of the later piece's key scans in the earlier one's map frame.
+    constraints : list of Constraint
+        Of key scans of the later piece, `to`, seen from those of the earlier one, `from_`, each counted in its own.
+    """
+
+    poses: FloatArray
+    constraints: list[Constraint]

@@ -13,6 +13,7 @@ from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.constraints import Constraint
 from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.submaps import JointMap, SubmapCache
 from gridslam.slam.pose_graph.descent import Computation
@@ -139,6 +140,11 @@ class LoopClosureState:
         New constraints that the graph solver has not accepted or rejected yet.
     correction : Correction or None
         A corrected trajectory that will replace the filter's.
+    earlier : list of MapPiece
+        What earlier drives have left, each in a frame of its own, until the robot was found in one of them. Not saved
+        with the state: whoever restores it gives them again.
+    joined : int
+        In which of them it was found; -1 before. Its key scans are then the first ones.
     """
 
     scans: ScanArchive = field(default_factory=ScanArchive)
@@ -149,6 +155,8 @@ class LoopClosureState:
     rejected: Counter[RejectionReason] = field(default_factory=Counter)
     pending_constraints: PendingConstraints | None = None
     correction: Correction | None = None
+    earlier: list[MapPiece] = field(default_factory=list, metadata=NOT_SAVED)
+    joined: int = -1
     submap_cache: SubmapCache = field(default_factory=SubmapCache, metadata=NOT_SAVED)
 
     def submap(self, submap: int, mapper: OccupancyGridMapping) -> TileMaps:
@@ -164,6 +172,20 @@ class LoopClosureState:
         self.graph.correct(poses)
         self.search.forget()
         self.submap_cache.forget()
+
+    def join(self, piece: int, match: PieceMatch) -> None:
+        """Put an earlier piece, in which the drive so far was found, in front of it."""
+        whole = self.earlier[piece].append(MapPiece(self.scans, self.graph), match)
+        self.scans = whole.scans
+        self.graph = whole.graph
+        self.online_poses = [*whole.poses]
+        self.joined = piece
+        self.earlier = []
+        self.unconfirmed = []
+        self.pending_constraints = None
+        self.correction = None
+        self.search = PlaceSearch(next_key_scan=len(whole))
+        self.submap_cache = SubmapCache()
 
     def truncate(self, scans: int, key_scans: int) -> None:
         """Forget all but the first scans and key scans, wherever a step that added others has ended."""

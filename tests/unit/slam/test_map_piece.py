@@ -1,0 +1,167 @@
+"""Pieces of a map: how two are joined, and how a filter goes on in a map that an earlier drive has left."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridslam.config import Configuration, build, override
+from gridslam.geometry.se2 import between, compose
+from gridslam.observers import TrajectoryRecorder
+from gridslam.pipeline import run
+from gridslam.slam.full_slam.full_slam import full_slam
+from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories, full_trajectory
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
+from gridslam.slam.loop_closure.scan_archive import ScanArchive
+from gridslam.types import StoredScan
+from support.loops import loop_drive
+
+CONFIG = override(Configuration(), "particles=4")
+ELSEWHERE = np.array([30.0, -20.0, 2.0])
+
+
+def archive(count, seed):
+    rng = np.random.default_rng(seed)
+    kept = ScanArchive()
+    for k in range(count):
+        scan = StoredScan(rng.uniform(-9, 9, (7, 2)), np.zeros(2))
+        kept.append(scan, np.array([0.1 * k, 0.0, 0.0]), is_key=k % 3 == 0)
+    return kept
+
+
+def chain(count, seed):
+    rng = np.random.default_rng(seed)
+    graph = KeyGraph()
+    tracked = pose = rng.normal(size=3)
+    for _ in range(count):
+        moved = np.array([0.4, 0.0, rng.normal(0, 0.1)])
+        tracked, pose = compose(tracked, moved), compose(pose, moved)
+        graph.extend(tracked, pose, (1e-4, 1e-6))
+    return graph
+
+
+def recognized(from_, to, measurement):
+    return Constraint(from_, to, measurement, 1e4 * np.eye(3), ConstraintSource.RECOGNIZED, True)
+
+
+@pytest.fixture
+def pieces():
+    return MapPiece(archive(30, 0), chain(10, 0)), MapPiece(archive(45, 1), chain(15, 1))
+
+
+@pytest.fixture
+def match(pieces):
+    poses = compose(ELSEWHERE, pieces[1].poses)
+    return PieceMatch(poses, [recognized(4, 6, between(pieces[0].poses[4], poses[6]))])
+
+
+def test_archives_follow_one_another(pieces):
+    joined = pieces[0].scans.snapshot()
+    joined.extend(pieces[1].scans)
+    assert len(joined) == 75
+    assert joined.keys == [*pieces[0].scans.keys, *(30 + key for key in pieces[1].scans.keys)]
+    for piece, first in zip(pieces, (0, 30), strict=True):
+        for scan in range(len(piece.scans)):
+            np.testing.assert_array_equal(joined[first + scan].ends, piece.scans[scan].ends)
+    assert joined.nbytes == sum(piece.scans.nbytes for piece in pieces)
+    assert len(pieces[0].scans) == 30  # the snapshot alone has grown
+    joined.truncate(30, 10)
+    assert joined.nbytes == pieces[0].scans.nbytes
+
+
+def test_each_drive_stays_as_it_was_tracked_and_lies_where_it_was_found(pieces, match):
+    graph = pieces[0].append(pieces[1], match).graph
+    assert len(graph) == 25
+    np.testing.assert_array_equal(graph.tracked[10:], pieces[1].graph.tracked)  # the later robot drives on
+    tracked = np.array(graph.tracked[:10])
+    before = np.array(pieces[0].graph.tracked)
+    np.testing.assert_allclose(between(tracked[:-1], tracked[1:]), between(before[:-1], before[1:]), atol=1e-9)
+    np.testing.assert_array_equal(graph.poses[:10], pieces[0].poses)
+    np.testing.assert_array_equal(graph.poses[10:], match.poses)
+    across = between(graph.tracked[9], graph.tracked[10])
+    np.testing.assert_allclose(across, between(graph.poses[9], graph.poses[10]), atol=1e-9)
+
+
+def test_only_constraints_join_the_drives(pieces, match):
+    apart = pieces[0].append(pieces[1], match._replace(constraints=[])).graph
+    assert len(set(apart.label_rigid_components().tolist())) == 2
+    joined = pieces[0].append(pieces[1], match).graph
+    assert len(set(joined.label_rigid_components().tolist())) == 1
+    assert [constraint.pair for constraint in joined.constraints] == [(4, 16)]
+    # what is known of the later drive's place is known from the constraint on
+    assert np.trace(joined.drift.reshape(3, 3)) < 1 < np.trace(apart.drift.reshape(3, 3))
+
+
+@pytest.fixture(scope="module")
+def halves():
+    """Two drives through one building, the second from an origin of its own, and the true poses of both."""
+    log = loop_drive()
+    cut = len(log.measurements) // 2
+    later = [
+        (replace(odometry, pose=compose(ELSEWHERE, odometry.pose)), scan)
+        for odometry, scan in log.measurements[cut - 40 :]
+    ]
+    truth = np.array(log.truth.poses)
+    return (log.measurements[:cut], truth[:cut]), (later, truth[cut - 40 :])
+
+
+def drive(measurements, state=None, slam=None):
+    recorder = TrajectoryRecorder()
+    state = run(
+        measurements,
+        slam or build(CONFIG),
+        rng=np.random.default_rng(0),
+        observers=[recorder],
+        state=state,
+    )
+    return state, recorder
+
+
+def key_scans(recorder):
+    return np.flatnonzero(np.diff(recorder.keys, prepend=-1))
+
+
+def test_a_drive_goes_on_in_the_map_of_an_earlier_one(halves):
+    """Once it was found there all that is known has one frame: the key scans of both, and every scan of both."""
+    (first, first_truth), (second, second_truth) = halves
+    before, earlier = drive(first)
+    piece = MapPiece(before.closure_state.scans, before.closure_state.graph)
+    slam = build(CONFIG)
+    state, recorder = drive(second[:60])
+    poses = between(first_truth[0], second_truth[:60][key_scans(recorder)])
+    near = [int(np.hypot(*(piece.poses - pose)[:, :2].T).argmin()) for pose in poses]
+    constraints = [recognized(n, k, between(piece.poses[n], poses[k])) for k, n in enumerate(near) if k % 5 == 0]
+    state.closure_state.earlier = [piece]
+    slam.loop_closure.join(state, state.closure_state, 0, PieceMatch(poses, constraints), piece.build_map(slam.mapper))
+    assert state.closure_state.joined == 0
+    assert not state.closure_state.earlier
+    state = run(second[60:], slam, rng=np.random.default_rng(1), observers=[recorder], state=state)
+
+    drives = [earlier.tracked_scans(), recorder.tracked_scans(len(piece))]
+    parts = CONFIG.mapper, CONFIG.loop_closure, CONFIG.final_refinement
+    answer = full_slam(state, drives, *parts)
+    assert len(answer.poses) == len(first) + len(second)
+    twice = len(first) - 40  # the scans that both drives have
+    apart = answer.poses[twice : len(first)] - answer.poses[len(first) : len(first) + 40]
+    assert np.hypot(*apart[:, :2].T).max() < 0.05
+    alone = full_slam(before, [earlier.tracked_scans()], *parts).poses
+    truth = between(first_truth[0], np.concatenate([first_truth, second_truth]))
+    off, off_alone = (np.hypot(*(poses - truth[: len(poses)])[:, :2].T) for poses in (answer.poses, alone))
+    assert off.max() < off_alone.max() + 0.05  # the later drive adds no error of its own
+    sigmas = np.sqrt(np.trace(answer.covariances[:, :2, :2], axis1=1, axis2=2))
+    assert sigmas.max() < 1.0
+
+
+def test_scans_of_a_drive_are_not_bent_toward_the_next_one():
+    """After its last key scan a drive's scans lie as tracked, wherever the next drive begins."""
+    keys = np.array([0, 0, 1, 1, 1])
+    moved = np.array([[0.0, 0, 0], [0.2, 0, 0], [0.4, 0, 0], [0.1, 0, 0], [0.3, 0, 0.1]])
+    key_poses = np.array([[0.0, 0, 0], [0.4, 0, 0], [50.0, 9, 1], [50.4, 9, 1]])
+    drives = [TrackedScans(keys, moved), TrackedScans(keys + 2, moved)]
+    poses = full_trajectories(key_poses, drives)
+    np.testing.assert_array_equal(poses[:5], full_trajectory(key_poses[:2], keys, moved))
+    np.testing.assert_array_equal(poses[5:], full_trajectory(key_poses[2:], keys, moved))
