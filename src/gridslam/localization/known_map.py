@@ -58,13 +58,14 @@ class KnownMap:
 
     def __init__(self, grid: OccupancyGrid, *, reach_m: float = 1.0, threads: int = 1) -> None:
         self.free: NDArray[np.bool_] = grid.known & (grid.log_odds < _FREE)
-        occupied = grid.known & (grid.log_odds > _OCCUPIED)
+        occupied: NDArray[np.bool_] = grid.known & (grid.log_odds > _OCCUPIED)
         for name, some in (("free", self.free), ("occupied", occupied)):
             if not some.any():
                 raise ArgumentError("map", f"at least one {name} cell", f"none of {some.shape[1]} x {some.shape[0]}")
         if not reach_m > 0:
             raise ArgumentError("reach_m", "a length above 0 m", reach_m)
         self.grid = grid
+        self.occupied = occupied
         self.reach_m = reach_m
         self.threads = threads
         self.resolution_m = grid.resolution_m
@@ -123,6 +124,20 @@ class KnownMap:
         poses[:, :2] = (poses[:, :2] + cells[:, ::-1]) * self.resolution_m + self.grid.origin
         poses[:, 2] = (poses[:, 2] - 0.5) * math.tau
         return poses
+
+    def lattice(self, spacing_m: float, clearance_m: float) -> FloatArray:
+        """Places (N, 2) on free cells, one in each square of `spacing_m`, at least `clearance_m` from any obstacle.
+
+        In a square it is the free cell farthest from obstacles; of the clearance no more than `reach_m` is known.
+        """
+        rows, columns = self._free_cells.T
+        away = self._distances[rows + self._rim, columns + self._rim]
+        side = max(round(spacing_m / self.resolution_m), 1)
+        squares = (rows // side) * (self.free.shape[1] // side + 1) + columns // side
+        order = np.lexsort((-away, squares))
+        best = order[np.unique(squares[order], return_index=True)[1]]
+        chosen = self._free_cells[best[away[best] >= min(clearance_m, self.reach_m)]]
+        return np.asarray((chosen[:, ::-1] + 0.5) * self.resolution_m + self.grid.origin, np.float64)
 
     def blurred_sigma_m(self, sigma_m: float) -> float:
         """Standard deviation of an end's distance to the map's obstacles: a beam's, and the map's rounding to cells."""
