@@ -142,7 +142,7 @@ def test_many_components_share_the_searches(seen, monkeypatch):
     monkeypatch.setattr(BranchAndBound, "search", lambda self, *given: calls.append(given) or search(self, *given))
     most = 8
     alignment = ComponentAlignment(max_searches=most)
-    monkeypatch.setattr("gridslam.slam.full_slam.component_alignment._Alignment.is_self_similar", lambda *_: True)
+    monkeypatch.setattr("gridslam.slam.full_slam.component_alignment.Alignment.is_self_similar", lambda *_: True)
     aligned(pieces, alignment)
     assert len(np.unique(pieces.graph.label_rigid_components())) > 10
     assert 0 < len(calls) <= most

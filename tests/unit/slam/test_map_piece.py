@@ -17,6 +17,7 @@ from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
+from gridslam.slam.loop_closure.state import FoundPiece
 from gridslam.types import StoredScan
 from support.loops import loop_drive
 
@@ -135,10 +136,9 @@ def test_a_drive_goes_on_in_the_map_of_an_earlier_one(halves):
     poses = earlier.best_trajectory(before).poses[-40:][key_scans(recorder)]
     near = [int(np.hypot(*(piece.poses - pose)[:, :2].T).argmin()) for pose in poses]
     constraints = [recognized(n, k, between(piece.poses[n], poses[k])) for k, n in enumerate(near) if k % 3 == 0]
-    state.closure_state.earlier = [piece]
-    slam.loop_closure.join(state, state.closure_state, 0, PieceMatch(poses, constraints), piece.build_map(slam.mapper))
+    found = FoundPiece(0, piece, piece.build_map(slam.mapper), PieceMatch(poses, constraints))
+    slam.loop_closure.join(state, state.closure_state, found)
     assert state.closure_state.joined == 0
-    assert not state.closure_state.earlier
     state = run(second[40:], slam, rng=np.random.default_rng(1), observers=[recorder], state=state)
 
     drives = [earlier.tracked_scans(), recorder.tracked_scans(len(piece))]

@@ -29,7 +29,7 @@ from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submaps import ROW, build_map
 from gridslam.types import BeamEnds, FloatArray, IntArray
 
-__all__ = ["ComponentAlignment"]
+__all__ = ["Alignment", "ComponentAlignment", "Hypothesis", "SearchHit", "group_hits"]
 
 _CONSISTENT_M = 0.3
 _CONSISTENT_M_PER_KEY_SCAN = 0.01
@@ -148,14 +148,14 @@ class ComponentAlignment:
                 guesses = {key: compose(graph.poses[first_key_scan(way.submap)], way.pose) for key, way in ways.items()}
                 near = self._select_key_scans(poses, old, np.array(list(guesses.values())))
                 maps = build_map(mapper, closure_state.scans, near, poses[near])
-                alignment = _Alignment(self, closure_state, places, scorer, keys, near, maps)
-                best = alignment.select_hypothesis({key: (guesses[key], ways[key]) for key in searched})
+                alignment = Alignment(self, closure_state, places, scorer, keys, maps)
+                hits = alignment.search_hits({key: (guesses[key], ways[key]) for key in searched})
+                best = alignment.select_hypothesis(hits)
                 if best is None:
                     continue
                 own = own or Pyramid.of(build_map(mapper, closure_state.scans, keys, poses[keys]), 0)
                 if not alignment.is_self_similar(own):
-                    constraints = alignment.match_constraints(best)
-                    found += constraints if len(constraints) >= self.min_constraints else []
+                    found += alignment.match_constraints(best, poses, near)
         return found
 
     def _nearest_submaps(
@@ -183,7 +183,7 @@ class ComponentAlignment:
 
 @final
 @dataclass(frozen=True, slots=True)
-class _SearchHit:
+class SearchHit:
     """Pose (3,) at which a search found a key scan in the map of another component.
 
     `score` is that of the search, `plausible` whether the drift permits the pose, `distinct` whether no other pose
@@ -199,7 +199,7 @@ class _SearchHit:
 
 @final
 @dataclass(frozen=True, slots=True)
-class _Hypothesis:
+class Hypothesis:
     """A component tracked through the map of another one from the best of the hits that agree.
 
     `poses` (K, 3) are those of all its key scans, `log_likelihood` is theirs; `distinct_hits` had no other place that
@@ -211,20 +211,20 @@ class _Hypothesis:
     plausible: bool
     distinct_hits: int
 
-    def distance_m(self, other: _Hypothesis) -> float:
+    def distance_m(self, other: Hypothesis) -> float:
         """Median distance of the key scans from where another hypothesis has them."""
         return float(np.median(np.hypot(*(self.poses - other.poses)[:, :2].T)))
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class _Alignment:
+class Alignment:
     """Alignment of a component with the map of an older one.
 
     Attributes
     ----------
-    keys, old_keys : (K,), (L,) int64
-        Key scans of the component; those of the older one that are in the map.
+    keys : (K,) int64
+        Key scans of the component.
     maps : TileMaps
         The map of the older one.
     """
@@ -234,13 +234,12 @@ class _Alignment:
     places: PlaceMatching
     scorer: TrajectoryScorer
     keys: IntArray
-    old_keys: IntArray
     maps: TileMaps
 
-    def select_hypothesis(self, ways: dict[int, tuple[FloatArray, SubmapDistance]]) -> _Hypothesis | None:
-        """Return the best hypothesis if it is accepted; `ways` are guess and nearest submap by key scan."""
+    def select_hypothesis(self, hits: list[SearchHit]) -> Hypothesis | None:
+        """Return the best hypothesis that the hits lead to, if it is accepted."""
         parameters = self.parameters
-        groups = _group_hits(self.closure_state.graph, self._search_hits(ways))
+        groups = group_hits(self.closure_state.graph, hits)
         groups.sort(key=lambda group: -sum(hit.score for hit in group))
         hypotheses = [self._track_component(group) for group in groups[: parameters.max_hypotheses]]
         hypotheses.sort(key=lambda hypothesis: -hypothesis.log_likelihood)
@@ -252,8 +251,8 @@ class _Alignment:
         ratio = parameters.distinct_ambiguity_ratio if is_distinct else parameters.ambiguity_ratio
         return best if max(others, default=0.0) <= ratio * best.log_likelihood else None
 
-    def _search_hits(self, ways: dict[int, tuple[FloatArray, SubmapDistance]]) -> list[_SearchHit]:
-        """Search key scans; keep the best place of each and the next best one."""
+    def search_hits(self, ways: dict[int, tuple[FloatArray, SubmapDistance]]) -> list[SearchHit]:
+        """Search key scans, by guess and nearest submap; keep the best place of each and the next best one."""
         search = self.parameters.search
         margin = self.places.ambiguity_covariance(search.gate_sigmas)
         pyramid = Pyramid.of(self.maps, 0)
@@ -268,14 +267,14 @@ class _Alignment:
                 if pose is not None:
                     innovation = np.append((pose - guess)[:2], between(guess, pose)[2])
                     plausible = self.places.is_within_gate(way.covariance, innovation)
-                    hits.append(_SearchHit(key, pose, score, plausible, distinct))
+                    hits.append(SearchHit(key, pose, score, plausible, distinct))
         return hits
 
     def _collect_points(self, key: int) -> FloatArray:
         points = collect_recent_points(self.closure_state, key, self.places.query_key_scans)
         return thin_points(points, self.parameters.search.max_points)
 
-    def _track_component(self, group: list[_SearchHit]) -> _Hypothesis:
+    def _track_component(self, group: list[SearchHit]) -> Hypothesis:
         """Track a component through the map from the best hit to both of its ends, correcting where a scan matches."""
         graph = self.closure_state.graph
         begin = max(group, key=lambda hit: hit.score)
@@ -295,7 +294,7 @@ class _Alignment:
                 if len(beams) >= self.parameters.matcher.min_beams:
                     log_likelihood += self.scorer.score_scan(self.maps, pose, beams.ends)
         plausible = any(hit.plausible for hit in group)
-        return _Hypothesis(poses, log_likelihood, plausible, sum(hit.distinct for hit in group))
+        return Hypothesis(poses, log_likelihood, plausible, sum(hit.distinct for hit in group))
 
     def _match_key_scan(self, beams: BeamEnds, guess: FloatArray, variances: FloatArray) -> FloatArray:
         """Pose (3,) of a key scan matched near a guess; the guess if it sees little of the map or moves too far."""
@@ -319,15 +318,18 @@ class _Alignment:
             ratios.append(0.0 if found is None else found.runner_up_score / found.score)
         return float(np.quantile(ratios, 0.75)) >= self.parameters.self_similarity_ratio
 
-    def match_constraints(self, best: _Hypothesis) -> list[Constraint]:
-        """Constraints from key scans of an aligned component to the nearest submaps of the other."""
+    def match_constraints(self, best: Hypothesis, old_poses: FloatArray, old_keys: IntArray) -> list[Constraint]:
+        """Constraints from key scans of an aligned component to the nearest submaps of the other; none of too few.
+
+        `old_keys` (L,) are the key scans of the other that are in the map, and `old_poses` (T, 3) has their poses.
+        """
         closure_state = self.closure_state
         lenient = replace(self.places, inlier_ratio=self.parameters.inlier_ratio)
-        submaps = np.unique(self.old_keys // KEY_SCANS_PER_SUBMAP)
-        submaps = submaps[np.isin(anchor_of(0) + submaps * KEY_SCANS_PER_SUBMAP, self.old_keys)]
+        submaps = np.unique(old_keys // KEY_SCANS_PER_SUBMAP)
+        submaps = submaps[np.isin(anchor_of(0) + submaps * KEY_SCANS_PER_SUBMAP, old_keys)]
         if not len(submaps):
             return []
-        anchors = np.array([closure_state.graph.poses[anchor_of(submap)] for submap in submaps.tolist()])
+        anchors = old_poses[[anchor_of(submap) for submap in submaps.tolist()]]
         found = []
         for index in range(0, len(self.keys), self.parameters.search_interval):
             key = int(self.keys[index])
@@ -348,12 +350,12 @@ class _Alignment:
             )
             if isinstance(constraint, Constraint) and constraint.determined:
                 found.append(constraint)
-        return found
+        return found if len(found) >= self.parameters.min_constraints else []
 
 
-def _group_hits(graph: KeyGraph, hits: list[_SearchHit]) -> list[list[_SearchHit]]:
+def group_hits(graph: KeyGraph, hits: list[SearchHit]) -> list[list[SearchHit]]:
     """Group hits that are consistent with the tracked motion."""
-    groups: list[list[_SearchHit]] = []
+    groups: list[list[SearchHit]] = []
     for hit in hits:
         for group in groups:
             last = group[-1]

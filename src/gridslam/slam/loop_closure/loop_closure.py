@@ -14,9 +14,14 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.loop_closure.constraints import Constraint, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import DriftModel
-from gridslam.slam.loop_closure.map_piece import PieceMatch
 from gridslam.slam.loop_closure.place_recognition import PlaceRecognition
-from gridslam.slam.loop_closure.state import Correction, LoopClosureState, PendingConstraints, RejectionReason
+from gridslam.slam.loop_closure.state import (
+    Correction,
+    FoundPiece,
+    LoopClosureState,
+    PendingConstraints,
+    RejectionReason,
+)
 from gridslam.slam.loop_closure.submaps import insert_key_scans
 from gridslam.slam.pose_graph.descent import advance
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
@@ -141,6 +146,10 @@ class LoopClosure:
             constraints = constraints + found
         correction = closure_state.correction
         corrected = correction is not None and self._build_corrected_map(closure_state, correction, state)
+        located = None if closure_state.earlier is None else closure_state.earlier.locate(closure_state)
+        if located is not None:
+            self.join(state, closure_state, located)
+            corrected = True
         state.drift = closure_state.graph.drift
         closures = tuple(constraint.pair for constraint in constraints)
         return replace(report, pose=state.best_pose, closures=closures, corrected=corrected)
@@ -149,19 +158,17 @@ class LoopClosure:
         self,
         state: FilterState,
         closure_state: LoopClosureState,
-        piece: int,
-        match: PieceMatch,
-        maps: TileMaps,
+        found: FoundPiece,
     ) -> None:
         """Put an earlier piece in front of the drive so far, which was found in it.
 
         As after a loop closure, all particles share one past from then on: the piece's key scans, and the drive's where
-        they were found. Their map is that of the piece, `maps`, with the drive's key scans drawn into it.
+        they were found. Their map is that of the piece, with the drive's key scans drawn into it.
         """
-        first = len(closure_state.earlier[piece])
-        closure_state.join(piece, match)
+        first = len(found.piece)
+        closure_state.join(found)
         trajectory = np.array(closure_state.graph.poses)
-        joined = maps.snapshot()
+        joined = found.maps.snapshot()
         insert_key_scans(joined, closure_state.scans, range(first, len(trajectory)), trajectory[first:])
         state.replace_trajectory(trajectory, joined)
 

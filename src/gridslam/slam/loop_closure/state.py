@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Annotated, final
+from typing import Annotated, NamedTuple, Protocol, final
 
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
@@ -22,6 +22,8 @@ from gridslam.types import FloatArray
 
 __all__ = [
     "Correction",
+    "DriveLocator",
+    "FoundPiece",
     "LoopClosureState",
     "PendingConstraints",
     "PlaceSearch",
@@ -118,6 +120,36 @@ class PendingConstraints:
 
 
 @final
+class FoundPiece(NamedTuple):
+    """An earlier piece in which a drive was found.
+
+    Attributes
+    ----------
+    number : int
+        Its number among the earlier ones.
+    piece : MapPiece
+        The piece.
+    maps : TileMaps
+        One map, drawn from it.
+    match : PieceMatch
+        Where the drive lies in it.
+    """
+
+    number: int
+    piece: MapPiece
+    maps: TileMaps
+    match: PieceMatch
+
+
+class DriveLocator(Protocol):
+    """Locates a drive in what earlier ones have left."""
+
+    def locate(self, closure_state: LoopClosureState) -> FoundPiece | None:
+        """Called at each key scan: the piece in which the drive so far lies, once that is certain."""
+        ...
+
+
+@final
 @dataclass(slots=True, eq=False)
 class LoopClosureState:
     """State of loop closure.
@@ -140,11 +172,11 @@ class LoopClosureState:
         New constraints that the graph solver has not accepted or rejected yet.
     correction : Correction or None
         A corrected trajectory that will replace the filter's.
-    earlier : list of MapPiece
-        What earlier drives have left, each in a frame of its own, until the robot was found in one of them. Not saved
-        with the state: whoever restores it gives them again.
+    earlier : DriveLocator or None
+        Where the robot may be found again: what earlier drives have left, until it was found in a piece of it. Not
+        saved with the state: whoever restores it gives it again.
     joined : int
-        In which of them it was found; -1 before. Its key scans are then the first ones.
+        Number of the piece in which it was found; -1 before. Its key scans are then the first ones.
     """
 
     scans: ScanArchive = field(default_factory=ScanArchive)
@@ -155,7 +187,7 @@ class LoopClosureState:
     rejected: Counter[RejectionReason] = field(default_factory=Counter)
     pending_constraints: PendingConstraints | None = None
     correction: Correction | None = None
-    earlier: list[MapPiece] = field(default_factory=list, metadata=NOT_SAVED)
+    earlier: DriveLocator | None = field(default=None, metadata=NOT_SAVED)
     joined: int = -1
     submap_cache: SubmapCache = field(default_factory=SubmapCache, metadata=NOT_SAVED)
 
@@ -173,14 +205,14 @@ class LoopClosureState:
         self.search.forget()
         self.submap_cache.forget()
 
-    def join(self, piece: int, match: PieceMatch) -> None:
+    def join(self, found: FoundPiece) -> None:
         """Put an earlier piece, in which the drive so far was found, in front of it."""
-        whole = self.earlier[piece].append(MapPiece(self.scans, self.graph), match)
+        whole = found.piece.append(MapPiece(self.scans, self.graph), found.match)
         self.scans = whole.scans
         self.graph = whole.graph
         self.online_poses = [*whole.poses]
-        self.joined = piece
-        self.earlier = []
+        self.joined = found.number
+        self.earlier = None
         self.unconfirmed = []
         self.pending_constraints = None
         self.correction = None

@@ -1,0 +1,140 @@
+"""Found again: where the robot is in what earlier drives have left, from nothing but what it sees."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import final
+
+import numpy as np
+
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.matching.branch_and_bound import Pyramid, thin_points
+from gridslam.slam.full_slam.component_alignment import Alignment, ComponentAlignment, SearchHit
+from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
+from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
+from gridslam.slam.loop_closure.place_matching import PlaceMatching, collect_recent_points
+from gridslam.slam.loop_closure.state import FoundPiece, LoopClosureState
+from gridslam.types import FloatArray
+
+__all__ = ["EarlierPieces"]
+
+_WINDOW_M = 50.0
+"""Half the side of a square that is searched at a time; a larger map is searched square by square."""
+
+_FIRST_KEY_SCANS = 12
+"""A drive is not compared as a whole before it has so many key scans, about 5 m: less of it looks alike in too many
+places."""
+
+
+@final
+class EarlierPieces:
+    """Locates a drive in earlier pieces: every few key scans the newest points are searched everywhere.
+
+    The hits of all searches are judged as those of a component behind a gap (see `ComponentAlignment`), but for the
+    drift, of which nothing is known: the drive as a whole is tracked through the piece's map from each place where
+    several of its searches agree, and only if one place explains it much better than any other it is found.
+
+    What was searched is remembered by what was searched for, so that results depend on the drive alone: a state that
+    was saved, or stepped again, is located at the same key scan.
+
+    Parameters
+    ----------
+    pieces : sequence of MapPiece
+        One or more, in frames that have nothing to do with each other.
+    mapper : OccupancyGridMapping
+        How their maps are drawn.
+    places : PlaceMatching
+        How key scans are matched, and what makes a place ambiguous.
+    alignment : ComponentAlignment
+        When an alignment is certain.
+    scorer : TrajectoryScorer
+        How hypotheses are scored.
+    """
+
+    def __init__(
+        self,
+        pieces: Sequence[MapPiece],
+        mapper: OccupancyGridMapping,
+        places: PlaceMatching,
+        alignment: ComponentAlignment,
+        scorer: TrajectoryScorer,
+    ) -> None:
+        self.pieces = list(pieces)
+        self._mapper = mapper
+        self._places = places
+        window = replace(alignment.search, window_m=_WINDOW_M, window_rad=math.pi)
+        self._alignment = replace(alignment, search=window)
+        self._scorer = scorer
+        self._maps = [piece.build_map(mapper) for piece in self.pieces]
+        self._pyramids = [Pyramid.of(maps, 0) for maps in self._maps]
+        self._hits: dict[tuple[int, int, bytes], list[SearchHit]] = {}
+
+    def locate(self, closure_state: LoopClosureState) -> FoundPiece | None:
+        """Search for the newest key scan, and give the first piece in which the drive so far is found."""
+        key_scans = len(closure_state.graph)
+        interval = self._alignment.search_interval
+        if key_scans % interval or key_scans < _FIRST_KEY_SCANS:
+            return None
+        for number in range(len(self.pieces)):
+            match = self.align(closure_state, number)
+            if match is not None:
+                return FoundPiece(number, self.pieces[number], self._maps[number], match)
+        return None
+
+    def align(self, closure_state: LoopClosureState, number: int) -> PieceMatch | None:
+        """Align all key scans of a drive with piece `number`; None if that is not certain."""
+        parameters = self._alignment
+        keys = np.arange(len(closure_state.graph))
+        alignment = Alignment(parameters, closure_state, self._places, self._scorer, keys, self._maps[number])
+        searched = range(parameters.search_interval - 1, len(keys), parameters.search_interval)
+        hits = [hit for key in searched for hit in self._search(closure_state, number, key)]
+        best = alignment.select_hypothesis(hits)
+        if best is None:
+            return None
+        own = MapPiece(closure_state.scans, closure_state.graph).build_map(self._mapper)
+        if alignment.is_self_similar(Pyramid.of(own, 0)):
+            return None
+        piece = self.pieces[number]
+        constraints = alignment.match_constraints(best, piece.poses, np.arange(len(piece)))
+        return PieceMatch(best.poses, constraints) if constraints else None
+
+    def _search(self, closure_state: LoopClosureState, number: int, key: int) -> list[SearchHit]:
+        """The two best places of a key scan's points in a piece."""
+        points = collect_recent_points(closure_state, key, self._places.query_key_scans)
+        few = thin_points(points, self._alignment.search.max_points)
+        known = (number, key, few.tobytes())
+        if known not in self._hits:
+            self._hits[known] = list(self._search_everywhere(number, key, few))
+        return self._hits[known]
+
+    def _search_everywhere(self, number: int, key: int, points: FloatArray) -> Iterator[SearchHit]:
+        """Search a piece square by square; a place is distinct if none in any square scores nearly as high."""
+        places: list[tuple[float, FloatArray]] = []
+        search = self._alignment.search
+        for centre in self._centres(number):
+            found = search.search(self._pyramids[number], centre, None, points)
+            if found is not None:
+                places.append((found.score, found.pose))
+                if found.runner_up_pose is not None:
+                    places.append((found.runner_up_score, found.runner_up_pose))
+        places.sort(key=lambda place: -place[0])
+        best: list[tuple[float, FloatArray]] = []
+        for score, pose in places:  # squares overlap by nothing, but a place on their border may be found in both
+            if not any(np.hypot(*(pose - other)[:2]) < search.runner_up_distance_m for _, other in best):
+                best.append((score, pose))
+        for rank, (score, pose) in enumerate(best[:2]):
+            runner_up = best[1][0] if len(best) > 1 else 0.0
+            distinct = rank == 0 and runner_up <= self._places.ambiguity_ratio * score
+            yield SearchHit(key, pose, score, True, distinct)
+
+    def _centres(self, number: int) -> Iterator[FloatArray]:
+        """Poses (3,) in the middle of the squares that cover a piece's map."""
+        pyramid = self._pyramids[number]
+        low = np.array(pyramid.corner)[::-1] * pyramid.resolution_m
+        sides = np.array(pyramid.fine.shape[:0:-1]) * pyramid.resolution_m
+        across, up = np.ceil(sides / (2 * _WINDOW_M)).astype(int).tolist()
+        for column in range(across):
+            for row in range(up):
+                yield np.append(low + sides * [(column + 0.5) / across, (row + 0.5) / up], 0.0)
