@@ -9,13 +9,15 @@ from typing import final
 
 import numpy as np
 
+from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import Pyramid, thin_points
-from gridslam.slam.full_slam.component_alignment import Alignment, ComponentAlignment, SearchHit
+from gridslam.slam.full_slam.component_alignment import Alignment, ComponentAlignment, SearchHit, group_hits
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
 from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
 from gridslam.slam.loop_closure.place_matching import PlaceMatching, collect_recent_points
 from gridslam.slam.loop_closure.state import FoundPiece, LoopClosureState
+from gridslam.slam.loop_closure.submaps import build_map
 from gridslam.types import FloatArray
 
 __all__ = ["EarlierPieces"]
@@ -24,8 +26,13 @@ _WINDOW_M = 50.0
 """Half the side of a square that is searched at a time; a larger map is searched square by square."""
 
 _FIRST_KEY_SCANS = 12
-"""A drive is not compared as a whole before it has so many key scans, about 5 m: less of it looks alike in too many
-places."""
+"""A drive is not compared before it has this many key scans, about 5 m: less of it looks alike in too many places."""
+
+_LAST_KEY_SCANS = 90
+"""Key scans, about 40 m, by which a drive is located: what was driven before may lie where the map ends."""
+
+_PATIENCE = 30
+"""After each multiple of this many key scans without success searches are half as frequent, down to an eighth."""
 
 
 @final
@@ -73,32 +80,41 @@ class EarlierPieces:
 
     def locate(self, closure_state: LoopClosureState) -> FoundPiece | None:
         """Search for the newest key scan, and give the first piece in which the drive so far is found."""
-        key_scans = len(closure_state.graph)
-        interval = self._alignment.search_interval
-        if key_scans % interval or key_scans < _FIRST_KEY_SCANS:
+        newest = len(closure_state.graph) - 1
+        if newest + 1 < _FIRST_KEY_SCANS or not self._is_searched(newest):
             return None
-        for number in range(len(self.pieces)):
-            match = self.align(closure_state, number)
+        searched = [key for key in range(max(0, newest - _LAST_KEY_SCANS), newest + 1) if self._is_searched(key)]
+        for number, piece in enumerate(self.pieces):
+            match = self.align(closure_state, number, searched)
             if match is not None:
-                return FoundPiece(number, self.pieces[number], self._maps[number], match)
+                return FoundPiece(number, piece, self._maps[number], match)
         return None
 
-    def align(self, closure_state: LoopClosureState, number: int) -> PieceMatch | None:
-        """Align all key scans of a drive with piece `number`; None if that is not certain."""
+    def align(self, closure_state: LoopClosureState, number: int, searched: Sequence[int]) -> PieceMatch | None:
+        """Align a drive with piece `number` by searches of some key scans; None if that is not certain."""
         parameters = self._alignment
-        keys = np.arange(len(closure_state.graph))
-        alignment = Alignment(parameters, closure_state, self._places, self._scorer, keys, self._maps[number])
-        searched = range(parameters.search_interval - 1, len(keys), parameters.search_interval)
         hits = [hit for key in searched for hit in self._search(closure_state, number, key)]
+        agreeing = max((len(group) for group in group_hits(closure_state.graph, hits)), default=0)
+        if agreeing < parameters.min_constraints:
+            return None
+        poses = np.array(closure_state.graph.poses)
+        recent = np.arange(max(0, len(poses) - _LAST_KEY_SCANS), len(poses))
+        alignment = Alignment(parameters, closure_state, self._places, self._scorer, recent, self._maps[number])
         best = alignment.select_hypothesis(hits)
         if best is None:
             return None
-        own = MapPiece(closure_state.scans, closure_state.graph).build_map(self._mapper)
+        own = build_map(self._mapper, closure_state.scans, recent, poses[recent])
         if alignment.is_self_similar(Pyramid.of(own, 0)):
             return None
         piece = self.pieces[number]
         constraints = alignment.match_constraints(best, piece.poses, np.arange(len(piece)))
-        return PieceMatch(best.poses, constraints) if constraints else None
+        before = compose(best.poses[0], between(poses[recent[0]], poses[: recent[0]]))
+        return PieceMatch(np.concatenate([before, best.poses]), constraints) if constraints else None
+
+    def _is_searched(self, key: int) -> bool:
+        """Whether a key scan is one of those that are searched."""
+        interval = self._alignment.search_interval * 2 ** min(key // _PATIENCE, 3)
+        return bool((key + 1) % interval == 0)
 
     def _search(self, closure_state: LoopClosureState, number: int, key: int) -> list[SearchHit]:
         """The two best places of a key scan's points in a piece."""
