@@ -18,7 +18,7 @@ from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
 from gridslam.slam.loop_closure.place_matching import PlaceMatching, collect_recent_points
 from gridslam.slam.loop_closure.state import FoundPiece, LoopClosureState
 from gridslam.slam.loop_closure.submaps import build_map
-from gridslam.types import FloatArray
+from gridslam.types import FloatArray, IntArray
 
 __all__ = ["EarlierPieces"]
 
@@ -83,33 +83,38 @@ class EarlierPieces:
         newest = len(closure_state.graph) - 1
         if newest + 1 < _FIRST_KEY_SCANS or not self._is_searched(newest):
             return None
-        searched = [key for key in range(max(0, newest - _LAST_KEY_SCANS), newest + 1) if self._is_searched(key)]
+        poses = np.array(closure_state.graph.poses)
+        recent = np.arange(max(0, len(poses) - _LAST_KEY_SCANS), len(poses))
         for number, piece in enumerate(self.pieces):
-            match = self.align(closure_state, number, searched)
-            if match is not None:
+            found = self.align(closure_state, number, recent, [k for k in recent.tolist() if self._is_searched(k)])
+            if found is not None:
+                before = compose(found.poses[0], between(poses[recent[0]], poses[: recent[0]]))
+                match = found._replace(poses=np.concatenate([before, found.poses]))
                 return FoundPiece(number, piece, self._maps[number], match)
         return None
 
-    def align(self, closure_state: LoopClosureState, number: int, searched: Sequence[int]) -> PieceMatch | None:
-        """Align a drive with piece `number` by searches of some key scans; None if that is not certain."""
+    def align(
+        self, closure_state: LoopClosureState, number: int, keys: IntArray, searched: Sequence[int]
+    ) -> PieceMatch | None:
+        """Align consecutive key scans (K,) of a drive with piece `number`; None if that is not certain.
+
+        `searched` are those of them for which the piece is searched. The match has the poses (K, 3) of these key scans.
+        """
         parameters = self._alignment
         hits = [hit for key in searched for hit in self._search(closure_state, number, key)]
         agreeing = max((len(group) for group in group_hits(closure_state.graph, hits)), default=0)
         if agreeing < parameters.min_constraints:
             return None
-        poses = np.array(closure_state.graph.poses)
-        recent = np.arange(max(0, len(poses) - _LAST_KEY_SCANS), len(poses))
-        alignment = Alignment(parameters, closure_state, self._places, self._scorer, recent, self._maps[number])
+        alignment = Alignment(parameters, closure_state, self._places, self._scorer, keys, self._maps[number])
         best = alignment.select_hypothesis(hits)
         if best is None:
             return None
-        own = build_map(self._mapper, closure_state.scans, recent, poses[recent])
+        own = build_map(self._mapper, closure_state.scans, keys, np.array(closure_state.graph.poses)[keys])
         if alignment.is_self_similar(Pyramid.of(own, 0)):
             return None
         piece = self.pieces[number]
         constraints = alignment.match_constraints(best, piece.poses, np.arange(len(piece)))
-        before = compose(best.poses[0], between(poses[recent[0]], poses[: recent[0]]))
-        return PieceMatch(np.concatenate([before, best.poses]), constraints) if constraints else None
+        return PieceMatch(best.poses, constraints) if constraints else None
 
     def _is_searched(self, key: int) -> bool:
         """Whether a key scan is one of those that are searched."""

@@ -24,13 +24,14 @@ from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.constraints import ConstraintSource, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
+from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
 from gridslam.slam.pose_graph.marginals import marginal_covariances
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import scale_information
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
-__all__ = ["FullSlam", "LoopClosureSummary", "full_slam"]
+__all__ = ["FullSlam", "LoopClosureSummary", "full_slam", "refine_piece"]
 
 
 @final
@@ -134,22 +135,45 @@ def full_slam(
     """
     closure = loop_closure or LoopClosure()
     trajectory = state.best_trajectory()
-    if state.closure_state is None:
-        graph = _build_odometry_graph(trajectory, drives, closure.drift)
-        poses = full_trajectories(trajectory, drives)
-        tiled_map = state.maps.tiled(state.best)
-        loops = None
-    else:
-        closure_state = state.closure_state.snapshot()  # the final refinement modifies it
-        refined = final_refinement(closure_state, trajectory, drives, mapper, closure, on_progress)
-        graph = scale_information(refined.best.graph, refined.best.weights)
-        poses = refined.poses
-        tiled_map = refined.maps.tiled(0)
-        loops = _summarize(state.closure_state, closure_state, refined, trajectory)
+    if state.closure_state is not None:
+        return _refine(state.closure_state, trajectory, drives, mapper, closure, final_refinement, on_progress)
+    graph = _build_odometry_graph(trajectory, drives, closure.drift)
+    poses = full_trajectories(trajectory, drives)
+    covariances = scan_covariances(graph, drift_covariances(graph), poses, drives, closure.drift)
+    return FullSlam(poses, covariances, graph, state.maps.tiled(state.best), None)
+
+
+def refine_piece(
+    piece: MapPiece,
+    drives: Sequence[TrackedScans],
+    mapper: OccupancyGridMapping,
+    closure: LoopClosure,
+    final_refinement: GlobalScanRefinement,
+    on_progress: Callable[[], None] = lambda: None,
+) -> FullSlam:
+    """Compute the full SLAM result of a piece, such as one that was merged; the arguments are those of `full_slam`."""
+    state = LoopClosureState(scans=piece.scans, graph=piece.graph)
+    return _refine(state, piece.poses, drives, mapper, closure, final_refinement, on_progress)
+
+
+def _refine(
+    closure_state: LoopClosureState,
+    trajectory: FloatArray,
+    drives: Sequence[TrackedScans],
+    mapper: OccupancyGridMapping,
+    closure: LoopClosure,
+    final_refinement: GlobalScanRefinement,
+    on_progress: Callable[[], None],
+) -> FullSlam:
+    """Refine the trajectory (T, 3) of the key scans; the state is not modified."""
+    changed = closure_state.snapshot()
+    refined = final_refinement(changed, trajectory, drives, mapper, closure, on_progress)
+    graph = scale_information(refined.best.graph, refined.best.weights)
     has_loops = len(graph.edges) >= len(graph.poses)
     key_covariances = marginal_covariances(graph) if has_loops else drift_covariances(graph)
-    covariances = scan_covariances(graph, key_covariances, poses, drives, closure.drift)
-    return FullSlam(poses, covariances, graph, tiled_map, loops)
+    covariances = scan_covariances(graph, key_covariances, refined.poses, drives, closure.drift)
+    loops = _summarize(closure_state, changed, refined, trajectory)
+    return FullSlam(refined.poses, covariances, graph, refined.maps.tiled(0), loops)
 
 
 def _build_odometry_graph(trajectory: FloatArray, drives: Sequence[TrackedScans], drift: DriftModel) -> PoseGraph:

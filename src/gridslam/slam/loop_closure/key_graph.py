@@ -286,6 +286,10 @@ class KeyGraph:
         spreads = propagate_covariances(self.poses[key], np.array([moments for moments, _ in ways.values()]))
         return [SubmapDistance(*found) for found in zip(ways, poses, spreads, strict=True)]
 
+    def label_gaps(self) -> IntArray:
+        """Label (T,) of the stretch without a gap in the laser data that each key scan belongs to, ascending."""
+        return np.array(self._gap_counts)
+
     def label_rigid_components(self) -> IntArray:
         """Label (T,) of the rigid component of each key scan.
 

@@ -1,0 +1,193 @@
+"""Merging: pieces of several robots or days become one map where they show the same places."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple, final
+
+import numpy as np
+
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import between, compose, inverse
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
+from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement
+from gridslam.slam.loop_closure.constraints import Constraint
+from gridslam.slam.loop_closure.loop_closure import LoopClosure
+from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
+from gridslam.slam.loop_closure.state import LoopClosureState
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["MergedPiece", "merge_pieces"]
+
+_WINDOW = 90
+"""Key scans that are aligned together, about 40 m: as many as locate a drive while it is driven."""
+_STRIDE = 45
+_SEARCH_INTERVAL = 6
+_ENOUGH = 3
+"""Windows that agree: then two pieces are joined, and the final refinement finds what else they have in common."""
+_AGREE_M = 1.0
+_AGREE_RAD = 0.1
+"""Windows agree if they have one piece's frame in the other this close together; drives bend by less in 40 m."""
+
+
+@final
+class MergedPiece(NamedTuple):
+    """A piece that was merged from some of those given.
+
+    Attributes
+    ----------
+    members : tuple of int
+        Their places among those given, in the order of their key scans.
+    piece : MapPiece
+        The piece, in the frame of the first member; not refined yet.
+    """
+
+    members: tuple[int, ...]
+    piece: MapPiece
+
+
+@final
+class _Link(NamedTuple):
+    """Two pieces that show the same places: the frame of `to` (3,) in that of `from_`, and the constraints."""
+
+    from_: int
+    to: int
+    frame: FloatArray
+    constraints: list[Constraint]
+
+
+def merge_pieces(
+    pieces: Sequence[MapPiece],
+    mapper: OccupancyGridMapping,
+    closure: LoopClosure,
+    refinement: GlobalScanRefinement,
+    on_progress: Callable[[], None] = lambda: None,
+) -> list[MergedPiece]:
+    """Merge pieces that show the same places; the others stay apart.
+
+    Each piece is searched in each one before it. Links of two pieces are taken in the order of how many constraints
+    they have; those that contradict what is joined already are left out.
+
+    Parameters
+    ----------
+    pieces : sequence of MapPiece
+        In an order that does not depend on chance: frames and numbers follow it.
+    mapper, closure, refinement
+        As in the runs; of the refinement the alignment of components and the score.
+    on_progress
+        Called once for each pair of pieces.
+
+    Returns
+    -------
+    list of MergedPiece
+        Those with the first given pieces first.
+    """
+    links: list[_Link] = []
+    for to, later in enumerate(pieces):
+        for from_, earlier in enumerate(pieces[:to]):
+            on_progress()
+            link = _link(earlier, later, mapper, closure, refinement)
+            if link is not None:
+                links.append(_Link(from_, to, *link))
+    links.sort(key=lambda link: (-len(link.constraints), link.from_, link.to))
+    frames = _lay_out(len(pieces), links)
+    merged = []
+    for root in sorted({root for root, _ in frames}):
+        members = tuple(k for k, (own, _) in enumerate(frames) if own == root)
+        merged.append(MergedPiece(members, _append(pieces, members, frames, links)))
+    return merged
+
+
+def _link(
+    earlier: MapPiece,
+    later: MapPiece,
+    mapper: OccupancyGridMapping,
+    closure: LoopClosure,
+    refinement: GlobalScanRefinement,
+) -> tuple[FloatArray, list[Constraint]] | None:
+    """The frame (3,) of a piece in another one's, and constraints between them; None if that is not certain."""
+    located = EarlierPieces([earlier], mapper, closure.recognition, refinement.component_alignment, refinement.score)
+    state = LoopClosureState(scans=later.scans, graph=later.graph)
+    poses = later.poses
+    groups: list[list[tuple[FloatArray, list[Constraint]]]] = []
+    for window in _windows(later):
+        match = located.align(state, 0, window, window[_SEARCH_INTERVAL - 1 :: _SEARCH_INTERVAL].tolist())
+        if match is None:
+            continue
+        middle = len(window) // 2
+        frame = compose(match.poses[middle], inverse(poses[window[middle]]))
+        for group in groups:
+            if _agree(group[0][0], frame, poses[window[middle]]):
+                group.append((frame, match.constraints))
+                break
+        else:
+            groups.append([(frame, match.constraints)])
+        groups.sort(key=len, reverse=True)
+        if len(groups[0]) >= _ENOUGH + sum(map(len, groups[1:])):
+            break
+    if not groups or len(groups[0]) <= 2 * sum(map(len, groups[1:])):
+        return None
+    found = {constraint.pair: constraint for _, constraints in groups[0] for constraint in constraints}
+    return groups[0][0][0], list(found.values())
+
+
+def _windows(piece: MapPiece) -> Iterator[IntArray]:
+    """Consecutive key scans without a gap: first from all over the piece, then those between."""
+    labels = piece.graph.label_gaps()
+    windows = []
+    for label in np.unique(labels):
+        keys = np.flatnonzero(labels == label)
+        starts = range(0, max(len(keys) - _WINDOW, 0) + _STRIDE, _STRIDE)
+        windows += [keys[max(0, min(start, len(keys) - _WINDOW)) :][:_WINDOW] for start in starts]
+    stride = 1 << max(len(windows) - 1, 0).bit_length()
+    seen = set[int]()
+    while stride:
+        for number in range(0, len(windows), stride):
+            if number not in seen:
+                seen.add(number)
+                yield windows[number]
+        stride //= 2
+
+
+def _agree(frame: FloatArray, other: FloatArray, pose: FloatArray) -> bool:
+    """Whether two frames of a piece have a pose (3,) of it at nearly the same place."""
+    here = compose(frame, pose)
+    there = compose(other, pose)
+    return bool(np.hypot(*(here - there)[:2]) < _AGREE_M and abs(wrap(here[2] - there[2])) < _AGREE_RAD)
+
+
+def _lay_out(count: int, links: Sequence[_Link]) -> list[tuple[int, FloatArray]]:
+    """For each piece the first one that it is joined with, and its frame (3,) in that one's."""
+    frames = [(k, np.zeros(3)) for k in range(count)]
+    for link in links:
+        (root, at), (other, there) = frames[link.from_], frames[link.to]
+        if root == other:
+            continue
+        moved = compose(compose(at, link.frame), inverse(there))  # the other root's frame in this root's
+        if other < root:
+            root, other, moved = other, root, inverse(moved)
+        frames = [(root, compose(moved, frame)) if own == other else (own, frame) for own, frame in frames]
+    return frames
+
+
+def _append(
+    pieces: Sequence[MapPiece],
+    members: Sequence[int],
+    frames: Sequence[tuple[int, FloatArray]],
+    links: Sequence[_Link],
+) -> MapPiece:
+    """Join pieces in their order, with the constraints of all links that do not contradict where they lie."""
+    whole = pieces[members[0]]
+    firsts = {members[0]: 0}
+    for member in members[1:]:
+        firsts[member] = len(whole)
+        own = []
+        for link in links:
+            if link.to != member or link.from_ not in firsts:
+                continue
+            expected = between(frames[link.from_][1], frames[member][1])
+            if _agree(expected, link.frame, pieces[member].poses[link.constraints[0].to]):
+                own += [c._replace(from_=firsts[link.from_] + c.from_) for c in link.constraints]
+        whole = whole.append(pieces[member], PieceMatch(compose(frames[member][1], pieces[member].poses), own))
+    return whole
