@@ -22,6 +22,7 @@ class PageClient:
         self.status: dict[str, Any] = {}
         self.tiles: dict[tuple[int, int], np.ndarray] = {}
         self.path, self.series = np.zeros((0, 2), np.float32), np.zeros((0, 5), np.float32)
+        self.selected = np.zeros((0, 2), np.float32)
         self.arrays: dict[str, np.ndarray] = {}
         self.messages = self.bytes = 0
         self.more = False
@@ -40,6 +41,8 @@ class PageClient:
             self.tiles.update(zip(map(tuple, arrays["tiles_at"].tolist()), unpack_tiles(arrays["tiles"]), strict=True))
         if "path" in arrays:
             self.path = np.concatenate([self.path[: header["path"]], arrays["path"]])
+        if "selected" in arrays:
+            self.selected = np.concatenate([self.selected[: header["selected"]], arrays["selected"]])
         if "series" in arrays:
             self.series = np.concatenate([self.series[: header["series"]], arrays["series"]])
         self.arrays.update(arrays)
@@ -65,7 +68,9 @@ class PageClient:
         while at >= 0:
             places.append(self.arrays["tree"][at])
             at = int(self.arrays["tree_parents"][at])
-        stem = self.path if at == -1 else np.zeros((0, 2), np.float32)
+        stem = self.path[: self.status.get("shared", 0)]
+        if at == -2:
+            stem = stem[:0]
         return np.concatenate([stem, np.array(places[::-1]).reshape(-1, 2)])
 
 

@@ -135,9 +135,12 @@ class MappingMonitor:
         def make_frame() -> Frame:
             now = compose(poses, report.key_from_base) if report.skipped else poses
             particles = np.column_stack([now, np.exp(log_weights)]).astype(np.float32)
-            ends = ancestry.trajectory(rows[BEST])[closures, :2].reshape(-1, 4)  # corrections move them
-            path, tree = thin_tree(ancestry)
-            return Frame(path, tree, particles, ends.astype(np.float32))
+            alive = sorted({row for row in rows.values() if row != _DIED_OUT})
+            paths = {row: ancestry.trajectory(row)[:, :2].astype(np.float32) for row in alive}
+            path = paths[rows[BEST]]
+            ends = path[closures].reshape(-1, 4)  # corrections move them
+            trunk, tree = thin_tree(ancestry)
+            return Frame(path, tree, particles, ends, len(trunk), paths)
 
         status = {
             "particles": len(poses),

@@ -18,7 +18,7 @@ from gridslam.io.text import read_json, read_text
 from gridslam.io.trajectories import read_trajectory_csv, read_tum
 from gridslam.live.control import check_particle, check_speed
 from gridslam.live.results import MappedRun, Results, StaticMap, TrajectoryRun
-from gridslam.live.scene import Scene, SentState, make_run_info
+from gridslam.live.scene import NO_POINTS, Scene, SentState, make_run_info
 from gridslam.live.tiles import TileReplica
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
@@ -84,6 +84,7 @@ class ReplayViewer:
         self._playing = False
         self._selected: int | None = None
         self._frame = self._results.frame(self._at)
+        self._selected_path = NO_POINTS
 
     def next_message(self) -> bytes | None:
         """Return the next message for the viewer; None if there is nothing new."""
@@ -138,9 +139,17 @@ class ReplayViewer:
             self._selected = ancestry.find_relative(self._selected, self._at, at)
         self._at = at
         self._frame = self._results.frame(at)
+        self._find_selected_path()
 
     def _select(self, particle: int | None) -> None:
         self._selected = None if particle is None else check_particle(particle, self._results.particles)
+        self._find_selected_path()
+
+    def _find_selected_path(self) -> None:
+        particle = self._selected
+        self._selected_path = NO_POINTS
+        if isinstance(self._results, MappedRun) and particle is not None and particle >= 0:
+            self._selected_path = self._results.particle_path(self._at, particle)
 
     def _scene(self) -> Scene:
         results = self._results
@@ -163,6 +172,7 @@ class ReplayViewer:
             results.series,
             plan=results.path,
             landmarks=results.landmarks,
+            selected=self._selected_path,
         )
 
 

@@ -123,6 +123,11 @@ class MappedRun:
         closures = self._closure_ends[: self._count_closures(at)]
         return Frame(self.path[: at + 1], full_tree(self.ancestry.at(at)), particles, closures)
 
+    def particle_path(self, at: int, particle: int) -> Float32Array:
+        """Return the online path (at + 1, 2) of a particle at a key scan, m."""
+        path: Float32Array = self.ancestry.at(at).trajectory(particle)[:, :2].astype(np.float32)
+        return path
+
     def status(self, at: int, time_s: float) -> dict[str, Any]:
         """Values at a time at or after a key scan."""
         record = self._record

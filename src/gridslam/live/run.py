@@ -171,10 +171,12 @@ class LiveRun:
             "speed": self.control.speed,
             "viewers": len(self._viewers),
             "channel": channel,
+            "shared": self._frame.shared,
             "selected_particle": None if channel == BEST or stage in ("writing", "done") else row,
         }
         replica = self._replicas.get(channel, self._replicas[BEST])
-        return Scene(self._run_info, status, replica, self._frame, self._series.rows, self._scan)
+        selected = NO_POINTS if channel == BEST else self._frame.selected_paths.get(row, NO_POINTS)
+        return Scene(self._run_info, status, replica, self._frame, self._series.rows, self._scan, selected=selected)
 
     def notify_viewers(self) -> None:
         """Notify all viewers of a change."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import secrets
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
@@ -144,19 +146,25 @@ class Frame(NamedTuple):
     Attributes
     ----------
     path : (T, 2) float32, m
-        Positions of the robot at the key scans that all particles share, NaN where lost.
+        Positions of the shown trajectory in full, NaN where lost: the best particle's while a filter runs.
     tree : AncestryTree
-        The differing paths of the particles.
+        The differing paths of the particles, thinned.
     particles : (N, 4) float32
         x m, y m, theta rad, and weight.
     closures : (C, 4) float32, m
         End points x, y of each loop closure.
+    shared : int
+        Number of positions of `path`, from its first on, that all particles share; the tree begins at the last of them.
+    selected_paths : mapping of int to (T, 2) float32, m
+        The paths of further particles in full, by the particle's index.
     """
 
     path: Float32Array = NO_POINTS
     tree: AncestryTree = NO_TREE
     particles: Float32Array = NO_PARTICLES
     closures: Float32Array = NO_CLOSURES
+    shared: int = 0
+    selected_paths: Mapping[int, Float32Array] = MappingProxyType({})
 
 
 @final
@@ -182,6 +190,8 @@ class Scene(NamedTuple):
         The future path of the robot; empty if unknown.
     landmarks : (L, 5) float32
         x m, y m, and covariance xx, xy, yy, m^2.
+    selected : (T, 2) float32, m
+        The path of the selected particle in full; empty if none is selected.
     """
 
     run_info: dict[str, Any]
@@ -192,6 +202,7 @@ class Scene(NamedTuple):
     scan: Float32Array = NO_POINTS
     plan: Float32Array = NO_POINTS
     landmarks: Float32Array = NO_LANDMARKS
+    selected: Float32Array = NO_POINTS
 
 
 def make_run_info(
@@ -236,7 +247,7 @@ class SentState:
         self._status: dict[str, Any] = {}
         self._replica: TileReplica | None = None
         self._number = 0
-        self._rows = {"path": NO_POINTS, "series": NO_SERIES}
+        self._rows = {"path": NO_POINTS, "selected": NO_POINTS, "series": NO_SERIES}
         self._arrays: dict[str, NDArray[Any]] = {}
 
     def next_message(self, scene: Scene) -> bytes | None:
@@ -251,6 +262,7 @@ class SentState:
             header["status"] = self._status = scene.status
         self._add_tiles(scene.replica, header, arrays)
         self._add_rows("path", scene.frame.path, header, arrays)
+        self._add_rows("selected", scene.selected, header, arrays)
         self._add_rows("series", scene.series, header, arrays)
         positions, parents, leaves = scene.frame.tree
         for parts in (
@@ -267,11 +279,9 @@ class SentState:
         return encode(header, arrays) if header or arrays else None
 
     def _add_rows(self, name: str, rows: Float32Array, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-        """Add what follows the rows that the viewer has, or all of them where those have changed."""
+        """Add what follows the first rows, which the viewer has."""
         before = self._rows[name]
-        first = min(len(before), len(rows))
-        if not _equal(before[:first], rows[:first]):
-            first = 0
+        first = _count_common(before, rows)
         if first < max(len(before), len(rows)):
             header[name] = first
             arrays[name] = rows[first:]
@@ -288,6 +298,15 @@ class SentState:
             arrays["tiles"] = pack_tiles(looks)
             if replica.sequence > self._number:
                 header["more"] = True
+
+
+def _count_common(a: Float32Array, b: Float32Array) -> int:
+    """Return how many rows, from the first on, are the same."""
+    count = min(len(a), len(b))
+    if a is b or _equal(a[:count], b[:count]):
+        return count
+    same = (a[:count] == b[:count]) | (np.isnan(a[:count]) & np.isnan(b[:count]))
+    return int(np.argmin(same.all(axis=1)))
 
 
 def _equal(a: NDArray[Any], b: NDArray[Any]) -> bool:

@@ -78,6 +78,29 @@ def test_two_viewers_see_the_best_map_at_every_time(drive, every):
     assert len(first.arrays["closures"]) == first.status["closures"] > 0
 
 
+def test_the_path_of_the_shown_particle_is_drawn_in_full(drive, monkeypatch):
+    """However large the tree is, which is thinned: else the path goes through walls."""
+    monkeypatch.setattr("gridslam.live.scene.thin_tree.__defaults__", (6,))
+    observed, client = ObservedRun(every=5), PageClient()
+    viewer, compared, thinned = observed.live.add_viewer(lambda: None), [], []
+
+    def check(state):
+        client.catch_up(viewer)
+        selected = client.status["selected_particle"]
+        assert client.path == pytest.approx(state.ancestry.trajectory(state.best)[:, :2], abs=1e-5)
+        thinned.append(len(client.past_of(state.best)) < state.ancestry.steps)
+        if selected is None or selected < 0:
+            viewer.command({"do": "select", "particle": 3})
+        else:
+            assert client.selected == pytest.approx(state.ancestry.trajectory(selected)[:, :2], abs=1e-5)
+            compared.append(selected)
+
+    observed.check = check
+    observed.go(drive[:330])
+    assert len(compared) > 5
+    assert any(thinned)
+
+
 def test_the_filter_gives_the_same_bytes_with_and_without(drive):
     slam, rng = build(RESAMPLING), np.random.default_rng(3)
     alone = run(drive[:150], slam, particles=6, rng=rng).to_arrays()

@@ -137,6 +137,8 @@ def test_a_chosen_particle_keeps_its_line(replay):
     viewer.command({"do": "seek", "at": 20})
     client.catch_up(viewer)
     assert np.array_equal(client.past_of(client.status["selected_particle"]), past[:21])
+    assert client.selected == pytest.approx(past[:21], abs=0.008)
+    assert len(client.selected) == 21
     with pytest.raises(ArgumentError, match="below 5"):
         viewer.command({"do": "select", "particle": 5})
     for wrong in ({"do": "dance"}, {"do": "select", "particle": "3"}, {"do": "seek", "at": math.inf}, {"do": "seek"}):

@@ -24,7 +24,7 @@ let colours = {}, redrawPending = false;
 function reset() {
   world.map.clear();
   Object.assign(world, {
-    runInfo: {}, status: {}, path: NONE, plan: NONE, tree: NONE, parents: NO_NUMBERS, leaves: NO_NUMBERS,
+    runInfo: {}, status: {}, path: NONE, selected: NONE, plan: NONE, tree: NONE, parents: NO_NUMBERS, leaves: NO_NUMBERS,
     particles: NONE, scan: NONE, closures: NONE, landmarks: NONE, series: NONE, steps: 0,
   });
 }
@@ -43,7 +43,7 @@ function receive({ header, arrays }) {
   if (header.status) world.status = header.status;
   if (header.clear) world.map.clear();
   if (arrays.tiles) world.map.put(arrays.tiles_at, arrays.tiles);
-  if (arrays.path) world.path = splice(world.path, 2 * header.path, arrays.path);
+  for (const name of ["path", "selected"]) if (arrays[name]) world[name] = splice(world[name], 2 * header[name], arrays[name]);
   if (arrays.series) {
     world.series = splice(world.series, COLUMNS * header.series, arrays.series);
     world.steps = world.series.length / COLUMNS;

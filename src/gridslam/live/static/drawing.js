@@ -14,18 +14,16 @@ function line(context, points, camera) {
   context.stroke();
 }
 
-// The path of one particle, from its pose back to the path that all particles share.
-export function ancestryPoints(world, particle) {
-  const points = [], [x, y] = world.particles.subarray(4 * particle, 4 * particle + 2);
-  if (x !== undefined) points.push(x, y);
-  let at = world.leaves[particle] ?? -1;
-  for (; at >= 0; at = world.parents[at]) points.push(...place(world, at));
-  if (at === -1 && world.path.length) points.push(...world.path.slice(-2));
-  return points;
+// The place of a node of the tree; below 0 the last one that all particles share.
+function place(world, at) {
+  if (at >= 0) return world.tree.subarray(2 * at, 2 * at + 2);
+  const shared = world.status.shared ?? 0;
+  return world.path.subarray(2 * shared - 2, 2 * shared);
 }
 
-function place(world, at) {
-  return at < 0 ? world.path.slice(-2) : world.tree.subarray(2 * at, 2 * at + 2);
+// The full path of a particle, up to where it is now.
+function pathPoints(path, world, particle) {
+  return [...path, ...world.particles.subarray(4 * particle, 4 * particle + 2)];
 }
 
 export class Drawing {
@@ -75,7 +73,7 @@ export class Drawing {
     Object.assign(context, { strokeStyle: colour, lineWidth: 1, globalAlpha: 0.7 });
     context.beginPath();
     for (let at = 0; at < world.parents.length; at++) {
-      if (world.parents[at] < (world.path.length ? -1 : 0)) continue;
+      if (world.parents[at] < (world.status.shared ? -1 : 0)) continue;
       context.moveTo(...camera.toScreen(...place(world, world.parents[at])));
       context.lineTo(...camera.toScreen(...place(world, at)));
     }
@@ -91,12 +89,11 @@ export class Drawing {
       context.globalAlpha = 1;
     }
     Object.assign(context, { strokeStyle: colours.path, lineWidth: Math.min(Math.max(camera.scale / 8, 1.2), 2.2) });
-    line(context, world.path, camera);
-    const selected = world.status.selected_particle ?? -1, best = world.status.best ?? -1;
-    if (best >= 0 && !world.plan.length) line(context, ancestryPoints(world, best), camera);
+    const selected = world.status.selected_particle ?? -1, best = world.plan.length ? -1 : world.status.best ?? -1;
+    line(context, best < 0 ? world.path : pathPoints(world.path, world, best), camera);
     if (selected >= 0) {
       Object.assign(context, { strokeStyle: colours.selected, lineWidth: 2.6 });
-      line(context, ancestryPoints(world, selected), camera);
+      line(context, pathPoints(world.selected, world, selected), camera);
     }
   }
 
