@@ -1,10 +1,11 @@
 """The transform buffer: stores the links of a log or a robot, and returns the pose of one frame in another.
 
-It never extrapolates; the error names the missing link.
+It never extrapolates by itself (`extrapolate_planar` does on request); the error names the missing link.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from typing import final
 
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError, GridslamError
-from gridslam.geometry import rigid
+from gridslam.geometry import rigid, se2
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.rigid import Rigid
 from gridslam.transforms.link import Chain, Coverage, Link
@@ -24,6 +25,8 @@ FloatArray = NDArray[np.float64]
 _MAX_CHAINS = 1000
 _MAX_LINKS = 10_000  # 2.5 kB each; a fleet of 100 robots has as many
 _MAX_NAMES = 8
+_VELOCITY_NS = 50_000_000  # the velocity is that over this time, or between two readings if they are further apart
+_MAX_SPEED = 10.0  # m/s and rad/s: faster than any robot
 
 
 @final
@@ -34,11 +37,22 @@ class MissingTransform(GridslamError):  # noqa: N818 - the name states what is m
     ----------
     coverage : Coverage
         Why; never KNOWN.
+    apart_s : float, s
+        From the stamp to the nearest reading of the missing link; infinite if the frames are not connected.
     """
 
-    def __init__(self, target: str, source: str, stamp_ns: int, coverage: Coverage, reason: str) -> None:
+    def __init__(
+        self,
+        target: str,
+        source: str,
+        stamp_ns: int,
+        coverage: Coverage,
+        reason: str,
+        apart_s: float = np.inf,
+    ) -> None:
         super().__init__(f"no transform from '{source}' to '{target}' at {stamp_ns / 1e9:.3f} s: {reason}")
         self.coverage = coverage
+        self.apart_s = apart_s
 
 
 @final
@@ -128,6 +142,42 @@ class TransformBuffer:
         x, y, yaw = rigid.planar(self._motion(_bare(target), _bare(source), stamp_ns))
         return np.array((x, y, wrap(yaw)))
 
+    def extrapolate_planar(self, target: str, source: str, stamp_ns: int, most_s: float) -> FloatArray | None:
+        """Pose (3,) as of `planar` at a stamp after the last reading, with the velocity up to there.
+
+        Parameters
+        ----------
+        target, source : str
+            Frames.
+        stamp_ns : int
+            When, ns.
+        most_s : float, s
+            Longest time to extrapolate.
+
+        Returns
+        -------
+        (3,) or None
+            The motion of the last 50 ms, or of the last two readings, goes on. None if the last reading, or the one
+            before that, is older than `most_s`, there are not two, or the velocity is no robot's.
+        """
+        target, source = _bare(target), _bare(source)
+        chain = self._chain_at(target, source, stamp_ns)
+        if chain is None or (end := chain.ends_first()) is None or len(end.stamps_ns) < 2:
+            return None
+        stamps = end.stamps_ns
+        before_ns = stamps[min(bisect_left(stamps, stamps[-1] - _VELOCITY_NS), len(stamps) - 2)]
+        most_ns = most_s * 1e9
+        if not (0 <= stamp_ns - stamps[-1] <= most_ns and stamps[-1] - before_ns <= most_ns):
+            return None
+        if chain.lacking(before_ns)[1] is not None:
+            return None
+        last = self.planar(target, source, stamps[-1])
+        motion = se2.log(se2.between(self.planar(target, source, before_ns), last))
+        velocity = motion / ((stamps[-1] - before_ns) * 1e-9)
+        if np.abs(velocity).max() > _MAX_SPEED:
+            return None
+        return se2.compose(last, se2.exp(velocity * ((stamp_ns - stamps[-1]) * 1e-9)))
+
     def __contains__(self, link: tuple[str, str]) -> bool:
         """Whether there is a link between two frames, parent and child."""
         parent, child = link
@@ -193,7 +243,8 @@ class TransformBuffer:
             return chain.at(stamp_ns)
         late = coverage is Coverage.NOT_YET
         known_ns = link.stamps_ns[-1 if late else 0]
-        apart = f"{abs(known_ns - stamp_ns) / 1e9:.3g} s {'before' if late else 'after'}"
+        apart_s = abs(known_ns - stamp_ns) / 1e9
+        apart = f"{apart_s:.3g} s {'before' if late else 'after'}"
         raise MissingTransform(
             target,
             source,
@@ -201,6 +252,7 @@ class TransformBuffer:
             coverage,
             f"of the chain {' <- '.join(chain.frames)} the link {link.parent} <- {link.child} "
             f"is known only {'until' if late else 'from'} {known_ns / 1e9:.3f} s, {apart}",
+            apart_s,
         )
 
     def _chain_at(self, target: str, source: str, stamp_ns: int) -> Chain | None:

@@ -154,3 +154,7 @@ class Chain:
         found = [(link.coverage(stamp_ns), link) for link in self._moving]
         lacking = [(coverage, link) for coverage, link in found if coverage is not Coverage.KNOWN]
         return min(lacking, key=lambda pair: pair[0] is Coverage.NOT_YET, default=(Coverage.KNOWN, None))
+
+    def ends_first(self) -> Link | None:
+        """Return the dynamic link whose last reading is the oldest; None if all are static."""
+        return min(self._moving, key=lambda link: link.stamps_ns[-1], default=None)

@@ -15,7 +15,7 @@ from gridslam.ros.node.live_transforms import LiveTransforms
 from gridslam.ros.node.measurement_queue import MeasurementQueue, SessionEnd
 from gridslam.ros.node.messages import Level
 from gridslam.ros.node.parameters import NodeSettings
-from gridslam.ros.node.state_publisher import ThrottledWarnings
+from gridslam.ros.node.throttled_warnings import ThrottledWarnings
 from gridslam.transforms import TransformBuffer
 from support.ros_node import BASE, LASER, ODOM, mounting
 
@@ -75,17 +75,110 @@ def test_a_scan_whose_odometry_does_not_come_is_refused_with_the_very_link():
     setup.now_s += 0.02
     assert setup.taken() == []
     assert setup.queue.counts.refused == 1
-    assert f"the link {ODOM} <- {BASE} is known only until" in setup.logs[0]
     setup.odometry(0.2)
     assert setup.taken() == []
+    assert setup.logs == []  # it may have been the end
+    setup.scan(0.2)
+    assert setup.taken() == [0.2]
+    assert f"the link {ODOM} <- {BASE} is known only until" in setup.logs[0]
+
+
+def test_odometry_that_ended_is_named_but_not_the_end_of_a_drive():
+    setup = QueueSetup(transform_wait_s=0.5)
+    setup.odometry(0.0)
+    for k in range(30):
+        setup.scan(0.1 * k)
+        setup.now_s += 0.6
+        setup.taken()
+        assert bool(setup.logs) == (0.1 * k > 1.0), (k, setup.logs)
+    assert setup.queue.counts.refused == 29
+
+
+@pytest.mark.parametrize(("apart_s", "is_quiet"), [(0.034, True), (0.9, True), (1.2, False)])
+def test_scans_shortly_before_the_first_odometry_are_refused_without_a_warning(apart_s, is_quiet):
+    setup = QueueSetup()
+    setup.odometry(5.0)
+    setup.scan(5.0 - apart_s)
+    assert setup.taken() == []
+    assert setup.queue.counts.refused == 1
+    assert bool(setup.logs) != is_quiet
+
+
+def test_between_two_scans_a_missing_transform_is_no_start():
+    setup = QueueSetup()
+    setup.odometry(5.0)
+    setup.odometry(6.0)
+    setup.scan(5.5)
+    setup.scan(4.9)
+    assert setup.taken() == [5.5]
+    assert "0.1 s after" in setup.logs[0]
+
+
+def test_late_odometry_is_extrapolated_with_its_velocity():
+    """10 Hz, on an arc of 1 m/s and 1 rad/s: the scan waits 30 ms for the next reading, then goes on on the arc."""
+    setup = QueueSetup()
+    for k in range(4):
+        angle = 0.1 * k
+        turn = 0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2)
+        pose = math.sin(angle), 1 - math.cos(angle), 0.0, *turn
+        setup.queue.add_transforms([StampedTransform(START + k * S // 10, ODOM, BASE, pose)])
+    setup.scan(0.36)
+    assert setup.taken() == []
+    setup.now_s += 0.031
+    with setup.queue._changed:
+        found, _ = setup.queue._next_measurement()
+    np.testing.assert_allclose(found.measurement.odometry.pose, [math.sin(0.36), 1 - math.cos(0.36), 0.36], atol=1e-9)
+    assert setup.queue.counts.extrapolated == 1
+    assert setup.logs == []
+
+
+@pytest.mark.parametrize(
+    ("readings", "at_s", "settings"),
+    [
+        ([(0.0, 0.0), (0.1, 0.1)], 0.26, {}),  # too long after the last one
+        ([(0.0, 0.0), (0.2, 0.1)], 0.25, {}),  # readings too far apart to say with what velocity it moves now
+        ([(0.1, 0.1)], 0.15, {}),
+        ([(0.0, 0.0), (0.1, 30.0)], 0.15, {}),  # a driver that was started again
+        ([(0.0, 0.0), (0.1, 0.1)], 0.15, {"extrapolate_s": 0.0}),
+    ],
+)
+def test_odometry_is_not_extrapolated_far(readings, at_s, settings):
+    setup = QueueSetup(**settings)
+    for when_s, x in readings:
+        setup.odometry(when_s, x)
+    setup.scan(at_s)
+    setup.now_s += 0.1
+    assert setup.taken() == []
+    setup.odometry(0.3, 0.3)
+    assert setup.taken() == [at_s]
+    assert setup.queue.counts.extrapolated == 0
+
+
+def test_a_problem_that_lasts_is_reported_less_and_less_often():
+    now, logs = [0.0], []
+    warn = ThrottledWarnings(lambda level, text: logs.append((now[0], text)), clock=lambda: now[0])
+    for k in range(6000):
+        now[0] = 0.1 * k
+        warn("late scans", f"/scan is stamped {0.1 * k:.2f} s before the latest odometry")
+    times = [round(when) for when, _ in logs]
+    assert times[:7] == [0, 1, 3, 7, 15, 31, 63]
+    assert 13 <= len(times) <= 17  # then once a minute
+    assert "(and 9 more before)" in logs[1][1]
+    now[0] += 1.0
+    warn("late scans", "another topic is stamped 1 s before the latest odometry")
+    assert "another topic" in logs[-1][1]
+    now[0] += 11.0
+    warn("late scans", "/scan is stamped 3 s before the latest odometry")
+    assert logs[-1][0] == now[0]
+    assert warn.counts["late scans"] == 6002
 
 
 def test_a_scan_from_before_the_first_odometry_is_refused_at_once():
     setup = QueueSetup()
-    setup.odometry(1.0)
+    setup.odometry(3.0)
     setup.scan(0.5)
-    setup.scan(1.0)
-    assert setup.taken() == [1.0]
+    setup.scan(3.0)
+    assert setup.taken() == [3.0]
     assert "is known only from" in setup.logs[0]
 
 

@@ -24,7 +24,8 @@ from gridslam.ros.node.messages import Diagnostics, GridMessage, Level, Outputs,
 from gridslam.ros.node.parameters import NodeSettings
 from gridslam.ros.node.rendering import MapRenderer, make_grid_message
 from gridslam.ros.node.session import InitialPose, Localization, LocalizationSession, Session, SessionCopy
-from gridslam.ros.node.state_publisher import StatePublisher, ThrottledWarnings
+from gridslam.ros.node.state_publisher import StatePublisher
+from gridslam.ros.node.throttled_warnings import ThrottledWarnings
 from gridslam.tracking.tracker import OdometryTracker
 
 __all__ = ["NodeCore", "SourceWrapper"]

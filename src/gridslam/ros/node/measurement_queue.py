@@ -30,6 +30,7 @@ _MIN_LATE_SCANS = 10  # in a row: a single scan may be delayed
 _MAX_STEP = 1.0  # m and rad
 _MAX_SPEED = 10.0  # m/s and rad/s: faster than any robot
 _MAX_FRAMES = 256  # of lasers
+_QUIET_S = 1.0  # a scan is lost without a warning this close to the first and the last transform
 _MAY_ARRIVE = (Coverage.NOT_YET, Coverage.NOT_CONNECTED)
 
 
@@ -58,15 +59,17 @@ class Counts:
 
     Attributes
     ----------
-    received, throttled, paused, refused, dropped, accepted, jumps : int
-        All of them; those left out on request, and while the node paused; refused, with a warning; dropped
-        because the filter was behind; given to the filter; times that the stamps jumped back.
+    received, throttled, paused, refused, dropped, accepted, jumps, extrapolated : int
+        All of them; those left out on request, and while the node paused; refused, with a warning unless it only lies
+        before the first transform or after the last one; dropped because the filter was behind; given to the filter;
+        times that the stamps jumped back; of those accepted, those whose odometry was late.
     """
 
-    __slots__ = ("accepted", "dropped", "jumps", "paused", "received", "refused", "throttled")
+    __slots__ = ("accepted", "dropped", "extrapolated", "jumps", "paused", "received", "refused", "throttled")
 
     def __init__(self) -> None:
         self.received = self.throttled = self.paused = self.refused = self.dropped = self.accepted = self.jumps = 0
+        self.extrapolated = 0
 
 
 @final
@@ -109,6 +112,8 @@ class MeasurementQueue:
         self._late: dict[str, int] = {}
         self._odometry: Odometry | None = None
         self._pending_jump = False
+        self._has_begun = False
+        self._held = ""  # what is reported once the transforms go on: else this was their end
 
     def add_scan(self, message: ScanMessage, sensor: str) -> None:
         """Queue a scan, or refuse it; never blocks."""
@@ -192,20 +197,22 @@ class MeasurementQueue:
         self._odometry = None
         self._pending_jump = False
         self._latest_ns.clear()
+        self._forget_start()
         return why
 
     def _next_measurement(self) -> tuple[AcceptedScan | SessionEnd | None, float | None]:
         """Return the first scan if its transforms are known, else the time to wait, s."""
         while self._scans:
             waiting = self._scans[0]
-            late_s = self._clock() - waiting.arrived_s - self._settings.transform_wait_s
+            waited_s = self._clock() - waiting.arrived_s
             try:
-                accepted = self._make_measurement(waiting, last=late_s >= 0)
+                accepted = self._make_measurement(waiting, waited_s)
             except MissingTransform as missing:
-                if late_s < 0 and (missing.coverage in _MAY_ARRIVE or waiting.after_jump):  # they may jump later
-                    return None, -late_s
+                due_s = self._time_to_wait(waiting, missing, waited_s)
+                if due_s > 0:
+                    return None, due_s
                 self._discard()
-                self._refuse("missing transform", str(missing))
+                self._refuse_without_transform(missing)
                 continue
             except Exception as error:
                 self._discard()
@@ -215,6 +222,7 @@ class MeasurementQueue:
                 self._scans[0] = waiting._replace(after_jump=False)
                 self._odometry = None
                 self._latest_ns.clear()
+                self._forget_start()
                 return SessionEnd.JUMP, None
             self._scans.popleft()
             self.counts.accepted += 1
@@ -222,17 +230,41 @@ class MeasurementQueue:
             return accepted, None
         return None, None
 
-    def _make_measurement(self, waiting: _Waiting, *, last: bool) -> AcceptedScan:
+    def _time_to_wait(self, waiting: _Waiting, missing: MissingTransform, waited_s: float) -> float:
+        """Return how long a scan still waits for a transform, s."""
+        settings = self._settings
+        if missing.coverage not in _MAY_ARRIVE and not waiting.after_jump:  # after a jump they may jump later
+            return 0.0
+        wait_s = settings.transform_wait_s
+        if waited_s < settings.extrapolate_after_s < wait_s and settings.extrapolate_s:
+            wait_s = settings.extrapolate_after_s
+        return wait_s - waited_s
+
+    def _refuse_without_transform(self, missing: MissingTransform) -> None:
+        """Refuse a scan; without a warning if it only came before the first transform, or after the last one."""
+        is_near = missing.apart_s <= _QUIET_S
+        if is_near and missing.coverage is Coverage.TOO_EARLY and not self._has_begun:
+            self.counts.refused += 1
+        elif is_near and missing.coverage is Coverage.NOT_YET:
+            self.counts.refused += 1
+            self._held = str(missing)
+        else:
+            self._refuse("missing transform", str(missing))
+
+    def _forget_start(self) -> None:
+        self._has_begun = False
+        self._held = ""
+
+    def _make_measurement(self, waiting: _Waiting, waited_s: float) -> AcceptedScan:
         """Build the measurement of a scan; raises MissingTransform if a transform is not known (yet)."""
         message = waiting.message
         settings = self._settings
         odometry: Odometry | None = None
         if settings.odometry != "none":
             try:
-                pose = self._transforms.buffer.planar(settings.odom_frame, settings.base_frame, message.stamp_ns)
-                pose.flags.writeable = False
-                odometry = Odometry(message.stamp_ns, pose)
+                odometry = Odometry(message.stamp_ns, self._odometry_pose(waiting, waited_s))
             except MissingTransform as missing:
+                last = waited_s >= settings.transform_wait_s
                 if settings.odometry == "needed" or (missing.coverage in _MAY_ARRIVE and not last):
                     raise
                 self._warn("scan without odometry", str(missing))
@@ -246,7 +278,30 @@ class MeasurementQueue:
         builder = self._builders.setdefault(waiting.sensor, MeasurementBuilder())
         return builder.build(message, waiting.sensor, mounting, odometry, waiting.arrived_s)
 
+    def _odometry_pose(self, waiting: _Waiting, waited_s: float) -> FloatArray:
+        """Pose (3,) of the base in the odometry frame at a scan's stamp; extrapolated if the odometry is late."""
+        settings = self._settings
+        frames = settings.odom_frame, settings.base_frame
+        stamp_ns = waiting.message.stamp_ns
+        buffer = self._transforms.buffer
+        pose: FloatArray | None = None
+        try:
+            pose = buffer.planar(*frames, stamp_ns)
+        except MissingTransform as missing:
+            is_late = missing.coverage is Coverage.NOT_YET and waited_s >= settings.extrapolate_after_s
+            if is_late and settings.extrapolate_s and not waiting.after_jump:
+                pose = buffer.extrapolate_planar(*frames, stamp_ns, settings.extrapolate_s)
+            if pose is None:
+                raise
+            self.counts.extrapolated += 1
+        pose.flags.writeable = False
+        return pose
+
     def _check_measurement(self, accepted: AcceptedScan) -> None:
+        self._has_begun = True
+        if self._held:
+            self._warn("missing transform", self._held)
+            self._held = ""
         odometry, scan = accepted.measurement
         self._latest_ns[scan.sensor] = scan.stamp_ns
         if not (scan.status == BeamStatus.HIT).any():

@@ -72,6 +72,8 @@ NODE_DEFAULTS: Final[Mapping[str, float | int | str | bool]] = {
     "odometry": "needed",
     "map_values": "trinary",
     "transform_wait": 0.5,
+    "extrapolate": 0.15,
+    "extrapolate_after": 0.03,
     "queue": 0.75,
     "record": "",
     "out": "",
@@ -126,6 +128,8 @@ _NODE: Final[Mapping[str, str]] = {
     "odometry": "odometry",
     "map_values": "map_values",
     "transform_wait": "transform_wait_s",
+    "extrapolate": "extrapolate_s",
+    "extrapolate_after": "extrapolate_after_s",
     "queue": "queue_s",
 }
 
@@ -181,6 +185,9 @@ class NodeSettings:
         Use every n-th scan.
     transform_wait_s : float, s
         How long a scan waits for the transforms at its stamp.
+    extrapolate_s, extrapolate_after_s : float, s
+        If a scan has waited for its odometry by the latter, the odometry is extrapolated with its velocity, by the
+        former at most (the period of 10 Hz and a half); 0: it waits.
     queue_s, queue_scans : float in s, int
         Limits of the queue: scans older than the newest by more than this, or beyond this number, are dropped, oldest
         first: the filter is never further behind. Half a second bridges the correction of a loop.
@@ -203,6 +210,8 @@ class NodeSettings:
     tf_delay_s: float = Field(default=0.05, ge=0)
     throttle_scans: int = Field(default=1, ge=1)
     transform_wait_s: float = Field(default=0.5, ge=0)
+    extrapolate_s: float = Field(default=0.15, ge=0, le=1)
+    extrapolate_after_s: float = Field(default=0.03, ge=0)
     queue_s: float = Field(default=0.75, gt=0)
     queue_scans: int = Field(default=100, ge=1)
     jump_s: float = Field(default=1.0, gt=0)

@@ -1,11 +1,11 @@
-"""Publishing after each scan and by timers, and warnings that are reported at most once per second."""
+"""Publishing after each scan and by timers."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Sequence
 from typing import Any, TypeAlias, final
 
 import numpy as np
@@ -18,10 +18,11 @@ from gridslam.ros.node.measurement_queue import Counts, MeasurementQueue
 from gridslam.ros.node.messages import CloudMessage, Diagnostics, Level, Outputs, PoseMessage, StampedTransform
 from gridslam.ros.node.parameters import NodeSettings
 from gridslam.ros.node.rendering import MapRenderer
+from gridslam.ros.node.throttled_warnings import ThrottledWarnings
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, StepReport
 
-__all__ = ["StatePublisher", "ThrottledWarnings"]
+__all__ = ["StatePublisher"]
 
 Report: TypeAlias = StepReport | LocalizationReport
 
@@ -29,60 +30,10 @@ _MAX_CLOCK_OFFSET_NS = 5_000_000_000
 _MAX_LATENCIES = 2000  # the last ones, reported by the diagnostics
 _RECENT_S = 2.0
 _REPEAT_PERIOD_S = 1.0
+_MAX_SET_BACK_NS = 500_000_000  # a clock that is set back by less is waited for
 _SILENT_S = 5.0
 _WAITING = Level.WARN, "waiting for a scan"
 _MAX_OWN_TRANSFORMS = 1000  # the last published transforms, to recognize them on /tf
-
-
-@final
-class ThrottledWarnings:
-    """Counts problems by kind, and reports each kind at most once in `every_s` seconds.
-
-    Parameters
-    ----------
-    log : callable
-        Reports to the user.
-    every_s : float, s
-        Least time between two messages of one kind.
-    clock : callable
-        Monotonic time, s.
-
-    Attributes
-    ----------
-    counts : Counter of str
-        Number of problems of each kind.
-    """
-
-    def __init__(
-        self, log: Callable[[Level, str], None], every_s: float = 1.0, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self.counts: Counter[str] = Counter()
-        self._log = log
-        self._every_s = every_s
-        self._clock = clock
-        self._due: dict[str, float] = {}
-        self._suppressed: Counter[str] = Counter()
-        self._lock = threading.Lock()
-        self._last = ("", 0.0)
-
-    def __call__(self, kind: str, problem: str) -> None:
-        """Count one more problem of a kind, and report it if it is due."""
-        now = self._clock()
-        with self._lock:
-            self.counts[kind] += 1
-            self._last = f"{kind}: {problem}", now
-            if now < self._due.get(kind, now):
-                self._suppressed[kind] += 1
-                return
-            self._due[kind] = now + self._every_s
-            suppressed = self._suppressed.pop(kind, 0)
-        self._log(Level.WARN, f"{kind}: {problem}" + (f" (and {suppressed} more before)" if suppressed else ""))
-
-    def latest(self, within_s: float) -> str:
-        """Return the last problem within this many seconds; empty if there was none."""
-        with self._lock:
-            problem, when = self._last
-            return problem if problem and self._clock() - when <= within_s else ""
 
 
 @final
@@ -123,7 +74,8 @@ class StatePublisher:
         self._mapped_report: Report | None = None
         self._map_from_odom: FloatArray = np.zeros(3)
         self._child = settings.base_frame if settings.odometry == "none" else settings.odom_frame
-        self._published: tuple[int, Report | None] = -1, None
+        self._stamp_ns = 0
+        self._published: tuple[int, Report | None] = -1, None  # time of the clock, and the report
         self._own_transforms: dict[StampedTransform, None] = {}  # in order
         self._repeat_after_s = 0.0
         self._memory_bytes = 0
@@ -187,13 +139,14 @@ class StatePublisher:
         with self._lock:
             if self._report is None:
                 return
-            stamp_ns = self._outputs.now_ns() + round(settings.tf_delay_s * 1e9)
+            clock_ns = self._outputs.now_ns()
             now_s = time.monotonic()
-            current = stamp_ns, self._report
-            if current == self._published and now_s < self._repeat_after_s:  # a clock at rest: tf warns of repetitions
+            current = clock_ns, self._report
+            if current == self._published and now_s < self._repeat_after_s:  # a clock at rest
                 return
             self._published = current
             self._repeat_after_s = now_s + _REPEAT_PERIOD_S
+            stamp_ns = self._unique_stamp(clock_ns + round(settings.tf_delay_s * 1e9))
             x, y, theta = self._map_from_odom.tolist()
             pose = (x, y, 0.0, 0.0, 0.0, float(np.sin(0.5 * theta)), float(np.cos(0.5 * theta)))
             transform = StampedTransform(stamp_ns, settings.map_frame, self._child, pose)
@@ -201,6 +154,13 @@ class StatePublisher:
             if len(self._own_transforms) > _MAX_OWN_TRANSFORMS:
                 del self._own_transforms[next(iter(self._own_transforms))]
             self._outputs.transform(transform)
+
+    def _unique_stamp(self, stamp_ns: int) -> int:
+        """Return a stamp 1 ns after the last one if the clock rests: of one stamp, tf2 keeps the first transform only."""
+        last_ns = self._stamp_ns
+        was_set_back = stamp_ns < last_ns - _MAX_SET_BACK_NS
+        self._stamp_ns = stamp_ns if was_set_back else max(stamp_ns, last_ns + 1)
+        return self._stamp_ns
 
     def drop_own_transforms(
         self, transforms: Sequence[StampedTransform], publisher: str = ""

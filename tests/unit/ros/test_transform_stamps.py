@@ -1,0 +1,89 @@
+"""The published transforms: of one stamp tf2 keeps the first and warns of the others, so no two may share one."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from gridslam.config import preset
+from gridslam.ros import NodeCore, NodeSettings
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from support.ros_node import RecordedOutputs, mounting, odometry_message, play, scan_message, until
+
+SHIFT_NS = 1_700_000_000_000_000_000
+
+
+@pytest.fixture(scope="module")
+def drive():
+    rng = np.random.default_rng(1)
+    log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=90), rng)
+    return list(log.measurements)[:60]
+
+
+def start(outputs, **settings):
+    core = NodeCore(NodeSettings(**settings), preset("default", 4), outputs)
+    core.on_transforms([mounting()], static=True)
+    core.start()
+    return core
+
+
+def test_under_a_simulated_clock_each_transform_has_its_own_stamp(drive):
+    """The clock moves with the scans only, and the timer publishes in between."""
+    outputs = RecordedOutputs()
+    core = start(outputs, transform_publish_period_s=0.002)
+    play(core, outputs, drive, shift_ns=SHIFT_NS)
+    assert until(lambda: len(outputs.poses) == len(drive))
+    time.sleep(1.1)  # a clock at rest: the last transform is repeated once a second
+    core.close()
+    stamps = np.array([one.stamp_ns for one in outputs.transforms])
+    assert len(stamps) > len(drive)
+    assert (np.diff(stamps) > 0).all()
+    ahead_ns = stamps[-1] - SHIFT_NS - drive[-1].scan.stamp_ns
+    assert 0 <= ahead_ns - 50_000_000 < 1000
+
+
+def test_a_bag_that_is_played_again_gets_transforms_with_its_stamps(drive):
+    outputs = RecordedOutputs()
+    core = start(outputs, transform_publish_period_s=0.002)
+    for part in (drive, drive[:40]):
+        play(core, outputs, part, shift_ns=SHIFT_NS)
+    last_ns = SHIFT_NS + drive[39].scan.stamp_ns + 50_000_000
+    assert until(lambda: outputs.poses[-1].stamp_ns == SHIFT_NS + drive[39].scan.stamp_ns)
+    core.close()
+    assert 0 <= outputs.transforms[-1].stamp_ns - last_ns < 1000
+
+
+def test_the_pose_at_10_hz_odometry_comes_within_60_ms():
+    """Scans fall between two readings; the median of waiting for the next one would be 50 ms, without the filter."""
+    rng = np.random.default_rng(2)
+    log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=90), rng)
+    drive = list(log.measurements)[:60]
+    came, latencies = {}, []
+
+    class Timed(RecordedOutputs):
+        def pose(self, message):
+            latencies.append(time.perf_counter() - came[message.stamp_ns])
+
+        def now_ns(self):
+            return time.time_ns()
+
+    outputs = Timed()
+    core = start(outputs)
+    begin = time.perf_counter()
+    begin_ns = time.time_ns()
+    step_ns = drive[1].scan.stamp_ns - drive[0].scan.stamp_ns
+    for k, one in enumerate(drive):
+        shift_ns = begin_ns + k * 100_000_000 - one.scan.stamp_ns
+        time.sleep(max(0.0, begin + 0.1 * k - time.perf_counter()))
+        core.on_transforms([odometry_message(one, shift_ns)])
+        scan = scan_message(one, shift_ns + int(rng.integers(5, 95)) * 1_000_000)
+        time.sleep(max(0.0, begin + (scan.stamp_ns - begin_ns) * 1e-9 - time.perf_counter()))
+        came[scan.stamp_ns] = time.perf_counter()
+        core.on_scan(scan, "/scan")
+    core.close()
+    assert step_ns > 0
+    assert len(latencies) >= 57  # the first has no velocity, and may come before the second reading
+    assert np.quantile(latencies, 0.95) <= 0.06
+    assert int(core.diagnostics().values["extrapolated"]) >= 30
