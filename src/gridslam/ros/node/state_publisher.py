@@ -156,7 +156,7 @@ class StatePublisher:
             self._outputs.transform(transform)
 
     def _unique_stamp(self, stamp_ns: int) -> int:
-        """Return a stamp 1 ns after the last one if the clock rests: of one stamp, tf2 keeps the first transform only."""
+        """Return a stamp; 1 ns after the last one if the clock rests: tf2 keeps only the first transform of a stamp."""
         last_ns = self._stamp_ns
         was_set_back = stamp_ns < last_ns - _MAX_SET_BACK_NS
         self._stamp_ns = stamp_ns if was_set_back else max(stamp_ns, last_ns + 1)
