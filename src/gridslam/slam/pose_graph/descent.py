@@ -68,7 +68,7 @@ def descend(
         system.factorize(matrix, damping)
         step = system.solve(-gradient)
         # not by BLAS: waking its threads takes longer than all the rest
-        promised = -float((gradient * step[1:].ravel()).sum())
+        promised = -float((gradient * step[system.held :].ravel()).sum())
         least = not rises and damping < _HEAVY and promised <= tolerance * (best.chi2 + _NEGLIGIBLE * len(errors))
         poses = poses + step
         errors = graph.errors(poses)

@@ -66,7 +66,7 @@ class GraphSolution:
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class GraphSlam:
-    """Least squares over a pose graph: the poses of the least chi2, pose 0 held.
+    """Least squares over a pose graph: the poses of the least chi2, the first ones held.
 
     Parameters
     ----------
@@ -107,8 +107,9 @@ class GraphSlam:
         """Do what `solve` does, in steps of about one linear system each."""
         require_connected(graph.edges, len(graph.poses))
         weights = np.ones(len(graph.edges))
-        if len(graph.poses) == 1:
-            return GraphSolution(graph, 0.0, 0.0, 0, weights, True)
+        if len(graph.poses) == graph.held:
+            chi2 = graph.chi2()
+            return GraphSolution(graph, chi2, chi2, 0, weights, True)
         if self.robust is None:
             found = yield from self._least_squares(graph)
         else:
@@ -120,17 +121,18 @@ class GraphSlam:
         if not math.isfinite(found.chi2):
             raise ArgumentError("graph", "measurements whose chi2 is a finite number", found.chi2)
         poses = found.poses.copy()
+        poses[: graph.held] = graph.poses[: graph.held]  # to the last bit
         poses[:, 2] = wrap(poses[:, 2])
         before = float((weights * squared_mahalanobis(graph, graph.errors())).sum())
         return GraphSolution(graph.with_poses(poses), before, found.chi2, found.iterations, weights, found.converged)
 
     def _least_squares(self, graph: PoseGraph) -> Computation[DescentResult]:
         """Return the least chi2 met from the guesses there are."""
-        system = BlockSystem(graph.edges, len(graph.poses), 3)
+        system = BlockSystem(graph.edges, len(graph.poses), 3, graph.held)
         computed = graph.poses if self.first_guess == "given" else initial_guess(graph)
         starts = sorted((computed, graph.poses), key=graph.chi2) if self.first_guess == "either" else [computed]
         found = yield from descend(graph, starts[0], system, self.max_iterations, self.tolerance)
-        if self.first_guess != "either" or not _doubtful(found, computed, len(graph.edges)):
+        if self.first_guess != "either" or not _doubtful(found, computed, len(graph.edges), graph.held):
             return found
         other = yield from descend(graph, starts[1], system, self.max_iterations, self.tolerance)
         best = min(found, other, key=lambda descent: descent.chi2)
@@ -145,8 +147,8 @@ class GraphSlam:
                 yield initial_guess(scale_information(graph, np.where(graph.trusted, 1.0, weight)))
 
 
-def _doubtful(found: DescentResult, computed: FloatArray, measurements: int) -> bool:
+def _doubtful(found: DescentResult, computed: FloatArray, measurements: int, held: int) -> bool:
     """Whether another guess may lead lower: see `GraphSlam`."""
     turned = np.abs(wrap(found.poses[:, 2] - computed[:, 2])).max()
-    freedom = 3 * (measurements - len(computed) + 1)
+    freedom = 3 * (measurements - len(computed) + held)
     return bool(turned > math.pi / 2 or found.chi2 > freedom + 5 * math.sqrt(2 * freedom))

@@ -119,7 +119,7 @@ def find_parts(edges: IntArray, poses: int) -> IntArray:
 
 @final
 class BlockSystem:
-    """Sparse symmetric systems H x = b of one pattern: `size` unknowns for each pose but pose 0, which is held.
+    """Sparse symmetric systems H x = b of one pattern: `size` unknowns for each pose but the first ones, which are held.
 
     The upper triangle of H is kept by columns. All that depends on the pattern (where each number goes, the order of
     elimination, the structure of the factor) is found once; then a solution costs a numeric factorization.
@@ -129,22 +129,25 @@ class BlockSystem:
     edges : (M, 2) int64
         Places of the two poses that each measurement joins; together they join all poses.
     poses : int
-        N >= 2.
+        N > held.
     size : int
         Unknowns of a pose, >= 1.
+    held : int
+        Poses that are held, >= 1.
     """
 
-    def __init__(self, edges: IntArray, poses: int, size: int) -> None:
+    def __init__(self, edges: IntArray, poses: int, size: int, held: int = 1) -> None:
         self.size = size
-        self.free = poses - 1
-        self._first, self._second = (edges - 1).T  # as free poses; -1 is the one that is held
+        self.held = held
+        self.free = poses - held
+        self._first, self._second = np.maximum(edges - held, -1).T  # as free poses; -1 stands for all that are held
         self._upper = np.triu_indices(size)
         self._solver: Any = None
         low = np.minimum(self._first, self._second)
         high = np.maximum(self._first, self._second)
-        held = self.free * self.free  # stands for all pairs with the pose that is held, after all others
-        pairs, place = np.unique(np.where(low < 0, held, high * self.free + low), return_inverse=True)
-        self._lay_out(pairs[pairs < held], place)
+        none = self.free * self.free  # stands for all pairs with a pose that is held, after all others
+        pairs, place = np.unique(np.where(low < 0, none, high * self.free + low), return_inverse=True)
+        self._lay_out(pairs[pairs < none], place)
 
     def _lay_out(self, pairs: IntArray, place: IntArray) -> None:
         """Find where the numbers of each block go: column by column, the blocks above the diagonal, then its own."""
@@ -168,7 +171,7 @@ class BlockSystem:
         self._pivots = ends - 1  # the diagonal's numbers end the columns
         self._matrix: csc_matrix = csc_matrix((np.zeros(len(indices)), indices, np.concatenate(([0], ends))))
 
-        spare = len(indices)  # takes what belongs to the pose that is held
+        spare = len(indices)  # takes what belongs to poses that are held
         crossing = np.concatenate((crossing, np.full((1, size, size), spare)))[place]
         backward = self._first > self._second  # then the block lies transposed above the diagonal
         crossing[backward] = crossing[backward].transpose(0, 2, 1)
@@ -211,9 +214,9 @@ class BlockSystem:
             raise ArgumentError("graph", "information matrices that 64-bit numbers can add up", got) from None
 
     def solve(self, right_side: FloatArray) -> FloatArray:
-        """Solve for one right side (free * size,) with the last factorization; returns (N, size), 0 for pose 0."""
-        solution: FloatArray = np.zeros((self.free + 1, self.size))
-        solution[1:] = self._solver.solve(right_side).reshape(-1, self.size)
+        """Solve for one right side (free * size,) with the last factorization; returns (N, size), 0 for what is held."""
+        solution: FloatArray = np.zeros((self.held + self.free, self.size))
+        solution[self.held :] = self._solver.solve(right_side).reshape(-1, self.size)
         return solution
 
     def factors(self) -> Any:  # noqa: ANN401 scipy's sparse matrix
@@ -222,11 +225,11 @@ class BlockSystem:
 
 
 def initial_guess(graph: PoseGraph) -> FloatArray:
-    """Poses (N, 3) near the least chi2, from the measurements and pose 0 alone.
+    """Poses (N, 3) near the least chi2, from the measurements and the poses that are held.
 
     Headings come first, as unit vectors r: r_j = R(z) r_i is linear, so without the constraint |r| = 1 the weighted
     least squares is one linear system (chordal relaxation; Martinec and Pajdla 2007, Carlone et al. 2015). Anchored at
-    pose 0 it shrinks vectors the more the farther they are, so it is solved again with the unit vectors as right side:
+    what is held it shrinks vectors the more the farther they are, so it is solved again with the unit vectors as right side:
     inverse iteration towards the least eigenvector, all of whose vectors are of like length (Singer 2011). Then chi2 is
     quadratic in the positions: a second linear system of the same pattern.
 
@@ -236,12 +239,13 @@ def initial_guess(graph: PoseGraph) -> FloatArray:
         The measurements do not join all poses.
     """
     require_connected(graph.edges, len(graph.poses))
-    if len(graph.poses) == 1:
+    held = graph.held
+    if len(graph.poses) == held:
         return graph.poses.copy()
-    system = BlockSystem(graph.edges, len(graph.poses), 2)
+    system = BlockSystem(graph.edges, len(graph.poses), 2, held)
     poses = np.zeros_like(graph.poses)
-    poses[0] = graph.poses[0]
-    poses[1:, 2] = _headings(graph, system)[1:]
+    poses[:held] = graph.poses[:held]
+    poses[held:, 2] = _headings(graph, system)[held:]
     first, cross, second, *gradients = linearize(graph, poses, graph.errors(poses))
     of_positions = MatrixBlocks(*(b[:, :2, :2] for b in (first, cross, second)), *(g[:, :2] for g in gradients))
     matrix, gradient = system.assemble(of_positions)
@@ -260,12 +264,14 @@ def _headings(graph: PoseGraph, system: BlockSystem) -> FloatArray:
     own = weight[:, None, None] * np.eye(2)
     cross = -np.stack((c, s, -s, c), axis=1).reshape(-1, 2, 2)  # -weight R(z)'
     unit = np.zeros((len(graph.poses), 2, 1))
-    unit[0, :, 0] = np.cos(graph.poses[0, 2]), np.sin(graph.poses[0, 2])
+    headings = graph.poses[: graph.held, 2]
+    unit[: graph.held, :, 0] = np.stack((np.cos(headings), np.sin(headings)), axis=1)
     anchored = np.matmul(cross, unit[second]), np.matmul(cross.transpose(0, 2, 1), unit[first])
     matrix, gradient = system.assemble(MatrixBlocks(own, cross, own, anchored[0][:, :, 0], anchored[1][:, :, 0]))
     system.factorize(matrix)
     vectors = system.solve(-gradient)
     for _ in range(_REFINEMENTS):
-        lengths = np.hypot(vectors[1:, 0], vectors[1:, 1])
-        vectors = system.solve((vectors[1:] / np.maximum(lengths, 1e-300)[:, None]).ravel())
+        free = vectors[graph.held :]
+        lengths = np.hypot(free[:, 0], free[:, 1])
+        vectors = system.solve((free / np.maximum(lengths, 1e-300)[:, None]).ravel())
     return np.asarray(np.arctan2(vectors[:, 1], vectors[:, 0]))

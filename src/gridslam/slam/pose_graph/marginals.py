@@ -21,7 +21,7 @@ _SOLUTIONS_PER_POSE = 0.1
 
 
 def marginal_covariances(graph: PoseGraph) -> FloatArray:
-    """Covariances (N, 3, 3) in m^2, m rad and rad^2 of all poses, map frame; 0 for pose 0. See `Marginals`."""
+    """Covariances (N, 3, 3) in m^2, m rad and rad^2 of all poses, map frame; 0 for what is held. See `Marginals`."""
     return Marginals(graph).covariances
 
 
@@ -33,7 +33,7 @@ class Marginals:
     ----------
     graph : PoseGraph
         Solved; for a robust solution `GraphSolution.weighted_graph`. Covariances are of the coordinates x, y and theta
-        in the map frame, given pose 0, and right as far as the information matrices of the measurements are.
+        in the map frame, given the poses that are held, and right as far as the information matrices of the measurements are.
 
     Raises
     ------
@@ -44,28 +44,29 @@ class Marginals:
     def __init__(self, graph: PoseGraph) -> None:
         require_connected(graph.edges, len(graph.poses))
         self._poses = graph.poses
-        if len(graph.poses) > 1:
-            self._system = BlockSystem(graph.edges, len(graph.poses), 3)
+        self._held = graph.held
+        if len(graph.poses) > graph.held:
+            self._system = BlockSystem(graph.edges, len(graph.poses), 3, graph.held)
             self._system.factorize(self._system.assemble(linearize(graph, graph.poses, graph.errors()))[0])
 
     @cached_property
     def covariances(self) -> FloatArray:
         """Covariances (N, 3, 3) of all poses, by the blocks of the inverse that the factor's pattern holds."""
         blocks = np.zeros((len(self._poses), 3, 3))
-        if len(self._poses) > 1:
+        if len(self._poses) > self._held:
             lower, pivots, order = self._system.factors()
             place = np.empty(len(order), np.int64)
             place[order] = np.arange(len(order))
-            blocks[1:] = _selected_inverse(lower, np.asarray(pivots), place.reshape(-1, 3))
+            blocks[self._held :] = _selected_inverse(lower, np.asarray(pivots), place.reshape(-1, 3))
         return blocks
 
     def covariances_with(self, pose: int) -> FloatArray:
         """Covariances (N, 3, 3) of every pose (rows) with one (columns): three columns of the inverse."""
         self._check(pose)
         columns = np.zeros((len(self._poses), 3, 3))
-        for k in range(3 if pose else 0):
-            unit = np.zeros(3 * len(self._poses) - 3)
-            unit[3 * (pose - 1) + k] = 1.0
+        for k in range(3 if pose >= self._held else 0):
+            unit = np.zeros(3 * (len(self._poses) - self._held))
+            unit[3 * (pose - self._held) + k] = 1.0
             columns[:, :, k] = self._system.solve(unit)
         return columns
 

@@ -23,7 +23,7 @@ class PoseGraph:
     Attributes
     ----------
     poses : (N, 3) float64
-        Estimate or first guess, map frame. Pose 0 is held where it is (the gauge).
+        Estimate or first guess, map frame. The first `held` stay where they are.
     edges : (M, 2) int64
         For each measurement the places in `poses` of the two that it joins: from, to.
     measurements : (M, 3) float64
@@ -32,6 +32,8 @@ class PoseGraph:
         Inverse covariance of the error of each measurement (see `errors`), by x, y in m and theta in rad.
     trusted : (M,) bool
         Measurements that robust estimation never rejects: odometry.
+    held : int, [1, N]
+        Number of poses that are known exactly: pose 0 (the gauge), or a part that is frozen.
     """
 
     poses: FloatArray
@@ -39,6 +41,7 @@ class PoseGraph:
     measurements: FloatArray
     information: FloatArray
     trusted: NDArray[np.bool_]
+    held: int = 1
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -52,14 +55,15 @@ class PoseGraph:
         measurements: ArrayLike,
         information: ArrayLike,
         trusted: ArrayLike | None = None,
+        held: int = 1,
     ) -> PoseGraph:
         """Validate and copy; by default edges between neighbours in the order of the poses are trusted.
 
         Raises
         ------
         ArgumentError
-            A shape is wrong, a value is not finite, an edge joins a pose to itself or to one that is not there, or an
-            information matrix is not symmetric and positive definite.
+            A shape is wrong, a value is not finite, an edge joins a pose to itself or to one that is not there, an
+            information matrix is not symmetric and positive definite, or no pose or more than all are held.
         """
         nodes = np.array(poses, np.float64).reshape(-1, 3)
         pairs = np.array(edges, np.int64).reshape(-1, 2)
@@ -76,7 +80,9 @@ class PoseGraph:
             raise ArgumentError("edges", f"pairs of different places in [0, {len(nodes)})", pairs.tolist())
         if not np.allclose(omega, omega.transpose(0, 2, 1)) or (len(omega) and np.linalg.eigvalsh(omega).min() <= 0):
             raise ArgumentError("information", "symmetric positive definite matrices", "another")
-        return cls(nodes, pairs, z, omega, trust)
+        if not 1 <= held <= len(nodes):
+            raise ArgumentError("held", f"1 to {len(nodes)} poses", held)
+        return cls(nodes, pairs, z, omega, trust, held)
 
     def with_poses(self, poses: FloatArray) -> PoseGraph:
         """Return the same measurements about other poses (N, 3)."""

@@ -79,7 +79,7 @@ class CauchyEstimator:
     ) -> Computation[RobustEstimate]:
         """Find poses and weights from the first of the guesses; the rest is as for `descend`."""
         poses = next(iter(starts))
-        system = BlockSystem(graph.edges, len(graph.poses), 3)
+        system = BlockSystem(graph.edges, len(graph.poses), 3, graph.held)
         weights = self.weights(graph, poses)
         iterations = 0
         for _ in range(self.passes):
@@ -246,7 +246,8 @@ class _Search:
     ) -> Computation[DescentResult]:
         yield
         counted = scale_information(self.graph, weights)
-        found = yield from descend(counted, poses, BlockSystem(counted.edges, len(poses), 3), max_iterations, tolerance)
+        system = BlockSystem(counted.edges, len(poses), 3, counted.held)
+        found = yield from descend(counted, poses, system, max_iterations, tolerance)
         self.iterations += found.iterations
         return found
 
@@ -264,4 +265,10 @@ def scale_information(graph: PoseGraph, weights: FloatArray) -> PoseGraph:
     if not is_connected(graph.edges[counts], len(graph.poses)):
         counts, weights = np.ones(len(weights), np.bool_), np.maximum(weights, _LEAST_WEIGHT)
     information = graph.information[counts] * weights[counts, None, None]
-    return PoseGraph(graph.poses, graph.edges[counts], graph.measurements[counts], information, graph.trusted[counts])
+    return replace(
+        graph,
+        edges=graph.edges[counts],
+        measurements=graph.measurements[counts],
+        information=information,
+        trusted=graph.trusted[counts],
+    )
