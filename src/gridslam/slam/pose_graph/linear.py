@@ -119,7 +119,7 @@ def find_parts(edges: IntArray, poses: int) -> IntArray:
 
 @final
 class BlockSystem:
-    """Sparse symmetric systems H x = b of one pattern: `size` unknowns for each pose but the first ones, which are held.
+    """Sparse symmetric systems H x = b of one pattern: `size` unknowns for each pose that is not held.
 
     The upper triangle of H is kept by columns. All that depends on the pattern (where each number goes, the order of
     elimination, the structure of the factor) is found once; then a solution costs a numeric factorization.
@@ -214,7 +214,7 @@ class BlockSystem:
             raise ArgumentError("graph", "information matrices that 64-bit numbers can add up", got) from None
 
     def solve(self, right_side: FloatArray) -> FloatArray:
-        """Solve for one right side (free * size,) with the last factorization; returns (N, size), 0 for what is held."""
+        """Solve for one right side (free * size,) with the last factorization; returns (N, size), 0 where held."""
         solution: FloatArray = np.zeros((self.held + self.free, self.size))
         solution[self.held :] = self._solver.solve(right_side).reshape(-1, self.size)
         return solution
@@ -229,9 +229,9 @@ def initial_guess(graph: PoseGraph) -> FloatArray:
 
     Headings come first, as unit vectors r: r_j = R(z) r_i is linear, so without the constraint |r| = 1 the weighted
     least squares is one linear system (chordal relaxation; Martinec and Pajdla 2007, Carlone et al. 2015). Anchored at
-    what is held it shrinks vectors the more the farther they are, so it is solved again with the unit vectors as right side:
-    inverse iteration towards the least eigenvector, all of whose vectors are of like length (Singer 2011). Then chi2 is
-    quadratic in the positions: a second linear system of the same pattern.
+    what is held it shrinks vectors the more the farther they are, so it is solved again with the unit vectors as right
+    side: inverse iteration towards the least eigenvector, all of whose vectors are of like length (Singer 2011). Then
+    chi2 is quadratic in the positions: a second linear system of the same pattern.
 
     Raises
     ------

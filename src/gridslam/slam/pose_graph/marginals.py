@@ -33,7 +33,8 @@ class Marginals:
     ----------
     graph : PoseGraph
         Solved; for a robust solution `GraphSolution.weighted_graph`. Covariances are of the coordinates x, y and theta
-        in the map frame, given the poses that are held, and right as far as the information matrices of the measurements are.
+        in the map frame, given the poses that are held, and right as far as the information matrices of the
+        measurements are.
 
     Raises
     ------
