@@ -189,7 +189,9 @@ def test_the_summary_tells_of_loop_closure(loop_log, tmp_path, call):
     (tmp_path / "closing.toml").write_text(dumps(PROVOKED))
     options = "--config", tmp_path / "closing.toml"
     _, out, _ = call("map", loop_log, "-o", tmp_path / "out", *options)
-    assert re.search(r"^[1-9]\d* places recognized, \d+ tracked revisits, [1-9]\d* online corrections?", out, re.M)
+    assert re.search(
+        r"^\d+ loop closures \([1-9]\d* recognized, \d+ tracked\), [1-9]\d* online corrections?", out, re.M
+    )
     assert re.search(r"^\d+ loop-closure candidates rejected: .* \d+", out, re.M)
     assert "closure" not in call("map", loop_log, "-o", tmp_path / "out", *FEW, "--no-loop-closure")[1]
 
@@ -206,7 +208,7 @@ def test_progress_goes_on_during_final_refinement(capsys, monkeypatch):
 def test_map_says_what_came_of_it(log, tmp_path, call):
     status, out, err = call("map", log, "-o", tmp_path / "out", *FEW)
     assert status == 0
-    assert "0 places recognized, 0 tracked revisits, 0 online corrections" in out
+    assert "0 loop closures (0 recognized, 0 tracked), 0 online corrections" in out
     assert out.startswith("rooms.clf.bz2: 120 scans, 24 s, ")
     assert str(tmp_path / "out" / "map.png") in out
     assert err == ""

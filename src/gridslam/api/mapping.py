@@ -47,10 +47,6 @@ if TYPE_CHECKING:
 
 __all__ = ["MapResult", "finish_mapping", "map_log"]
 
-_MOST_DRAWN = 300
-"""Recognized closures in the picture; of more every second, third, ... is drawn."""
-_APART = 20
-"""Key scans between two tracked revisits that are drawn."""
 _MAX_BACKWARD_RATIO = 0.1
 """Ratio of scans stamped before their predecessor above which a warning is given; jitter causes up to 0.05."""
 _ORDERS = {1: "as reported", 0: "none", -1: "backward"}
@@ -169,12 +165,19 @@ class MapResult(Result):
         places = ""
         loops = self.loop_summary
         if loops is not None:
-            places = f", {len(loops.closures)} places recognized, {len(loops.tracked_revisits)} known again"
+            kinds = f"{len(loops.closures)} recognized, {len(loops.tracked_revisits)} tracked"
+            drawn = f", {len(loops.shown)} drawn" if len(loops.shown) < loops.count else ""
+            places = f", {loops.count} loop closure{'s' * (loops.count != 1)} ({kinds}{drawn})"
         return [
             f"{len(self.trajectory)} scans, {self.log.duration_s:.0f} s, {self.driven}{places}",
             f"{width:.0f} m x {height:.0f} m in cells of {100 * self.tiled_map.resolution_m:g} cm",
             f"{self.configuration.particles} particles, seed {self.seed}, {wall:.1f} s: gridslam {__version__}",
         ]
+
+    def closure_ends(self, pairs: IntArray) -> FloatArray:
+        """Ends (K, 4) of loop closures, x0, y0, x1, y1 in m, map frame, from their pairs (K, 2) of key scans."""
+        ends: FloatArray = self.graph.poses[pairs, :2].reshape(-1, 4)
+        return ends
 
     def picture(self) -> Picture:
         """Draw the map with the trajectory, its closures, and the true trajectory where it is known."""
@@ -186,7 +189,7 @@ class MapResult(Result):
             title=self.source.name,
             caption=self.caption(),
             truth=self.truth,
-            closures=None if self.loop_summary is None else self._drawn(self.loop_summary),
+            closures=None if self.loop_summary is None else self.closure_ends(self.loop_summary.shown),
             open_directions=find_open_directions(self.graph),
         )
 
@@ -195,7 +198,8 @@ class MapResult(Result):
         write_trajectory(out, self.trajectory, self.covariances)
         write_tum(out.file("trajectory_online.tum"), self.online_trajectory)
         write_g2o(out.file("graph.g2o"), self.graph)
-        self.record.write(out.file("record.npz"))
+        revisits = None if self.loop_summary is None else self.loop_summary.tracked_revisits
+        self.record.write(out.file("record.npz"), revisits)
 
     def _describe(self) -> dict[str, Any]:
         statistics = self.statistics
@@ -212,13 +216,6 @@ class MapResult(Result):
             "peak_memory_bytes": _peak_memory_bytes(),
             "configuration": to_table(self.configuration),
         }
-
-    def _drawn(self, loops: LoopClosureSummary) -> FloatArray:
-        """Lines (K, 4) of closures: the recognized ones, and some of those whose place was known."""
-        recognized = loops.closures[:: -(-len(loops.closures) // _MOST_DRAWN) or 1]
-        known = loops.tracked_revisits[np.flatnonzero(np.diff(loops.tracked_revisits[:, 1] // _APART, prepend=-1))]
-        ends: FloatArray = self.graph.poses[np.concatenate([known, recognized]), :2].reshape(-1, 4)
-        return ends
 
     def _describe_input(self) -> dict[str, Any]:
         log = self.log

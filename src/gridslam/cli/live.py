@@ -62,12 +62,12 @@ class Viewers(NamedTuple):
 
     def show_result(self, result: MapResult) -> None:
         """Show what a run came to in the end."""
-        poses = result.graph.poses
-        pairs = np.zeros((0, 2), np.int64) if result.loop_summary is None else result.loop_summary.closures
+        loops = result.loop_summary
+        ends = np.zeros((0, 4)) if loops is None else result.closure_ends(loops.shown)
         for viewer in self:
             if viewer is not None:
                 try:
-                    viewer.finish(result.map, poses, poses[pairs, :2].reshape(-1, 4))
+                    viewer.finish(result.map, result.graph.poses, ends)
                 except Exception as error:  # the results are more than who looks at them
                     warn(f"the final map cannot be shown: {describe_error(error)}")
 

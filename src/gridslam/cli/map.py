@@ -129,7 +129,10 @@ def _summarize_loop_closure(loops: dict[str, Any] | Literal[False]) -> Iterator[
     reasons = ", ".join(f"{reason} {count}" for reason, count in rejected.items())
     corrections = f"{loops['corrections']} online correction{'s' * (loops['corrections'] != 1)}"
     moved = f"the final refinement moved key scans by up to {loops['max_correction_m']:.2f} m"
-    tracked = f"{loops['constraints']['tracked']} tracked revisits"
-    yield f"{len(loops['closures'])} places recognized, {tracked}, {corrections}; {moved}"
+    tracked = loops["constraints"]["tracked"]
+    recognized = len(loops["closures"])
+    count = recognized + tracked
+    kinds = f"{recognized} recognized, {tracked} tracked"
+    yield f"{count} loop closure{'s' * (count != 1)} ({kinds}), {corrections}; {moved}"
     if rejected:
         yield f"{sum(rejected.values())} loop-closure candidates rejected: {reasons}"

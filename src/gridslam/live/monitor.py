@@ -18,6 +18,7 @@ from gridslam.live.scene import Frame, RowBuffer, thin_tree
 from gridslam.live.tiles import EMPTY_BOX, Box, TileChangeDetector, TileChanges
 from gridslam.localization import LocalizationReport, MonteCarloState
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.slam.loop_closure.constraints import ConstraintSource, key_scan_pairs, select_shown_closures
 from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan, OccupancyGrid, StepReport
 from gridslam.viz.cloud import select_representatives
 
@@ -81,14 +82,14 @@ class MappingMonitor:
         self._maps: TileMaps | None = None
         self._keys = 0
         self._written: list[tuple[FloatArray, LaserScan | None]] = []
-        self._closures: list[tuple[int, int]] = []
+        self._recognized: list[tuple[int, int]] = []
         self._resamplings: deque[tuple[int, IntArray]] = deque(maxlen=_MAX_RESAMPLINGS)
         self._detectors = {BEST: TileChangeDetector()}
         self._lines: dict[int, IntArray] = {}  # of each channel the descendants of the selected particle
 
     def record(self, report: StepReport, scan: LaserScan | None) -> int:
         """Record a scan; return `CORRECTED` if the trajectory was corrected."""
-        self._closures += report.closures
+        self._recognized += report.closures
         if report.skipped is not None:
             return 0
         self._keys += 1
@@ -130,7 +131,9 @@ class MappingMonitor:
         poses = state.poses
         log_weights = state.log_weights
         ancestry = state.ancestry.snapshot()
-        closures = np.array(self._closures, np.int64).reshape(-1, 2)
+        recognized = np.array(self._recognized, np.int64).reshape(-1, 2)
+        tracked = _find_revisits(state)
+        closures = select_shown_closures(recognized, tracked)
 
         def make_frame() -> Frame:
             now = compose(poses, report.key_from_base) if report.skipped else poses
@@ -145,7 +148,7 @@ class MappingMonitor:
         status = {
             "particles": len(poses),
             "best": state.best,
-            "closures": len(closures),
+            "closures": len(recognized) + len(tracked),
             "bytes": state.maps.nbytes,
         }
         return StateView(maps, rows, state.maps.resolution_m, status, make_frame)
@@ -214,6 +217,12 @@ class LocalizationMonitor:
 
 FilterMonitor: TypeAlias = MappingMonitor | LocalizationMonitor
 """Collects what changes from a filter's reports and states; used by the filter's thread only."""
+
+
+def _find_revisits(state: GridFastSlamState) -> IntArray:
+    """Return the tracked revisits (R, 2) so far."""
+    constraints = [] if state.closure_state is None else state.closure_state.graph.constraints
+    return key_scan_pairs(one for one in constraints if one.source is ConstraintSource.TRACKED)
 
 
 def _find_children(line: IntArray, parents: IntArray) -> IntArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, final
 
@@ -179,6 +180,8 @@ class ReplayViewer:
 def _read_mapping(out: Path, document: dict[str, Any]) -> Results:
     record = read_record(out / "record.npz")
     poses = read_g2o(out / "graph.g2o").graph.poses
+    if not document.get("loop_closure"):
+        record = replace(record, revisits=record.revisits[:0])
     trajectory = read_tum(out / "trajectory.tum")
     grid = read_map(out / "map.yaml")
     if not len(record) or len(poses) != len(record):

@@ -10,6 +10,7 @@ from gridslam.io.results.record import Record, RecordFlag
 from gridslam.live.monitor import LOST
 from gridslam.live.scene import NO_LANDMARKS, NO_POINTS, NO_SERIES, Float32Array, Frame, finite_or_none, full_tree
 from gridslam.particles.ancestry import Ancestry
+from gridslam.slam.loop_closure.constraints import select_shown_closures
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
 
 __all__ = ["AncestryReplay", "MappedRun", "Results", "StaticMap", "TrajectoryRun"]
@@ -88,8 +89,8 @@ class MappedRun:
         The poses of the key scans in it.
     grid : OccupancyGrid
         The map.
-    closures : (C, 2) int64
-        Key scans of the loop closures, the older one first.
+    recognized : (C, 2) int64
+        Key scans of the recognized loop closures, the older one first; the record has the tracked ones.
     """
 
     layers = ("map", "path", "ancestry", "particles", "weights", "closures", "n_eff", "latency")
@@ -98,7 +99,7 @@ class MappedRun:
     landmarks = NO_LANDMARKS
 
     def __init__(
-        self, record: Record, trajectory: Trajectory, key_poses: FloatArray, grid: OccupancyGrid, closures: IntArray
+        self, record: Record, trajectory: Trajectory, key_poses: FloatArray, grid: OccupancyGrid, recognized: IntArray
     ) -> None:
         """Prepare the data of all times."""
         self.grid = grid
@@ -112,15 +113,18 @@ class MappedRun:
         self._record = record
         self._trajectory = trajectory
         self._scan_times_s = _elapsed(trajectory.stamps_ns, record.stamps_ns[0])
-        self._closure_steps: IntArray = np.sort(closures[:, 1])  # at which step each closure was found
-        order = np.argsort(closures[:, 1], kind="stable")
-        self._closure_ends = key_poses[closures[order], :2].reshape(-1, 4).astype(np.float32)
+        tracked = record.revisits.astype(np.int64)
+        self._closure_steps: IntArray = np.sort(np.concatenate([recognized, tracked])[:, 1])  # when each was found
+        shown = select_shown_closures(recognized, tracked)
+        shown = shown[np.argsort(shown[:, 1], kind="stable")]
+        self._shown_steps: IntArray = shown[:, 1]
+        self._closure_ends = key_poses[shown, :2].reshape(-1, 4).astype(np.float32)
 
     def frame(self, at: int) -> Frame:
         """Return the frame at a key scan."""
         record = self._record
         particles = np.column_stack([record.poses[at], np.exp(record.log_weights[at])]).astype(np.float32)
-        closures = self._closure_ends[: self._count_closures(at)]
+        closures = self._closure_ends[: int(np.searchsorted(self._shown_steps, at, "right"))]
         return Frame(self.path[: at + 1], full_tree(self.ancestry.at(at)), particles, closures)
 
     def particle_path(self, at: int, particle: int) -> Float32Array:

@@ -78,3 +78,18 @@ def test_bad_records(tmp_path):
     for name in ("other", "shape", "lacking", "one", "cut", "text", "empty", "none"):
         with pytest.raises(InputError, match=f"{name}.npz"):
             read_record(tmp_path / f"{name}.npz")
+
+
+def test_tracked_revisits_are_kept_and_a_record_without_them_has_none(tmp_path):
+    writer = RecordWriter()
+    for stamp_ns in range(3):
+        writer.add(report(stamp_ns), 0.0)
+    writer.write(tmp_path / "r.npz", np.array([[0, 2], [1, 2]]))
+    assert read_record(tmp_path / "r.npz").revisits.tolist() == [[0, 2], [1, 2]]
+    arrays = dict(np.load(tmp_path / "r.npz").items())
+    np.savez(tmp_path / "none.npz", **{name: array for name, array in arrays.items() if name != "revisits"})
+    assert read_record(tmp_path / "none.npz").revisits.shape == (0, 2)
+    for wrong in ([[0, 3]], [[-1, 0]], [0, 1], [[0, 1, 2]]):
+        np.savez(tmp_path / "wrong.npz", **(arrays | {"revisits": np.array(wrong, np.int32)}))
+        with pytest.raises(InputError, match="revisits"):
+            read_record(tmp_path / "wrong.npz")

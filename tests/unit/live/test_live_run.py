@@ -75,7 +75,7 @@ def test_two_viewers_see_the_best_map_at_every_time(drive, every):
     assert len(first.series) == first.status["keys"]
     assert np.array_equal(first.series, late.series)
     assert (first.series[:, 3].astype(int) & CORRECTED).any(), "the drive was to correct the past"
-    assert len(first.arrays["closures"]) == first.status["closures"] > 0
+    assert first.status["closures"] >= len(first.arrays["closures"]) > 0
 
 
 def test_the_path_of_the_shown_particle_is_drawn_in_full(drive, monkeypatch):

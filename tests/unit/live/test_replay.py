@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 import time
 
@@ -18,6 +19,7 @@ from gridslam.io.g2o import read_g2o
 from gridslam.io.maps import read_map
 from gridslam.io.results.record import read_record
 from gridslam.live.replay import Replay
+from gridslam.slam.loop_closure.constraints import select_shown_closures
 from support.loops import PROVOKED, loop_drive
 from support.page_client import PageClient
 
@@ -29,6 +31,7 @@ def out(tmp_path_factory):
     configuration = override(PROVOKED, "when_to_resample.fraction=0.9", "particles=5")
     result = map_log(folder / "loop.clf.gz", configuration=configuration, repair="none")
     result.save(folder / "out")
+    (folder / "out" / "caption").write_text(result.caption()[0])
     assert len(result.loop_summary.closures), "the drive was to close its loop"
     return folder / "out"
 
@@ -56,7 +59,7 @@ def test_it_begins_with_the_end(replay, out):
     assert (client.status["at"], client.status["stage"]) == (keys - 1, "paused")
     assert np.array_equal(client.path, replay.results.path)
     assert client.series.shape == (keys, 5)
-    assert len(client.arrays["closures"]) == client.status["closures"] > 0
+    assert client.status["closures"] == len(replay.results._closure_steps) >= len(client.arrays["closures"]) > 0
     assert client.run_info["mode"] == "replay"
     assert client.run_info["title"] == "loop.clf.gz"
     assert viewer.next_message() is None
@@ -65,7 +68,8 @@ def test_it_begins_with_the_end(replay, out):
 def test_any_time_can_be_looked_at_in_any_order(replay, record, out):
     viewer, client = looking(replay)
     places = read_g2o(out / "graph.g2o").graph.poses[:, :2].astype(np.float32)
-    closed = [pair["key_scans"][1] for pair in json.loads((out / "run.json").read_text())["loop_closure"]["closures"]]
+    pairs = [pair["key_scans"] for pair in json.loads((out / "run.json").read_text())["loop_closure"]["closures"]]
+    found = select_shown_closures(np.array(pairs), record.revisits)[:, 1]
     for at in (0, 50, 49, len(record) - 1, 7, 120):
         viewer.command({"do": "seek", "at": at})
         client.catch_up(viewer)
@@ -75,13 +79,24 @@ def test_any_time_can_be_looked_at_in_any_order(replay, record, out):
         particles = client.arrays["particles"]
         assert np.array_equal(particles[:, :3], record.poses[at])
         assert particles[:, 3].sum() == pytest.approx(1.0)
-        assert len(client.arrays["closures"]) == sum(end <= at for end in closed)
+        assert len(client.arrays["closures"]) == sum(found <= at)
+        assert client.status["closures"] == sum(end <= at for _, end in [*pairs, *record.revisits])
         for particle in range(5):
             assert client.past_of(particle)[-1] == pytest.approx(record.poses[at, particle, :2], abs=0.008)
             assert len(client.past_of(particle)) == at + 1
     viewer.command({"do": "seek", "at": 10**6})
     client.catch_up(viewer)
     assert client.status["at"] == len(record) - 1
+
+
+def test_the_page_and_the_picture_count_the_same_closures(replay, out):
+    _, client = looking(replay)
+    counted = re.search(
+        r"(\d+) loop closures? \((\d+) recognized, (\d+) tracked(?:, (\d+) drawn)?\)", (out / "caption").read_text()
+    )
+    total, recognized, tracked, drawn = (int(word or counted[1]) for word in counted.groups())
+    assert (client.status["closures"], len(client.arrays["closures"])) == (total, drawn)
+    assert recognized + tracked == total
 
 
 def test_what_is_sent_after_a_step_is_little(replay):

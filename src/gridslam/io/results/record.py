@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntFlag
 from pathlib import Path
 from typing import Any, final
@@ -54,6 +54,8 @@ class Record:
         A `RecordFlag` each.
     latency_s : (T,) float64, s
         Time the step took.
+    revisits : (R, 2) int32
+        Tracked revisits: the older and the later key scan of each, in [0, T).
     """
 
     stamps_ns: IntArray
@@ -64,6 +66,7 @@ class Record:
     n_eff: FloatArray
     flags: NDArray[np.uint8]
     latency_s: FloatArray
+    revisits: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 2), np.int32))
 
     def __len__(self) -> int:
         """Return the number of key scans T."""
@@ -116,12 +119,13 @@ class RecordWriter:
         for name, (dtype, _) in _FORMS.items():
             self._rows[name].append(np.array(row[name], dtype))
 
-    def write(self, path: str | Path) -> None:
-        """Write what was collected, compressed; a run without key scan gives arrays of length 0."""
+    def write(self, path: str | Path, revisits: IntArray | None = None) -> None:
+        """Write what was collected, compressed, and tracked revisits (R, 2); arrays of length 0 without a key scan."""
         shape = (0, 0, 3)  # of the poses, where there are none
         arrays: dict[str, Any] = {
             name: np.array(self._rows[name] or np.zeros(shape[:ndim]), dtype) for name, (dtype, ndim) in _FORMS.items()
         }
+        arrays["revisits"] = np.zeros((0, 2), np.int32) if revisits is None else revisits.astype(np.int32)
         with Path(path).open("wb") as file:
             np.savez_compressed(file, schema=np.array(_SCHEMA), **arrays)
 
@@ -149,7 +153,19 @@ def read_record(path: str | Path) -> Record:
         bad = values[~((values >= low) & (values <= high))]
         if bad.size:
             raise InputError(path, f"{name}: expected {expected}, got {bad[0]:g}")
-    return Record(**{name: arrays[name] for name in _FORMS})
+    return Record(**{name: arrays[name] for name in _FORMS}, revisits=_read_revisits(path, arrays, steps))
+
+
+def _read_revisits(path: str | Path, arrays: dict[str, NDArray[Any]], steps: int) -> NDArray[np.int32]:
+    """Return the tracked revisits; none of an older file."""
+    revisits = arrays.get("revisits", np.zeros((0, 2), np.int32))
+    if revisits.dtype != np.int32 or revisits.ndim != 2 or revisits.shape[1] != 2:
+        raise InputError(path, f"expected revisits as int32 (R, 2), got {revisits.dtype} {revisits.shape}")
+    if not ((revisits >= 0) & (revisits < steps)).all():
+        raise InputError(
+            path, f"revisits: expected key scans 0 to {steps - 1}, got {revisits.min()} to {revisits.max()}"
+        )
+    return revisits
 
 
 def read_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[Any]]:

@@ -21,7 +21,7 @@ from gridslam.slam.full_slam.full_trajectory import (
 from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.slam.loop_closure.constraints import ConstraintSource, key_scan_pairs
+from gridslam.slam.loop_closure.constraints import ConstraintSource, key_scan_pairs, select_shown_closures
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.map_piece import MapPiece
@@ -73,6 +73,16 @@ class LoopClosureSummary:
     max_correction_m: float
     candidates: dict[str, TrajectoryScore]
     selected: str
+
+    @property
+    def count(self) -> int:
+        """Number of loop closures: recognized ones and tracked revisits."""
+        return len(self.closures) + len(self.tracked_revisits)
+
+    @property
+    def shown(self) -> IntArray:
+        """The closures (K, 2) that pictures show."""
+        return select_shown_closures(self.closures, self.tracked_revisits)
 
     def __repr__(self) -> str:
         """Return one line."""

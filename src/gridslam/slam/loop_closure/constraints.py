@@ -17,9 +17,12 @@ __all__ = [
     "Constraint",
     "ConstraintSource",
     "key_scan_pairs",
+    "select_shown_closures",
     "transform_match",
 ]
 
+_MOST_RECOGNIZED = 300  # that are shown; of more every second, third, ...
+_KEY_SCANS_APART = 20  # of the tracked ones that are shown, the later key scans
 _FLOOR = np.diag([1e-2, 1e-2, 1e-2])
 """Information (1/m^2, 1/rad^2) along a degenerate direction: 10 m, 10 rad."""
 
@@ -100,6 +103,16 @@ def transform_match(frame: FloatArray, match: Match) -> Match:
 def key_scan_pairs(constraints: Iterable[Constraint]) -> IntArray:
     """Pairs of key scans (K, 2) that constraints connect: from, to."""
     return np.array([constraint.pair for constraint in constraints], np.int64).reshape(-1, 2)
+
+
+def select_shown_closures(recognized: IntArray, tracked: IntArray) -> IntArray:
+    """Select the loop closures (K, 2) that pictures show of `recognized` (C, 2) and `tracked` (R, 2) ones.
+
+    Rows are pairs of key scans, the older one first. All recognized ones are shown, of more than 300 every second,
+    third, ...; of the tracked ones the first whose later key scan lies in each block of 20.
+    """
+    known = tracked[np.flatnonzero(np.diff(tracked[:, 1] // _KEY_SCANS_APART, prepend=-1))]
+    return np.concatenate([known, recognized[:: -(-len(recognized) // _MOST_RECOGNIZED) or 1]])
 
 
 def _rotate(information: FloatArray, frame: FloatArray) -> FloatArray:
