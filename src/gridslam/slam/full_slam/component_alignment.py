@@ -142,7 +142,7 @@ class ComponentAlignment:
             for old, ways in zip(components, of_older, strict=False):
                 searched = list(ways)[-count % stride :: stride]
                 count += len(ways)
-                if not searched:
+                if not searched or keys[-1] < graph.frozen:
                     continue
                 on_progress()
                 guesses = {key: compose(graph.poses[first_key_scan(way.submap)], way.pose) for key, way in ways.items()}

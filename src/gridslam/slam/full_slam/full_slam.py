@@ -19,6 +19,7 @@ from gridslam.slam.full_slam.full_trajectory import (
     scan_covariances,
 )
 from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
+from gridslam.slam.full_slam.key_covariances import key_covariances
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.constraints import ConstraintSource, key_scan_pairs, select_shown_closures
@@ -26,7 +27,6 @@ from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
-from gridslam.slam.pose_graph.marginals import marginal_covariances
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import scale_information
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
@@ -179,9 +179,7 @@ def _refine(
     changed = closure_state.snapshot()
     refined = final_refinement(changed, trajectory, drives, mapper, closure, on_progress)
     graph = scale_information(refined.best.graph, refined.best.weights)
-    has_loops = len(graph.edges) >= len(graph.poses)
-    key_covariances = marginal_covariances(graph) if has_loops else drift_covariances(graph)
-    covariances = scan_covariances(graph, key_covariances, refined.poses, drives, closure.drift)
+    covariances = scan_covariances(graph, key_covariances(graph), refined.poses, drives, closure.drift)
     loops = _summarize(closure_state, changed, refined, trajectory)
     return FullSlam(refined.poses, covariances, graph, refined.maps.tiled(0), loops)
 
@@ -191,7 +189,7 @@ def _build_odometry_graph(trajectory: FloatArray, drives: Sequence[TrackedScans]
 
     Without loop closure no drives are joined: there is one.
     """
-    ((keys, key_from_base),) = drives
+    ((keys, key_from_base, _),) = drives
     tracked = key_from_base[np.flatnonzero(np.diff(keys) > 0) + 1]
     information = np.linalg.inv(
         np.array([drift.covariance(moved, first=not k) for k, moved in enumerate(tracked)]).reshape(-1, 3, 3)

@@ -37,10 +37,13 @@ class TrackedScans(NamedTuple):
         For each scan the key scan at or before it, counted over all drives.
     key_from_base : (N, 3) float64
         The tracked motion since the key scan *before* each scan, as `StepReport` gives it.
+    poses : (N, 3) float64 or None
+        Where the scans lie, of a drive that is frozen; None where that follows from the key scans.
     """
 
     keys: IntArray
     key_from_base: FloatArray
+    poses: FloatArray | None = None
 
 
 def full_trajectories(key_poses: FloatArray, drives: Sequence[TrackedScans]) -> FloatArray:
@@ -55,6 +58,8 @@ def full_trajectories(key_poses: FloatArray, drives: Sequence[TrackedScans]) -> 
     """
     parts = [
         full_trajectory(key_poses[own], drive.keys - own.start, drive.key_from_base)
+        if drive.poses is None
+        else drive.poses
         for own, drive in _split(drives, len(key_poses))
     ]
     return np.concatenate(parts)
@@ -143,7 +148,7 @@ def scan_covariances(
     bridge = np.zeros_like(key_covariances)
     bridge[:-1] = rotate_covariances(_increment_covariances(graph), graph.poses[1:, 2])
     parts = []
-    for own, (keys, key_from_base) in _split(drives, len(key_covariances)):
+    for own, (keys, key_from_base, _) in _split(drives, len(key_covariances)):
         fraction = path_fractions(keys - own.start, key_from_base)[:, None, None]
         nearer = key_covariances[keys]
         farther = key_covariances[np.minimum(keys + 1, own.stop - 1)]

@@ -193,29 +193,37 @@ class GlobalScanRefinement:
         trajectory : (T, 3) float64
             Of the key scans, as the filter has it.
         drives : sequence of TrackedScans
-            The scans, by drives in the order of their key scans.
+            The scans, by drives in the order of their key scans. Those of a drive that is frozen are not matched.
         closure
             Place recognition and outlier rejection.
         on_progress
             Progress callback; may raise to interrupt.
         """
-        refinement = _Refinement(self, closure_state, mapper, closure, on_progress)
+        graph = closure_state.graph
+        known = [c for c in graph.constraints if max(c.pair) < graph.frozen]
+        known = [c for c in known if c.source is not ConstraintSource.RECOGNIZED]
+        refinement = _Refinement(self, closure_state, mapper, closure, on_progress, known)
         selection = refinement.select(trajectory)
         bent = full_trajectories(selection.best.graph.poses, drives)
-        poses = refinement.match_scans(bent, selection.maps)
+        frozen = sum(len(drive.keys) for drive in drives if int(drive.keys[-1]) < graph.frozen)
+        poses = refinement.match_scans(bent, selection.maps, frozen)
         return RefinementResult(selection.best, poses, selection.maps, selection.scores)
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _Refinement:
-    """One run of the refinement; it goes from candidate to candidate in the key graph of its state."""
+    """One run of the refinement; it goes from candidate to candidate in the key graph of its state.
+
+    `known` are constraints between frozen key scans, which are not matched again.
+    """
 
     parameters: GlobalScanRefinement
     closure_state: LoopClosureState
     mapper: OccupancyGridMapping
     closure: LoopClosure
     on_progress: Callable[[], None]
+    known: list[Constraint]
 
     @property
     def graph(self) -> KeyGraph:
@@ -312,9 +320,10 @@ class _Refinement:
         return Candidate(name, graph.with_poses(poses), constraints, solution.weights)
 
     def _match_key_scans(self, recognized: list[Constraint], poses: FloatArray) -> list[Constraint]:
-        """Recognized constraints, and those from matching key scans at poses (T, 3) to the submaps about them."""
+        """Recognized and known constraints, and those from matching key scans at poses (T, 3) to the submaps about."""
         return [
             *recognized,
+            *self.known,
             *self.parameters.key_scans(self.closure_state, poses, self.mapper, self.on_progress),
         ]
 
@@ -329,13 +338,13 @@ class _Refinement:
         information[: len(poses) - 1] = np.linalg.inv(np.array(self.graph.covariances[1:]).reshape(-1, 3, 3))
         return replace(graph, information=information)
 
-    def match_scans(self, poses: FloatArray, maps: TileMaps) -> FloatArray:
-        """Match every scan to the final map; a scan without stored beams moves with its predecessor."""
+    def match_scans(self, poses: FloatArray, maps: TileMaps, first: int = 0) -> FloatArray:
+        """Match every scan from the first on to the final map; one without stored beams moves with its predecessor."""
         parameters = self.parameters
         matched = poses.copy()
-        last = 0
+        last = first
         prior = parameters.scan_prior_information * np.eye(3)[None]
-        for scan in range(len(poses)):
+        for scan in range(first, len(poses)):
             beams = self.closure_state.scans[scan]
             if len(beams) < parameters.matcher.min_beams:
                 matched[scan] = compose(matched[last], between(poses[last], poses[scan]))

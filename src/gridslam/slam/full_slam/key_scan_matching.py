@@ -34,7 +34,7 @@ class KeyScanMatching:
     """Matches key scans to overlapping submaps that are rebuilt from a trajectory.
 
     Only submaps of the same rigid component (see `KeyGraph.label_rigid_components`): across a gap in the laser data,
-    nearby poses are no evidence of a revisit.
+    nearby poses are no evidence of a revisit. Frozen key scans are not matched to each other.
 
     Parameters
     ----------
@@ -112,8 +112,11 @@ class KeyScanMatching:
         complete = graph.complete_submaps * KEY_SCANS_PER_SUBMAP
         for key, near in enumerate(KDTree(poses[:, :2]).query_ball_point(poses[:, :2], self.max_distance_m)):
             others = np.array([k for k in near if k < complete], np.int64)
-            is_recent = np.abs(others // KEY_SCANS_PER_SUBMAP - submap_of(key)) <= _RECENT_SUBMAPS
-            others = others[~is_recent & (components[others] == components[key])]
+            submaps = others // KEY_SCANS_PER_SUBMAP
+            is_left_out = np.abs(submaps - submap_of(key)) <= _RECENT_SUBMAPS
+            if key < graph.frozen:
+                is_left_out |= anchor_of(0) + KEY_SCANS_PER_SUBMAP * submaps < graph.frozen
+            others = others[~is_left_out & (components[others] == components[key])]
             turned = np.abs(wrap(poses[others, 2] - poses[key, 2]))
             away = np.hypot(*(poses[others, :2] - poses[key, :2]).T) + 0.5 * turned
             nearest = dict.fromkeys((others[np.lexsort((others, away))] // KEY_SCANS_PER_SUBMAP).tolist())

@@ -93,6 +93,8 @@ class KeyGraph:
         Expected covariance of what the filter drifted by since the key scan before, in the same frame.
     constraints : list of Constraint
         Matches of key scans to older submaps.
+    frozen : int
+        Number of first key scans that are frozen: their poses stay as they are, whatever is found out later.
 
     References
     ----------
@@ -105,6 +107,7 @@ class KeyGraph:
     covariances: Annotated[list[Annotated[FloatArray, 3, 3]], "T"] = field(default_factory=list)
     drift_covariances: Annotated[list[Annotated[FloatArray, 3, 3]], "T"] = field(default_factory=list)
     constraints: list[Constraint] = field(default_factory=list)
+    frozen: int = 0
     # number of gaps in the laser data up to each key scan
     _gap_counts: list[int] = field(init=False, default_factory=list, metadata=NOT_SAVED)
     # (9,) each, moments of the variances up to each key scan
@@ -169,7 +172,8 @@ class KeyGraph:
         """Append the key scans of another graph, at `poses` (K, 3) in this one's map, and its constraints.
 
         `variances` (m^2, rad^2) are those of the increment from the last key scan of this graph to the first one of the
-        other. The tracker's frame becomes that of the other graph, whose robot drives on.
+        other. The tracker's frame becomes that of the other graph, whose robot drives on. What is frozen of this one
+        stays so, what is of the other one moves here.
         """
         first = len(self)
         last = compose(later.tracked[0], between(poses[0], self.poses[-1]))
@@ -189,6 +193,7 @@ class KeyGraph:
         for own in (self.tracked, self.poses, self.variances, self.covariances, self.drift_covariances):
             del own[keys:]
         self.constraints = [constraint for constraint in self.constraints if constraint.to < keys]
+        self.frozen = min(self.frozen, keys)
         self.correct(np.array(self.poses))
 
     def correct(self, poses: FloatArray) -> None:
@@ -320,6 +325,7 @@ class KeyGraph:
         """Everything as a pose graph: increments (T - 1, 3), which are trusted, then the loop-closure constraints.
 
         The increments are the tracked ones if not given. `keys` and `constraints` limit the graph to the first of each.
+        What is frozen is held, else the first pose alone.
         """
         poses = np.array(self.poses[:keys])
         tracked = np.array(self.tracked[:keys])
@@ -335,13 +341,15 @@ class KeyGraph:
             np.concatenate([between(tracked[:-1], tracked[1:]) if increments is None else increments, measurements]),
             np.concatenate([steps, np.array([t.information for t in known]).reshape(-1, 3, 3)]),
             np.arange(count - 1 + len(known)) < count - 1,
+            min(max(self.frozen, 1), count),
         )
 
     def snapshot(self) -> KeyGraph:
         """Keep a copy for later; what never changes is shared."""
         twin = KeyGraph()
         for own in fields(self):
-            setattr(twin, own.name, getattr(self, own.name).copy())
+            value = getattr(self, own.name)
+            setattr(twin, own.name, value if isinstance(value, int) else value.copy())
         twin._links = {submap: links.copy() for submap, links in self._links.items()}
         return twin
 

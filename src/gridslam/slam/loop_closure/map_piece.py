@@ -55,6 +55,19 @@ class MapPiece:
         """Draw the piece as one map, in the order of the key scans."""
         return build_map(mapper, self.scans, np.arange(len(self)), self.poses)
 
+    def freeze(self) -> MapPiece:
+        """The same piece, its key scans frozen: whatever is joined with it is aligned with where they are."""
+        return self._with_frozen(len(self))
+
+    def release(self) -> MapPiece:
+        """The same piece, nothing of it frozen."""
+        return self._with_frozen(0)
+
+    def _with_frozen(self, key_scans: int) -> MapPiece:
+        graph = self.graph.snapshot()
+        graph.frozen = key_scans
+        return MapPiece(self.scans, graph)
+
     def append(self, later: MapPiece, match: PieceMatch) -> MapPiece:
         """Join with a piece that was found in this one; its key scans follow, and the constraints join both."""
         scans = self.scans.snapshot()

@@ -199,8 +199,10 @@ class PlaceMatching:
         seen = compose(last.measurement, between(graph.tracked[last.to], graph.tracked[newest]))
         submap = submap_of(last.from_)
         near = [b for b in (submap - 1, submap, submap + 1) if 0 <= b <= oldest]
-        poses = [between(graph.relative_pose(anchor_of(submap), anchor_of(b)), seen) for b in near]
+        poses = [between(graph.relative_pose(last.from_, anchor_of(b)), seen) for b in near]
         away = [math.hypot(pose[0], pose[1]) for pose in poses]
+        if not away:
+            return None
         best = int(np.argmin(away))
         return (near[best], poses[best]) if away[best] < self.max_distance_m else None
 

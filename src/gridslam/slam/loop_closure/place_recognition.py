@@ -104,7 +104,7 @@ class PlaceRecognition(PlaceMatching):
         covered = {constraint.to + k for constraint in known for k in near}
         labels = graph.label_rigid_components()
         groups: list[list[Constraint]] = []
-        first = self.recent_submaps * KEY_SCANS_PER_SUBMAP + self.search_interval
+        first = max(self.recent_submaps * KEY_SCANS_PER_SUBMAP + self.search_interval, graph.frozen)
         for key in range(first, len(graph), self.search_interval):
             if key in covered or len(closure_state.scans.key(key)) < self.matcher.min_beams:
                 continue

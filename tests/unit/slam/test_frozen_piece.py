@@ -1,0 +1,217 @@
+"""A frozen piece: a later drive is aligned with it, online and at the end, and nothing of it moves by a bit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridslam.config import build
+from gridslam.geometry.se2 import between, compose
+from gridslam.observers import TrajectoryRecorder
+from gridslam.pipeline import run
+from gridslam.serialization import from_arrays, to_arrays
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
+from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
+from gridslam.slam.full_slam.full_slam import full_slam, refine_piece
+from gridslam.slam.full_slam.key_covariances import key_covariances
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.key_graph import KeyGraph, anchor_of
+from gridslam.slam.loop_closure.map_piece import MapPiece
+from gridslam.slam.loop_closure.place_matching import PlaceMatching
+from gridslam.slam.pose_graph.graph_slam import GraphSlam
+from gridslam.slam.pose_graph.linear import linearize
+from gridslam.slam.pose_graph.marginals import marginal_covariances
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
+from support.loops import PROVOKED
+
+ELSEWHERE = np.array([30.0, -20.0, 2.0])
+
+
+def drive(measurements, configuration, earlier=None, seed=0):
+    """The state and the recorder of a drive; with earlier pieces it is located in them."""
+    slam, recorder = build(configuration), TrajectoryRecorder()
+    state = run(measurements[:1], slam, rng=np.random.default_rng(seed), observers=[recorder])
+    if earlier is not None:
+        refinement = configuration.final_refinement
+        state.closure_state.earlier = EarlierPieces(
+            earlier, slam.mapper, slam.loop_closure.recognition, refinement.component_alignment, refinement.score
+        )
+    rng = np.random.default_rng(seed + 1)
+    return run(measurements[1:], slam, rng=rng, observers=[recorder], state=state), recorder
+
+
+def record(seed, first, last):
+    """Scans of a lap through a suite of rooms, from waypoint `first` to `last`, and the true poses."""
+    rng = np.random.default_rng(seed)
+    world = make_world("rooms", rng)
+    part = World.of("part", world.walls, world.route[first:last])
+    log = simulate(part, RobotConfig(), OdometryNoise(), LidarConfig(beams=120, rate_hz=3.0), rng)
+    return log.measurements, np.array(log.truth.poses)
+
+
+@pytest.fixture(scope="module")
+def days():
+    """A frozen piece, a second day that begins elsewhere, its answer, and the true poses of both.
+
+    The configuration closes a loop and corrects the past whenever it can, so that what must not move would.
+    """
+    (one, truth), (two, later_truth) = record(0, 0, 9), record(1, 3, 14)
+    first, recorder = drive(one, PROVOKED)
+    piece = MapPiece(first.closure_state.scans, first.closure_state.graph).freeze()
+    later = [(replace(odometry, pose=compose(ELSEWHERE, odometry.pose)), scan) for odometry, scan in two]
+    state, second = drive(later, PROVOKED, [piece])
+    assert state.closure_state.joined == 0
+    drives = [recorder.tracked_scans(), second.tracked_scans(len(piece))]
+    answer = full_slam(state, drives, PROVOKED.mapper, PROVOKED.loop_closure, PROVOKED.final_refinement)
+    return piece, state, drives, answer, truth, later_truth
+
+
+def test_no_key_scan_of_a_frozen_piece_moves_by_a_bit(days):
+    piece, state, drives, answer, *_ = days
+    assert state.closure_state.joined == 0
+    old = piece.poses.tobytes()
+    for poses in (
+        np.array(state.closure_state.graph.poses),
+        state.best_trajectory(),
+        np.array(state.closure_state.online_poses),
+        answer.graph.poses,
+    ):
+        assert poses[: len(piece)].tobytes() == old
+    assert np.abs(answer.graph.poses - state.best_trajectory())[len(piece) :].max() > 1e-3  # what is new does
+    assert answer.graph.held == len(piece)
+    alone = full_slam_of(piece, drives[:1])
+    count = len(drives[0].keys)
+    assert answer.poses[:count].tobytes() == alone.poses[:count].tobytes()
+
+
+def full_slam_of(piece, drives):
+    return refine_piece(piece, drives, PROVOKED.mapper, PROVOKED.loop_closure, PROVOKED.final_refinement)
+
+
+def test_the_new_drive_is_aligned_with_the_frozen_one(days):
+    """Relations between scans of both days are within 0.04 m of the truth; those of a day alone are no better."""
+    piece, state, drives, answer, truth, later_truth = days
+    count = len(drives[0].keys)
+    constraints = state.closure_state.graph.constraints
+    assert any(c.from_ < len(piece) <= c.to for c in constraints)
+    missed = []
+    for new in range(0, len(later_truth), 5):
+        away = np.hypot(*(truth - later_truth[new])[:, :2].T)
+        old = int(away.argmin())
+        if away[old] < 3.0:
+            true = between(truth[old], later_truth[new])
+            found = between(answer.poses[old], answer.poses[count + new])
+            missed.append(np.hypot(*(found - true)[:2]))
+    assert len(missed) > 20
+    assert np.mean(missed) < 0.04
+
+
+def test_known_poses_of_a_frozen_drive_are_kept(days):
+    piece, _, drives, answer, *_ = days
+    count = len(drives[0].keys)
+    known = drives[0]._replace(poses=answer.poses[:count] + 1e-3)
+    kept = full_slam_of(piece, [known])
+    assert kept.poses[:count].tobytes() == known.poses.tobytes()
+
+
+def test_frozen_is_part_of_the_state(days):
+    piece, state, *_ = days
+    graph = from_arrays(KeyGraph, to_arrays(state.closure_state.graph))
+    assert graph.frozen == state.closure_state.graph.snapshot().frozen == len(piece)
+    assert piece.release().graph.frozen == 0
+    assert piece.graph.frozen == len(piece)
+    graph.truncate(5)
+    assert graph.frozen == 5
+
+
+def test_a_piece_that_is_not_frozen_moves(days):
+    """The same second day about the same piece, released: the old part follows what is new."""
+    piece, state, drives, *_ = days
+    free = replace(state, closure_state=state.closure_state.snapshot())
+    free.closure_state.graph.frozen = 0
+    answer = full_slam(free, drives, PROVOKED.mapper, PROVOKED.loop_closure, PROVOKED.final_refinement)
+    assert answer.graph.held == 1
+    assert np.abs(answer.graph.poses[: len(piece)] - piece.poses).max() > 1e-4
+
+
+def considered(graph):
+    """Covariances of all poses, the held part's own and the others' given it with its error: dense, in closed form."""
+    held, count = graph.held, len(graph.poses)
+    blocks = linearize(graph, graph.poses, graph.errors())
+    information = np.zeros((count, 3, count, 3))
+    for (a, b), first, cross, second in zip(graph.edges, blocks.first, blocks.cross, blocks.second, strict=True):
+        information[a, :, a] += first
+        information[b, :, b] += second
+        information[a, :, b] += cross
+        information[b, :, a] += cross.T
+    of_new = information.reshape(3 * count, -1)[3 * held :]
+    given = np.linalg.inv(of_new[:, 3 * held :])
+    gain = given @ of_new[:, : 3 * held]
+    own = (graph.edges < held).all(axis=1)
+    old = PoseGraph.of(graph.poses[:held], graph.edges[own], graph.measurements[own], graph.information[own])
+    blocks = linearize(old, old.poses, old.errors())
+    prior = np.zeros((held, 3, held, 3))
+    for (a, b), first, cross, second in zip(old.edges, blocks.first, blocks.cross, blocks.second, strict=True):
+        prior[a, :, a] += first
+        prior[b, :, b] += second
+        prior[a, :, b] += cross
+        prior[b, :, a] += cross.T
+    of_old = np.zeros((3 * held, 3 * held))
+    of_old[3:, 3:] = np.linalg.inv(prior.reshape(3 * held, -1)[3:, 3:])
+    whole = np.zeros((3 * count, 3 * count))
+    whole[: 3 * held, : 3 * held] = of_old
+    whole[3 * held :, 3 * held :] = given + gain @ of_old @ gain.T
+    return np.array([whole[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(count)])
+
+
+@pytest.fixture
+def walk():
+    """30 poses of a walk; the last 12 come by the first 18, which are held, at one or several places."""
+
+    def of(constraints):
+        rng = np.random.default_rng(7)
+        truth = [np.zeros(3)]
+        for _ in range(29):
+            truth.append(compose(truth[-1], np.array([0.5, 0.0, 0.3])))
+        edges = np.array([(k, k + 1) for k in range(29)] + [(2, 12)] + constraints)
+        truth = np.array(truth)
+        noise = rng.normal(0, 1, (len(edges), 3)) * [0.02, 0.02, 0.01]
+        information = np.tile(np.diag([2500.0, 2500.0, 1e4]), (len(edges), 1, 1))
+        information[17] = 1e-6 * np.eye(3)  # where the later drive begins is not known
+        measurements = compose(between(truth[edges[:, 0]], truth[edges[:, 1]]), noise)
+        graph = PoseGraph.of(truth, edges, measurements, information)
+        old = GraphSlam().solve(graph).poses
+        return GraphSlam().solve(replace(graph, poses=old, held=18)).graph
+
+    return of
+
+
+def test_covariances_of_a_frozen_part_are_not_lowered_by_what_it_does_not_follow(walk):
+    graph = walk([(5, 25), (6, 26), (9, 29)])
+    found = key_covariances(graph)
+    free = marginal_covariances(replace(graph, held=1))
+    exact = considered(graph)
+    np.testing.assert_allclose(found[:18], exact[:18], atol=1e-12)
+    traces, least, true = (np.trace(c[:, :2, :2], axis1=1, axis2=2) for c in (found, free, exact))
+    assert (traces >= least * (1 - 1e-9)).all()
+    np.testing.assert_allclose(traces[18:], true[18:], rtol=0.25)
+
+
+def test_with_one_constraint_the_covariances_are_exact_there(walk):
+    graph = walk([(5, 26)])
+    np.testing.assert_allclose(key_covariances(graph)[26], considered(graph)[26], rtol=0.02, atol=1e-6)
+
+
+def test_a_constraint_from_any_key_scan_leads_on_to_the_submap_ahead():
+    """After pieces were joined a constraint starts at any key scan, not only at the anchor of a submap."""
+    graph = KeyGraph()
+    for k in range(61):
+        pose = np.array([0.5 * (k % 50), 0.0, 0.0])
+        graph.extend(pose, pose, (1e-4, 1e-6))
+    graph.add(Constraint(3, 55, np.array([2.0, 0.0, 0.0]), 1e4 * np.eye(3), ConstraintSource.RECOGNIZED, True))
+    submap, pose = PlaceMatching()._predict_from_last_constraint(graph, 2)
+    reached = 0.5 * 3 + 2.0 + 0.5 * (60 - 55)
+    np.testing.assert_allclose(pose, [reached - 0.5 * anchor_of(submap), 0, 0], atol=1e-12)
+    assert submap == 1
