@@ -31,10 +31,21 @@ def apart(first, second):
     )
 
 
+def controls(phone):
+    """The boxes of the controls at the foot, none of which overlaps another or is cut off."""
+    parts = phone.find_elements("css selector", "#transport > :not([hidden])")
+    boxes = [part.rect for part in parts if part.is_displayed()]
+    assert all(box["x"] >= 0 and box["x"] + box["width"] <= 375 for box in boxes)
+    assert all(apart(one, other) for k, one in enumerate(boxes) for other in boxes[:k])
+    return boxes
+
+
 def test_nothing_overlaps_or_is_cut_off(phone, drive, screenshot):
     title = "a drive with a rather long name that does not fit on a phone.clf"
     with LivePage(title, LiveOptions(port=0), range_max_m=30.0) as page:
         phone.get(page.url)
+        wait(lambda: told(phone).get("stage") == "waiting", "the page is connected")
+        assert len(controls(phone)) == 7
         Mapping(page, drive).join(PATIENCE_S)
         wait_for_all(phone)
         assert int(told(phone)["tiles"]) > 50
@@ -49,11 +60,7 @@ def test_nothing_overlaps_or_is_cut_off(phone, drive, screenshot):
             names = ["bar", "transport"] + (["panel"] if opened else ["scale"])
             boxes = [phone.find_element("id", name).rect for name in names]
             assert all(apart(one, other) for k, one in enumerate(boxes) for other in boxes[:k])
-            parts = phone.find_elements("css selector", "#transport > :not([hidden])")
-            boxes = [part.rect for part in parts if part.is_displayed()]
-            assert len(boxes) == 7
-            assert all(box["x"] >= 0 and box["x"] + box["width"] <= 375 for box in boxes)
-            assert all(apart(one, other) for k, one in enumerate(boxes) for other in boxes[:k])
+            assert len(controls(phone)) == 4, "nothing is left to pause, to step or to speed up"
         click(phone, "sheet")
 
 

@@ -79,7 +79,7 @@ function redraw() {
 function moveCamera() {
   const pose = world.status.pose;
   if (camera.mode === "follow" && pose && camera.approach(pose[0], pose[1])) redraw();
-  const extent = world.map.extent() ?? drawing.extent();
+  const extent = world.map.extent(drawing.extent()) ?? drawing.extent();
   if (camera.mode === "fit" && extent) camera.fit(extent);
   document.body.dataset.view = [camera.x, camera.y, camera.scale, ...camera.middle].map((value) => value.toFixed(3)).join(" ");
   $("#fit").setAttribute("aria-pressed", camera.mode === "fit");
@@ -111,7 +111,7 @@ function setMode(mode) {
 function resize() {
   drawing.resize();
   const box = (selector) => $(selector).getBoundingClientRect(), wide = !matchMedia("(max-width: 720px), (max-height: 480px)").matches;
-  document.documentElement.style.setProperty("--foot", `${box("#transport").height}px`);
+  for (const [name, part] of [["--foot", "#transport"], ["--head", "#bar"]]) document.documentElement.style.setProperty(name, `${box(part).height}px`);
   const panelBox = box("#panel"), gap = 16;
   camera.margin = {
     left: gap, right: wide ? innerWidth - panelBox.left + gap : gap, top: box("#bar").bottom + gap,

@@ -64,6 +64,7 @@ export class Panel {
     notice.textContent = why ? `Refused by the server: ${why}.` : "Connection lost; trying again…";
     if (is) return;
     document.body.dataset.stage = finished ? "done" : "offline";
+    document.body.toggleAttribute("data-over", finished);
     $("#stage").textContent = finished ? "finished, server closed" : "offline";
     for (const id of ["#pause", "#step", "#speed", "#line"]) $(id).disabled = true;
   }
@@ -75,6 +76,7 @@ export class Panel {
     $("#stage").textContent = document.body.dataset.stage === "lost" ? "running, robot lost" : WORDS[status.stage] ?? status.stage;
     document.body.toggleAttribute("data-held", status.stage === "paused");
     const going = ["running", "paused", "waiting"].includes(status.stage) && this.mode !== "still";
+    document.body.toggleAttribute("data-over", ["final refinement", "writing", "done"].includes(status.stage));
     $("#pause").disabled = !going;
     for (const id of ["#step", "#speed"]) $(id).disabled = !going || this.mode === "robot";
     $("#pause").setAttribute("aria-label", this.held ? "Resume" : "Pause");

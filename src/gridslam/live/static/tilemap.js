@@ -1,6 +1,7 @@
 // The map: tiles of levels, kept as bitmaps of many tiles each.
 
 const TILES = 8; // along a bitmap's side
+const STRAY = 0.05; // share of the fullest row below which an outer one is left out
 
 function rgb(css) {
   const probe = new OffscreenCanvas(1, 1).getContext("2d");
@@ -20,6 +21,14 @@ export function palette(unknown, free, occupied) {
   });
 }
 
+// The first and the last row (or column) of tiles, by how many cells are known in each: outer ones that hold few cells
+// are beams through windows and doors, and do not count.
+function trim(sums) {
+  const keys = [...sums.keys()].sort((a, b) => a - b), most = Math.max(...sums.values());
+  const isStray = (key) => sums.get(key) < STRAY * most;
+  return [keys.find((key) => !isStray(key)), keys.findLast((key) => !isStray(key))];
+}
+
 export class TileMap {
   constructor() {
     this.side = 32;
@@ -30,7 +39,7 @@ export class TileMap {
   clear() {
     this.tiles = new Map(); // "row,column" to the tile's levels, two in a byte
     this.sheets = new Map();
-    this.box = null; // of the known tiles: [row0, column0, row1, column1]
+    this.known = new Map(); // "row,column" to the number of known cells, of tiles that have some
   }
 
   // Sets the side of a cell, m, and the corner of tile (0, 0).
@@ -53,13 +62,25 @@ export class TileMap {
       const tile = data.slice(k * bytes, (k + 1) * bytes);
       this.tiles.set(`${row},${column}`, tile);
       this.paint(row, column, tile);
-      if (tile.some((pair) => pair)) this.widen(row, column);
+      let known = 0;
+      for (const pair of tile) known += (pair & 15 ? 1 : 0) + (pair >> 4 ? 1 : 0);
+      if (known) this.known.set(`${row},${column}`, known); else this.known.delete(`${row},${column}`);
     }
+    this.box = undefined;
   }
 
-  widen(row, column) {
-    const [r0, c0, r1, c1] = this.box ?? [row, column, row, column];
-    this.box = [Math.min(r0, row), Math.min(c0, column), Math.max(r1, row), Math.max(c1, column)];
+  // The known tiles without strays: [row0, column0, row1, column1], or null.
+  findBox() {
+    if (this.box !== undefined) return this.box;
+    const rows = new Map(), columns = new Map(), add = (sums, key, count) => sums.set(key, (sums.get(key) ?? 0) + count);
+    for (const [key, count] of this.known) {
+      const [row, column] = key.split(",").map(Number);
+      add(rows, row, count);
+      add(columns, column, count);
+    }
+    const [[r0, r1], [c0, c1]] = [trim(rows), trim(columns)];
+    this.box = this.known.size ? [r0, c0, r1, c1] : null;
+    return this.box;
   }
 
   paint(row, column, tile) {
@@ -97,10 +118,12 @@ export class TileMap {
     }
   }
 
-  // In metres: [x0, y0, x1, y1], or null.
-  extent() {
-    if (!this.box) return null;
-    const metres = this.side * this.resolution, [r0, c0, r1, c1] = this.box, [x, y] = this.offset;
-    return [x + c0 * metres, y + r0 * metres, x + (c1 + 1) * metres, y + (r1 + 1) * metres];
+  // The known part without strays, with what is in `other`, in metres: [x0, y0, x1, y1], or null.
+  extent(other = null) {
+    const box = this.findBox();
+    if (!box) return null;
+    const metres = this.side * this.resolution, [r0, c0, r1, c1] = box, [x, y] = this.offset;
+    const own = [x + c0 * metres, y + r0 * metres, x + (c1 + 1) * metres, y + (r1 + 1) * metres];
+    return other ? own.map((value, k) => (k < 2 ? Math.min(value, other[k]) : Math.max(value, other[k]))) : own;
   }
 }
