@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, final
 import numpy as np
 
 from gridslam import __version__
+from gridslam.api.peak_memory import find_peak_memory_bytes
 from gridslam.api.result import Result, describe_input, find_repair, write_trajectory
 from gridslam.arguments import require_instance, require_seed, require_threads
 from gridslam.config import Configuration, apply_laser, build
@@ -213,7 +213,7 @@ class MapResult(Result):
             "filter": self._describe_filter(),
             "loop_closure": self.loop_summary is not None and self._describe_loop_closure(self.loop_summary),
             "latency": {"key_scans": asdict(statistics.key_latency), "all_scans": asdict(statistics.latency)},
-            "peak_memory_bytes": _peak_memory_bytes(),
+            "peak_memory_bytes": find_peak_memory_bytes(),
             "configuration": to_table(self.configuration),
         }
 
@@ -502,18 +502,3 @@ def _describe_odometry_errors(state: TrackerState) -> dict[str, Any]:
         "sigma_m": sigma_m,
         "sigma_rad": sigma_rad,
     }
-
-
-def _peak_memory_bytes() -> int:
-    """Greatest memory that this process has held.
-
-    `getrusage` may report the memory of the parent process, so /proc is read first.
-    """
-    try:
-        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
-        return next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
-    except (OSError, StopIteration, ValueError):
-        import resource  # where there is no /proc
-
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return peak if sys.platform == "darwin" else 1024 * peak

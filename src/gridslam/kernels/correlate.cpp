@@ -234,7 +234,7 @@ class Search {
   bool is_near_found_pose(const Node& node, const std::vector<ScoredPose>& found) const {
     const int more = (1 << node.level) - 1;
     for (const ScoredPose& place : found) {
-      const double turn = std::remainder(lattice_.headings[node.heading] - lattice_.headings[place.heading], 2 * M_PI);
+      const double turn = std::remainder(lattice_.headings[node.heading] - lattice_.headings[place.heading], 2 * kPi);
       const double x = std::max(std::abs(node.x - place.x), std::abs(node.x + more - place.x));
       const double y = std::max(std::abs(node.y - place.y), std::abs(node.y + more - place.y));
       const double squared = limits_.min_distance_cells * limits_.min_distance_cells;

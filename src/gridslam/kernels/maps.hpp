@@ -8,14 +8,18 @@
 #include <array>
 #include <atomic>
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
+#include <cstdlib>
 #include <limits>
+#include <numbers>
 #include <thread>
 #include <vector>
 
 // One wheel for every x86-64: such a function is compiled twice, and the loader takes the one that the CPU can run.
-// Both give identical results, as nothing is contracted or reassociated.
-#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__) && !defined(GRIDSLAM_SANITIZE)
+// Both give identical results, as nothing is contracted or reassociated. Only GCC beside glibc does so: musl's loader
+// cannot choose. The other extensions of compilers stand in this file, too, each behind its test.
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__) && !defined(GRIDSLAM_SANITIZE)
 #define GRIDSLAM_VERSIONS __attribute__((target_clones("default", "arch=x86-64-v3")))
 #define GRIDSLAM_INLINE inline __attribute__((always_inline))  // else the default version is called from the fast one
 #else
@@ -26,11 +30,16 @@
 namespace gridslam {
 
 inline void prefetch([[maybe_unused]] const void* p) {
-#if defined(__GNUC__)
+#if defined(__GNUC__) || defined(__clang__)
   __builtin_prefetch(p, 1);
 #endif
 }
 
+#if defined(__SSE2__) || defined(_M_X64)
+#define GRIDSLAM_SSE2
+#endif
+
+constexpr double kPi = std::numbers::pi;
 constexpr int kTileBits = 5;
 constexpr int kTile = 1 << kTileBits;
 constexpr int kTileMask = kTile - 1;

@@ -122,7 +122,7 @@ bool solve(const double h[6], const double g[3], double step[3]) {
   return true;
 }
 
-double wrapped(double a) { return a - 2 * M_PI * std::floor((a + M_PI) / (2 * M_PI)); }
+double wrapped(double a) { return a - 2 * kPi * std::floor((a + kPi) / (2 * kPi)); }
 
 void match_one(const Maps& m, int row, const double* guess, const double* prior, const Ends& ends, const Walls& walls,
                double resolution, const MatchSettings& s, double* pose, double* information, double* score) {

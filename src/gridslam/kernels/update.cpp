@@ -3,11 +3,11 @@
 #include <bit>
 #include <cstring>
 
-#if defined(__SSE2__)
+#include "rays.hpp"
+
+#if defined(GRIDSLAM_SSE2)
 #include <emmintrin.h>
 #endif
-
-#include "rays.hpp"
 
 namespace gridslam {
 namespace {
@@ -57,7 +57,7 @@ GRIDSLAM_VERSIONS uint16_t free_tile(int16_t* cells, const uint32_t* passes, int
 // A bit for each of the 32 cells of a tile's row that equals `wanted` and is not 0.
 inline uint32_t equal_bytes(const uint8_t* cells, const uint8_t* wanted) {
   uint32_t bits = 0;
-#if defined(__SSE2__)
+#if defined(GRIDSLAM_SSE2)
   for (int i = 0; i < kTile; i += 16) {
     const __m128i a = _mm_loadu_si128(reinterpret_cast<const __m128i*>(cells + i)),
                   b = _mm_loadu_si128(reinterpret_cast<const __m128i*>(wanted + i));
