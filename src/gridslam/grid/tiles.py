@@ -240,6 +240,31 @@ class TileMaps:
             self._make_writable(backend.tiles_near_cells(changed, int(self.reach_cells)))
             backend.update_field(*self._view, changed, self._cone, self.threads)
 
+    def limit(self, log_odds: float) -> None:
+        """Limit the log-odds of all known cells of all maps to `log_odds` nats, so that less evidence can change them.
+
+        What is known stays known, and what is an obstacle remains one: the limit is above `Evidence.occupied_above`.
+        ArgumentError where it is not.
+        """
+        steps = round(log_odds / LOG_ODDS_UNIT)
+        if steps <= self.evidence.occupied_above:
+            expected = f"more than {self.evidence.occupied_above * LOG_ODDS_UNIT:g} nats, of an obstacle"
+            raise ArgumentError("log_odds", expected, log_odds)
+        for row in range(len(self)):
+            ids, (tile_row, tile_column) = self.tile_ids(row)
+            places = np.argwhere(ids)
+            cells = self._arena.log_odds[ids[tuple(places.T)]]
+            places = places[((np.abs(cells) > steps) & (cells != UNKNOWN)).any(axis=(1, 2))]
+            if not len(places):
+                continue
+            whole = np.insert(places + np.array([tile_row, tile_column]), 0, row, axis=1).astype(np.int32)
+            self._require_room(whole)
+            self._make_writable(whole)
+            own = self.tile_ids(row)[0][tuple(places.T)]
+            cells = self._arena.log_odds[own]
+            limited = np.clip(cells, -steps, steps)
+            self._arena.log_odds[own] = np.where(cells == UNKNOWN, cells, limited)
+
     def match(
         self, rows: Int32Array, guesses: FloatArray, priors: FloatArray, ends: FloatArray, *settings: float | bool
     ) -> tuple[FloatArray, FloatArray, FloatArray]:

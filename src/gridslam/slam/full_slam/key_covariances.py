@@ -17,8 +17,8 @@ def key_covariances(graph: PoseGraph) -> FloatArray:
 
     What is held does not follow what is measured later, so it is as uncertain as what was measured within it leaves it.
     The others are as uncertain as they are given that part, and share its error: that of the held pose to which a
-    constraint of the key scan nearest in time leads, carried along rigidly. That is the covariance of an estimate that considers
-    parameters without estimating them, but for what the held poses about a place differ by among each other.
+    constraint of the key scan nearest in time leads, carried along rigidly. That is the covariance of an estimate that
+    considers parameters without estimating them, but for what the held poses about a place differ by among each other.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ from gridslam.matching.gauss_newton import weigh_known_beams
 from gridslam.slam.loop_closure.drift_model import compute_moments, diagonal_covariances, propagate_covariances
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
-from gridslam.slam.loop_closure.submaps import ROW
+from gridslam.slam.loop_closure.submaps import ROW, insert_key_scans
 from gridslam.types import FloatArray
 
 __all__ = ["TrajectoryScore", "TrajectoryScorer", "path_lengths"]
@@ -105,15 +105,14 @@ class TrajectoryScorer:
         beams = 0
         for key, (pose, passed) in enumerate(zip(poses, way.tolist(), strict=True)):
             while way[inserted] < passed - self.same_visit_distance:
-                maps.update(ROW, poses[inserted][None], scans.key(inserted))
+                insert_key_scans(maps, scans, (inserted,), poses[inserted][None], graph)
                 inserted += 1
             if inserted:
                 share, count = self._agreement(maps, pose, scans.key(key).ends)
                 agreeing, beams = agreeing + share, beams + count
             if key % 256 == 0:
                 on_progress()
-        for key in range(inserted, len(poses)):
-            maps.update(ROW, poses[key][None], scans.key(key))
+        insert_key_scans(maps, scans, range(inserted, len(poses)), poses[inserted:], graph)
         motion = self._motion(tracked, np.array(graph.variances), poses)
         likelihood = self._log_likelihood(agreeing, beams) + motion
         return TrajectoryScore(likelihood, beams, agreeing / beams if beams else float("nan"), motion), maps

@@ -20,7 +20,15 @@ from gridslam.slam.loop_closure.drift_model import compute_moments, diagonal_cov
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["KEY_SCANS_PER_SUBMAP", "KeyGraph", "SubmapDistance", "anchor_of", "first_key_scan", "submap_of"]
+__all__ = [
+    "KEY_SCANS_PER_SUBMAP",
+    "UNKNOWN_VARIANCES",
+    "KeyGraph",
+    "SubmapDistance",
+    "anchor_of",
+    "first_key_scan",
+    "submap_of",
+]
 
 KEY_SCANS_PER_SUBMAP = 10
 """Key scans of a submap: about 5 m of driving."""
@@ -28,6 +36,10 @@ KEY_SCANS_PER_SUBMAP = 10
 BLIND_SIGMA_M = 0.5
 BLIND_SIGMA_RAD = 0.1
 """Standard deviations above which an increment is regarded as a gap."""
+
+UNKNOWN_VARIANCES = (1e6, math.pi**2)
+"""Variances (m^2, rad^2) of the increment from the last key scan of a drive to the first one of the next: none is known
+of it."""
 
 _MATCH_RATIO = 1 / 6
 """Standard deviation that is expected of a constraint over the one that it has in searches and against outliers: that
@@ -141,6 +153,10 @@ class KeyGraph:
     def complete_submaps(self) -> int:
         """Number of submaps that are complete."""
         return len(self) // KEY_SCANS_PER_SUBMAP
+
+    def begins_drive(self, key: int) -> bool:
+        """Whether a key scan is the first one of a drive that was joined with earlier ones."""
+        return key > 0 and self.variances[key][0] >= UNKNOWN_VARIANCES[0]
 
     def extend(
         self,

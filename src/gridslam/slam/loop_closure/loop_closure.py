@@ -169,7 +169,8 @@ class LoopClosure:
         closure_state.join(found)
         trajectory = np.array(closure_state.graph.poses)
         joined = found.maps.snapshot()
-        insert_key_scans(joined, closure_state.scans, range(first, len(trajectory)), trajectory[first:])
+        new = range(first, len(trajectory))
+        insert_key_scans(joined, closure_state.scans, new, trajectory[first:], closure_state.graph)
         state.replace_trajectory(trajectory, joined)
 
     def _add_key_scan(self, closure_state: LoopClosureState, state: FilterState) -> None:
@@ -236,7 +237,9 @@ class LoopClosure:
         correction.poses = poses
         first = correction.inserted
         last = min(first + self.scans_per_step, len(poses))
-        insert_key_scans(correction.maps, closure_state.scans, range(first, last), poses[first:last])
+        insert_key_scans(
+            correction.maps, closure_state.scans, range(first, last), poses[first:last], closure_state.graph
+        )
         correction.inserted = last
         if last < len(poses):
             return False

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple, final
 
@@ -11,16 +10,12 @@ import numpy as np
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.loop_closure.constraints import Constraint
-from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.key_graph import UNKNOWN_VARIANCES, KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
-from gridslam.slam.loop_closure.submaps import build_map
+from gridslam.slam.loop_closure.submaps import insert_key_scans
 from gridslam.types import FloatArray
 
 __all__ = ["UNKNOWN_VARIANCES", "MapPiece", "PieceMatch"]
-
-UNKNOWN_VARIANCES = (1e6, math.pi**2)
-"""Variances (m^2, rad^2) of the increment from the last key scan of a drive to the first one of the next: none is known
-of it."""
 
 
 @final
@@ -52,8 +47,10 @@ class MapPiece:
         return np.array(self.graph.poses).reshape(-1, 3)
 
     def build_map(self, mapper: OccupancyGridMapping) -> TileMaps:
-        """Draw the piece as one map, in the order of the key scans."""
-        return build_map(mapper, self.scans, np.arange(len(self)), self.poses)
+        """Draw the piece as one map, drive by drive, in the order of the key scans; see `insert_key_scans`."""
+        maps = mapper.empty(1)
+        insert_key_scans(maps, self.scans, range(len(self)), self.poses, self.graph)
+        return maps
 
     def freeze(self) -> MapPiece:
         """The same piece, its key scans frozen: whatever is joined with it is aligned with where they are."""
