@@ -14,7 +14,8 @@ import numpy as np
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
-from gridslam.live.scene import Frame, RowBuffer, thin_tree
+from gridslam.live.ancestry_tree import thin_tree
+from gridslam.live.scene import Frame, RowBuffer
 from gridslam.live.tiles import EMPTY_BOX, Box, TileChangeDetector, TileChanges
 from gridslam.localization import LocalizationReport, MonteCarloState
 from gridslam.slam.grid_fastslam.state import GridFastSlamState

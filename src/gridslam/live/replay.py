@@ -17,9 +17,10 @@ from gridslam.io.maps import read_map
 from gridslam.io.results.record import read_record
 from gridslam.io.text import read_json, read_text
 from gridslam.io.trajectories import read_trajectory_csv, read_tum
+from gridslam.live.ancestry_tree import NO_POINTS
 from gridslam.live.control import check_particle, check_speed
 from gridslam.live.results import MappedRun, Results, StaticMap, TrajectoryRun
-from gridslam.live.scene import NO_POINTS, Scene, SentState, make_run_info
+from gridslam.live.scene import Scene, SentState, make_run_info
 from gridslam.live.tiles import TileReplica
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 

@@ -7,8 +7,9 @@ from typing import Any, TypeAlias, final
 import numpy as np
 
 from gridslam.io.results.record import Record, RecordFlag
+from gridslam.live.ancestry_tree import NO_POINTS, Float32Array, full_tree
 from gridslam.live.monitor import LOST
-from gridslam.live.scene import NO_LANDMARKS, NO_POINTS, NO_SERIES, Float32Array, Frame, finite_or_none, full_tree
+from gridslam.live.scene import NO_LANDMARKS, NO_SERIES, Frame, finite_or_none
 from gridslam.particles.ancestry import Ancestry
 from gridslam.slam.loop_closure.constraints import select_shown_closures
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory

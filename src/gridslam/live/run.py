@@ -10,10 +10,11 @@ from typing import Any, final
 import numpy as np
 
 from gridslam.errors import ArgumentError
+from gridslam.live.ancestry_tree import NO_POINTS
 from gridslam.live.control import Control, RobotControl, check_particle, check_speed
 from gridslam.live.monitor import BEST
 from gridslam.live.observer import UNVIEWED_PERIOD_S, VIEWED_PERIOD_S, LiveObserver, Snapshot
-from gridslam.live.scene import NO_POINTS, Frame, RowBuffer, Scene, SentState, finite_or_none, make_run_info
+from gridslam.live.scene import Frame, RowBuffer, Scene, SentState, finite_or_none, make_run_info
 from gridslam.live.tiles import TileReplica, split_into_tiles
 from gridslam.types import FloatArray, LaserScan, OccupancyGrid
 

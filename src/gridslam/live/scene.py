@@ -6,41 +6,30 @@ import math
 import secrets
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeAlias, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridslam import __version__
 from gridslam.kernels import TILE
+from gridslam.live.ancestry_tree import NO_POINTS, NO_TREE, AncestryTree, Float32Array
 from gridslam.live.protocol import STEP_NATS, encode, pack_tiles
 from gridslam.live.tiles import TileReplica, tile_offset
-from gridslam.particles.ancestry import Ancestry
 from gridslam.types import FloatArray, OccupancyGrid
 
 __all__ = [
     "NO_LANDMARKS",
-    "NO_POINTS",
     "NO_SERIES",
-    "NO_TREE",
-    "AncestryTree",
-    "Float32Array",
     "Frame",
     "RowBuffer",
     "Scene",
     "SentState",
     "finite_or_none",
-    "full_tree",
     "make_run_info",
-    "thin_tree",
 ]
 
-Float32Array: TypeAlias = NDArray[np.float32]
-
 _MAX_TILES = 1024
-_MAX_NODES = 1500  # of an ancestry tree; larger trees are thinned to every second, third, ... step
-_STEPS_PER_UNIT = np.float32(64)  # per m: positions are rounded to 1.6 cm, which halves their compressed size
-NO_POINTS: Float32Array = np.zeros((0, 2), np.float32)
 NO_PARTICLES: Float32Array = np.zeros((0, 4), np.float32)
 NO_CLOSURES: Float32Array = np.zeros((0, 4), np.float32)
 NO_LANDMARKS: Float32Array = np.zeros((0, 5), np.float32)
@@ -76,67 +65,6 @@ class RowBuffer:
     def rows(self) -> Float32Array:
         """All rows so far."""
         return self._rows[: self._count]
-
-
-@final
-class AncestryTree(NamedTuple):
-    """The part of the particles' paths that they do not share.
-
-    Attributes
-    ----------
-    positions : (M, 2) float32
-        Positions of the nodes, to 1.6 cm.
-    parents : (M,) int32
-        Parent of each node; -1: the end of the shared path, -2: none.
-    leaves : (N,) int32
-        Node of each particle; -1: the end of the shared path.
-    """
-
-    positions: Float32Array
-    parents: NDArray[np.int32]
-    leaves: NDArray[np.int32]
-
-
-NO_TREE = AncestryTree(NO_POINTS, np.zeros(0, np.int32), np.zeros(0, np.int32))
-"""The tree of particles without ancestry."""
-
-
-def thin_tree(ancestry: Ancestry, max_nodes: int = _MAX_NODES) -> tuple[Float32Array, AncestryTree]:
-    """Return the path (T, 2) that all particles share, and the tree after it, thinned to about `max_nodes`."""
-    arrays = ancestry.to_arrays()
-    counts = arrays["counts"]
-    parents = arrays["parents"]
-    leaves = arrays["leaves"]
-    begins = np.concatenate([[0], np.cumsum(counts)])
-    stride = -(-len(parents) // max_nodes) or 1
-    kept = range(len(counts) - 1, -1, -stride)  # levels, the newest first
-    number = np.full(len(parents), -1, np.int64)  # of each kept node among those that are kept
-    nodes = np.concatenate([np.arange(begins[k], begins[k + 1]) for k in reversed(kept)] or [leaves[:0]])
-    number[nodes] = np.arange(len(nodes))
-    before = np.full(len(parents), -1, np.int64)
-    for level in kept:
-        above = parents[begins[level] : begins[level + 1]]
-        for between in range(level - 1, max(level - stride, -1), -1):
-            above = parents[begins[between] : begins[between + 1]][above]
-        if level >= stride:
-            before[begins[level] : begins[level + 1]] = number[begins[level - stride] + above]
-    ends = number[begins[-2] + leaves] if len(counts) else np.full(len(leaves), -1)
-    positions = arrays["poses"][nodes, :2].astype(np.float32)
-    rounded = (np.rint(positions * _STEPS_PER_UNIT) / _STEPS_PER_UNIT).astype(np.float32)
-    tree = AncestryTree(rounded, before[nodes].astype(np.int32), ends.astype(np.int32))
-    return arrays["trunk"][:, :2].astype(np.float32), tree
-
-
-def full_tree(ancestry: Ancestry) -> AncestryTree:
-    """Return all paths as one tree that includes the shared path."""
-    trunk, tree = thin_tree(ancestry)
-    count = len(trunk)
-    stem = np.arange(-1, count - 1, dtype=np.int32)
-    stem[:1] = -2
-    parents = np.where(tree.parents < 0, count - 1 if count else -2, tree.parents + count)
-    leaves = np.where(tree.leaves < 0, count - 1, tree.leaves + count)
-    joined = np.concatenate([stem, parents.astype(np.int32)])
-    return AncestryTree(np.concatenate([trunk, tree.positions]), joined, leaves.astype(np.int32))
 
 
 @final

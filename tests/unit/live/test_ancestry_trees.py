@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gridslam.io.results.record import Record, RecordFlag
+from gridslam.live.ancestry_tree import full_tree, thin_tree
 from gridslam.live.results import AncestryReplay
-from gridslam.live.scene import full_tree, thin_tree
 from gridslam.particles.ancestry import Ancestry
 
 N = 5

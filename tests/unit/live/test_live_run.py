@@ -80,7 +80,7 @@ def test_two_viewers_see_the_best_map_at_every_time(drive, every):
 
 def test_the_path_of_the_shown_particle_is_drawn_in_full(drive, monkeypatch):
     """However large the tree is, which is thinned: else the path goes through walls."""
-    monkeypatch.setattr("gridslam.live.scene.thin_tree.__defaults__", (6,))
+    monkeypatch.setattr("gridslam.live.ancestry_tree.thin_tree.__defaults__", (6,))
     observed, client = ObservedRun(every=5), PageClient()
     viewer, compared, thinned = observed.live.add_viewer(lambda: None), [], []
 

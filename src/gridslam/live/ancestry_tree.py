@@ -1,0 +1,117 @@
+"""The paths of all particles as one tree, thinned for the page."""
+
+from __future__ import annotations
+
+from heapq import heappop, heappush
+from itertools import pairwise
+from typing import NamedTuple, TypeAlias, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.particles.ancestry import Ancestry
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["NO_POINTS", "NO_TREE", "AncestryTree", "Float32Array", "full_tree", "thin_tree"]
+
+Float32Array: TypeAlias = NDArray[np.float32]
+
+_MAX_NODES = 1500  # of a tree; of larger trees fewer steps are kept
+_STEPS_PER_UNIT = np.float32(64)  # per m: positions are rounded to 1.6 cm, which halves their compressed size
+NO_POINTS: Float32Array = np.zeros((0, 2), np.float32)
+
+
+@final
+class AncestryTree(NamedTuple):
+    """The part of the particles' paths that they do not share.
+
+    Attributes
+    ----------
+    positions : (M, 2) float32
+        Positions of the nodes, to 1.6 cm.
+    parents : (M,) int32
+        Parent of each node; -1: the end of the shared path, -2: none.
+    leaves : (N,) int32
+        Node of each particle; -1: the end of the shared path.
+    """
+
+    positions: Float32Array
+    parents: NDArray[np.int32]
+    leaves: NDArray[np.int32]
+
+
+NO_TREE = AncestryTree(NO_POINTS, np.zeros(0, np.int32), np.zeros(0, np.int32))
+"""The tree of particles without ancestry."""
+
+
+def thin_tree(ancestry: Ancestry, max_nodes: int = _MAX_NODES) -> tuple[Float32Array, AncestryTree]:
+    """Return the path (T, 2) that all particles share, and the tree after it, thinned to about `max_nodes`.
+
+    The tree keeps the steps without which the first particle's path would change most.
+    """
+    arrays = ancestry.to_arrays()
+    counts = arrays["counts"]
+    parents = arrays["parents"]
+    leaves = arrays["leaves"]
+    trunk = arrays["trunk"][:, :2].astype(np.float32)
+    begins = np.concatenate([[0], np.cumsum(counts)])
+    kept = _select_steps(ancestry.trajectory(0)[len(trunk) :, :2], counts, max_nodes)
+    nodes = np.concatenate([np.arange(begins[k], begins[k + 1]) for k in kept] or [leaves[:0]])
+    number = np.full(len(parents), -1, np.int64)  # of each kept node among those that are kept
+    number[nodes] = np.arange(len(nodes))
+    before = np.full(len(parents), -1, np.int64)
+    for earlier, level in pairwise(kept):
+        above = parents[begins[level] : begins[level + 1]]
+        for between in range(level - 1, earlier, -1):
+            above = parents[begins[between] : begins[between + 1]][above]
+        before[begins[level] : begins[level + 1]] = number[begins[earlier] + above]
+    ends = number[begins[-2] + leaves] if len(counts) else np.full(len(leaves), -1)
+    positions = arrays["poses"][nodes, :2].astype(np.float32)
+    rounded = (np.rint(positions * _STEPS_PER_UNIT) / _STEPS_PER_UNIT).astype(np.float32)
+    tree = AncestryTree(rounded, before[nodes].astype(np.int32), ends.astype(np.int32))
+    return trunk, tree
+
+
+def _select_steps(path: FloatArray, counts: IntArray, max_nodes: int) -> list[int]:
+    """Select steps of a path (T, 2), the last one included, as long as their nodes (T,) are fewer than `max_nodes`.
+
+    Each further step is the one that is farthest from the line between those around it (Douglas and Peucker 1973).
+    """
+    if counts.sum() <= max_nodes:
+        return list(range(len(path)))
+    last = len(path) - 1
+    kept = [0, last]
+    nodes = int(counts[0] + counts[last])
+    queue = [_find_farthest(path, 0, last)] if last > 1 else []
+    while queue:
+        _, first, step, end = heappop(queue)
+        nodes += int(counts[step])
+        if nodes > max_nodes:
+            break
+        kept.append(step)
+        for a, b in ((first, step), (step, end)):
+            if b - a > 1:
+                heappush(queue, _find_farthest(path, a, b))
+    return sorted(set(kept))
+
+
+def _find_farthest(path: FloatArray, first: int, end: int) -> tuple[float, int, int, int]:
+    """Return the negative distance, m, of the step farthest from the line between two steps, and all three steps."""
+    chord = path[end] - path[first]
+    offsets = path[first + 1 : end] - path[first]
+    share = np.clip(offsets @ chord / max(float(chord @ chord), 1e-12), 0.0, 1.0)
+    distances = np.hypot(*(offsets - share[:, None] * chord).T)
+    farthest = int(np.argmax(distances))
+    return -float(distances[farthest]), first, first + 1 + farthest, end
+
+
+def full_tree(ancestry: Ancestry) -> AncestryTree:
+    """Return all paths as one tree that includes the shared path."""
+    trunk, tree = thin_tree(ancestry)
+    count = len(trunk)
+    stem = np.arange(-1, count - 1, dtype=np.int32)
+    stem[:1] = -2
+    parents = np.where(tree.parents < 0, count - 1 if count else -2, tree.parents + count)
+    leaves = np.where(tree.leaves < 0, count - 1, tree.leaves + count)
+    joined = np.concatenate([stem, parents.astype(np.int32)])
+    return AncestryTree(np.concatenate([trunk, tree.positions]), joined, leaves.astype(np.int32))
