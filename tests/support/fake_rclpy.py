@@ -82,6 +82,9 @@ class Node:
     def get_name(self) -> str:
         return self.name
 
+    def get_fully_qualified_name(self) -> str:
+        return f"/{self.name}"
+
     def has_parameter(self, name: str) -> bool:
         return name in self.world.parameters
 

@@ -32,7 +32,8 @@ def test_every_documented_parameter_is_known():
 def test_every_parameter_does_something_or_says_why_not():
     for name in GMAPPING_DEFAULTS:
         assert sum(name in table for table in (_FILTER, _DERIVED, _NODE, _UNSUPPORTED)) == 1, name
-    assert {*_NODE, "preset", "config", "set", "record", "out", "mode", "map_file"} >= set(NODE_DEFAULTS)
+    others = {"preset", "config", "set", "record", "out", "mode", "map_file", "scan_topic", "paused_new_measurements"}
+    assert {*_NODE, *others} >= set(NODE_DEFAULTS)
 
 
 def test_the_defaults_are_those_of_the_preset_gmapping():

@@ -1,4 +1,4 @@
-"""Parameters of the node: those of slam_gmapping with their names and defaults, those of AMCL, and its own.
+"""Parameters of the node: those of slam_gmapping with their names and defaults, of AMCL and slam_toolbox, and its own.
 
 Source: the public documentation of the ROS package gmapping, http://wiki.ros.org/gmapping, section Parameters.
 """
@@ -18,6 +18,7 @@ from gridslam.api.localization import known_map
 from gridslam.config import Configuration, load, override, preset
 from gridslam.config.tables import describe_error, names, nest, replace_parameters, suggest_names
 from gridslam.errors import ArgumentError, ConfigurationError
+from gridslam.ros.node.foreign_parameters import FOREIGN_NAMES, flatten, translate_parameters
 from gridslam.ros.node.session import Localization
 
 __all__ = ["GMAPPING_DEFAULTS", "NODE_DEFAULTS", "NodeParameters", "NodeSettings", "node_parameters"]
@@ -79,6 +80,8 @@ NODE_DEFAULTS: Final[Mapping[str, float | int | str | bool]] = {
     "out": "",
     "mode": "mapping",
     "map_file": "",
+    "scan_topic": "scan",
+    "paused_new_measurements": False,
 }
 """The node's own parameters and defaults: see docs/ros.md."""
 
@@ -237,6 +240,10 @@ class NodeParameters:
         The ignored parameters with the reasons; empty if there are none.
     record, out : Path or None
         File for the accepted scans, and output folder.
+    scan_topic : str
+        Name of the topic of the scans, before remapping.
+    paused : bool
+        Whether the node begins paused.
     """
 
     settings: NodeSettings
@@ -244,6 +251,8 @@ class NodeParameters:
     warning: str
     record: Path | None
     out: Path | None
+    scan_topic: str = "scan"
+    paused: bool = False
 
 
 def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> NodeParameters:
@@ -255,7 +264,8 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
     Parameters
     ----------
     given : mapping
-        Parameters set by the user: of `GMAPPING_DEFAULTS`, `NODE_DEFAULTS`; others are ignored.
+        Parameters set by the user: of `GMAPPING_DEFAULTS`, `NODE_DEFAULTS`, AMCL or slam_toolbox; others are ignored.
+        Tables are flattened: `initial_pose: {x: 1}` is `initial_pose.x`.
     preset_name : str
         The preset if `given` has none.
 
@@ -266,6 +276,18 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
     InputError
         The file of the map or of the configuration cannot be read.
     """
+    given, spelled, foreign = translate_parameters(flatten(given))
+    try:
+        return _node_parameters(given, foreign, preset_name)
+    except ConfigurationError as error:
+        name, mark, problem = str(error).partition(": ")
+        if name not in spelled:
+            raise
+        raise ConfigurationError(f"{spelled[name]}{mark}{problem}") from None
+
+
+def _node_parameters(given: Mapping[str, Any], foreign: Mapping[str, str], preset_name: str) -> NodeParameters:
+    """Convert parameters; `foreign` are those of other nodes that are ignored, with the reasons."""
     values = {**NODE_DEFAULTS, **{name: value for name, value in given.items() if name in NODE_DEFAULTS}}
     localizes = values["mode"] == "localization"
     if not localizes and values["mode"] != "mapping":
@@ -281,7 +303,13 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
         configuration, reasons = _read_mapping(given, str(values["preset"]) or preset_name)
     record = Path(str(values["record"])) if values["record"] else None
     out = Path(str(values["out"])) if values["out"] and not localizes else None
-    return NodeParameters(_read_settings(given), configuration, _group_by_reason(reasons), record, out)
+    scan_topic, paused = values["scan_topic"], values["paused_new_measurements"]
+    if not (isinstance(scan_topic, str) and scan_topic):
+        raise ConfigurationError(f"scan_topic: expected the name of a topic, got {scan_topic!r}")
+    if not isinstance(paused, bool):
+        raise ConfigurationError(f"paused_new_measurements: expected true or false, got {paused!r}")
+    warning = _group_by_reason({**reasons, **foreign})
+    return NodeParameters(_read_settings(given), configuration, warning, record, out, scan_topic, paused)
 
 
 def _read_mapping(given: Mapping[str, Any], preset_name: str) -> tuple[Configuration, dict[str, str]]:
@@ -305,7 +333,8 @@ def _read_mapping(given: Mapping[str, Any], preset_name: str) -> tuple[Configura
             if not there.intersection(_PATHS[name]):
                 reasons[name] = f"the preset {preset_name} has no such part"
         elif name not in _NODE and name not in NODE_DEFAULTS:
-            reasons[name] = f"there is no such parameter{suggest_names(name, [*GMAPPING_DEFAULTS, *NODE_DEFAULTS])}"
+            known = [*GMAPPING_DEFAULTS, *NODE_DEFAULTS, *FOREIGN_NAMES]
+            reasons[name] = f"there is no such parameter{suggest_names(name, known)}"
     return override(config, *_assignments(given)), reasons
 
 
@@ -323,7 +352,7 @@ def _read_localization(given: Mapping[str, Any]) -> tuple[Localization, dict[str
             known.require(pose[0])
         except ArgumentError as error:
             raise ConfigurationError(f"initial_{error}") from None
-    ignored = [name for name in (*amcl.ignored, *changed.ignored) if name not in _AMCL_NODE]
+    ignored = [name for name in (*amcl.ignored, *changed.ignored) if name not in (*_AMCL_NODE, *NODE_DEFAULTS)]
     reasons = dict.fromkeys(ignored, "it has no equivalent")
     for name in given:
         if name in (*_PATHS, *_UNSUPPORTED, "preset", "config", "out"):

@@ -149,6 +149,7 @@ class RosNode:
         self._transport = transport
         self._log = transport.outputs.log
         self._out = parameters.out
+        self._scan_topic = parameters.scan_topic
         self._saving: list[threading.Thread] = []
         self._saved: set[Path] = set()
         self.core = NodeCore(
@@ -158,6 +159,8 @@ class RosNode:
             record=parameters.record,
             on_jump=None if self._out is None else self._save_earlier,
         )
+        if parameters.paused:
+            self.core.pause(True)
         transport.connect(self.core.refuse_message)
         if parameters.warning:
             self._log(Level.WARN, parameters.warning)
@@ -167,7 +170,7 @@ class RosNode:
         core = self.core
         core.start()
         self._advertise_services()
-        scans = self._transport.resolve("scan")
+        scans = self._transport.resolve(self._scan_topic)
 
         def on_transforms(data: bytes, wire: Wire, publisher: str, static: bool = False) -> None:
             core.on_transforms(decode_transforms(data, wire), static=static, publisher=publisher)
@@ -183,7 +186,7 @@ class RosNode:
         on_static_transforms = partial(on_transforms, static=True)
         self._subscribe("/tf_static", "tf2_msgs/TFMessage", on_static_transforms, latched=True, depth=100)
         self._subscribe("/tf", "tf2_msgs/TFMessage", on_transforms, depth=100)
-        self._subscribe("scan", "sensor_msgs/LaserScan", on_scan, reliable=False)
+        self._subscribe(self._scan_topic, "sensor_msgs/LaserScan", on_scan, reliable=False)
         settings = core.settings
         odometry = "" if settings.odometry == "none" else f" and for {settings.base_frame} in {settings.odom_frame}"
         self._log(Level.OK, f"waiting for scans on {scans}{odometry}")

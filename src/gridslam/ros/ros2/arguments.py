@@ -8,13 +8,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, Final, final
 
 from gridslam.errors import ConfigurationError
 from gridslam.io.ros_parameters import read_parameter_file
 from gridslam.io.yaml import parse_yaml
 
-__all__ = ["RosArguments", "parse_ros_arguments"]
+__all__ = ["RosArguments", "find_foreign_files", "parse_ros_arguments"]
 
 _KINDS: Final[tuple[tuple[str, ...], ...]] = (
     ("-p", "--param"),
@@ -41,6 +42,8 @@ class RosArguments:
         Name and namespace of the node; the latter begins with a slash.
     ignored : tuple of str
         Arguments that have an effect only in ROS.
+    foreign_files : tuple of str
+        A sentence for each parameter file that has nothing for this node.
     """
 
     parameters: Mapping[str, Any] = field(default_factory=dict)
@@ -48,6 +51,7 @@ class RosArguments:
     node: str = "gridslam"
     namespace: str = "/"
     ignored: tuple[str, ...] = ()
+    foreign_files: tuple[str, ...] = ()
 
     def resolve(self, name: str) -> str:
         """Return the full name of a topic or service: remapped, in the namespace, or in the node's own after a ~."""
@@ -100,7 +104,34 @@ def parse_ros_arguments(arguments: Sequence[str], node: str = "gridslam") -> Ros
         elif kind is _PARAMETER:
             of, name, value = _split(text)
             parameters |= {name: _parse_value(value)} if of in ("", named) else {}
-    return RosArguments(parameters, remaps, named, space, tuple(ignored))
+    foreign = find_foreign_files(arguments, f"{space.rstrip('/')}/{named}")
+    return RosArguments(parameters, remaps, named, space, tuple(ignored), foreign)
+
+
+def find_foreign_files(arguments: Sequence[str], node: str) -> tuple[str, ...]:
+    """Return a sentence for each parameter file in which no section is for the node with this full name.
+
+    Raises
+    ------
+    InputError
+        A parameter file cannot be read.
+    """
+    files = [path for option, path in pairwise(arguments) if option in _FILE]
+    return tuple(sentence for path in dict.fromkeys(files) if (sentence := _describe_foreign(path, node)))
+
+
+def _describe_foreign(path: str, node: str) -> str:
+    """Return why a file has no effect on a node; empty if it has."""
+    sections = [pattern for pattern, _ in read_parameter_file(path)]
+    if any(re.fullmatch(_node_pattern(pattern), node) for pattern in sections):
+        return ""
+    if not any(sections):
+        return f"{path} names no node, so nothing in it is used: put its parameters below /**: and ros__parameters:"
+    others = ", ".join(sections)
+    start = f"start with -r __node:={sections[0].rpartition('/')[2]}, " if len(sections) == 1 else ""
+    return (
+        f"{path} has parameters of {others}, none of {node}, so nothing in it is used: {start}or rename the node in it"
+    )
 
 
 def _split(text: str) -> tuple[str, str, str]:

@@ -22,6 +22,7 @@ from gridslam.ros.node.messages import GridMessage, Level, Outputs
 from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, ViewerOpener, import_ros
+from gridslam.ros.ros2.arguments import find_foreign_files
 
 __all__ = ["NODE_NAME", "Ros2Transport", "run_ros2"]
 
@@ -149,7 +150,9 @@ class Ros2Transport:
 def _read_parameters(node: Any) -> dict[str, Any]:  # noqa: ANN401
     """Return the parameters set by launch files and arguments; no others are declared, so presets apply."""
     there = node.get_parameters_by_prefix("")
-    return {name: held.value for name, held in there.items() if name not in _ROS_S and "." not in name}
+    return {
+        name: held.value for name, held in there.items() if name not in _ROS_S and not name.startswith("qos_overrides.")
+    }
 
 
 def _make_managed_class(base: Any) -> Any:  # noqa: ANN401
@@ -218,7 +221,10 @@ def run_ros2(
         node.destroy_node()
         node = _make_managed_class(_import("rclpy.lifecycle").LifecycleNode)(NODE_NAME, **options)
     parameters = node_parameters({**_read_parameters(node), **(given or {})}, "default")
-    ours = RosNode(Ros2Transport(node), parameters)
+    transport = Ros2Transport(node)
+    for sentence in find_foreign_files(arguments, node.get_fully_qualified_name()):
+        transport.outputs.log(Level.WARN, sentence)
+    ours = RosNode(transport, parameters)
     if managed:
         node.core = ours.core
         ours.core.pause(True)

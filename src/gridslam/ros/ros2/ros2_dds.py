@@ -58,6 +58,8 @@ class DdsTransport:
         self.outputs: Outputs = EncodedOutputs(self._encoder, self._publish, self._now_ns, self._log, arguments.node)
         if arguments.ignored:
             self._log(Level.WARN, f"arguments that are ignored, as there is no ROS: {', '.join(arguments.ignored)}")
+        for sentence in arguments.foreign_files:
+            self._log(Level.WARN, sentence)
         self._writers = {topic: f"rt{self.resolve(topic)}" for topic in TOPICS}
 
     def connect(self, refuse: Callable[[str, str], None]) -> None:
