@@ -15,6 +15,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from gridslam.cli import live as live_module
+from gridslam.cli import simulate as simulate_module
 from gridslam.cli.main import main
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.maps import read_map, write_map
@@ -111,7 +112,7 @@ def run_viewed(call, monkeypatch, client, *command):
 
 
 def test_the_demo_begins_without_a_viewer_in_the_end(call, tmp_path, monkeypatch):
-    monkeypatch.setattr(live_module, "_VIEWER_TIMEOUT_S", 0.0)
+    monkeypatch.setattr(simulate_module, "_DEMO_WAIT_S", 0.01)
     status, _, err = call("demo", "-o", tmp_path / "out", "--live", "--live-port", 0)
     assert status == 0
     assert "open the page to begin" in err
@@ -130,8 +131,12 @@ def test_a_taken_port_is_bad_usage_and_nothing_is_written(call, log, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--live-port", "0"], "need --live"),
-        (["--live-host", "0.0.0.0"], "need --live"),
+        (["--live-port", "0"], "--live-port needs --live"),
+        (["--live-host", "0.0.0.0"], "--live-host needs --live"),
+        (["--open"], "--open needs --live"),
+        (["--wait", "3"], "--wait needs --live"),
+        (["--live", "--wait", "-3"], "--wait: expected a time >= 0 s"),
+        (["--live", "--live-speed", "0"], "--live-speed: expected a number > 0"),
         (["--live", "--live-port", "70000"], "--live-port: expected a number from 0 to 65535"),
     ],
 )

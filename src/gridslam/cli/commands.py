@@ -30,6 +30,7 @@ from gridslam.cli.options import (
     read_pose,
     repair_option,
     rerun_option,
+    robot_live_options,
     seed_option,
     threads_option,
 )
@@ -189,6 +190,12 @@ def demo_command(**options: Any) -> None:  # noqa: ANN401
 
 @gridslam.command("view")
 @click.argument("out", type=PATH)
+@click.option(
+    "--beside",
+    type=PATH,
+    metavar="PATH",
+    help="Compare with another OUT, map.yaml or trajectory.tum.  [default: OUT/truth.tum, if there is one]",
+)
 @host_options
 def view_command(**options: Any) -> None:  # noqa: ANN401
     """Replay the results in OUT in the browser."""
@@ -607,7 +614,7 @@ _NODE_SETTINGS = {**SETTINGS, "ignore_unknown_options": True}
 
 def node_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of a node to its command."""
-    return add_options(live_options(rerun_option(command)), _NODE_OPTIONS)
+    return add_options(robot_live_options(rerun_option(command)), _NODE_OPTIONS)
 
 
 @gridslam.command("ros1", context_settings=_NODE_SETTINGS)

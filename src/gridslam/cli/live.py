@@ -31,8 +31,6 @@ __all__ = ["NOBODY", "Viewers", "node_page", "open_viewers", "rerun_recording", 
 
 _Page = TypeVar("_Page")
 
-_VIEWER_TIMEOUT_S = 60.0
-
 
 class Viewers(NamedTuple):
     """The page of a run and its recording, or None for each that is not wanted."""
@@ -53,11 +51,11 @@ class Viewers(NamedTuple):
         viewers += [] if self.recording is None else [isolate(self.recording, _warn_once("the recording"))]
         return {"observers": viewers, "gate": gate}
 
-    def wait(self) -> None:
-        """Give someone a minute to open the page; if nobody comes, go as fast as can be."""
-        if self.page is not None:
-            warn(f"open the page to begin; without it the run begins in {_VIEWER_TIMEOUT_S:.0f} s")
-            if not self.page.wait_for_viewer(_VIEWER_TIMEOUT_S):
+    def wait(self, timeout_s: float) -> None:
+        """Give someone this time to open the page; if nobody comes, go as fast as can be."""
+        if self.page is not None and timeout_s > 0:
+            warn(f"open the page to begin; without it the run begins in {timeout_s:.0f} s")
+            if not self.page.wait_for_viewer(timeout_s):
                 self.page.control.set_speed(None)
 
     def show_result(self, result: MapResult) -> None:
@@ -100,8 +98,10 @@ def open_viewers(
         from gridslam.live.page import LivePage
 
         page = stack.enter_context(serve_page(LivePage(title, live, range_max_m=range_max_m, known=known)))
-        warn(f"live at {page.url}")
-        yield Viewers(page, recording)
+        viewers = Viewers(page, recording)
+        announce(page.url, live)
+        viewers.wait(live.wait_s or 0.0)
+        yield viewers
         if page.viewers:
             warn("the page stays open while it is looked at; Ctrl-C ends it")
             try:
@@ -149,20 +149,36 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
             page.show_message(diagnostics.summary if diagnostics.level else "")
 
         core.add_observer(page.observer, page.follow_session, on_diagnostics)
-        warn(f"live at {page.url}")
+        announce(page.url, live)
         yield
 
 
-def view(out: Path, live: LiveOptions) -> None:
+def announce(url: str, live: LiveOptions) -> None:
+    """Print the page's address to standard error, and open it if that is wanted."""
+    warn(f"live at {url}")
+    open_page(url, live)
+
+
+def open_page(url: str, live: LiveOptions) -> None:
+    """Open the page in the default browser, if that is wanted."""
+    if live.opens:
+        import webbrowser
+
+        if not webbrowser.open(url):
+            warn("no browser was found to open the page")
+
+
+def view(out: Path, live: LiveOptions, beside: Path | None = None) -> None:
     """Show a finished run in the browser until interrupted, which is how it ends well."""
     from gridslam.live.replay import Replay
     from gridslam.live.server import PageServer
 
-    replay = Replay(out)
+    replay = Replay(out, beside, 10.0 if live.speed is None else live.speed)
     with serve_page(PageServer(replay, live)) as page:
         if replay.results.missing:
             warn(f"{out}: {replay.results.missing}")
         click.echo(f"{out}: open {page.url} (Ctrl-C ends)")
+        open_page(page.url, live)
         try:
             threading.Event().wait()
         except KeyboardInterrupt:

@@ -38,6 +38,7 @@ __all__ = [
     "read_pose",
     "repair_option",
     "rerun_option",
+    "robot_live_options",
     "seed_option",
     "threads_option",
 ]
@@ -165,6 +166,18 @@ _HOST_OPTIONS = (
     ),
 )
 _LIVE_OPTION = click.option("--live", is_flag=True, help="Show the run live in the browser.")
+_LIVE_NAMES = {
+    "live_port": "--live-port",
+    "live_host": "--live-host",
+    "live_opens": "--open",
+    "live_speed": "--live-speed",
+    "live_wait_s": "--wait",
+}
+_OPEN_OPTION = click.option("--open", "live_opens", is_flag=True, help="Open the page in the default browser.")
+_SPEED_OPTION = click.option(
+    "--live-speed", type=float, metavar="FACTOR", help="Initial speed of the page, a factor on real time."
+)
+_WAIT_OPTION = click.option("--wait", "live_wait_s", type=float, metavar="S", help="Wait up to S seconds for a viewer.")
 
 
 def log_options(command: _Command) -> _Command:
@@ -183,25 +196,37 @@ def log_options(command: _Command) -> _Command:
 
 
 def live_options(command: _Command) -> _Command:
-    """Add --live, --live-port and --live-host to a command, which gets them as ``live``: LiveOptions, or None."""
+    """Add --live and the options of its page to a command, which gets them as ``live``: LiveOptions, or None."""
+    return _add_live_options(command, (_LIVE_OPTION, *_HOST_OPTIONS, _OPEN_OPTION, _SPEED_OPTION, _WAIT_OPTION))
 
-    @functools.wraps(command)
-    def wrapper(live: bool, live_port: int | None, live_host: str | None, **given: Any) -> Any:  # noqa: ANN401
-        if not live and (live_port is not None or live_host is not None):
-            raise click.UsageError("--live-port and --live-host need --live")
-        return command(live=_read_live_options(live_port, live_host) if live else None, **given)
 
-    return add_options(wrapper, (_LIVE_OPTION, *_HOST_OPTIONS))  # type: ignore[return-value]
+def robot_live_options(command: _Command) -> _Command:
+    """Add what `live_options` does but speed and waiting, as no robot waits."""
+    return _add_live_options(command, (_LIVE_OPTION, *_HOST_OPTIONS, _OPEN_OPTION))
 
 
 def host_options(command: _Command) -> _Command:
-    """Add --live-port and --live-host to a command that serves a page anyway, and gets them as ``live``."""
+    """Add the options of the page to a command that serves one anyway, and gets them as ``live``."""
 
     @functools.wraps(command)
-    def wrapper(live_port: int | None, live_host: str | None, **given: Any) -> Any:  # noqa: ANN401
-        return command(live=_read_live_options(live_port, live_host), **given)
+    def wrapper(**given: Any) -> Any:  # noqa: ANN401
+        live = _read_live_options({name: given.pop(name) for name in _LIVE_NAMES if name in given})
+        return command(live=live, **given)
 
-    return add_options(wrapper, _HOST_OPTIONS)  # type: ignore[return-value]
+    return add_options(wrapper, (*_HOST_OPTIONS, _OPEN_OPTION, _SPEED_OPTION))  # type: ignore[return-value]
+
+
+def _add_live_options(command: _Command, options: Sequence[Callable[..., Any]]) -> _Command:
+    @functools.wraps(command)
+    def wrapper(live: bool, **given: Any) -> Any:  # noqa: ANN401
+        chosen = {name: given.pop(name) for name in _LIVE_NAMES if name in given}
+        if not live:
+            for name, value in chosen.items():
+                if value is not None and value is not False:
+                    raise click.UsageError(f"{_LIVE_NAMES[name]} needs --live")
+        return command(live=_read_live_options(chosen) if live else None, **given)
+
+    return add_options(wrapper, options)  # type: ignore[return-value]
 
 
 def read_pose(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float, float, float] | None:
@@ -236,12 +261,12 @@ def add_options(command: Callable[..., Any], options: Sequence[Callable[..., Any
     return command
 
 
-def _read_live_options(port: int | None, host: str | None) -> LiveOptions:
+def _read_live_options(given: dict[str, Any]) -> LiveOptions:
     from gridslam.live.options import LiveOptions
 
-    given = {name: value for name, value in (("port", port), ("host", host)) if value is not None}
-    with name_option(port="--live-port", host="--live-host"):
-        return LiveOptions(**given)  # type: ignore[arg-type]
+    fields = {name.removeprefix("live_"): value for name, value in given.items() if value is not None}
+    with name_option(port="--live-port", host="--live-host", speed="--live-speed", wait_s="--wait"):
+        return LiveOptions(**fields)
 
 
 def map_options(command: _Command) -> _Command:

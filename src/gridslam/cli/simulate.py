@@ -45,6 +45,7 @@ SIMULATION_SCHEMA = "gridslam.simulation/1"
 _DEMO_LOG = "demo.clf.gz"
 _DEMO_SPEED = 30.0
 """Times as fast as the robot drives, so that one can look on."""
+_DEMO_WAIT_S = 60.0
 _DAY_S = 86_400.0
 _CARMEN = (".clf", ".log", ".carmen")
 _PACKED = (".gz", ".bz2")
@@ -123,14 +124,15 @@ def demo(out: Path, seed: int, live: LiveOptions | None, rerun: str | None, as_j
     watch = Stopwatch(STARTED_S, 0.0)
     rng = np.random.default_rng(seed)
     configuration = Configuration()
-    slowed = None if live is None else replace(live, speed=_DEMO_SPEED)
+    slowed = None if live is None else replace(live, speed=live.speed or _DEMO_SPEED, wait_s=None)
+    wait_s = _DEMO_WAIT_S if live is None or live.wait_s is None else live.wait_s
     with open_viewers(slowed, rerun, "demo", configuration.range_max_m) as viewers:
         with open_output(out, MapResult.all_names()) as folder:
             simulated = simulate(make_world("demo", rng), RobotConfig(), OdometryNoise(), LidarConfig(), rng)
             write_carmen(folder.file(_DEMO_LOG), simulated.measurements)
             write_tum(folder.file("truth.tum"), simulated.truth)
             watch.lap("simulate")
-            viewers.wait()
+            viewers.wait(wait_s)
             watch.resume()
             log = CarmenLog(folder.file(_DEMO_LOG))
             result = map_with_progress(log, configuration, watch, viewers, shown=not as_json, seed=seed)

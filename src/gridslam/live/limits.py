@@ -1,4 +1,4 @@
-"""Limits of the page's server: connections, computing time and archives, so that no visitor holds a run up."""
+"""Limits of the page's server: connections, computing time and files, so that no visitor holds a run up."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ import selectors
 import sys
 import time
 from collections.abc import Callable
-from typing import Any, final
+from typing import Any, Generic, TypeVar, final
 
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
-from gridslam.types import OccupancyGrid
-
-__all__ = ["ArchiveCache", "LimitedConnection", "PacedSelector", "find_max_connections"]
+__all__ = ["FileCache", "LimitedConnection", "PacedSelector", "find_max_connections"]
 
 _MOST_CONNECTIONS = 400
 _LONGEST_SLEEP_S = 0.5
@@ -94,47 +92,50 @@ class PacedSelector(selectors.DefaultSelector):
         self._spent_s = spent_s
 
 
+_Source = TypeVar("_Source")
+
+
 @final
-class ArchiveCache:
-    """Makes archives of maps one at a time, in a thread; each is given to all who ask until it has been paid for.
+class FileCache(Generic[_Source]):
+    """Makes files for visitors one at a time, in a thread; each is given to all who ask until it has been paid for.
 
     Parameters
     ----------
-    find_map : callable
-        Returns the map of a channel; None if there is none.
-    make_archive : callable
-        Makes the archive; called in another thread.
+    find_source : callable
+        Returns what the file of a channel is made of; None if there is nothing.
+    make_file : callable
+        Makes the file's content; called in another thread.
     share : float, (0, 1]
-        Share of the time in which archives are made.
+        Share of the time in which files are made.
     """
 
     def __init__(
         self,
-        find_map: Callable[[int], OccupancyGrid | None],
-        make_archive: Callable[[OccupancyGrid], bytes],
+        find_source: Callable[[int], _Source | None],
+        make_file: Callable[[_Source], bytes],
         share: float,
     ) -> None:
-        self._find_map = find_map
-        self._make_archive = make_archive
+        self._find_source = find_source
+        self._make_file = make_file
         self._rest = 1 / share - 1
         self._lock = asyncio.Lock()
         self._due_s = 0.0
         self._channel = -1
-        self._archive: bytes | None = None
+        self._content: bytes | None = None
 
     async def find(self, channel: int) -> bytes | None:
-        """Return the archive of a channel's map; None if there is none."""
+        """Return the file of a channel; None if there is none."""
         async with self._lock:
             wait_s = self._due_s - time.monotonic()
             if wait_s > 0:
                 if channel == self._channel:
-                    return self._archive
+                    return self._content
                 await asyncio.sleep(wait_s)
             start_s = time.monotonic()
-            grid = self._find_map(channel)
-            archive = None if grid is None else await asyncio.to_thread(self._make_archive, grid)
+            source = self._find_source(channel)
+            content = None if source is None else await asyncio.to_thread(self._make_file, source)
             end_s = time.monotonic()
             self._due_s = end_s + self._rest * (end_s - start_s)
             self._channel = channel
-            self._archive = archive
-            return archive
+            self._content = content
+            return content

@@ -140,11 +140,11 @@ class MappingMonitor:
             now = compose(poses, report.key_from_base) if report.skipped else poses
             particles = np.column_stack([now, np.exp(log_weights)]).astype(np.float32)
             alive = sorted({row for row in rows.values() if row != _DIED_OUT})
-            paths = {row: ancestry.trajectory(row)[:, :2].astype(np.float32) for row in alive}
-            path = paths[rows[BEST]]
+            past = {row: ancestry.trajectory(row)[:, :3] for row in alive}
+            path = past[rows[BEST]][:, :2].astype(np.float32)
             ends = path[closures].reshape(-1, 4)  # corrections move them
             trunk, tree = thin_tree(ancestry)
-            return Frame(path, tree, particles, ends, len(trunk), paths)
+            return Frame(path, tree, particles, ends, len(trunk), past)
 
         status = {
             "particles": len(poses),
@@ -184,12 +184,12 @@ class LocalizationMonitor:
 
     def reset(self) -> None:
         """Start before the first scan."""
-        self._path = RowBuffer(2)
+        self._poses = RowBuffer(3)
 
     def record(self, report: LocalizationReport, scan: LaserScan | None) -> int:
         """Record the pose at a scan, NaN if the robot is lost."""
         if report.skipped is None:
-            self._path.append(np.full((1, 2), np.nan) if report.lost else report.pose[None, :2])
+            self._poses.append(np.full((1, 3), np.nan) if report.lost else report.pose[None])
         return 0
 
     def show_particle(self, channel: int, particle: int, keys: int) -> None:
@@ -197,7 +197,7 @@ class LocalizationMonitor:
 
     def view(self, report: LocalizationReport, state: MonteCarloState) -> StateView:
         """Return a view of the current state."""
-        path = self._path.rows
+        past = self._poses.rows
         state = state.snapshot()
 
         def make_frame() -> Frame:
@@ -206,7 +206,8 @@ class LocalizationMonitor:
             moved = between(state.estimate.pose, report.pose)
             poses = compose(state.poses[chosen], moved).astype(np.float32)
             rounded = np.rint(poses * _STEPS_PER_UNIT) / _STEPS_PER_UNIT
-            return Frame(path, particles=np.column_stack([rounded, ratios]).astype(np.float32))
+            cloud = np.column_stack([rounded, ratios]).astype(np.float32)
+            return Frame(past[:, :2], particles=cloud, poses={0: past.astype(np.float64)})
 
         status = {
             "particles": report.particles,

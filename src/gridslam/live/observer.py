@@ -44,6 +44,8 @@ class Snapshot:
     series : list of (float, float, float, int, int)
         Stamp, s, effective sample size, latency, s, flags and number of particles of each key scan since the last
         snapshot.
+    stamps_ns : list of int, ns
+        Their stamps.
     progress : float
         Ratio of the log that is read, in [0, 1]; NaN if unknown.
     taken_s : float
@@ -56,6 +58,7 @@ class Snapshot:
     scans: int
     keys: int
     series: list[tuple[float, float, float, int, int]]
+    stamps_ns: list[int]
     progress: float
     taken_s: float
 
@@ -102,6 +105,7 @@ class LiveObserver:
         self._scan: LaserScan | None = None
         self._latest: tuple[Any, Any] | None = None  # report and state
         self._series: list[tuple[float, float, float, int, int]] = []
+        self._stamps_ns: list[int] = []
         self._requests: deque[tuple[int, int, int]] = deque()
         self._monitor.reset()
 
@@ -135,6 +139,7 @@ class LiveObserver:
             self._keys += 1
             count = 0 if report.poses is None else len(report.poses)
             self._series.append((report.stamp_ns * 1e-9, report.n_eff, seconds, flags, count))
+            self._stamps_ns.append(report.stamp_ns)
             self._control.on_key_scan()
         if not self._busy and (now := time.perf_counter()) >= self._due:
             self._take_snapshot(now)
@@ -167,4 +172,5 @@ class LiveObserver:
         report, state = self._latest
         view = self._monitor.view(report, state)
         series, self._series = self._series, []
-        self._post(Snapshot(report, view, self._scan, self._scans, self._keys, series, self.progress(), now))
+        stamps_ns, self._stamps_ns = self._stamps_ns, []
+        self._post(Snapshot(report, view, self._scan, self._scans, self._keys, series, stamps_ns, self.progress(), now))

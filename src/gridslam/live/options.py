@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import math
 from dataclasses import dataclass
 from typing import final
 
@@ -14,7 +15,7 @@ __all__ = ["LiveOptions"]
 @final
 @dataclass(frozen=True, slots=True)
 class LiveOptions:
-    """Address and initial speed of the page.
+    """Address of the page, and how it begins.
 
     Attributes
     ----------
@@ -25,6 +26,10 @@ class LiveOptions:
         Port to listen on; 0: any free port.
     speed : float or None, > 0
         Initial factor on real time; None: as fast as possible.
+    opens : bool
+        Whether the page is opened in the default browser.
+    wait_s : float or None, s
+        How long to wait for a viewer before the run begins; None: as the command does by default.
 
     Raises
     ------
@@ -35,6 +40,8 @@ class LiveOptions:
     host: str = "127.0.0.1"
     port: int = 8642
     speed: float | None = None
+    opens: bool = False
+    wait_s: float | None = None
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -42,6 +49,8 @@ class LiveOptions:
             raise ArgumentError("port", "a number from 0 to 65535", self.port)
         if self.speed is not None and not self.speed > 0:
             raise ArgumentError("speed", "a number > 0", self.speed)
+        if self.wait_s is not None and not 0 <= self.wait_s < math.inf:
+            raise ArgumentError("wait_s", "a time >= 0 s", self.wait_s)
 
     @property
     def is_local(self) -> bool:

@@ -18,11 +18,12 @@ from gridslam.io.results.record import read_record
 from gridslam.io.text import read_json, read_text
 from gridslam.io.trajectories import read_trajectory_csv, read_tum
 from gridslam.live.ancestry_tree import NO_POINTS
+from gridslam.live.beside import read_beside
 from gridslam.live.control import check_particle, check_speed
 from gridslam.live.results import MappedRun, Results, StaticMap, TrajectoryRun
 from gridslam.live.scene import Scene, SentState, make_run_info
-from gridslam.live.tiles import TileReplica
-from gridslam.types import FloatArray, IntArray, OccupancyGrid
+from gridslam.live.tiles import TileReplica, tile_offset
+from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
 
 __all__ = ["Replay", "ReplayViewer"]
 
@@ -39,6 +40,11 @@ class Replay:
     ----------
     folder : str or Path
         OUT of `gridslam map`, `localize`, `grid` or `landmarks`.
+    beside : str or Path, optional
+        What the run is compared with: another such folder, a map's YAML file or a trajectory's TUM file; by default
+        the truth, if the folder has it.
+    speed : float, > 0
+        Initial factor on real time.
 
     Raises
     ------
@@ -46,7 +52,7 @@ class Replay:
         A file is missing or malformed, the files are not of one run, or another command wrote the folder.
     """
 
-    def __init__(self, folder: str | Path) -> None:
+    def __init__(self, folder: str | Path, beside: str | Path | None = None, speed: float = 10.0) -> None:
         """Read the folder."""
         out = Path(folder)
         document = _read_document(out / "run.json")
@@ -57,7 +63,22 @@ class Replay:
         title = Path(str(source.get("path") if isinstance(source, dict) else "") or out.resolve()).name
         self.results = results = _READERS[kind](out, document)
         mode = "still" if isinstance(results, StaticMap) else "replay"
-        self.run_info = make_run_info(title, mode, results.layers, results.step, results.grid)
+        self.speed = speed
+        self.beside = read_beside(out, None if beside is None else Path(beside), results.trajectory)
+        self._session = out / "session.gridslam"
+        found = {
+            "other": self.beside.grid is not None,
+            "truth": len(self.beside.path) > 0,
+            "session": self._session.is_file(),
+        }
+        layers = (*results.layers, *(name for name, is_found in found.items() if is_found))
+        self.run_info = make_run_info(title, mode, layers, results.step, results.grid)
+        self.run_info["truth"] = self.beside.name
+        self.other: TileReplica | None = None
+        if self.beside.grid is not None:
+            self.other = TileReplica.of(self.beside.grid)
+            grid = self.beside.grid
+            self.run_info["other"] = {"resolution_m": grid.resolution_m, "offset_m": tile_offset(grid)}
         self.replica = TileReplica() if self.results.grid is None else TileReplica.of(self.results.grid)
 
     def add_viewer(self, notify: Callable[[], None]) -> ReplayViewer:
@@ -67,6 +88,14 @@ class Replay:
     def channel_map(self, channel: int) -> OccupancyGrid | None:
         """Return the map, which all channels share."""
         return self.results.grid
+
+    def trajectory(self, channel: int) -> Trajectory | None:
+        """Return the trajectory, which all channels share."""
+        return self.results.trajectory
+
+    def session_file(self) -> Path | None:
+        """Return the file from which a later run goes on; None if the folder has none."""
+        return self._session if self._session.is_file() else None
 
 
 @final
@@ -81,7 +110,7 @@ class ReplayViewer:
         self._last = len(self._results.times_s) - 1
         self._at = self._last
         self._time_s = float(self._results.times_s[-1])
-        self._speed = 10.0
+        self._speed = replay.speed
         self._played_until = 0.0
         self._playing = False
         self._selected: int | None = None
@@ -175,6 +204,8 @@ class ReplayViewer:
             plan=results.path,
             landmarks=results.landmarks,
             selected=self._selected_path,
+            truth=self._replay.beside.path,
+            other=self._replay.other,
         )
 
 

@@ -112,7 +112,7 @@ class MappedRun:
         counts = np.full(len(record), self.particles)
         self.series: Float32Array = np.column_stack([*columns, counts]).astype(np.float32)
         self._record = record
-        self._trajectory = trajectory
+        self.trajectory = trajectory
         self._scan_times_s = _elapsed(trajectory.stamps_ns, record.stamps_ns[0])
         tracked = record.revisits.astype(np.int64)
         self._closure_steps: IntArray = np.sort(np.concatenate([recognized, tracked])[:, 1])  # when each was found
@@ -140,7 +140,7 @@ class MappedRun:
         return {
             "keys": at + 1,
             "scans": scan + 1,
-            "pose": self._trajectory.poses[scan].tolist(),
+            "pose": self.trajectory.poses[scan].tolist(),
             "n_eff": finite_or_none(float(record.n_eff[at])),
             "lost": bool(record.flags[at] & RecordFlag.LOST),
             "best": int(record.parents[at, record.best[at]]),
@@ -187,6 +187,7 @@ class TrajectoryRun:
     ) -> None:
         """Prepare the data of all times."""
         self.grid = grid
+        self.trajectory = trajectory
         self.landmarks = landmarks
         self.times_s = _elapsed(trajectory.stamps_ns, trajectory.stamps_ns[0])
         self.path: Float32Array = trajectory.poses[:, :2].astype(np.float32)
@@ -247,6 +248,7 @@ class StaticMap:
     particles = 0
     ancestry = None
     path = NO_POINTS
+    trajectory = None
     series = NO_SERIES
     landmarks = NO_LANDMARKS
 
@@ -284,6 +286,8 @@ ancestry : AncestryReplay or None
     Their ancestry; None if there are none.
 times_s : (T,) float64
     Times of the steps since the first one, never going back.
+trajectory : Trajectory or None
+    The poses; None if there are none.
 path : (T, 2) float32
     The full path; (0, 2) if there is none.
 series, landmarks

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, final
 
 import numpy as np
@@ -16,7 +17,7 @@ from gridslam.live.monitor import BEST
 from gridslam.live.observer import UNVIEWED_PERIOD_S, VIEWED_PERIOD_S, LiveObserver, Snapshot
 from gridslam.live.scene import Frame, RowBuffer, Scene, SentState, finite_or_none, make_run_info
 from gridslam.live.tiles import TileReplica, split_into_tiles
-from gridslam.types import FloatArray, LaserScan, OccupancyGrid
+from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Trajectory
 
 __all__ = ["LiveRun", "LiveViewer"]
 
@@ -74,6 +75,8 @@ class LiveRun:
         self._frame = Frame()
         self._scan = NO_POINTS
         self._series = RowBuffer(5)
+        self._stamps_ns: list[int] = []
+        self._final_poses: FloatArray | None = None
         self._first_s: float | None = None
         self._rate_window: deque[tuple[float, int, float]] = deque(maxlen=_RATE_SNAPSHOTS)
         self._last_scan: LaserScan | None = None
@@ -95,6 +98,7 @@ class LiveRun:
             if self._first_s is None:
                 self._first_s = snapshot.series[0][0]
             self._series.append(np.array(snapshot.series) * (1, 1, 1e3, 1, 1) - (self._first_s, 0, 0, 0, 0))
+        self._stamps_ns += snapshot.stamps_ns
         self._frame = view.make_frame()
         if snapshot.scan is not None and snapshot.scan is not self._last_scan:
             self._last_scan = snapshot.scan
@@ -107,6 +111,7 @@ class LiveRun:
             replica.replace(split_into_tiles(grid))
         self._frame = Frame(poses[:, :2].astype(np.float32), closures=closures.astype(np.float32))
         self._scan = NO_POINTS
+        self._final_poses = poses
         self.set_stage("writing")
 
     def set_stage(self, stage: str) -> None:
@@ -143,6 +148,19 @@ class LiveRun:
         resolution_m = self._run_info["resolution_m"] or 1.0
         return self._replicas.get(channel, self._replicas[BEST]).grid(resolution_m)
 
+    def trajectory(self, channel: int) -> Trajectory | None:
+        """Return the poses at the key scans of the particle that a channel shows, where the robot was not lost."""
+        poses = self._final_poses
+        if poses is None:
+            poses = self._frame.poses.get(self._rows.get(channel, self._rows[BEST]), np.zeros((0, 3)))
+        stamps_ns = np.array(self._stamps_ns[: len(poses)], np.int64)
+        known = np.isfinite(poses[: len(stamps_ns), 0])
+        return Trajectory(stamps_ns[known], poses[: len(stamps_ns)][known]) if known.any() else None
+
+    def session_file(self) -> Path | None:
+        """Return the file from which a later run goes on; None if this one offers none."""
+        return None
+
     def open_channel(self, particle: int) -> int:
         """Open a channel for the map of a particle; raises ArgumentError if there is none, or too many are open."""
         if self._known is not None:
@@ -176,7 +194,8 @@ class LiveRun:
             "selected_particle": None if channel == BEST or stage in ("writing", "done") else row,
         }
         replica = self._replicas.get(channel, self._replicas[BEST])
-        selected = NO_POINTS if channel == BEST else self._frame.selected_paths.get(row, NO_POINTS)
+        past = None if channel == BEST else self._frame.poses.get(row)
+        selected = NO_POINTS if past is None else past[:, :2].astype(np.float32)
         return Scene(self._run_info, status, replica, self._frame, self._series.rows, self._scan, selected=selected)
 
     def notify_viewers(self) -> None:

@@ -83,8 +83,8 @@ class Frame(NamedTuple):
         End points x, y of each loop closure.
     shared : int
         Number of positions of `path`, from its first on, that all particles share; the tree begins at the last of them.
-    selected_paths : mapping of int to (T, 2) float32, m
-        The paths of further particles in full, by the particle's index.
+    poses : mapping of int to (T, 3) float64
+        The poses of the shown particles at the key scans, by the particle's index.
     """
 
     path: Float32Array = NO_POINTS
@@ -92,7 +92,7 @@ class Frame(NamedTuple):
     particles: Float32Array = NO_PARTICLES
     closures: Float32Array = NO_CLOSURES
     shared: int = 0
-    selected_paths: Mapping[int, Float32Array] = MappingProxyType({})
+    poses: Mapping[int, FloatArray] = MappingProxyType({})
 
 
 @final
@@ -120,6 +120,10 @@ class Scene(NamedTuple):
         x m, y m, and covariance xx, xy, yy, m^2.
     selected : (T, 2) float32, m
         The path of the selected particle in full; empty if none is selected.
+    truth : (P, 2) float32, m
+        The true path of the robot, or another run's; empty if unknown.
+    other : TileReplica, optional
+        Another map to compare with.
     """
 
     run_info: dict[str, Any]
@@ -131,6 +135,8 @@ class Scene(NamedTuple):
     plan: Float32Array = NO_POINTS
     landmarks: Float32Array = NO_LANDMARKS
     selected: Float32Array = NO_POINTS
+    truth: Float32Array = NO_POINTS
+    other: TileReplica | None = None
 
 
 def make_run_info(
@@ -164,7 +170,7 @@ def finite_or_none(value: float) -> float | None:
 class SentState:
     """What a viewer has received; `next_message` encodes the rest."""
 
-    __slots__ = ("_arrays", "_number", "_replica", "_rows", "_run_info", "_status")
+    __slots__ = ("_arrays", "_numbers", "_replicas", "_rows", "_run_info", "_status")
 
     def __init__(self) -> None:
         """Start with a viewer that has received nothing."""
@@ -173,8 +179,8 @@ class SentState:
     def _reset(self) -> None:
         self._run_info: dict[str, Any] = {}
         self._status: dict[str, Any] = {}
-        self._replica: TileReplica | None = None
-        self._number = 0
+        self._replicas: dict[str, TileReplica] = {}
+        self._numbers: dict[str, int] = {}
         self._rows = {"path": NO_POINTS, "selected": NO_POINTS, "series": NO_SERIES}
         self._arrays: dict[str, NDArray[Any]] = {}
 
@@ -188,7 +194,9 @@ class SentState:
             header["run_info"] = self._run_info = scene.run_info
         if scene.status != self._status:
             header["status"] = self._status = scene.status
-        self._add_tiles(scene.replica, header, arrays)
+        self._add_tiles("", scene.replica, header, arrays)
+        if scene.other is not None:
+            self._add_tiles("other_", scene.other, header, arrays)
         self._add_rows("path", scene.frame.path, header, arrays)
         self._add_rows("selected", scene.selected, header, arrays)
         self._add_rows("series", scene.series, header, arrays)
@@ -199,6 +207,7 @@ class SentState:
             {"scan": scene.scan},
             {"plan": scene.plan},
             {"landmarks": scene.landmarks},
+            {"truth": scene.truth},
             {"tree": positions, "tree_parents": parents, "tree_leaves": leaves},  # sent together
         ):
             if not all(name in self._arrays and _equal(self._arrays[name], array) for name, array in parts.items()):
@@ -215,16 +224,20 @@ class SentState:
             arrays[name] = rows[first:]
             self._rows[name] = rows
 
-    def _add_tiles(self, replica: TileReplica, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-        if replica is not self._replica:
-            self._replica = replica
-            self._number = 0
-            header["clear"] = True
-        if replica.sequence > self._number:
-            at, looks, self._number = replica.since(self._number, _MAX_TILES)
-            arrays["tiles_at"] = at
-            arrays["tiles"] = pack_tiles(looks)
-            if replica.sequence > self._number:
+    def _add_tiles(
+        self, which: str, replica: TileReplica, header: dict[str, Any], arrays: dict[str, NDArray[Any]]
+    ) -> None:
+        """Add the changed tiles of a map, whose names begin with `which`."""
+        if replica is not self._replicas.get(which):
+            self._replicas[which] = replica
+            self._numbers[which] = 0
+            header[f"{which}clear"] = True
+        if replica.sequence > self._numbers[which]:
+            at, looks, number = replica.since(self._numbers[which], _MAX_TILES)
+            self._numbers[which] = number
+            arrays[f"{which}tiles_at"] = at
+            arrays[f"{which}tiles"] = pack_tiles(looks)
+            if replica.sequence > number:
                 header["more"] = True
 
 

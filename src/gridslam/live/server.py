@@ -4,34 +4,30 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import io
 import json
 import os
 import secrets
 import socket
-import tempfile
 import threading
-import zipfile
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol, final
 from urllib.parse import urlsplit
 
 import uvicorn
 from starlette.applications import Starlette
-from starlette.requests import HTTPConnection, Request
-from starlette.responses import PlainTextResponse, Response, StreamingResponse
-from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.requests import HTTPConnection
+from starlette.responses import PlainTextResponse
+from starlette.routing import Mount, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.io.maps import write_map
-from gridslam.live.limits import ArchiveCache, LimitedConnection, PacedSelector
+from gridslam.live.downloads import DownloadableContent, is_authorized, make_download_routes
+from gridslam.live.limits import LimitedConnection, PacedSelector
 from gridslam.live.options import LiveOptions
 from gridslam.live.protocol import encode
-from gridslam.types import OccupancyGrid
 
 __all__ = ["PageContent", "PageServer", "Viewer"]
 
@@ -53,7 +49,6 @@ _TOKEN = "GRIDSLAM_LIVE_TOKEN"
 """Environment variable with a token that remains valid after a restart."""
 _STOP_WITHIN_S = 5.0
 _BACKLOG = 32  # connections that are accepted at once
-_BLOCK = 1 << 16
 
 
 class Viewer(Protocol):
@@ -69,15 +64,12 @@ class Viewer(Protocol):
         """Remove the viewer."""
 
 
-class PageContent(Protocol):
+class PageContent(DownloadableContent, Protocol):
     """Content of the page; used by the server's thread only."""
 
     def add_viewer(self, notify: Callable[[], None]) -> Viewer:
         """Add a viewer; `notify` is called whenever there may be something new."""
         ...
-
-    def channel_map(self, channel: int) -> OccupancyGrid | None:
-        """Return the map of a channel; None if there is none."""
 
 
 @final
@@ -200,46 +192,24 @@ def _ignore_connections(loop: asyncio.AbstractEventLoop, context: dict[str, Any]
 
 def _make_application(content: PageContent, host: str, token: str | None, share: float) -> ASGIApp:
     """The page of a show, for everyone who has the token; without one for requests to this very host alone."""
-    archives = ArchiveCache(content.channel_map, _zip_map, share)
     turn = asyncio.Lock()
 
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
         origin = websocket.headers.get("origin")
         foreign = origin is not None and urlsplit(origin).netloc != websocket.headers.get("host")
-        if foreign or not _is_authorized(websocket, token):
+        if foreign or not is_authorized(websocket, token):
             await websocket.close(_BAD_TOKEN, "this page needs the address with its token")
             return
         await _serve_viewer(websocket, content, turn)
 
-    async def map_files(request: Request) -> Response:
-        if not _is_authorized(request, token):
-            return PlainTextResponse("this needs the token of the page", 403)
-        channel = request.query_params.get("channel", "0")
-        archive = await archives.find(int(channel) if channel.isdecimal() and len(channel) < 10 else 0)
-        if archive is None:
-            return PlainTextResponse("there is no map", 404)
-        length = {"content-length": str(len(archive))}
-        return StreamingResponse(_split(archive), media_type="application/zip", headers=length)
-
     routes = [
         WebSocketRoute("/socket", socket),
-        Route("/map.zip", map_files),
+        *make_download_routes(content, token, share),
         Mount("/", StaticFiles(directory=_HERE, html=True)),
     ]
     names = None if token is not None else {"127.0.0.1", "localhost", "::1", host}
     return _guard(Starlette(routes=routes), names)
-
-
-async def _split(data: bytes) -> AsyncIterator[bytes]:
-    """Yield blocks, each when the one before has been taken: a slow reader holds no copy."""
-    for start in range(0, len(data), _BLOCK):
-        yield data[start : start + _BLOCK]
-
-
-def _is_authorized(connection: HTTPConnection, token: str | None) -> bool:
-    given = connection.query_params.get("token", "")
-    return token is None or secrets.compare_digest(given.encode(), token.encode())
 
 
 def _guard(app: ASGIApp, names: set[str] | None) -> ASGIApp:
@@ -313,13 +283,3 @@ async def _next_message(viewer: Viewer, notify: asyncio.Event, turn: asyncio.Loc
             await asyncio.wait_for(notify.wait(), due - clock())
         except asyncio.TimeoutError:
             return encode({}, {})
-
-
-def _zip_map(grid: OccupancyGrid) -> bytes:
-    """Return a ZIP archive with map.yaml and map.pgm for ROS's map_server."""
-    archive = io.BytesIO()
-    with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as files:
-        write_map(Path(folder) / "map.yaml", grid)
-        for name in ("map.yaml", "map.pgm"):
-            files.write(Path(folder) / name, name)
-    return archive.getvalue()

@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from gridslam.live.limits import ArchiveCache, LimitedConnection, PacedSelector, find_max_connections
+from gridslam.live.limits import FileCache, LimitedConnection, PacedSelector, find_max_connections
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.live.server import _send_all
@@ -71,7 +71,7 @@ def test_one_archive_is_made_at_a_time_and_given_to_all():
         return b"archive"
 
     async def ask() -> list[bytes | None]:
-        cache = ArchiveCache(lambda channel: f"map {channel}", make, 0.1)
+        cache = FileCache(lambda channel: f"map {channel}", make, 0.1)
         return await asyncio.gather(*(cache.find(0) for _ in range(20)))
 
     assert asyncio.run(ask()) == [b"archive"] * 20
@@ -80,7 +80,7 @@ def test_one_archive_is_made_at_a_time_and_given_to_all():
 
 def test_another_map_waits_until_the_archive_before_is_paid_for():
     async def ask() -> float:
-        cache = ArchiveCache(str, lambda text: time.sleep(0.05) or text.encode(), 0.25)
+        cache = FileCache(str, lambda text: time.sleep(0.05) or text.encode(), 0.25)
         await cache.find(0)
         start = time.monotonic()
         assert await cache.find(1) == b"1"

@@ -5,12 +5,16 @@ import { Chart, COLUMNS, WeightBars } from "./chart.js";
 import { Drawing } from "./drawing.js";
 import { Panel } from "./panel.js";
 import { Connection } from "./socket.js";
-import { palette, TileMap } from "./tilemap.js";
+import { Keys } from "./keys.js";
+import { outline, palette, TileMap } from "./tilemap.js";
+import { inMetres, Measure, roundLength } from "./tools.js";
 
 const $ = (selector) => document.querySelector(selector);
 const NONE = new Float32Array(), NO_NUMBERS = new Int32Array();
 
-const world = { map: new TileMap() };
+const MOVE = 80; // px that an arrow key moves the map
+
+const world = { map: new TileMap(), other: new TileMap() };
 const camera = new Camera($("#map"));
 const drawing = new Drawing($("#map"), world, camera);
 const panel = new Panel((command) => connection.send(command));
@@ -19,13 +23,15 @@ const charts = [
   new Chart($("#latency"), 2, { unit: " ms" }),
 ];
 const weightBars = new WeightBars($("#weights"), selectParticle);
+const measure = drawing.measure = new Measure();
 let colours = {}, redrawPending = false;
 
 function reset() {
   world.map.clear();
+  world.other.clear();
   Object.assign(world, {
     runInfo: {}, status: {}, path: NONE, selected: NONE, plan: NONE, tree: NONE, parents: NO_NUMBERS, leaves: NO_NUMBERS,
-    particles: NONE, scan: NONE, closures: NONE, landmarks: NONE, series: NONE, steps: 0,
+    particles: NONE, scan: NONE, closures: NONE, landmarks: NONE, truth: NONE, series: NONE, steps: 0,
   });
 }
 
@@ -43,21 +49,23 @@ function receive({ header, arrays }) {
   if (header.status) world.status = header.status;
   if (header.clear) world.map.clear();
   if (arrays.tiles) world.map.put(arrays.tiles_at, arrays.tiles);
+  if (arrays.other_tiles) world.other.put(arrays.other_tiles_at, arrays.other_tiles);
   for (const name of ["path", "selected"]) if (arrays[name]) world[name] = splice(world[name], 2 * header[name], arrays[name]);
   if (arrays.series) {
     world.series = splice(world.series, COLUMNS * header.series, arrays.series);
     world.steps = world.series.length / COLUMNS;
   }
-  for (const name of ["particles", "scan", "closures", "plan", "landmarks"]) world[name] = arrays[name] ?? world[name];
+  for (const name of ["particles", "scan", "closures", "plan", "landmarks", "truth"]) world[name] = arrays[name] ?? world[name];
   if (arrays.tree) [world.tree, world.parents, world.leaves] = [arrays.tree, arrays.tree_parents, arrays.tree_leaves];
   panel.show(world);
-  Object.assign(document.body.dataset, { tiles: world.map.tiles.size, keys: world.steps, selected: world.status.selected_particle ?? "" });
+  Object.assign(document.body.dataset, { tiles: world.map.tiles.size, at: world.status.at ?? "", keys: world.steps, selected: world.status.selected_particle ?? "" });
   redraw();
 }
 
 function setRunInfo(runInfo) {
   world.runInfo = runInfo;
   world.map.place(runInfo.resolution_m ?? 0.05, runInfo.offset_m);
+  if (runInfo.other) world.other.place(runInfo.other.resolution_m, runInfo.other.offset_m);
   document.body.dataset.session = runInfo.session;
   panel.setRunInfo(runInfo);
   resize();
@@ -86,12 +94,39 @@ function moveCamera() {
   $("#follow").setAttribute("aria-pressed", camera.mode === "follow");
 }
 
-// Draws the scale bar: a round length of about 100 px.
+// Draws the scale bar: a round length of about 60 to 120 px.
 function drawScaleBar() {
-  const power = 10 ** Math.floor(Math.log10(100 / camera.scale));
-  const metres = power * [5, 2, 1].find((step) => step * power * camera.scale <= 120);
+  const metres = roundLength(60, camera.scale);
   $("#scale").style.width = `${metres * camera.scale}px`;
-  $("#scale span").textContent = metres >= 1 ? `${metres} m` : `${Math.round(100 * metres)} cm`;
+  $("#scale span").textContent = metres >= 1 ? `${metres} m` : inMetres(metres);
+}
+
+// Shows the place under the pointer, and what is measured.
+function showPlace(place) {
+  const where = place && place.map((value) => value.toFixed(2));
+  $("#cursor").textContent = [where && `x ${where[0]} m, y ${where[1]} m`, measure.text()].filter(Boolean).join(" · ");
+}
+
+function toggleMeasure() {
+  measure.toggle();
+  $("#measure").setAttribute("aria-pressed", measure.active);
+  $("#map").classList.toggle("measuring", measure.active);
+  if (measure.active && document.body.hasAttribute("data-sheet")) $("#sheet").click(); // it covers the map of a phone
+  showPlace(null);
+  redraw();
+}
+
+function turn(angle) {
+  camera.turn(angle);
+  const degrees = Math.round((camera.angle * 180) / Math.PI);
+  [$("#turn").value, $("#turn + output").textContent] = [degrees, `${degrees}°`];
+}
+
+function arrow({ key, shiftKey }) {
+  const [u, v] = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[key];
+  if (shiftKey || !panel.hasTime) camera.pan(u * MOVE, v * MOVE);
+  else if (u) panel.seekBy(-u);
+  else panel.accelerate(v);
 }
 
 // Whether particles can be selected.
@@ -122,10 +157,11 @@ function resize() {
 
 function applyColours() {
   const style = getComputedStyle(document.documentElement);
-  for (const name of ["unknown", "free", "occupied", "text", "faint", "rule", "path", "ancestry", "particle", "selected", "scan", "closure", "landmark", "bad"]) {
+  for (const name of ["unknown", "free", "occupied", "text", "faint", "rule", "path", "ancestry", "particle", "selected", "scan", "closure", "landmark", "truth", "other", "bad"]) {
     colours[name] = style.getPropertyValue(`--${name}`).trim();
   }
   world.map.colour(palette(colours.unknown, colours.free, colours.occupied));
+  world.other.colour(outline(colours.other));
   redraw();
 }
 
@@ -135,19 +171,21 @@ async function savePicture() {
   context.fillRect(0, 0, canvas.width, canvas.height);
   drawing.draw(colours);
   context.drawImage($("#map"), 0, 0);
-  save(URL.createObjectURL(await canvas.convertToBlob()), "png");
+  save(URL.createObjectURL(await canvas.convertToBlob()), "-view.png");
 }
 
-function saveMap() {
-  const address = new URL("map.zip", location.href);
+// Saves a file of the server: of the particle that is shown.
+function saveFile(file, ending) {
+  const address = new URL(file, location.href);
   address.search = location.search;
   address.searchParams.set("channel", world.status.channel ?? 0);
-  save(address, "zip");
+  save(address, ending);
 }
 
-function save(address, suffix) {
-  const name = (world.runInfo.title ?? "map").replace(/[^\w.-]+/g, "_");
-  Object.assign(document.createElement("a"), { href: address, download: `${name}.${suffix}` }).click();
+function save(address, ending) {
+  const title = (world.runInfo.title ?? "map").replace(/(\.(clf|log|carmen|bag|mcap|db3|csv|gz|bz2))+$/i, "");
+  const name = title.replace(/[^\w.-]+/g, "_") || "map";
+  Object.assign(document.createElement("a"), { href: address, download: `${name}${ending}` }).click();
 }
 
 reset();
@@ -156,26 +194,65 @@ resize();
 const connection = new Connection(receive, (is, why) => panel.connected(is, why, world.status.stage === "done"));
 camera.moved = redraw;
 camera.clicked = (u, v) => {
+  if (measure.active) {
+    measure.add(...camera.toWorld(u, v));
+    showPlace(camera.toWorld(u, v));
+    return redraw();
+  }
   const particle = drawing.particleAt(u, v);
   if (particle >= 0) selectParticle(particle);
 };
-camera.hovered = (u, v) => $("#map").classList.toggle("over", isSelectable() && drawing.particleAt(u, v) >= 0);
-for (const chart of charts) chart.again = redraw;
+camera.hovered = (u, v) => {
+  $("#map").classList.toggle("over", !measure.active && isSelectable() && drawing.particleAt(u, v) >= 0);
+  if (measure.active) {
+    measure.pointer = camera.toWorld(u, v);
+    redraw();
+  }
+  showPlace(camera.toWorld(u, v));
+};
+camera.left = () => {
+  measure.pointer = null;
+  showPlace(null);
+  redraw();
+};
+for (const chart of charts) {
+  chart.again = redraw;
+  chart.chosen = (step) => panel.seek(step);
+}
 $("#fit").onclick = () => setMode("fit");
 $("#follow").onclick = () => setMode(camera.mode === "follow" ? "free" : "follow");
 $("#save-picture").onclick = savePicture;
-$("#save-map").onclick = saveMap;
+$("#save-map").onclick = () => saveFile("map.zip", "-map.zip");
+$("#save-trajectory").onclick = () => saveFile("trajectory.tum", "-trajectory.tum");
+$("#save-session").onclick = () => saveFile("session.gridslam", ".gridslam");
+$("#measure").onclick = toggleMeasure;
+$("#help-button").onclick = () => $("#help").showModal();
+$("#turn").oninput = ({ target }) => turn((target.value * Math.PI) / 180);
+for (const [id, name] of [["#opacity", "map"], ["#other-opacity", "other"]]) {
+  $(id).oninput = ({ target }) => {
+    drawing.opacity[name] = target.value / 100;
+    $(`${id} + output`).textContent = `${target.value} %`;
+    redraw();
+  };
+}
 $("#layers").onchange = ({ target }) => { drawing.shown[target.name] = target.checked; redraw(); };
 addEventListener("resize", resize);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", applyColours);
-addEventListener("keydown", (event) => {
-  if (event.target.matches("input, select, button") || event.ctrlKey || event.metaKey || event.altKey) return;
-  const keys = {
-    " ": () => panel.toggle(), ".": () => panel.step(false), ">": () => panel.step(true), f: () => $("#follow").click(),
-    0: () => setMode("fit"), "+": () => camera.zoom(1.25, ...camera.middle), "-": () => camera.zoom(0.8, ...camera.middle),
-    Escape: () => connection.send({ do: "select", particle: null }),
-  };
-  if (!keys[event.key]) return;
-  event.preventDefault();
-  keys[event.key]();
-});
+
+new Keys([
+  [[" "], "pause, go on", () => panel.toggle()],
+  [["."], "to the next key scan", () => panel.step(false)],
+  [[">"], "to the next scan", () => panel.step(true)],
+  [["ArrowLeft", "ArrowRight"], "back and on in time; with Shift, or without a time line, move the map", arrow],
+  [["ArrowUp", "ArrowDown"], "faster, slower; with Shift, or without a time line, move the map", arrow],
+  [["Home", "End"], "to the beginning, to the end", ({ key }) => panel.seek(key === "Home" ? 0 : Infinity)],
+  [["0"], "all of the map", () => setMode("fit")],
+  [["f"], "follow the robot", () => $("#follow").click()],
+  [["+", "-"], "closer, farther", ({ key }) => camera.zoom(key === "+" ? 1.25 : 0.8, ...camera.middle)],
+  [["[", "]"], "turn the map by 15°", ({ key }) => turn(camera.angle + (key === "[" ? Math.PI : -Math.PI) / 12)],
+  [["n"], "not turned", () => turn(0)],
+  [["g"], "grid in metres", () => $("#layers input[name='grid']").click()],
+  [["m"], "measure", () => toggleMeasure()],
+  [["Escape"], "the best particle again; end measuring", () => (measure.active ? toggleMeasure() : connection.send({ do: "select", particle: null }))],
+  [["?"], "this list", () => $("#help").showModal()],
+], $("#help"));

@@ -7,11 +7,13 @@ export class Camera {
     this.canvas = canvas;
     this.x = 0; this.y = 0; // of the middle of the free part of the screen, m
     this.scale = 20; // px per m
+    this.angle = 0; // by which the map is turned counterclockwise, rad
     this.margin = { left: 0, right: 0, top: 0, bottom: 0 }; // px covered by other elements
     this.mode = "fit"; // or "follow", or "free"
     this.moved = () => {};
     this.clicked = () => {};
     this.hovered = () => {};
+    this.left = () => {};
     this.listen();
   }
 
@@ -22,20 +24,27 @@ export class Camera {
     return [(left + this.width - right) / 2, (top + this.height - bottom) / 2];
   }
 
+  // Turns a vector of the map, m, to the directions of the screen, y upwards; back with `sign` -1.
+  turned(x, y, sign = 1) {
+    const [c, s] = [Math.cos(this.angle), sign * Math.sin(this.angle)];
+    return [c * x - s * y, s * x + c * y];
+  }
+
   toScreen(x, y) {
-    const [u, v] = this.middle;
-    return [u + (x - this.x) * this.scale, v - (y - this.y) * this.scale];
+    const [u, v] = this.middle, [dx, dy] = this.turned(x - this.x, y - this.y);
+    return [u + dx * this.scale, v - dy * this.scale];
   }
 
   toWorld(u, v) {
-    const [mu, mv] = this.middle;
-    return [this.x + (u - mu) / this.scale, this.y - (v - mv) / this.scale];
+    const [mu, mv] = this.middle, [dx, dy] = this.turned((u - mu) / this.scale, (mv - v) / this.scale, -1);
+    return [this.x + dx, this.y + dy];
   }
 
   // Fits a rectangle [x0, y0, x1, y1].
   fit([x0, y0, x1, y1]) {
     const { left, right, top, bottom } = this.margin;
-    const scale = Math.min((this.width - left - right) / (x1 - x0), (this.height - top - bottom) / (y1 - y0));
+    const [c, s] = [Math.abs(Math.cos(this.angle)), Math.abs(Math.sin(this.angle))], [w, h] = [x1 - x0, y1 - y0];
+    const scale = Math.min((this.width - left - right) / (c * w + s * h), (this.height - top - bottom) / (s * w + c * h));
     this.scale = Math.min(Math.max(scale, FARTHEST), 80);
     this.x = (x0 + x1) / 2;
     this.y = (y0 + y1) / 2;
@@ -51,9 +60,15 @@ export class Camera {
   }
 
   pan(du, dv) {
-    this.x -= du / this.scale;
-    this.y += dv / this.scale;
+    const [dx, dy] = this.turned(du / this.scale, -dv / this.scale, -1);
+    this.x -= dx;
+    this.y -= dy;
     this.setFree();
+  }
+
+  turn(angle) {
+    this.angle = Math.atan2(Math.sin(angle), Math.cos(angle));
+    this.moved();
   }
 
   zoom(factor, u, v) {
@@ -100,6 +115,7 @@ export class Camera {
     };
     canvas.addEventListener("pointerup", release);
     canvas.addEventListener("pointercancel", release);
+    canvas.addEventListener("pointerleave", () => this.left());
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
       const lines = event.deltaMode === 1 ? 16 : 1;

@@ -20,17 +20,29 @@ export const COLUMNS = 5; // of the series: time, effective sample size, latency
 const FLAGS = 3, PARTICLES = 4;
 const LOST = 1, CORRECTED = 8;
 
+// The first step at or after a time.
+function findStep(series, steps, time) {
+  let [low, high] = [0, steps - 1];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (series[COLUMNS * middle] < time) low = middle + 1; else high = middle;
+  }
+  return low;
+}
+
 // A chart of one column of the series; key scans on the same pixel are drawn as their range.
 export class Chart {
   // `column` of the series; `share`: as a ratio of the number of particles, with a line at one half.
   constructor(canvas, column, { share = false, unit = "" } = {}) {
     Object.assign(this, { canvas, column, share, unit, pointer: null });
     canvas.addEventListener("pointermove", (event) => { this.pointer = event.offsetX; this.again?.(); });
+    canvas.addEventListener("click", ({ offsetX }) => this.world?.steps && this.chosen?.(this.stepAt(offsetX)));
     canvas.addEventListener("pointerleave", () => { this.pointer = null; this.again?.(); });
   }
 
   draw(world, colours) {
     const [context, width, height] = prepare(this.canvas), { series, steps } = world;
+    this.world = world;
     if (!steps) return;
     const first = series[0], last = Math.max(series[COLUMNS * (steps - 1)], first + 1);
     const toX = (time) => ((time - first) / (last - first)) * (width - 1);
@@ -58,6 +70,12 @@ export class Chart {
     context.stroke();
     if (world.status.at !== undefined) this.drawCursor(context, toX(world.status.time_s ?? 0), height, colours.text);
     if (this.pointer !== null) this.drawReading(context, world, first + (this.pointer / width) * (last - first), toX, toY, width, colours);
+  }
+
+  // The step at a place of the chart, px from its left.
+  stepAt(x) {
+    const { series, steps } = this.world, first = series[0], last = series[COLUMNS * (steps - 1)];
+    return findStep(series, steps, first + (x / this.canvas.clientWidth) * (last - first));
   }
 
   value(series, k) {
@@ -99,11 +117,7 @@ export class Chart {
 
   // Draws the value at the time under the pointer.
   drawReading(context, { series, steps }, time, toX, toY, width, colours) {
-    let [low, high] = [0, steps - 1];
-    while (low < high) {
-      const middle = (low + high) >> 1;
-      if (series[COLUMNS * middle] < time) low = middle + 1; else high = middle;
-    }
+    let low = findStep(series, steps, time);
     while (low > 0 && Number.isNaN(series[COLUMNS * low + this.column])) low--;
     const [at, value, particles] = [0, this.column, PARTICLES].map((column) => series[COLUMNS * low + column]), x = toX(at);
     if (Number.isNaN(value)) return;

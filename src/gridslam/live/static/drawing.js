@@ -1,5 +1,7 @@
 // Draws the map, the trajectory, the scan and the particles.
 
+import { drawGrid } from "./tools.js";
+
 const ROBOT = 9; // px
 
 // Draws a line through points, interrupted at NaN.
@@ -29,7 +31,8 @@ function pathPoints(path, world, particle) {
 export class Drawing {
   constructor(canvas, world, camera) {
     Object.assign(this, { canvas, world, camera });
-    this.shown = { map: true, path: true, ancestry: true, particles: true, scan: true, closures: true, landmarks: true };
+    this.shown = { map: true, path: true, ancestry: true, particles: true, scan: true, closures: true, landmarks: true, other: true, truth: true, grid: false };
+    this.opacity = { map: 1, other: 0.7 };
   }
 
   resize() {
@@ -41,8 +44,10 @@ export class Drawing {
     const { world, camera, shown } = this, context = this.canvas.getContext("2d");
     context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
     context.clearRect(0, 0, camera.width, camera.height);
-    if (shown.map) world.map.draw(context, camera);
+    this.maps(context);
+    if (shown.grid) drawGrid(context, camera, colours);
     Object.assign(context, { lineJoin: "round", lineCap: "round" });
+    if (shown.truth) this.truth(context, colours.truth);
     if (shown.ancestry) this.ancestry(context, colours.ancestry);
     if (shown.path) this.path(context, colours);
     if (shown.closures) this.closures(context, colours.closure);
@@ -50,6 +55,22 @@ export class Drawing {
     if (shown.scan) this.scan(context, colours.scan);
     this.robot(context, colours);
     if (shown.particles) this.particles(context, colours);
+    this.measure?.draw(context, camera, colours);
+  }
+
+  maps(context) {
+    for (const name of ["map", "other"]) {
+      context.globalAlpha = this.opacity[name];
+      if (this.shown[name]) this.world[name].draw(context, this.camera);
+    }
+    context.globalAlpha = 1;
+  }
+
+  truth(context, colour) {
+    Object.assign(context, { strokeStyle: colour, lineWidth: 2.4 });
+    context.setLineDash([6, 4]);
+    line(context, this.world.truth, this.camera);
+    context.setLineDash([]);
   }
 
   closures(context, colour) {
@@ -133,7 +154,7 @@ export class Drawing {
       if (headed) {
         context.beginPath();
         context.moveTo(u, v);
-        context.lineTo(u + 14 * Math.cos(theta), v - 14 * Math.sin(theta));
+        context.lineTo(u + 14 * Math.cos(theta + camera.angle), v - 14 * Math.sin(theta + camera.angle));
         context.stroke();
       }
     }
@@ -147,7 +168,7 @@ export class Drawing {
     context.save();
     context.translate(u, v);
     if (status.covariance) this.ellipse(context, ...status.covariance[0].slice(0, 2), status.covariance[1][1], colours.path, !status.lost);
-    context.rotate(-theta);
+    context.rotate(-theta - this.camera.angle);
     context.beginPath();
     context.moveTo(1.3 * ROBOT, 0);
     context.lineTo(-ROBOT, 0.8 * ROBOT);
@@ -166,7 +187,7 @@ export class Drawing {
     const radii = [mean + spread, Math.max(mean - spread, 0)].map((variance) => 2 * Math.sqrt(variance) * this.camera.scale);
     if (radii[0] < 4) return;
     context.beginPath();
-    context.ellipse(0, 0, radii[0], radii[1], -0.5 * Math.atan2(2 * b, a - c), 0, 7);
+    context.ellipse(0, 0, radii[0], radii[1], -0.5 * Math.atan2(2 * b, a - c) - this.camera.angle, 0, 7);
     Object.assign(context, { fillStyle: colour, strokeStyle: colour, lineWidth: 1, globalAlpha: 0.15 });
     if (filled) context.fill();
     context.globalAlpha = 0.6;

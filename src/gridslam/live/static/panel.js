@@ -25,7 +25,7 @@ export class Panel {
     $("#speed").onchange = ({ target }) => ask({ do: "speed", factor: target.value === "" ? null : Number(target.value) });
     $("#pause").onclick = () => this.toggle();
     $("#step").onclick = (event) => ask({ do: "step", to_key_scan: !event.shiftKey });
-    $("#line").oninput = ({ target }) => ask({ do: "seek", at: Number(target.value) });
+    $("#line").oninput = ({ target }) => this.seek(Number(target.value));
     $("#best").onclick = () => ask({ do: "select", particle: null });
     $("#sheet").onclick = () => {
       const open = document.body.toggleAttribute("data-sheet");
@@ -40,6 +40,7 @@ export class Panel {
     $("#title").textContent = runInfo.title;
     const replay = this.mode === "replay", unlimited = $("#speed option[value='']");
     for (const part of document.querySelectorAll("[data-layer]")) part.hidden = !runInfo.layers.includes(part.dataset.layer);
+    $("#truth-name").textContent = runInfo.truth ?? "truth";
     $("#latency-of").textContent = `Time per ${runInfo.step}`;
     document.body.dataset.mode = runInfo.mode; // the style sheet hides the controls that do not apply
     if (!replay && !unlimited) $("#speed").add(new Option("max", ""));
@@ -54,6 +55,25 @@ export class Panel {
 
   step(shift) {
     if (!$("#step").disabled) this.ask({ do: "step", to_key_scan: !shift });
+  }
+
+  // Whether there is a time line to move on.
+  get hasTime() { return !$("#line").disabled; }
+
+  seek(at) {
+    if (!this.hasTime) return;
+    $("#line").value = Math.min(Math.max(at, 0), Number($("#line").max));
+    this.ask({ do: "seek", at: Number($("#line").value) });
+  }
+
+  seekBy(steps) { this.seek(Number($("#line").value) + steps); }
+
+  // Takes the next speed of the list, up or down.
+  accelerate(direction) {
+    const options = [...$("#speed").options], at = options.findIndex((option) => option.selected) + direction;
+    if ($("#speed").disabled || !options[at]) return;
+    options[at].selected = true;
+    $("#speed").onchange({ target: $("#speed") });
   }
 
   // Shows whether there is a connection; `why` is the reason if the server has refused it.

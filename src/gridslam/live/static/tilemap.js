@@ -21,6 +21,12 @@ export function palette(unknown, free, occupied) {
   });
 }
 
+// Colours of the levels where only what is occupied is seen.
+export function outline(occupied) {
+  const colour = rgb(occupied);
+  return Array.from({ length: 16 }, (_, level) => [...colour, Math.round(255 * Math.min(Math.max((level - 9) / 5, 0), 1))]);
+}
+
 // The first and the last row (or column) of tiles, by how many cells are known in each: outer ones that hold few cells
 // are beams through windows and doors, and do not count.
 function trim(sums) {
@@ -47,9 +53,10 @@ export class TileMap {
     Object.assign(this, { resolution, offset });
   }
 
+  // Sets the colours of the levels, [red, green, blue] or with alpha.
   colour(colours) {
-    this.unknown = `rgb(${colours[0]})`;
-    this.colours = new Uint32Array(colours.map(([r, g, b]) => (255 << 24) | (b << 16) | (g << 8) | r));
+    this.unknown = colours[0].length === 3 && `rgb(${colours[0]})`;
+    this.colours = new Uint32Array(colours.map(([r, g, b, alpha = 255]) => (alpha << 24) | (b << 16) | (g << 8) | r));
     this.sheets.clear();
     for (const [key, tile] of this.tiles) this.paint(...key.split(",").map(Number), tile);
   }
@@ -96,15 +103,33 @@ export class TileMap {
     if (!sheet) {
       const canvas = new OffscreenCanvas(TILES * side, TILES * side);
       sheet = { row: sheetRow, column: sheetColumn, context: canvas.getContext("2d") };
-      sheet.context.fillStyle = this.unknown; // missing tiles must not shine through where a sheet is scaled
-      sheet.context.fillRect(0, 0, canvas.width, canvas.height);
+      if (this.unknown) { // missing tiles must not shine through where a sheet is scaled
+        sheet.context.fillStyle = this.unknown;
+        sheet.context.fillRect(0, 0, canvas.width, canvas.height);
+      }
       this.sheets.set(key, sheet);
     }
     sheet.context.putImageData(image, (column - TILES * sheetColumn) * side, (TILES - 1 - row + TILES * sheetRow) * side);
   }
 
+  // Draws all bitmaps in the frame of a map that is turned.
+  drawTurned(context, camera) {
+    const metres = TILES * this.side * this.resolution, [x0, y0] = this.offset, bleed = 0.5 / camera.scale; // hides seams
+    context.save();
+    context.imageSmoothingEnabled = true;
+    context.translate(...camera.middle);
+    context.rotate(-camera.angle);
+    context.scale(camera.scale, camera.scale);
+    for (const sheet of this.sheets.values()) {
+      const [x, y] = [x0 + sheet.column * metres - camera.x, camera.y - y0 - (sheet.row + 1) * metres];
+      context.drawImage(sheet.context.canvas, x, y, metres + bleed, metres + bleed);
+    }
+    context.restore();
+  }
+
   // Edges lie on whole pixels, so that there are no seams between bitmaps.
   draw(context, camera) {
+    if (camera.angle) return this.drawTurned(context, camera);
     const metres = TILES * this.side * this.resolution, ratio = devicePixelRatio, [x0, y0] = this.offset;
     context.imageSmoothingEnabled = camera.scale * this.resolution * ratio < 2;
     context.imageSmoothingQuality = "high";

@@ -1,0 +1,100 @@
+"""What visitors can save: the map, the trajectory, and what a later run needs to go on."""
+
+from __future__ import annotations
+
+import io
+import secrets
+import tempfile
+import zipfile
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Protocol
+
+from starlette.requests import HTTPConnection, Request
+from starlette.responses import FileResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.routing import BaseRoute, Route
+
+from gridslam.io.maps import write_map
+from gridslam.io.trajectories import write_tum
+from gridslam.live.limits import FileCache
+from gridslam.types import OccupancyGrid, Trajectory
+
+__all__ = ["DownloadableContent", "is_authorized", "make_download_routes"]
+
+_BLOCK = 1 << 16
+_REFUSED = "this needs the token of the page"
+
+
+class DownloadableContent(Protocol):
+    """What there is to save; used by the server's thread only."""
+
+    def channel_map(self, channel: int) -> OccupancyGrid | None:
+        """Return the map of a channel; None if there is none."""
+
+    def trajectory(self, channel: int) -> Trajectory | None:
+        """Return the trajectory of a channel; None if there is none."""
+
+    def session_file(self) -> Path | None:
+        """Return the file from which a later run goes on; None if there is none."""
+
+
+def make_download_routes(content: DownloadableContent, token: str | None, share: float) -> list[BaseRoute]:
+    """Return the routes of the files, for those who have the token; `share` of the time at most makes each of them."""
+    maps = FileCache(content.channel_map, _zip_map, share)
+    trajectories = FileCache(content.trajectory, _format_trajectory, share)
+
+    def make_endpoint(cache: FileCache, media_type: str, missing: str) -> Callable:  # type: ignore[type-arg]
+        async def send(request: Request) -> Response:
+            if not is_authorized(request, token):
+                return PlainTextResponse(_REFUSED, 403)
+            channel = request.query_params.get("channel", "0")
+            data = await cache.find(int(channel) if channel.isdecimal() and len(channel) < 10 else 0)
+            if data is None:
+                return PlainTextResponse(missing, 404)
+            return StreamingResponse(_split(data), media_type=media_type, headers={"content-length": str(len(data))})
+
+        return send
+
+    async def send_session(request: Request) -> Response:
+        if not is_authorized(request, token):
+            return PlainTextResponse(_REFUSED, 403)
+        path = content.session_file()
+        if path is None:
+            return PlainTextResponse("there is no session", 404)
+        return FileResponse(path, media_type="application/octet-stream")
+
+    return [
+        Route("/map.zip", make_endpoint(maps, "application/zip", "there is no map")),
+        Route("/trajectory.tum", make_endpoint(trajectories, "text/plain", "there is no trajectory")),
+        Route("/session.gridslam", send_session),
+    ]
+
+
+def is_authorized(connection: HTTPConnection, token: str | None) -> bool:
+    """Return whether a request has the token, if one is needed."""
+    given = connection.query_params.get("token", "")
+    return token is None or secrets.compare_digest(given.encode(), token.encode())
+
+
+async def _split(data: bytes) -> AsyncIterator[bytes]:
+    """Yield blocks, each when the one before has been taken: a slow reader holds no copy."""
+    for start in range(0, len(data), _BLOCK):
+        yield data[start : start + _BLOCK]
+
+
+def _zip_map(grid: OccupancyGrid) -> bytes:
+    """Return a ZIP archive with map.yaml and map.pgm for ROS's map_server."""
+    archive = io.BytesIO()
+    with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as files:
+        write_map(Path(folder) / "map.yaml", grid)
+        for name in ("map.yaml", "map.pgm"):
+            files.write(Path(folder) / name, name)
+    return archive.getvalue()
+
+
+def _format_trajectory(trajectory: Trajectory) -> bytes:
+    """Return the content of a TUM file."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "trajectory.tum"
+        write_tum(path, trajectory)
+        return path.read_bytes()

@@ -1,0 +1,41 @@
+// The keyboard: what each key does, and the list of them.
+
+const NAMES = { " ": "space", ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓", Escape: "Esc", "?": "?" };
+
+// Whether a key is meant for the part that has the focus. A part that was clicked has lost it (see `Keys`).
+function isForPart(part, key) {
+  if (part.matches("select")) return true;
+  if (part.matches("input[type='range']")) return key.startsWith("Arrow") || key === "Home" || key === "End";
+  return key === " " && part.matches("button, input");
+}
+
+export class Keys {
+  // `bindings`: [keys, what they do, function of the event] each, or without a function where it is only listed.
+  constructor(bindings, dialog) {
+    this.actions = new Map();
+    this.dialog = dialog;
+    const list = dialog.querySelector("dl");
+    for (const [keys, what, action] of bindings) {
+      for (const key of action ? keys : []) this.actions.set(key, action);
+      if (what) list.append(this.term(keys), Object.assign(document.createElement("dd"), { textContent: what }));
+    }
+    addEventListener("keydown", (event) => this.pressed(event));
+    addEventListener("pointerup", () => setTimeout(() => { // so that keys mean the page again
+      if (document.activeElement.matches("button, input") && !dialog.open) document.activeElement.blur();
+    }));
+  }
+
+  term(keys) {
+    const term = document.createElement("dt");
+    for (const key of keys) term.append(Object.assign(document.createElement("kbd"), { textContent: NAMES[key] ?? key }), " ");
+    return term;
+  }
+
+  pressed(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey || this.dialog.open) return;
+    const action = this.actions.get(event.key);
+    if (!action || (event.target.matches?.("*") && isForPart(event.target, event.key))) return;
+    event.preventDefault();
+    action(event);
+  }
+}

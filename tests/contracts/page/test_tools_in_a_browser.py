@@ -1,0 +1,161 @@
+"""What helps to look at a finished run: keys, measuring, the grid, turning, comparing, charts, and what is saved."""
+
+from __future__ import annotations
+
+import zipfile
+
+import numpy as np
+import pytest
+
+from gridslam.api.mapping import map_log
+from gridslam.config import override
+from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.trajectories import read_tum
+from gridslam.live.options import LiveOptions
+from gridslam.live.replay import Replay
+from gridslam.live.server import PageServer
+from support.browsing import click, on_screen, pixels_of, shown, text, told, view, wait
+from support.loops import PROVOKED
+
+
+@pytest.fixture(scope="module")
+def out(drive, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tools")
+    write_carmen(folder / "loop.clf.gz", drive[:200])
+    map_log(folder / "loop.clf.gz", configuration=override(PROVOKED, "particles=4"), repair="none").save(folder / "out")
+    (folder / "out" / "session.gridslam").write_bytes(b"all there is")
+    return folder / "out"
+
+
+@pytest.fixture
+def page(browser, out):
+    """A finished run beside itself, from its first key scan on."""
+    with PageServer(Replay(out, beside=out), LiveOptions(port=0)) as server:
+        browser.get(server.url)
+        wait(lambda: told(browser).get("tiles", "0") != "0", "the map")
+        yield browser
+
+
+def at(browser):
+    return int(browser.find_element("id", "line").get_property("value"))
+
+
+def press(browser, *keys):
+    from selenium.webdriver import ActionChains
+
+    ActionChains(browser).send_keys(*keys).perform()
+
+
+def pointer_to(browser, u, v, *, clicks=False):
+    from selenium.webdriver import ActionChains
+
+    canvas = browser.find_element("id", "map")
+    middle = canvas.size["width"] / 2, canvas.size["height"] / 2
+    action = ActionChains(browser).move_to_element_with_offset(canvas, round(u - middle[0]), round(v - middle[1]))
+    (action.click() if clicks else action).perform()
+
+
+def test_arrows_and_ends_move_in_time_and_space_plays(page):
+    from selenium.webdriver import ActionChains, Keys
+
+    last = at(page)
+    press(page, Keys.HOME)
+    wait(lambda: told(page)["at"] == "0", "the beginning")
+    press(page, Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
+    wait(lambda: told(page)["at"] == "2", "two steps on")
+    press(page, Keys.ARROW_LEFT)
+    wait(lambda: told(page)["at"] == "1", "one back")
+    click(page, "fit")  # which has the focus now, and is not what space means
+    press(page, " ")
+    wait(lambda: told(page)["stage"] == "running", "space plays")
+    press(page, " ")
+    wait(lambda: told(page)["stage"] == "paused", "and pauses")
+    press(page, Keys.END)
+    wait(lambda: told(page)["at"] == str(last), "the end")
+    speed = page.find_element("id", "speed").get_property("value")
+    press(page, Keys.ARROW_UP)
+    wait(lambda: page.find_element("id", "speed").get_property("value") != speed, "faster")
+    before = view(page)
+    ActionChains(page).key_down(Keys.SHIFT).send_keys(Keys.ARROW_LEFT).key_up(Keys.SHIFT).perform()
+    wait(lambda: view(page)[0] < before[0], "shift moves the map")
+
+
+def test_all_keys_are_listed(page, screenshot):
+    from selenium.webdriver import Keys
+
+    press(page, "?")
+    wait(lambda: shown(page, "help"), "the list of keys")
+    screenshot("keys")
+    for key in ("space", "→", "Home", "m", "g", "?"):
+        assert key in [part.text for part in page.find_elements("css selector", "#help kbd")]
+    press(page, Keys.ESCAPE)
+    wait(lambda: not shown(page, "help"), "gone")
+
+
+def test_a_chart_is_clicked_to_seek(page):
+    chart = page.find_element("id", "n_eff")
+    chart.click()  # its middle
+    half = wait(lambda: told(page)["at"] != str(at(page)) or at(page), "a place in time")
+    times = page.execute_script("return document.querySelector('#line').max")
+    assert 0.2 * float(times) < float(half) < 0.8 * float(times)
+
+
+def test_distances_are_measured_and_places_are_read(page, screenshot):
+    here = view(page)
+    first, second = (here[0] - 2.0, here[1]), (here[0] + 1.0, here[1] + 4.0)
+    pointer_to(page, *on_screen(page, *first))
+    x, y = (float(word.split()[1]) for word in text(page, "#cursor").split(", "))
+    assert (x, y) == pytest.approx(first, abs=1.5 / here[2])
+    press(page, "m")
+    for place in (first, second):
+        pointer_to(page, *on_screen(page, *place), clicks=True)
+    measured = text(page, "#cursor")
+    screenshot("measured")
+    assert float(measured.partition(" · ")[2].removesuffix(" m")) == pytest.approx(5.0, abs=3.0 / here[2])
+    press(page, "m")
+    assert "all" not in text(page, "#cursor")
+
+
+def test_the_map_turns_about_the_middle_and_fades(page, screenshot):
+    press(page, "[")
+    wait(lambda: text(page, "#turn + output") == "15°", "turned by 15 degrees")
+    screenshot("turned")
+    pointer_to(page, *view(page)[3:5])
+    x, y = (float(word.split()[1]) for word in text(page, "#cursor").split(", "))
+    assert (x, y) == pytest.approx(tuple(view(page)[:2]), abs=0.1)
+    u, v = view(page)[3:5]
+    pointer_to(page, u + 100, v)
+    turned = np.array([float(word.split()[1]) for word in text(page, "#cursor").split(", ")]) - view(page)[:2]
+    assert np.arctan2(turned[1], turned[0]) == pytest.approx(-np.pi / 12, abs=0.02)
+    press(page, "n")
+    wait(lambda: text(page, "#turn + output") == "0°", "as it was")
+    free = pixels_of(page, "free")
+    page.execute_script(
+        "const o = document.querySelector('#opacity'); o.value = 30; o.dispatchEvent(new Event('input'))"
+    )
+    wait(lambda: pixels_of(page, "free") < free / 2, "a faint map")
+
+
+def test_a_grid_and_another_run_are_shown(page, screenshot):
+    assert "out" in text(page, "#layers"), "the name of the other run"
+    page.find_element("css selector", "input[name='path']").click()
+    other = wait(lambda: pixels_of(page, "truth"), "the other path")
+    press(page, "g")
+    wait(lambda: page.find_element("css selector", "input[name='grid']").is_selected(), "the grid")
+    screenshot("grid")
+    page.find_element("css selector", "input[name='truth']").click()
+    wait(lambda: pixels_of(page, "truth") < other, "the other path is hidden")
+
+
+def test_what_is_saved_has_a_name_and_is_whole(page, out):
+    for button, name in (
+        ("save-map", "loop-map.zip"),
+        ("save-trajectory", "loop-trajectory.tum"),
+        ("save-session", "loop.gridslam"),
+    ):
+        click(page, button)
+        wait(lambda name=name: (page.downloads / name).is_file(), name)
+    saved = wait(lambda: zipfile.is_zipfile(page.downloads / "loop-map.zip"), "all of the map")
+    assert saved
+    assert len(read_tum(page.downloads / "loop-trajectory.tum")) == len(read_tum(out / "trajectory.tum"))
+    assert (page.downloads / "loop.gridslam").read_bytes() == b"all there is"
