@@ -14,7 +14,7 @@ from gridslam.io.trajectories import read_tum
 from gridslam.live.options import LiveOptions
 from gridslam.live.replay import Replay
 from gridslam.live.server import PageServer
-from support.browsing import click, on_screen, pixels_of, shown, text, told, view, wait
+from support.browsing import click, emulated, on_screen, pixels_of, shown, text, told, view, wait
 from support.loops import PROVOKED
 
 
@@ -34,6 +34,31 @@ def page(browser, out):
         browser.get(server.url)
         wait(lambda: told(browser).get("tiles", "0") != "0", "the map")
         yield browser
+
+
+def check_by_axe(browser):
+    base = pytest.importorskip("axe_core_python.base")
+    found = browser.execute_async_script(f"{base.AXE_SCRIPT}; axe.run().then(arguments[0])")
+    assert [(each["id"], each["nodes"][0]["html"]) for each in found["violations"]] == []
+    assert len(found["passes"]) > 15  # it has looked
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing(page, scheme):
+    screen = {"width": 1400, "height": 760, "deviceScaleFactor": 1, "mobile": False}
+    with emulated(page, screen, scheme):
+        check_by_axe(page)
+        press(page, "?")
+        check_by_axe(page)
+
+
+def test_axe_finds_nothing_on_a_phone_in_the_dark(phone, out):
+    with PageServer(Replay(out, beside=out), LiveOptions(port=0)) as server:
+        phone.get(server.url)
+        wait(lambda: told(phone).get("tiles", "0") != "0", "the map")
+        check_by_axe(phone)
+        click(phone, "sheet")
+        check_by_axe(phone)
 
 
 def at(browser):
