@@ -15,6 +15,7 @@ from gridslam.api.localization import LocalizationResult as LocalizationResult
 from gridslam.api.localization import localize as localize
 from gridslam.api.mapping import MapResult as MapResult
 from gridslam.api.mapping import map_log as map_log
+from gridslam.api.session import Session as Session
 from gridslam.config import Configuration as Configuration
 from gridslam.config import build as build
 from gridslam.config import preset as preset

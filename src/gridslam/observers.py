@@ -100,6 +100,11 @@ class TrajectoryRecorder:
         """Index of the key scan at or before each scan, from 0: (N,) int64."""
         return np.repeat(_as_integers(self._keys), self._repeats)
 
+    @property
+    def key_scans(self) -> IntArray:
+        """Which scans are key scans: (T,) int64."""
+        return np.flatnonzero(np.diff(self.keys, prepend=-1))
+
     def tracked_scans(self, first_key: int = 0) -> TrackedScans:
         """Return the scans as a drive whose first key scan is number `first_key`."""
         return TrackedScans(first_key + self.keys, self.key_from_base)

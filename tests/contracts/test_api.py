@@ -7,6 +7,7 @@ import inspect
 import re
 import subprocess
 import sys
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -78,8 +79,8 @@ def test_the_best_particle_alone_may_be_kept_and_the_answer_is_the_same(log):
     assert best.state.poses.tobytes() == every.state.poses[every.state.best].tobytes()
     assert best.trajectory.poses.tobytes() == every.trajectory.poses.tobytes()
     assert best.map.log_odds.tobytes() == every.map.log_odds.tobytes()
-    source, shown = gridslam.CarmenLog(log), gridslam.Configuration(particles=3)
-    assert len(map_with_progress(source, shown, Stopwatch(), shown=False).state.poses) == 1
+    run = partial(gridslam.map_log, particles=3)
+    assert len(map_with_progress(gridslam.CarmenLog(log), run, Stopwatch(), shown=False).state.poses) == 1
 
 
 def test_ones_own_loop_gives_the_same(log):

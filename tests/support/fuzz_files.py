@@ -23,7 +23,7 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -36,6 +36,7 @@ from PIL import Image
 import gridslam
 from gridslam.api.landmarks import map_landmarks
 from gridslam.api.mapping import map_log
+from gridslam.api.session import Session
 from gridslam.config import Configuration, load, override, preset
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
 from gridslam.io.g2o import read_g2o, write_g2o
@@ -43,19 +44,15 @@ from gridslam.io.landmark_logs import open_landmark_log
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.maps import read_map, write_map
 from gridslam.io.results.record import read_record
-from gridslam.io.results.state import (
-    SavedLocalization,
-    SavedRun,
-    read_localization,
-    read_state,
-    write_localization,
-    write_state,
-)
 from gridslam.io.ros_parameters import read_parameter_file
+from gridslam.io.sessions.archive_file import write_sealed_arrays
+from gridslam.io.sessions.drives import DrivenLog
+from gridslam.io.sessions.saved_localization import SavedLocalization, read_localization, write_localization
+from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session, write_session
 from gridslam.io.trajectories import read_relations, read_trajectory_csv, read_tum
 from gridslam.live.replay import Replay
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
-from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
+from gridslam.slam.full_slam.full_trajectory import full_trajectories
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from support import ros_bags
@@ -293,7 +290,7 @@ def _names(folder: Path) -> Iterator[Family]:
 def _streams(folder: Path) -> Iterator[Family]:
     """Pipes, devices and directories in the place of files."""
     readers: list[Callable[[Path], object]] = [
-        open_log, read_tum, read_g2o, read_map, read_state, read_record, open_landmark_log, read_relations,
+        open_log, read_tum, read_g2o, read_map, read_session, read_record, open_landmark_log, read_relations,
         read_parameter_file, read_localization, read_trajectory_csv
     ]  # fmt: skip
 
@@ -333,7 +330,7 @@ _READERS: dict[str, Callable[[Path], object]] = {
     "bag": _scan,
     "db3": _scan,
     "zst": _scan,
-    "npz": read_state,
+    "gridslam": read_session,
     "yaml": lambda path: (read_map if path.name == "map.yaml" else read_parameter_file)(path),
     "tum": read_tum,
     "g2o": read_g2o,
@@ -513,16 +510,18 @@ def _states(folder: Path) -> Iterator[Family]:
     measurements = drive_about(40)
     configuration = Configuration(particles=3)
     rng, steps = np.random.default_rng(1), iter(measurements)
-    trajectory, statistics = TrajectoryRecorder(), StatisticsRecorder()
+    begun = SavedRun(rng, name="day", logs=(DrivenLog("day.clf", "", 35, 0, 1, 1.0),))
     slam = gridslam.build(configuration)
-    observers = [trajectory, statistics]
+    observers = [begun.trajectory, begun.statistics, lambda report, state, seconds: begun.record.add(report, seconds)]
     state = gridslam.run(islice(steps, 35), slam, particles=3, rng=rng, observers=observers)
-    write_state(folder / "state.npz", SavedRun(configuration, state, rng, trajectory, statistics))
+    session = Session.of(SavedSession(configuration, run=replace(begun, state=state)))
+    whole = replace(session.saved, pieces=tuple(session.pieces))  # a run, and the same as a piece
+    write_session(folder / "state.gridslam", whole)
     known = KnownMap(map_log_of(measurements).map)
     mcl = MonteCarloLocalization(known, MonteCarloConfiguration(max_beams=40))
     believed = gridslam.run(measurements[:10], mcl, rng=rng, state=mcl.init())
     write_localization(folder / "mcl.npz", SavedLocalization(mcl.configuration, believed, rng))
-    arrays = {name: dict(np.load(folder / name).items()) for name in ("state.npz", "mcl.npz")}
+    arrays = {name: dict(np.load(folder / name).items()) for name in ("state.gridslam", "mcl.npz")}
     rest = measurements[35:]
 
     def prepare(to: Path, rng: np.random.Generator, name: str) -> None:
@@ -532,22 +531,25 @@ def _states(folder: Path) -> Iterator[Family]:
         changed = dict(arrays[name])
         for _ in range(rng.choice([1, 1, 2])):
             _change_array(changed, rng)
-        with open(to / name, "wb") as file:
-            np.savez(file, **changed)
+        write_sealed_arrays(to / name, changed)
 
     def read_run(where: Path) -> None:
-        saved = read_state(where / "state.npz")
-        recorders = [saved.trajectory, saved.statistics]
+        saved = read_session(where / "state.gridslam")
+        went_on = saved.run
+        recorders = [went_on.trajectory, went_on.statistics]
         slam = gridslam.build(saved.configuration)
-        end = gridslam.run(rest, slam, rng=saved.rng, state=saved.state, observers=recorders)
-        saved.trajectory.best_trajectory(end)
-        saved.statistics.summary()
+        gridslam.run(rest, slam, rng=went_on.rng, state=went_on.state, observers=recorders)
+        went_on.trajectory.online_trajectory()
+        went_on.statistics.summary()
+        for piece in saved.pieces:
+            piece.piece.build_map(saved.configuration.mapper)
+            full_trajectories(piece.piece.poses, piece.tracked_scans)
 
     def read_belief(where: Path) -> None:
         saved = read_localization(where / "mcl.npz")
         gridslam.run(rest, MonteCarloLocalization(known, saved.configuration), rng=saved.rng, state=saved.state)
 
-    yield Family("saved runs", 13, lambda to, rng: prepare(to, rng, "state.npz"), read_run, 3)
+    yield Family("saved runs", 13, lambda to, rng: prepare(to, rng, "state.gridslam"), read_run, 3)
     yield Family("saved localizations", 13, lambda to, rng: prepare(to, rng, "mcl.npz"), read_belief, 2)
 
 

@@ -66,6 +66,7 @@ INNER_RANKS = {
         "log_statistics": 1,
         "maps": 1,
         "results": 1,
+        "sessions": 2,
         "ros_parameters": 1,
         "tables": 1,
         "carmen": 2,

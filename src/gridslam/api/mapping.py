@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, final
 import numpy as np
 
 from gridslam import __version__
+from gridslam.api.beginning import Beginning
 from gridslam.api.peak_memory import find_peak_memory_bytes
 from gridslam.api.result import Result, describe_input, find_repair, write_trajectory
 from gridslam.arguments import require_instance, require_seed, require_threads
@@ -21,17 +23,20 @@ from gridslam.config.tables import to_table
 from gridslam.doctor.repair import Repair, open_repaired
 from gridslam.errors import ArgumentError
 from gridslam.grid.tiles import TiledGrid
+from gridslam.io.cache import find_origin
 from gridslam.io.g2o import write_g2o
-from gridslam.io.log import LogOptions, LogSource
+from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.maps import write_map
 from gridslam.io.measurement import Measurement
 from gridslam.io.output import OutputFolder
 from gridslam.io.results.record import RecordWriter
+from gridslam.io.sessions.drives import DrivenLog, SavedPiece
+from gridslam.io.sessions.session_file import SavedRun, SavedSession
 from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import write_tum
 from gridslam.kernels import compiled
-from gridslam.observers import RunStatistics, StatisticsRecorder, TrajectoryRecorder
+from gridslam.observers import RunStatistics
 from gridslam.pipeline import FailureRecorder, Observer, Stopwatch, describe_error, run
 from gridslam.slam.full_slam.full_slam import LoopClosureSummary, full_slam
 from gridslam.slam.full_slam.full_trajectory import find_open_directions
@@ -45,11 +50,31 @@ from gridslam.types import FloatArray, IntArray, OccupancyGrid, StepReport, Traj
 if TYPE_CHECKING:
     from gridslam.viz.notebook import Picture
 
-__all__ = ["MapResult", "finish_mapping", "map_log"]
+__all__ = ["FoundAgain", "MapResult", "describe_log", "finish_mapping", "map_log"]
 
 _MAX_BACKWARD_RATIO = 0.1
 """Ratio of scans stamped before their predecessor above which a warning is given; jitter causes up to 0.05."""
 _ORDERS = {1: "as reported", 0: "none", -1: "backward"}
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class FoundAgain:
+    """How a drive was found in the map of earlier ones.
+
+    Attributes
+    ----------
+    drives : tuple of str
+        Names of the earlier ones; none if the map was given.
+    stamp_ns : int, ns
+        Stamp of the scan at which it was certain.
+    way_m : float, m
+        Length of the way from the beginning of the drive to there.
+    """
+
+    drives: tuple[str, ...]
+    stamp_ns: int
+    way_m: float
 
 
 @final
@@ -99,6 +124,12 @@ class MapResult(Result):
         What failed: scans that were skipped, or the final refinement.
     truth : Trajectory or None
         The true trajectory in the map's frame, where it is known; it is drawn into the picture.
+    map_piece : SavedPiece or None
+        The map as a piece of a session, with the drives that have left it; None without loop closure.
+    run : SavedRun or None
+        The filter and its observers after the last scan; None if only the best particle was kept.
+    pieces : tuple of SavedPiece
+        Of the session that the log goes on from: what was not joined with this map.
     """
 
     schema: ClassVar = "gridslam.run/3"
@@ -129,6 +160,27 @@ class MapResult(Result):
     stopwatch: Stopwatch
     failures: tuple[str, ...] = ()
     truth: Trajectory | None = None
+    map_piece: SavedPiece | None = None
+    run: SavedRun | None = None
+    pieces: tuple[SavedPiece, ...] = ()
+
+    @property
+    def trajectories(self) -> dict[str, Trajectory]:
+        """The trajectory of each drive in this map, by its name."""
+        return self._by_drive(self.trajectory)
+
+    @property
+    def found_again(self) -> FoundAgain | None:
+        """Where the robot was found in what earlier drives have left; None if it was not looked for, or not found."""
+        state = None if self.run is None or self.run.state is None else self.run.state.closure_state
+        if state is None or state.joined < 0 or self.map_piece is None:
+            return None
+        *earlier, newest = self.map_piece.drives
+        first = int(newest.scans.keys[0])
+        tracked = np.array(state.graph.tracked[first : first + state.joined_after])
+        way_m = float(np.hypot(*np.diff(tracked[:, :2], axis=0).T).sum())
+        stamp_ns = int(newest.key_stamps_ns[state.joined_after - 1])
+        return FoundAgain(tuple(drive.name for drive in earlier), stamp_ns, way_m)
 
     @property
     def map(self) -> OccupancyGrid:
@@ -140,6 +192,30 @@ class MapResult(Result):
         """Odometry path length as text."""
         log = self.log
         return "no odometry" if log.without_odometry == log.scan_count else f"{log.odometry_length_m:.0f} m driven"
+
+    def to_session(self) -> SavedSession:
+        """Give what later logs can go on from, to be saved by `Session.save`.
+
+        Raises ArgumentError where only the best particle was kept.
+        """
+        if self.run is None:
+            raise ArgumentError(
+                "result", "one of all particles (keep_particles=True)", "one of the best particle alone"
+            )
+        return SavedSession(self.configuration, self.seed, self.run, self.pieces)
+
+    def _by_drive(self, trajectory: Trajectory) -> dict[str, Trajectory]:
+        """Split the trajectory of all drives by their names."""
+        drives = () if self.map_piece is None else self.map_piece.drives
+        if len(drives) < 2:
+            return {(drives[0].name if drives else self.source.stem): trajectory}
+        assert self.map_piece is not None
+        order = np.argsort(self.map_piece.stamps_ns, kind="stable")
+        own = np.repeat(np.arange(len(drives)), [len(drive.stamps_ns) for drive in drives])[order]
+        return {
+            drive.name: Trajectory(trajectory.stamps_ns[own == number], trajectory.poses[own == number])
+            for number, drive in enumerate(drives)
+        }
 
     def warnings(self) -> Iterator[str]:
         """Yield what the user should know of the log, a sentence each."""
@@ -185,7 +261,7 @@ class MapResult(Result):
 
         return draw_map(
             self.tiled_map,
-            self.trajectory,
+            self.trajectories if len(self.trajectories) > 1 else self.trajectory,
             title=self.source.name,
             caption=self.caption(),
             truth=self.truth,
@@ -196,6 +272,12 @@ class MapResult(Result):
     def _write_files(self, out: OutputFolder) -> None:
         write_map(out.file("map.yaml"), self.tiled_map)
         write_trajectory(out, self.trajectory, self.covariances)
+        trajectories = self.trajectories
+        if len(trajectories) > 1:
+            for name, trajectory in trajectories.items():
+                write_tum(out.file(f"trajectory_{name}.tum"), trajectory)
+        for number, apart in enumerate(self.pieces, start=2):
+            write_map(out.file(f"map_{number}.yaml"), apart.piece.build_map(self.configuration.mapper).tiled(0))
         write_tum(out.file("trajectory_online.tum"), self.online_trajectory)
         write_g2o(out.file("graph.g2o"), self.graph)
         revisits = None if self.loop_summary is None else self.loop_summary.tracked_revisits
@@ -208,6 +290,7 @@ class MapResult(Result):
             "threads": self.threads,
             "kernels": "compiled" if compiled else "reference",
             "input": self._describe_input(),
+            "session": self._describe_session(),
             "scans": self._describe_scans(),
             "tracker": self._describe_tracker(),
             "filter": self._describe_filter(),
@@ -243,10 +326,23 @@ class MapResult(Result):
             "faults": dict(log.faults),
         }
 
+    def _describe_session(self) -> dict[str, Any] | None:
+        """What the map goes on from; None for a single log."""
+        drives = () if self.map_piece is None else self.map_piece.drives
+        logs = [log for drive in drives for log in drive.logs]
+        if len(logs) < 2 and not self.pieces and self.found_again is None:
+            return None
+        return {
+            "drives": [{"name": drive.name, "logs": [asdict(log) for log in drive.logs]} for drive in drives],
+            "found_again": None if self.found_again is None else asdict(self.found_again),
+            "apart": [[drive.name for drive in piece.drives] for piece in self.pieces],
+        }
+
     def _describe_scans(self) -> dict[str, Any]:
         statistics = self.statistics
+        before = () if self.run is None else self.run.logs[:-1]
         return {
-            "read": self.log.scan_count,
+            "read": self.log.scan_count + sum(log.scans for log in before),
             "used": statistics.key_scans,
             "skipped": {reason.value: count for reason, count in statistics.skipped.items()},
             "lost": statistics.lost,
@@ -318,6 +414,7 @@ def map_log(
     stopwatch: Stopwatch | None = None,
     keep_particles: bool = True,
     digest: str | None = None,
+    beginning: Beginning | None = None,
 ) -> MapResult:
     """Map a log with grid-based FastSLAM and loop closure.
 
@@ -357,6 +454,8 @@ def map_log(
         the others' maps. The result is the same.
     digest : str, optional
         SHA-256 of the log, where it is known (see `gridslam.io.text.compute_digest`).
+    beginning : Beginning, optional
+        What the run goes on from (see `Session.add`).
 
     Raises
     ------
@@ -379,31 +478,29 @@ def map_log(
         raise ArgumentError("particles, laser", "none where a configuration is given", got)
     watch = stopwatch or Stopwatch()
     source = open_repaired(log, options, repair)
-    trajectory = TrajectoryRecorder()
-    statistics = StatisticsRecorder()
-    record = RecordWriter()
+    begun = beginning or Beginning(SavedRun(np.random.default_rng(seed), name=source.path.name.partition(".")[0]))
+    so_far = begun.run
     failures = FailureRecorder()
+    slam = build(configuration, threads)
     watch.lap("start")
 
     def note(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-        record.add(report, seconds)
+        so_far.record.add(report, seconds)
         on_progress()
 
     state = run(
         gate(source),
-        build(configuration, threads),
-        rng=np.random.default_rng(seed),
-        observers=[trajectory, statistics, *observers, note],
+        slam,
+        rng=so_far.rng,
+        observers=[begun.attach, so_far.trajectory, so_far.statistics, *observers, note, *begun.observers],
+        state=begun.attach_to(so_far.state),
         stopwatch=watch,
         on_failure=failures,
     )
     digest = digest or compute_digest(source.path)
     watch.lap("finish")
     result = finish_mapping(
-        state,
-        trajectory,
-        statistics,
-        record,
+        begun.go_on(state, describe_log(source, digest)),
         configuration,
         seed=seed,
         threads=threads,
@@ -415,16 +512,27 @@ def map_log(
         stopwatch=watch,
         keep_particles=keep_particles,
         failures=failures.describe(),
+        pieces=begun.find_apart(state),
     )
     watch.lap("finish")
     return result
 
 
+def describe_log(log: Log, digest: str) -> DrivenLog:
+    """Describe a log that was read, as a session remembers it."""
+    statistics = log.statistics
+    return DrivenLog(
+        find_origin(log.path) or os.fspath(log.path),
+        digest,
+        statistics.scan_count,
+        statistics.first_stamp_ns or 0,
+        statistics.last_stamp_ns or 0,
+        statistics.odometry_length_m,
+    )
+
+
 def finish_mapping(
-    state: GridFastSlamState,
-    trajectory: TrajectoryRecorder,
-    statistics: StatisticsRecorder,
-    record: RecordWriter,
+    run: SavedRun,
     configuration: Configuration,
     *,
     seed: int,
@@ -437,17 +545,21 @@ def finish_mapping(
     stopwatch: Stopwatch,
     keep_particles: bool = True,
     failures: tuple[str, ...] = (),
+    pieces: tuple[SavedPiece, ...] = (),
 ) -> MapResult:
     """Refine the trajectory after the last scan, and put together what a run gives; the arguments are `MapResult`'s.
 
     Where the final refinement raises an exception the trajectory is that of the best particle.
     """
+    state = run.state
+    assert state is not None
     maps_bytes = state.maps.nbytes
     if not keep_particles:
         state.keep_best()
+    drives = run.drives
     refine = partial(
         full_slam,
-        drives=[trajectory.tracked_scans()],
+        drives=[drive.scans for drive in drives],
         mapper=configuration.mapper,
         loop_closure=configuration.loop_closure,
         final_refinement=configuration.final_refinement,
@@ -462,18 +574,22 @@ def finish_mapping(
         failures = (*failures, problem)
         full = refine(replace(state, closure_state=None))
     stopwatch.lap("final refinement")
-    online = trajectory.online_trajectory()
+    key_stamps_ns = np.zeros(state.ancestry.steps, np.int64)  # of a map that was given key scans have no stamps
+    for drive in drives:
+        key_stamps_ns[np.unique(drive.scans.keys)] = drive.key_stamps_ns
+    stamps_ns = np.concatenate([drive.stamps_ns for drive in drives])
+    order = np.argsort(stamps_ns, kind="stable") if len(drives) > 1 else np.arange(len(stamps_ns))
     return MapResult(
-        trajectory=Trajectory(online.stamps_ns, full.poses),
-        covariances=full.covariances,
-        online_trajectory=online,
+        trajectory=Trajectory(stamps_ns[order], full.poses[order]),
+        covariances=full.covariances[order],
+        online_trajectory=run.trajectory.online_trajectory(),
         tiled_map=full.tiled_map,
         graph=full.graph,
         loop_summary=full.loop_summary,
-        key_stamps_ns=online.stamps_ns[np.flatnonzero(np.diff(trajectory.keys, prepend=-1))],
+        key_stamps_ns=key_stamps_ns,
         state=state,
         maps_bytes=maps_bytes,
-        statistics=statistics.summary(),
+        statistics=run.statistics.summary(),
         log=log,
         configuration=configuration,
         seed=seed,
@@ -481,9 +597,12 @@ def finish_mapping(
         source=source,
         digest=digest,
         repair=repair,
-        record=record,
+        record=run.record,
         stopwatch=stopwatch,
         failures=failures,
+        map_piece=None if full.piece is None else SavedPiece(full.piece, drives),
+        run=run if keep_particles else None,
+        pieces=pieces,
     )
 
 

@@ -32,6 +32,7 @@ from gridslam.cli.options import (
     rerun_option,
     robot_live_options,
     seed_option,
+    session_options,
     threads_option,
 )
 
@@ -87,6 +88,7 @@ class _MapCommand(click.Command):
 @click.argument("log", type=LOG)
 @out_option
 @map_options
+@session_options
 @live_options
 @rerun_option
 @json_option
@@ -98,10 +100,45 @@ def map_command(**options: Any) -> None:  # noqa: ANN401
     Writes to OUT: map.yaml, map.pgm and map.png, trajectory.tum (full SLAM: a pose for every scan), trajectory.csv
     (with covariances), trajectory_online.tum (the online pose estimates), graph.g2o (key scans and constraints),
     record.npz (the particles at each key scan) and run.json (counts, times, parameters).
+
+    With --save and --continue a map grows over several logs, days and robots: where the robot was not moved in between
+    the filter goes on as if there had been one log; else it is found again in the map first. Then trajectory_NAME.tum
+    is the trajectory of each drive, and map_2.yaml, ... are pieces in which it was not found.
     """
     from gridslam.cli.map import map_to_folder
 
     map_to_folder(**options)
+
+
+@gridslam.command("session")
+@click.argument("file", type=PATH)
+@click.option("--picture", type=PATH, metavar="PNG", help="Write the map of the newest drive as a picture.")
+@json_option
+def session_command(**options: Any) -> None:  # noqa: ANN401
+    """Show what is in a session FILE: drives, logs, dates, sizes, and a picture."""
+    from gridslam.cli.sessions import show_session
+
+    show_session(**options)
+
+
+@gridslam.command("merge")
+@click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILE FILE...")
+@out_option
+@click.option("--save", type=PATH, metavar="FILE", help="Save the merged session to this file.")
+@threads_option
+@json_option
+def merge_command(**options: Any) -> None:  # noqa: ANN401
+    """Merge sessions of several robots or days into one map.
+
+    Places that several of them show are recognized and decided on jointly; the order of the files changes nothing.
+    Pieces that have nothing in common stay apart.
+
+    Writes to OUT: map.yaml, map.pgm and map.png (each drive in a colour), trajectory.tum and trajectory.csv of all
+    drives by their stamps, trajectory_NAME.tum of each, graph.g2o, run.json; of further pieces map_2.yaml, ...
+    """
+    from gridslam.cli.sessions import merge_to_folder
+
+    merge_to_folder(**options)
 
 
 @gridslam.command("doctor")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,6 +12,7 @@ from gridslam.cli import STARTED_S
 from gridslam.cli.live import NOBODY, Viewers, open_viewers
 from gridslam.cli.logs import check_log
 from gridslam.cli.output import mapping_progress, open_output, print_result, warn
+from gridslam.cli.session_options import SessionOptions
 from gridslam.config import Configuration, apply_laser, load, override, preset
 from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.live.options import LiveOptions
@@ -32,6 +34,7 @@ def map_to_folder(
     threads: int,
     options: LogOptions,
     repair: Literal["needed", "all", "none"],
+    session: SessionOptions,
     live: LiveOptions | None,
     rerun: str | None,
     as_json: bool,
@@ -39,36 +42,43 @@ def map_to_folder(
     """Map a log, write the results to a folder and print a summary."""
     watch = Stopwatch(STARTED_S, 0.0)
     configuration = build_configuration(preset, particles, laser, config, assignments, no_loop_closure)
+    opened = session.open(configuration, seed, threads)
+    if opened is not None:
+        configuration = opened.configuration
     source = check_log(open_log(log, options), options)
     with open_viewers(live, rerun, source.path.name, configuration.range_max_m) as viewers:
         with open_output(out, MapResult.all_names()) as folder:
-            result = map_with_progress(
-                source, configuration, watch, viewers, shown=not as_json, seed=seed, threads=threads, repair=repair
-            )
+            if opened is None:
+                run = partial(map_log, configuration=configuration, seed=seed, threads=threads)
+            else:
+                run = partial(session.add, opened, out)
+            result = map_with_progress(source, run, watch, viewers, shown=not as_json, repair=repair)
             document = result.write(folder)
+            if opened is not None:
+                session.save_to(opened)
+        session.end(out)
         warn(*(f"{log}: {warning}" for warning in result.warnings()))
-        print_result(document, summarize(document, result, out), as_json)
+        summary = summarize(document, result, out)
+        print_result(document, [*summary, *session.summarize(opened, result, out)], as_json)
 
 
 def map_with_progress(
     source: Log,
-    configuration: Configuration,
+    run: Callable[..., MapResult],
     watch: Stopwatch,
     viewers: Viewers = NOBODY,
     *,
     shown: bool,
-    seed: int = 0,
-    threads: int = 1,
     repair: Literal["needed", "all", "none"] = "none",
 ) -> MapResult:
-    """Map a log while progress is shown, the map on a page if there is one, and all of it recorded."""
+    """Map a log while progress is shown, the map on a page if there is one, and all of it recorded.
+
+    `run` maps it: `map_log` with what it needs besides, or the same of a session.
+    """
     with mapping_progress(lambda: source.statistics, shown=shown) as progress:
         watching = viewers.watch(source, watch)
-        result = map_log(
+        result = run(
             source,
-            configuration=configuration,
-            seed=seed,
-            threads=threads,
             repair=repair,
             gate=watching["gate"],
             observers=[progress, *watching["observers"]],

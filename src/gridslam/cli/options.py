@@ -40,6 +40,7 @@ __all__ = [
     "rerun_option",
     "robot_live_options",
     "seed_option",
+    "session_options",
     "threads_option",
 ]
 
@@ -274,6 +275,21 @@ def map_options(command: _Command) -> _Command:
     return add_options(command, _MAP_OPTIONS)  # type: ignore[return-value]
 
 
+def session_options(command: _Command) -> _Command:
+    """Add the options of sessions to a command that maps, which gets them as ``session``: SessionOptions."""
+
+    @functools.wraps(command)
+    def wrapper(**given: Any) -> Any:  # noqa: ANN401
+        from gridslam.cli.session_options import SessionOptions
+
+        fields = {name: given.pop(name) for name in _SESSION_FIELDS}
+        options = SessionOptions(**fields)
+        options.check(click.get_current_context())
+        return command(session=options, **given)
+
+    return add_options(wrapper, _SESSION_OPTIONS)  # type: ignore[return-value]
+
+
 def localize_options(command: _Command) -> _Command:
     """Add the options that determine the result of `gridslam localize`."""
     return add_options(command, _LOCALIZE_OPTIONS)  # type: ignore[return-value]
@@ -297,6 +313,34 @@ _MAP_OPTIONS = (
         help="Faults to correct before mapping; needed: those that make any map unusable, all: all measurable ones."
     ),
     log_options,
+)
+_SESSION_OPTIONS = (
+    click.option("--save", type=PATH, metavar="FILE", help="Save the session to this file (NAME.gridslam)."),
+    click.option("--continue", "continued", type=PATH, metavar="FILE", help="Go on from a saved session."),
+    click.option(
+        "--same-place", is_flag=True, help="LOG begins where the session has ended.  [default: decided by the data]"
+    ),
+    click.option("--elsewhere", is_flag=True, help="LOG begins elsewhere; the robot is found again in the map."),
+    click.option(
+        "--pose",
+        metavar="X,Y,THETA",
+        callback=read_pose,
+        help="About where LOG begins in the session's map (m, rad), within 5 m; searched for there alone.",
+    ),
+    click.option("--name", metavar="NAME", help="Name of the drive, such as the robot's.  [default: that of LOG]"),
+    click.option("--prior", type=PATH, metavar="YAML", help="Known map (map_server) to be found in and to go on from."),
+    click.option(
+        "--autosave",
+        "autosave_min",
+        type=click.FloatRange(0, 1e6, min_open=True),
+        metavar="MINUTES",
+        help="Save the run this often to OUT/autosave.gridslam; after a kill the same command goes on from there.",
+    ),
+    click.option("--restart", is_flag=True, help="Begin with the first scan, whatever a killed run has left in OUT."),
+)
+_SESSION_FIELDS = (
+    *("save", "continued", "same_place", "elsewhere", "pose", "name", "prior"),
+    *("autosave_min", "restart"),
 )
 _LOCALIZE_OPTIONS = (
     click.option("--map", "map_path", type=PATH, required=True, help="Map YAML file (map_server or nav2)."),

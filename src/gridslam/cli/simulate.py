@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import click
 import numpy as np
 
 from gridslam.api.evaluation import score_against_truth
-from gridslam.api.mapping import MapResult
+from gridslam.api.mapping import MapResult, map_log
 from gridslam.cli import STARTED_S
 from gridslam.cli.evaluate import format_scores
 from gridslam.cli.live import open_viewers
@@ -135,7 +136,9 @@ def demo(out: Path, seed: int, live: LiveOptions | None, rerun: str | None, as_j
             viewers.wait(wait_s)
             watch.resume()
             log = CarmenLog(folder.file(_DEMO_LOG))
-            result = map_with_progress(log, configuration, watch, viewers, shown=not as_json, seed=seed)
+            result = map_with_progress(
+                log, partial(map_log, configuration=configuration, seed=seed), watch, viewers, shown=not as_json
+            )
             truth = _align_truth(simulated.truth, result.trajectory)
             document = replace(result, source=out / _DEMO_LOG, truth=truth).write(folder)
         errors = score_against_truth(result.trajectory, simulated.truth)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import cycle
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from PIL import Image
 from gridslam.types import FloatArray, GridRows, OccupancyGrid, Trajectory
 from gridslam.viz.canvas import (
     CLOSURE,
+    FAINT,
     FREE,
     LOST,
     OCCUPIED,
@@ -30,7 +32,16 @@ from gridslam.viz.canvas import (
     stroke,
 )
 
-__all__ = ["SIGMAS", "draw_landmarks", "draw_localization", "draw_map", "ellipse", "known_part", "lay_out"]
+__all__ = [
+    "SIGMAS",
+    "draw_landmarks",
+    "draw_localization",
+    "draw_map",
+    "draw_thumbnail",
+    "ellipse",
+    "known_part",
+    "lay_out",
+]
 
 _MAP_SIDE_PX = (1300, 3200)  # the map's long side; with margins and footer the page is 1400 to 4000
 _MAP_AREA_PX = 7_000_000  # Pillow keeps 4 bytes a pixel: a page of 30 MB
@@ -59,9 +70,16 @@ _FREE_LEVELS = [max(a, b) for a, b in zip(_ramp(_EVEN, _EVEN - 24), _ramp(_EVEN,
 _CRISP = _ramp(52, 204)  # sharpens an enlarged edge to about half a cell
 
 
+# Of several drives, each in one colour: after Okabe and Ito, so that they differ for every eye.
+_DRIVES: tuple[Colour, ...] = (
+    (213, 94, 0), (0, 114, 178), (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233), (128, 90, 50)
+)  # fmt: skip
+_MOST_KEYS = 7  # of drives
+
+
 def draw_map(
     grid: GridRows,
-    trajectory: Trajectory | None = None,
+    trajectory: Trajectory | Mapping[str, Trajectory] | None = None,
     *,
     title: str = "",
     caption: Sequence[str] = (),
@@ -75,8 +93,9 @@ def draw_map(
     Parameters
     ----------
     grid : OccupancyGrid, or another that gives rows
-    trajectory : Trajectory, optional
-        In the frame of the grid; coloured by time, with its start (white) and end (filled) marked.
+    trajectory : Trajectory, or a mapping of str to Trajectory, optional
+        In the frame of the grid; coloured by time, with its start (white) and end (filled) marked. Of several, by the
+        names of their drives, each has a colour of its own.
     title : str
         First line of the caption, in larger letters.
     caption : sequence of str
@@ -108,7 +127,9 @@ def draw_map(
     if open_directions is not None and len(open_directions):  # a band under the path
         stroke(page, layout.pixels(open_directions.reshape(-1, 2)).reshape(-1, 4), OPEN, 10.0 * layout.unit)
         keys.append(("open directions", OPEN))
-    if trajectory is not None and len(trajectory):
+    if isinstance(trajectory, Mapping):
+        keys += _paint_drives(page, layout, trajectory)
+    elif trajectory is not None and len(trajectory):
         paint_path(page, layout, trajectory, 3.0)
         mark_ends(page, layout.pixels(trajectory.poses[[0, -1], :2]), 8.0 * layout.unit)
         ends = label_time(trajectory)
@@ -119,6 +140,30 @@ def draw_map(
         keys.append(("loop closures", CLOSURE))
     paint_footer(page, layout.map_box[3], layout.unit, title, caption, keys, ends, layout.px_per_m)
     return page
+
+
+def _paint_drives(
+    page: Image.Image, layout: Layout, trajectories: Mapping[str, Trajectory]
+) -> Iterator[tuple[str, Colour]]:
+    """Paint the paths of several drives, the first ones on top; yields the keys to their colours."""
+    coloured = list(zip(trajectories.items(), cycle(_DRIVES), strict=False))
+    for (_, path), colour in reversed(coloured):
+        paint_path(page, layout, path, 3.0, colour, jump_m=_JUMP_M)
+        disc(page, layout.pixels(path.poses[:1, :2]), 7.0 * layout.unit, FREE, colour)
+        disc(page, layout.pixels(path.poses[-1:, :2]), 7.0 * layout.unit, colour, OCCUPIED)
+    for (name, _), colour in coloured[:_MOST_KEYS]:
+        yield name if len(name) <= 24 else f"{name[:23]}…", colour
+    if len(coloured) > _MOST_KEYS:
+        yield f"and {len(coloured) - _MOST_KEYS} more", FAINT
+
+
+def draw_thumbnail(grid: GridRows, side_px: int = 256) -> Image.Image:
+    """Draw the known part of a map alone, its long side `side_px`."""
+    rows, columns = known_part(grid)
+    cells = np.array([columns.stop - columns.start, rows.stop - rows.start])
+    width, height = np.maximum(1, np.rint(cells * side_px / cells.max())).astype(int).tolist()
+    px_per_m = side_px / (float(cells.max()) * grid.resolution_m)
+    return _paint_cells(grid, Layout((width, height), (0, 0, width, height), px_per_m, 0.0, 0.0, 1.0))
 
 
 def draw_localization(

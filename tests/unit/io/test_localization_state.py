@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ConsumedStateError, InputError
-from gridslam.io.results.state import SavedLocalization, read_localization, write_localization
+from gridslam.io.sessions.archive_file import write_sealed_arrays
+from gridslam.io.sessions.saved_localization import SavedLocalization, read_localization, write_localization
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.pipeline import run
 from support.localization_world import drive, flat_map
@@ -63,10 +64,10 @@ def test_what_is_no_saved_localization(known, measurements, tmp_path):
         ("state.tracked.tracker.maps.first", np.array([1 << 40, 0])),
     ):
         assert name in whole
-        np.savez(path, **{**whole, name: wrong})
+        write_sealed_arrays(path, {**whole, name: wrong})
         with pytest.raises(InputError, match=r"saved\.npz"):
             read_localization(path)
-        np.savez(path, **{key: array for key, array in whole.items() if key != name})
+        write_sealed_arrays(path, {key: array for key, array in whole.items() if key != name})
         with pytest.raises(InputError, match=r"saved\.npz"):
             read_localization(path)
     mcl.step(state, *measurements[2], rng)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gridslam.config import build, override
-from gridslam.io.results.state import SavedRun, read_state, write_state
+from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session, write_session
 from gridslam.pipeline import run
 from gridslam.slam.full_slam.full_slam import full_slam
 from support.loops import PROVOKED, loop_drive
@@ -58,16 +59,16 @@ def test_a_snapshot_goes_on_to_the_same_bytes(loop, play, contents, whole, cuts)
 
 
 def test_a_run_that_is_written_and_read_goes_on_to_the_same_bytes(loop, contents, whole, cuts, tmp_path):
-    saved = SavedRun(CONFIG, None, np.random.default_rng(7))
+    saved = SavedRun(np.random.default_rng(7))
     pending = []
     for first, last in zip([0, *cuts], [*cuts, len(loop.measurements)], strict=True):
-        slam = build(saved.configuration, threads=1 + len(pending) % 2)
+        slam = build(CONFIG, threads=1 + len(pending) % 2)
         observers = [saved.trajectory, saved.statistics]
         measurements = loop.measurements[first:last]
         state = run(measurements, slam, particles=3, rng=saved.rng, observers=observers, state=saved.state)
         pending.append(state.closure_state.correction is not None)
-        write_state(tmp_path / "run.npz", SavedRun(CONFIG, state, saved.rng, saved.trajectory, saved.statistics))
-        saved = read_state(tmp_path / "run.npz", threads=2)
+        write_session(tmp_path / "run.gridslam", SavedSession(CONFIG, run=replace(saved, state=state)))
+        saved = read_session(tmp_path / "run.gridslam", threads=2).run
         assert contents(saved.state) == contents(state)
     assert pending[:6] == [False, False, True, True, True, False]
     assert contents(saved.state) == contents(whole[0])
@@ -76,11 +77,11 @@ def test_a_run_that_is_written_and_read_goes_on_to_the_same_bytes(loop, contents
 
 
 def test_final_refinement_changes_nothing_and_is_the_same_after_reading(loop, contents, tmp_path):
-    first = SavedRun(CONFIG, None, np.random.default_rng(7))
+    first = SavedRun(np.random.default_rng(7))
     state = run(loop.measurements, SLAM, particles=3, rng=first.rng, observers=[first.trajectory])
     before = contents(state)
-    write_state(tmp_path / "run.npz", SavedRun(CONFIG, state, first.rng, first.trajectory))
-    read = read_state(tmp_path / "run.npz")
+    write_session(tmp_path / "run.gridslam", SavedSession(CONFIG, run=replace(first, state=state)))
+    read = read_session(tmp_path / "run.gridslam").run
     words = [
         full_slam(
             s,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntFlag
 from pathlib import Path
@@ -16,6 +17,7 @@ from gridslam.errors import ArgumentError, InputError
 from gridslam.io.limits import UnpackingLimit, require_memory
 from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.text import open_for_reading
+from gridslam.serialization import read_array
 from gridslam.types import FloatArray, IntArray, StepReport
 
 __all__ = ["Record", "RecordFlag", "RecordWriter", "read_arrays", "read_record"]
@@ -119,12 +121,31 @@ class RecordWriter:
         for name, (dtype, _) in _FORMS.items():
             self._rows[name].append(np.array(row[name], dtype))
 
-    def write(self, path: str | Path, revisits: IntArray | None = None) -> None:
-        """Write what was collected, compressed, and tracked revisits (R, 2); arrays of length 0 without a key scan."""
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return what was collected as the arrays of `Record`; of length 0 without any key scan."""
         shape = (0, 0, 3)  # of the poses, where there are none
-        arrays: dict[str, Any] = {
+        return {
             name: np.array(self._rows[name] or np.zeros(shape[:ndim]), dtype) for name, (dtype, ndim) in _FORMS.items()
         }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> RecordWriter:
+        """Go on from the arrays of `to_arrays`; raises ArgumentError for other arrays."""
+        self = cls()
+        sizes: dict[str, int] = {}
+        for name, (dtype, ndim) in _FORMS.items():
+            self._rows[name] = list(read_array(arrays, name, dtype, ("key scans", "particles", 3)[:ndim], sizes))
+        return self
+
+    def snapshot(self) -> RecordWriter:
+        """Keep a copy for later."""
+        twin = RecordWriter()
+        twin._rows = {name: rows.copy() for name, rows in self._rows.items()}
+        return twin
+
+    def write(self, path: str | Path, revisits: IntArray | None = None) -> None:
+        """Write what was collected, compressed, and tracked revisits (R, 2); arrays of length 0 without a key scan."""
+        arrays: dict[str, Any] = self.to_arrays()
         arrays["revisits"] = np.zeros((0, 2), np.int32) if revisits is None else revisits.astype(np.int32)
         with Path(path).open("wb") as file:
             np.savez_compressed(file, schema=np.array(_SCHEMA), **arrays)

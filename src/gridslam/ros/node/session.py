@@ -19,6 +19,7 @@ from gridslam.errors import ArgumentError, OutputError
 from gridslam.io.log_statistics import LogStatistics, Mounting
 from gridslam.io.measurement import Measurement
 from gridslam.io.results.record import RecordWriter
+from gridslam.io.sessions.session_file import SavedRun
 from gridslam.io.text import compute_digest
 from gridslam.localization import (
     KnownMap,
@@ -236,11 +237,15 @@ class SessionCopy:
         for report, seconds in self.keys:
             record.add(report, seconds)
         self.stopwatch.resume()
-        return finish_mapping(
+        run = SavedRun(
+            np.random.default_rng(self.seed),
             GridFastSlamState.from_arrays(self.state, self.configuration.mapper, self.threads),
             self.trajectory,
             self.statistics,
             record,
+        )
+        return finish_mapping(
+            run,
             self.configuration,
             seed=self.seed,
             threads=self.threads,

@@ -25,6 +25,10 @@ __all__ = ["EarlierPieces"]
 _WINDOW_M = 50.0
 """Half the side of a square that is searched at a time; a larger map is searched square by square."""
 
+_NEAR_M = 5.0
+_NEAR_RAD = 0.5
+"""Half the sides of the window that is searched about a pose that was given."""
+
 _FIRST_KEY_SCANS = 12
 """A drive is not compared before it has this many key scans, about 5 m: less of it looks alike in too many places."""
 
@@ -58,6 +62,8 @@ class EarlierPieces:
         When an alignment is certain.
     scorer : TrajectoryScorer
         How hypotheses are scored.
+    begin : (3,) float64, optional
+        Where the drive begins in the first piece, within 5 m and half a radian; it is searched for there alone.
     """
 
     def __init__(
@@ -67,6 +73,7 @@ class EarlierPieces:
         places: PlaceMatching,
         alignment: ComponentAlignment,
         scorer: TrajectoryScorer,
+        begin: FloatArray | None = None,
     ) -> None:
         self.pieces = list(pieces)
         self._mapper = mapper
@@ -74,6 +81,7 @@ class EarlierPieces:
         window = replace(alignment.search, window_m=_WINDOW_M, window_rad=math.pi)
         self._alignment = replace(alignment, search=window)
         self._scorer = scorer
+        self._begin = begin
         self._maps = [piece.build_map(mapper) for piece in self.pieces]
         self._pyramids = [Pyramid.of(maps, 0) for maps in self._maps]
         self._hits: dict[tuple[int, int, bytes], list[SearchHit]] = {}
@@ -85,7 +93,7 @@ class EarlierPieces:
             return None
         poses = np.array(closure_state.graph.poses)
         recent = np.arange(max(0, len(poses) - _LAST_KEY_SCANS), len(poses))
-        for number, piece in enumerate(self.pieces):
+        for number, piece in enumerate(self.pieces if self._begin is None else self.pieces[:1]):
             found = self.align(closure_state, number, recent, [k for k in recent.tolist() if self._is_searched(k)])
             if found is not None:
                 before = compose(found.poses[0], between(poses[recent[0]], poses[: recent[0]]))
@@ -127,8 +135,20 @@ class EarlierPieces:
         few = thin_points(points, self._alignment.search.max_points)
         known = (number, key, few.tobytes())
         if known not in self._hits:
-            self._hits[known] = list(self._search_everywhere(number, key, few))
+            if self._begin is None:
+                self._hits[known] = list(self._search_everywhere(number, key, few))
+            else:
+                expected = compose(self._begin, between(closure_state.graph.poses[0], closure_state.graph.poses[key]))
+                self._hits[known] = list(self._search_near(number, key, few, expected))
         return self._hits[known]
+
+    def _search_near(self, number: int, key: int, points: FloatArray, expected: FloatArray) -> Iterator[SearchHit]:
+        """Search a piece about the pose (3,) where the key scan is expected."""
+        search = replace(self._alignment.search, window_m=_NEAR_M, window_rad=_NEAR_RAD)
+        found = search.search(self._pyramids[number], expected, None, points)
+        if found is not None:
+            distinct = found.runner_up_score <= self._places.ambiguity_ratio * found.score
+            yield SearchHit(key, found.pose, found.score, True, distinct)
 
     def _search_everywhere(self, number: int, key: int, points: FloatArray) -> Iterator[SearchHit]:
         """Search a piece square by square; a place is distinct if none in any square scores nearly as high."""

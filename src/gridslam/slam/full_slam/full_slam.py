@@ -106,6 +106,9 @@ class FullSlam:
         The map, drawn from the key scans at these poses.
     loop_summary : LoopClosureSummary or None
         Summary of loop closure; None without loop closure.
+    piece : MapPiece or None
+        What a later drive can be found in and joined with: the key scans at these poses, with the constraints of the
+        drive that were accepted; None without loop closure.
     """
 
     poses: FloatArray
@@ -113,6 +116,7 @@ class FullSlam:
     graph: PoseGraph
     tiled_map: TiledGrid
     loop_summary: LoopClosureSummary | None
+    piece: MapPiece | None
 
     @property
     def map(self) -> OccupancyGrid:
@@ -150,7 +154,7 @@ def full_slam(
     graph = _build_odometry_graph(trajectory, drives, closure.drift)
     poses = full_trajectories(trajectory, drives)
     covariances = scan_covariances(graph, drift_covariances(graph), poses, drives, closure.drift)
-    return FullSlam(poses, covariances, graph, state.maps.tiled(state.best), None)
+    return FullSlam(poses, covariances, graph, state.maps.tiled(state.best), None, None)
 
 
 def refine_piece(
@@ -181,7 +185,21 @@ def _refine(
     graph = scale_information(refined.best.graph, refined.best.weights)
     covariances = scan_covariances(graph, key_covariances(graph), refined.poses, drives, closure.drift)
     loops = _summarize(closure_state, changed, refined, trajectory)
-    return FullSlam(refined.poses, covariances, graph, refined.maps.tiled(0), loops)
+    piece = _make_piece(closure_state, refined)
+    return FullSlam(refined.poses, covariances, graph, refined.maps.tiled(0), loops, piece)
+
+
+def _make_piece(driven: LoopClosureState, refined: RefinementResult) -> MapPiece:
+    """Make a piece of the refined key scans.
+
+    Constraints that the refinement has matched are left out: it matches them again whenever the piece is refined.
+    """
+    graph = driven.graph.snapshot()
+    tracked = [c for c in graph.constraints if c.source is not ConstraintSource.RECOGNIZED]
+    recognized = [c for c in refined.best.accepted_constraints if c.source is ConstraintSource.RECOGNIZED]
+    graph.constraints = tracked + recognized
+    graph.correct(refined.best.graph.poses)
+    return MapPiece(driven.scans.snapshot(), graph)
 
 
 def _build_odometry_graph(trajectory: FloatArray, drives: Sequence[TrackedScans], drift: DriftModel) -> PoseGraph:

@@ -177,6 +177,8 @@ class LoopClosureState:
         saved with the state: whoever restores it gives it again.
     joined : int
         Number of the piece in which it was found; -1 before. Its key scans are then the first ones.
+    joined_after : int
+        Number of key scans of the drive after which it was found.
     """
 
     scans: ScanArchive = field(default_factory=ScanArchive)
@@ -189,6 +191,7 @@ class LoopClosureState:
     correction: Correction | None = None
     earlier: DriveLocator | None = field(default=None, metadata=NOT_SAVED)
     joined: int = -1
+    joined_after: int = 0
     submap_cache: SubmapCache = field(default_factory=SubmapCache, metadata=NOT_SAVED)
 
     def submap(self, submap: int, mapper: OccupancyGridMapping) -> TileMaps:
@@ -207,6 +210,7 @@ class LoopClosureState:
 
     def join(self, found: FoundPiece) -> None:
         """Put an earlier piece, in which the drive so far was found, in front of it."""
+        self.joined_after = len(self.graph)
         whole = found.piece.append(MapPiece(self.scans, self.graph), found.match)
         self.scans = whole.scans
         self.graph = whole.graph

@@ -17,7 +17,7 @@ from gridslam.errors import ArgumentError
 from gridslam.io.measurement import FARTHEST_M
 from gridslam.kernels import PAGE, TILE
 
-__all__ = ["require_near_maps", "require_plausible"]
+__all__ = ["require_near_maps", "require_plausible", "require_whole_piece"]
 
 _Arrays = Mapping[str, NDArray[Any]]
 
@@ -28,7 +28,7 @@ _POSE = re.compile(
 _UNKNOWN = re.compile(r"(^|\.)(odometry|matched_odometry|begin_pose|begin_odometry)$")  # NaN where there is none
 _INFINITE = re.compile(r"(^|\.)(log_\w+|driven_since_found_m)$")
 _POSITIVE = re.compile(
-    r"(^|\.)(\w*variances|\w*_m2|\w*_rad2|steps_m|key_seconds|max_s|n_eff|mass|segments|mean_step|inlier_ratio)$"
+    r"(^|\.)((\w+_)?variances|\w*_m2|\w*_rad2|steps_m|key_seconds|max_s|n_eff|latency_s|mass|segments|mean_step|inlier_ratio)$"
 )
 _LARGEST = 1e18
 _MOST_PAGES = 1 << 21  # rows and columns of cells are numbers of 32 bits
@@ -60,6 +60,27 @@ def require_plausible(arrays: _Arrays) -> None:
             _require_range(name, values, (values >= low) & (values <= high), _Range(low, high))
     _require_rows(arrays)
     _require_keys(arrays)
+
+
+def require_whole_piece(arrays: _Arrays) -> None:
+    """Refuse arrays of a saved piece whose key scans, scans and constraints do not belong together.
+
+    Raises
+    ------
+    ArgumentError
+        Names the array, what was expected and what came.
+    """
+    keys = len(arrays.get("graph.poses", ()))
+    scans = int(arrays.get("scans.count", np.zeros(1, np.int64)).reshape(-1)[0])
+    if not keys or arrays.get("scans.keys", np.zeros(0)).shape != (keys,):
+        raise ArgumentError("scans.keys", f"{keys} key scans, at least one", arrays.get("scans.keys"))
+    ranges = dict.fromkeys(("graph.constraints.from", "graph.constraints.to"), _Range(0, keys - 1))
+    for name, limits in (ranges | {"scans.keys": _Range(0, scans - 1)}).items():
+        values = arrays.get(name, np.zeros(0, np.int64))
+        if values.dtype.kind == "i":
+            _require_range(name, values, (values >= limits.low) & (values <= limits.high), limits)
+    if (np.diff(arrays["scans.keys"].astype(np.float64)) <= 0).any():
+        raise ArgumentError("scans.keys", "scans in order", arrays["scans.keys"])
 
 
 def require_near_maps(arrays: _Arrays, resolution_m: float) -> None:
@@ -113,6 +134,8 @@ def _key_scans(arrays: _Arrays) -> int:
 def _index_ranges(arrays: _Arrays) -> dict[str, _Range]:
     """Ranges of numbers that are counts, or places in other arrays."""
     keys = _key_scans(arrays)
+    shape = arrays.get("record.poses", np.zeros((0, 0, 3))).shape
+    particles = shape[1] if len(shape) == 3 else 0
     scans = int(arrays.get("state.closure_state.scans.count", np.zeros(1, np.int64)).reshape(-1)[0])
     constraints = arrays.get("state.closure_state.graph.constraints.from", np.zeros(0)).size
     count = _Range(0, 1 << 62)
@@ -135,6 +158,10 @@ def _index_ranges(arrays: _Arrays) -> dict[str, _Range]:
         f"{closure}.pending_constraints.new": _Range(0, constraints),
         f"{closure}.pending_constraints.steps": count,
         f"{closure}.correction.inserted": _Range(0, keys),
+        f"{closure}.joined": _Range(-1, 1 << 31),
+        f"{closure}.joined_after": _Range(0, keys),
+        "record.parents": _Range(0, particles - 1),
+        "record.best": _Range(0, particles - 1),
     }
     ends = [f"{closure}.{part}.{end}" for part in ("graph.constraints", "unconfirmed") for end in ("from", "to")]
     ranges |= dict.fromkeys(ends, key)
@@ -162,9 +189,12 @@ def _require_keys(arrays: _Arrays) -> None:
     """Each scan belongs to the key scan at or before it, from the first to the last."""
     keys = arrays.get("trajectory.keys")
     if keys is not None and keys.size and keys.dtype.kind == "i":
-        counted = keys.reshape(-1)[0] == 0 and keys.reshape(-1)[-1] == _key_scans(arrays) - 1
-        if not counted or not np.isin(np.diff(keys.reshape(-1)), (0, 1)).all():
-            raise ArgumentError("trajectory.keys", f"key scans 0 to {_key_scans(arrays) - 1}, in order", keys)
+        last = _key_scans(arrays) - 1
+        own = keys.reshape(-1)
+        joined = arrays.get("state.closure_state.joined", np.array(-1)).reshape(-1)[0] >= 0
+        counted = own[0] == 0 and (own[-1] < last if joined else own[-1] == last)
+        if not counted or not np.isin(np.diff(own), (0, 1)).all():
+            raise ArgumentError("trajectory.keys", f"key scans 0 to {last}, in order", keys)
     stored = arrays.get("state.closure_state.scans.keys")
     if stored is not None and stored.dtype.kind == "i" and (np.diff(stored.reshape(-1)) <= 0).any():
         raise ArgumentError("state.closure_state.scans.keys", "scans in order", stored)

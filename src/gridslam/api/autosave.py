@@ -1,0 +1,137 @@
+"""Autosave: a run leaves a session now and then, and the same run goes on from it after a kill."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any, final
+
+from gridslam import __version__
+from gridslam.errors import GridslamError, InputError
+from gridslam.io.measurement import Measurement
+from gridslam.io.sessions.archive_file import write_sealed_arrays
+from gridslam.io.sessions.session_file import SavedSession, read_session
+from gridslam.pipeline import describe_error
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.types import StepReport
+
+__all__ = ["Autosave"]
+
+
+@final
+class Autosave:
+    """Writes a run to a file now and then, by a thread of its own, so that it can go on after a kill.
+
+    The file is of no use to another run: it names what the run depends on, and is refused where that differs.
+
+    Parameters
+    ----------
+    path : str or Path
+        The session file; removed by `remove` once the results are written.
+    period_s : float, s, > 0
+        Time between two of them.
+    on_failure : callable
+        Called with what has failed, such as a full disk; the run goes on.
+    on_resume : callable
+        Called with the number of scans that an interrupted run had processed, before the run goes on from there.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        period_s: float,
+        on_failure: Callable[[str], None] = lambda problem: None,
+        on_resume: Callable[[int], None] = lambda scans: None,
+    ) -> None:
+        self.path = Path(path)
+        self.period_s = period_s
+        self._on_failure = on_failure
+        self._on_resume = on_resume
+        self._due_s = time.monotonic() + period_s
+        self._session: SavedSession | None = None
+        self._job = ""
+        self._passed = 0
+        self._writer: threading.Thread | None = None
+        self._problem = ""
+
+    def find(self, job: Mapping[str, Any], threads: int = 1) -> tuple[SavedSession, int] | None:
+        """Give what an interrupted run of the same job has left, and how many scans of its log it had processed.
+
+        Parameters
+        ----------
+        job : mapping
+            All that the results depend on, as JSON values.
+        threads : int
+            Threads of the kernels.
+
+        Raises
+        ------
+        InputError
+            The file is no session, is damaged, or belongs to another job: it may be all that is left of that.
+        """
+        self._job = hashlib.sha256(json.dumps(job, sort_keys=True).encode()).hexdigest()
+        if not self.path.exists():
+            return None
+        saved = read_session(self.path, threads)
+        job_of_file, _, passed = saved.job.partition(" ")
+        if job_of_file != self._job or saved.version != __version__ or saved.run is None or not passed.isdigit():
+            expected = "what an interrupted run of the same log, configuration and seed has left"
+            raise InputError(self.path, f"expected {expected}, got that of another run (--restart replaces it)")
+        self._on_resume(int(passed))
+        return replace(saved, job=""), int(passed)
+
+    def begin(self, session: SavedSession, passed: int) -> None:
+        """Begin with a session whose run goes on, after `passed` scans of the log."""
+        self._session = session
+        self._passed = passed
+        self._due_s = time.monotonic() + self.period_s
+
+    def count(self, measurements: Iterable[Measurement]) -> Iterator[Measurement]:
+        """Count the measurements on their way to the filter."""
+        for measurement in measurements:
+            self._passed += 1
+            yield measurement
+
+    def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+        """Save the run if it is time to."""
+        if time.monotonic() < self._due_s or (self._writer is not None and self._writer.is_alive()):
+            return
+        self._report_problem()
+        session = self._session
+        if session is None or session.run is None:
+            return
+        now = datetime.now(timezone.utc).isoformat(timespec="seconds")
+        run = replace(session.run, state=state)
+        arrays = replace(session, run=run, job=f"{self._job} {self._passed}", written=now).dump()
+        self._writer = threading.Thread(target=self._write, args=(arrays,), name="autosave", daemon=True)
+        self._writer.start()
+        self._due_s = time.monotonic() + self.period_s
+
+    def close(self) -> None:
+        """Wait for what is being written."""
+        if self._writer is not None:
+            self._writer.join()
+        self._report_problem()
+
+    def remove(self) -> None:
+        """Remove the file: the results are written."""
+        self.close()
+        self.path.unlink(missing_ok=True)
+
+    def _write(self, arrays: dict[str, Any]) -> None:
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            write_sealed_arrays(self.path, arrays)
+        except (OSError, GridslamError, MemoryError) as error:
+            self._problem = describe_error(error)
+
+    def _report_problem(self) -> None:
+        if self._problem:
+            self._on_failure(f"the run cannot be saved: {self._problem}")
+        self._problem = ""

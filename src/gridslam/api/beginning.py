@@ -1,0 +1,188 @@
+"""What a run begins with: nothing, or what earlier drives have left."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import NamedTuple, final
+
+import numpy as np
+
+from gridslam.config import Configuration
+from gridslam.geometry.se2 import between, compose
+from gridslam.io.measurement import Measurement
+from gridslam.io.sessions.drives import DrivenLog, SavedPiece
+from gridslam.io.sessions.session_file import SavedRun
+from gridslam.matching.gauss_newton import NO_PRIOR
+from gridslam.pipeline import Observer
+from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
+from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.slam.loop_closure.state import DriveLocator
+from gridslam.tracking.tracker import Tracker
+from gridslam.types import FloatArray, LaserScan, StepReport
+
+__all__ = ["Beginning", "Place", "PlaceDecision", "decide_place", "locate_in", "restart_at_same_place"]
+
+_MAX_GAP_S = 600.0
+"""Longest time between two logs of which the second goes on; a robot that is started again begins a new drive."""
+_MAX_SPEED_M_S = 2.0
+_JITTER_M = 0.5
+_JITTER_RAD = 0.5
+_MAX_GAIN_M = 0.3
+"""A scan fits where it was expected if it is matched no farther from there."""
+_MIN_INLIER_RATIO = 0.6
+
+
+class Place(Enum):
+    """Where a log begins, as seen from where the last one has ended."""
+
+    AUTO = "auto"
+    SAME = "same place"
+    ELSEWHERE = "elsewhere"
+
+
+@final
+class PlaceDecision(NamedTuple):
+    """Whether a log goes on where the last one has ended, and what that follows from, in one line."""
+
+    is_same: bool
+    reason: str
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Beginning:
+    """What a run begins with.
+
+    Attributes
+    ----------
+    run : SavedRun
+        The filter and its observers so far; new ones for a new drive.
+    pieces : tuple of SavedPiece
+        What earlier drives have left besides.
+    passed : int
+        Number of scans of the log that `run` has processed already.
+    locator : DriveLocator or None
+        Looks for the robot in the pieces, until it is found.
+    observers : sequence of Observer
+        Called after each scan, when all others have been.
+    """
+
+    run: SavedRun
+    pieces: tuple[SavedPiece, ...] = ()
+    passed: int = 0
+    locator: DriveLocator | None = None
+    observers: Sequence[Observer] = ()
+
+    def attach(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+        """Let a filter that has just begun look for the robot in the pieces."""
+        self.attach_to(state)
+
+    def attach_to(self, state: GridFastSlamState | None) -> GridFastSlamState | None:
+        """Let a filter look for the robot in the pieces, unless it was found; gives the state."""
+        if self.locator is not None and state is not None and state.closure_state is not None:
+            state.closure_state.earlier = self.locator if state.closure_state.joined < 0 else None
+        return state
+
+    def go_on(self, state: GridFastSlamState, log: DrivenLog) -> SavedRun:
+        """Give the run after the last scan of a log."""
+        joined = self._find_joined(state)
+        earlier = self.run.earlier if joined is None else joined.drives
+        return replace(self.run, state=state, logs=(*self.run.logs, log), earlier=earlier)
+
+    def find_apart(self, state: GridFastSlamState) -> tuple[SavedPiece, ...]:
+        """Give the pieces that were not joined with the run."""
+        joined = self._find_joined(state)
+        return tuple(piece for piece in self.pieces if piece is not joined)
+
+    def _find_joined(self, state: GridFastSlamState) -> SavedPiece | None:
+        """The piece that this run was joined with; None if none was, or before the log began."""
+        is_found = self.locator is not None and state.closure_state is not None and state.closure_state.joined >= 0
+        return self.pieces[state.closure_state.joined] if is_found and state.closure_state is not None else None
+
+
+def locate_in(
+    pieces: Sequence[SavedPiece], configuration: Configuration, pose: FloatArray | None = None
+) -> EarlierPieces | None:
+    """Give what looks for a robot in pieces: everywhere, or about a pose (3,) at which it begins in the first one.
+
+    None without loop closure, and without pieces.
+    """
+    closure = configuration.loop_closure
+    if closure is None or not pieces:
+        return None
+    refinement = configuration.final_refinement
+    return EarlierPieces(
+        [piece.piece for piece in pieces],
+        configuration.mapper,
+        closure.recognition,
+        refinement.component_alignment,
+        refinement.score,
+        begin=pose,
+    )
+
+
+def decide_place(run: SavedRun, slam: GridFastSlam, first: Measurement) -> PlaceDecision:
+    """Decide whether a log that begins with this measurement goes on where a run has ended.
+
+    It does if its stamps and its odometry go on, and its first scan fits the newest local map where the odometry
+    expects it. Without odometry stamps and scan decide.
+    """
+    state = run.state
+    if state is None:
+        return PlaceDecision(False, "there is nothing to go on from")
+    odometry, scan = first
+    gap_s = 1e-9 * (scan.stamp_ns - state.tracker.stamp_ns)
+    moved = None if odometry is None else between(state.tracker.odometry, odometry.pose)
+    if moved is not None and math.isnan(moved[0]):
+        moved = None
+    reasons = [f"the first scan is {_describe_gap(gap_s)} the last one"]
+    is_on_time = 0 <= gap_s <= _MAX_GAP_S
+    goes_on = is_on_time
+    if moved is not None:
+        metres, radians = math.hypot(moved[0], moved[1]), abs(float(moved[2]))
+        near = metres <= _JITTER_M + _MAX_SPEED_M_S * min(max(gap_s, 0.0), 1.0) and radians <= _JITTER_RAD
+        is_reset = odometry is not None and not odometry.pose.any() and bool(state.tracker.odometry.any())
+        goes_on = goes_on and near and not is_reset
+        reasons.append("the odometry was reset" if is_reset else f"the odometry is {metres:.2f} m from there")
+    ratio, away_m = _match_first(state, slam, scan, np.zeros(3) if moved is None or not goes_on else moved)
+    fits = ratio >= _MIN_INLIER_RATIO and away_m <= _MAX_GAIN_M
+    reasons.append(f"{ratio:.0%} of its beams fit the map {'there' if fits else 'there, too few or too far away'}")
+    return PlaceDecision(goes_on and fits, ", ".join(reasons))
+
+
+def _describe_gap(seconds: float) -> str:
+    size = abs(seconds)
+    for unit, factor in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if size >= 2 * factor:
+            return f"{size / factor:.0f} {unit} {'after' if seconds >= 0 else 'before'}"
+    return f"{size:.2f} s {'after' if seconds >= 0 else 'before'}"
+
+
+def _match_first(
+    state: GridFastSlamState, slam: GridFastSlam, scan: LaserScan, moved: FloatArray
+) -> tuple[float, float]:
+    """Inlier ratio of a scan in the newest local map, and the distance (m) from where it was expected."""
+    if not isinstance(slam.tracker, Tracker):
+        return 1.0, 0.0  # that tracker trusts its odometry
+    tracker = state.tracker
+    expected = compose(tracker.pose, moved)
+    beams = scan.beams(slam.range_min_m, slam.range_max_m, slam.thinning)
+    if len(beams) < slam.tracker.matcher.min_beams:
+        return 0.0, 0.0
+    match = slam.tracker.matcher(tracker.maps, tracker.row, expected[None], NO_PRIOR[None], beams)
+    away = between(expected, match.poses[0])
+    return float(match.score[0]) / len(beams), math.hypot(away[0], away[1])
+
+
+def restart_at_same_place(state: GridFastSlamState, first: Measurement) -> None:
+    """Let a filter go on at the place where it is though odometry or clock were reset, as by a restart there."""
+    odometry, scan = first
+    tracker = state.tracker
+    tracker.stamp_ns = scan.stamp_ns
+    tracker.odometry = tracker.matched_odometry = np.full(3, np.nan) if odometry is None else odometry.pose
+    tracker.matched_pose = tracker.pose
+    tracker.twist = np.zeros(3)

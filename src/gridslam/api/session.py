@@ -1,0 +1,449 @@
+"""Sessions: a map that is saved, continued with other logs, found again and merged."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from datetime import datetime, timezone
+from itertools import islice
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridslam import __version__
+from gridslam.api.autosave import Autosave
+from gridslam.api.beginning import (
+    Beginning,
+    Place,
+    PlaceDecision,
+    decide_place,
+    locate_in,
+    restart_at_same_place,
+)
+from gridslam.api.mapping import MapResult, map_log
+from gridslam.api.prior_map import piece_of_map
+from gridslam.arguments import freeze, require_seed, require_threads
+from gridslam.config import Configuration, build, dumps
+from gridslam.doctor.repair import open_repaired
+from gridslam.errors import ArgumentError
+from gridslam.grid.tiles import TiledGrid
+from gridslam.io.log import Log, LogOptions, LogSource
+from gridslam.io.measurement import Measurement
+from gridslam.io.sessions.drives import Drive, SavedPiece, choose_name
+from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session, write_session
+from gridslam.io.text import compute_digest
+from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
+from gridslam.slam.full_slam.full_slam import FullSlam, full_slam, refine_piece
+from gridslam.slam.full_slam.full_trajectory import full_trajectories
+from gridslam.slam.full_slam.merging import merge_pieces
+from gridslam.types import FloatArray, OccupancyGrid, Trajectory
+
+__all__ = ["Session"]
+
+
+@final
+class _Map(NamedTuple):
+    """A refined piece and its map."""
+
+    piece: SavedPiece
+    tiled_map: TiledGrid
+
+    @classmethod
+    def draw(cls, piece: SavedPiece, configuration: Configuration) -> _Map:
+        """Build the map of a piece."""
+        return cls(piece, piece.piece.build_map(configuration.mapper).tiled(0))
+
+
+@final
+class Session:
+    """What was mapped so far, and goes on: of one robot or several, of one day or many.
+
+    Parameters
+    ----------
+    configuration : Configuration, optional
+        Of all drives; `Configuration()` if not given. With loop closure, or nothing can be found again.
+    seed : int, >= 0
+        Of the first drive; drive k has seed + k.
+    threads : int, >= 1
+        Threads of the kernels; never changes a result.
+
+    Attributes
+    ----------
+    decision : PlaceDecision or None
+        Whether the log that was added last went on where the one before it has ended, and why; None if there was none
+        before.
+    is_same_place : bool
+        Whether it went on there, be it decided or given.
+    resumed : int
+        Number of its scans that an interrupted run had processed, from which it was resumed; 0 if it was not.
+    """
+
+    def __init__(self, configuration: Configuration | None = None, *, seed: int = 0, threads: int = 1) -> None:
+        require_seed(seed)
+        require_threads(threads)
+        self._saved = SavedSession(configuration or Configuration(), seed)
+        self._threads = threads
+        self._path: Path | None = None
+        self._maps: list[_Map] | None = None
+        self.decision: PlaceDecision | None = None
+        self.resumed = 0
+        self.is_same_place = False
+
+    @classmethod
+    def open(cls, path: str | Path, *, threads: int = 1) -> Session:
+        """Open a session file.
+
+        Raises
+        ------
+        InputError
+            The file cannot be read, is damaged, or is of a version that is not known.
+        """
+        require_threads(threads)
+        self = cls.of(read_session(path, threads), threads=threads)
+        self._path = Path(path)
+        return self
+
+    @classmethod
+    def of(cls, saved: SavedSession, *, threads: int = 1) -> Session:
+        """Go on from what a run has left."""
+        self = cls(saved.configuration, seed=saved.seed, threads=threads)
+        self._saved = saved
+        return self
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        names = [drive.name for drive in self._saved.drives]
+        return f"Session({len(names)} drives: {', '.join(names)})" if names else "Session(empty)"
+
+    @property
+    def saved(self) -> SavedSession:
+        """All that a file of it holds."""
+        return self._saved
+
+    @property
+    def configuration(self) -> Configuration:
+        """The effective one."""
+        return self._saved.configuration
+
+    @property
+    def pieces(self) -> list[SavedPiece]:
+        """The pieces of the map, the newest drive's first; refined, which takes time where a log was just opened."""
+        return [own.piece for own in self._refine()]
+
+    @property
+    def maps(self) -> list[TiledGrid]:
+        """The maps of the pieces, in the same order."""
+        return [own.tiled_map for own in self._refine()]
+
+    @property
+    def map(self) -> OccupancyGrid:
+        """The map of the newest drive's piece as one array.
+
+        Raises ArgumentError where nothing was mapped yet.
+        """
+        maps = self.maps
+        if not maps:
+            raise ArgumentError("session", "at least one log", "none")
+        return maps[0].whole()
+
+    @property
+    def trajectories(self) -> dict[str, Trajectory]:
+        """The trajectory of each drive by its name, in the frame of its piece's map."""
+        found = {}
+        for piece in self.pieces:
+            if piece.drives:
+                poses = full_trajectories(piece.piece.poses, piece.tracked_scans)
+                for drive, own in zip(piece.drives, piece.split(poses).values(), strict=True):
+                    found[drive.name] = Trajectory(drive.stamps_ns, own)
+        return found
+
+    def add(
+        self,
+        log: LogSource,
+        *,
+        place: Place | Literal["auto", "same place", "elsewhere"] = Place.AUTO,
+        pose: ArrayLike | None = None,
+        name: str | None = None,
+        options: LogOptions | None = None,
+        repair: Literal["needed", "all", "none"] = "needed",
+        autosave: Autosave | None = None,
+        **map_options: Any,  # noqa: ANN401 those of map_log
+    ) -> MapResult:
+        """Map a log that goes on from here.
+
+        Where the robot was not moved since the last log the filter goes on as if there had been one log. Where it was,
+        a new drive begins, is searched for in all that was mapped before, and is joined with it once it is certain
+        where it lies; if it never is, it stays a piece of its own.
+
+        Parameters
+        ----------
+        log : str, Path or Log
+            The log.
+        place : Place, "auto", "same place" or "elsewhere"
+            Whether the robot begins where the last log has ended; decided by stamps, odometry and the first scan if
+            not known.
+        pose : (3,) float64, optional
+            About where it begins in the map of the newest piece, within 5 m and 0.5 rad: then it is elsewhere.
+        name : str, optional
+            Of a new drive; that of the log if not given.
+        options, repair
+            As in `map_log`.
+        autosave : Autosave, optional
+            Saves the run now and then; where it holds what the same run has left when it was killed, that goes on.
+        **map_options
+            Further arguments of `map_log`, but its configuration, seed, particles, preset and laser.
+
+        Raises
+        ------
+        ArgumentError
+            There is no drive to go on with at the same place, or no piece in which the pose could be.
+        InputError
+            The log cannot be read.
+        """
+        where = Place(place)
+        begin = None if pose is None else freeze(pose, np.float64, (3,), "pose")
+        source = open_repaired(log, options, repair)
+        first = next(iter(source))
+        digest = map_options.pop("digest", None) or compute_digest(source.path)
+        gate = map_options.pop("gate", iter)
+        map_options.pop("keep_particles", None)
+        self.resumed = 0
+        begun = None
+        if autosave is not None:
+            begun = self._resume(autosave, self._describe_job(source, digest, where, begin, name, repair), begin)
+        if begun is None:
+            begun = self._begin(first, where, begin, name or source.path.name.partition(".")[0])
+        if autosave is not None:
+            autosave.begin(replace(self._saved, run=begun.run, pieces=begun.pieces), begun.passed)
+            begun = replace(begun, observers=[autosave])
+        count = iter if autosave is None else autosave.count
+        result = map_log(
+            source,
+            configuration=self.configuration,
+            seed=self._saved.seed,
+            threads=self._threads,
+            repair="none",
+            beginning=begun,
+            keep_particles=True,
+            digest=digest,
+            gate=lambda measurements: count(gate(islice(measurements, begun.passed, None))),
+            **map_options,
+        )
+        self.keep(result)
+        return result
+
+    def keep(self, result: MapResult) -> None:
+        """Go on from the result of a run."""
+        self._saved = replace(result.to_session(), thumbnail=b"")
+        newest = [] if result.map_piece is None else [_Map(result.map_piece, result.tiled_map)]
+        self._maps = [*newest, *(_Map.draw(piece, self.configuration) for piece in result.pieces)]
+
+    def add_map(self, grid: OccupancyGrid) -> None:
+        """Add a given map, such as one of map_server: drives are found in it and go on from there.
+
+        Raises ArgumentError where no cell of it is free or none is occupied.
+        """
+        piece = SavedPiece(piece_of_map(grid, self.configuration.range_max_m), ())
+        self._maps = None
+        self._saved = replace(self._saved, pieces=(*self._saved.pieces, piece))
+
+    def merge(self, *others: Session, on_progress: Callable[[], None] = lambda: None) -> FullSlam:
+        """Merge other sessions into this one: pieces that show the same places become one map.
+
+        The result does not depend on the order. What shows nothing in common stays apart (see `pieces`). The filter
+        ends: the next log is a new drive.
+
+        Returns
+        -------
+        FullSlam
+            Of the largest piece.
+
+        Raises
+        ------
+        ArgumentError
+            A session is of another configuration, or without loop closure.
+        """
+        sessions = [self, *others]
+        for other in others:
+            if other.configuration != self.configuration:
+                raise ArgumentError("others", "sessions of the same configuration", "another one")
+        closure = self.configuration.loop_closure
+        if closure is None:
+            raise ArgumentError("sessions", "ones with loop closure, to recognize places", "ones without")
+        pieces = sorted((piece for session in sessions for piece in session.pieces), key=_order)
+        pieces = _name_apart(pieces)
+        merged = merge_pieces(
+            [piece.piece for piece in pieces],
+            self.configuration.mapper,
+            closure,
+            self.configuration.final_refinement,
+            on_progress,
+        )
+        groups = []
+        for group in merged:
+            members = [pieces[number] for number in group.members]
+            groups.append(SavedPiece(group.piece, _follow(members)))
+        groups.sort(key=lambda piece: (not piece.drives, -len(piece.piece)))
+        largest = groups[0]
+        full = refine_piece(
+            largest.piece,
+            largest.tracked_scans,
+            self.configuration.mapper,
+            closure,
+            self.configuration.final_refinement,
+            on_progress,
+        )
+        first = _Map(SavedPiece(full.piece or largest.piece, largest.drives), full.tiled_map)
+        self._maps = [first, *(_Map.draw(piece, self.configuration) for piece in groups[1:])]
+        self._saved = SavedSession(self.configuration, self._saved.seed, None, tuple(self.pieces))
+        return full
+
+    def save(self, path: str | Path | None = None) -> None:
+        """Write a session file; where it was opened or saved last if no path is given.
+
+        Raises
+        ------
+        ArgumentError
+            No path is known.
+        OutputError
+            The file cannot be written.
+        """
+        target = path or self._path
+        if target is None:
+            raise ArgumentError("path", "a path: the session was never saved", None)
+        now = datetime.now(timezone.utc).isoformat(timespec="seconds")
+        self._saved = replace(self._saved, written=now, version=__version__, thumbnail=self._thumbnail())
+        write_session(target, self._saved)
+        self._path = Path(target)
+
+    def _describe_job(
+        self, log: Log, digest: str, place: Place, pose: FloatArray | None, name: str | None, repair: str
+    ) -> dict[str, Any]:
+        """All that the results of a log depend on, as JSON values."""
+        saved = self._saved
+        return {
+            "log": digest,
+            "selection": log.statistics.selection,
+            "repair": repair,
+            "configuration": dumps(saved.configuration),
+            "seed": saved.seed,
+            "drives": [[drive.name, [asdict(log) for log in drive.logs]] for drive in saved.drives],
+            "session": saved.written,
+            "place": place.value,
+            "pose": None if pose is None else pose.tolist(),
+            "name": name,
+        }
+
+    def _resume(self, autosave: Autosave, job: dict[str, Any], pose: FloatArray | None) -> Beginning | None:
+        """Go on from what an interrupted run has left; None if there is nothing of this job."""
+        left = autosave.find(job, self._threads)
+        if left is None:
+            return None
+        saved, self.resumed = left
+        run = saved.run
+        assert run is not None
+        return Beginning(run, saved.pieces, self.resumed, self._make_locator(run, saved.pieces, pose))
+
+    def _begin(self, first: Measurement, place: Place, pose: FloatArray | None, name: str) -> Beginning:
+        """Decide where the log begins, and what its run begins with."""
+        saved = self._saved
+        if pose is not None:
+            place = Place.ELSEWHERE
+        self.decision = None
+        if saved.run is not None:
+            self.decision = decide_place(saved.run, build(saved.configuration, self._threads), first)
+        elif place is Place.SAME:
+            raise ArgumentError("place", "a session whose last drive can go on", "one without")
+        is_same = self.decision is not None and self.decision.is_same if place is Place.AUTO else place is Place.SAME
+        self.is_same_place = is_same
+        if is_same and saved.run is not None:
+            return self._go_on(saved.run, first)
+        pieces = tuple(self.pieces)
+        if pose is not None and not pieces:
+            raise ArgumentError("pose", "a session in whose map the robot can begin", "an empty one")
+        drives = [drive.name for drive in saved.drives]
+        run = SavedRun(
+            np.random.default_rng(saved.seed + len(drives)),
+            name=choose_name(name, drives),
+        )
+        return Beginning(run, pieces, locator=locate_in(pieces, saved.configuration, pose))
+
+    def _go_on(self, run: SavedRun, first: Measurement) -> Beginning:
+        """Go on where the last log has ended; `run` is kept as it is."""
+        run = run.snapshot()
+        if run.state is not None and self.decision is not None and not self.decision.is_same:
+            restart_at_same_place(run.state, first)
+        return Beginning(run, self._saved.pieces, locator=self._make_locator(run, self._saved.pieces, None))
+
+    def _make_locator(
+        self, run: SavedRun, pieces: Sequence[SavedPiece], pose: FloatArray | None
+    ) -> EarlierPieces | None:
+        """Give what looks for the robot in pieces; None if it was found before."""
+        closure_state = None if run.state is None else run.state.closure_state
+        is_joined = closure_state is not None and closure_state.joined >= 0
+        return None if is_joined else locate_in(pieces, self.configuration, pose)
+
+    def _refine(self) -> list[_Map]:
+        """Refine the newest drive's piece, and build the maps of all."""
+        if self._maps is None:
+            saved = self._saved
+            mapper = saved.configuration.mapper
+            self._maps = [_Map.draw(piece, saved.configuration) for piece in saved.pieces]
+            if saved.run is not None and saved.run.state is not None:
+                drives = saved.run.drives
+                full = full_slam(
+                    saved.run.state,
+                    [drive.scans for drive in drives],
+                    mapper,
+                    saved.configuration.loop_closure,
+                    saved.configuration.final_refinement,
+                )
+                if full.piece is None:
+                    raise ArgumentError("session", "one that was mapped with loop closure", "one without")
+                self._maps.insert(0, _Map(SavedPiece(full.piece, drives), full.tiled_map))
+        return self._maps
+
+    def _thumbnail(self) -> bytes:
+        """A small picture of the newest map, PNG; empty without a map."""
+        if not self._maps:
+            return self._saved.thumbnail
+        from gridslam.viz.picture import draw_thumbnail
+
+        buffer = io.BytesIO()
+        draw_thumbnail(self._maps[0].tiled_map).save(buffer, "PNG")
+        return buffer.getvalue()
+
+
+def _order(piece: SavedPiece) -> tuple[Any, ...]:
+    """What pieces are sorted by, so that the order in which they are given changes nothing."""
+    stamps = piece.stamps_ns
+    first = int(stamps[0]) if len(stamps) else -1
+    logs = [(log.sha256, log.path) for drive in piece.drives for log in drive.logs]
+    return not piece.drives, -len(piece.piece), first, logs, piece.piece.poses.tobytes()
+
+
+def _name_apart(pieces: Sequence[SavedPiece]) -> list[SavedPiece]:
+    """Give drives of the same name in several pieces names of their own."""
+    names: list[str] = []
+    renamed = []
+    for piece in pieces:
+        drives = []
+        for drive in piece.drives:
+            names.append(choose_name(drive.name, names))
+            drives.append(replace(drive, name=names[-1]))
+        renamed.append(SavedPiece(piece.piece, tuple(drives)))
+    return renamed
+
+
+def _follow(members: Sequence[SavedPiece]) -> tuple[Drive, ...]:
+    """The drives of several pieces whose key scans follow one another."""
+    drives = []
+    first = 0
+    for member in members:
+        for drive in member.drives:
+            drives.append(replace(drive, scans=drive.scans._replace(keys=first + drive.scans.keys)))
+        first += len(member.piece)
+    return tuple(drives)

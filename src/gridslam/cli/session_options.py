@@ -1,0 +1,143 @@
+"""Options of `gridslam map` that concern sessions, and what they do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import click
+from click.core import ParameterSource
+
+from gridslam.api.autosave import Autosave
+from gridslam.api.beginning import Place
+from gridslam.api.mapping import MapResult
+from gridslam.api.session import Session
+from gridslam.cli.output import warn
+from gridslam.config import Configuration
+from gridslam.errors import ArgumentError
+from gridslam.io.log import Log
+from gridslam.io.maps import read_map
+
+__all__ = ["SessionOptions"]
+
+_OF_THE_SESSION = ("particles", "seed", "preset", "laser", "config", "assignments", "no_loop_closure")
+"""Parameters of `gridslam map` that a session has already."""
+_AUTOSAVE = "autosave.gridslam"
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class SessionOptions:
+    """Options of `gridslam map` that concern sessions.
+
+    Attributes
+    ----------
+    save, continued : Path or None
+        Session files.
+    same_place, elsewhere : bool
+        Where the log begins, if that is known.
+    pose : (float, float, float) or None
+        About where the log begins in the session's map.
+    name : str or None
+        Of the drive.
+    prior : Path or None
+        YAML file of a known map.
+    autosave_min : float or None
+        Minutes between two autosaves.
+    restart : bool
+        Whether what an interrupted run has left is not used.
+    """
+
+    save: Path | None
+    continued: Path | None
+    same_place: bool
+    elsewhere: bool
+    pose: tuple[float, float, float] | None
+    name: str | None
+    prior: Path | None
+    autosave_min: float | None
+    restart: bool
+
+    def check(self, context: click.Context) -> None:
+        """Raise click.UsageError where options contradict each other."""
+        if self.same_place and (self.elsewhere or self.pose is not None):
+            raise click.UsageError("--same-place contradicts --elsewhere and --pose")
+        known = self.continued is not None or self.prior is not None
+        for given, option in (
+            (self.same_place, "--same-place"),
+            (self.elsewhere, "--elsewhere"),
+            (self.pose is not None, "--pose"),
+        ):
+            if given and not known:
+                raise click.UsageError(f"{option} needs --continue or --prior")
+        if self.continued is None:
+            return
+        for parameter in context.command.params:
+            given = context.get_parameter_source(str(parameter.name)) is ParameterSource.COMMANDLINE
+            if given and parameter.name in _OF_THE_SESSION:
+                option = parameter.opts[0]
+                raise click.UsageError(f"{option} contradicts --continue: the session's own configuration is used")
+
+    def open(self, configuration: Configuration, seed: int, threads: int) -> Session | None:
+        """Give the session that the log is added to; None if none is wanted."""
+        if self.continued is not None:
+            session = Session.open(self.continued, threads=threads)
+        elif self.save is None and self.prior is None and self.autosave_min is None:
+            return None
+        else:
+            session = Session(configuration, seed=seed, threads=threads)
+        if self.prior is not None:
+            try:
+                session.add_map(read_map(self.prior))
+            except ArgumentError as error:
+                raise click.ClickException(f"{self.prior}: {error}") from None
+        return session
+
+    def add(self, session: Session, out: Path, log: Log, **options: Any) -> MapResult:  # noqa: ANN401
+        """Add a log to a session."""
+        place = Place.SAME if self.same_place else Place.ELSEWHERE if self.elsewhere else Place.AUTO
+        autosave = None
+        if self.autosave_min is not None:
+            autosave = Autosave(out / _AUTOSAVE, 60 * self.autosave_min, warn, on_resume=_report_resumed)
+            if self.restart:
+                autosave.remove()
+        result = session.add(log, place=place, pose=self.pose, name=self.name, autosave=autosave, **options)
+        if autosave is not None:
+            autosave.close()
+        return result
+
+    def save_to(self, session: Session) -> None:
+        """Save the session where that is wanted."""
+        if self.save is not None:
+            session.save(self.save)
+
+    def end(self, out: Path) -> None:
+        """Remove the autosave: the results are written."""
+        if self.autosave_min is not None:
+            (out / _AUTOSAVE).unlink(missing_ok=True)
+
+    def summarize(self, session: Session | None, result: MapResult, out: Path) -> Iterator[str]:
+        """Format what a session adds to the summary of a run."""
+        if session is None:
+            return
+        if session.decision is not None:
+            where = "goes on where the session has ended" if session.is_same_place else "begins elsewhere"
+            forced = " (forced)" if session.is_same_place != session.decision.is_same else ""
+            yield f"{result.source.name} {where}{forced}: {session.decision.reason}"
+        found = result.found_again
+        if found is not None and not session.is_same_place:
+            where = f"the map of {', '.join(found.drives)}" if found.drives else "the given map"
+            yield f"found again in {where} after {found.way_m:.1f} m"
+        elif result.pieces:
+            apart = "; ".join(", ".join(drive.name for drive in piece.drives) or "given map" for piece in result.pieces)
+            yield f"not found in {len(result.pieces)} earlier piece(s) ({apart}), which stay apart: map_2.yaml, ..."
+        if len(result.trajectories) > 1:
+            yield f"trajectories of {len(result.trajectories)} drives: {out / 'trajectory_NAME.tum'}"
+        if self.save is not None:
+            yield f"session: {self.save}, {self.save.stat().st_size / 1e6:.1f} MB"
+
+
+def _report_resumed(scans: int) -> None:
+    warn(f"resumed from an interrupted run, after {scans} scans (--restart begins with the first scan)")

@@ -1,0 +1,103 @@
+"""Sessions on the command line: map --save and --continue, session, merge."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gridslam.api.merging import MergeResult, merge_sessions
+from gridslam.cli.options import name_option
+from gridslam.cli.output import open_display, open_output, print_json, print_result, stop_if_interrupted
+from gridslam.errors import InputError
+from gridslam.io.sessions.session_file import read_head
+from gridslam.pipeline import Stopwatch
+
+__all__ = ["merge_to_folder", "show_session"]
+
+
+def show_session(file: Path, picture: Path | None, as_json: bool) -> None:
+    """Print what is in a session file."""
+    head = read_head(file)
+    document = head.document
+    groups = [*([] if document["run"] is None else [_of_run(document["run"])]), *document["pieces"]]
+    logs = [log for drives in groups for drive in drives for log in drive["logs"]]
+    content = {
+        "schema": "gridslam.session_summary/1",
+        "path": str(file),
+        "bytes": file.stat().st_size,
+        **{name: document[name] for name in ("version", "written", "seed", "configuration")},
+        "can_go_on": document["run"] is not None,
+        "pieces": groups,
+        "scans": sum(log["scans"] for log in logs),
+        "length_m": sum(log["length_m"] for log in logs),
+        "days": len({log["first_stamp_ns"] // 86_400_000_000_000 for log in logs}),
+        "key_scans": head.key_scans,
+        "constraints": head.constraints,
+    }
+    if picture is not None:
+        if not head.thumbnail:
+            raise InputError(file, "expected a session with a picture, got one without")
+        picture.write_bytes(head.thumbnail)
+    if as_json:
+        print_json(content)
+        return
+    click.echo("\n".join(_describe(content)))
+
+
+def _of_run(run: dict[str, Any]) -> list[dict[str, Any]]:
+    return [*run["earlier"], {"name": run["name"], "logs": run["logs"]}]
+
+
+def _describe(content: dict[str, Any]) -> Iterator[str]:
+    days = content["days"]
+    drives = sum(len(piece) for piece in content["pieces"])
+    yield f"{content['path']}: {content['bytes'] / 1e6:.1f} MB, written {content['written']} by {content['version']}"
+    yield (
+        f"{drives} drive{'s' * (drives != 1)} of {days} day{'s' * (days != 1)}, {content['scans']} scans, "
+        f"{content['length_m']:.0f} m driven, {content['key_scans']} key scans, {content['constraints']} constraints"
+    )
+    pieces = content["pieces"]
+    for number, piece in enumerate(pieces, start=1):
+        what = "the map" if len(pieces) == 1 else f"piece {number}"
+        yield f"{what}: {len(piece)} drive{'s' * (len(piece) != 1)}" if piece else f"{what}: a given map"
+        for drive in piece:
+            for log in drive["logs"]:
+                digest = f", SHA-256 {log['sha256'][:12]}" if log["sha256"] else ""
+                yield f"  {drive['name']}: {log['path']}, {log['scans']} scans, {log['length_m']:.0f} m{digest}"
+    if not content["can_go_on"]:
+        yield "the filter has ended: the next log begins elsewhere"
+
+
+def merge_to_folder(files: tuple[Path, ...], out: Path, save: Path | None, threads: int, as_json: bool) -> None:
+    """Merge sessions, write the results to a folder and print a summary."""
+    watch = Stopwatch()
+    with open_output(out, MergeResult.all_names()) as folder, open_display(not as_json) as (show, _):
+        steps = 0
+
+        def on_progress() -> None:
+            nonlocal steps
+            stop_if_interrupted()
+            steps += 1
+            if steps % 50 == 1:
+                show(0.0, f"merging, {watch.total()[0]:.0f} s")
+
+        with name_option(paths="FILE", others="FILE"):
+            result = merge_sessions(files, threads=threads, on_progress=on_progress, stopwatch=watch)
+        document = result.write(folder)
+        if save is not None:
+            result.session.save(save)
+    print_result(document, _summarize_merge(result, out, save), as_json)
+
+
+def _summarize_merge(result: MergeResult, out: Path, save: Path | None) -> Iterator[str]:
+    joined = ", ".join(result.trajectories)
+    yield f"one map of {len(result.trajectories)} drives: {joined}"
+    for names in result.apart:
+        yield f"apart, as nothing in common was found: {', '.join(names)}"
+    yield f"map: {out / 'map.png'}, {out / 'map.yaml'}"
+    yield f"trajectories: {out / 'trajectory.tum'}, {out / 'trajectory_NAME.tum'}"
+    if save is not None:
+        yield f"session: {save}"

@@ -1,0 +1,1 @@
+"""What a run or a localization leaves to go on from."""

@@ -1,0 +1,130 @@
+"""Files of plain arrays and texts without pickle: NumPy's .npz, sealed by the SHA-256 of all that they hold."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.errors import ArgumentError, ConfigurationError, InputError
+from gridslam.io.output import write_atomically
+from gridslam.io.results.record import read_arrays
+from gridslam.io.text import open_for_reading
+
+__all__ = [
+    "Arrays",
+    "dump_generator",
+    "load_generator",
+    "name_file",
+    "read_sealed_arrays",
+    "read_text_array",
+    "write_sealed_arrays",
+]
+
+Arrays: TypeAlias = Mapping[str, NDArray[Any]]
+
+_SEAL = b"gridslam sha256 "
+_SEAL_BYTES = len(_SEAL) + 64
+_EARLY = (1980, 1, 1, 0, 0, 0)  # so that equal contents give equal files
+_GENERATORS = {"PCG64": np.random.PCG64, "PCG64DXSM": np.random.PCG64DXSM}
+"""Bit generators whose state is plain integers; the first is that of `numpy.random.default_rng`."""
+
+
+def write_sealed_arrays(path: str | Path, arrays: Arrays) -> None:
+    """Write arrays to a file; it appears under its name once it is whole.
+
+    The comment at the end of the archive is the digest of all bytes before it.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    with write_atomically(path) as aside:
+        with zipfile.ZipFile(aside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+            for name, values in arrays.items():
+                info = zipfile.ZipInfo(f"{name}.npy", _EARLY)
+                info.compress_type = zipfile.ZIP_DEFLATED
+                with archive.open(info, "w", force_zip64=True) as member:
+                    np.lib.format.write_array(member, np.asarray(values), allow_pickle=False)
+            archive.comment = _SEAL + b"0" * 64
+        with aside.open("r+b") as file:
+            digest = _digest(file, aside.stat().st_size)
+            file.seek(-64, os.SEEK_END)
+            file.write(digest)
+
+
+def read_sealed_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[Any]]:
+    """Read what `write_sealed_arrays` wrote, the schema in its array `schema`.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is not `what`, is damaged, or has another schema.
+    """
+    with open_for_reading(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size >= _SEAL_BYTES:
+            file.seek(size - _SEAL_BYTES)
+            seal = file.read(_SEAL_BYTES)
+            if seal.startswith(_SEAL) and seal[len(_SEAL) :] != _digest(file, size):
+                raise InputError(path, f"expected {what}, got one that is damaged: its content has another SHA-256")
+    arrays = read_arrays(path, schema, what)
+    if size < _SEAL_BYTES or not seal.startswith(_SEAL):
+        raise InputError(path, f"expected {what}, got one that is damaged: its end, with its SHA-256, is missing")
+    return arrays
+
+
+def _digest(file: IO[bytes], size: int) -> bytes:
+    """SHA-256, as text, of a file of `size` bytes but the last 64."""
+    digest = hashlib.sha256()
+    file.seek(0)
+    left = size - 64
+    while left and (block := file.read(min(left, 1 << 20))):
+        digest.update(block)
+        left -= len(block)
+    return digest.hexdigest().encode()
+
+
+@contextmanager
+def name_file(path: str | Path, what: str) -> Iterator[None]:
+    """Raise InputError where arrays do not make a state; some come from numbers that belong together, and do not."""
+    try:
+        yield
+    except (ArgumentError, ConfigurationError) as error:
+        raise InputError(path, f"expected {what}: {error}") from None
+    except (ValueError, TypeError, KeyError, IndexError, ArithmeticError, RecursionError) as error:
+        problem = f"its arrays do not belong together: {error or type(error).__name__}"
+        raise InputError(path, f"expected {what}: {problem}") from None
+
+
+def read_text_array(arrays: Arrays, name: str) -> str:
+    """Give the text of an array; raises ArgumentError where there is none of this name."""
+    if name not in arrays:
+        raise ArgumentError("arrays", f"a text named {name}", sorted(arrays))
+    return str(arrays[name])
+
+
+def dump_generator(rng: np.random.Generator) -> dict[str, Any]:
+    """State of a generator as JSON values; raises ArgumentError where it is not plain integers."""
+    state: dict[str, Any] = dict(rng.bit_generator.state)
+    if state["bit_generator"] not in _GENERATORS:
+        raise ArgumentError("rng", f"a generator over {' or '.join(_GENERATORS)}", state["bit_generator"])
+    return state
+
+
+def load_generator(state: Mapping[str, Any]) -> np.random.Generator:
+    """Generator that goes on where that of the state was; raises ArgumentError where it is no state."""
+    try:
+        bits = _GENERATORS[state["bit_generator"]]()
+        bits.state = state
+    except (ValueError, KeyError, TypeError) as error:
+        raise ArgumentError("generator", f"the state of {' or '.join(_GENERATORS)} as JSON", error) from None
+    return np.random.Generator(bits)

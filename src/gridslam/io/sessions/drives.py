@@ -1,0 +1,114 @@
+"""Drives: what is remembered of the logs of a session once they were mapped."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from gridslam.slam.full_slam.full_trajectory import TrackedScans
+from gridslam.slam.loop_closure.map_piece import MapPiece
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["Drive", "DrivenLog", "SavedPiece", "choose_name"]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class DrivenLog:
+    """A log that was mapped.
+
+    Attributes
+    ----------
+    path : str
+        Where it was.
+    sha256 : str
+        Its digest; empty for measurements that came from no file.
+    scans : int
+        Number of its scans.
+    first_stamp_ns, last_stamp_ns : int, ns
+        Stamps of the first and of the last one.
+    length_m : float, m
+        Length of the path of its odometry.
+    """
+
+    path: str
+    sha256: str
+    scans: int
+    first_stamp_ns: int
+    last_stamp_ns: int
+    length_m: float
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """One robot's way without an interruption that it was moved in: one log, or several of which each goes on.
+
+    Attributes
+    ----------
+    name : str
+        Of the robot, or of the first log.
+    logs : tuple of DrivenLog
+        In their order.
+    stamps_ns : (N,) int64, ns
+        Of all scans.
+    scans : TrackedScans
+        The scans as they were tracked; key scans are counted over the piece.
+    """
+
+    name: str
+    logs: tuple[DrivenLog, ...]
+    stamps_ns: IntArray
+    scans: TrackedScans
+
+    @property
+    def key_stamps_ns(self) -> IntArray:
+        """Stamps of its key scans."""
+        stamps: IntArray = self.stamps_ns[np.flatnonzero(np.diff(self.scans.keys, prepend=-1))]
+        return stamps
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedPiece:
+    """A piece of the map and the drives that have left it, in the order of their key scans.
+
+    Attributes
+    ----------
+    piece : MapPiece
+        Key scans and graph.
+    drives : tuple of Drive
+        None of a map that was given.
+    """
+
+    piece: MapPiece
+    drives: tuple[Drive, ...]
+
+    @property
+    def tracked_scans(self) -> list[TrackedScans]:
+        """The scans of all drives."""
+        return [drive.scans for drive in self.drives]
+
+    @property
+    def stamps_ns(self) -> IntArray:
+        """Stamps of the scans of all drives, one drive after the other."""
+        return np.concatenate([np.zeros(0, np.int64), *(drive.stamps_ns for drive in self.drives)])
+
+    def split(self, rows: FloatArray) -> dict[str, FloatArray]:
+        """Split an array with a row for each scan of all drives, by the drives' names."""
+        ends = np.cumsum([len(drive.stamps_ns) for drive in self.drives])[:-1]
+        return {drive.name: own for drive, own in zip(self.drives, np.split(rows, ends), strict=True)}
+
+
+def choose_name(name: str, others: Sequence[str]) -> str:
+    """Give a name that no other drive has: `name`, or with the first number from 2 on that is free."""
+    taken = {*others}
+    chosen = name
+    number = 2
+    while chosen in taken:
+        chosen = f"{name}_{number}"
+        number += 1
+    return chosen

@@ -1,0 +1,185 @@
+"""A run written between two scans and read back goes on to the same bytes."""
+
+from __future__ import annotations
+
+import json
+import operator
+from dataclasses import replace
+from functools import reduce
+
+import numpy as np
+import pytest
+
+from gridslam.api.session import Session
+from gridslam.config import build, override, preset
+from gridslam.errors import ArgumentError, InputError, OutputError
+from gridslam.io.sessions.archive_file import write_sealed_arrays
+from gridslam.io.sessions.session_file import (
+    SESSION_SCHEMA,
+    SavedRun,
+    SavedSession,
+    read_head,
+    read_session,
+    write_session,
+)
+from gridslam.pipeline import run
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from gridslam.slam.grid_fastslam.state import STATE_SCHEMA
+
+SCANS = 160
+
+
+@pytest.fixture(scope="module")
+def measurements():
+    rng = np.random.default_rng(2)
+    log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=90), rng)
+    return log.measurements[:SCANS]
+
+
+def begun(name="default"):
+    config = override(preset(name), "particles=5", "when_to_resample.kind=AlwaysResample")
+    return SavedSession(config, run=SavedRun(np.random.default_rng(7)))
+
+
+def go_on(saved, measurements, threads=1):
+    slam = build(saved.configuration, threads)
+    begun = saved.run
+    observers = [begun.trajectory, begun.statistics, lambda report, state, seconds: begun.record.add(report, 0.1)]
+    state = run(measurements, slam, particles=5, rng=begun.rng, observers=observers, state=begun.state)
+    return replace(saved, run=replace(begun, state=state))
+
+
+def answer(session):
+    saved = session.run
+    grid = saved.state.maps.occupancy(saved.state.best)
+    full, online = saved.trajectory.best_trajectory(saved.state), saved.trajectory.online_trajectory()
+    arrays = full.stamps_ns, full.poses, online.poses, saved.state.log_weights, grid.log_odds, grid.known
+    record = [values.tobytes() for values in saved.record.to_arrays().values()]
+    return (
+        record,
+        grid.origin,
+        grid.log_odds.shape,
+        [array.tobytes() for array in arrays],
+        saved.rng.bit_generator.state,
+    )
+
+
+@pytest.mark.parametrize("name", ["default", "gmapping"])
+def test_a_run_cut_anywhere_gives_the_same_bytes(measurements, tmp_path, name):
+    whole = go_on(begun(name), measurements)
+    cuts = [1, 2, 61, 62, 130, SCANS - 1]  # after the first scan, before and after key scans, before the last scan
+    saved = begun(name)
+    for first, last in zip([0, *cuts], [*cuts, SCANS], strict=True):
+        saved = go_on(saved, measurements[first:last], threads=1 + first % 2)
+        write_session(tmp_path / "run.gridslam", saved)
+        saved = read_session(tmp_path / "run.gridslam", threads=2)
+    assert answer(saved) == answer(whole)
+    ours, expected = saved.run.statistics.summary(), whole.run.statistics.summary()
+    assert (ours.scans, ours.key_scans, ours.skipped) == (SCANS, expected.key_scans, expected.skipped)
+    assert ours.resamplings == expected.resamplings
+    assert ours.resamplings > 10  # else the generator and the shared tiles would hardly be tried
+
+
+def test_writing_does_not_consume_and_equal_runs_give_equal_files(measurements, tmp_path):
+    saved = go_on(begun(), measurements[:40])
+    write_session(tmp_path / "a.gridslam", saved)
+    write_session(tmp_path / "b.gridslam", saved)
+    assert (tmp_path / "a.gridslam").read_bytes() == (tmp_path / "b.gridslam").read_bytes()
+    go_on(saved, measurements[40:50])
+
+
+@pytest.fixture(scope="module")
+def file(measurements, tmp_path_factory):
+    path = tmp_path_factory.mktemp("state") / "run.gridslam"
+    session = Session.of(go_on(begun(), measurements[:30]))
+    write_session(path, replace(session.saved, pieces=tuple(session.pieces), thumbnail=b"PNG"))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("schema", "gridslam.session/99", f"expected schema {SESSION_SCHEMA}, got gridslam.session/99"),
+        ("head", None, "a text named head"),
+        ("head.configuration", "particles = 0", "particles: expected a number greater than or equal to 1"),
+        ("head.run.generator", {}, "generator: expected the state of PCG64"),
+        ("head.run.generator", {"bit_generator": "MT19937"}, "generator: expected the state of PCG64"),
+        ("head.run.logs", [{"path": "day.clf"}], "arrays do not belong together"),
+        ("run.state.schema", "gridslam.state/1", f"a state of schema {STATE_SCHEMA}"),
+        ("run.state.poses", None, "an array named poses"),
+        ("run.state.maps.pages", None, "the arrays roots"),
+        ("run.trajectory.keys", np.zeros(2), "keys: expected int64"),
+        ("run.statistics.counts", None, "an array named counts"),
+        ("run.record.best", None, "an array named best"),
+        ("run.state.poses", np.full((5, 3), np.nan), "state.poses: expected numbers from -1e+09 to 1e+09, got nan"),
+        ("run.state.poses", np.full((5, 3), 2e6), "state.poses: expected poses on the map"),
+        ("run.state.tracker.matched_map", np.array(2), "tracker.matched_map: expected numbers from 0 to 1, got 2"),
+        ("run.state.tracker.velocity_variances", np.array([0.1, -1.0]), "expected numbers from 0 to 1e+18, got -1.0"),
+        ("run.state.log_weights", np.full(3, np.inf), "state.log_weights: expected numbers"),
+        ("run.trajectory.keys", np.zeros(30, np.int64), "trajectory.keys: expected key scans 0 to"),
+        ("run.state.closure_state.online_poses", np.zeros((1, 3)), "online_poses: expected"),
+        ("pieces.0.scans.keys", np.array([0, 0]), "scans.keys: expected"),
+        ("pieces.0.graph.poses", None, "scans.keys: expected 0 key scans"),
+        ("pieces.0.drives.0.keys", np.zeros(3, np.int64), "keys: expected int64 of shape (30)"),
+        ("pieces.0.drives.0.key_from_base", np.full((30, 3), np.nan), "key_from_base: expected numbers"),
+        ("pieces.0.drives.0.keys", np.zeros(30, np.int64), "drives: expected scans of key scans in order"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_told(file, tmp_path, name, value, message):
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    if name.startswith("head."):
+        head = json.loads(str(arrays["head"]))
+        *parts, last = name.split(".")[1:]
+        reduce(operator.getitem, parts, head)[last] = value
+        arrays["head"] = np.array(json.dumps(head))
+    else:
+        assert name in arrays
+        arrays = {key: array for key, array in arrays.items() if key != name} | ({} if value is None else {name: value})
+    write_sealed_arrays(tmp_path / "bad.gridslam", arrays)
+    with pytest.raises(InputError) as caught:
+        read_session(tmp_path / "bad.gridslam")
+    assert str(tmp_path / "bad.gridslam") in str(caught.value)
+    assert message in str(caught.value)
+
+
+def test_every_changed_byte_is_found(file, tmp_path):
+    """A thousand files, each with one bit changed or cut off somewhere."""
+    content = file.read_bytes()
+    rng = np.random.default_rng(3)
+    path = tmp_path / "bad.gridslam"
+    for _ in range(1000):
+        place = int(rng.integers(len(content)))
+        changed = bytearray(content)
+        changed[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(bytes(changed) if rng.integers(4) else content[:place])
+        with pytest.raises(InputError, match=r"bad\.gridslam"):
+            read_head(path)
+
+
+def test_covariances_may_be_negative_off_their_diagonal(file, tmp_path):
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    name = "run.state.closure_state.graph.covariances"
+    arrays[name] = arrays[name].copy()
+    arrays[name][:, 0, 1] = arrays[name][:, 1, 0] = -1e-6
+    write_sealed_arrays(tmp_path / "run.gridslam", arrays)
+    read_session(tmp_path / "run.gridslam")
+
+
+def test_other_files_are_refused(file, tmp_path):
+    path = tmp_path / "bad.gridslam"
+    for content in (b"", b"hello", file.read_bytes()[:-200]):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=r"bad\.gridslam"):
+            read_session(path)
+
+
+def test_generators_without_plain_state_and_unwritable_places_are_refused(file, tmp_path):
+    saved = read_session(file)
+    other = replace(saved, run=replace(saved.run, rng=np.random.Generator(np.random.MT19937(1))))
+    with pytest.raises(ArgumentError, match="a generator over PCG64 or PCG64DXSM, got MT19937"):
+        write_session(tmp_path / "run.gridslam", other)
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_session(tmp_path / "none" / "run.gridslam", saved)
+    assert not list(tmp_path.iterdir())
