@@ -422,7 +422,7 @@ def _order(piece: SavedPiece) -> tuple[Any, ...]:
     stamps = piece.stamps_ns
     first = int(stamps[0]) if len(stamps) else -1
     logs = [(log.sha256, log.path) for drive in piece.drives for log in drive.logs]
-    return not piece.drives, -len(piece.piece), first, logs, piece.piece.poses.tobytes()
+    return not piece.drives, first, -len(piece.piece), logs, piece.piece.poses.tobytes()
 
 
 def _name_apart(pieces: Sequence[SavedPiece]) -> list[SavedPiece]:

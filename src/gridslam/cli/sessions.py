@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -74,15 +75,17 @@ def _describe(content: dict[str, Any]) -> Iterator[str]:
 def merge_to_folder(files: tuple[Path, ...], out: Path, save: Path | None, threads: int, as_json: bool) -> None:
     """Merge sessions, write the results to a folder and print a summary."""
     watch = Stopwatch()
-    with open_output(out, MergeResult.all_names()) as folder, open_display(not as_json) as (show, _):
-        steps = 0
+    began_s = time.perf_counter()
+    with open_output(out, MergeResult.all_names()) as folder, open_display(not as_json) as (show, every_s):
+        due_s = every_s
 
         def on_progress() -> None:
-            nonlocal steps
+            nonlocal due_s
             stop_if_interrupted()
-            steps += 1
-            if steps % 50 == 1:
-                show(0.0, f"merging, {watch.total()[0]:.0f} s")
+            passed_s = time.perf_counter() - began_s
+            if passed_s >= due_s:
+                due_s = passed_s + every_s
+                show(0.0, f"merging, {passed_s:.0f} s")
 
         with name_option(paths="FILE", others="FILE"):
             result = merge_sessions(files, threads=threads, on_progress=on_progress, stopwatch=watch)
