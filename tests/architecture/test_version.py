@@ -21,3 +21,8 @@ def test_the_newest_entry_of_the_changes_is_this_version():
 def test_the_package_of_ros1_has_this_version():
     manifest = (ROOT / "examples" / "ros1" / "gridslam_ros" / "package.xml").read_text(encoding="utf-8")
     assert re.search("<version>(.*)</version>", manifest)[1] == gridslam.__version__
+
+
+def test_the_recipe_of_conda_has_this_version():
+    recipe = (ROOT / "recipe" / "recipe.yaml").read_text(encoding="utf-8")
+    assert re.search(r"^  version: ([\d.]+)$", recipe, re.MULTILINE)[1] == gridslam.__version__
