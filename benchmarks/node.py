@@ -140,7 +140,7 @@ def main(arguments: Sequence[str] | None = None) -> Report:
     print("\n".join(f"- {name}: {value}" for name, value in provenance().items()))
     if given.grid:
         rows = grid_ms()
-        report.add("A grid of 1000 x 1000 cells, Cyclone DDS", table(["", "ms"], rows))
+        report.add("A grid of 1000 x 1000 cells, DDS", table(["", "ms"], rows))
         report.targets += [Target(f"grid, {name}", value, GRID_MS, unit="ms") for name, value in rows]
     run = load_on_dds if given.transport == "dds" else load_on_core
     for rate in given.rate or ([] if given.grid else [_RATE_HZ]):

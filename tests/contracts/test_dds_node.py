@@ -89,14 +89,14 @@ def test_its_page_shows_the_map(running):
     assert client.status["stage"] == "running"
 
 
-def asked(peer: Peer, service: str, kind: str, value: Any) -> Any:
+def asked(peer: Peer, service: str, kind: str, *values: Any) -> Any:
     requests = peer.writer(f"rq/{service}Request", f"{kind}_Request")
     replies = peer.reader(f"rr/{service}Reply", f"{kind}_Response")
     assert until(lambda: bool(requests.get_matched_subscriptions()) and bool(replies.get_matched_publications()))
     answers: list[Any] = []
 
     def answered() -> bool:  # the other side may have found us later than we have found it: ask until it answers
-        requests.write(peer.make(f"{kind}_Request", 42, 7, value))
+        requests.write(peer.make(f"{kind}_Request", 42, 7, *values))
         return until(lambda: bool(answers.extend(replies.take(10)) or answers), 5.0)
 
     assert until(answered)
@@ -167,6 +167,10 @@ def test_services_answer(running):
     grid = asked(peer, "dynamic_map", "nav_msgs/GetMap", 0).map
     assert grid.data == got(peer.reader("rt/map", "nav_msgs/OccupancyGrid", latched=True, depth=1)).data
     assert asked(peer, "gridslam/pause", "std_srvs/SetBool", True).message == "paused"
+    names = asked(peer, "gridslam/list_parameters", "rcl_interfaces/ListParameters", [], 0).result.names
+    assert {"particles", "out", "use_sim_time"} <= set(names)
+    (value,) = asked(peer, "gridslam/get_parameters", "rcl_interfaces/GetParameters", ["particles"]).values
+    assert (value.type, value.integer_value) == (2, 4)
     reply = asked(peer, "gridslam/save", "std_srvs/Trigger", 0)
     assert reply.success, reply.message
     assert (running.folder / "out" / "map.pgm").is_file()

@@ -1,8 +1,9 @@
 // A program on another vendor's DDS (eProsima Fast DDS), as a robot on rmw_fastrtps would be: it drives through a room of
 // 10 m x 6 m with a pillar, publishes scans and transforms, joins late to get the latched map, and tells as JSON what it
-// got. Messages are written and read by Fast CDR, field by field.
+// got. Messages are written and read by Fast CDR, field by field. Then it reads the graph of nodes, and calls services: a
+// request has the GUID of the reader of replies as its related identity, and the reply has that and the request's number.
 //
-// Usage: fastdds_peer DOMAIN SCANS
+// Usage: fastdds_peer DOMAIN SCANS [SERVICE PACKAGE TYPE REQUEST]...   REQUEST: hexadecimal bytes of CDR
 
 #include <fastcdr/Cdr.h>
 #include <fastdds/dds/domain/DomainParticipant.hpp>
@@ -199,7 +200,47 @@ bool until(True true_, int seconds = 60) {
   return false;
 }
 
-int main(int, char **arguments) {
+std::string hexadecimal(const Bytes &bytes) {
+  std::string text;
+  char pair[3];
+  for (char byte : bytes) {
+    std::snprintf(pair, sizeof pair, "%02x", static_cast<unsigned char>(byte));
+    text += pair;
+  }
+  return text;
+}
+
+// What rmw_fastrtps does for a client; hexadecimal bytes of the reply, empty if none comes.
+std::string call(Peer &peer, const std::string &service, const std::string &package, const std::string &type,
+                 const std::string &request) {
+  const std::string kind = package + "::srv::dds_::" + type;
+  fdds::DataReader *replies = peer.reader(peer.topic(("rr" + service + "Reply").c_str(), (kind + "_Response_").c_str()), false, 10);
+  fdds::DataWriter *writer = peer.writer(("rq" + service + "Request").c_str(), (kind + "_Request_").c_str(), true, false);
+  fdds::SubscriptionMatchedStatus status;
+  if (!until([&] { return matched(writer) && replies->get_subscription_matched_status(status) == ReturnCode_t::RETCODE_OK &&
+                          status.current_count > 0; }, 20))
+    return "";
+  Bytes bytes;
+  for (size_t k = 0; k + 1 < request.size(); k += 2)
+    bytes.push_back(static_cast<char>(std::stoi(request.substr(k, 2), nullptr, 16)));
+  rtps::WriteParams parameters;
+  parameters.related_sample_identity().writer_guid() = replies->guid();
+  if (!writer->write(&bytes, parameters)) return "";
+  const auto number = parameters.sample_identity().sequence_number();
+  std::string reply;
+  until([&] {
+    Bytes got;
+    fdds::SampleInfo info;
+    while (replies->take_next_sample(&got, &info) == ReturnCode_t::RETCODE_OK)
+      if (info.valid_data && info.related_sample_identity.writer_guid() == replies->guid() &&
+          info.related_sample_identity.sequence_number() == number)
+        reply = hexadecimal(got);
+    return !reply.empty();
+  }, 20);
+  return reply;
+}
+
+int main(int count, char **arguments) {
   const int domain = std::atoi(arguments[1]), scans = std::atoi(arguments[2]);
   Peer peer(domain);
   const char *tf = "tf2_msgs::msg::dds_::TFMessage_", *scan = "sensor_msgs::msg::dds_::LaserScan_";
@@ -239,7 +280,20 @@ int main(int, char **arguments) {
     take_all(late, [&](Bytes &bytes) { found = described(bytes); });
     return !found.empty();
   });
-  std::printf("{\"links\": %d, \"map\": %s}\n", links, found.empty() ? "null" : found.c_str());
+  std::string graph;
+  fdds::DataReader *nodes =
+      peer.reader(peer.topic("ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"), true, 1);
+  until([&] {
+    take_all(nodes, [&](Bytes &bytes) { graph = hexadecimal(bytes); });
+    return !graph.empty();
+  }, 20);
+  std::string replies;
+  for (int k = 3; k + 3 < count; k += 4) {
+    const std::string reply = call(peer, arguments[k], arguments[k + 1], arguments[k + 2], arguments[k + 3]);
+    replies += std::string(replies.empty() ? "" : ", ") + "\"" + arguments[k] + "\": \"" + reply + "\"";
+  }
+  std::printf("{\"links\": %d, \"map\": %s, \"graph\": \"%s\", \"replies\": {%s}}\n", links,
+              found.empty() ? "null" : found.c_str(), graph.c_str(), replies.c_str());
   std::fflush(stdout);
   std::_Exit(found.empty());
 }

@@ -81,6 +81,7 @@ INNER_RANKS = {
     },
     "ros": {
         "node": 0,
+        "rtps": 0,
         "ros1": 1,
         "ros2": 1,
     },

@@ -97,6 +97,9 @@ class LocalTransport:
     def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
         pass
 
+    def advertise_parameters(self, values: object, change: object, settable: object) -> None:
+        self.parameters = values
+
     def spin(self, ended: threading.Event) -> Iterator[None]:
         while not self.shut_down.is_set() and not ended.wait(0.01):
             yield

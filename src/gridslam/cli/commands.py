@@ -673,7 +673,7 @@ def ros1_command(**options: Any) -> None:  # noqa: ANN401
     type=click.Choice(["auto", "rclpy", "dds"]),
     default="auto",
     show_default=True,
-    help="rclpy of a sourced ROS 2, or Cyclone DDS without ROS (extra: ros2).",
+    help="rclpy of a sourced ROS 2, or DDS without any ROS.",
 )
 @click.option("--interface", "interfaces", multiple=True, help="Network interface of DDS; repeatable.")
 def ros2_command(**options: Any) -> None:  # noqa: ANN401

@@ -50,7 +50,7 @@ def ros2(
     rerun: str | None = None,
     **options: Any,  # noqa: ANN401
 ) -> None:
-    """Run the ROS 2 node until it is stopped: by rclpy if a ROS 2 is sourced, otherwise by Cyclone DDS."""
+    """Run the ROS 2 node until it is stopped: by rclpy if a ROS 2 is sourced, otherwise by DDS itself."""
     given = _collect_parameters(**options)
     open_viewers = make_viewer_opener("ROS 2", live, rerun)
     if transport == "dds" or (transport == "auto" and importlib.util.find_spec("rclpy") is None):

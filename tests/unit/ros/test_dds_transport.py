@@ -1,26 +1,28 @@
-"""The node by Cyclone DDS in this process: what comes as bytes is a scan, or is named; nothing ends it."""
+"""The node by RTPS in this process: what comes as bytes is a scan, or is named; nothing ends it."""
 
 from __future__ import annotations
 
-from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-pytest.importorskip("cyclonedds", reason="Cyclone DDS (the extra ros2) is not installed")
 
 from gridslam.ros.node.messages import GridMessage
 from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.transport import TOPICS, RosNode
-from gridslam.ros.ros2 import dds
 from gridslam.ros.ros2.arguments import RosArguments
+from gridslam.ros.ros2.dds import DdsParticipant, service_encoder
+from gridslam.ros.ros2.parameter_services import ParameterServices
 from gridslam.ros.ros2.ros2_dds import DdsTransport
+from gridslam.ros.rtps.endpoints import RemoteEndpoint, Sample
+from gridslam.ros.rtps.qos import Qos
 from support.dds_peer import free_domain
 from support.ros_bytes import encode_message
 from support.ros_node import until
 
 STAMP = 1_700_000_000, 5
+WRITER = b"w" * 16
 
 
 def scan(beams):
@@ -33,7 +35,11 @@ def test_bytes_that_are_no_scan_are_named_and_the_node_lives(capfd):
     transport = DdsTransport(RosArguments(), domain=free_domain(), interfaces=["127.0.0.1"])
     node = RosNode(transport, node_parameters({}, "default"))
     node.start()
-    take = {reader.topic.name: partial(take, publisher="test") for reader, take in transport._participant._readers}
+    readers = transport._participant._participant._readers.values()
+    take = {
+        reader.topic: lambda data, handle=reader.handle: handle(Sample(data, WRITER, 1, b"\1\x10"))
+        for reader in readers
+    }
     try:
         take["rt/scan"](scan(26_214_400))
         take["rt/scan"](b"\0\1\0\0nonsense")
@@ -53,24 +59,79 @@ def test_bytes_that_are_no_scan_are_named_and_the_node_lives(capfd):
     assert node.core.failure is None
 
 
-@pytest.mark.parametrize("known", ["11.", "no other"])
-def test_bytes_arrive_as_they_were_sent_by_any_version(monkeypatch, known):
-    """A version that is not known encodes itself what was encoded here: to the same bytes, more slowly."""
-    monkeypatch.setattr(dds, "_KNOWN", known)
-    participant, sent, got = dds.DdsParticipant(free_domain(), ["127.0.0.1"]), {}, []
-    assert participant._carries_bytes == (known == "11.")
+def test_bytes_arrive_as_they_were_sent():
+    participant, sent, got = DdsParticipant(free_domain(), ["127.0.0.1"]), {}, []
+    other = DdsParticipant(participant._participant._sockets.domain, ["127.0.0.1"])
     outputs = EncodedOutputs(participant.encoder, sent.__setitem__, lambda: 0, lambda level, text: None, "node")
     outputs.map(GridMessage(5, "map", 0.05, (1.0, 2.0), np.arange(-1, 5, dtype=np.int8).reshape(2, 3)))
     participant.add_writer("rt/map", TOPICS["map"], latched=True)
     participant.publish("rt/map", sent["map"])
-    participant.add_reader("rt/map", TOPICS["map"], lambda data, sender: got.append(data), latched=True)
+    other.add_reader("rt/map", TOPICS["map"], lambda data, sender: got.append(data), latched=True)
     participant.start()
+    other.start()
     try:
         assert until(lambda: bool(got))
     finally:
         participant.close()
+        other.close()
     assert got[0].rstrip(b"\0") == sent["map"].rstrip(b"\0")  # the end may be padded
     assert decoded_cells(got[0]) == list(range(-1, 5))
+
+
+def test_the_graph_of_nodes_has_gids_of_24_bytes_for_humble_and_of_16_from_iron_on():
+    """Their layouts differ under one name; readers from Iron on state the hash of their type."""
+    node = DdsParticipant(free_domain(), ["127.0.0.1"], node=("/robot1", "gridslam"))
+    node.add_writer("rt/map", TOPICS["map"], latched=True)
+    node.add_reader("rt/scan", "sensor_msgs/LaserScan", lambda data, sender: None)
+    old, new = node._graph
+    endpoint = RemoteEndpoint(b"g" * 16, "", "", Qos(latched=True), ("127.0.0.1", 1))
+    hashed = endpoint._replace(user_data=b"typehash=RIHS01_00;")
+    filters = node._participant._filters
+    assert [filters[writer.guid](one) for writer in (old, new) for one in (endpoint, hashed)] == [
+        True,
+        False,
+        False,
+        True,
+    ]
+    (payload,) = (stored.payload for stored in old._history.values())
+    graph = node.encoder.decode("rmw_dds_common/ParticipantEntitiesInfo", payload)
+    (listed,) = graph.node_entities_info_seq
+    assert (listed.node_namespace, listed.node_name) == ("/robot1", "gridslam")
+    assert bytes(graph.gid.data.tolist()) == node._participant.guid + bytes(8)
+    assert (len(listed.reader_gid_seq), len(listed.writer_gid_seq)) == (1, 1)
+    (payload,) = (stored.payload for stored in new._history.values())
+    assert payload[4:20] == node._participant.guid
+    assert payload[20:24] == b"\1\0\0\0"
+    assert len(payload) == len(graph.gid.data) + len(b"\0\1\0\0") + 4 + 4 + 12 + 4 + 12 + 4 + 16 + 4 + 16 - 8
+    node.close()
+
+
+@pytest.mark.parametrize(
+    ("value", "settable", "says"),
+    [(True, True, ""), (3, False, "start it with -p particles:="), ("yes", False, "expected a value like False")],
+)
+def test_parameters_are_set_or_the_reason_is_given(value, settable, says):
+    changed = []
+    values = {"particles": 30, "paused": False, "out": "", "share": 0.5, "a.b": 1}
+    services = ParameterServices(values, lambda *what: changed.append(what) or "", ["paused"]).services()
+    encoder = service_encoder()
+    name = "particles" if isinstance(value, int) and not isinstance(value, bool) else "paused"
+    kind = 1 + (bool, int, float, str).index(type(value))
+    fields = [False, 0, 0.0, "", [], [], [], [], []]
+    fields[kind - 1] = value
+    for service in ("set_parameters", "set_parameters_atomically"):
+        type_name, serve = services[service]
+        data = encoder.encode(f"{type_name}_RequestBody", [(name, (kind, *fields))])
+        request = encoder.decode(f"{type_name}_RequestBody", data)
+        reply = encoder.decode(
+            f"{type_name}_ResponseBody", encoder.encode(f"{type_name}_ResponseBody", *serve(request))
+        )
+        result = reply.results[0] if service == "set_parameters" else reply.result
+        assert result.successful is settable
+        assert says in result.reason
+    assert changed == ([("paused", True)] * 2 if settable else [])
+    ((names, prefixes),) = services["list_parameters"][1](SimpleNamespace(prefixes=["a"], depth=0))
+    assert (names, prefixes) == (["a.b"], ["a"])
 
 
 def decoded_cells(data):

@@ -88,7 +88,8 @@ class MessageEncoder:
         made = []
         for (_, kind, length), value in zip(self.fields(message_type), values, strict=True):
             if "/" not in kind:
-                made.append(value if length is None else np.asarray(value, kind))
+                is_plain = length is None or kind == "string"
+                made.append(value if is_plain else np.asarray(value, "uint8" if kind == "byte" else kind))
             elif length is None:
                 made.append(self._make(kind, value))
             else:

@@ -6,7 +6,7 @@ Source: the public documentation of the ROS package gmapping, http://wiki.ros.or
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
@@ -16,7 +16,7 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.api.amcl import AMCL_NAMES, from_amcl, override_configuration
 from gridslam.api.localization import known_map
 from gridslam.config import Configuration, load, override, preset
-from gridslam.config.tables import describe_error, names, nest, replace_parameters, suggest_names
+from gridslam.config.tables import describe_error, names, nest, replace_parameters, suggest_names, value_of
 from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.ros.node.foreign_parameters import FOREIGN_NAMES, flatten, translate_parameters
 from gridslam.ros.node.session import Localization
@@ -244,6 +244,8 @@ class NodeParameters:
         Name of the topic of the scans, before remapping.
     paused : bool
         Whether the node begins paused.
+    values : dict
+        The parameters that have an effect, by their ROS names.
     """
 
     settings: NodeSettings
@@ -253,6 +255,7 @@ class NodeParameters:
     out: Path | None
     scan_topic: str = "scan"
     paused: bool = False
+    values: Mapping[str, Any] = field(default_factory=dict)
 
 
 def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> NodeParameters:
@@ -309,7 +312,14 @@ def _node_parameters(given: Mapping[str, Any], foreign: Mapping[str, str], prese
     if not isinstance(paused, bool):
         raise ConfigurationError(f"paused_new_measurements: expected true or false, got {paused!r}")
     warning = _group_by_reason({**reasons, **foreign})
-    return NodeParameters(_read_settings(given), configuration, warning, record, out, scan_topic, paused)
+    settings = _read_settings(given)
+    effective = {**values, **{name: getattr(settings, attribute) for name, attribute in _NODE.items()}}
+    if isinstance(configuration, Configuration):
+        there = set(names(configuration))
+        effective |= {name: value_of(configuration, path) for name, path in _FILTER.items() if path in there}
+    else:
+        effective |= {name: value for name, value in given.items() if name in AMCL_NAMES}
+    return NodeParameters(settings, configuration, warning, record, out, scan_topic, paused, effective)
 
 
 def _read_mapping(given: Mapping[str, Any], preset_name: str) -> tuple[Configuration, dict[str, str]]:

@@ -7,7 +7,7 @@ import math
 import os
 import struct
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from itertools import count
@@ -62,6 +62,7 @@ Handler: TypeAlias = Callable[[bytes, str], None]
 ViewerOpener: TypeAlias = Callable[[NodeCore], AbstractContextManager[object]]
 """Opens the viewers of a core: a context entered before the core starts and left after it has stopped."""
 
+_PAUSED = "paused_new_measurements"
 _PLANAR = np.ix_((0, 1, 5), (0, 1, 5))  # x, y and yaw of x, y, z, roll, pitch, yaw
 
 
@@ -117,6 +118,11 @@ class Transport(Protocol):
     def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
         """Offer the map by a service of nav_msgs/GetMap."""
 
+    def advertise_parameters(
+        self, values: Mapping[str, Any], change: Callable[[str, Any], str], settable: Sequence[str]
+    ) -> None:
+        """Offer the parameters where ROS does not: `change` sets one of those that are settable, or returns why not."""
+
     def spin(self, ended: threading.Event) -> Iterator[None]:
         """Deliver messages until the transport is shut down or the event is set; yields several times a second."""
         ...
@@ -150,6 +156,7 @@ class RosNode:
         self._log = transport.outputs.log
         self._out = parameters.out
         self._scan_topic = parameters.scan_topic
+        self._values = parameters.values
         self._saving: list[threading.Thread] = []
         self._saved: set[Path] = set()
         self.core = NodeCore(
@@ -267,8 +274,15 @@ class RosNode:
         if core.localizes:
             transport.advertise(transport.global_localization, "std_srvs/Empty", reset)
         transport.advertise("~/pause", "std_srvs/SetBool", pause)
+        transport.advertise_parameters(self._values, self._change_parameter, (_PAUSED,))
         folder = self._out or Path("gridslam-map")
         transport.advertise("~/save", "std_srvs/Trigger", lambda request: save_results(core, folder), slow=True)
+
+    def _change_parameter(self, name: str, value: Any) -> str:  # noqa: ANN401
+        """Set a parameter while the node runs."""
+        assert name == _PAUSED
+        self.core.pause(bool(value))
+        return ""
 
     def _subscribe(self, topic: str, kind: str, handle: Callable[[bytes, Wire, str], None], **qos: Any) -> None:  # noqa: ANN401
         """Subscribe, and warn of bytes that are not a valid message."""

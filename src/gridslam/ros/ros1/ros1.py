@@ -113,6 +113,11 @@ class Ros1Transport:
 
         self._rospy.Service(service, service_class, answer)
 
+    def advertise_parameters(
+        self, values: Mapping[str, Any], change: Callable[[str, Any], str], settable: Sequence[str]
+    ) -> None:
+        """Do nothing: ROS itself serves them."""
+
     def spin(self, ended: threading.Event) -> Iterator[None]:
         """Wait until ROS is shut down or the event is set; rospy delivers messages in threads of its own."""
         master = _MasterWatch(self._rospy, self._log)

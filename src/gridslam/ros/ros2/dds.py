@@ -1,31 +1,32 @@
-"""ROS 2 topics by Cyclone DDS, without ROS.
+"""ROS 2's topics, services and graph by RTPS, without ROS: what rmw_fastrtps and rmw_cyclonedds make of them.
 
-rosbags encodes and decodes the messages; the library only transports their bytes. It calls `serialize`
-and `deserialize` of a topic's message class, and these classes return the bytes unchanged: a grid of 1000 x 1000 cells
-costs half a millisecond instead of a hundred for a list. Other versions of the library, which may not call these
-methods, receive messages as objects and encode them themselves.
+rosbags encodes and decodes the messages; their bytes are sent and received as they are.
 """
 
 from __future__ import annotations
 
-import importlib
-import importlib.metadata
+import struct
 import threading
-from collections.abc import Callable, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, TypeAlias, final
-from xml.sax.saxutils import quoteattr
 
-from gridslam.errors import ConfigurationError
 from gridslam.io.bags.encoder import MessageEncoder
+from gridslam.io.bags.ros_messages import MessageError
+from gridslam.pipeline import describe_error
+from gridslam.ros.rtps.endpoints import RemoteEndpoint, Sample
+from gridslam.ros.rtps.participant import Participant
+from gridslam.ros.rtps.qos import Qos
+from gridslam.ros.rtps.reader import RELATED
+from gridslam.ros.rtps.writer import Writer
 
 __all__ = ["DdsParticipant", "Handler", "service_encoder"]
 
-_KNOWN = "11."
-_POLL_NS = 200_000_000
-_MAX_MESSAGES = 64
-_POLICIES: Final[Mapping[int, str]] = {2: "durability", 4: "deadline", 8: "liveliness", 11: "reliability"}
+_CYCLONE: Final = b"\1\x10"
+"""Vendor of Eclipse Cyclone DDS, whose rmw puts a header before requests and replies."""
 
-_REQUEST_HEADER = "uint64 guid\nint64 sequence\n"  # that rmw_cyclonedds prepends to requests and replies
+_REQUEST_HEADER = "uint64 guid\nint64 sequence\n"
+_BODY = "Body"  # suffix of the types without that header
 _EMPTY = "uint8 structure_needs_at_least_one_member"
 _SERVICES: Final[Mapping[str, str]] = {
     "nav_msgs/GetMap_Request": _EMPTY,
@@ -36,44 +37,57 @@ _SERVICES: Final[Mapping[str, str]] = {
     "std_srvs/SetBool_Response": "bool success\nstring message",
     "std_srvs/Trigger_Request": _EMPTY,
     "std_srvs/Trigger_Response": "bool success\nstring message",
+    "rcl_interfaces/ListParameters_Request": "string[] prefixes\nuint64 depth",
+    "rcl_interfaces/ListParameters_Response": "rcl_interfaces/ListParametersResult result",
+    "rcl_interfaces/GetParameters_Request": "string[] names",
+    "rcl_interfaces/GetParameters_Response": "rcl_interfaces/ParameterValue[] values",
+    "rcl_interfaces/GetParameterTypes_Request": "string[] names",
+    "rcl_interfaces/GetParameterTypes_Response": "uint8[] types",
+    "rcl_interfaces/DescribeParameters_Request": "string[] names",
+    "rcl_interfaces/DescribeParameters_Response": "rcl_interfaces/ParameterDescriptor[] descriptors",
+    "rcl_interfaces/SetParameters_Request": "rcl_interfaces/Parameter[] parameters",
+    "rcl_interfaces/SetParameters_Response": "rcl_interfaces/SetParametersResult[] results",
+    "rcl_interfaces/SetParametersAtomically_Request": "rcl_interfaces/Parameter[] parameters",
+    "rcl_interfaces/SetParametersAtomically_Response": "rcl_interfaces/SetParametersResult result",
 }
+_GRAPH, _GRAPH_TYPE = "ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"
+_GID_BYTES = 24, 16  # up to Humble; from Iron on, whose endpoints state the hash of their type
+_TYPE_HASH: Final = b"typehash="
+_MATCH_S: Final = 1.0
 
 Handler: TypeAlias = Callable[[bytes, str], None]
 """Called with the bytes of a message and a name of its sender."""
 
+Serve: TypeAlias = Callable[[Any], Sequence[Any]]
+"""Called with a request; returns the values of the reply's fields."""
+
 
 def service_encoder() -> MessageEncoder:
-    """Return an encoder that knows the requests and replies of the node's services, too."""
+    """Return an encoder that knows the requests and replies of the node's services, with and without a header."""
     encoder = MessageEncoder(is_ros1=False)
     for name, definition in _SERVICES.items():
         encoder.define(name, _REQUEST_HEADER + definition)
+        encoder.define(name + _BODY, definition)
     return encoder
-
-
-def _library() -> Any:  # noqa: ANN401
-    try:
-        names = ("builtin", "core", "domain", "idl", "idl.types", "pub", "qos", "sub", "topic", "util")
-        for name in names:
-            importlib.import_module(f"cyclonedds.{name}")
-        return importlib.import_module("cyclonedds")
-    except ImportError as error:
-        hint = "pip install 'gridslam[ros2]', or source a ROS 2"
-        raise ConfigurationError(f"Cyclone DDS is not available ({error}): {hint}") from None
 
 
 @final
 class DdsParticipant:
-    """Writers and readers of one participant; one thread calls the handlers in the order of arrival.
+    """Writers, readers and services of one participant; one thread calls the handlers in the order of arrival.
 
     Parameters
     ----------
     domain : int
         ROS_DOMAIN_ID.
     interfaces : sequence of str
-        Addresses or names of the network interfaces; if empty, the library chooses them.
+        Addresses or names of the network interfaces; if empty, all.
     on_mismatch : callable
         Called with an incompatibility of another program, so that nothing passes: "quality of service" or "message
         type", the topic, and a description.
+    node : (str, str)
+        Namespace and name of the node, as others list it; no name: it is not listed.
+    peers : sequence of str
+        Addresses of machines that multicast does not reach.
 
     Attributes
     ----------
@@ -83,7 +97,7 @@ class DdsParticipant:
     Raises
     ------
     ConfigurationError
-        Cyclone DDS is not installed, or cannot use the interfaces.
+        An interface does not exist, or no port is free.
     """
 
     def __init__(
@@ -91,34 +105,27 @@ class DdsParticipant:
         domain: int,
         interfaces: Sequence[str] = (),
         on_mismatch: Callable[[str, str, str], None] = lambda *unused: None,
+        node: tuple[str, str] = ("/", ""),
+        peers: Sequence[str] = (),
     ) -> None:
-        self._dds = dds = _library()
         self.encoder = service_encoder()
-        self._on_mismatch = on_mismatch
-        self._carries_bytes = importlib.metadata.version("cyclonedds").startswith(_KNOWN)
-        self._types: dict[str, Any] = {}
-        self._writers: dict[str, Any] = {}
-        self._readers: list[tuple[Any, Handler]] = []
-        self._closed = threading.Event()
-        try:
-            self._domain = dds.domain.Domain(domain, _configuration(interfaces)) if interfaces else None
-            self._participant = dds.domain.DomainParticipant(domain)
-        except dds.core.DDSException as error:
-            where = ", ".join(interfaces) or "any interface"
-            raise ConfigurationError(f"DDS cannot start in domain {domain} on {where}: {error.msg}") from None
-        self._wait_set = dds.core.WaitSet(self._participant)
-        self._publishers = dds.builtin.BuiltinDataReader(self._participant, dds.builtin.BuiltinTopicDcpsPublication)
-        self._attach(self._publishers)
-        self._thread = threading.Thread(target=self._listen, name="gridslam-dds", daemon=True)
+        self._participant = Participant(domain, interfaces, node[1] or "gridslam", on_mismatch, peers)
+        self._writers: dict[str, Writer] = {}
+        self._node = node
+        self._guids: tuple[list[bytes], list[bytes]] = [], []  # of readers and writers
+        self._graph: list[Writer] = []
+        if node[1]:
+            qos = Qos(latched=True, depth=1)
+            self._graph = [
+                self._participant.add_writer(_GRAPH, _GRAPH_TYPE, qos, only) for only in (_is_old_ros, _is_new_ros)
+            ]
 
     def add_writer(self, topic: str, message_type: str, *, latched: bool = False, depth: int = 10) -> None:
         """Add a writer for a DDS topic; `latched`: late subscribers receive the last message."""
-        qos = self._qos(reliable=True, latched=latched, depth=1 if latched else depth)
-        listener = self._dds.core.Listener(
-            on_offered_incompatible_qos=lambda writer, status: self._mismatch(topic, "subscriber asks for more", status)
-        )
-        what = self._topic(topic, message_type)
-        self._writers[topic] = self._dds.pub.DataWriter(self._participant, what, qos, listener)
+        qos = Qos(latched=latched, depth=1 if latched else depth)
+        writer = self._writers[topic] = self._participant.add_writer(topic, _type_name(message_type), qos)
+        self._guids[1].append(writer.guid)
+        self._publish_graph()
 
     def add_reader(
         self,
@@ -130,130 +137,136 @@ class DdsParticipant:
         latched: bool = False,
         depth: int = 10,
     ) -> None:
-        """Add a handler for the bytes of each message on a DDS topic, before `start`."""
-        dds = self._dds
-        qos = self._qos(reliable=reliable, latched=latched, depth=depth)
-        listener = dds.core.Listener(
-            on_requested_incompatible_qos=lambda reader, status: self._mismatch(topic, "publisher offers less", status)
-        )
-        reader = dds.sub.DataReader(self._participant, self._topic(topic, message_type), qos, listener)
-        self._attach(reader)
-        self._readers.append((reader, handle))
+        """Add a handler for the bytes of each message on a DDS topic."""
+
+        def take(sample: Sample) -> None:
+            if not sample.is_gone:
+                handle(sample.payload, f"publisher {sample.writer.hex()}")
+
+        qos = Qos(reliable=reliable, latched=latched, depth=depth)
+        self._add_reader(topic, message_type, qos, take)
+
+    def add_service(
+        self, name: str, service_type: str, serve: Serve, refuse: Callable[[str], None], *, slow: bool = False
+    ) -> None:
+        """Offer a service.
+
+        Parameters
+        ----------
+        name : str
+            Full name.
+        service_type : str
+            Such as "std_srvs/SetBool".
+        serve : callable
+            Called with the request; returns the values of the reply's fields.
+        refuse : callable
+            Called with the reason for which a request is no request of this type.
+        slow : bool
+            Whether it is served in a thread of its own.
+        """
+        qos = Qos(depth=100)
+        kind = f"{service_type}_Response"
+        reply = self._participant.add_writer(f"rr{name}Reply", _type_name(kind), qos)
+        self._guids[1].append(reply.guid)
+
+        def answer(sample: Sample, request: Any) -> None:  # noqa: ANN401
+            try:
+                values = serve(request) or (0,)  # a structure without fields has one all the same
+            except Exception as error:  # the thread goes on, whatever was asked
+                refuse(describe_error(error))
+                return
+            self._wait_for(reply, sample)
+            if sample.vendor == _CYCLONE:
+                self._participant.write(reply, self.encoder.encode(kind, request.guid, request.sequence, *values))
+            else:
+                identity = _identity(sample)
+                parameters = [(parameter, identity) for parameter in RELATED]
+                self._participant.write(reply, self.encoder.encode(kind + _BODY, *values), parameters)
+
+        def take(sample: Sample) -> None:
+            if sample.is_gone:
+                return
+            try:
+                body = "" if sample.vendor == _CYCLONE else _BODY
+                request = self.encoder.decode(f"{service_type}_Request{body}", sample.payload)
+            except MessageError as error:
+                refuse(str(error))
+                return
+            if slow or not self._is_matched(reply, sample):
+                threading.Thread(target=answer, args=(sample, request), daemon=True).start()
+            else:
+                answer(sample, request)
+
+        self._add_reader(f"rq{name}Request", f"{service_type}_Request", qos, take)
 
     def start(self) -> None:
         """Start the thread that reads messages."""
-        self._thread.start()
+        self._participant.start()
 
     def publish(self, topic: str, data: bytes) -> None:
         """Publish bytes on a topic that has a writer."""
-        writer = self._writers[topic]
-        writer.write(writer.data_type.deserialize(data))
+        self._participant.write(self._writers[topic], data)
 
     def close(self) -> None:
         """Stop the thread."""
-        self._closed.set()
-        if self._thread.ident is not None:
-            self._thread.join(timeout=5)
+        self._participant.close()
 
-    def _listen(self) -> None:
-        while not self._closed.is_set():
-            self._wait_set.wait(_POLL_NS)
-            for reader, handle in self._readers:
-                for message in reader.take(_MAX_MESSAGES):
-                    if message.sample_info.valid_data:  # else it only indicates that a writer has gone
-                        sender = f"publisher {message.sample_info.publication_handle:x}"
-                        handle(message.serialize(use_version_2=False), sender)
+    def _add_reader(self, topic: str, message_type: str, qos: Qos, take: Callable[[Sample], None]) -> None:
+        reader = self._participant.add_reader(topic, _type_name(message_type), qos, take)
+        self._guids[0].append(reader.guid)
+        self._publish_graph()
 
-            for publisher in self._publishers.take(_MAX_MESSAGES):
-                if publisher.sample_info.valid_data:
-                    self._check_type(publisher.topic_name, publisher.type_name)
+    def _publish_graph(self) -> None:
+        """State which readers and writers are the node's, by which `ros2 node list` knows it."""
+        for writer, size in zip(self._graph, _GID_BYTES, strict=False):
+            payload = _encode_graph(self._participant.guid, self._node, self._guids, size)
+            self._participant.write(writer, payload)
 
-    def _attach(self, reader: Any) -> None:  # noqa: ANN401
-        core = self._dds.core
-        states = core.ViewState.Any | core.InstanceState.Any | core.SampleState.NotRead
-        self._wait_set.attach(core.ReadCondition(reader, states))
+    @staticmethod
+    def _is_matched(reply: Writer, sample: Sample) -> bool:
+        """Whether who has asked would get the reply."""
+        return any(guid[:12] == sample.writer[:12] for guid in list(reply.readers))
 
-    def _check_type(self, topic: str, typename: str) -> None:
-        """Report a publisher with another message type than a reader: the library does not."""
-        for reader, _ in self._readers:
-            expected = reader.topic.typename
-            if reader.topic.name == topic and typename != expected:
-                self._on_mismatch("message type", topic, f"a publisher sends {typename}, this node expects {expected}")
-
-    def _mismatch(self, topic: str, who: str, status: Any) -> None:  # noqa: ANN401
-        policy = _POLICIES.get(status.last_policy_id, f"policy {status.last_policy_id}")
-        self._on_mismatch("quality of service", topic, f"a {who} {policy} than this node, so no message passes")
-
-    def _topic(self, name: str, message_type: str) -> Any:  # noqa: ANN401
-        return self._dds.topic.Topic(self._participant, name, self._carrier(message_type))
-
-    def _carrier(self, message_type: str) -> Any:  # noqa: ANN401
-        """Return a message class that consists of its encoded bytes."""
-        if not self._carries_bytes:
-            return self._struct(message_type)
-        kind = f"{message_type}*"
-        if kind not in self._types:
-            carrier = self._types[kind] = self._struct(message_type)
-            carrier.serialize = _to_bytes
-            carrier.deserialize = carrier.deserialize_key = classmethod(_from_bytes)
-        return self._types[kind]
-
-    def _struct(self, message_type: str) -> Any:  # noqa: ANN401
-        """Return the library's class of a type, with its name and fields."""
-        types = self._dds.idl.types
-        fields = {}
-        for name, kind, length in self.encoder.fields(message_type):
-            one = self._element(kind)
-            if length is not None:
-                one = types.array[one, length] if length else types.sequence[one]
-            fields[name] = one
-        package, *_, name = message_type.split("/")
-        space = "srv" if name.endswith(("_Request", "_Response")) else "msg"
-        return self._dds.idl.make_idl_struct(f"{name}_", f"{package}.{space}.dds_.{name}_", fields)
-
-    def _element(self, kind: str) -> Any:  # noqa: ANN401
-        if kind not in self._types:
-            types = self._dds.idl.types
-            plain = {"string": str, "bool": bool, "byte": types.uint8}
-            self._types[kind] = self._struct(kind) if "/" in kind else plain.get(kind) or getattr(types, kind)
-        return self._types[kind]
-
-    def _qos(self, *, reliable: bool, latched: bool, depth: int) -> Any:  # noqa: ANN401
-        policy = self._dds.qos.Policy
-        return self._dds.qos.Qos(
-            policy.Reliability.Reliable(self._dds.util.duration(milliseconds=100))
-            if reliable
-            else policy.Reliability.BestEffort,
-            policy.Durability.TransientLocal if latched else policy.Durability.Volatile,
-            policy.History.KeepLast(depth),
-            policy.DataRepresentation(use_cdrv0_representation=True),
-        )
+    def _wait_for(self, reply: Writer, sample: Sample) -> None:
+        """Wait until the one who has asked is known as a reader of replies."""
+        end_s = time.monotonic() + _MATCH_S
+        while not self._is_matched(reply, sample) and time.monotonic() < end_s:
+            time.sleep(0.005)
 
 
-def _to_bytes(message: Any, *unused: object, **options: object) -> bytes:  # noqa: ANN401
-    data: bytes = message.cdr
-    return data
+def _is_new_ros(reader: RemoteEndpoint) -> bool:
+    return _TYPE_HASH in reader.user_data
 
 
-def _from_bytes(cls: Any, /, data: bytes, *unused: object, **options: object) -> Any:  # noqa: ANN401
-    message = object.__new__(cls)
-    message.cdr = data
-    return message
+def _is_old_ros(reader: RemoteEndpoint) -> bool:
+    return not _is_new_ros(reader)
 
 
-def _configuration(interfaces: Sequence[str]) -> str:
-    """Return Cyclone DDS's configuration for these interfaces; on loopback with unicast discovery."""
-    named = [
-        f"<NetworkInterface {'address' if name[0].isdigit() or ':' in name else 'name'}={quoteattr(name)}/>"
-        for name in interfaces
-    ]
-    local = all(name in ("127.0.0.1", "lo", "::1") for name in interfaces)
-    discovery = (
-        "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>60</MaxAutoParticipantIndex>"
-        "<Peers><Peer address='127.0.0.1'/></Peers></Discovery>"
-    )
-    multicast = "<AllowMulticast>false</AllowMulticast>" if local else ""
-    return (
-        f"<CycloneDDS><Domain><General><Interfaces>{''.join(named)}</Interfaces>{multicast}</General>"
-        f"{discovery if local else ''}</Domain></CycloneDDS>"
-    )
+def _type_name(message_type: str) -> str:
+    """Name of a type in DDS."""
+    package, *_, name = message_type.split("/")
+    space = "srv" if name.endswith(("_Request", "_Response")) else "msg"
+    return f"{package}::{space}::dds_::{name}_"
+
+
+def _identity(sample: Sample) -> bytes:
+    """Return the identity of a request: of the reader of its reply if that is known, else of its writer."""
+    guid = sample.related[:16]
+    if len(guid) < 16 or not any(guid):
+        guid = sample.writer
+    return guid + struct.pack("<iI", sample.sequence >> 32, sample.sequence & 0xFFFFFFFF)
+
+
+def _encode_graph(participant: bytes, node: tuple[str, str], guids: Iterable[Iterable[bytes]], size: int) -> bytes:
+    """Encode rmw_dds_common/ParticipantEntitiesInfo, whose GIDs have 24 or 16 bytes."""
+    data = bytearray(participant.ljust(size, b"\0"))
+    data += struct.pack("<I", 1)
+    for text in node:
+        data += bytes(-len(data) % 4)
+        encoded = text.encode() + b"\0"
+        data += struct.pack("<I", len(encoded)) + encoded
+    for group in guids:
+        data += bytes(-len(data) % 4)
+        members = list(group)
+        data += struct.pack("<I", len(members)) + b"".join(guid.ljust(size, b"\0") for guid in members)
+    return b"\0\1\0\0" + bytes(data)

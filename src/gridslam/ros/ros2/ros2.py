@@ -103,6 +103,11 @@ class Ros2Transport:
 
         self._node.create_service(_import("nav_msgs/GetMap", "srv"), service, answer)
 
+    def advertise_parameters(
+        self, values: Mapping[str, Any], change: Callable[[str, Any], str], settable: Sequence[str]
+    ) -> None:
+        """Do nothing: ROS itself serves them."""
+
     def spin(self, ended: threading.Event) -> Iterator[None]:
         """Deliver messages until ROS is shut down or the event is set."""
         executors = _import("rclpy.executors")

@@ -1,8 +1,9 @@
-"""The node in ROS 2 without ROS: topics and services by Cyclone DDS, compatible with `ros2 topic` and rclcpp."""
+"""The node in ROS 2 without ROS: by RTPS, as `ros2 node`, `ros2 topic`, `ros2 service` and `ros2 param` expect it."""
 
 from __future__ import annotations
 
 import os
+import socket
 import sys
 import threading
 import time
@@ -20,6 +21,7 @@ from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, ViewerOpener
 from gridslam.ros.ros2.arguments import RosArguments, parse_ros_arguments
 from gridslam.ros.ros2.dds import DdsParticipant
+from gridslam.ros.ros2.parameter_services import ParameterServices
 
 __all__ = ["DdsTransport", "run_dds"]
 
@@ -31,8 +33,6 @@ _EMPTY_GRID = GridMessage(0, "", 0.0, (0.0, 0.0), np.zeros((0, 0), np.int8))
 class DdsTransport:
     """Writers, readers and services of the node.
 
-    The services only answer clients on rmw_cyclonedds: other vendors identify the client elsewhere.
-
     Parameters
     ----------
     arguments : RosArguments
@@ -43,17 +43,26 @@ class DdsTransport:
         Network interfaces; if empty, the library chooses them.
     simulated : bool
         Whether to use the time of /clock.
+    peers : sequence of str
+        Addresses of machines that multicast does not reach.
     """
 
     global_localization = "reinitialize_global_localization"
 
     def __init__(
-        self, arguments: RosArguments, *, domain: int = 0, interfaces: Sequence[str] = (), simulated: bool = False
+        self,
+        arguments: RosArguments,
+        *,
+        domain: int = 0,
+        interfaces: Sequence[str] = (),
+        simulated: bool = False,
+        peers: Sequence[str] = (),
     ) -> None:
         self._refuse: Callable[[str, str], None] = lambda kind, problem: None
         self._arguments = arguments
         self._clock_ns: int | None = 0 if simulated else None
-        self._participant = DdsParticipant(domain, interfaces, self._on_mismatch)
+        node = arguments.namespace, arguments.node
+        self._participant = DdsParticipant(domain, interfaces, self._on_mismatch, node, peers)
         self._encoder = self._participant.encoder
         self.outputs: Outputs = EncodedOutputs(self._encoder, self._publish, self._now_ns, self._log, arguments.node)
         if arguments.ignored:
@@ -88,26 +97,21 @@ class DdsTransport:
     def advertise(self, service: str, kind: str, serve: Callable[[Any], Sequence[Any]], *, slow: bool = False) -> None:
         """Offer a service; a slow one answers in a thread of its own."""
         name = self.resolve(service)
-        reply = f"rr{name}Reply"
-        self._participant.add_writer(reply, f"{kind}_Response")
+        self._add_service(name, kind, lambda request: serve(getattr(request, "data", None)), slow=slow)
 
-        def answer(guid: int, sequence: int, value: Any) -> None:  # noqa: ANN401
-            fields = serve(value) or (0,)  # a structure without fields has one all the same
-            self._participant.publish(reply, self._encoder.encode(f"{kind}_Response", guid, sequence, *fields))
+    def advertise_parameters(
+        self, values: Mapping[str, Any], change: Callable[[str, Any], str], settable: Sequence[str]
+    ) -> None:
+        """Offer the parameters to `ros2 param`."""
+        values = {**values, "use_sim_time": self._clock_ns is not None}
+        for name, (kind, serve) in ParameterServices(values, change, settable).services().items():
+            self._add_service(self.resolve(f"~/{name}"), kind, serve)
 
-        def on_request(data: bytes, publisher: str) -> None:
-            try:
-                request = self._encoder.decode(f"{kind}_Request", data)
-            except MessageError as error:
-                self._refuse("request", f"{name}: {error}")
-                return
-            values = request.guid, request.sequence, getattr(request, "data", None)
-            if slow:
-                threading.Thread(target=answer, args=values, daemon=True).start()
-            else:
-                answer(*values)
+    def _add_service(self, name: str, kind: str, serve: Callable[[Any], Sequence[Any]], *, slow: bool = False) -> None:
+        def refuse(problem: str) -> None:
+            self._refuse("request", f"{name}: {problem}")
 
-        self._participant.add_reader(f"rq{name}Request", f"{kind}_Request", on_request)
+        self._participant.add_service(name, kind, serve, refuse, slow=slow)
 
     def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
         """Offer the map by a service; without a map the response is empty."""
@@ -154,6 +158,17 @@ def _is_local(environment: Mapping[str, str]) -> bool:
     return environment.get("ROS_LOCALHOST_ONLY") == "1" or reach == "LOCALHOST"
 
 
+def _static_peers(environment: Mapping[str, str]) -> list[str]:
+    """Addresses in ROS_STATIC_PEERS, which are separated by semicolons; those of names are looked up."""
+    found = []
+    for name in filter(None, map(str.strip, environment.get("ROS_STATIC_PEERS", "").split(";"))):
+        try:
+            found.append(socket.gethostbyname(name))
+        except OSError as error:
+            raise ConfigurationError(f"ROS_STATIC_PEERS: {name}: {error.strerror or error}") from None
+    return found
+
+
 def run_dds(
     arguments: Sequence[str] = (),
     *,
@@ -180,7 +195,7 @@ def run_dds(
     Raises
     ------
     ConfigurationError
-        Cyclone DDS is not installed, or an argument or parameter is invalid.
+        No port or interface is there, or an argument or parameter is invalid.
     """
     ros = parse_ros_arguments(arguments)
     values = {**ros.parameters, **(given or {})}
@@ -191,5 +206,6 @@ def run_dds(
     except ValueError:
         raise ConfigurationError("ROS_DOMAIN_ID: expected a number, got " + os.environ["ROS_DOMAIN_ID"]) from None
     where = interfaces or (["127.0.0.1"] if _is_local(os.environ) else [])
-    transport = DdsTransport(ros, domain=domain, interfaces=where, simulated=simulated)
+    peers = _static_peers(os.environ)
+    transport = DdsTransport(ros, domain=domain, interfaces=where, simulated=simulated, peers=peers)
     RosNode(transport, parameters).run(open_viewers, on_poll)
