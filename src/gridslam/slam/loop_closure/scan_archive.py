@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gridslam.errors import ArgumentError
 from gridslam.serialization import NOT_SAVED
 from gridslam.tracking.state import is_within
-from gridslam.types import BeamEnds, FloatArray, StoredScan
+from gridslam.types import BeamEnds, FloatArray, IntArray, StoredScan
 
 __all__ = ["ScanArchive"]
 
@@ -122,6 +122,21 @@ class ScanArchive:
         self._last_stored_pose = later._last_stored_pose
         self._storage_interval = max(self._storage_interval, later._storage_interval)
         self._between_bytes += later._between_bytes
+
+    def select(self, scans: IntArray, bare: IntArray) -> ScanArchive:
+        """Another archive of some scans (N,), ascending, numbered from 0; of those in `bare` (M,) nothing is kept."""
+        number = {scan: place for place, scan in enumerate(scans.tolist())}
+        kept = number.keys() - set(bare.tolist())
+        stored = [place for place, scan in enumerate(self._stored) if scan in kept]
+        return replace(
+            self,
+            keys=[number[key] for key in self.keys if key in number],
+            _count=len(number),
+            _stored=[number[self._stored[place]] for place in stored],
+            _ends=[self._ends[place] for place in stored],
+            _steps_m=[self._steps_m[place] for place in stored],
+            _origins=[self._origins[place] for place in stored],
+        )
 
     def truncate(self, scans: int, key_scans: int) -> None:
         """Forget all but the first scans, of which `key_scans` are key scans."""

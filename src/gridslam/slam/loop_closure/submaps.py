@@ -26,7 +26,7 @@ ROW: Int32Array = np.array([0], np.int32)
 _MOST_BYTES = 32_000_000
 """Of submaps that are kept: 32 of them inside, and few where a laser sees 80 m of open ground."""
 
-_CHANGED = 0.02
+_CHANGED = 0.05
 """Share of the cells of a place that change from one drive to the next: furniture and doors, hardly ever walls."""
 _CERTAIN = math.log((1 - _CHANGED) / _CHANGED)
 _LEAST_ABOVE = 0.4
@@ -51,8 +51,8 @@ def insert_key_scans(
     """Draw key scans into the one map of `maps`, each at its pose (3,); with a graph drive by drive.
 
     What earlier drives have drawn is no longer certain when the next one begins: a cell may have changed in between,
-    with probability p. A binary Markov chain leaves at most log((1 - p) / p) of its log-odds then, 3.9 nats: what has
-    gone is free after 14 beams through it, and what is new stands after three that end there. So the map fades by
+    with probability p. A binary Markov chain leaves at most log((1 - p) / p) of its log-odds then, 2.9 nats: what has
+    gone is free after 11 beams through it, and what is new stands after three that end there. So the map fades by
     visits, however much time there is between them; what is not seen again stays as it is.
 
     References

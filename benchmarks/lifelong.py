@@ -1,0 +1,443 @@
+"""One floor driven a month, its furniture moved every day: does the session stay small, and is the map up to date?
+
+    python benchmarks/lifelong.py [--days 30] [--seed 0] [--out benchmarks/results/lifelong.json] [--picture FILE]
+
+A floor of eight rooms about a corridor, 26 m x 13.5 m. Every day the robot begins at another place and drives some 90 m
+about it; each piece of furniture was put elsewhere overnight with probability 0.1. Each day is found in the piece that
+the days before have left, joined with it, and refined with it; then the piece is thinned. A row for each day:
+
+- found: metres driven until the robot was found;
+- kB: of the piece and its drives as arrays, compressed, after the day and when it was thinned;
+- key scans: of the thinned piece;
+- filter, all: CPU time of the filter for each scan of the day, and with its share of the final refinement;
+- missed: mean error of the day's poses seen from the nearest pose of an earlier day, m;
+- walls, stands: share of the cells of walls that were seen, and of furniture that was seen today, that are occupied in
+  the day's map, or a cell beside them is;
+- gone: share of the cells where furniture stood and was seen, and that ten beams have passed since, that are free.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import math
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+from gridslam.config import Configuration, build
+from gridslam.geometry.se2 import between, transform_points
+from gridslam.observers import TrajectoryRecorder
+from gridslam.pipeline import run
+from gridslam.serialization import to_arrays
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, World, simulate
+from gridslam.sim.floor_plan import carve, clearance, furniture, join
+from gridslam.sim.lidar import cast_rays
+from gridslam.sim.world import tour
+from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
+from gridslam.slam.full_slam.full_slam import FullSlam, full_slam
+from gridslam.slam.full_slam.full_trajectory import TrackedScans
+from gridslam.slam.full_slam.thinning import thin_piece
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.map_piece import MapPiece
+from gridslam.slam.loop_closure.state import LoopClosureState
+from gridslam.types import FloatArray, IntArray, OccupancyGrid, StepReport
+from measure import write_document, yardstick_s
+
+__all__ = ["Floor", "Session", "main"]
+
+ROOMS = (
+    *((0.0, 0.0, 6.0, 5.85), (6.15, 0.0, 11.0, 5.85), (11.15, 0.0, 18.0, 5.85), (18.15, 0.0, 26.0, 5.85)),
+    *((0.0, 8.35, 8.0, 13.5), (8.15, 8.35, 14.0, 13.5), (14.15, 8.35, 20.0, 13.5), (20.15, 8.35, 26.0, 13.5)),
+)
+_CORRIDOR = (0.0, 6.0, 26.0, 8.2)
+_DOORS_M = (3.0, 8.5, 15.0, 22.0, 4.0, 11.5, 17.2, 23.0)
+_BETWEEN = ((18.0, 2.0, 18.15, 3.4), (8.0, 10.1, 8.15, 11.5))
+_LANE_M = 0.5
+_APART_M = 1.5
+_PIECES = 4
+"""Of furniture in each room."""
+_MOVES = 0.1
+LIDAR = LidarConfig(beams=180, rate_hz=4.0)
+_HITS = 3
+_THROUGH = 10
+"""Beams that end in a cell, or pass through it, before it counts as seen."""
+_FREE = math.log(0.196 / 0.804)
+_OCCUPIED = math.log(0.65 / 0.35)
+"""Log-odds at which map_server takes a cell for free or occupied."""
+
+
+@final
+class Floor:
+    """A floor whose furniture is moved overnight."""
+
+    def __init__(self, seed: int) -> None:
+        self.rng = np.random.default_rng(seed)
+        doors = [(x - 0.55, 5.8 if k < 4 else 8.15, x + 0.55, 6.05 if k < 4 else 8.4) for k, x in enumerate(_DOORS_M)]
+        self.walls = carve([*ROOMS, _CORRIDOR, *doors, *_BETWEEN])
+        order = np.argsort(_DOORS_M).tolist()
+        junctions = [(_DOORS_M[k], 7.1) for k in order]
+        passages = [(k, k + 1) for k in range(len(order) - 1)]
+        inside = {}
+        for at, k in enumerate(order):
+            inside[k] = len(junctions)
+            passages.append((at, len(junctions)))
+            junctions.append((_DOORS_M[k], 2.7 if k < 4 else 10.8))
+        passages += [(inside[2], inside[3]), (inside[4], inside[5])]
+        self._junctions = np.array(junctions)
+        self._passages = passages
+        lanes = [self._junctions[list(ends)] for ends in passages]
+        self._lane = np.concatenate([np.linspace(a, b, 2 + int(4 * math.dist(a, b))) for a, b in lanes])
+        self.pieces = [(room, self._place(room, ())) for room in range(len(ROOMS)) for _ in range(_PIECES)]
+
+    def _place(self, room: int, others: Sequence[FloatArray]) -> FloatArray:
+        """A piece of furniture (5,) somewhere in a room, off the robot's ways and off the others."""
+        x0, y0, x1, y1 = ROOMS[room]
+        while True:
+            size = self.rng.uniform((0.5, 0.4), (1.6, 0.8))
+            heading = self.rng.choice([0.0, math.pi / 2, self.rng.uniform(0, math.pi)])
+            half = 0.5 * float(np.hypot(*size)) + 0.05
+            x, y = self.rng.uniform((x0 + half, y0 + half), (x1 - half, y1 - half)).tolist()
+            piece = np.array([x, y, *size, heading])
+            is_clear = clearance(furniture(*piece), self._lane).min() > _LANE_M
+            if is_clear and all(math.dist(piece[:2], other[:2]) > _APART_M for other in others):
+                return piece
+
+    def pass_night(self) -> None:
+        """Put some pieces elsewhere in their rooms."""
+        for k, (room, _) in enumerate(self.pieces):
+            if self.rng.random() < _MOVES:
+                others = [piece for j, (other, piece) in enumerate(self.pieces) if other == room and j != k]
+                self.pieces[k] = room, self._place(room, others)
+
+    @property
+    def furniture(self) -> FloatArray:
+        """Walls (S, 4) of all pieces."""
+        return join(*(furniture(*piece) for _, piece in self.pieces))
+
+    def drive(self, length_m: float) -> SimulatedLog:
+        """Drive about for a day, from anywhere."""
+        first = int(self.rng.integers(len(self._passages)))
+        passages = [self._passages[first], *self._passages[:first], *self._passages[first + 1 :]]
+        route = tour(self._junctions, passages, length_m, self.rng)
+        world = World.of("day", join(self.walls, self.furniture), route)
+        return simulate(world, RobotConfig(v_max_m_s=0.8), OdometryNoise(), LIDAR, self.rng)
+
+
+@final
+class Day(NamedTuple):
+    """What a day has brought."""
+
+    answer: FullSlam
+    found_m: float
+    filter_ms: float
+    all_ms: float
+
+
+@final
+@dataclass
+class Session:
+    """A piece that is gone on with day by day, its drives, and the true poses (N, 3) of their scans."""
+
+    configuration: Configuration
+    piece: MapPiece | None = None
+    drives: list[TrackedScans] = field(default_factory=list)
+    truth: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+
+    def map_day(self, log: SimulatedLog, seed: int) -> Day:
+        """Map a day in what was left of those before, from an origin of its own."""
+        configuration = self.configuration
+        slam = build(configuration)
+        recorder = TrajectoryRecorder()
+        rng = np.random.default_rng(seed)
+        begin_s = time.process_time()
+        state = run(log.measurements[:1], slam, rng=rng, observers=[recorder])
+        if self.piece is not None:
+            closures_of(state).earlier = locator(self.piece, configuration)
+        joined_at: list[int] = []
+
+        def watch(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+            if closures_of(state).joined >= 0 and not joined_at:
+                joined_at.append(len(recorder.keys))
+
+        state = run(log.measurements[1:], slam, rng=rng, observers=[recorder, watch], state=state)
+        filter_s = time.process_time() - begin_s
+        if self.piece is not None and not joined_at:
+            raise SystemExit("the robot was not found")
+        self.drives = [*self.drives, recorder.tracked_scans(0 if self.piece is None else len(self.piece))]
+        answer = full_slam(
+            state, self.drives, configuration.mapper, configuration.loop_closure, configuration.final_refinement
+        )
+        all_s = time.process_time() - begin_s
+        truth = np.array(log.truth.poses)
+        self.truth = np.concatenate([self.truth, truth])
+        self.piece = piece_of(closures_of(state), answer)
+        driven_m = np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))
+        found_m = float(driven_m[joined_at[0] - 2]) if joined_at else 0.0
+        return Day(answer, found_m, 1e3 * filter_s / len(log), 1e3 * all_s / len(log))
+
+    def thin(self) -> None:
+        """Leave out what adds nothing."""
+        assert self.piece is not None
+        thinned = thin_piece(self.piece, self.drives, self.configuration.mapper)
+        self.piece = thinned.piece
+        self.drives = [drive for drive in thinned.drives if len(drive.keys)]
+        self.truth = self.truth[thinned.scans]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the piece and its drives in a compressed file."""
+        return 0 if self.piece is None else count_bytes(self.piece, self.drives)
+
+    def missed_m(self, answer: FullSlam) -> float | None:
+        """Mean error of the newest drive's poses, each as seen from the nearest one of an earlier drive."""
+        new = len(self.drives[-1].keys)
+        old = len(self.truth) - new
+        if not old:
+            return None
+        from scipy.spatial import KDTree
+
+        nearest = KDTree(self.truth[:old, :2]).query(self.truth[old:, :2])[1]
+        found = between(answer.poses[nearest], answer.poses[old:])
+        return float(np.hypot(*(found - between(self.truth[nearest], self.truth[old:]))[:, :2].T).mean())
+
+
+def piece_of(driven: LoopClosureState, answer: FullSlam) -> MapPiece:
+    """Give the key scans where the answer has them, with the closures that it accepted."""
+    assert answer.loop_summary is not None
+    graph = driven.graph.snapshot()
+    graph.constraints = [c for c in graph.constraints if c.source is not ConstraintSource.RECOGNIZED]
+    number = {pair: k for k, pair in enumerate(map(tuple, answer.graph.edges.tolist()))}
+    for pair in map(tuple, answer.loop_summary.closures.tolist()):
+        z, information = answer.graph.measurements[number[pair]], answer.graph.information[number[pair]]
+        graph.constraints.append(Constraint(*pair, z, information, ConstraintSource.RECOGNIZED, True))
+    graph.correct(answer.graph.poses)
+    return MapPiece(driven.scans, graph)
+
+
+def closures_of(state: GridFastSlamState) -> LoopClosureState:
+    """Give the loop-closure state, which there is in this benchmark."""
+    assert state.closure_state is not None
+    return state.closure_state
+
+
+def locator(piece: MapPiece, configuration: Configuration) -> EarlierPieces:
+    """Give what finds a robot in a piece."""
+    assert configuration.loop_closure is not None
+    refinement = configuration.final_refinement
+    places = configuration.loop_closure.recognition
+    return EarlierPieces([piece], configuration.mapper, places, refinement.component_alignment, refinement.score)
+
+
+def count_bytes(piece: MapPiece, drives: Sequence[TrackedScans]) -> int:
+    """Bytes of a piece and its drives in a compressed file."""
+    arrays = to_arrays(piece)
+    for k, drive in enumerate(drives):
+        arrays |= {f"drive{k}.keys": drive.keys, f"drive{k}.key_from_base": drive.key_from_base}
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    return buffer.getbuffer().nbytes
+
+
+@final
+class Sights:
+    """Cells of furniture that were seen, by the truth: those that stand, and those that are gone and looked into."""
+
+    def __init__(self, walls: FloatArray, resolution_m: float) -> None:
+        self._walls = walls
+        self._resolution_m = resolution_m
+        self._gone: dict[tuple[int, int], int] = {}
+        self.standing: set[tuple[int, int]] = set()
+        self.fixed: set[tuple[int, int]] = set()
+
+    def see(self, log: SimulatedLog, pieces: FloatArray) -> None:
+        """Look at the floor as the log's robot does, furniture (S, 4) in it."""
+        truth = np.array(log.truth.poses)
+        bearings = log.measurements[0].scan.geometry.bearings
+        whole = join(self._walls, pieces)
+        ranges = cast_rays(whole, truth, bearings)
+        is_piece = cast_rays(self._walls, truth, bearings) > ranges + 1e-6
+        is_piece &= ranges < LIDAR.range_max_m
+        ends = transform_points(
+            truth[:, None], np.stack([np.cos(bearings), np.sin(bearings)], -1)[None] * ranges[..., None]
+        )
+        cells, counts = np.unique(self._cells(ends[is_piece]), axis=0, return_counts=True)
+        before = self.standing
+        self.standing = set(map(tuple, cells[counts >= _HITS].tolist()))
+        cells, counts = np.unique(
+            self._cells(ends[~is_piece & (ranges < LIDAR.range_max_m)]), axis=0, return_counts=True
+        )
+        self.fixed |= set(map(tuple, cells[counts >= _HITS].tolist()))
+        passed = self._pass(truth, ends, ranges)
+        away = clearance(whole, self._resolution_m * (np.array([*before, *self._gone]).reshape(-1, 2) + 0.5))
+        for cell, distance in zip([*before, *self._gone], away.tolist(), strict=True):
+            if distance > 3 * self._resolution_m:
+                self._gone[cell] = self._gone.get(cell, 0) + passed.get(cell, 0)
+            else:
+                self._gone.pop(cell, None)
+
+    @property
+    def gone(self) -> list[tuple[int, int]]:
+        """Cells where furniture stood that were looked into since it has gone."""
+        return [cell for cell, beams in self._gone.items() if beams >= _THROUGH]
+
+    def points(self, cells: Sequence[tuple[int, int]] | set[tuple[int, int]]) -> FloatArray:
+        """Middles (K, 2) of cells."""
+        return self._resolution_m * (np.array(sorted(cells)).reshape(-1, 2) + 0.5)
+
+    def _cells(self, points: FloatArray) -> IntArray:
+        return np.floor(points / self._resolution_m).astype(np.int64)
+
+    def _pass(self, truth: FloatArray, ends: FloatArray, ranges: FloatArray) -> dict[tuple[int, int], int]:
+        """Beams through each cell, to a cell before their ends."""
+        counts: dict[tuple[int, int], int] = {}
+        for pose, of_scan, reach in zip(truth, ends, ranges, strict=True):
+            steps = np.arange(0.5, max(float(reach.max()) / self._resolution_m, 1.0))
+            share = np.minimum(steps[:, None] * self._resolution_m / np.maximum(reach, 1e-9), np.inf)
+            inside = steps[:, None] * self._resolution_m < reach - 2 * self._resolution_m
+            points = pose[:2] + share[..., None] * (of_scan - pose[:2])
+            some, number = np.unique(self._cells(points[inside]), axis=0, return_counts=True)
+            for cell, beams in zip(map(tuple, some.tolist()), number.tolist(), strict=True):
+                counts[cell] = counts.get(cell, 0) + beams
+        return counts
+
+
+def live(
+    days: int, seed: int, length_m: float = 90.0, configuration: Configuration | None = None
+) -> Iterator[tuple[dict[str, Any], OccupancyGrid]]:
+    """Drive day after day; a row and the map of each."""
+    floor = Floor(seed)
+    session = Session(configuration or Configuration())
+    sights = Sights(floor.walls, session.configuration.mapper.resolution_m)
+    for number in range(1, days + 1):
+        if number > 1:
+            floor.pass_night()
+        log = floor.drive(length_m)
+        sights.see(log, floor.furniture)
+        yardstick = yardstick_s()
+        day = session.map_day(log, seed + number)
+        yardstick = 0.5 * (yardstick + yardstick_s())
+        row: dict[str, Any] = {"day": number, "scans": len(log), "found_m": day.found_m, "bytes": session.nbytes}
+        frame = align(day.answer.poses, session.truth)
+        row["missed_m"] = session.missed_m(day.answer)
+        session.thin()
+        grid = day.answer.map
+        row |= {
+            "thinned_bytes": session.nbytes,
+            "key_scans": len(session.piece or ()),
+            "filter_ms": day.filter_ms,
+            "all_ms": day.all_ms,
+            "yardstick_s": yardstick,
+            **look_at(grid, sights, frame),
+        }
+        yield row, grid
+
+
+def look_at(grid: OccupancyGrid, sights: Sights, frame: FloatArray) -> dict[str, Any]:
+    """Shares of the cells that were seen that are in a map as they should be; `frame` (3,) is that of the floor."""
+    fixed, standing, gone = (
+        transform_points(frame, sights.points(cells)) for cells in (sights.fixed, sights.standing, sights.gone)
+    )
+    return {
+        "walls": float(np.mean(greatest(grid, fixed) > _OCCUPIED)),
+        "stands": float(np.mean(greatest(grid, standing) > _OCCUPIED)),
+        "gone": float(np.mean(next(look_up(grid, gone, 0)) < _FREE)) if len(gone) else None,
+        "cells": {"walls": len(fixed), "stands": len(standing), "gone": len(gone)},
+    }
+
+
+def look_up(grid: OccupancyGrid, points: FloatArray, reach: int) -> Iterator[FloatArray]:
+    """Log-odds (K,) of the cells of points (K, 2) and of those about them, 0 where unknown."""
+    column, row = np.floor((points - grid.origin) / grid.resolution_m).astype(np.int64).T
+    height, width = grid.shape
+    for dy in range(-reach, reach + 1):
+        for dx in range(-reach, reach + 1):
+            y = np.clip(row + dy, 0, height - 1)
+            x = np.clip(column + dx, 0, width - 1)
+            yield np.where(grid.known[y, x], grid.log_odds[y, x], 0.0)
+
+
+def greatest(grid: OccupancyGrid, points: FloatArray) -> FloatArray:
+    """Greatest log-odds (K,) within a cell of points (K, 2): a scan is matched, and its beams end, to a cell or so."""
+    return np.max(list(look_up(grid, points, 1)), axis=0)
+
+
+def align(found: FloatArray, truth: FloatArray) -> FloatArray:
+    """Pose (3,) of the frame of true poses (N, 3) in that of the map, by least squares over the positions."""
+    a = found[:, 0] + 1j * found[:, 1]
+    b = truth[:, 0] + 1j * truth[:, 1]
+    turn = float(np.angle(np.sum((a - a.mean()) * np.conj(b - b.mean()))))
+    begin = a.mean() - np.exp(1j * turn) * b.mean()
+    return np.array([begin.real, begin.imag, turn])
+
+
+def summarize(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """What the month comes to; costs, in yardsticks, of the last third over those of the first one without day 1."""
+    third = max(1, len(rows) // 3)
+    early, late = rows[1 : third + 1], rows[-third:]
+
+    def growth(name: str) -> float:
+        first, last = (np.mean([row[name] / row["yardstick_s"] for row in part]) for part in (early, late))
+        return float(last / first)
+
+    return {
+        "bytes_ratio": max(row["bytes"] for row in rows) / rows[0]["bytes"],
+        "thinned_bytes_ratio": max(row["thinned_bytes"] for row in rows) / rows[0]["bytes"],
+        "filter_growth": growth("filter_ms"),
+        "all_growth": growth("all_ms"),
+        "missed_m": float(np.mean([row["missed_m"] for row in rows[1:]])),
+        "found_m": max(row["found_m"] for row in rows),
+        **{name: rows[-1][name] for name in ("walls", "stands", "gone")},
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print a row for each day, and write all."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--days", type=int, default=30)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--picture", type=Path, help="PNG of the last day's map")
+    given = parser.parse_args(arguments)
+    head = "| day | found, m | kB | thinned | key scans | filter, ms | all, ms | missed, m | walls | stands | gone |"
+    print(head, "| --- " * 11 + "|", sep="\n")
+    rows, grid = [], None
+    for row, newest in live(given.days, given.seed):
+        rows.append(row)
+        grid = newest
+        print(_format(row), flush=True)
+    figures = summarize(rows)
+    print(figures)
+    if given.picture is not None and grid is not None:
+        draw(grid, given.picture)
+    if given.out is not None:
+        table = [head, "| --- " * 11 + "|", *map(_format, rows)]
+        how = f"{given.days} days of 90 m on a simulated floor, seed {given.seed}"
+        write_document(given.out, how, table=table, figures=figures, rows=rows)
+
+
+def draw(grid: OccupancyGrid, path: Path) -> None:
+    """Draw a map: occupied black, free white."""
+    from PIL import Image
+
+    shade = 255 / (1 + np.exp(np.clip(np.where(grid.known, grid.log_odds, 0.0), -30, 30)))
+    Image.fromarray(shade[::-1].astype(np.uint8)).save(path)
+
+
+def _format(row: dict[str, Any]) -> str:
+    cells = [f"{row['day']}", f"{row['found_m']:.1f}", f"{1e-3 * row['bytes']:.0f}"]
+    cells += [f"{1e-3 * row['thinned_bytes']:.0f}", f"{row['key_scans']}"]
+    cells += [f"{row['filter_ms']:.2f}", f"{row['all_ms']:.2f}"]
+    cells += ["" if row[name] is None else f"{row[name]:.3f}" for name in ("missed_m", "walls", "stands", "gone")]
+    return "| " + " | ".join(cells) + " |"
+
+
+if __name__ == "__main__":
+    main()

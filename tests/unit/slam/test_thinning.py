@@ -1,0 +1,162 @@
+"""A piece forgets what newer visits have seen, and nothing else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gridslam.config import Configuration
+from gridslam.geometry.se2 import between, compose
+from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
+from gridslam.slam.full_slam.thinning import thin_piece
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
+from gridslam.slam.loop_closure.scan_archive import ScanArchive
+from gridslam.types import StoredScan
+
+MAPPER = Configuration().mapper
+KEYS = 20
+"""Of a drive: two submaps."""
+ANGLES = np.linspace(-np.pi, np.pi, 90, endpoint=False)
+ROOM = StoredScan(4.0 * np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1), np.zeros(2))
+
+
+def drive(x, seed):
+    """A drive of 20 key scans, each followed by two other scans, along 2 m of a round room about (x, 0)."""
+    rng = np.random.default_rng(seed)
+    archive, graph, keys, moved = ScanArchive(), KeyGraph(), [], []
+    for key in range(KEYS):
+        pose = np.array([x + 0.1 * key + rng.normal(0, 0.01), 0.0, rng.normal(0, 0.01)])
+        tracked = compose(np.array([50.0, 3.0, 1.0]), pose)
+        graph.extend(tracked, pose, (1e-4, 1e-6))
+        before = graph.tracked[-2] if key else tracked
+        for between_keys in range(3):
+            step = np.array([0.03 * between_keys, 0.0, 0.0])
+            archive.append(ROOM, compose(tracked, step), is_key=not between_keys)
+            keys.append(key)
+            moved.append(compose(between(before, tracked), step) if not between_keys else step)
+    return MapPiece(archive, graph), TrackedScans(np.array(keys), np.array(moved))
+
+
+def join(places, closures=None):
+    """A piece of several drives, each about a place, with a closure from each to the one before."""
+    piece, first = drive(places[0], 0)
+    drives = [first]
+    for number, x in enumerate(places[1:], 1):
+        later, scans = drive(x, number)
+        from_, to = (closures or {}).get(number, (len(piece) - 1, 0))
+        information, source = 1e4 * np.eye(3), ConstraintSource.RECOGNIZED
+        pose = between(piece.poses[from_], later.poses[to])
+        match = PieceMatch(later.poses, [Constraint(from_, to, pose, information, source, True)])
+        drives.append(scans._replace(keys=len(piece) + scans.keys))
+        piece = piece.append(later, match)
+    return piece, drives
+
+
+def drives_left(thinned):
+    return [k for k, scans in enumerate(thinned.drives) if len(scans.keys)]
+
+
+def test_the_newest_two_visits_of_a_place_are_kept():
+    thinned = thin_piece(*join([0.0] * 5), MAPPER)
+    assert drives_left(thinned) == [3, 4]
+    assert len(thinned.piece) == 2 * KEYS
+
+
+def test_a_place_that_is_never_visited_again_is_never_forgotten():
+    piece, drives = join([100.0, *[0.0] * 8])
+    thinned = thin_piece(piece, drives, MAPPER)
+    assert drives_left(thinned)[0] == 0
+    assert drives_left(thinned)[-2:] == [7, 8]
+    assert len(thinned.drives[0].keys) == 3 * KEYS
+
+
+def test_the_size_stays_that_of_two_visits_however_often_the_place_is_visited():
+    piece, drives = join([0.0, 0.0])
+    for day in range(6):
+        later, scans = drive(0.0, 10 + day)
+        last = len(piece) - 1
+        constraint = Constraint(last, 0, between(piece.poses[last], later.poses[0]), 1e4 * np.eye(3), *_RECOGNIZED)
+        drives = [*drives, scans._replace(keys=len(piece) + scans.keys)]
+        thinned = thin_piece(piece.append(later, PieceMatch(later.poses, [constraint])), drives, MAPPER)
+        piece = thinned.piece
+        drives = [scans for scans in thinned.drives if len(scans.keys)]
+        assert len(piece) == 2 * KEYS
+        assert len(piece.scans) == 6 * KEYS
+        assert len(set(piece.graph.label_rigid_components().tolist())) == 1
+
+
+_RECOGNIZED = ConstraintSource.RECOGNIZED, True
+
+
+def test_nothing_is_left_out_of_what_was_visited_twice():
+    piece, drives = join([0.0, 0.0])
+    thinned = thin_piece(piece, drives, MAPPER)
+    assert thinned.piece is piece
+    assert thinned.drives == drives
+    np.testing.assert_array_equal(thinned.scans, np.arange(len(piece.scans)))
+
+
+def test_what_is_left_does_not_move_and_its_scans_are_what_they_were():
+    piece, drives = join([0.0, 100.0, 0.0, 0.0, 0.0])
+    thinned = thin_piece(piece, drives, MAPPER)
+    assert 0 < len(thinned.key_scans) < len(piece)
+    assert thinned.piece.poses.tobytes() == piece.poses[thinned.key_scans].tobytes()
+    for new, old in enumerate(thinned.scans.tolist()):
+        np.testing.assert_array_equal(thinned.piece.scans[new].ends, piece.scans[old].ends)
+    assert [int(thinned.scans[key]) for key in thinned.piece.scans.keys] == [
+        piece.scans.keys[key] for key in thinned.key_scans.tolist()
+    ]
+    left = [drive for drive in thinned.drives if len(drive.keys)]
+    found = full_trajectories(thinned.piece.poses, left)
+    whole = full_trajectories(piece.poses, drives)[thinned.scans]
+    np.testing.assert_allclose(found, whole, atol=1e-9)
+
+
+def test_what_is_frozen_is_left_out_too_and_the_rest_of_it_stays_frozen():
+    piece, drives = join([100.0, 0.0, 0.0, 0.0], {2: (5, 3)})
+    piece.graph.frozen = 2 * KEYS
+    thinned = thin_piece(piece, drives, MAPPER)
+    assert drives_left(thinned) == [0, 2, 3]
+    assert thinned.piece.graph.frozen == KEYS
+
+
+@pytest.mark.parametrize("is_bridge", [True, False])
+def test_what_holds_others_together_is_kept(is_bridge):
+    """Drive 1, long superseded, is all that joins a far place with the rest; or each newer one does, too."""
+    closures = {1: (5, 15)} | dict.fromkeys((2, 3, 4), (KEYS + 15 if is_bridge else 5, 3))
+    piece, drives = join([100.0, 0.0, 0.0, 0.0, 0.0], closures)
+    thinned = thin_piece(piece, drives, MAPPER)
+    assert len(set(piece.graph.label_rigid_components().tolist())) == 1
+    assert len(set(thinned.piece.graph.label_rigid_components().tolist())) == 1
+    assert (1 in drives_left(thinned)) == is_bridge
+
+
+def test_pieces_that_nothing_joined_stay_apart():
+    piece, drives = join([0.0] * 4)
+    piece.graph.constraints = []
+    piece.graph.correct(piece.poses)
+    thinned = thin_piece(piece, drives, MAPPER)
+    assert len(set(thinned.piece.graph.label_rigid_components().tolist())) == 2
+    assert drives_left(thinned) == [2, 3]
+
+
+def test_a_visit_ends_where_a_place_is_out_of_sight_and_not_with_the_drive():
+    """Within one drive, too, the newest two visits are kept: here of a robot that goes to and fro for a day."""
+    archive, graph = ScanArchive(), KeyGraph()
+    keys = []
+    for _ in range(6):
+        for x in (*[0.0] * 10, *range(5, 25, 2)):
+            pose = np.array([float(x), 0.0, 0.0])
+            archive.append(ROOM, pose, is_key=True)
+            archive.append(ROOM, pose + 0.03, is_key=False)
+            keys += [len(graph)] * 2
+            graph.extend(pose, pose, (1e-4, 1e-6))
+    scans = TrackedScans(np.array(keys), np.zeros((len(keys), 3)))
+    thinned = thin_piece(MapPiece(archive, graph), [scans], MAPPER)
+    at_origin = np.flatnonzero(thinned.piece.poses[:, 0] == 0.0)
+    assert 20 <= len(at_origin) <= 30
+    assert thinned.key_scans[-1] == len(graph) - 1
+    left = [len(thinned.piece.scans[scan].ends) for scan in range(len(thinned.scans))]
+    assert left == [90, 0] * len(thinned.key_scans)  # key scans alone keep their beams
