@@ -19,7 +19,7 @@ from gridslam.live.scene import Frame, RowBuffer
 from gridslam.live.tiles import EMPTY_BOX, Box, TileChangeDetector, TileChanges
 from gridslam.localization import LocalizationReport, MonteCarloState
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.slam.loop_closure.constraints import ConstraintSource, key_scan_pairs, select_shown_closures
+from gridslam.slam.loop_closure.constraints import ConstraintSource, select_shown_closures
 from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan, OccupancyGrid, StepReport
 from gridslam.viz.cloud import select_representatives
 
@@ -84,6 +84,8 @@ class MappingMonitor:
         self._keys = 0
         self._written: list[tuple[FloatArray, LaserScan | None]] = []
         self._recognized: list[tuple[int, int]] = []
+        self._tracked: list[tuple[int, int]] = []  # of the first `_seen` constraints
+        self._seen = 0
         self._resamplings: deque[tuple[int, IntArray]] = deque(maxlen=_MAX_RESAMPLINGS)
         self._detectors = {BEST: TileChangeDetector()}
         self._lines: dict[int, IntArray] = {}  # of each channel the descendants of the selected particle
@@ -119,22 +121,12 @@ class MappingMonitor:
         """Return a view of the current state, with all changes of the maps since the last view."""
         rows = {channel: int(line[0]) if len(line) else _DIED_OUT for channel, line in self._lines.items()}
         rows[BEST] = state.best
-        self._all_changed |= state.maps is not self._maps  # others since a correction, or a step that failed
-        self._maps = state.maps
-        written = None if self._all_changed else self._written_box()
-        maps = {
-            channel: detector.find_changes(state.maps, rows[channel], written)
-            for channel, detector in self._detectors.items()
-            if rows[channel] != _DIED_OUT
-        }
-        self._all_changed = False
-        self._written = []
+        maps = self.find_changes(state, rows)
         poses = state.poses
         log_weights = state.log_weights
         ancestry = state.ancestry.snapshot()
-        recognized = np.array(self._recognized, np.int64).reshape(-1, 2)
-        tracked = _find_revisits(state)
-        closures = select_shown_closures(recognized, tracked)
+        found, recognized = self.find_closures(state)
+        closures = select_shown_closures(found[:recognized], found[recognized:])
 
         def make_frame() -> Frame:
             now = compose(poses, report.key_from_base) if report.skipped else poses
@@ -149,10 +141,35 @@ class MappingMonitor:
         status = {
             "particles": len(poses),
             "best": state.best,
-            "closures": len(recognized) + len(tracked),
+            "closures": len(found),
             "bytes": state.maps.nbytes,
         }
         return StateView(maps, rows, state.maps.resolution_m, status, make_frame)
+
+    def find_changes(self, state: GridFastSlamState, rows: dict[int, int]) -> dict[int, TileChanges]:
+        """Return the changes of each channel's map since the last look; `rows` are the particles of the channels."""
+        self._all_changed |= state.maps is not self._maps  # others since a correction, or a step that failed
+        self._maps = state.maps
+        written = None if self._all_changed else self._written_box()
+        self._all_changed = False
+        self._written = []
+        return {
+            channel: detector.find_changes(state.maps, rows[channel], written)
+            for channel, detector in self._detectors.items()
+            if rows[channel] != _DIED_OUT
+        }
+
+    def find_closures(self, state: GridFastSlamState) -> tuple[IntArray, int]:
+        """Return the loop closures (C, 2) so far, the older key scan first, and how many are recognized: the first."""
+        recognized = np.array(self._recognized, np.int64).reshape(-1, 2)
+        constraints = [] if state.closure_state is None else state.closure_state.graph.constraints
+        if len(constraints) < self._seen:
+            self._seen = 0
+            self._tracked = []
+        new = constraints[self._seen :]
+        self._tracked += [constraint.pair for constraint in new if constraint.source is ConstraintSource.TRACKED]
+        self._seen = len(constraints)
+        return np.concatenate([recognized, np.array(self._tracked, np.int64).reshape(-1, 2)]), len(recognized)
 
     def _written_box(self) -> Box | None:
         """Return the box in which maps may have changed since the last view; None if unknown."""
@@ -219,12 +236,6 @@ class LocalizationMonitor:
 
 FilterMonitor: TypeAlias = MappingMonitor | LocalizationMonitor
 """Collects what changes from a filter's reports and states; used by the filter's thread only."""
-
-
-def _find_revisits(state: GridFastSlamState) -> IntArray:
-    """Return the tracked revisits (R, 2) so far."""
-    constraints = [] if state.closure_state is None else state.closure_state.graph.constraints
-    return key_scan_pairs(one for one in constraints if one.source is ConstraintSource.TRACKED)
 
 
 def _find_children(line: IntArray, parents: IntArray) -> IntArray:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gridslam import __version__
 from gridslam.kernels import TILE
 from gridslam.live.ancestry_tree import NO_POINTS, NO_TREE, AncestryTree, Float32Array
+from gridslam.live.history import count_common
 from gridslam.live.protocol import STEP_NATS, encode, pack_tiles
 from gridslam.live.tiles import TileReplica, tile_offset
 from gridslam.types import FloatArray, OccupancyGrid
@@ -218,7 +219,7 @@ class SentState:
     def _add_rows(self, name: str, rows: Float32Array, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
         """Add what follows the first rows, which the viewer has."""
         before = self._rows[name]
-        first = _count_common(before, rows)
+        first = count_common(before, rows)
         if first < max(len(before), len(rows)):
             header[name] = first
             arrays[name] = rows[first:]
@@ -239,15 +240,6 @@ class SentState:
             arrays[f"{which}tiles"] = pack_tiles(looks)
             if replica.sequence > number:
                 header["more"] = True
-
-
-def _count_common(a: Float32Array, b: Float32Array) -> int:
-    """Return how many rows, from the first on, are the same."""
-    count = min(len(a), len(b))
-    if a is b or _equal(a[:count], b[:count]):
-        return count
-    same = (a[:count] == b[:count]) | (np.isnan(a[:count]) & np.isnan(b[:count]))
-    return int(np.argmin(same.all(axis=1)))
 
 
 def _equal(a: NDArray[Any], b: NDArray[Any]) -> bool:

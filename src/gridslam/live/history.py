@@ -1,0 +1,264 @@
+"""The moments of a run: the map as it was, with path, pose, scan and particles, in bounded memory."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from typing import NamedTuple, TypeAlias, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.kernels import TILE
+from gridslam.live.ancestry_tree import NO_POINTS, Float32Array
+from gridslam.types import FloatArray
+
+__all__ = [
+    "NO_CLOUD",
+    "SCAN_UNIT_M",
+    "TILE_BYTES",
+    "History",
+    "Moment",
+    "PackedTiles",
+    "PastMaps",
+    "PastReplica",
+    "count_common",
+    "pack_tiles",
+    "round_scan",
+    "unpack_tiles",
+]
+
+PackedTiles: TypeAlias = dict[tuple[int, int], bytes]
+"""Levels of tiles by row and column, as `gridslam.live.protocol.pack_tiles` packs them."""
+
+TILE_BYTES = TILE * TILE // 2
+SCAN_UNIT_M = 0.01
+"""Scans are stored in whole multiples of this length."""
+NO_CLOUD: Float32Array = np.zeros((0, 4), np.float32)
+_MOST_MOMENTS = 1024
+_COMPRESSION = 3  # of zlib: a moment of the Intel log takes 0.3 ms
+_KEYFRAME = 32  # moments between two maps that are kept for seeking
+_UNKNOWN_TILE = bytes(TILE_BYTES)
+
+
+@final
+class Moment(NamedTuple):
+    """A run after one of its key scans, by what has changed since the moment before.
+
+    Attributes
+    ----------
+    keys : int
+        Number of key scans so far.
+    stamp_ns : int, ns
+        Stamp of the last of them.
+    pose : (3,) float64
+        Estimated pose, x m, y m, theta rad.
+    first : int
+        Number of positions that the path shares with the one of the moment before.
+    path : (P, 2) float32, m
+        The other positions of the path, NaN where the robot was lost.
+    at : (K, 2) int32
+        Rows and columns of the tiles that changed.
+    tiles : bytes
+        Their packed levels, (K, `TILE_BYTES`) uint8, compressed by zlib.
+    scan : (S, 2) int16
+        End points of the scan in the robot frame, in units of `SCAN_UNIT_M`.
+    particles : (N, 4) float32
+        x m, y m, theta rad and weight; empty where another file has them.
+    """
+
+    keys: int
+    stamp_ns: int
+    pose: FloatArray
+    first: int
+    path: Float32Array
+    at: NDArray[np.int32]
+    tiles: bytes
+    scan: NDArray[np.int16]
+    particles: Float32Array = NO_CLOUD
+
+    def unpack(self) -> PackedTiles:
+        """Return the tiles that changed."""
+        return unpack_tiles(self.at, self.tiles)
+
+
+def unpack_tiles(at: NDArray[np.int32], tiles: bytes) -> PackedTiles:
+    """Return tiles by row and column; raises ValueError where there are not as many as rows and columns."""
+    size = len(at) * TILE_BYTES
+    unpacker = zlib.decompressobj()
+    try:
+        data = unpacker.decompress(tiles, size + 1) if tiles else b""
+    except zlib.error as error:
+        raise ValueError(str(error)) from None
+    if len(data) != size:
+        raise ValueError(f"expected {size} bytes of tiles, got {'more' if len(data) > size else len(data)}")
+    starts = range(0, size, TILE_BYTES)
+    return {(row, column): data[k : k + TILE_BYTES] for (row, column), k in zip(at.tolist(), starts, strict=True)}
+
+
+def pack_tiles(tiles: PackedTiles) -> tuple[NDArray[np.int32], bytes]:
+    """Return the rows and columns (K, 2) of tiles, and their levels, compressed."""
+    at = np.array(list(tiles), np.int32).reshape(-1, 2)
+    return at, zlib.compress(b"".join(tiles.values()), _COMPRESSION) if tiles else b""
+
+
+@final
+class History:
+    """The moments of a run; written by one thread, read by others.
+
+    When there are too many moments every second one is joined with the one after, so that memory is bounded and the
+    moments stay even over the run.
+
+    Parameters
+    ----------
+    most : int, >= 2
+        Number of moments that is not exceeded.
+
+    Attributes
+    ----------
+    moments : list of Moment
+        Appended to, and replaced when moments are joined.
+    interval : int
+        Key scans between two moments.
+    """
+
+    def __init__(self, most: int = _MOST_MOMENTS) -> None:
+        """Start without moments."""
+        self.moments: list[Moment] = []
+        self.interval = 1
+        self._most = most
+
+    def is_due(self, keys: int) -> bool:
+        """Return whether the key scan of this number, from 1, is to be a moment."""
+        return keys % self.interval == 0
+
+    def add(self, moment: Moment) -> None:
+        """Add the next moment."""
+        self.moments.append(moment)
+        if len(self.moments) >= self._most:
+            pairs = zip(self.moments[::2], self.moments[1::2], strict=False)
+            rest = self.moments[-1:] if len(self.moments) % 2 else []
+            self.moments = [*(_join(one, other) for one, other in pairs), *rest]
+            self.interval *= 2
+
+    def find(self, keys: int) -> int:
+        """Return the index of the last moment at most at a number of key scans; -1 if there is none."""
+        moments = self.moments
+        low, high = 0, len(moments)
+        while low < high:
+            middle = (low + high) // 2
+            if moments[middle].keys <= keys:
+                low = middle + 1
+            else:
+                high = middle
+        return low - 1
+
+    def path(self, index: int) -> Float32Array:
+        """Return the path (T, 2) as it was at a moment, m."""
+        moments = self.moments
+        parts: list[Float32Array] = []
+        end: int | None = None  # of what is needed of a moment's path
+        for k in range(index, -1, -1):
+            moment = moments[k]
+            rows = moment.path if end is None else moment.path[: max(end - moment.first, 0)]
+            parts.append(rows)
+            end = moment.first if end is None else min(end, moment.first)
+            if not end:
+                break
+        return np.concatenate(parts[::-1]) if parts else NO_POINTS
+
+
+def _join(one: Moment, other: Moment) -> Moment:
+    """Return the second of two moments, with what changed at both of them."""
+    if other.first >= one.first:
+        first = one.first
+        path = np.concatenate([one.path[: other.first - one.first], other.path])
+    else:
+        first, path = other.first, other.path
+    at, tiles = pack_tiles(one.unpack() | other.unpack())
+    return other._replace(first=first, path=path, at=at, tiles=tiles)
+
+
+@final
+class PastMaps:
+    """The map at each moment of a history, for one reader that goes forward and back."""
+
+    def __init__(self, history: History) -> None:
+        """Start before the first moment."""
+        self._history = history
+        self._moments: list[Moment] = []
+        self._keyframes: dict[int, PackedTiles] = {}
+        self._tiles: PackedTiles = {}
+        self._index = -1
+        self._reset()
+
+    def at(self, index: int) -> PackedTiles:
+        """Return the tiles at a moment; the result is not to be written to."""
+        if self._history.moments is not self._moments:
+            self._reset()
+        if index < self._index:
+            kept = max(k for k in self._keyframes if k <= index)
+            self._index, self._tiles = kept, dict(self._keyframes[kept])
+        while self._index < index:
+            self._index += 1
+            self._tiles.update(self._moments[self._index].unpack())
+            if self._index % _KEYFRAME == 0 and self._index not in self._keyframes:
+                self._keyframes[self._index] = dict(self._tiles)
+        return self._tiles
+
+    def _reset(self) -> None:
+        self._moments = self._history.moments
+        self._keyframes = {-1: {}}
+        self._tiles = {}
+        self._index = -1
+
+
+@final
+class PastReplica:
+    """What a viewer sees of past maps; each change of a tile gets the next sequence number, as in a `TileReplica`."""
+
+    def __init__(self) -> None:
+        """Start with an empty map."""
+        self._tiles: PackedTiles = {}
+        self._numbers: dict[tuple[int, int], int] = {}  # in ascending order
+        self.sequence = 0
+
+    def show(self, tiles: Mapping[tuple[int, int], bytes]) -> None:
+        """Replace the map by these tiles."""
+        for at in [at for at in self._tiles if at not in tiles]:
+            self._put(at, _UNKNOWN_TILE)
+        for at, packed in tiles.items():
+            self._put(at, packed)
+
+    def since(self, number: int, most: int) -> tuple[NDArray[np.int32], NDArray[np.uint8], int]:
+        """Return rows and columns (K, 2), levels (K, 32, 32) and last number of the next `most` tiles after one."""
+        newer = [(at, value) for at, value in self._numbers.items() if value > number]
+        last = newer[most - 1][1] if len(newer) > most else self.sequence
+        at = [at for at, _ in newer[:most]]
+        packed = np.frombuffer(b"".join(self._tiles[one] for one in at), np.uint8)
+        levels = np.stack([packed & 15, packed >> 4], axis=-1).reshape(-1, TILE, TILE)
+        return np.array(at, np.int32).reshape(-1, 2), levels, last
+
+    def _put(self, at: tuple[int, int], packed: bytes) -> None:
+        if self._tiles.get(at, _UNKNOWN_TILE) != packed:
+            self._tiles[at] = packed
+            self.sequence += 1
+            self._numbers.pop(at, None)
+            self._numbers[at] = self.sequence
+
+
+def count_common(a: Float32Array, b: Float32Array) -> int:
+    """Return how many rows, from the first on, are the same."""
+    count = min(len(a), len(b))
+    if a is b:
+        return count
+    same = ((a[:count] == b[:count]) | (np.isnan(a[:count]) & np.isnan(b[:count]))).all(axis=1)
+    return count if same.all() else int(np.argmin(same))
+
+
+def round_scan(ends: FloatArray | Float32Array) -> NDArray[np.int16]:
+    """Round end points (K, 2), m, to `SCAN_UNIT_M`; what is beyond 327 m is left out."""
+    steps = np.rint(ends / SCAN_UNIT_M)
+    near = (np.abs(steps) < np.iinfo(np.int16).max).all(axis=1)
+    rounded: NDArray[np.int16] = steps[near].astype(np.int16)
+    return rounded

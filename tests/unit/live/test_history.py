@@ -1,0 +1,141 @@
+"""The map as it was, at any moment, in any order, in bounded memory."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gridslam.config import build, override
+from gridslam.errors import InputError
+from gridslam.live.history import History, PastMaps, PastReplica
+from gridslam.live.history_file import read_history, write_history
+from gridslam.live.history_recorder import HistoryRecorder
+from gridslam.live.protocol import levels
+from gridslam.live.tiles import TileReplica, split_into_tiles
+from gridslam.pipeline import run
+from support.loops import PROVOKED, loop_drive
+
+RESAMPLING = override(PROVOKED, "when_to_resample.fraction=0.999")
+
+
+def looks(replica):
+    """All tiles that are known, by row and column."""
+    at, tiles, _ = replica.since(0, 10**9)
+    return {tuple(where): tile.tobytes() for where, tile in zip(at.tolist(), tiles, strict=True) if tile.any()}
+
+
+def looks_of(grid):
+    replica = TileReplica()
+    replica.apply(split_into_tiles(grid))
+    return looks(replica)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return loop_drive().measurements
+
+
+def record(drive, most):
+    """A recorder, and of each key scan the map, the path and the pose as they were; the past is corrected."""
+    recorder, seen = HistoryRecorder(30.0), []
+    recorder.history = History(most)
+
+    def note(report, state, seconds):
+        if report.skipped is None:
+            path = state.ancestry.trajectory(state.best)[:, :2]
+            seen.append((looks_of(state.maps.occupancy(state.best)), path, np.array(report.pose), report.corrected))
+
+    source, slam = recorder.follow(drive), build(RESAMPLING)
+    run(source, slam, particles=4, rng=np.random.default_rng(3), observers=[recorder, note])
+    return recorder, seen
+
+
+@pytest.mark.parametrize("most", [10_000, 40])
+def test_every_moment_is_as_it_was(drive, most):
+    recorder, seen = record(drive, most)
+    history = recorder.history
+    assert any(corrected for *_, corrected in seen), "the drive was to correct the past"
+    assert len(history.moments) < most
+    assert (history.interval > 1) == (most == 40)
+    maps, replica = PastMaps(history), PastReplica()
+    rng = np.random.default_rng(5)
+    for index in [0, 1, len(history.moments) - 1, *rng.integers(0, len(history.moments), 25)]:
+        moment = history.moments[index]
+        tiles, path, pose, _ = seen[moment.keys - 1]
+        replica.show(maps.at(index))
+        assert looks(replica) == tiles
+        assert history.path(index) == pytest.approx(path, abs=1e-5)
+        assert moment.pose == pytest.approx(pose)
+        assert len(moment.scan) > 20
+        assert history.find(moment.keys) == index
+        assert history.find(moment.keys - 1) == index - 1
+    assert len(recorder.closures) >= recorder.recognized > 0
+
+
+def test_a_viewer_is_sent_what_differs_between_two_moments(drive):
+    recorder, _ = record(drive[:150], 10_000)
+    maps, replica = PastMaps(recorder.history), PastReplica()
+    replica.show(maps.at(60))
+    number, before = replica.sequence, looks(replica)
+    replica.show(maps.at(61))
+    at, _, last = replica.since(number, 10**6)
+    changed = {tuple(where) for where in at.tolist()}
+    assert 0 < len(changed) < len(before)
+    assert last == replica.sequence
+    assert all(before.get(where) == look for where, look in looks(replica).items() if where not in changed)
+    replica.show(maps.at(60))
+    assert looks(replica) == before
+    first, _, more = replica.since(0, 3)
+    assert len(first) == 3
+    assert more < replica.sequence
+
+
+def test_a_file_gives_the_same_moments(drive, tmp_path):
+    history = record(drive[:150], 30)[0].history
+    write_history(tmp_path / "history.npz", history)
+    read = read_history(tmp_path / "history.npz")
+    assert len(read.moments) == len(history.moments)
+    for one, other in zip(history.moments, read.moments, strict=True):
+        for a, b in zip(one, other, strict=True):
+            assert np.array_equal(a, b)
+    assert (tmp_path / "history.npz").stat().st_size < 400_000
+    write_history(tmp_path / "none.npz", History())
+    assert not read_history(tmp_path / "none.npz").moments
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "says"),
+    [
+        ("schema", lambda array: np.array("gridslam.record/1"), "expected schema gridslam.history/1"),
+        ("keys", lambda array: array[::-1], "keys: expected numbers of key scans in ascending order"),
+        ("keys", lambda array: array[:-1], "stamps_ns: expected"),
+        ("poses", lambda array: array * np.nan, "poses: expected finite"),
+        ("path_firsts", lambda array: array + 1, "path_firsts: expected"),
+        ("scan_counts", lambda array: -array, "scan_counts: expected counts"),
+        ("tiles", lambda array: array[::-1], "tiles of moment 0"),
+        ("tiles_at", lambda array: array.astype(np.int64), "expected tiles_at as int32"),
+        ("tile_counts", lambda array: array[[*range(1, len(array)), 0]], "tiles of moment 0: expected"),
+    ],
+)
+def test_files_that_are_none_are_refused(drive, tmp_path, name, change, says):
+    write_history(tmp_path / "history.npz", record(drive[:40], 30)[0].history)
+    arrays = dict(np.load(tmp_path / "history.npz").items())
+    np.savez(tmp_path / "history.npz", **(arrays | {name: change(arrays[name])}))
+    with pytest.raises(InputError, match=says):
+        read_history(tmp_path / "history.npz")
+
+
+def test_a_new_session_has_a_history_of_its_own(drive):
+    recorder, _ = record(drive[:80], 10_000)
+    before = recorder.history
+    recorder.reset()
+    assert before.moments
+    assert not recorder.history.moments
+    assert recorder.history.path(-1).shape == (0, 2)
+
+
+def test_levels_of_an_unknown_map_are_nothing():
+    replica = PastReplica()
+    replica.show({(0, 0): bytes(512)})
+    assert replica.sequence == 0
+    assert levels(np.zeros((1, 1), np.int16)).item() == 8
