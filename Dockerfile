@@ -1,7 +1,7 @@
 # Two images, for x86-64 and ARM (docker buildx build --platform linux/amd64,linux/arm64 .):
 #
-#   docker build -t gridslam .                                the command line, slim; on x86-64 also the node by DDS
-#   docker build -t gridslam-ros --target ros .               the node in ROS 2's own image, by rclpy
+#   docker build -t gridslam .                                slim: the command line, and the node without ROS
+#   docker build -t gridslam-ros --target ros .               ROS 2's own image: the node by rclpy
 #
 # Both run as a user without rights, in /work: docker run --rm -v "$PWD:/work" gridslam map log.bag -o out
 ARG BASE=python:3.12-slim-bookworm
@@ -44,11 +44,10 @@ RUN apt-get update \
 WORKDIR /source
 COPY pyproject.toml CMakeLists.txt README.md LICENSE ./
 COPY src src
-# Cyclone DDS has wheels for x86-64 only. --only-binary: nothing but gridslam itself is compiled.
+# Nothing but gridslam itself is compiled.
 RUN python3 -m venv /opt/gridslam \
     && /opt/gridslam/bin/pip wheel --no-cache-dir --no-deps --wheel-dir /wheels . \
-    && extras="$([ "$(uname -m)" != x86_64 ] || echo '[ros2]')" \
-    && /opt/gridslam/bin/pip install --no-cache-dir --only-binary :all: "$(echo /wheels/*.whl)${extras}" \
+    && /opt/gridslam/bin/pip install --no-cache-dir --only-binary :all: /wheels/*.whl \
     && /opt/gridslam/bin/python -c 'import sys; from gridslam.kernels import compiled; sys.exit(not compiled)'
 
 FROM ${BASE}
