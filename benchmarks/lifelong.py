@@ -9,11 +9,13 @@ the days before have left, joined with it, and refined with it; then the piece i
 - found: metres driven until the robot was found;
 - kB: of the piece and its drives as arrays, compressed, after the day and when it was thinned;
 - key scans: of the thinned piece;
-- filter, all: CPU time of the filter for each scan of the day, and with its share of the final refinement;
+- filter, all: CPU time of the filter for each scan once the robot was found, and of all that was done that day for each
+  scan: with the search for the robot and the final refinement;
 - missed: mean error of the day's poses seen from the nearest pose of an earlier day, m;
 - walls, stands: share of the cells of walls that were seen, and of furniture that was seen today, that are occupied in
   the day's map, or a cell beside them is;
-- gone: share of the cells where furniture stood and was seen, and that ten beams have passed since, that are free.
+- gone: share of the cells where furniture stood and was seen, and that beams of ten scans have passed since, that are
+  free.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, final
 
@@ -32,6 +35,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 from gridslam.config import Configuration, build
+from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, transform_points
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
@@ -45,7 +49,6 @@ from gridslam.slam.full_slam.full_slam import FullSlam, full_slam
 from gridslam.slam.full_slam.full_trajectory import TrackedScans
 from gridslam.slam.full_slam.thinning import thin_piece
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, StepReport
@@ -57,9 +60,8 @@ ROOMS = (
     *((0.0, 0.0, 6.0, 5.85), (6.15, 0.0, 11.0, 5.85), (11.15, 0.0, 18.0, 5.85), (18.15, 0.0, 26.0, 5.85)),
     *((0.0, 8.35, 8.0, 13.5), (8.15, 8.35, 14.0, 13.5), (14.15, 8.35, 20.0, 13.5), (20.15, 8.35, 26.0, 13.5)),
 )
-_CORRIDOR = (0.0, 6.0, 26.0, 8.2)
 _DOORS_M = (3.0, 8.5, 15.0, 22.0, 4.0, 11.5, 17.2, 23.0)
-_BETWEEN = ((18.0, 2.0, 18.15, 3.4), (8.0, 10.1, 8.15, 11.5))
+_BETWEEN = {(2, 3): (18.0, 2.0, 18.15, 3.4), (4, 5): (8.0, 10.1, 8.15, 11.5)}
 _LANE_M = 0.5
 _APART_M = 1.5
 _PIECES = 4
@@ -67,8 +69,8 @@ _PIECES = 4
 _MOVES = 0.1
 LIDAR = LidarConfig(beams=180, rate_hz=4.0)
 _HITS = 3
-_THROUGH = 10
-"""Beams that end in a cell, or pass through it, before it counts as seen."""
+_SCANS = 10
+"""Beams that end in a cell, and scans of which a beam passes it, before it counts as seen."""
 _FREE = math.log(0.196 / 0.804)
 _OCCUPIED = math.log(0.65 / 0.35)
 """Log-odds at which map_server takes a cell for free or occupied."""
@@ -78,24 +80,26 @@ _OCCUPIED = math.log(0.65 / 0.35)
 class Floor:
     """A floor whose furniture is moved overnight."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, rooms: Sequence[int] = range(len(ROOMS))) -> None:
+        """Furnish some of the rooms; the others are not there."""
         self.rng = np.random.default_rng(seed)
-        doors = [(x - 0.55, 5.8 if k < 4 else 8.15, x + 0.55, 6.05 if k < 4 else 8.4) for k, x in enumerate(_DOORS_M)]
-        self.walls = carve([*ROOMS, _CORRIDOR, *doors, *_BETWEEN])
-        order = np.argsort(_DOORS_M).tolist()
-        junctions = [(_DOORS_M[k], 7.1) for k in order]
-        passages = [(k, k + 1) for k in range(len(order) - 1)]
-        inside = {}
-        for at, k in enumerate(order):
-            inside[k] = len(junctions)
-            passages.append((at, len(junctions)))
-            junctions.append((_DOORS_M[k], 2.7 if k < 4 else 10.8))
-        passages += [(inside[2], inside[3]), (inside[4], inside[5])]
+        order = sorted(rooms, key=_DOORS_M.__getitem__)
+        doors = [(_DOORS_M[k] - 0.55, 5.8, _DOORS_M[k] + 0.55, 6.05) for k in order if k < 4]
+        doors += [(_DOORS_M[k] - 0.55, 8.15, _DOORS_M[k] + 0.55, 8.4) for k in order if k >= 4]
+        joined = {pair: gap for pair, gap in _BETWEEN.items() if set(pair) <= set(rooms)}
+        corridor = (0.0, 6.0, max(ROOMS[k][2] for k in order), 8.2)
+        self.walls = carve([*(ROOMS[k] for k in order), corridor, *doors, *joined.values()])
+        inside = {k: len(order) + at for at, k in enumerate(order)}
+        junctions = [(_DOORS_M[k], 7.1) for k in order] + [(_DOORS_M[k], 2.7 if k < 4 else 10.8) for k in order]
         self._junctions = np.array(junctions)
-        self._passages = passages
-        lanes = [self._junctions[list(ends)] for ends in passages]
+        self._passages = [*pairwise(range(len(order))), *((at, inside[k]) for at, k in enumerate(order))]
+        self._passages += [(inside[a], inside[b]) for a, b in joined]
+        lanes = [self._junctions[list(ends)] for ends in self._passages]
         self._lane = np.concatenate([np.linspace(a, b, 2 + int(4 * math.dist(a, b))) for a, b in lanes])
-        self.pieces = [(room, self._place(room, ())) for room in range(len(ROOMS)) for _ in range(_PIECES)]
+        self.pieces: list[tuple[int, FloatArray]] = []
+        for room in order:
+            for _ in range(_PIECES):
+                self.pieces.append((room, self._place(room, [piece for at, piece in self.pieces if at == room])))
 
     def _place(self, room: int, others: Sequence[FloatArray]) -> FloatArray:
         """A piece of furniture (5,) somewhere in a room, off the robot's ways and off the others."""
@@ -137,6 +141,7 @@ class Day(NamedTuple):
 
     answer: FullSlam
     found_m: float
+    search_s: float
     filter_ms: float
     all_ms: float
 
@@ -161,16 +166,17 @@ class Session:
         state = run(log.measurements[:1], slam, rng=rng, observers=[recorder])
         if self.piece is not None:
             closures_of(state).earlier = locator(self.piece, configuration)
-        joined_at: list[int] = []
+        joined_at: list[tuple[int, float]] = []
 
         def watch(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-            if closures_of(state).joined >= 0 and not joined_at:
-                joined_at.append(len(recorder.keys))
+            if not joined_at and (self.piece is None or closures_of(state).joined >= 0):
+                joined_at.append((len(recorder.keys), time.process_time() - begin_s))
 
         state = run(log.measurements[1:], slam, rng=rng, observers=[recorder, watch], state=state)
         filter_s = time.process_time() - begin_s
-        if self.piece is not None and not joined_at:
+        if not joined_at:
             raise SystemExit("the robot was not found")
+        ((before, search_s),) = joined_at
         self.drives = [*self.drives, recorder.tracked_scans(0 if self.piece is None else len(self.piece))]
         answer = full_slam(
             state, self.drives, configuration.mapper, configuration.loop_closure, configuration.final_refinement
@@ -178,10 +184,11 @@ class Session:
         all_s = time.process_time() - begin_s
         truth = np.array(log.truth.poses)
         self.truth = np.concatenate([self.truth, truth])
-        self.piece = piece_of(closures_of(state), answer)
+        self.piece = answer.piece
         driven_m = np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))
-        found_m = float(driven_m[joined_at[0] - 2]) if joined_at else 0.0
-        return Day(answer, found_m, 1e3 * filter_s / len(log), 1e3 * all_s / len(log))
+        found_m = float(driven_m[before - 2])
+        filter_ms = 1e3 * (filter_s - search_s) / (len(log) - before)
+        return Day(answer, found_m, search_s, filter_ms, 1e3 * all_s / len(log))
 
     def thin(self) -> None:
         """Leave out what adds nothing."""
@@ -207,19 +214,6 @@ class Session:
         nearest = KDTree(self.truth[:old, :2]).query(self.truth[old:, :2])[1]
         found = between(answer.poses[nearest], answer.poses[old:])
         return float(np.hypot(*(found - between(self.truth[nearest], self.truth[old:]))[:, :2].T).mean())
-
-
-def piece_of(driven: LoopClosureState, answer: FullSlam) -> MapPiece:
-    """Give the key scans where the answer has them, with the closures that it accepted."""
-    assert answer.loop_summary is not None
-    graph = driven.graph.snapshot()
-    graph.constraints = [c for c in graph.constraints if c.source is not ConstraintSource.RECOGNIZED]
-    number = {pair: k for k, pair in enumerate(map(tuple, answer.graph.edges.tolist()))}
-    for pair in map(tuple, answer.loop_summary.closures.tolist()):
-        z, information = answer.graph.measurements[number[pair]], answer.graph.information[number[pair]]
-        graph.constraints.append(Constraint(*pair, z, information, ConstraintSource.RECOGNIZED, True))
-    graph.correct(answer.graph.poses)
-    return MapPiece(driven.scans, graph)
 
 
 def closures_of(state: GridFastSlamState) -> LoopClosureState:
@@ -275,18 +269,20 @@ class Sights:
             self._cells(ends[~is_piece & (ranges < LIDAR.range_max_m)]), axis=0, return_counts=True
         )
         self.fixed |= set(map(tuple, cells[counts >= _HITS].tolist()))
-        passed = self._pass(truth, ends, ranges)
-        away = clearance(whole, self._resolution_m * (np.array([*before, *self._gone]).reshape(-1, 2) + 0.5))
-        for cell, distance in zip([*before, *self._gone], away.tolist(), strict=True):
+        candidates = [*before.difference(self._gone), *self._gone]
+        points = self._resolution_m * (np.array(candidates).reshape(-1, 2) + 0.5)
+        passed = self._count_beams(truth, bearings, ranges, points)
+        away = clearance(whole, points)
+        for cell, distance, beams in zip(candidates, away.tolist(), passed.tolist(), strict=True):
             if distance > 3 * self._resolution_m:
-                self._gone[cell] = self._gone.get(cell, 0) + passed.get(cell, 0)
+                self._gone[cell] = self._gone.get(cell, 0) + beams
             else:
                 self._gone.pop(cell, None)
 
     @property
     def gone(self) -> list[tuple[int, int]]:
         """Cells where furniture stood that were looked into since it has gone."""
-        return [cell for cell, beams in self._gone.items() if beams >= _THROUGH]
+        return [cell for cell, beams in self._gone.items() if beams >= _SCANS]
 
     def points(self, cells: Sequence[tuple[int, int]] | set[tuple[int, int]]) -> FloatArray:
         """Middles (K, 2) of cells."""
@@ -295,25 +291,23 @@ class Sights:
     def _cells(self, points: FloatArray) -> IntArray:
         return np.floor(points / self._resolution_m).astype(np.int64)
 
-    def _pass(self, truth: FloatArray, ends: FloatArray, ranges: FloatArray) -> dict[tuple[int, int], int]:
-        """Beams through each cell, to a cell before their ends."""
-        counts: dict[tuple[int, int], int] = {}
-        for pose, of_scan, reach in zip(truth, ends, ranges, strict=True):
-            steps = np.arange(0.5, max(float(reach.max()) / self._resolution_m, 1.0))
-            share = np.minimum(steps[:, None] * self._resolution_m / np.maximum(reach, 1e-9), np.inf)
-            inside = steps[:, None] * self._resolution_m < reach - 2 * self._resolution_m
-            points = pose[:2] + share[..., None] * (of_scan - pose[:2])
-            some, number = np.unique(self._cells(points[inside]), axis=0, return_counts=True)
-            for cell, beams in zip(map(tuple, some.tolist()), number.tolist(), strict=True):
-                counts[cell] = counts.get(cell, 0) + beams
+    def _count_beams(self, truth: FloatArray, bearings: FloatArray, ranges: FloatArray, points: FloatArray) -> IntArray:
+        """Scans (K,) of which a beam passes a cell, by the middles (K, 2) of the cells, and ends well behind it."""
+        counts = np.zeros(len(points), np.int64)
+        for pose, reach in zip(truth, ranges, strict=True):
+            x, y = (points - pose[:2]).T
+            away, bearing = np.hypot(x, y), wrap(np.arctan2(y, x) - pose[2])
+            beam = np.clip(np.rint((bearing - bearings[0]) / (bearings[1] - bearings[0])), 0, len(bearings) - 1)
+            beam = beam.astype(np.int64)
+            is_hit = np.abs(bearing - bearings[beam]) * away < 0.5 * self._resolution_m
+            counts += is_hit & (reach[beam] > away + 2 * self._resolution_m)
         return counts
 
 
 def live(
-    days: int, seed: int, length_m: float = 90.0, configuration: Configuration | None = None
+    days: int, seed: int, floor: Floor, length_m: float = 90.0, configuration: Configuration | None = None
 ) -> Iterator[tuple[dict[str, Any], OccupancyGrid]]:
     """Drive day after day; a row and the map of each."""
-    floor = Floor(seed)
     session = Session(configuration or Configuration())
     sights = Sights(floor.walls, session.configuration.mapper.resolution_m)
     for number in range(1, days + 1):
@@ -332,6 +326,7 @@ def live(
         row |= {
             "thinned_bytes": session.nbytes,
             "key_scans": len(session.piece or ()),
+            "search_s": day.search_s,
             "filter_ms": day.filter_ms,
             "all_ms": day.all_ms,
             "yardstick_s": yardstick,
@@ -392,6 +387,7 @@ def summarize(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "thinned_bytes_ratio": max(row["thinned_bytes"] for row in rows) / rows[0]["bytes"],
         "filter_growth": growth("filter_ms"),
         "all_growth": growth("all_ms"),
+        "search_s": float(np.mean([row["search_s"] for row in rows[1:]])),
         "missed_m": float(np.mean([row["missed_m"] for row in rows[1:]])),
         "found_m": max(row["found_m"] for row in rows),
         **{name: rows[-1][name] for name in ("walls", "stands", "gone")},
@@ -409,7 +405,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     head = "| day | found, m | kB | thinned | key scans | filter, ms | all, ms | missed, m | walls | stands | gone |"
     print(head, "| --- " * 11 + "|", sep="\n")
     rows, grid = [], None
-    for row, newest in live(given.days, given.seed):
+    for row, newest in live(given.days, given.seed, Floor(given.seed)):
         rows.append(row)
         grid = newest
         print(_format(row), flush=True)

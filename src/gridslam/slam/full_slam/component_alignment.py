@@ -112,6 +112,7 @@ class ComponentAlignment:
         places: PlaceMatching,
         scorer: TrajectoryScorer,
         on_progress: Callable[[], None],
+        aligned: int = 0,
     ) -> list[Constraint]:
         """Align each component with the older ones; return the constraints of the accepted alignments.
 
@@ -127,6 +128,8 @@ class ComponentAlignment:
             How hypotheses are scored.
         on_progress
             Called once for each pair of components.
+        aligned
+            Number of first key scans that were aligned with each other before, and are not again.
         """
         graph = closure_state.graph
         labels = graph.label_rigid_components()
@@ -142,7 +145,7 @@ class ComponentAlignment:
             for old, ways in zip(components, of_older, strict=False):
                 searched = list(ways)[-count % stride :: stride]
                 count += len(ways)
-                if not searched or keys[-1] < graph.frozen:
+                if not searched or keys[-1] < aligned:
                     continue
                 on_progress()
                 guesses = {key: compose(graph.poses[first_key_scan(way.submap)], way.pose) for key, way in ways.items()}

@@ -142,6 +142,7 @@ def full_slam(
         The filter after the last scan.
     drives : sequence of TrackedScans
         The scans of the drives that the state is of, one or several that were joined, in the order of their key scans.
+        All but the newest were refined before: revisits are searched for from its key scans.
     mapper, loop_closure, final_refinement
         Components of the run. Without loop closure the covariances are those of the default drift model.
     on_progress
@@ -150,7 +151,8 @@ def full_slam(
     closure = loop_closure or LoopClosure()
     trajectory = state.best_trajectory()
     if state.closure_state is not None:
-        return _refine(state.closure_state, trajectory, drives, mapper, closure, final_refinement, on_progress)
+        newest = int(drives[-1].keys[0])
+        return _refine(state.closure_state, trajectory, drives, mapper, closure, final_refinement, on_progress, newest)
     graph = _build_odometry_graph(trajectory, drives, closure.drift)
     poses = full_trajectories(trajectory, drives)
     covariances = scan_covariances(graph, drift_covariances(graph), poses, drives, closure.drift)
@@ -178,10 +180,11 @@ def _refine(
     closure: LoopClosure,
     final_refinement: GlobalScanRefinement,
     on_progress: Callable[[], None],
+    searched: int = 0,
 ) -> FullSlam:
     """Refine the trajectory (T, 3) of the key scans; the state is not modified."""
     changed = closure_state.snapshot()
-    refined = final_refinement(changed, trajectory, drives, mapper, closure, on_progress)
+    refined = final_refinement(changed, trajectory, drives, mapper, closure, on_progress, searched)
     graph = scale_information(refined.best.graph, refined.best.weights)
     covariances = scan_covariances(graph, key_covariances(graph), refined.poses, drives, closure.drift)
     loops = _summarize(closure_state, changed, refined, trajectory)

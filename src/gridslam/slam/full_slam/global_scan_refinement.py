@@ -183,6 +183,7 @@ class GlobalScanRefinement:
         mapper: OccupancyGridMapping,
         closure: LoopClosure,
         on_progress: Callable[[], None] = lambda: None,
+        searched: int = 0,
     ) -> RefinementResult:
         """Refine the trajectory (T, 3) of the key scans and give every scan a pose.
 
@@ -198,11 +199,14 @@ class GlobalScanRefinement:
             Place recognition and outlier rejection.
         on_progress
             Progress callback; may raise to interrupt.
+        searched : int
+            Number of first key scans that an earlier refinement has searched for revisits among each other: drives that
+            the newest one was joined with. What is frozen is not searched for either.
         """
         graph = closure_state.graph
         known = [c for c in graph.constraints if max(c.pair) < graph.frozen]
         known = [c for c in known if c.source is not ConstraintSource.RECOGNIZED]
-        refinement = _Refinement(self, closure_state, mapper, closure, on_progress, known)
+        refinement = _Refinement(self, closure_state, mapper, closure, on_progress, known, max(searched, graph.frozen))
         selection = refinement.select(trajectory)
         bent = full_trajectories(selection.best.graph.poses, drives)
         frozen = sum(len(drive.keys) for drive in drives if int(drive.keys[-1]) < graph.frozen)
@@ -215,7 +219,8 @@ class GlobalScanRefinement:
 class _Refinement:
     """One run of the refinement; it goes from candidate to candidate in the key graph of its state.
 
-    `known` are constraints between frozen key scans, which are not matched again.
+    `known` are constraints between frozen key scans, which are not matched again; the first `searched` key scans are
+    not searched for again.
     """
 
     parameters: GlobalScanRefinement
@@ -224,6 +229,7 @@ class _Refinement:
     closure: LoopClosure
     on_progress: Callable[[], None]
     known: list[Constraint]
+    searched: int
 
     @property
     def graph(self) -> KeyGraph:
@@ -270,9 +276,11 @@ class _Refinement:
             ambiguity_ratio=parameters.ambiguity_ratio,
             min_confirmations=parameters.min_confirmations,
         )
-        new = recognition.search_whole_log(closure_state, self.mapper, begin.accepted_constraints, self.on_progress)
+        new = recognition.search_whole_log(
+            closure_state, self.mapper, begin.accepted_constraints, self.on_progress, self.searched
+        )
         new += parameters.component_alignment(
-            closure_state, self.mapper, self.closure.recognition, parameters.score, self.on_progress
+            closure_state, self.mapper, self.closure.recognition, parameters.score, self.on_progress, self.searched
         )
         if not new:
             return None

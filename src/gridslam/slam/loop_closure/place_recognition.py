@@ -93,18 +93,20 @@ class PlaceRecognition(PlaceMatching):
         mapper: OccupancyGridMapping,
         known: Sequence[Constraint],
         on_progress: Callable[[], None],
+        searched: int = 0,
     ) -> list[Constraint]:
         """Search the whole log for revisits that the constraints `known` do not cover.
 
-        Returns groups of constraints that are consistent with each other and with the tracked motion between them; each
-        group is one confirmed revisit. The poses and constraints of the graph are those of the best candidate so far.
+        The first `searched` key scans were searched for before, and are not again. Returns groups of constraints that
+        are consistent with each other and with the tracked motion between them; each group is one confirmed revisit.
+        The poses and constraints of the graph are those of the best candidate so far.
         """
         graph = closure_state.graph
         near = range(-self.search_interval, self.search_interval + 1)
         covered = {constraint.to + k for constraint in known for k in near}
         labels = graph.label_rigid_components()
         groups: list[list[Constraint]] = []
-        first = max(self.recent_submaps * KEY_SCANS_PER_SUBMAP + self.search_interval, graph.frozen)
+        first = max(self.recent_submaps * KEY_SCANS_PER_SUBMAP + self.search_interval, searched)
         for key in range(first, len(graph), self.search_interval):
             if key in covered or len(closure_state.scans.key(key)) < self.matcher.min_beams:
                 continue
