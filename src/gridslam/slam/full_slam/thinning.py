@@ -1,4 +1,4 @@
-"""Lifelong mapping: a piece forgets what newer visits have seen, so that it stays as large as the place is."""
+"""Lifelong mapping: a piece forgets what newer drives have seen, so that it stays as large as the place is."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import UNKNOWN
@@ -19,17 +18,13 @@ from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
 from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.slam.loop_closure.submaps import build_map
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import IntArray
 
 __all__ = ["ThinnedPiece", "thin_piece"]
 
-_VISITS = 2
-"""Newest visits that are kept of each cell: one is what the place is like now, and another one keeps it where that one
-was wrong or saw it from one side."""
-
-_SAME_VISIT_M = 15.0
-"""Metres and radians driven without a sight of a cell until the next one counts as another visit, as in
-`TrajectoryScorer`."""
+_DRIVES = 2
+"""Newest drives of which the sights of a cell are kept: one shows what the place is like now, and another one keeps it
+where that one saw it from one side."""
 
 _LEAST_SHARE = 0.1
 """A submap is kept for more than this share of the cells that it sees: single beams reach where no other one happened
@@ -38,7 +33,7 @@ to."""
 
 @final
 class ThinnedPiece(NamedTuple):
-    """A piece without what newer visits have seen.
+    """A piece without what newer drives have seen.
 
     Attributes
     ----------
@@ -57,15 +52,16 @@ class ThinnedPiece(NamedTuple):
 
 
 def thin_piece(piece: MapPiece, drives: Sequence[TrackedScans], mapper: OccupancyGridMapping) -> ThinnedPiece:
-    """Leave out of a piece the submaps that add nothing: what they see newer visits have seen twice since.
+    """Leave out of a piece the submaps that add nothing: what they see two newer drives have seen since.
 
     A submap, of ten consecutive key scans, adds something if more than a tenth of the cells that it sees were seen in
-    fewer than two later visits. A visit is what is seen of a cell until it is out of sight for 15 m of driving, or the
-    drive ends: time does not matter, so a place that is never visited again is never forgotten. Submaps that hold
-    others together are kept, too: what was one rigid component remains one. So the size of a piece is that of two
-    visits of all that was ever seen, however often it is visited. The poses of what is left do not move, nor is
-    anything known of them that was not known before (see `marginalize`). Of a drive of which something is left out the
-    key scans keep their beams; scans between them lie as tracked from then on.
+    fewer than two later drives. Time does not matter: a place that is never visited again is never forgotten. Submaps
+    that hold others together are kept, too: what was one rigid component remains one. So the size of a piece is that of
+    two drives through all that was ever seen, however often it is visited.
+
+    The poses of what is left do not move, nor is anything known of them that was not known before (see `marginalize`).
+    Of a drive of which something is left out the key scans keep their beams; scans between them lie as tracked from
+    then on.
 
     Parameters
     ----------
@@ -120,37 +116,29 @@ def _select_key_scans(piece: MapPiece, mapper: OccupancyGridMapping) -> IntArray
 def _find_needed(piece: MapPiece, mapper: OccupancyGridMapping) -> NDArray[np.bool_]:
     """Whether each submap adds something to the newer ones, which are looked at first."""
     graph = piece.graph
-    way = _measure_way(graph)
+    drive = np.cumsum([graph.begins_drive(key) for key in range(len(graph))])
     count = -(-len(piece) // KEY_SCANS_PER_SUBMAP)
     needed = np.zeros(count, np.bool_)
-    visits = _Visits()
+    sights = _Sights()
     poses = piece.poses
     for number in range(count - 1, -1, -1):
         keys = np.arange(number * KEY_SCANS_PER_SUBMAP, min((number + 1) * KEY_SCANS_PER_SUBMAP, len(piece)))
         maps = build_map(mapper, piece.scans, keys, poses[keys])
-        needed[number] = visits.add(maps, float(way[keys[0]]), float(way[keys[-1]])) or number == count - 1
+        needed[number] = sights.add(maps, int(drive[keys[len(keys) // 2]])) or number == count - 1
     return needed
 
 
-def _measure_way(graph: KeyGraph) -> FloatArray:
-    """Metres and radians driven up to each key scan (T,), as far apart as another visit where a drive begins."""
-    steps = between(np.array(graph.poses[:-1]), np.array(graph.poses[1:]))
-    moved = np.hypot(steps[:, 0], steps[:, 1]) + np.abs(wrap(steps[:, 2]))
-    moved[[graph.begins_drive(key) for key in range(1, len(graph))]] = 2 * _SAME_VISIT_M
-    return np.concatenate([[0.0], np.cumsum(moved)])
-
-
 @final
-class _Visits:
-    """For each cell how often it was visited, newest first, and after how many metres it was seen last."""
+class _Sights:
+    """For each cell the number of drives that saw it, newest first, and the last of them."""
 
     def __init__(self) -> None:
-        self._tiles: dict[tuple[int, int], tuple[NDArray[np.int32], FloatArray]] = {}
+        self._tiles: dict[tuple[int, int], tuple[NDArray[np.int32], NDArray[np.int32]]] = {}
 
-    def add(self, maps: TileMaps, first_m: float, last_m: float) -> bool:
-        """Add the cells that are known to the one map of `maps`, seen between two points of the way, if that is needed.
+    def add(self, maps: TileMaps, drive: int) -> bool:
+        """Add the cells that are known to the one map of `maps`, of a drive, if that is needed.
 
-        It is if enough of them were seen in less than two other visits among what was added before, which is newer.
+        It is if enough of them were seen in fewer than two other drives among what was added before, which is newer.
         """
         ids, (tile_row, tile_column) = maps.tile_ids(0)
         places = np.argwhere(ids)
@@ -158,18 +146,18 @@ class _Visits:
         own = []
         needed = 0
         for (row, column), known in zip((places + np.array([tile_row, tile_column])).tolist(), cells, strict=True):
-            visits, last_seen_m = self._tiles.setdefault(
-                (row, column), (np.zeros(known.shape, np.int32), np.full(known.shape, np.inf))
+            drives, last = self._tiles.setdefault(
+                (row, column), (np.zeros(known.shape, np.int32), np.full(known.shape, -1, np.int32))
             )
-            is_another = known & (last_seen_m - last_m > _SAME_VISIT_M)
-            others = np.where(is_another, visits, visits - 1)
-            needed += int(np.count_nonzero(known & (others < _VISITS)))
-            own.append((visits, last_seen_m, known, is_another))
+            is_another = known & (last != drive)
+            others = np.where(is_another, drives, drives - 1)
+            needed += int(np.count_nonzero(known & (others < _DRIVES)))
+            own.append((drives, last, known, is_another))
         if needed <= _LEAST_SHARE * np.count_nonzero(cells):
             return False
-        for visits, last_seen_m, known, is_another in own:
-            visits[is_another] += 1
-            last_seen_m[known] = first_m
+        for drives, last, known, is_another in own:
+            drives[is_another] += 1
+            last[known] = drive
         return True
 
 
