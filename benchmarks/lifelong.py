@@ -9,7 +9,7 @@ the days before have left, joined with it, and refined with it; then the piece i
 - found: metres driven until the robot was found;
 - kB: of the piece and its drives as arrays, compressed, after the day and when it was thinned;
 - key scans: of the thinned piece;
-- search, filter, refinement: CPU time until the robot was found, of each scan from then on, and of the final refinement;
+- search, filter, refinement: CPU time until the robot was found, of each scan since, and of the final refinement;
 - all: CPU time of all that for each scan;
 - missed: mean error of the day's poses seen from the nearest pose of an earlier day, m;
 - walls, stands: share of the cells of walls that were seen, and of furniture that was seen today, that are occupied in

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.full_slam.full_trajectory import TrackedScans
+from gridslam.slam.full_slam.thinning import thin_piece
 from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.types import FloatArray, IntArray
 
@@ -96,6 +98,22 @@ class SavedPiece:
     def stamps_ns(self) -> IntArray:
         """Stamps of the scans of all drives, one drive after the other."""
         return np.concatenate([np.zeros(0, np.int64), *(drive.stamps_ns for drive in self.drives)])
+
+    def thin(self, mapper: OccupancyGridMapping) -> SavedPiece:
+        """Leave out what newer drives have seen (see `thin_piece`), and drives of which nothing is left."""
+        thinned = thin_piece(self.piece, self.tracked_scans, mapper)
+        stamps = self.stamps_ns[thinned.scans] if self.drives else self.stamps_ns
+        own = np.split(stamps, np.cumsum([len(scans.keys) for scans in thinned.drives])[:-1])
+        drives = (
+            replace(drive, stamps_ns=stamps_ns, scans=scans)
+            for drive, stamps_ns, scans in zip(self.drives, own, thinned.drives, strict=False)
+            if len(scans.keys)
+        )
+        return SavedPiece(thinned.piece, tuple(drives))
+
+    def freeze(self, *, frozen: bool = True) -> SavedPiece:
+        """The same piece, its key scans frozen, or released again."""
+        return replace(self, piece=self.piece.freeze() if frozen else self.piece.release())
 
     def split(self, rows: FloatArray) -> dict[str, FloatArray]:
         """Split an array with a row for each scan of all drives, by the drives' names."""

@@ -60,8 +60,8 @@ def thin_piece(piece: MapPiece, drives: Sequence[TrackedScans], mapper: Occupanc
     two drives through all that was ever seen, however often it is visited.
 
     The poses of what is left do not move, nor is anything known of them that was not known before (see `marginalize`).
-    Of a drive of which something is left out the key scans keep their beams; scans between them lie as tracked from
-    then on.
+    Scans between key scans keep their beams in the newest drive alone: once a drive and the one after it were refined
+    they are not matched again, and lie as tracked between the key scans.
 
     Parameters
     ----------
@@ -79,26 +79,24 @@ def thin_piece(piece: MapPiece, drives: Sequence[TrackedScans], mapper: Occupanc
     (2009), of samples that recent visits replace.
     """
     kept = _select_key_scans(piece, mapper)
-    if len(kept) == len(piece):
+    bare = _find_bare(drives)
+    if len(kept) == len(piece) and not len(bare):
         return ThinnedPiece(piece, list(drives), kept, np.arange(len(piece.scans)))
     graph = marginalize(piece.graph, kept)
     key_of = np.searchsorted(piece.scans.keys, np.arange(len(piece.scans)), "right") - 1
     scans = np.flatnonzero(np.isin(key_of, kept))
     return ThinnedPiece(
-        MapPiece(piece.scans.select(scans, _find_bare(piece, drives, kept)), graph),
+        MapPiece(piece.scans.select(scans, bare), graph),
         [_select_scans(drive, kept, graph) for drive in drives],
         kept,
         scans,
     )
 
 
-def _find_bare(piece: MapPiece, drives: Sequence[TrackedScans], kept: IntArray) -> IntArray:
-    """Scans between the key scans of the drives of which not all key scans are in `kept` (K,)."""
-    keys = np.concatenate([np.empty(0, np.int64), *(drive.keys for drive in drives)])
-    thinned = [np.full(len(drive.keys), not np.isin(drive.keys, kept).all()) for drive in drives]
-    is_bare = np.concatenate([np.zeros(0, np.bool_), *thinned])
-    is_bare &= np.diff(keys, prepend=-1) == 0
-    return np.flatnonzero(is_bare)
+def _find_bare(drives: Sequence[TrackedScans]) -> IntArray:
+    """Scans between the key scans of all drives but the newest."""
+    keys = np.concatenate([np.zeros(0, np.int64), *(drive.keys for drive in drives[:-1])])
+    return np.flatnonzero(np.diff(keys, prepend=-1) == 0)
 
 
 def _select_key_scans(piece: MapPiece, mapper: OccupancyGridMapping) -> IntArray:
