@@ -43,6 +43,7 @@ FILES = {
     "trajectory_online.tum",
     "graph.g2o",
     "record.npz",
+    "history.npz",
     "run.json",
 }
 FEW = "--particles", "3"

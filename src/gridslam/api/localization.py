@@ -114,7 +114,7 @@ class LocalizationResult(Result):
 
     schema: ClassVar = "gridslam.localization/2"
     picture_name: ClassVar = "localization.png"
-    file_names: ClassVar = ("trajectory.tum", "trajectory.csv", "belief.csv")
+    file_names: ClassVar = ("trajectory.tum", "trajectory.csv", "belief.csv", "history.npz")
 
     reports: list[LocalizationReport]
     driven_m: FloatArray

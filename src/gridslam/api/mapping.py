@@ -136,7 +136,7 @@ class MapResult(Result):
     picture_name: ClassVar = "map.png"
     file_names: ClassVar = (
         *("map.yaml", "map.pgm", "trajectory.tum", "trajectory.csv"),
-        *("trajectory_online.tum", "graph.g2o", "record.npz"),
+        *("trajectory_online.tum", "graph.g2o", "record.npz", "history.npz"),
     )
 
     trajectory: Trajectory

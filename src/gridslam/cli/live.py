@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from gridslam.api.mapping import MapResult
     from gridslam.io.log import Log
     from gridslam.io.measurement import Measurement
+    from gridslam.io.output import OutputFolder
+    from gridslam.live.history_recorder import HistoryRecorder
     from gridslam.live.page import LivePage
     from gridslam.pipeline import Stopwatch
     from gridslam.ros import NodeCore
@@ -33,10 +35,11 @@ _Page = TypeVar("_Page")
 
 
 class Viewers(NamedTuple):
-    """The page of a run and its recording, or None for each that is not wanted."""
+    """The page of a run, its recording and its history, or None for each that is not wanted."""
 
     page: LivePage | None
     recording: RerunRecording | None
+    history: HistoryRecorder | None = None
 
     def watch(self, source: Log, watch: Stopwatch) -> dict[str, Any]:
         """Arguments `observers` and `gate` of a run on a log: each scan goes on when the page's viewers want it."""
@@ -45,11 +48,22 @@ class Viewers(NamedTuple):
 
         def gate(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
             paced = iter(measurements) if self.page is None else self.page.pace(measurements, watch)
+            if self.page is None and self.history is not None:
+                paced = self.history.follow(paced)
             return paced if self.recording is None else self.recording.followed(paced)
 
         viewers = [] if self.page is None else [isolate(self.page.observer, _warn_once("the page"))]
         viewers += [] if self.recording is None else [isolate(self.recording, _warn_once("the recording"))]
+        if self.page is None and self.history is not None:
+            viewers.append(isolate(self.history, _warn_once("the history")))
         return {"observers": viewers, "gate": gate}
+
+    def write_history(self, folder: OutputFolder) -> None:
+        """Write the history of the run, if there is one."""
+        if self.history is not None:
+            from gridslam.live.history_file import HISTORY_NAME, write_history
+
+            write_history(folder.file(HISTORY_NAME), self.history.history)
 
     def wait(self, timeout_s: float) -> None:
         """Give someone this time to open the page; if nobody comes, go as fast as can be."""
@@ -62,7 +76,7 @@ class Viewers(NamedTuple):
         """Show what a run came to in the end."""
         loops = result.loop_summary
         ends = np.zeros((0, 4)) if loops is None else result.closure_ends(loops.shown)
-        for viewer in self:
+        for viewer in (self.page, self.recording):
             if viewer is not None:
                 try:
                     viewer.finish(result.map, result.graph.poses, ends)
@@ -88,17 +102,28 @@ def _warn_once(viewer: str) -> Callable[[str], None]:
 
 @contextmanager
 def open_viewers(
-    live: LiveOptions | None, rerun: str | None, title: str, range_max_m: float, known: OccupancyGrid | None = None
+    live: LiveOptions | None,
+    rerun: str | None,
+    title: str,
+    range_max_m: float,
+    known: OccupancyGrid | None = None,
+    *,
+    is_localization: bool = False,
 ) -> Iterator[Viewers]:
-    """Give those who look on; in the end the page stays as long as someone looks, and the recording is complete."""
+    """Give those who look on; in the end the page stays as long as someone looks, and the recording is complete.
+
+    The known map is needed where a localization is looked at.
+    """
     with rerun_recording(rerun, title, range_max_m, known) as recording, ExitStack() as stack:
         if live is None:
-            yield Viewers(None, recording)
+            from gridslam.live.history_recorder import HistoryRecorder
+
+            yield Viewers(None, recording, HistoryRecorder(range_max_m, is_localization=is_localization))
             return
         from gridslam.live.page import LivePage
 
         page = stack.enter_context(serve_page(LivePage(title, live, range_max_m=range_max_m, known=known)))
-        viewers = Viewers(page, recording)
+        viewers = Viewers(page, recording, page.observer.history)
         announce(page.url, live)
         viewers.wait(live.wait_s or 0.0)
         yield viewers

@@ -53,7 +53,9 @@ def localize_to_folder(
     source = check_log(open_log(log, options), options)
     is_watched = live is not None or rerun is not None
     known = read_map(map_path, strict_thresholds=strict_thresholds) if is_watched else None
-    with open_viewers(live, rerun, source.path.name, read.configuration.range_max_m, known) as viewers:
+    with open_viewers(
+        live, rerun, source.path.name, read.configuration.range_max_m, known, is_localization=True
+    ) as viewers:
         with (
             nullcontext() if out is None else open_output(out, LocalizationResult.all_names()) as folder,
             reading_progress(lambda: source.statistics, shown=not as_json) as on_progress,
@@ -73,6 +75,8 @@ def localize_to_folder(
                 stopwatch=watch,
                 **viewers.watch(source, watch),
             )
+            if folder is not None:
+                viewers.write_history(folder)
             document = result.document() if folder is None else result.write(folder)
         warn(*result.warnings())
         if read.ignored:

@@ -53,6 +53,7 @@ def map_to_folder(
             else:
                 run = partial(session.add, opened, out)
             result = map_with_progress(source, run, watch, viewers, shown=not as_json, repair=repair)
+            viewers.write_history(folder)
             document = result.write(folder)
             if opened is not None:
                 session.save_to(opened)

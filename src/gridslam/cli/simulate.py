@@ -140,6 +140,7 @@ def demo(out: Path, seed: int, live: LiveOptions | None, rerun: str | None, as_j
                 log, partial(map_log, configuration=configuration, seed=seed), watch, viewers, shown=not as_json
             )
             truth = _align_truth(simulated.truth, result.trajectory)
+            viewers.write_history(folder)
             document = replace(result, source=out / _DEMO_LOG, truth=truth).write(folder)
         errors = score_against_truth(result.trajectory, simulated.truth)
         odometry = score_against_truth(simulated.odometry, simulated.truth)

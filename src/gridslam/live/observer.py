@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Any, TypeVar, final
 
 from gridslam.live.control import Control
-from gridslam.live.monitor import LOST, FilterMonitor, StateView
+from gridslam.live.history_recorder import HistoryRecorder
+from gridslam.live.monitor import LOST, FilterMonitor, LocalizationMonitor, StateView
 from gridslam.localization import LocalizationReport
 from gridslam.pipeline import Stopwatch
 from gridslam.types import LaserScan, Odometry, StepReport
@@ -78,6 +79,8 @@ class LiveObserver:
         Delays the scans that pass through `pace`.
     monitor : FilterMonitor
         Monitor of the filter.
+    history : HistoryRecorder, optional
+        Records the past that viewers may go back to.
 
     Attributes
     ----------
@@ -87,8 +90,16 @@ class LiveObserver:
         Returns how much of the source is read, in [0, 1]; NaN where that is unknown.
     """
 
-    def __init__(self, post: Callable[[Snapshot], None], control: Control, monitor: FilterMonitor) -> None:
+    def __init__(
+        self,
+        post: Callable[[Snapshot], None],
+        control: Control,
+        monitor: FilterMonitor,
+        history: HistoryRecorder | None = None,
+    ) -> None:
         """Start before the first scan."""
+        is_localization = isinstance(monitor, LocalizationMonitor)
+        self.history = history or HistoryRecorder(is_localization=is_localization)
         self.period_s = UNVIEWED_PERIOD_S
         self.progress: Callable[[], float] = lambda: math.nan
         self._post = post
@@ -108,6 +119,7 @@ class LiveObserver:
         self._stamps_ns: list[int] = []
         self._requests: deque[tuple[int, int, int]] = deque()
         self._monitor.reset()
+        self.history.reset()
 
     def pace(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
         """Yield measurements at the pace that the viewers set; the stopwatch does not count the waiting time."""
@@ -116,7 +128,7 @@ class LiveObserver:
             watch.lap("read")
             if self._control.wait(measurement[1].stamp_ns, self.take_pending_snapshot):
                 watch.resume()
-            self._scan = measurement[1]
+            self._note_scan(measurement[1])
             yield measurement
         deadline = time.perf_counter() + _FINAL_SNAPSHOT_S
         while self._busy and time.perf_counter() < deadline:
@@ -126,7 +138,7 @@ class LiveObserver:
     def follow(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
         """Yield the measurements of a source without delay."""
         for measurement in source:
-            self._scan = measurement[1]
+            self._note_scan(measurement[1])
             yield measurement
 
     def __call__(self, report: Any, state: Any, seconds: float) -> None:  # noqa: ANN401
@@ -134,6 +146,7 @@ class LiveObserver:
         self._scans += 1
         self._latest = (report, state)
         self._is_new = True
+        self.history(report, state, seconds)
         flags = LOST * report.lost | self._monitor.record(report, self._scan)
         if report.skipped is None:
             self._keys += 1
@@ -156,6 +169,10 @@ class LiveObserver:
         """
         self._requests.append((channel, particle, keys))
         self._control.wake()
+
+    def _note_scan(self, scan: LaserScan) -> None:
+        self._scan = scan
+        self.history.note_scan(scan)
 
     def release(self) -> None:
         """Permit the next snapshot, after the last one was applied; thread-safe."""

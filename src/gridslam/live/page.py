@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar, final
 
 from gridslam.live.control import Control, RobotControl
+from gridslam.live.history_recorder import HistoryRecorder
 from gridslam.live.monitor import FilterMonitor, LocalizationMonitor, MappingMonitor
 from gridslam.live.observer import LiveObserver, Snapshot
 from gridslam.live.options import LiveOptions
@@ -68,7 +69,8 @@ class LivePage:
         self._server = PageServer(self._run, options, _SHARE)
         self._last_stage = "final refinement" if known is None else "writing"
         monitor: FilterMonitor = MappingMonitor(range_max_m) if known is None else LocalizationMonitor(known)
-        self.observer = LiveObserver(self._post, self.control, monitor)
+        history = HistoryRecorder(range_max_m, is_localization=known is not None)
+        self.observer = LiveObserver(self._post, self.control, monitor, history)
         self._run.observer = self.observer
 
     def __enter__(self) -> LivePage:

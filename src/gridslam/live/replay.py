@@ -20,6 +20,9 @@ from gridslam.io.trajectories import read_trajectory_csv, read_tum
 from gridslam.live.ancestry_tree import NO_POINTS
 from gridslam.live.beside import read_beside
 from gridslam.live.control import check_particle, check_speed
+from gridslam.live.history import History, PastReplica
+from gridslam.live.history_file import HISTORY_NAME, read_history
+from gridslam.live.past import Past, PastReader
 from gridslam.live.results import MappedRun, Results, StaticMap, TrajectoryRun
 from gridslam.live.scene import Scene, SentState, make_run_info
 from gridslam.live.tiles import TileReplica, tile_offset
@@ -65,13 +68,20 @@ class Replay:
         mode = "still" if isinstance(results, StaticMap) else "replay"
         self.speed = speed
         self.beside = read_beside(out, None if beside is None else Path(beside), results.trajectory)
-        self._session = out / "session.gridslam"
+        self._session = max(out.glob("*.gridslam"), key=lambda path: path.stat().st_mtime, default=None)
         found = {
             "other": self.beside.grid is not None,
             "truth": len(self.beside.path) > 0,
-            "session": self._session.is_file(),
+            "session": self._session is not None,
         }
-        layers = (*results.layers, *(name for name, is_found in found.items() if is_found))
+        self.history = _read_history(out / HISTORY_NAME)
+        if self.history is not None:
+            found |= dict.fromkeys(("scan", "particles"), True)
+        self.keys = _count_key_scans(results, self.history)
+        layers = (
+            *results.layers,
+            *(name for name, is_found in found.items() if is_found and name not in results.layers),
+        )
         self.run_info = make_run_info(title, mode, layers, results.step, results.grid)
         self.run_info["truth"] = self.beside.name
         self.other: TileReplica | None = None
@@ -94,8 +104,8 @@ class Replay:
         return self.results.trajectory
 
     def session_file(self) -> Path | None:
-        """Return the file from which a later run goes on; None if the folder has none."""
-        return self._session if self._session.is_file() else None
+        """Return the newest file of the folder from which a later run goes on; None if there is none."""
+        return self._session
 
 
 @final
@@ -114,8 +124,10 @@ class ReplayViewer:
         self._played_until = 0.0
         self._playing = False
         self._selected: int | None = None
-        self._frame = self._results.frame(self._at)
         self._selected_path = NO_POINTS
+        self._reader = None if replay.history is None else PastReader(replay.history)
+        self._past: Past | None = None
+        self._look()
 
     def next_message(self) -> bytes | None:
         """Return the next message for the viewer; None if there is nothing new."""
@@ -169,8 +181,25 @@ class ReplayViewer:
         if self._selected is not None and ancestry is not None:
             self._selected = ancestry.find_relative(self._selected, self._at, at)
         self._at = at
-        self._frame = self._results.frame(at)
+        self._look()
         self._find_selected_path()
+
+    def _look(self) -> None:
+        """Find what there is to see, as it was then; of a map its final form in the end."""
+        at = self._at
+        self._frame = self._results.frame(at)
+        is_map = isinstance(self._results, MappedRun)
+        self._past = None
+        if self._reader is None or (is_map and at == self._last):
+            return
+        self._past = past = self._reader.read(int(self._replay.keys[at]), has_maps=is_map)
+        if past is None:
+            return
+        if isinstance(self._results, MappedRun):
+            ends = past.closure_ends(self._results.shown_closures)
+            self._frame = self._frame._replace(path=past.path, closures=ends)
+        else:
+            self._frame = self._frame._replace(particles=past.particles)
 
     def _select(self, particle: int | None) -> None:
         self._selected = None if particle is None else check_particle(particle, self._results.particles)
@@ -195,12 +224,21 @@ class ReplayViewer:
             "selected_particle": self._selected,
             "message": results.missing,
         }
+        replica: TileReplica | PastReplica = self._replay.replica
+        past = self._past
+        if past is not None and self._reader is not None:
+            status["scan_pose"] = past.pose.tolist()
+            if isinstance(results, MappedRun):
+                replica = self._reader.replica
+                pose = results.online_pose(self._time_s)
+                status |= {"past": True, "pose": (past.pose if pose is None else pose).tolist()}
         return Scene(
             self._replay.run_info,
             status,
-            self._replay.replica,
+            replica,
             self._frame,
             results.series,
+            NO_POINTS if past is None else past.scan,
             plan=results.path,
             landmarks=results.landmarks,
             selected=self._selected_path,
@@ -218,7 +256,9 @@ def _read_mapping(out: Path, document: dict[str, Any]) -> Results:
     grid = read_map(out / "map.yaml")
     if not len(record) or len(poses) != len(record):
         raise InputError(out / "record.npz", f"expected {len(poses)} key scans, got {len(record)}")
-    return MappedRun(record, trajectory, poses, grid, _read_closures(out / "run.json", document, len(record)))
+    closures = _read_closures(out / "run.json", document, len(record))
+    online = out / "trajectory_online.tum"
+    return MappedRun(record, trajectory, poses, grid, closures, read_tum(online) if online.is_file() else None)
 
 
 def _read_localization(out: Path, document: dict[str, Any]) -> Results:
@@ -247,6 +287,23 @@ _READERS: dict[str, Callable[[Path, dict[str, Any]], Results]] = {
     "gridslam.landmark_localization": _read_landmark_run,
     "gridslam.grid": lambda out, document: StaticMap(read_map(out / "map.yaml")),
 }
+
+
+def _read_history(path: Path) -> History | None:
+    """Return the history of a run; None if the folder has none."""
+    history = read_history(path) if path.is_file() else None
+    return history if history is not None and history.moments else None
+
+
+def _count_key_scans(results: Results, history: History | None) -> IntArray:
+    """Return for each step of a run how many key scans there had been, as its history counts them."""
+    steps = len(results.times_s)
+    if history is None or results.trajectory is None or isinstance(results, MappedRun):
+        return np.arange(1, steps + 1)
+    stamps_ns = np.maximum.accumulate([moment.stamp_ns for moment in history.moments])
+    keys = np.array([0, *(moment.keys for moment in history.moments)])
+    counted: IntArray = keys[np.searchsorted(stamps_ns, results.trajectory.stamps_ns, "right")]
+    return counted
 
 
 def _read_document(path: Path) -> dict[str, Any]:

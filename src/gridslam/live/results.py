@@ -92,6 +92,8 @@ class MappedRun:
         The map.
     recognized : (C, 2) int64
         Key scans of the recognized loop closures, the older one first; the record has the tracked ones.
+    online : Trajectory, optional
+        The poses as they were estimated online, a pose for each scan.
     """
 
     layers = ("map", "path", "ancestry", "particles", "weights", "closures", "n_eff", "latency")
@@ -100,9 +102,16 @@ class MappedRun:
     landmarks = NO_LANDMARKS
 
     def __init__(
-        self, record: Record, trajectory: Trajectory, key_poses: FloatArray, grid: OccupancyGrid, recognized: IntArray
+        self,
+        record: Record,
+        trajectory: Trajectory,
+        key_poses: FloatArray,
+        grid: OccupancyGrid,
+        recognized: IntArray,
+        online: Trajectory | None = None,
     ) -> None:
         """Prepare the data of all times."""
+        self.online = online
         self.grid = grid
         self.particles = record.poses.shape[1]
         self.ancestry = AncestryReplay(record)
@@ -118,14 +127,14 @@ class MappedRun:
         self._closure_steps: IntArray = np.sort(np.concatenate([recognized, tracked])[:, 1])  # when each was found
         shown = select_shown_closures(recognized, tracked)
         shown = shown[np.argsort(shown[:, 1], kind="stable")]
-        self._shown_steps: IntArray = shown[:, 1]
+        self.shown_closures: IntArray = shown
         self._closure_ends = key_poses[shown, :2].reshape(-1, 4).astype(np.float32)
 
     def frame(self, at: int) -> Frame:
         """Return the frame at a key scan."""
         record = self._record
         particles = np.column_stack([record.poses[at], np.exp(record.log_weights[at])]).astype(np.float32)
-        closures = self._closure_ends[: int(np.searchsorted(self._shown_steps, at, "right"))]
+        closures = self._closure_ends[: int(np.searchsorted(self.shown_closures[:, 1], at, "right"))]
         return Frame(self.path[: at + 1], full_tree(self.ancestry.at(at)), particles, closures)
 
     def particle_path(self, at: int, particle: int) -> Float32Array:
@@ -133,10 +142,18 @@ class MappedRun:
         path: Float32Array = self.ancestry.at(at).trajectory(particle)[:, :2].astype(np.float32)
         return path
 
+    def online_pose(self, time_s: float) -> FloatArray | None:
+        """Return the pose (3,) as it was estimated at a time; None if it is unknown."""
+        known = self.online is not None and len(self.online) == len(self.trajectory)
+        return self.online.poses[self._find_scan(time_s)] if known and self.online is not None else None
+
+    def _find_scan(self, time_s: float) -> int:
+        return max(int(np.searchsorted(self._scan_times_s, time_s, "right")) - 1, 0)
+
     def status(self, at: int, time_s: float) -> dict[str, Any]:
         """Values at a time at or after a key scan."""
         record = self._record
-        scan = max(int(np.searchsorted(self._scan_times_s, time_s, "right")) - 1, 0)
+        scan = self._find_scan(time_s)
         return {
             "keys": at + 1,
             "scans": scan + 1,

@@ -15,8 +15,10 @@ from gridslam.live.ancestry_tree import NO_POINTS
 from gridslam.live.control import Control, RobotControl, check_particle, check_speed
 from gridslam.live.monitor import BEST
 from gridslam.live.observer import UNVIEWED_PERIOD_S, VIEWED_PERIOD_S, LiveObserver, Snapshot
+from gridslam.live.past import PastReader
 from gridslam.live.scene import Frame, RowBuffer, Scene, SentState, finite_or_none, make_run_info
 from gridslam.live.tiles import TileReplica, split_into_tiles
+from gridslam.slam.loop_closure.constraints import select_shown_closures
 from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Trajectory
 
 __all__ = ["LiveRun", "LiveViewer"]
@@ -191,12 +193,44 @@ class LiveRun:
             "viewers": len(self._viewers),
             "channel": channel,
             "shared": self._frame.shared,
+            "last": max(self._status["keys"] - 1, 0),
             "selected_particle": None if channel == BEST or stage in ("writing", "done") else row,
         }
         replica = self._replicas.get(channel, self._replicas[BEST])
         past = None if channel == BEST else self._frame.poses.get(row)
         selected = NO_POINTS if past is None else past[:, :2].astype(np.float32)
         return Scene(self._run_info, status, replica, self._frame, self._series.rows, self._scan, selected=selected)
+
+    def make_past_scene(self, reader: PastReader, at: int) -> Scene | None:
+        """Return the scene as it was after a key scan, counted from 0; None if nothing is known of it."""
+        recorder = self.observer.history
+        past = reader.read(at + 1, has_maps=self._known is None)
+        if past is None:
+            return None
+        closures = recorder.closures
+        shown = select_shown_closures(closures[: recorder.recognized], closures[recorder.recognized :])
+        frame = Frame(past.path, particles=past.particles, closures=past.closure_ends(shown))
+        row = self._series.rows[at]
+        status = {
+            **self.make_scene(BEST).status,
+            "past": True,
+            "at": at,
+            "time_s": float(row[0]),
+            "n_eff": finite_or_none(float(row[1])),
+            "keys": at + 1,
+            "closures": int((closures[:, 1] <= at).sum()),
+            "pose": past.pose.tolist(),
+            "scan_pose": past.pose.tolist(),
+            "covariance": None,
+            "best": None,
+        }
+        replica = self._replicas[BEST] if self._known is not None else reader.replica
+        return Scene(self._run_info, status, replica, frame, self._series.rows, past.scan)
+
+    @property
+    def keys(self) -> int:
+        """Number of key scans that viewers can go back to."""
+        return len(self._series.rows)
 
     def notify_viewers(self) -> None:
         """Notify all viewers of a change."""
@@ -239,10 +273,15 @@ class LiveViewer:
         self._run = run
         self._sent = SentState()
         self._channel = BEST
+        self._at: int | None = None  # the key scan that is looked at; None: the newest
+        self._reader: PastReader | None = None
 
     def next_message(self) -> bytes | None:
         """Return the next message for the viewer; None if there is nothing new."""
-        return self._sent.next_message(self._run.make_scene(self._channel))
+        scene = None
+        if self._at is not None and self._reader is not None:
+            scene = self._run.make_past_scene(self._reader, self._at)
+        return self._sent.next_message(self._run.make_scene(self._channel) if scene is None else scene)
 
     def command(self, command: Mapping[str, Any]) -> None:
         """Execute a command of the viewer; raises ArgumentError, KeyError or TypeError if it is invalid."""
@@ -258,8 +297,10 @@ class LiveViewer:
                 run.control.set_speed(check_speed(command["factor"]))
             case "select":
                 self._select(command["particle"])
+            case "seek":
+                self._seek(int(command["at"]))
             case what:
-                raise ArgumentError("do", "pause, resume, step, speed or select", what)
+                raise ArgumentError("do", "pause, resume, step, seek, speed or select", what)
         run.notify_viewers()
 
     def close(self) -> None:
@@ -270,10 +311,19 @@ class LiveViewer:
     def show_best(self) -> None:
         """Show the best particle's map, after the selected one has ceased to exist."""
         self._channel = BEST
+        self._at = None
+
+    def _seek(self, at: int) -> None:
+        """Look at the run as it was after a key scan, counted from 0; at the newest one at what comes, too."""
+        self._at = None if at >= self._run.keys - 1 else max(at, 0)
+        history = self._run.observer.history.history
+        if self._at is not None and (self._reader is None or not self._reader.reads(history)):
+            self._reader = PastReader(history)
 
     def _select(self, particle: int | None) -> None:
         if self._channel != BEST:
             self._run.close_channel(self._channel)
         self._channel = BEST
         if particle is not None:
+            self._at = None
             self._channel = self._run.open_channel(particle)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gridslam import __version__
 from gridslam.kernels import TILE
 from gridslam.live.ancestry_tree import NO_POINTS, NO_TREE, AncestryTree, Float32Array
-from gridslam.live.history import count_common
+from gridslam.live.history import PastReplica, count_common
 from gridslam.live.protocol import STEP_NATS, encode, pack_tiles
 from gridslam.live.tiles import TileReplica, tile_offset
 from gridslam.types import FloatArray, OccupancyGrid
@@ -129,7 +129,7 @@ class Scene(NamedTuple):
 
     run_info: dict[str, Any]
     status: dict[str, Any]
-    replica: TileReplica
+    replica: TileReplica | PastReplica
     frame: Frame
     series: Float32Array
     scan: Float32Array = NO_POINTS
@@ -180,7 +180,7 @@ class SentState:
     def _reset(self) -> None:
         self._run_info: dict[str, Any] = {}
         self._status: dict[str, Any] = {}
-        self._replicas: dict[str, TileReplica] = {}
+        self._replicas: dict[str, TileReplica | PastReplica] = {}
         self._numbers: dict[str, int] = {}
         self._rows = {"path": NO_POINTS, "selected": NO_POINTS, "series": NO_SERIES}
         self._arrays: dict[str, NDArray[Any]] = {}
@@ -226,7 +226,7 @@ class SentState:
             self._rows[name] = rows
 
     def _add_tiles(
-        self, which: str, replica: TileReplica, header: dict[str, Any], arrays: dict[str, NDArray[Any]]
+        self, which: str, replica: TileReplica | PastReplica, header: dict[str, Any], arrays: dict[str, NDArray[Any]]
     ) -> None:
         """Add the changed tiles of a map, whose names begin with `which`."""
         if replica is not self._replicas.get(which):

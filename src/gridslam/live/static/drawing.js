@@ -110,7 +110,7 @@ export class Drawing {
       context.globalAlpha = 1;
     }
     Object.assign(context, { strokeStyle: colours.path, lineWidth: Math.min(Math.max(camera.scale / 8, 1.2), 2.2) });
-    const selected = world.status.selected_particle ?? -1, best = world.plan.length ? -1 : world.status.best ?? -1;
+    const selected = world.status.selected_particle ?? -1, best = world.plan.length || world.status.past ? -1 : world.status.best ?? -1;
     line(context, best < 0 ? world.path : pathPoints(world.path, world, best), camera);
     if (selected >= 0) {
       Object.assign(context, { strokeStyle: colours.selected, lineWidth: 2.6 });
@@ -134,7 +134,7 @@ export class Drawing {
 
   scanPose() {
     const { world } = this, selected = world.status.selected_particle ?? -1;
-    return selected >= 0 ? world.particles.subarray(4 * selected, 4 * selected + 3) : world.status.pose;
+    return selected >= 0 ? world.particles.subarray(4 * selected, 4 * selected + 3) : world.status.scan_pose ?? world.status.pose;
   }
 
   particles(context, colours) {

@@ -93,7 +93,8 @@ export class Panel {
     const { status } = world;
     if (this.online) [$("#notice").hidden, $("#notice").textContent] = [!status.message, status.message ?? ""];
     document.body.dataset.stage = status.lost && status.stage === "running" ? "lost" : status.stage;
-    $("#stage").textContent = document.body.dataset.stage === "lost" ? "running, robot lost" : WORDS[status.stage] ?? status.stage;
+    const stage = document.body.dataset.stage === "lost" ? "running, robot lost" : WORDS[status.stage] ?? status.stage;
+    $("#stage").textContent = status.past && this.mode === "live" ? `${stage}, seen as it was` : stage;
     document.body.toggleAttribute("data-held", status.stage === "paused");
     const going = ["running", "paused", "waiting"].includes(status.stage) && this.mode !== "still";
     document.body.toggleAttribute("data-over", ["final refinement", "writing", "done"].includes(status.stage));
@@ -142,24 +143,23 @@ export class Panel {
     put("latency", steps ? `${twoDigits(latency)} ms` : "");
     put("particles", status.particles || "");
     const replay = runInfo.mode === "replay", what = replay ? "path" : "map";
-    $("#selected span").textContent = ["writing", "done"].includes(status.stage) ? "final map"
+    $("#selected span").textContent = ["writing", "done"].includes(status.stage) && !status.past ? "final map"
+      : status.past && status.selected_particle == null ? "map as it was"
       : status.selected_particle < 0 ? "no descendants left"
       : status.selected_particle != null ? `${what} of particle ${status.selected_particle}`
       : replay ? "final map" : status.best === undefined ? "" : `map of the best particle, ${status.best}`;
     $("#best").hidden = status.selected_particle == null;
   }
 
+  // The time line: of a finished run its time, of a running one its key scans so far.
   time({ status, runInfo }) {
     const slider = $("#line"), replay = runInfo.mode === "replay";
-    slider.disabled = !replay;
-    if (replay) {
-      slider.max = Math.max(status.last, 0);
-      if (document.activeElement !== slider || !slider.matches(":active")) slider.value = status.at;
-    } else {
-      slider.max = 1000;
-      slider.value = 1000 * (status.progress ?? 0);
+    slider.disabled = !(replay || (runInfo.mode === "live" && status.last > 0));
+    if (replay || runInfo.mode === "live") {
+      slider.max = Math.max(status.last ?? 0, 0);
+      if (document.activeElement !== slider || !slider.matches(":active")) slider.value = status.at ?? slider.max;
     }
-    const total = replay ? ` / ${clock(status.total_s)}` : "";
+    const total = replay ? ` / ${clock(status.total_s)}` : status.progress ? ` · ${percent(status.progress)}` : "";
     $("#time output").textContent = status.time_s === undefined ? "" : clock(status.time_s) + total;
   }
 }

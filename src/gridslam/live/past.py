@@ -1,0 +1,79 @@
+"""A run as it was at one of its key scans."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, final
+
+import numpy as np
+
+from gridslam.live.ancestry_tree import Float32Array
+from gridslam.live.history import SCAN_UNIT_M, History, PastMaps, PastReplica
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["Past", "PastReader"]
+
+
+@final
+class Past(NamedTuple):
+    """A run as it was at a moment.
+
+    Attributes
+    ----------
+    keys : int
+        Number of key scans until then.
+    stamp_ns : int, ns
+        Stamp of the last of them.
+    pose : (3,) float64
+        Estimated pose, x m, y m, theta rad.
+    path : (T, 2) float32, m
+        Positions of the best particle at the key scans, NaN where the robot was lost.
+    scan : (K, 2) float32, m
+        End points of the scan in the robot frame.
+    particles : (N, 4) float32
+        x m, y m, theta rad and weight; empty where another file has them.
+    """
+
+    keys: int
+    stamp_ns: int
+    pose: FloatArray
+    path: Float32Array
+    scan: Float32Array
+    particles: Float32Array
+
+    def closure_ends(self, pairs: IntArray) -> Float32Array:
+        """Return the ends (C, 4), m, of the loop closures (C, 2) that had been found, where the path was then."""
+        ends: Float32Array = self.path[pairs[pairs[:, 1] < len(self.path)]].reshape(-1, 4)
+        return ends
+
+
+@final
+class PastReader:
+    """Reads a history for one viewer, at any of its moments in any order.
+
+    Attributes
+    ----------
+    replica : PastReplica
+        The map as it was at the moment that was read last.
+    """
+
+    def __init__(self, history: History) -> None:
+        """Start before the first moment."""
+        self._history = history
+        self._maps = PastMaps(history)
+        self.replica = PastReplica()
+
+    def reads(self, history: History) -> bool:
+        """Return whether this is the history that is read."""
+        return self._history is history
+
+    def read(self, keys: int, *, has_maps: bool = True) -> Past | None:
+        """Return the run after at most this number of key scans, and update the map; None before the first moment."""
+        index = self._history.find(keys)
+        if index < 0:
+            return None
+        moment = self._history.moments[index]
+        if has_maps:
+            self.replica.show(self._maps.at(index))
+        scan = moment.scan.astype(np.float32) * np.float32(SCAN_UNIT_M)
+        path = self._history.path(index)
+        return Past(moment.keys, moment.stamp_ns, moment.pose, path, scan, moment.particles)
