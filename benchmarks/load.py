@@ -69,6 +69,7 @@ class NoOutputs:
 
     def __init__(self) -> None:
         self.log_lines: list[str] = []
+        self.topics: tuple[str, ...] = ()
 
     def now_ns(self) -> int:
         return time.time_ns()
@@ -83,6 +84,12 @@ class NoOutputs:
         pass
 
     def particles(self, message: object) -> None:
+        pass
+
+    def map_update(self, message: object) -> None:
+        pass
+
+    def updated_pose(self, message: object) -> None:
         pass
 
     def diagnostics(self, message: object) -> None:

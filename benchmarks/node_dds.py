@@ -16,6 +16,7 @@ from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.ros.node.messages import GridMessage, Level, ScanMessage, StampedTransform
 from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.ros2.dds import DdsParticipant
+from gridslam.ros.rtps.qos import Qos
 from load import LATENCY, MOUNTING, START_S, Load, drive, resident_mb
 from measure import GRIDSLAM
 
@@ -34,12 +35,12 @@ def load_on_dds(seconds: float, rate_hz: float, beams: int, particles: int) -> L
     diagnostics: list[bytes] = []
     for topic, kind in (("rt/scan", "sensor_msgs/LaserScan"), ("rt/tf", "tf2_msgs/TFMessage")):
         robot.add_writer(topic, kind)
-    robot.add_writer("rt/tf_static", "tf2_msgs/TFMessage", latched=True)
+    robot.add_writer("rt/tf_static", "tf2_msgs/TFMessage", Qos(latched=True, depth=1))
 
     def told(data: bytes, sender: str) -> None:
         told_s[_stamp_ns(data)] = time.perf_counter()
 
-    robot.add_reader("rt/gridslam/pose", "geometry_msgs/PoseWithCovarianceStamped", told, depth=1000)
+    robot.add_reader("rt/gridslam/pose", "geometry_msgs/PoseWithCovarianceStamped", told, Qos(depth=1000))
     robot.add_reader("rt/diagnostics", "diagnostic_msgs/DiagnosticArray", lambda data, sender: diagnostics.append(data))
     robot.start()
     robot.publish("rt/tf_static", _transforms(MOUNTING))
@@ -122,8 +123,8 @@ def _cpu_s(process: int) -> float:
 def grid_ms(times: int = 20) -> list[tuple[str, float]]:
     """What a grid of 1000 x 1000 cells costs to publish by DDS, ms: the least of some times."""
     robot = DdsParticipant(_DOMAIN, [_LOOPBACK])
-    robot.add_writer("rt/map", "nav_msgs/OccupancyGrid", latched=True)
-    robot.add_writer("rt/map_metadata", "nav_msgs/MapMetaData", latched=True)
+    robot.add_writer("rt/map", "nav_msgs/OccupancyGrid", Qos(latched=True, depth=1))
+    robot.add_writer("rt/map_metadata", "nav_msgs/MapMetaData", Qos(latched=True, depth=1))
     got: list[bytes] = []
     cells = np.full((1000, 1000), 100, np.int8)
 
@@ -146,7 +147,9 @@ def grid_ms(times: int = 20) -> list[tuple[str, float]]:
 
     alone = least()
     listener = DdsParticipant(_DOMAIN, [_LOOPBACK])
-    listener.add_reader("rt/map", "nav_msgs/OccupancyGrid", lambda data, sender: got.append(data), latched=True)
+    listener.add_reader(
+        "rt/map", "nav_msgs/OccupancyGrid", lambda data, sender: got.append(data), Qos(latched=True, depth=1)
+    )
     robot.start()
     listener.start()
     _wait(lambda: bool(got))

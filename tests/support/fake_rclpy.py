@@ -18,7 +18,8 @@ TYPES = {
     "nav_msgs.msg": ["OccupancyGrid", "MapMetaData"],
     "geometry_msgs.msg": ["PoseWithCovarianceStamped", "PoseArray"],
     "std_msgs.msg": ["Float64"],
-    "nav_msgs.srv": ["GetMap"],
+    "map_msgs.msg": ["OccupancyGridUpdate"],
+    "nav_msgs.srv": ["GetMap", "SetMap"],
     "diagnostic_msgs.msg": ["DiagnosticArray"],
     "std_srvs.srv": ["Empty", "SetBool", "Trigger"],
 }
@@ -98,7 +99,7 @@ class Node:
     def resolve_topic_name(self, name: str) -> str:
         return f"/{name}"
 
-    def create_publisher(self, kind: type, topic: str, profile: Any) -> Any:
+    def create_publisher(self, kind: type, topic: str, profile: Any, *, qos_overriding_options: Any) -> Any:
         self.world.publishers[topic] = kind.__name__, profile
 
         def publish(data: bytes) -> None:
@@ -109,7 +110,14 @@ class Node:
         return SimpleNamespace(publish=publish)
 
     def create_subscription(
-        self, kind: type, topic: str, callback: Callable[[bytes], None], profile: Any, *, raw: bool
+        self,
+        kind: type,
+        topic: str,
+        callback: Callable[[bytes], None],
+        profile: Any,
+        *,
+        raw: bool,
+        qos_overriding_options: Any,
     ) -> None:
         assert raw
         self.world.subscriptions[topic] = kind.__name__, profile, callback
@@ -118,6 +126,9 @@ class Node:
         self, kind: type, name: str, callback: Callable[[Any, Any], Any], *, callback_group: Any = None
     ) -> None:
         self.world.services[name] = callback
+
+    def set_parameters(self, parameters: list[Any]) -> None:
+        self.world.parameters.update(parameters)
 
     def get_clock(self) -> Any:
         return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=self.world.clock_ns))
@@ -185,6 +196,9 @@ def installed(monkeypatch: Any, parameters: dict[str, Any]) -> World:
         MultiThreadedExecutor=MultiThreadedExecutor,
         ExternalShutdownException=ExternalShutdownException,
     )
+    overriding = SimpleNamespace(with_default_policies=lambda: "default policies")
+    module("rclpy.qos_overriding_options", QoSOverridingOptions=overriding)
+    module("rclpy.parameter", Parameter=lambda name, value: (name, value))
     module("rclpy.callback_groups", MutuallyExclusiveCallbackGroup=object)
     module(
         "rclpy.qos",

@@ -19,6 +19,7 @@ from gridslam.ros.node.messages import (
     PoseMessage,
     ScanMessage,
     StampedTransform,
+    UpdateMessage,
 )
 from gridslam.types import BeamStatus
 
@@ -33,6 +34,9 @@ class RecordedOutputs:
         self.maps: list[GridMessage] = []
         self.transforms: list[StampedTransform] = []
         self.poses: list[PoseMessage] = []
+        self.updates: list[UpdateMessage] = []
+        self.updated_poses: list[PoseMessage] = []
+        self.topics: tuple[str, ...] = ()
         self.entropies: list[float] = []
         self.clouds: list[CloudMessage] = []
         self.logs: list[tuple[Level, str]] = []
@@ -52,6 +56,12 @@ class RecordedOutputs:
 
     def pose(self, message: PoseMessage) -> None:
         self.poses.append(message)
+
+    def map_update(self, message: UpdateMessage) -> None:
+        self.updates.append(message)
+
+    def updated_pose(self, message: PoseMessage) -> None:
+        self.updated_poses.append(message)
 
     def entropy(self, nats: float) -> None:
         self.entropies.append(nats)
@@ -79,8 +89,15 @@ class LocalTransport:
         self.shut_down = threading.Event()
         self.services: dict[str, Callable[[object], Sequence[object]]] = {}
 
-    def connect(self, refuse: Callable[[str, str], None]) -> None:
+    def connect(self, refuse: Callable[[str, str], None], topics: object) -> None:
         self.refuse = refuse
+        self.published = topics
+
+    def advertise_set_map(self, service: str, serve: Callable[[object], bool]) -> None:
+        self.services[service] = serve
+
+    def save_parameters(self, values: dict[str, float]) -> None:
+        self.saved = values
 
     def wire_of(self, data: bytes) -> Wire:
         raise MessageError("no bytes pass here")

@@ -71,7 +71,9 @@ def make_viewer_opener(title: str, live: LiveOptions | None, rerun: str | None) 
     @contextmanager
     def open_viewers(core: NodeCore) -> Iterator[None]:
         configuration = core.configuration
-        known = configuration.known.grid if isinstance(configuration, Localization) else None
+        known = None
+        if isinstance(configuration, Localization) and configuration.known is not None:
+            known = configuration.known.grid
         with ExitStack() as stack:
             recording = stack.enter_context(rerun_recording(rerun, title, configuration.range_max_m, known))
             if recording is not None:

@@ -15,12 +15,12 @@ __all__ = ["read_parameter_file"]
 _LARGEST_BYTES = 1 << 18
 
 
-def read_parameter_file(path: str | Path) -> list[tuple[str, dict[str, Any]]]:
+def read_parameter_file(path: str | Path, *, keeps_qos: bool = False) -> list[tuple[str, dict[str, Any]]]:
     """Read the nodes of a parameter file, in its order: their names, and their values by dotted names.
 
     A name is the full one of the node, `/robot1/amcl`, or a pattern of full names, `/**`. Files of ROS 1 hold the
     parameters of one node; its name is then empty. Tables of parameters are flattened: `initial_pose: {x: 1}` is the
-    parameter `initial_pose.x`. `qos_overrides` are the middleware's, and left out.
+    parameter `initial_pose.x`. `qos_overrides` are the middleware's, and left out unless `keeps_qos`.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def read_parameter_file(path: str | Path) -> list[tuple[str, dict[str, Any]]]:
     for name, parameters in nodes:
         if not isinstance(parameters, dict):
             raise InputError(path, f"expected parameters below ros__parameters of {name}, got {parameters!r}")
-    return [(name, dict(_flatten(parameters, ""))) for name, parameters in nodes]
+    return [(name, dict(_flatten(parameters, "", keeps_qos=keeps_qos))) for name, parameters in nodes]
 
 
 def _find_nodes(tree: Any, above: str) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
@@ -53,11 +53,11 @@ def _find_nodes(tree: Any, above: str) -> Iterator[tuple[str, Any]]:  # noqa: AN
             yield from _find_nodes(below, f"{above}/{str(name).strip('/')}")
 
 
-def _flatten(table: dict[Any, Any], above: str) -> Iterator[tuple[str, Any]]:
+def _flatten(table: dict[Any, Any], above: str, *, keeps_qos: bool) -> Iterator[tuple[str, Any]]:
     for name, value in table.items():
-        if name == "qos_overrides":
+        if str(name).partition(".")[0] == "qos_overrides" and not keeps_qos:
             continue
         if isinstance(value, dict):
-            yield from _flatten(value, f"{above}{name}.")
+            yield from _flatten(value, f"{above}{name}.", keeps_qos=keeps_qos)
         else:
             yield f"{above}{name}", value

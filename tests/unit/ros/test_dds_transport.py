@@ -64,9 +64,9 @@ def test_bytes_arrive_as_they_were_sent():
     other = DdsParticipant(participant._participant._sockets.domain, ["127.0.0.1"])
     outputs = EncodedOutputs(participant.encoder, sent.__setitem__, lambda: 0, lambda level, text: None, "node")
     outputs.map(GridMessage(5, "map", 0.05, (1.0, 2.0), np.arange(-1, 5, dtype=np.int8).reshape(2, 3)))
-    participant.add_writer("rt/map", TOPICS["map"], latched=True)
+    participant.add_writer("rt/map", TOPICS["map"], Qos(latched=True, depth=1))
     participant.publish("rt/map", sent["map"])
-    other.add_reader("rt/map", TOPICS["map"], lambda data, sender: got.append(data), latched=True)
+    other.add_reader("rt/map", TOPICS["map"], lambda data, sender: got.append(data), Qos(latched=True, depth=1))
     participant.start()
     other.start()
     try:
@@ -81,7 +81,7 @@ def test_bytes_arrive_as_they_were_sent():
 def test_the_graph_of_nodes_has_gids_of_24_bytes_for_humble_and_of_16_from_iron_on():
     """Their layouts differ under one name; readers from Iron on state the hash of their type."""
     node = DdsParticipant(free_domain(), ["127.0.0.1"], node=("/robot1", "gridslam"))
-    node.add_writer("rt/map", TOPICS["map"], latched=True)
+    node.add_writer("rt/map", TOPICS["map"], Qos(latched=True, depth=1))
     node.add_reader("rt/scan", "sensor_msgs/LaserScan", lambda data, sender: None)
     old, new = node._graph
     endpoint = RemoteEndpoint(b"g" * 16, "", "", Qos(latched=True), ("127.0.0.1", 1))

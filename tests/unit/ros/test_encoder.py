@@ -103,7 +103,9 @@ def test_what_the_node_says_is_what_is_heard(ros):
     outputs.transform(StampedTransform(STAMP, "map", "odom", (1.0, 2.0, 0.0, 0.0, 0.0, 0.6, 0.8)))
     outputs.pose(PoseMessage(STAMP, "map", np.array([1.0, 2.0, np.pi / 2]), np.arange(9.0).reshape(3, 3)))
     outputs.entropy(1.25)
-    outputs.particles(CloudMessage(STAMP, "map", np.array([[1.0, 2.0, np.pi / 2], [3.0, 4.0, 0.0]])))
+    outputs.particles(
+        CloudMessage(STAMP, "map", np.array([[1.0, 2.0, np.pi / 2], [3.0, 4.0, 0.0]]), np.array([0.25, 0.75]))
+    )
     outputs.diagnostics(Diagnostics(Level.WARN, "behind", {"dropped": "3"}))
     heard = {topic: encoder.decode(kind, sent[topic]) for topic, kind in TOPICS.items()}
     grid = heard["map"]

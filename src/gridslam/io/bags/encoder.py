@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Any, NamedTuple, TypeAlias, final
+from typing import Any, Final, NamedTuple, TypeAlias, final
 
 import numpy as np
 from rosbags.interfaces import Nodetype
@@ -17,6 +17,16 @@ __all__ = ["Field", "MessageEncoder"]
 
 Values: TypeAlias = tuple[Any, ...]
 """Values of a message's fields in their order; those of a nested message are such a tuple, too."""
+
+
+_DEFINITIONS: Final = {
+    "map_msgs/msg/OccupancyGridUpdate": (
+        "std_msgs/Header header\nint32 x\nint32 y\nuint32 width\nuint32 height\nint8[] data"
+    ),
+    "nav2_msgs/msg/Particle": "geometry_msgs/Pose pose\nfloat64 weight",
+    "nav2_msgs/msg/ParticleCloud": "std_msgs/Header header\nnav2_msgs/Particle[] particles",
+}
+"""Types that rosbags does not have, in ROS 1 and 2."""
 
 
 class Field(NamedTuple):
@@ -47,6 +57,8 @@ class MessageEncoder:
         self.store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
         self._fields: dict[str, list[Field]] = {}
         self._numbers: Counter[str] = Counter()
+        for name, definition in _DEFINITIONS.items():
+            self.define(name, definition)
         if is_ros1:
             self.define("tf2_msgs/msg/TFMessage", "geometry_msgs/TransformStamped[] transforms")
 

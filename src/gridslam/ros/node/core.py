@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, TimeoutError
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -16,14 +17,23 @@ from gridslam.config import Configuration
 from gridslam.doctor import EarlyCheck
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, OutputError
 from gridslam.io.measurement import Measurement
+from gridslam.localization import KnownMap
 from gridslam.particles import sample_gaussian
 from gridslam.pipeline import FailedStep, Observer, describe_error, isolate
 from gridslam.ros.node.accepted_scan import AcceptedScan, ScanRecorder
+from gridslam.ros.node.grid_input import make_occupancy_grid
 from gridslam.ros.node.measurement_queue import MeasurementQueue, SessionEnd
 from gridslam.ros.node.messages import Diagnostics, GridMessage, Level, Outputs, ScanMessage, StampedTransform
 from gridslam.ros.node.parameters import NodeSettings
 from gridslam.ros.node.rendering import MapRenderer, make_grid_message
-from gridslam.ros.node.session import InitialPose, Localization, LocalizationSession, Session, SessionCopy
+from gridslam.ros.node.session import (
+    InitialPose,
+    Localization,
+    LocalizationSession,
+    Session,
+    SessionCopy,
+    WaitingSession,
+)
 from gridslam.ros.node.state_publisher import StatePublisher
 from gridslam.ros.node.throttled_warnings import ThrottledWarnings
 from gridslam.tracking.tracker import OdometryTracker
@@ -103,22 +113,21 @@ class NodeCore:
         self._known_map: GridMessage | None = None
         self._renderer: MapRenderer | None = None
         if isinstance(configuration, Configuration):
-            self._renderer = MapRenderer(configuration.mapper, settings, outputs.map)
+            self._renderer = MapRenderer(configuration.mapper, settings, outputs.map, outputs.map_update)
         self._publisher = StatePublisher(settings, outputs, self._renderer, self._queue, self._warn)
         self._begin_session()
         self._begin_record()
         self._session_end = SessionEnd.CLOSED
-        timers = (
+        self._timers: list[tuple[str, float, Callable[[], None]]] = [
             ("transform", settings.transform_publish_period_s, self._publisher.publish_transform),
             ("diagnostics", _DIAGNOSTICS_S, self._publish_diagnostics),
             ("map", settings.map_update_interval_s, lambda: self._queue.post(self._publish_map)),
-        )
-        self._threads = [threading.Thread(target=self._run_filter, name="gridslam-filter", daemon=True)]
-        self._threads += [
-            threading.Thread(target=self._run_timer, args=(period_s, callback), name=f"gridslam-{name}", daemon=True)
-            for name, period_s, callback in timers
-            if period_s
         ]
+        self._threads = [threading.Thread(target=self._run_filter, name="gridslam-filter", daemon=True)]
+
+    def add_timer(self, period_s: float, callback: Callable[[], None]) -> None:
+        """Add a call every `period_s` seconds before `start`, in a thread of its own."""
+        self._timers.append(("timer", period_s, callback))
 
     def add_observer(
         self, observer: Observer, wrap_source: SourceWrapper = iter, on_diagnostics: DiagnosticsCallback | None = None
@@ -135,9 +144,14 @@ class NodeCore:
 
     def start(self) -> None:
         """Start the node's threads and accept messages."""
-        if isinstance(self.configuration, Localization):
+        if isinstance(self.configuration, Localization) and self.configuration.known is not None:
             self._known_map = make_grid_message(self.configuration.known.grid, self.settings, self._outputs.now_ns())
             self._outputs.map(self._known_map)
+        self._threads += [
+            threading.Thread(target=self._run_timer, args=(period_s, callback), name=f"gridslam-{name}", daemon=True)
+            for name, period_s, callback in self._timers
+            if period_s
+        ]
         for thread in self._threads:
             thread.start()
 
@@ -193,13 +207,81 @@ class NodeCore:
             raise ArgumentError("pose", "a node that localizes", "one that maps")
         if pose is not None:  # validates it
             sample_gaussian(1, *pose, np.random.default_rng(0))
-            self.configuration.known.require(pose[0])
+            if self.configuration.known is not None:
+                self.configuration.known.require(pose[0])
 
         def apply() -> None:
-            assert isinstance(self._session, LocalizationSession)
-            self._session.set_pose(pose)
+            if isinstance(self._session, LocalizationSession):
+                self._session.set_pose(pose)
+            else:
+                self.configuration = replace(self._localization, initial_pose=pose)
 
         self._queue.post(apply)
+
+    def set_map(self, message: GridMessage, pose: InitialPose = None, *, only_first: bool = False) -> None:
+        """Localize in another map from the next scan on; the call does not wait for that.
+
+        Parameters
+        ----------
+        message : GridMessage
+            The map. The one that is known already changes nothing.
+        pose : (pose (3,), covariance (3, 3)) or None
+            Of the robot; None: the initial pose if there is no map yet, else the pose is unknown.
+        only_first : bool
+            Whether a map that is known is kept.
+
+        Raises
+        ------
+        ArgumentError
+            The node maps, or the frame of the map is another one.
+        """
+        if not self.localizes:
+            raise ArgumentError("map", "a node that localizes", "one that maps")
+        if message.frame != self.settings.map_frame:
+            raise ArgumentError("map", f"the frame {self.settings.map_frame}", repr(message.frame))
+
+        def apply() -> None:
+            before = self._localization
+            latest = self._known_map
+            if before.known is not None and latest is not None:
+                same = latest.origin == message.origin and np.array_equal(latest.cells, message.cells)
+                if same and pose is not None and isinstance(self._session, LocalizationSession):
+                    self._session.set_pose(pose)
+                if only_first or same:
+                    return
+            configuration = before.configuration
+            grid = make_occupancy_grid(message)
+            known = KnownMap(grid, reach_m=configuration.reach_m, threads=self.settings.threads)
+            start = before.initial_pose if before.known is None and pose is None else pose
+            if start is not None:
+                known.require(start[0])
+            self._known_map = message
+            self.configuration = Localization(known, configuration, start)
+            self._outputs.log(
+                Level.OK, f"localizing in a map of {message.cells.shape[1]} x {message.cells.shape[0]} cells"
+            )
+            self._queue.end_session(SessionEnd.MAP)
+
+        self._queue.post(apply)
+
+    def update_once(self) -> None:
+        """Update the particles of a localization at the next scan, even if the robot does not move."""
+
+        def apply() -> None:
+            if isinstance(self._session, LocalizationSession):
+                self._session.update_once()
+
+        self._queue.post(apply)
+
+    @property
+    def latest_pose(self) -> InitialPose:
+        """Pose (3,) and covariance (3, 3) at the last scan; None before the first one, and while the robot is lost."""
+        return self._publisher.latest_pose
+
+    @property
+    def _localization(self) -> Localization:
+        assert isinstance(self.configuration, Localization)
+        return self.configuration
 
     def pause(self, paused: bool) -> None:
         """Drop incoming scans, or accept them again."""
@@ -240,7 +322,9 @@ class NodeCore:
         """Run the sessions one after the other."""
         try:
             while self._run_session():
-                if self._session.state is not None:
+                if self._session_end is SessionEnd.MAP and self._session.state is None:
+                    self._begin_session()
+                elif self._session.state is not None:
                     self._hand_over_session()
                     self._close_record()
                     if self._renderer is not None:
@@ -335,9 +419,11 @@ class NodeCore:
     def _begin_session(self) -> None:
         self._publisher.start_session()
         self._check = EarlyCheck()
-        self._session: Session | LocalizationSession
+        self._session: Session | LocalizationSession | WaitingSession
         if isinstance(self.configuration, Localization):
-            self._session = LocalizationSession(self.configuration, self.settings.seed)
+            waits = self.configuration.known is None
+            self._queue.waits_for_map = waits
+            self._session = WaitingSession() if waits else LocalizationSession(self.configuration, self.settings.seed)
         else:
             self._session = Session(self.configuration, self.settings.seed, self.settings.threads)
 

@@ -42,6 +42,7 @@ class SessionEnd(Enum):
     """Why a session ends."""
 
     RESET = "reset"
+    MAP = "a new map"
     JUMP = "time jumped back, and the robot is elsewhere"
     CLOSED = "closed"
 
@@ -89,13 +90,14 @@ class MeasurementQueue:
     ----------
     counts : Counts
         Counts of scans.
-    is_paused : bool
+    is_paused, waits_for_map : bool
         Whether incoming scans are dropped.
     """
 
     def __init__(self, settings: NodeSettings, warn: Warn, clock: Callable[[], float] = time.perf_counter) -> None:
         self.counts = Counts()
         self.is_paused = False
+        self.waits_for_map = False
         self._settings = settings
         self._warn = warn
         self._clock = clock
@@ -122,7 +124,7 @@ class MeasurementQueue:
         counts = self.counts
         with self._changed:
             counts.received += 1
-            if self.is_paused:
+            if self.is_paused or self.waits_for_map:
                 counts.paused += 1
                 return
             if (counts.received - 1) % settings.throttle_scans:

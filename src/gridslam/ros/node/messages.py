@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from enum import IntEnum
 from typing import NamedTuple, Protocol
 
@@ -21,6 +21,7 @@ __all__ = [
     "PoseMessage",
     "ScanMessage",
     "StampedTransform",
+    "UpdateMessage",
 ]
 
 
@@ -51,20 +52,39 @@ class PoseMessage(NamedTuple):
     covariance: FloatArray
 
 
+class UpdateMessage(NamedTuple):
+    """map_msgs/OccupancyGridUpdate: cells (H, W) int8 of a map, from column x and row y on."""
+
+    stamp_ns: int
+    frame: str
+    x: int
+    y: int
+    cells: NDArray[np.int8]
+
+
 class CloudMessage(NamedTuple):
-    """Poses (N, 3) of the particles in `frame`."""
+    """Poses (N, 3) of the particles in `frame`, and their weights (N,), whose sum is 1."""
 
     stamp_ns: int
     frame: str
     poses: FloatArray
+    weights: FloatArray
 
     def data(self) -> bytes:
         """Return the bytes of the poses as geometry_msgs/Pose, little-endian: x, y, z in m, quaternion x, y, z, w."""
-        rows = np.zeros((len(self.poses), 7), "<f8")
+        return self._rows()[:, :7].tobytes()
+
+    def weighted_data(self) -> bytes:
+        """Return the bytes of the poses as nav2_msgs/Particle: the pose, then the weight."""
+        return self._rows().tobytes()
+
+    def _rows(self) -> NDArray[np.float64]:
+        rows = np.zeros((len(self.poses), 8), "<f8")
         rows[:, :2] = self.poses[:, :2]
         rows[:, 5] = np.sin(0.5 * self.poses[:, 2])
         rows[:, 6] = np.cos(0.5 * self.poses[:, 2])
-        return rows.tobytes()
+        rows[:, 7] = self.weights
+        return rows
 
 
 class Diagnostics(NamedTuple):
@@ -76,7 +96,15 @@ class Diagnostics(NamedTuple):
 
 
 class Outputs(Protocol):
-    """Interface of a transport; called from several threads, but each method from one at a time."""
+    """Interface of a transport; called from several threads, but each method from one at a time.
+
+    Attributes
+    ----------
+    topics : collection of str
+        Those that are published.
+    """
+
+    topics: Collection[str]
 
     def now_ns(self) -> int:
         """Return the transport's time, which may be simulated, ns."""
@@ -85,11 +113,17 @@ class Outputs(Protocol):
     def map(self, message: GridMessage) -> None:
         """Publish the map, latched."""
 
+    def map_update(self, message: UpdateMessage) -> None:
+        """Publish what has changed of the map."""
+
     def transform(self, message: StampedTransform) -> None:
         """Publish the transform from map to odometry."""
 
     def pose(self, message: PoseMessage) -> None:
         """Publish the pose of the robot."""
+
+    def updated_pose(self, message: PoseMessage) -> None:
+        """Publish the pose at an update of the particles of a localization."""
 
     def entropy(self, nats: float) -> None:
         """Publish the entropy of the particles' weights."""

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from typing import Any, final
 
 import numpy as np
 
 from gridslam.io.bags.encoder import MessageEncoder, Values
-from gridslam.ros.node.messages import CloudMessage, Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
-from gridslam.ros.node.transport import TOPICS
+from gridslam.ros.node.messages import (
+    CloudMessage,
+    Diagnostics,
+    GridMessage,
+    Level,
+    PoseMessage,
+    StampedTransform,
+    UpdateMessage,
+)
+from gridslam.ros.node.transport import ALL_TOPICS, TOPICS
 
 __all__ = ["EncodedOutputs", "grid_values"]
 
@@ -32,6 +40,11 @@ class EncodedOutputs:
         Reports to the user.
     name : str
         Name of the node.
+
+    Attributes
+    ----------
+    topics : collection of str
+        Those that are published.
     """
 
     def __init__(
@@ -45,6 +58,7 @@ class EncodedOutputs:
         self._encoder = encoder
         self._publish = publish
         self._name = name
+        self.topics: Collection[str] = TOPICS
         self.now_ns = now_ns
         self._log = log
 
@@ -65,26 +79,44 @@ class EncodedOutputs:
         header = self._encoder.header("/tf", message.stamp_ns, message.parent)
         self._send("/tf", [(header, message.child, (pose[:3], pose[3:]))])
 
+    def map_update(self, message: UpdateMessage) -> None:
+        """Publish on map_updates."""
+        height, width = message.cells.shape
+        header = self._encoder.header("map_updates", message.stamp_ns, message.frame)
+        self._send("map_updates", header, message.x, message.y, width, height, message.cells.ravel())
+
     def pose(self, message: PoseMessage) -> None:
         """Publish on ~/pose."""
+        self._send_pose("~/pose", message)
+
+    def updated_pose(self, message: PoseMessage) -> None:
+        """Publish on amcl_pose."""
+        self._send_pose("amcl_pose", message)
+
+    def _send_pose(self, topic: str, message: PoseMessage) -> None:
         x, y, theta = message.pose.tolist()
         covariance = np.zeros((6, 6))
         covariance[np.ix_((0, 1, 5), (0, 1, 5))] = message.covariance
         turn = (0.0, 0.0, math.sin(0.5 * theta), math.cos(0.5 * theta))
-        header = self._encoder.header("~/pose", message.stamp_ns, message.frame)
-        self._send("~/pose", header, (((x, y, 0.0), turn), covariance.ravel()))
+        header = self._encoder.header(topic, message.stamp_ns, message.frame)
+        self._send(topic, header, (((x, y, 0.0), turn), covariance.ravel()))
 
     def entropy(self, nats: float) -> None:
         """Publish on ~/entropy."""
         self._send("~/entropy", nats)
 
     def particles(self, message: CloudMessage) -> None:
-        """Publish on particlecloud, directly from memory."""
-        topic = "particlecloud"
+        """Publish on particlecloud and, where it is a topic, on particle_cloud, directly from memory."""
+        self._send_rows("particlecloud", message, message.data)
+        if "particle_cloud" in self.topics:
+            self._send_rows("particle_cloud", message, message.weighted_data)
+
+    def _send_rows(self, topic: str, message: CloudMessage, data: Callable[[], bytes]) -> None:
+        """Publish a message that ends with a sequence of structures of 8-byte numbers."""
         header = self._encoder.header(topic, message.stamp_ns, message.frame)
-        head = self._encoder.encode(TOPICS[topic], header, [])[:-4] + len(message.poses).to_bytes(4, "little")
+        head = self._encoder.encode(ALL_TOPICS[topic], header, [])[:-4] + len(message.poses).to_bytes(4, "little")
         padding = 0 if self._encoder.is_ros1 else (4 - len(head)) % 8
-        self._publish(topic, head + bytes(padding) + message.data())
+        self._publish(topic, head + bytes(padding) + data())
 
     def diagnostics(self, message: Diagnostics) -> None:
         """Publish on /diagnostics."""
@@ -92,7 +124,7 @@ class EncodedOutputs:
         self._send("/diagnostics", self._encoder.header("/diagnostics", self.now_ns(), ""), [status])
 
     def _send(self, topic: str, *values: Any) -> None:  # noqa: ANN401
-        self._publish(topic, self._encoder.encode(TOPICS[topic], *values))
+        self._publish(topic, self._encoder.encode(ALL_TOPICS[topic], *values))
 
 
 def grid_values(encoder: MessageEncoder, topic: str, message: GridMessage) -> Values:

@@ -82,6 +82,13 @@ NODE_DEFAULTS: Final[Mapping[str, float | int | str | bool]] = {
     "map_file": "",
     "scan_topic": "scan",
     "paused_new_measurements": False,
+    "map_updates": False,
+    "use_map_topic": False,
+    "map_topic": "",
+    "first_map_only": False,
+    "save_pose_rate": 0.5,
+    "tf_broadcast": True,
+    "lifecycle": False,
 }
 """The node's own parameters and defaults: see docs/ros.md."""
 
@@ -131,6 +138,7 @@ _NODE: Final[Mapping[str, str]] = {
     "odometry": "odometry",
     "map_values": "map_values",
     "transform_wait": "transform_wait_s",
+    "map_updates": "map_updates",
     "extrapolate": "extrapolate_s",
     "extrapolate_after": "extrapolate_after_s",
     "queue": "queue_s",
@@ -198,6 +206,8 @@ class NodeSettings:
         Time has jumped back if two scans in a row are stamped this much before the last one.
     map_values : str
         "trinary": 0, 100 and -1 as in map.pgm; "probability": 0 to 100 in per cent, -1 where unknown.
+    map_updates : bool
+        Whether only what has changed is published while the area of the map stays the same.
     min_beams, max_beams : int
         Scans with fewer or more beams are refused.
     seed, threads : int
@@ -219,6 +229,7 @@ class NodeSettings:
     queue_scans: int = Field(default=100, ge=1)
     jump_s: float = Field(default=1.0, gt=0)
     map_values: Literal["trinary", "probability"] = "trinary"
+    map_updates: bool = False
     min_beams: int = Field(default=10, ge=1)
     max_beams: int = Field(default=100_000, ge=1)
     seed: int = Field(default=0, ge=0)
@@ -244,6 +255,14 @@ class NodeParameters:
         Name of the topic of the scans, before remapping.
     paused : bool
         Whether the node begins paused.
+    map_topic : str
+        Topic of the map to localize in; empty: it is known, or built.
+    first_map_only : bool
+        Whether later maps on that topic are ignored.
+    save_pose_rate_hz : float, Hz
+        How often a localization stores its pose in the parameters; 0: never.
+    lifecycle : bool
+        Whether it is a managed node.
     values : dict
         The parameters that have an effect, by their ROS names.
     """
@@ -255,6 +274,10 @@ class NodeParameters:
     out: Path | None
     scan_topic: str = "scan"
     paused: bool = False
+    map_topic: str = ""
+    first_map_only: bool = False
+    save_pose_rate_hz: float = 0.0
+    lifecycle: bool = False
     values: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -306,11 +329,10 @@ def _node_parameters(given: Mapping[str, Any], foreign: Mapping[str, str], prese
         configuration, reasons = _read_mapping(given, str(values["preset"]) or preset_name)
     record = Path(str(values["record"])) if values["record"] else None
     out = Path(str(values["out"])) if values["out"] and not localizes else None
-    scan_topic, paused = values["scan_topic"], values["paused_new_measurements"]
-    if not (isinstance(scan_topic, str) and scan_topic):
-        raise ConfigurationError(f"scan_topic: expected the name of a topic, got {scan_topic!r}")
-    if not isinstance(paused, bool):
-        raise ConfigurationError(f"paused_new_measurements: expected true or false, got {paused!r}")
+    _check_node_values(values)
+    if not values["tf_broadcast"]:
+        given["transform_publish_period"] = 0.0
+    map_topic = _find_map_topic(values) if localizes else ""
     warning = _group_by_reason({**reasons, **foreign})
     settings = _read_settings(given)
     effective = {**values, **{name: getattr(settings, attribute) for name, attribute in _NODE.items()}}
@@ -319,7 +341,40 @@ def _node_parameters(given: Mapping[str, Any], foreign: Mapping[str, str], prese
         effective |= {name: value_of(configuration, path) for name, path in _FILTER.items() if path in there}
     else:
         effective |= {name: value for name, value in given.items() if name in AMCL_NAMES}
-    return NodeParameters(settings, configuration, warning, record, out, scan_topic, paused, effective)
+    return NodeParameters(
+        settings,
+        configuration,
+        warning,
+        record,
+        out,
+        values["scan_topic"],
+        values["paused_new_measurements"],
+        map_topic,
+        values["first_map_only"],
+        max(float(values["save_pose_rate"]), 0.0),
+        values["lifecycle"],
+        effective,
+    )
+
+
+def _check_node_values(values: Mapping[str, Any]) -> None:
+    """Check the node's own parameters that are no settings."""
+    for name in ("paused_new_measurements", "use_map_topic", "first_map_only", "tf_broadcast", "lifecycle"):
+        if not isinstance(values[name], bool):
+            raise ConfigurationError(f"{name}: expected true or false, got {values[name]!r}")
+    for name in ("scan_topic", "map_topic"):
+        if not (isinstance(values[name], str) and (values[name] or name == "map_topic")):
+            raise ConfigurationError(f"{name}: expected the name of a topic, got {values[name]!r}")
+    rate = values["save_pose_rate"]
+    if isinstance(rate, bool) or not isinstance(rate, int | float):
+        raise ConfigurationError(f"save_pose_rate: expected a number, got {rate!r}")
+
+
+def _find_map_topic(values: Mapping[str, Any]) -> str:
+    """Return the topic of the map to localize in; empty if it comes from a file."""
+    if values["map_file"] or not (values["use_map_topic"] or values["map_topic"]):
+        return ""
+    return str(values["map_topic"] or "map")
 
 
 def _read_mapping(given: Mapping[str, Any], preset_name: str) -> tuple[Configuration, dict[str, str]]:
@@ -350,14 +405,18 @@ def _read_mapping(given: Mapping[str, Any], preset_name: str) -> tuple[Configura
 
 def _read_localization(given: Mapping[str, Any]) -> tuple[Localization, dict[str, str]]:
     """Return the localization, and why given parameters have no effect: AMCL's hold instead of slam_gmapping's."""
-    if not given.get("map_file"):
-        raise ConfigurationError("map_file: expected the YAML file of the known map, got none")
+    by_topic = bool(_find_map_topic({**NODE_DEFAULTS, **given}))
+    if not given.get("map_file") and not by_topic:
+        expected = "the YAML file of the known map, or use_map_topic for a map of another program"
+        raise ConfigurationError(f"map_file: expected {expected}, got none")
     amcl = from_amcl({name: value for name, value in given.items() if name in AMCL_NAMES})
     changed = override_configuration(amcl.configuration, _assignments(given))
     source = changed if changed.pose is not None else amcl
-    known = known_map(str(given["map_file"]), changed.configuration, int(given.get("threads", 1)))[1]
+    known = None
+    if not by_topic:
+        known = known_map(str(given["map_file"]), changed.configuration, int(given.get("threads", 1)))[1]
     pose = None if source.pose is None else (source.pose, source.covariance)
-    if pose is not None:
+    if pose is not None and known is not None:
         try:
             known.require(pose[0])
         except ArgumentError as error:

@@ -34,7 +34,15 @@ from gridslam.ros.node.accepted_scan import AcceptedScan
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, LaserScan, Odometry, StepReport
 
-__all__ = ["FailureCallback", "InitialPose", "Localization", "LocalizationSession", "Session", "SessionCopy"]
+__all__ = [
+    "FailureCallback",
+    "InitialPose",
+    "Localization",
+    "LocalizationSession",
+    "Session",
+    "SessionCopy",
+    "WaitingSession",
+]
 
 FailureCallback: TypeAlias = Callable[[FailedStep], None]
 """Called with each step that failed."""
@@ -53,15 +61,15 @@ class Localization:
 
     Attributes
     ----------
-    known : KnownMap
-        The map.
+    known : KnownMap or None
+        The map; None until one comes as a message.
     configuration : MonteCarloConfiguration
         Configuration of the filter.
     initial_pose : (pose (3,), covariance (3, 3)) or None
         Initial pose; None: global localization.
     """
 
-    known: KnownMap
+    known: KnownMap | None
     configuration: MonteCarloConfiguration
     initial_pose: InitialPose = None
 
@@ -87,9 +95,15 @@ class LocalizationSession:
 
     def __init__(self, localization: Localization, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
+        assert localization.known is not None
         self._mcl = MonteCarloLocalization(localization.known, localization.configuration)
         self.state = self._make_state(localization.initial_pose)
         self._next_state: MonteCarloState | None = None
+        self._updates_always = False
+
+    def update_once(self) -> None:
+        """Update the particles at the next scan, even if the robot does not move."""
+        self._updates_always = True
 
     def set_pose(self, pose: InitialPose) -> None:
         """Set the pose from the next scan on; None: the pose is unknown."""
@@ -118,12 +132,33 @@ class LocalizationSession:
     ) -> tuple[MonteCarloState, LocalizationReport]:
         """Process a measurement, from the pose that was set since the last scan if there is one."""
         begin = state if self._next_state is None else self._next_state.snapshot()
-        self.state, report = self._mcl.step(begin, odometry, scan, rng)
+        self.state, report = self._mcl.step(begin, odometry, scan, rng, always=self._updates_always)
         self._next_state = None
+        self._updates_always = self._updates_always and report.log_weights is None
         return self.state, report
 
     def _make_state(self, pose: InitialPose) -> MonteCarloState:
         return self._mcl.init() if pose is None else self._mcl.init_gaussian(*pose, self._rng)
+
+
+@final
+class WaitingSession:
+    """A localization without a map: no scan is processed."""
+
+    restart_message = "localization starts"
+    state = None
+
+    def add(self, accepted: AcceptedScan) -> None:
+        """Do nothing."""
+
+    def copy(self, record: Path | None) -> SessionCopy:
+        """Raise ArgumentError: there is nothing to save."""
+        raise ArgumentError("save", "a node that maps", "one that waits for a map to localize in")
+
+    def run(self, source: Iterator[Measurement], observers: Sequence[Any], on_failure: FailureCallback) -> None:
+        """Drop all scans."""
+        for _ in source:
+            pass
 
 
 @final

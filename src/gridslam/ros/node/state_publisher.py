@@ -120,10 +120,19 @@ class StatePublisher:
             self._key = report
             weights = np.exp(report.log_weights)
             outputs.entropy(float(-(weights * report.log_weights)[weights > 0].sum()))
-            outputs.particles(CloudMessage(report.stamp_ns, frame, state.poses))
+            if isinstance(report, LocalizationReport):
+                outputs.updated_pose(PoseMessage(report.stamp_ns, frame, report.pose, report.covariance))
+            state_weights = np.exp(state.log_weights)
+            outputs.particles(CloudMessage(report.stamp_ns, frame, state.poses, state_weights / state_weights.sum()))
         self._latencies.append(time.perf_counter() - accepted.arrived_s)
         if self._mapped_report is None or not self._settings.map_update_interval_s:
             self.publish_map(state)
+
+    @property
+    def latest_pose(self) -> tuple[FloatArray, FloatArray] | None:
+        """Pose (3,) and covariance (3, 3) at the last scan; None without, or if the robot is lost."""
+        report = self._report
+        return None if report is None or report.lost else (report.pose, report.covariance)
 
     def publish_map(self, state: Any) -> None:  # noqa: ANN401
         """Render and publish the map if it is new and no other map is being rendered; call from the filter's thread."""
@@ -206,6 +215,8 @@ class StatePublisher:
         accepted = self._measurement
         if self._queue.is_paused:
             return Level.OK, "paused"
+        if self._queue.waits_for_map:
+            return Level.WARN, "waiting for a map"
         if report is None or accepted is None:
             return _WAITING
         if time.perf_counter() - accepted.arrived_s > _SILENT_S:

@@ -22,12 +22,16 @@ from gridslam.io.bags.ros_messages import MessageError, Wire, decode_scan, decod
 from gridslam.io.output import OutputFolder
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.core import NodeCore
+from gridslam.ros.node.grid_input import decode_grid, grid_of
 from gridslam.ros.node.messages import GridMessage, Level, Outputs
 from gridslam.ros.node.parameters import NodeParameters
-from gridslam.ros.node.session import SessionCopy
+from gridslam.ros.node.session import InitialPose, SessionCopy
 
 __all__ = [
+    "ALL_TOPICS",
     "LATCHED",
+    "LOCALIZATION_TOPICS",
+    "MAPPING_TOPICS",
     "POLL_S",
     "TOPICS",
     "Handler",
@@ -50,7 +54,18 @@ TOPICS: Final = {
 }
 """Published topics and their types; ~ is the node's own name."""
 
-LATCHED: Final = ("map", "map_metadata", "~/entropy")
+MAPPING_TOPICS: Final = {"map_updates": "map_msgs/OccupancyGridUpdate"}
+"""Published by a node that maps, if it is asked for."""
+
+LOCALIZATION_TOPICS: Final = {
+    "amcl_pose": "geometry_msgs/PoseWithCovarianceStamped",
+    "particle_cloud": "nav2_msgs/ParticleCloud",
+}
+"""Published by a node that localizes, with the names and types of nav2."""
+
+ALL_TOPICS: Final = {**TOPICS, **MAPPING_TOPICS, **LOCALIZATION_TOPICS}
+
+LATCHED: Final = ("map", "map_metadata", "~/entropy", "amcl_pose")
 """Topics whose last message late subscribers receive."""
 
 POLL_S: Final = 0.2
@@ -93,8 +108,11 @@ class Transport(Protocol):
     outputs: Outputs
     global_localization: str
 
-    def connect(self, refuse: Callable[[str, str], None]) -> None:
-        """Announce the published topics; `refuse` is called with kind and problem of what cannot be received."""
+    def connect(self, refuse: Callable[[str, str], None], topics: Mapping[str, str] = TOPICS) -> None:
+        """Announce the published topics with their types, and set `outputs.topics`.
+
+        `refuse` is called with kind and problem of what cannot be received.
+        """
 
     def wire_of(self, data: bytes) -> Wire:
         """Return the encoding of a message; raises MessageError if it has none."""
@@ -117,6 +135,12 @@ class Transport(Protocol):
 
     def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
         """Offer the map by a service of nav_msgs/GetMap."""
+
+    def advertise_set_map(self, service: str, serve: Callable[[Any], bool]) -> None:
+        """Offer a service of nav_msgs/SetMap: `serve` gets the request, and returns whether the map was taken."""
+
+    def save_parameters(self, values: Mapping[str, float]) -> None:
+        """Set parameters of the node, where it finds them when it is started again."""
 
     def advertise_parameters(
         self, values: Mapping[str, Any], change: Callable[[str, Any], str], settable: Sequence[str]
@@ -157,6 +181,8 @@ class RosNode:
         self._out = parameters.out
         self._scan_topic = parameters.scan_topic
         self._values = parameters.values
+        self._map_topic = parameters.map_topic
+        self._takes_first_map_only = parameters.first_map_only
         self._saving: list[threading.Thread] = []
         self._saved: set[Path] = set()
         self.core = NodeCore(
@@ -168,7 +194,9 @@ class RosNode:
         )
         if parameters.paused:
             self.core.pause(True)
-        transport.connect(self.core.refuse_message)
+        transport.connect(self.core.refuse_message, self._topics(parameters))
+        if parameters.save_pose_rate_hz and self.core.localizes:
+            self.core.add_timer(1.0 / parameters.save_pose_rate_hz, self._save_pose)
         if parameters.warning:
             self._log(Level.WARN, parameters.warning)
 
@@ -188,8 +216,14 @@ class RosNode:
         def on_pose(data: bytes, wire: Wire, publisher: str) -> None:
             set_pose_from_message(core, data, wire)
 
+        def on_map(data: bytes, wire: Wire, publisher: str) -> None:
+            core.set_map(decode_grid(data, wire), only_first=self._takes_first_map_only)
+
         if core.localizes:
             self._subscribe("initialpose", "geometry_msgs/PoseWithCovarianceStamped", on_pose, depth=1)
+        if self._map_topic:
+            self._subscribe(self._map_topic, "nav_msgs/OccupancyGrid", on_map, latched=True, depth=1)
+            self._log(Level.OK, f"waiting for a map on {self._transport.resolve(self._map_topic)}")
         on_static_transforms = partial(on_transforms, static=True)
         self._subscribe("/tf_static", "tf2_msgs/TFMessage", on_static_transforms, latched=True, depth=100)
         self._subscribe("/tf", "tf2_msgs/TFMessage", on_transforms, depth=100)
@@ -265,18 +299,51 @@ class RosNode:
             core.reset()
             return ()
 
+        def update_once(request: Any) -> tuple[()]:  # noqa: ANN401
+            core.update_once()
+            return ()
+
+        def set_map(request: Any) -> bool:  # noqa: ANN401
+            try:
+                core.set_map(grid_of(request.map), _pose_of(request.initial_pose.pose))
+            except (ArgumentError, MessageError) as error:
+                core.refuse_message("request", f"set_map: {error}")
+                return False
+            return True
+
         def pause(paused: bool) -> tuple[bool, str]:
             core.pause(paused)
             return True, "paused" if paused else "mapping"
 
-        transport.advertise_map("dynamic_map", core.dynamic_map)
+        if not self._map_topic:
+            transport.advertise_map("dynamic_map", core.dynamic_map)
         transport.advertise("~/reset", "std_srvs/Empty", reset)
         if core.localizes:
             transport.advertise(transport.global_localization, "std_srvs/Empty", reset)
+            transport.advertise("request_nomotion_update", "std_srvs/Empty", update_once)
+            transport.advertise_set_map("set_map", set_map)
         transport.advertise("~/pause", "std_srvs/SetBool", pause)
         transport.advertise_parameters(self._values, self._change_parameter, (_PAUSED,))
         folder = self._out or Path("gridslam-map")
         transport.advertise("~/save", "std_srvs/Trigger", lambda request: save_results(core, folder), slow=True)
+
+    def _topics(self, parameters: NodeParameters) -> dict[str, str]:
+        """Topics that are published, and their types."""
+        if not self.core.localizes:
+            return {**TOPICS, **(MAPPING_TOPICS if parameters.settings.map_updates else {})}
+        topics = {**TOPICS, **LOCALIZATION_TOPICS}
+        if parameters.map_topic:  # another program publishes it
+            del topics["map"], topics["map_metadata"]
+        return topics
+
+    def _save_pose(self) -> None:
+        """Keep the pose where a node that is started again finds it, as AMCL does."""
+        if (known := self.core.latest_pose) is None:
+            return
+        pose, covariance = known
+        values = dict(zip(("initial_pose_x", "initial_pose_y", "initial_pose_a"), pose.tolist(), strict=True))
+        names = "initial_cov_xx", "initial_cov_yy", "initial_cov_aa"
+        self._transport.save_parameters({**values, **dict(zip(names, np.diag(covariance).tolist(), strict=True))})
 
     def _change_parameter(self, name: str, value: Any) -> str:  # noqa: ANN401
         """Set a parameter while the node runs."""
@@ -327,3 +394,13 @@ def set_pose_from_message(core: NodeCore, data: bytes, wire: Wire) -> None:
         core.set_pose((np.array([x, y, yaw]), covariance[_PLANAR]))
     except ArgumentError as error:
         raise MessageError(str(error)) from None
+
+
+def _pose_of(message: Any) -> InitialPose:  # noqa: ANN401
+    """Pose and covariance of a decoded geometry_msgs/PoseWithCovariance; None if it has no covariance."""
+    covariance = np.asarray(message.covariance, np.float64).reshape(6, 6)[_PLANAR]
+    if not covariance.any():
+        return None
+    place, turn = message.pose.position, message.pose.orientation
+    yaw = math.atan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y**2 + turn.z**2))
+    return np.array([place.x, place.y, yaw]), covariance

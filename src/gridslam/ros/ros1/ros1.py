@@ -50,10 +50,12 @@ class Ros1Transport:
         name = self._rospy.get_name().lstrip("/")
         self.outputs: Outputs = EncodedOutputs(self._encoder, self._publish, self._now_ns, self._log, name)
 
-    def connect(self, refuse: Callable[[str, str], None]) -> None:
+    def connect(self, refuse: Callable[[str, str], None], topics: Mapping[str, str] = TOPICS) -> None:
         """Create the publishers; `refuse` is called with kind and problem of what cannot be received."""
         self._refuse = refuse
-        for topic, kind in TOPICS.items():
+        topics = {topic: kind for topic, kind in topics.items() if not kind.startswith("nav2_msgs/")}
+        self.outputs.topics = tuple(topics)
+        for topic, kind in topics.items():
             options = {"queue_size": 1, "latch": True} if topic in LATCHED else {"queue_size": 10}
             self._publishers[topic] = self._rospy.Publisher(_name(topic), _import(kind), **options)
 
@@ -113,6 +115,16 @@ class Ros1Transport:
 
         self._rospy.Service(service, service_class, answer)
 
+    def advertise_set_map(self, service: str, serve: Callable[[Any], bool]) -> None:
+        """Offer a service of nav_msgs/SetMap."""
+        service_class = _import("nav_msgs/SetMap", "srv")
+        self._rospy.Service(service, service_class, lambda request: service_class._response_class(serve(request)))
+
+    def save_parameters(self, values: Mapping[str, float]) -> None:
+        """Set parameters of the node."""
+        for name, value in values.items():
+            self._rospy.set_param(f"~{name}", value)
+
     def advertise_parameters(
         self, values: Mapping[str, Any], change: Callable[[str, Any], str], settable: Sequence[str]
     ) -> None:
@@ -145,7 +157,7 @@ class Ros1Transport:
         message = self._rospy.AnyMsg()
         message._buff = data
         try:
-            if not self._rospy.is_shutdown():
+            if not self._rospy.is_shutdown() and topic in self._publishers:
                 self._publishers[topic].publish(message)
         except self._rospy.ROSException:  # shut down in the meantime
             return

@@ -31,12 +31,22 @@ _EMPTY = "uint8 structure_needs_at_least_one_member"
 _SERVICES: Final[Mapping[str, str]] = {
     "nav_msgs/GetMap_Request": _EMPTY,
     "nav_msgs/GetMap_Response": "nav_msgs/OccupancyGrid map",
+    "nav_msgs/SetMap_Request": "nav_msgs/OccupancyGrid map\ngeometry_msgs/PoseWithCovarianceStamped initial_pose",
+    "nav_msgs/SetMap_Response": "bool success",
     "std_srvs/Empty_Request": _EMPTY,
     "std_srvs/Empty_Response": _EMPTY,
     "std_srvs/SetBool_Request": "bool data",
     "std_srvs/SetBool_Response": "bool success\nstring message",
     "std_srvs/Trigger_Request": _EMPTY,
     "std_srvs/Trigger_Response": "bool success\nstring message",
+    "lifecycle_msgs/GetState_Request": _EMPTY,
+    "lifecycle_msgs/GetState_Response": "lifecycle_msgs/State current_state",
+    "lifecycle_msgs/GetAvailableStates_Request": _EMPTY,
+    "lifecycle_msgs/GetAvailableStates_Response": "lifecycle_msgs/State[] available_states",
+    "lifecycle_msgs/GetAvailableTransitions_Request": _EMPTY,
+    "lifecycle_msgs/GetAvailableTransitions_Response": "lifecycle_msgs/TransitionDescription[] available_transitions",
+    "lifecycle_msgs/ChangeState_Request": "lifecycle_msgs/Transition transition",
+    "lifecycle_msgs/ChangeState_Response": "bool success",
     "rcl_interfaces/ListParameters_Request": "string[] prefixes\nuint64 depth",
     "rcl_interfaces/ListParameters_Response": "rcl_interfaces/ListParametersResult result",
     "rcl_interfaces/GetParameters_Request": "string[] names",
@@ -54,6 +64,8 @@ _GRAPH, _GRAPH_TYPE = "ros_discovery_info", "rmw_dds_common::msg::dds_::Particip
 _GID_BYTES = 24, 16  # up to Humble; from Iron on, whose endpoints state the hash of their type
 _TYPE_HASH: Final = b"typehash="
 _MATCH_S: Final = 1.0
+
+_DEFAULT: Final = Qos()
 
 Handler: TypeAlias = Callable[[bytes, str], None]
 """Called with the bytes of a message and a name of its sender."""
@@ -120,30 +132,19 @@ class DdsParticipant:
                 self._participant.add_writer(_GRAPH, _GRAPH_TYPE, qos, only) for only in (_is_old_ros, _is_new_ros)
             ]
 
-    def add_writer(self, topic: str, message_type: str, *, latched: bool = False, depth: int = 10) -> None:
-        """Add a writer for a DDS topic; `latched`: late subscribers receive the last message."""
-        qos = Qos(latched=latched, depth=1 if latched else depth)
+    def add_writer(self, topic: str, message_type: str, qos: Qos = _DEFAULT) -> None:
+        """Add a writer for a DDS topic."""
         writer = self._writers[topic] = self._participant.add_writer(topic, _type_name(message_type), qos)
         self._guids[1].append(writer.guid)
         self._publish_graph()
 
-    def add_reader(
-        self,
-        topic: str,
-        message_type: str,
-        handle: Handler,
-        *,
-        reliable: bool = True,
-        latched: bool = False,
-        depth: int = 10,
-    ) -> None:
+    def add_reader(self, topic: str, message_type: str, handle: Handler, qos: Qos = _DEFAULT) -> None:
         """Add a handler for the bytes of each message on a DDS topic."""
 
         def take(sample: Sample) -> None:
             if not sample.is_gone:
                 handle(sample.payload, f"publisher {sample.writer.hex()}")
 
-        qos = Qos(reliable=reliable, latched=latched, depth=depth)
         self._add_reader(topic, message_type, qos, take)
 
     def add_service(

@@ -39,6 +39,10 @@ class ParameterServices:
         self._change = change
         self._settable = frozenset(settable)
 
+    def store(self, values: Mapping[str, Any]) -> None:
+        """Set values that the node itself has found."""
+        self._values = {**self._values, **values}
+
     def services(self) -> dict[str, tuple[str, Callable[[Any], Sequence[Any]]]]:
         """Return type and answer of each service, by its name below the node's."""
         return {

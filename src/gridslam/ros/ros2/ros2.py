@@ -28,7 +28,7 @@ __all__ = ["NODE_NAME", "Ros2Transport", "run_ros2"]
 
 NODE_NAME = "gridslam"
 
-_ROS_S = ("use_sim_time", "start_type_description_service", "lifecycle")
+_ROS_S = ("use_sim_time", "start_type_description_service")
 """Parameters that rclpy handles, or that are read before the node is created."""
 
 
@@ -45,17 +45,28 @@ class Ros2Transport:
         self._node = node
         self._rclpy = _import("rclpy")
         self._qos = _import("rclpy.qos")
+        self._qos_overriding = _import("rclpy.qos_overriding_options")
         self._apart = _import("rclpy.callback_groups").MutuallyExclusiveCallbackGroup()
         self._publishers: dict[str, Any] = {}
         encoder = MessageEncoder(is_ros1=False)
         self.outputs: Outputs = EncodedOutputs(encoder, self._publish, self._now_ns, self._log, node.get_name())
 
-    def connect(self, refuse: Callable[[str, str], None]) -> None:
-        """Create the publishers; rclpy itself refuses what cannot be received."""
-        for topic, kind in TOPICS.items():
+    def connect(self, refuse: Callable[[str, str], None], topics: Mapping[str, str] = TOPICS) -> None:
+        """Create the publishers, but for types that are not installed; rclpy itself refuses what cannot be received."""
+        for topic, kind in topics.items():
             latched = topic in LATCHED
             profile = self._profile(latched=latched, depth=1 if latched else 10)
-            self._publishers[topic] = self._node.create_publisher(_import(kind), topic, profile)
+            try:
+                message = _import(kind)
+            except ConfigurationError as error:
+                if topic in TOPICS:
+                    raise
+                self._log(Level.WARN, f"{topic} is not published: {error}")
+                continue
+            overrides = self._qos_overriding.QoSOverridingOptions.with_default_policies()
+            options = {"qos_overriding_options": overrides}
+            self._publishers[topic] = self._node.create_publisher(message, topic, profile, **options)
+        self.outputs.topics = tuple(self._publishers)
 
     def wire_of(self, data: bytes) -> Wire:
         """Return the encoding of a message; raises MessageError if it has none."""
@@ -70,7 +81,11 @@ class Ros2Transport:
     ) -> None:
         """Subscribe to the bytes of messages; rclpy does not name their publisher."""
         profile = self._profile(reliable=reliable, latched=latched, depth=depth)
-        self._node.create_subscription(_import(kind), topic, lambda data: handle(data, ""), profile, raw=True)
+        options = {
+            "raw": True,
+            "qos_overriding_options": self._qos_overriding.QoSOverridingOptions.with_default_policies(),
+        }
+        self._node.create_subscription(_import(kind), topic, lambda data: handle(data, ""), profile, **options)
 
     def advertise(self, service: str, kind: str, serve: Callable[[Any], Sequence[Any]], *, slow: bool = False) -> None:
         """Offer a service of std_srvs; scans do not wait for a slow one."""
@@ -102,6 +117,20 @@ class Ros2Transport:
             return response
 
         self._node.create_service(_import("nav_msgs/GetMap", "srv"), service, answer)
+
+    def advertise_set_map(self, service: str, serve: Callable[[Any], bool]) -> None:
+        """Offer a service of nav_msgs/SetMap."""
+
+        def answer(request: Any, response: Any) -> Any:  # noqa: ANN401
+            response.success = serve(request)
+            return response
+
+        self._node.create_service(_import("nav_msgs/SetMap", "srv"), service, answer, callback_group=self._apart)
+
+    def save_parameters(self, values: Mapping[str, float]) -> None:
+        """Set parameters of the node."""
+        make = _import("rclpy.parameter").Parameter
+        self._node.set_parameters([make(name, value=value) for name, value in values.items()])
 
     def advertise_parameters(
         self, values: Mapping[str, Any], change: Callable[[str, Any], str], settable: Sequence[str]
@@ -136,7 +165,7 @@ class Ros2Transport:
             logger.error(text)
 
     def _publish(self, topic: str, data: bytes) -> None:
-        if self._rclpy.ok():
+        if self._rclpy.ok() and topic in self._publishers:
             self._publishers[topic].publish(data)
 
     def _now_ns(self) -> int:

@@ -14,14 +14,18 @@ from typing import Any, final
 import numpy as np
 
 from gridslam.errors import ConfigurationError
+from gridslam.io.bags.encoder import Values
 from gridslam.io.bags.ros_messages import MessageError, Wire, wire_of_cdr
+from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.messages import GridMessage, Level, Outputs
 from gridslam.ros.node.outputs import EncodedOutputs, grid_values
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, ViewerOpener
 from gridslam.ros.ros2.arguments import RosArguments, parse_ros_arguments
 from gridslam.ros.ros2.dds import DdsParticipant
+from gridslam.ros.ros2.lifecycle_services import TRANSITION_EVENT, LifecycleServices
 from gridslam.ros.ros2.parameter_services import ParameterServices
+from gridslam.ros.rtps.qos import Qos
 
 __all__ = ["DdsTransport", "run_dds"]
 
@@ -69,13 +73,19 @@ class DdsTransport:
             self._log(Level.WARN, f"arguments that are ignored, as there is no ROS: {', '.join(arguments.ignored)}")
         for sentence in arguments.foreign_files:
             self._log(Level.WARN, sentence)
-        self._writers = {topic: f"rt{self.resolve(topic)}" for topic in TOPICS}
+        self._writers: dict[str, str] = {}
+        self._parameters: ParameterServices | None = None
 
-    def connect(self, refuse: Callable[[str, str], None]) -> None:
+    def connect(self, refuse: Callable[[str, str], None], topics: Mapping[str, str] = TOPICS) -> None:
         """Create the writers; `refuse` is called with kind and problem of what cannot be received."""
         self._refuse = refuse
-        for topic, kind in TOPICS.items():
-            self._participant.add_writer(self._writers[topic], kind, latched=topic in LATCHED)
+        self.outputs.topics = tuple(topics)
+        for topic, kind in topics.items():
+            name = self.resolve(topic)
+            self._writers[topic] = f"rt{name}"
+            latched = topic in LATCHED
+            qos = self._arguments.override_qos(name, "publisher", Qos(latched=latched, depth=1 if latched else 10))
+            self._participant.add_writer(self._writers[topic], kind, qos)
         if self._clock_ns is not None:
             self.subscribe("/clock", "rosgraph_msgs/Clock", self._on_clock, reliable=False, depth=1)
 
@@ -91,8 +101,9 @@ class DdsTransport:
         self, topic: str, kind: str, handle: Handler, *, reliable: bool = True, latched: bool = False, depth: int = 10
     ) -> None:
         """Subscribe to the bytes of messages."""
-        name = f"rt{self.resolve(topic)}"
-        self._participant.add_reader(name, kind, handle, reliable=reliable, latched=latched, depth=depth)
+        name = self.resolve(topic)
+        qos = self._arguments.override_qos(name, "subscription", Qos(reliable=reliable, latched=latched, depth=depth))
+        self._participant.add_reader(f"rt{name}", kind, handle, qos)
 
     def advertise(self, service: str, kind: str, serve: Callable[[Any], Sequence[Any]], *, slow: bool = False) -> None:
         """Offer a service; a slow one answers in a thread of its own."""
@@ -104,8 +115,30 @@ class DdsTransport:
     ) -> None:
         """Offer the parameters to `ros2 param`."""
         values = {**values, "use_sim_time": self._clock_ns is not None}
-        for name, (kind, serve) in ParameterServices(values, change, settable).services().items():
+        self._parameters = ParameterServices(values, change, settable)
+        for name, (kind, serve) in self._parameters.services().items():
             self._add_service(self.resolve(f"~/{name}"), kind, serve)
+
+    def advertise_set_map(self, service: str, serve: Callable[[Any], bool]) -> None:
+        """Offer a service of nav_msgs/SetMap."""
+        self._add_service(self.resolve(service), "nav_msgs/SetMap", lambda request: (serve(request),), slow=True)
+
+    def advertise_lifecycle(self, core: NodeCore) -> None:
+        """Offer the services of a managed node: it maps while it is active, and forgets when it is cleaned up."""
+        topic = f"rt{self.resolve('~/transition_event')}"
+        self._participant.add_writer(topic, TRANSITION_EVENT)
+
+        def publish(values: Values) -> None:
+            self._participant.publish(topic, self._encoder.encode(TRANSITION_EVENT, *values))
+
+        lifecycle = LifecycleServices(lambda active: core.pause(not active), core.reset, publish, self._now_ns)
+        for name, (kind, serve) in lifecycle.services().items():
+            self._add_service(self.resolve(f"~/{name}"), kind, serve)
+
+    def save_parameters(self, values: Mapping[str, float]) -> None:
+        """Set parameters of the node."""
+        if self._parameters is not None:
+            self._parameters.store(values)
 
     def _add_service(self, name: str, kind: str, serve: Callable[[Any], Sequence[Any]], *, slow: bool = False) -> None:
         def refuse(problem: str) -> None:
@@ -132,7 +165,8 @@ class DdsTransport:
         self._participant.close()
 
     def _publish(self, topic: str, data: bytes) -> None:
-        self._participant.publish(self._writers[topic], data)
+        if topic in self._writers:
+            self._participant.publish(self._writers[topic], data)
 
     def _now_ns(self) -> int:
         return time.time_ns() if self._clock_ns is None else self._clock_ns
@@ -208,4 +242,8 @@ def run_dds(
     where = interfaces or (["127.0.0.1"] if _is_local(os.environ) else [])
     peers = _static_peers(os.environ)
     transport = DdsTransport(ros, domain=domain, interfaces=where, simulated=simulated, peers=peers)
-    RosNode(transport, parameters).run(open_viewers, on_poll)
+    node = RosNode(transport, parameters)
+    if parameters.lifecycle:
+        node.core.pause(True)
+        transport.advertise_lifecycle(node.core)
+    node.run(open_viewers, on_poll)

@@ -22,7 +22,7 @@ __all__ = ["FRAGMENT_BYTES", "Writer"]
 FRAGMENT_BYTES: Final = 32_000
 """Larger samples are sent in fragments: few losses where a network splits datagrams, and few datagrams."""
 
-_PACE_S: Final = 0.0005  # between two fragments, so that they fit into the buffer of a receiver
+_PACE_EVERY, _PACE_S = 8, 0.0005  # a pause between fragments, so that they fit into the buffer of a receiver
 _HEARTBEAT_S: Final = 0.1
 _MAX_HEARTBEAT_S: Final = 2.0
 _RESEND_S: Final = 0.03
@@ -125,7 +125,7 @@ class Writer:
     def send_all(self, datagrams: Sequence[tuple[list[bytes], bytes, Address]]) -> None:
         """Send datagrams, fragments at a pace; the lock need not be held."""
         for number, (parts, prefix, address) in enumerate(datagrams):
-            if number and len(parts[0]) >= FRAGMENT_BYTES:
+            if number % _PACE_EVERY == _PACE_EVERY - 1 and len(parts[0]) >= FRAGMENT_BYTES:
                 time.sleep(_PACE_S)
             self._send(parts, prefix, address)
 

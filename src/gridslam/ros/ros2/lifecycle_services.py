@@ -1,0 +1,107 @@
+"""The services of a managed node, by which `ros2 lifecycle` and nav2's lifecycle_manager start and stop it.
+
+Source: https://design.ros2.org/articles/node_lifecycle.html and the interfaces of the package lifecycle_msgs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final, final
+
+from gridslam.io.bags.encoder import Values
+
+__all__ = ["TRANSITION_EVENT", "LifecycleServices"]
+
+TRANSITION_EVENT: Final = "lifecycle_msgs/TransitionEvent"
+
+_STATES: Final = {1: "unconfigured", 2: "inactive", 3: "active", 4: "finalized"}
+_TRANSITIONS: Final = (
+    (1, "configure", 1, 2),
+    (2, "cleanup", 2, 1),
+    (3, "activate", 2, 3),
+    (4, "deactivate", 3, 2),
+    (5, "shutdown", 1, 4),
+    (6, "shutdown", 2, 4),
+    (7, "shutdown", 3, 4),
+)
+"""Number, label, and the states from and to which they lead."""
+
+
+@final
+class LifecycleServices:
+    """The state of a managed node, and the answers of its services.
+
+    Parameters
+    ----------
+    activate : callable
+        Called with whether the node becomes active.
+    clean_up : callable
+        Called when the node is to forget what it has.
+    publish : callable
+        Called with the values of lifecycle_msgs/TransitionEvent after each transition.
+    now_ns : callable
+        The node's clock.
+
+    Attributes
+    ----------
+    state : str
+        Label of the state.
+    """
+
+    def __init__(
+        self,
+        activate: Callable[[bool], None],
+        clean_up: Callable[[], None],
+        publish: Callable[[Values], None],
+        now_ns: Callable[[], int],
+    ) -> None:
+        self._activate = activate
+        self._clean_up = clean_up
+        self._publish = publish
+        self._now_ns = now_ns
+        self._state = 1
+
+    @property
+    def state(self) -> str:
+        """Return the label of the state."""
+        return _STATES[self._state]
+
+    def services(self) -> dict[str, tuple[str, Callable[[Any], Sequence[Any]]]]:
+        """Return type and answer of each service, by its name below the node's."""
+        transitions = "lifecycle_msgs/GetAvailableTransitions"
+        return {
+            "get_state": ("lifecycle_msgs/GetState", lambda request: (_describe(self._state),)),
+            "get_available_states": (
+                "lifecycle_msgs/GetAvailableStates",
+                lambda request: ([_describe(state) for state in _STATES],),
+            ),
+            "get_available_transitions": (transitions, lambda request: (self._list_transitions(self._state),)),
+            "get_transition_graph": (transitions, lambda request: (self._list_transitions(None),)),
+            "change_state": ("lifecycle_msgs/ChangeState", lambda request: (self._change(request.transition),)),
+        }
+
+    def _list_transitions(self, state: int | None) -> list[Values]:
+        return [
+            ((number, label), _describe(begin), _describe(end))
+            for number, label, begin, end in _TRANSITIONS
+            if state in (None, begin)
+        ]
+
+    def _change(self, wanted: Any) -> bool:  # noqa: ANN401
+        """Make a transition, which is given by its number or its label; return whether it is possible."""
+        for number, label, begin, end in _TRANSITIONS:
+            if begin != self._state or not (wanted.id == number or (not wanted.id and wanted.label == label)):
+                continue
+            if label == "cleanup":
+                self._clean_up()
+            else:
+                self._activate(label == "activate")
+            self._state = end
+            self._publish((self._now_ns(), (number, label), _describe(begin), _describe(end)))
+            return True
+        return False
+
+
+def _describe(state: int) -> Values:
+    """Return the fields of lifecycle_msgs/State."""
+    return state, _STATES[state]

@@ -1,0 +1,287 @@
+"""Where AMCL was before: its topics, its services, maps that come as messages, and a managed node."""
+
+from __future__ import annotations
+
+import struct
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gridslam.errors import ArgumentError, ConfigurationError
+from gridslam.io.bags.encoder import MessageEncoder
+from gridslam.io.bags.ros_messages import MessageError, wire_of_cdr, wire_of_ros1
+from gridslam.io.maps import read_map, write_map
+from gridslam.ros.node.grid_input import decode_grid, grid_of, make_occupancy_grid
+from gridslam.ros.node.messages import CloudMessage, GridMessage
+from gridslam.ros.node.outputs import EncodedOutputs, grid_values
+from gridslam.ros.node.parameters import NodeSettings, node_parameters
+from gridslam.ros.node.rendering import find_update, make_grid_message
+from gridslam.ros.node.transport import ALL_TOPICS, RosNode
+from gridslam.ros.ros2.arguments import parse_ros_arguments
+from gridslam.ros.ros2.lifecycle_services import LifecycleServices
+from gridslam.ros.rtps.qos import Qos
+from support.localization_world import drive as flat_drive
+from support.localization_world import flat_map
+from support.ros_node import LocalTransport, mounting, play, until
+
+SHIFT_NS = 1_700_000_000_000_000_000
+ENCODERS = {"ROS 1": MessageEncoder(is_ros1=True), "ROS 2": MessageEncoder(is_ros1=False)}
+
+
+@pytest.fixture(scope="module")
+def log():
+    return flat_drive(3)
+
+
+@pytest.fixture(scope="module")
+def map_file(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("map")
+    write_map(folder / "flat.yaml", flat_map())
+    return folder / "flat.yaml"
+
+
+def grid_message(frame="map"):
+    message = make_grid_message(flat_map(), NodeSettings(), 7)
+    return message._replace(frame=frame)
+
+
+def started(given, transport=None):
+    node = RosNode(transport or LocalTransport(), node_parameters({"mode": "localization", **given}, "default"))
+    node.start()
+    node.core.on_transforms([mounting()], static=True)
+    return node
+
+
+def placed(log):
+    x, y, theta = log.truth.poses[0].tolist()
+    return {"initial_pose_x": x, "initial_pose_y": y, "initial_pose_a": theta, "initial_cov_xx": 0.04}
+
+
+def test_amcl_s_topics_have_nav2_s_names_and_types(map_file, log):
+    transport = LocalTransport()
+    node = started({"map_file": str(map_file), **placed(log)}, transport)
+    outputs = transport.outputs
+    assert transport.published["amcl_pose"] == "geometry_msgs/PoseWithCovarianceStamped"
+    assert transport.published["particle_cloud"] == "nav2_msgs/ParticleCloud"
+    play(node.core, outputs, log.measurements[:30], shift_ns=SHIFT_NS)
+    assert until(lambda: len(outputs.poses) == 30)
+    assert 3 <= len(outputs.updated_poses) == len(outputs.clouds) < 30
+    np.testing.assert_allclose([cloud.weights.sum() for cloud in outputs.clouds], 1.0)
+    node.close()
+    assert "particle_cloud" not in RosNode(LocalTransport(), node_parameters({}, "default"))._transport.published
+
+
+@pytest.mark.parametrize("ros", ENCODERS)
+def test_a_cloud_with_weights_is_what_nav2_reads(ros):
+    sent = {}
+    encoder = ENCODERS[ros]
+    outputs = EncodedOutputs(encoder, sent.__setitem__, lambda: 0, lambda level, text: None, "node")
+    outputs.topics = ALL_TOPICS
+    outputs.particles(CloudMessage(5, "map", np.array([[1.0, 2.0, np.pi], [3.0, 4.0, 0.0]]), np.array([0.25, 0.75])))
+    cloud = encoder.decode(ALL_TOPICS["particle_cloud"], sent["particle_cloud"])
+    assert [(one.pose.position.x, one.pose.position.y, one.weight) for one in cloud.particles] == [
+        (1.0, 2.0, 0.25),
+        (3.0, 4.0, 0.75),
+    ]
+    assert cloud.particles[0].pose.orientation.z == pytest.approx(1.0)
+
+
+def test_a_robot_at_rest_is_updated_when_that_is_requested(map_file, log):
+    transport = LocalTransport()
+    node = started({"map_file": str(map_file), **placed(log)}, transport)
+    outputs = transport.outputs
+    standing = log.measurements[0]
+
+    def repeat(number):
+        scan = standing._replace(odometry=type(standing.odometry)(standing.odometry.stamp_ns, standing.odometry.pose))
+        before = len(outputs.poses)
+        play(node.core, outputs, [scan], shift_ns=SHIFT_NS + number * 100_000_000)
+        assert until(lambda: len(outputs.poses) > before)
+
+    for number in range(4):
+        repeat(number)
+    assert len(outputs.clouds) == 1
+    transport.services["request_nomotion_update"](None)
+    repeat(5)
+    repeat(6)
+    assert len(outputs.clouds) == 2
+    node.close()
+
+
+def test_a_map_may_come_by_a_topic(log):
+    transport = LocalTransport()
+    node = started({"use_map_topic": True, **placed(log)}, transport)
+    core, outputs = node.core, transport.outputs
+    assert "map" not in transport.published
+    assert "waiting for a map on /map" in outputs.warnings()
+    assert core.diagnostics().summary == "waiting for a map"
+    play(core, outputs, log.measurements[:2], shift_ns=SHIFT_NS)
+    with pytest.raises(ArgumentError, match="the frame map"):
+        core.set_map(grid_message("world"))
+    core.set_map(grid_message())
+    assert until(lambda: "localizing in a map of" in outputs.warnings())
+    assert until(lambda: not core._queue.waits_for_map)
+    play(core, outputs, log.measurements[2:40], shift_ns=SHIFT_NS)
+    assert until(lambda: len(outputs.poses) == 38)
+    assert np.hypot(*(outputs.poses[-1].pose - log.truth.poses[39])[:2]) < 0.5
+    core.set_map(grid_message())  # the same once more, as a map_server may send it
+    other = grid_message()
+    core.set_map(other._replace(cells=other.cells[:-1]), only_first=True)
+    play(core, outputs, log.measurements[40:42], shift_ns=SHIFT_NS)
+    assert until(lambda: len(outputs.poses) == 40)
+    assert outputs.warnings().count("localizing in a map of") == 1
+    assert outputs.maps == []
+    node.close()
+
+
+def test_a_map_may_be_set_by_a_service_with_a_pose(map_file, log):
+    transport = LocalTransport()
+    node = started({"map_file": str(map_file)}, transport)
+    encoder = ENCODERS["ROS 2"]
+    values = grid_values(encoder, "map", grid_message())
+    grid = encoder.decode("nav_msgs/OccupancyGrid", encoder.encode("nav_msgs/OccupancyGrid", *values))
+    x, y, theta = log.truth.poses[0].tolist()
+    turn = (0.0, 0.0, np.sin(theta / 2), np.cos(theta / 2))
+    covariance = np.diag([0.04, 0.04, 0, 0, 0, 0.03]).ravel()
+    pose = encoder.decode(
+        "geometry_msgs/PoseWithCovarianceStamped",
+        encoder.encode("geometry_msgs/PoseWithCovarianceStamped", ((0, 0), "map"), (((x, y, 0.0), turn), covariance)),
+    )
+    grid.data = np.where(grid.data == 0, 1, grid.data)  # another map
+    assert transport.services["set_map"](SimpleNamespace(map=grid, initial_pose=pose)) is True
+    assert until(lambda: "localizing in a map of" in transport.outputs.warnings())
+    play(node.core, transport.outputs, log.measurements[:20], shift_ns=SHIFT_NS)
+    assert until(lambda: len(transport.outputs.poses) == 20)
+    assert np.hypot(*(transport.outputs.poses[-1].pose - log.truth.poses[19])[:2]) < 0.3
+    again = SimpleNamespace(map=grid, initial_pose=pose)  # the same map: only the pose is set
+    assert transport.services["set_map"](again) is True
+    assert until(lambda: node.core._session._next_state is not None)
+    assert np.hypot(*(node.core._session._next_state.poses.mean(axis=0) - log.truth.poses[0])[:2]) < 0.1
+    assert transport.outputs.warnings().count("localizing in a map of") == 1
+    grid.header.frame_id = "elsewhere"
+    assert transport.services["set_map"](SimpleNamespace(map=grid, initial_pose=pose)) is False
+    node.close()
+
+
+def test_the_pose_is_stored_where_it_is_found_again(map_file, log):
+    transport = LocalTransport()
+    node = started({"map_file": str(map_file), "save_pose_rate": 50.0, **placed(log)}, transport)
+    play(node.core, transport.outputs, log.measurements[:20], shift_ns=SHIFT_NS)
+    assert until(lambda: len(transport.outputs.poses) == 20 and hasattr(transport, "saved"))
+    last = transport.outputs.poses[-1].pose
+    assert until(lambda: transport.saved["initial_pose_x"] == last[0])
+    again = node_parameters({"mode": "localization", "map_file": str(map_file), **transport.saved}, "default")
+    np.testing.assert_array_equal(again.configuration.initial_pose[0], last)
+    node.close()
+
+
+def test_without_tf_broadcast_no_transform_is_published():
+    assert node_parameters({"tf_broadcast": False}, "default").settings.transform_publish_period_s == 0.0
+    with pytest.raises(ConfigurationError, match="tf_broadcast: expected true or false, got 0"):
+        node_parameters({"tf_broadcast": 0}, "default")
+    with pytest.raises(ConfigurationError, match="save_pose_rate: expected a number"):
+        node_parameters({"save_pose_rate": True}, "default")
+
+
+@pytest.mark.parametrize("ros", ENCODERS)
+def test_maps_are_decoded_from_their_bytes(ros, map_file):
+    encoder = ENCODERS[ros]
+    sent = grid_message("/map")
+    data = encoder.encode("nav_msgs/OccupancyGrid", *grid_values(encoder, "map", sent))
+    wire = wire_of_ros1(b"") if ros == "ROS 1" else wire_of_cdr(data)
+    found = decode_grid(data, wire)
+    assert (found.stamp_ns, found.frame, found.origin) == (7, "map", sent.origin)
+    np.testing.assert_array_equal(found.cells, sent.cells)
+    grid, of_file = make_occupancy_grid(found), read_map(map_file)
+    np.testing.assert_array_equal(grid.known, of_file.known)
+    np.testing.assert_allclose(grid.log_odds[grid.known], of_file.log_odds[of_file.known], atol=1e-5)
+    assert grid_of(encoder.decode("nav_msgs/OccupancyGrid", data)).origin == sent.origin
+    for wrong in (data[:60], data[:-5]):
+        with pytest.raises(MessageError, match=r"unpack_from|buffer"):
+            decode_grid(wrong, wire)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"cells": np.full((2, 2), 101, np.int8)}, "not between -1 and 100"),
+        ({"resolution_m": 0.0}, "of 0 m"),
+        ({"cells": np.zeros((0, 0), np.int8)}, "0 x 0"),
+        ({"origin": (np.nan, 0.0)}, "origin"),
+    ],
+)
+def test_what_is_no_map_is_named(change, says):
+    encoder = ENCODERS["ROS 2"]
+    message = grid_message()._replace(**change)
+    data = encoder.encode("nav_msgs/OccupancyGrid", *grid_values(encoder, "map", message))
+    with pytest.raises(MessageError, match=says):
+        decode_grid(data, wire_of_cdr(data))
+
+
+def test_what_has_changed_of_a_map_is_a_rectangle():
+    cells = np.full((5, 7), -1, np.int8)
+    before = GridMessage(1, "map", 0.05, (0.0, 0.0), cells)
+    assert find_update(before, before) is None
+    after = cells.copy()
+    after[1, 2], after[3, 5] = 100, 0
+    update = find_update(before, before._replace(stamp_ns=2, cells=after))
+    assert (update.stamp_ns, update.x, update.y, update.cells.shape) == (2, 2, 1, (3, 4))
+    cells[update.y : update.y + 3, update.x : update.x + 4] = update.cells
+    np.testing.assert_array_equal(cells, after)
+    sent = {}
+    encoder = ENCODERS["ROS 2"]
+    EncodedOutputs(encoder, sent.__setitem__, lambda: 0, lambda level, text: None, "node").map_update(update)
+    decoded = encoder.decode(ALL_TOPICS["map_updates"], sent["map_updates"])
+    assert (decoded.x, decoded.y, decoded.width, decoded.height) == (2, 1, 4, 3)
+    assert decoded.data.tolist() == update.cells.ravel().tolist()
+
+
+FILE = """
+gridslam:
+  ros__parameters:
+    qos_overrides:
+      /scan: {subscription: {reliability: reliable, depth: 3}}
+      /map: {publisher: {durability: volatile, history: keep_last}}
+"""
+
+
+def test_quality_of_service_is_overridden_as_in_ros(tmp_path):
+    (tmp_path / "qos.yaml").write_text(FILE)
+    given = ["--params-file", str(tmp_path / "qos.yaml"), "-p", "qos_overrides./tf.publisher.reliability:=best_effort"]
+    ros = parse_ros_arguments(["--ros-args", *given])
+    assert ros.parameters == {}
+    assert ros.override_qos("/scan", "subscription", Qos(reliable=False)) == Qos(reliable=True, depth=3)
+    assert ros.override_qos("/scan", "publisher", Qos()) == Qos()
+    assert ros.override_qos("/map", "publisher", Qos(latched=True, depth=1)) == Qos(depth=1)
+    assert ros.override_qos("/tf", "publisher", Qos()).reliable is False
+    wrong = parse_ros_arguments(["-p", "qos_overrides./tf.publisher.reliability:=perhaps"])
+    with pytest.raises(ConfigurationError, match=r"qos_overrides\./tf\.publisher\.reliability: expected reliable or"):
+        wrong.override_qos("/tf", "publisher", Qos())
+
+
+def test_a_managed_node_changes_its_state_as_ros_s():
+    calls, events = [], []
+    lifecycle = LifecycleServices(
+        lambda active: calls.append(active), lambda: calls.append("cleaned"), events.append, lambda: 5
+    )
+    services = lifecycle.services()
+
+    def change(number=0, label=""):
+        request = SimpleNamespace(transition=SimpleNamespace(id=number, label=label))
+        return services["change_state"][1](request)[0]
+
+    assert services["get_state"][1](None) == ((1, "unconfigured"),)
+    assert not change(3)
+    assert change(1)
+    assert change(label="activate")
+    assert [one[0][1] for one in services["get_available_transitions"][1](None)[0]] == ["deactivate", "shutdown"]
+    assert change(4)
+    assert change(2)
+    assert change(5)
+    assert lifecycle.state == "finalized"
+    assert calls == [False, True, False, "cleaned", False]
+    assert events[1] == (5, (3, "activate"), (2, "inactive"), (3, "active"))
+    assert len(services["get_transition_graph"][1](None)[0]) == 7
+    encoder = ENCODERS["ROS 2"]
+    assert encoder.encode("lifecycle_msgs/TransitionEvent", *events[1])[4:12] == struct.pack("<Q", 5)
