@@ -27,7 +27,7 @@ from support.localization_world import flat_map
 
 SYSTEM_PYTHON, PACKAGES = "/usr/bin/python3", "/usr/lib/python3/dist-packages"
 SUPPORT = Path(__file__).resolve().parents[1] / "support"
-EXAMPLES = SUPPORT.parents[1] / "examples" / "ros1"
+PACKAGES = Path(__file__).parents[2] / "ros"
 PATIENT = "_transform_wait:=10.0", "_queue:=60.0"  # on a busy machine nothing is dropped
 NAME = "/slam_gmapping"
 LINKS = ("map:odom", "odom:base_link", "map:base_link")
@@ -327,16 +327,49 @@ def test_a_node_registers_again_at_a_master_that_was_restarted(ros, tmp_path):
         assert document["scans"]["read"] >= 55  # the first ones may get lost
 
 
-def test_roslaunch_starts_the_node_of_the_examples(ros, tmp_path):
+def install_packages(ros, tmp_path):
     program = tmp_path / "gridslam"
-    script = NODE.replace('"ros1", *', "*")  # the script of the example says ros1
+    script = NODE.replace('"ros1", *', "*")  # the script of the package says ros1
     program.write_text(f"#!{sys.executable}\n{script}")
     program.chmod(0o755)
-    ros.environment |= {"ROS_PACKAGE_PATH": str(EXAMPLES), "GRIDSLAM": str(program)}
+    ros.environment |= {"ROS_PACKAGE_PATH": str(PACKAGES), "GRIDSLAM": str(program)}
+
+
+def test_roslaunch_starts_the_node_of_the_package(ros, tmp_path):
+    install_packages(ros, tmp_path)
     arguments = ["scan:=base_scan", "particles:=4", f"out:={tmp_path / 'out'}"]
-    launch = ros.start(["roslaunch", "gridslam_ros", "gridslam.launch", *arguments], "node")
+    launch = ros.start(["roslaunch", "gmapping", "gridslam.launch", *arguments], "node")
     assert ros.until(lambda: "/base_scan" in str(ros.master.getSystemState("/test")[2][1])), ros.log("node")
     assert ros.master.getParam("/test", "/slam_gmapping/particles")[2] == 4
+    launch.send_signal(signal.SIGINT)
+    assert launch.wait(60) == 0, ros.log("node")
+
+
+LAUNCH = """
+<launch>
+  <arg name="base" default="base_footprint"/>
+  <node pkg="gmapping" type="slam_gmapping" name="robot_slam_gmapping" output="screen">
+    <param name="base_frame" value="$(arg base)"/>
+    <param name="map_update_interval" value="2.0"/>
+    <param name="maxUrange" value="3.0"/>
+    <param name="minimumScore" value="50"/>
+    <param name="lskip" value="0"/>
+    <param name="temporalUpdate" value="0.5"/>
+    <param name="particles" value="10"/>
+    <param name="xmin" value="-10.0"/>
+    <param name="llsamplerange" value="0.01"/>
+  </node>
+</launch>
+"""
+
+
+def test_a_robot_s_own_launch_file_for_gmapping_starts_it_unchanged(ros, tmp_path):
+    install_packages(ros, tmp_path)
+    (tmp_path / "robot.launch").write_text(LAUNCH)
+    launch = ros.start(["roslaunch", str(tmp_path / "robot.launch")], "node")
+    assert ros.until(lambda: "base_footprint in odom" in ros.log("node")), ros.log("node")
+    assert "ignored parameters: " in ros.log("node")
+    assert "there is no such parameter" not in ros.log("node")
     launch.send_signal(signal.SIGINT)
     assert launch.wait(60) == 0, ros.log("node")
 

@@ -127,8 +127,17 @@ class Node:
     ) -> None:
         self.world.services[name] = callback
 
+    def declare_parameter(self, name: str, value: Any) -> None:
+        assert name not in self.world.parameters
+        assert isinstance(value, bool | int | float | str)
+        self.world.parameters[name] = value
+
+    def add_on_set_parameters_callback(self, callback: Callable[[list[Any]], Any]) -> None:
+        self.world.on_set = callback
+
     def set_parameters(self, parameters: list[Any]) -> None:
-        self.world.parameters.update(parameters)
+        if self.world.on_set(parameters).successful:
+            self.world.parameters.update({one.name: one.value for one in parameters})
 
     def get_clock(self) -> Any:
         return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=self.world.clock_ns))
@@ -198,7 +207,7 @@ def installed(monkeypatch: Any, parameters: dict[str, Any]) -> World:
     )
     overriding = SimpleNamespace(with_default_policies=lambda: "default policies")
     module("rclpy.qos_overriding_options", QoSOverridingOptions=overriding)
-    module("rclpy.parameter", Parameter=lambda name, value: (name, value))
+    module("rclpy.parameter", Parameter=lambda name, value: SimpleNamespace(name=name, value=value))
     module("rclpy.callback_groups", MutuallyExclusiveCallbackGroup=object)
     module(
         "rclpy.qos",
@@ -207,6 +216,8 @@ def installed(monkeypatch: Any, parameters: dict[str, Any]) -> World:
         ReliabilityPolicy=Enum("ReliabilityPolicy", "RELIABLE BEST_EFFORT"),
         DurabilityPolicy=Enum("DurabilityPolicy", "VOLATILE TRANSIENT_LOCAL"),
     )
+    module("rcl_interfaces")
+    module("rcl_interfaces.msg", SetParametersResult=lambda **fields: SimpleNamespace(**fields))
     for name, kinds in TYPES.items():
         module(name.partition(".")[0])
         module(name, **{kind: type(kind, (), {}) for kind in kinds})

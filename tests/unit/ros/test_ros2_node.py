@@ -213,3 +213,27 @@ def test_what_is_no_scan_is_named_and_the_next_one_is_taken(monkeypatch, drive, 
 
     run(world, script)
     assert says in str(world.logged)
+
+
+def test_parameters_are_declared_and_what_is_read_at_the_start_cannot_be_set(monkeypatch):
+    world = fake_rclpy.installed(monkeypatch, {"particles": 4})
+    results = []
+
+    def script():
+        node = world.nodes[-1]
+
+        def ask(name, value):
+            results.append(world.on_set([SimpleNamespace(name=name, value=value)]))
+
+        ask("particles", 5)
+        ask("paused_new_measurements", True)
+        ask("use_sim_time", True)
+        results.append(node)
+
+    run(world, script)
+    assert world.parameters["particles"] == 4
+    assert world.parameters["map_update_interval"] == 5.0
+    refused, paused, other, _ = results
+    assert (refused.successful, "start it with -p particles:=" in refused.reason) == (False, True)
+    assert paused.successful
+    assert other.successful

@@ -48,6 +48,7 @@ class Ros2Transport:
         self._qos_overriding = _import("rclpy.qos_overriding_options")
         self._apart = _import("rclpy.callback_groups").MutuallyExclusiveCallbackGroup()
         self._publishers: dict[str, Any] = {}
+        self._stores = False
         encoder = MessageEncoder(is_ros1=False)
         self.outputs: Outputs = EncodedOutputs(encoder, self._publish, self._now_ns, self._log, node.get_name())
 
@@ -130,12 +131,30 @@ class Ros2Transport:
     def save_parameters(self, values: Mapping[str, float]) -> None:
         """Set parameters of the node."""
         make = _import("rclpy.parameter").Parameter
+        self._stores = True
         self._node.set_parameters([make(name, value=value) for name, value in values.items()])
+        self._stores = False
 
     def advertise_parameters(
         self, values: Mapping[str, Any], change: Callable[[str, Any], str], settable: Sequence[str]
     ) -> None:
-        """Do nothing: ROS itself serves them."""
+        """Declare the parameters, and refuse to set those that are read at the start."""
+        result_class = _import("rcl_interfaces/SetParametersResult")
+
+        def on_set(parameters: Sequence[Any]) -> Any:  # noqa: ANN401
+            problems = []
+            for name, value in ((one.name, one.value) for one in parameters):
+                if name in settable:
+                    problems.append(change(name, value))
+                elif name in values and not self._stores:
+                    problems.append(f"{name} is read when the node starts: start it with -p {name}:=VALUE")
+            problem = next(filter(None, problems), "")
+            return result_class(successful=not problem, reason=problem)
+
+        for name, value in values.items():
+            if not self._node.has_parameter(name):
+                self._node.declare_parameter(name, value)
+        self._node.add_on_set_parameters_callback(on_set)
 
     def spin(self, ended: threading.Event) -> Iterator[None]:
         """Deliver messages until ROS is shut down or the event is set."""

@@ -1,0 +1,17 @@
+"""The executable `ros2 run gridslam_ros node`: the command `gridslam ros2` by rclpy."""
+
+import sys
+
+
+def main() -> None:
+    """Run the node with the arguments of ROS; exits with the command's status."""
+    try:
+        from gridslam.cli.main import main as command
+    except ImportError as error:
+        sys.exit(f"gridslam is not installed for {sys.executable} ({error}): see docs/ros.md of gridslam")
+    sys.argv = ["gridslam", "ros2", "--transport", "rclpy", *sys.argv[1:]]
+    command()
+
+
+if __name__ == "__main__":
+    main()
