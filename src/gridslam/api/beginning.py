@@ -20,7 +20,6 @@ from gridslam.pipeline import Observer
 from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.slam.loop_closure.state import DriveLocator
 from gridslam.tracking.tracker import Tracker
 from gridslam.types import FloatArray, LaserScan, StepReport
 
@@ -65,7 +64,7 @@ class Beginning:
         What earlier drives have left besides.
     passed : int
         Number of scans of the log that `run` has processed already.
-    locator : DriveLocator or None
+    locator : EarlierPieces or None
         Looks for the robot in the pieces, until it is found.
     observers : sequence of Observer
         Called after each scan, when all others have been.
@@ -74,7 +73,7 @@ class Beginning:
     run: SavedRun
     pieces: tuple[SavedPiece, ...] = ()
     passed: int = 0
-    locator: DriveLocator | None = None
+    locator: EarlierPieces | None = None
     observers: Sequence[Observer] = ()
 
     def attach(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
@@ -86,6 +85,15 @@ class Beginning:
         if self.locator is not None and state is not None and state.closure_state is not None:
             state.closure_state.earlier = self.locator if state.closure_state.joined < 0 else None
         return state
+
+    def finish(self, state: GridFastSlamState, slam: GridFastSlam) -> None:
+        """Look for a robot that was not found while it drove by all of its drive."""
+        closure_state = state.closure_state
+        if closure_state is None or closure_state.earlier is None or slam.loop_closure is None or self.locator is None:
+            return
+        found = self.locator.locate_by_votes(closure_state)
+        if found is not None:
+            slam.loop_closure.join(state, closure_state, found)
 
     def go_on(self, state: GridFastSlamState, log: DrivenLog) -> SavedRun:
         """Give the run after the last scan of a log."""

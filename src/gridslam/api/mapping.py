@@ -497,6 +497,7 @@ def map_log(
         stopwatch=watch,
         on_failure=failures,
     )
+    begun.finish(state, slam)
     digest = digest or compute_digest(source.path)
     watch.lap("finish")
     result = finish_mapping(

@@ -244,7 +244,7 @@ class Alignment:
         parameters = self.parameters
         groups = group_hits(self.closure_state.graph, hits)
         groups.sort(key=lambda group: -sum(hit.score for hit in group))
-        hypotheses = [self._track_component(group) for group in groups[: parameters.max_hypotheses]]
+        hypotheses = [self.track_component(group) for group in groups[: parameters.max_hypotheses]]
         hypotheses.sort(key=lambda hypothesis: -hypothesis.log_likelihood)
         best = hypotheses[0] if hypotheses else None
         if best is None or best.log_likelihood < parameters.min_log_likelihood or not best.plausible:
@@ -277,7 +277,7 @@ class Alignment:
         points = collect_recent_points(self.closure_state, key, self.places.query_key_scans)
         return thin_points(points, self.parameters.search.max_points)
 
-    def _track_component(self, group: list[SearchHit]) -> Hypothesis:
+    def track_component(self, group: list[SearchHit]) -> Hypothesis:
         """Track a component through the map from the best hit to both of its ends, correcting where a scan matches."""
         graph = self.closure_state.graph
         begin = max(group, key=lambda hit: hit.score)

@@ -35,6 +35,13 @@ _FIRST_KEY_SCANS = 12
 _LAST_KEY_SCANS = 90
 """Key scans, about 40 m, by which a drive is located: what was driven before may lie where the map ends."""
 
+_VOTE_INTERVAL = 6
+_MIN_VOTES = 8
+_MIN_VOTE_RATIO = 0.5
+_MAX_RIVAL_RATIO = 1 / 3
+"""Drives on one floor of equal rooms had 73 to 82 % of the votes and rivals 8 to 18 % of these; on other floors that
+look alike at most 15 % of the votes, and rivals nearly as many."""
+
 _PATIENCE = 30
 """After each multiple of this many key scans without success searches are half as frequent, down to an eighth."""
 
@@ -100,6 +107,35 @@ class EarlierPieces:
                 match = found._replace(poses=np.concatenate([before, found.poses]))
                 return FoundPiece(number, piece, self._maps[number], match)
         return None
+
+    def locate_by_votes(self, closure_state: LoopClosureState) -> FoundPiece | None:
+        """Give the first piece in which a drive that has ended is found as a whole (see `align_by_votes`)."""
+        keys = np.arange(len(closure_state.graph))
+        for number, piece in enumerate(self.pieces):
+            match = self.align_by_votes(closure_state, number, keys)
+            if match is not None:
+                return FoundPiece(number, piece, self._maps[number], match)
+        return None
+
+    def align_by_votes(self, closure_state: LoopClosureState, number: int, keys: IntArray) -> PieceMatch | None:
+        """Align all key scans (K,) of a drive with a piece; None if that is not certain.
+
+        In rooms that are all alike no part of a drive is certain, but as a whole it lies in one place alone. Each
+        search votes for its two best places. The drive lies where the votes of most searches agree with how it was
+        tracked, if no other place has a third as many.
+        """
+        searched = keys[_VOTE_INTERVAL - 1 :: _VOTE_INTERVAL].tolist()
+        hits = [hit for key in searched for hit in self._search(closure_state, number, key)]
+        groups = sorted(group_hits(closure_state.graph, hits), key=len, reverse=True)
+        if not groups or len(groups[0]) < max(_MIN_VOTES, _MIN_VOTE_RATIO * len(searched)):
+            return None
+        if len(groups) > 1 and len(groups[1]) > _MAX_RIVAL_RATIO * len(groups[0]):
+            return None
+        alignment = Alignment(self._alignment, closure_state, self._places, self._scorer, keys, self._maps[number])
+        best = alignment.track_component(groups[0])
+        piece = self.pieces[number]
+        constraints = alignment.match_constraints(best, piece.poses, np.arange(len(piece)))
+        return PieceMatch(best.poses, constraints) if constraints else None
 
     def align(
         self, closure_state: LoopClosureState, number: int, keys: IntArray, searched: Sequence[int]

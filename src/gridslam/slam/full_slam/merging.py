@@ -127,7 +127,10 @@ def _link(
         if len(groups[0]) >= _ENOUGH + sum(map(len, groups[1:])):
             break
     if not groups or len(groups[0]) <= 2 * sum(map(len, groups[1:])):
-        return None
+        match = located.align_by_votes(state, 0, np.arange(len(later)))
+        if match is None:
+            return None
+        return compose(match.poses[0], inverse(poses[0])), match.constraints
     found = {constraint.pair: constraint for _, constraints in groups[0] for constraint in constraints}
     return groups[0][0][0], list(found.values())
 
