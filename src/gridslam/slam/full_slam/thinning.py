@@ -26,7 +26,7 @@ _DRIVES = 2
 """Newest drives of which the sights of a cell are kept: one shows what the place is like now, and another one keeps it
 where that one saw it from one side."""
 
-_LEAST_SHARE = 0.1
+_LEAST_SHARE = 0.15
 """A submap is kept for more than this share of the cells that it sees: single beams reach where no other one happened
 to."""
 
@@ -54,7 +54,7 @@ class ThinnedPiece(NamedTuple):
 def thin_piece(piece: MapPiece, drives: Sequence[TrackedScans], mapper: OccupancyGridMapping) -> ThinnedPiece:
     """Leave out of a piece the submaps that add nothing: what they see two newer drives have seen since.
 
-    A submap, of ten consecutive key scans, adds something if more than a tenth of the cells that it sees were seen in
+    A submap, of ten consecutive key scans, adds something if more than 15 % of the cells that it sees were seen in
     fewer than two later drives. Time does not matter: a place that is never visited again is never forgotten. Submaps
     that hold others together are kept, too: what was one rigid component remains one. So the size of a piece is that of
     two drives through all that was ever seen, however often it is visited.
