@@ -27,7 +27,7 @@ from support.localization_world import flat_map
 
 SYSTEM_PYTHON, PACKAGES = "/usr/bin/python3", "/usr/lib/python3/dist-packages"
 SUPPORT = Path(__file__).resolve().parents[1] / "support"
-PACKAGES = Path(__file__).parents[2] / "ros"
+ROS_PACKAGES = SUPPORT.parents[1] / "ros"
 PATIENT = "_transform_wait:=10.0", "_queue:=60.0"  # on a busy machine nothing is dropped
 NAME = "/slam_gmapping"
 LINKS = ("map:odom", "odom:base_link", "map:base_link")
@@ -332,7 +332,7 @@ def install_packages(ros, tmp_path):
     script = NODE.replace('"ros1", *', "*")  # the script of the package says ros1
     program.write_text(f"#!{sys.executable}\n{script}")
     program.chmod(0o755)
-    ros.environment |= {"ROS_PACKAGE_PATH": str(PACKAGES), "GRIDSLAM": str(program)}
+    ros.environment |= {"ROS_PACKAGE_PATH": str(ROS_PACKAGES), "GRIDSLAM": str(program)}
 
 
 def test_roslaunch_starts_the_node_of_the_package(ros, tmp_path):
