@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
+import subprocess
 import sys
 
 import pytest
@@ -59,6 +61,23 @@ def test_no_token_for_pypi_is_kept():
     assert job["permissions"] == {"id-token": "write"}
     assert job["environment"] == "pypi"
     assert all("with" not in step or "password" not in step["with"] for step in job["steps"])
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a script of bash")
+@pytest.mark.parametrize(
+    ("tag", "day", "found"),
+    [("v1.2.3", "2027-01-31", ""), ("v1.2.4", "2027-01-31", "the version 1.2.3"), ("v1.2.3", "unreleased", "no day")],
+)
+def test_only_a_finished_version_is_published(tag, day, found, tmp_path):
+    script = tmp_path / ".ci" / "release"
+    script.parent.mkdir()
+    shutil.copy(ROOT / ".ci" / "release", script)
+    (tmp_path / "src" / "gridslam").mkdir(parents=True)
+    (tmp_path / "src" / "gridslam" / "__init__.py").write_text('__version__ = "1.2.3"\n', encoding="utf-8")
+    (tmp_path / "CHANGELOG.md").write_text(f"## [1.2.3] - {day}\n", encoding="utf-8")
+    done = subprocess.run(["bash", script, tag], capture_output=True, text=True, timeout=30)
+    assert (done.returncode != 0) == bool(found)
+    assert found in done.stderr
 
 
 def conda_requirements():
