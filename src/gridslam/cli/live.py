@@ -72,6 +72,11 @@ class Viewers(NamedTuple):
             if not self.page.wait_for_viewer(timeout_s):
                 self.page.control.set_speed(None)
 
+    def offer_session(self, path: Path) -> None:
+        """Let those who look on save the file from which a later run goes on."""
+        if self.page is not None:
+            self.page.offer_session(path)
+
     def show_result(self, result: MapResult) -> None:
         """Show what a run came to in the end."""
         loops = result.loop_summary
@@ -163,10 +168,16 @@ def serve_page(page: AbstractContextManager[_Page]) -> Iterator[_Page]:
 @contextmanager
 def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGrid | None) -> Iterator[None]:
     """Serve the page of a node that is not started yet, until it has ended."""
-    from gridslam.live.control import RobotControl
+    from gridslam.live.control import NO_COMMANDS, RobotCommands, RobotControl
     from gridslam.live.page import LivePage
+    from gridslam.ros.node.transport import save_results
 
-    robot = RobotControl(lambda: core.is_paused, core.pause)
+    commands = NO_COMMANDS
+    if live.controls and core.localizes:
+        commands = RobotCommands(set_pose=core.set_pose, locate=core.reset)
+    elif live.controls:
+        commands = RobotCommands(reset=core.reset, save=lambda: save_results(core, core.results_folder))
+    robot = RobotControl(lambda: core.is_paused, core.pause, commands)
     page = LivePage(title, live, range_max_m=core.configuration.range_max_m, known=known, robot=robot)
     with serve_page(page):
 

@@ -57,6 +57,8 @@ def map_to_folder(
             document = result.write(folder)
             if opened is not None:
                 session.save_to(opened)
+                if session.save is not None:
+                    viewers.offer_session(session.save)
         session.end(out)
         warn(*(f"{log}: {warning}" for warning in result.warnings()))
         summary = summarize(document, result, out)

@@ -5,13 +5,17 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
-from typing import final
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, final
 
-from gridslam.errors import ArgumentError
+import numpy as np
 
-__all__ = ["Control", "RobotControl", "check_particle", "check_speed"]
+from gridslam.errors import ArgumentError, GridslamError
+from gridslam.types import FloatArray
 
+__all__ = ["NO_COMMANDS", "Control", "RobotCommands", "RobotControl", "check_particle", "check_speed"]
+
+_POSE_COVARIANCE = np.diag([0.25, 0.25, (math.pi / 12) ** 2])  # of a pose set by hand, as RViz sends it, m^2 and rad^2
 _MAX_WAIT_S = 0.25  # longer waits are split, so that signals and requests are processed
 
 
@@ -131,6 +135,37 @@ class Control:
 
 
 @final
+class RobotCommands(NamedTuple):
+    """What viewers may make a robot's filter do; None for each that it does not offer.
+
+    Attributes
+    ----------
+    set_pose : callable, optional
+        Called with a pose (3,), x m, y m, theta rad, and its covariance (3, 3).
+    locate : callable, optional
+        Makes the pose unknown: the robot is located anywhere in the known map.
+    reset : callable, optional
+        Starts again, with an empty map.
+    save : callable, optional
+        Writes the results; returns whether it succeeded, and a message. It may take long, and runs in its own thread.
+    """
+
+    set_pose: Callable[[tuple[FloatArray, FloatArray]], None] | None = None
+    locate: Callable[[], None] | None = None
+    reset: Callable[[], None] | None = None
+    save: Callable[[], tuple[bool, str]] | None = None
+
+    @property
+    def names(self) -> list[str]:
+        """Names of those that are offered."""
+        return [name for name, command in self._asdict().items() if command is not None]
+
+
+NO_COMMANDS = RobotCommands()
+"""Nothing that viewers may do."""
+
+
+@final
 class RobotControl:
     """What viewers can do with a live robot, whose scans can be dropped but not delayed.
 
@@ -140,13 +175,68 @@ class RobotControl:
         Returns whether scans are left out.
     pause : callable
         Sets whether scans are dropped.
+    commands : RobotCommands, optional
+        What else viewers may do; by default nothing.
     """
 
     speed = None
 
-    def __init__(self, is_paused: Callable[[], bool], pause: Callable[[bool], None]) -> None:
+    def __init__(
+        self,
+        is_paused: Callable[[], bool],
+        pause: Callable[[bool], None],
+        commands: RobotCommands = NO_COMMANDS,
+    ) -> None:
         self._is_paused = is_paused
         self._pause = pause
+        self.commands = commands
+        self._saving = threading.Lock()
+
+    def execute(self, command: Mapping[str, Any], answer: Callable[[str], None]) -> None:
+        """Execute a viewer's command; `answer` gets what came of it, also from another thread.
+
+        Raises ArgumentError, KeyError, TypeError or ValueError if this is no command that is offered.
+        """
+        name = command["command"]
+        if name not in self.commands.names:
+            raise ArgumentError("command", f"one of {', '.join(self.commands.names) or 'none'}", name)
+        if name == "save":
+            self._save(answer)
+            return
+        try:
+            if name == "set_pose" and self.commands.set_pose is not None:
+                x, y, theta = (float(value) for value in command["pose"])
+                if not math.isfinite(x + y + theta):
+                    raise ArgumentError("pose", "finite numbers", command["pose"])
+                self.commands.set_pose((np.array([x, y, theta]), _POSE_COVARIANCE))
+                answer(f"pose set to {x:.2f} m, {y:.2f} m, {math.degrees(theta):.0f}°")
+            elif name == "locate" and self.commands.locate is not None:
+                self.commands.locate()
+                answer("the robot is being located")
+            elif self.commands.reset is not None:
+                self.commands.reset()
+                answer("reset: the next scan begins a new map")
+        except GridslamError as error:
+            answer(str(error))
+
+    def _save(self, answer: Callable[[str], None]) -> None:
+        """Save in a thread, one at a time."""
+        save = self.commands.save
+        if save is None or not self._saving.acquire(blocking=False):
+            answer("the map is being saved already")
+            return
+
+        def run() -> None:
+            try:
+                succeeded, message = save()
+                answer(f"saved: {message}" if succeeded else f"not saved: {message}")
+            except Exception as error:
+                answer(f"not saved: {error}")
+            finally:
+                self._saving.release()
+
+        answer("saving")
+        threading.Thread(target=run, name="gridslam-save", daemon=True).start()
 
     @property
     def paused(self) -> bool:

@@ -64,7 +64,7 @@ class Moment(NamedTuple):
     scan : (S, 2) int16
         End points of the scan in the robot frame, in units of `SCAN_UNIT_M`.
     particles : (N, 4) float32
-        x m, y m, theta rad and weight; empty where another file has them.
+        x m, y m, theta rad and weight, each for a share of the belief.
     """
 
     keys: int

@@ -23,7 +23,7 @@ from gridslam.viz.cloud import select_representatives
 __all__ = ["HistoryRecorder"]
 
 _Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
-_MOST_PARTICLES = 300  # of a moment of a localization
+_MOST_PARTICLES = 300  # of a moment
 _CLOSEST_M = 0.05
 
 
@@ -93,7 +93,6 @@ class HistoryRecorder:
         self, report: StepReport | LocalizationReport, state: GridFastSlamState | MonteCarloState
     ) -> Moment:
         changed: PackedTiles = {}
-        cloud = np.zeros((0, 4), np.float32)
         if self._monitor is not None and isinstance(report, StepReport) and isinstance(state, GridFastSlamState):
             changed = self._find_changes(self._monitor.find_changes(state, {BEST: state.best})[BEST])
             self.closures, self.recognized = self._monitor.find_closures(state)
@@ -103,8 +102,8 @@ class HistoryRecorder:
             first = len(self._path)
             newest = self._poses.rows[first:].astype(np.float64)
             self._path = np.concatenate([self._path, newest])
-            chosen, ratios = select_representatives(np.exp(state.log_weights), _MOST_PARTICLES)
-            cloud = np.column_stack([state.poses[chosen], ratios]).astype(np.float32)
+        chosen, ratios = select_representatives(np.exp(state.log_weights), _MOST_PARTICLES)
+        cloud = np.column_stack([state.poses[chosen], ratios]).astype(np.float32)
         at, tiles = pack_tiles(changed)
         ends = NO_POINTS if self._scan is None else self._scan.beams(_CLOSEST_M, self._range_max_m).ends
         pose = np.array(report.pose)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import TypeVar, final
 
 from gridslam.live.control import Control, RobotControl
@@ -116,6 +117,10 @@ class LivePage:
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
         """Show the final result: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
         self._server.call(self._run.finish, grid, poses, closures)
+
+    def offer_session(self, path: Path) -> None:
+        """Let viewers save the file from which a later run goes on."""
+        self._server.call(self._run.offer_session, path)
 
     def wait_for_viewer(self, timeout_s: float) -> bool:
         """Wait for a viewer, at most `timeout_s`; return whether there is one."""

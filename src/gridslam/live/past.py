@@ -30,7 +30,7 @@ class Past(NamedTuple):
     scan : (K, 2) float32, m
         End points of the scan in the robot frame.
     particles : (N, 4) float32
-        x m, y m, theta rad and weight; empty where another file has them.
+        x m, y m, theta rad and weight, each for a share of the belief.
     """
 
     keys: int

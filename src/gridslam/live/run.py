@@ -61,6 +61,8 @@ class LiveRun:
         self._viewers: dict[LiveViewer, Callable[[], None]] = {}
         self._channels = 0
         self._message = ""
+        self._answer = ""
+        self._session: Path | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -70,6 +72,8 @@ class LiveRun:
             self._run_info = make_run_info(self._title, mode, _LIVE_SLAM)
         else:
             self._run_info = make_run_info(self._title, mode, _LIVE_LOCALIZATION, "update", self._known)
+        if isinstance(self.control, RobotControl):
+            self._run_info["commands"] = self.control.commands.names
         self._replicas = {BEST: TileReplica() if self._known is None else TileReplica.of(self._known)}
         self._rows = {BEST: 0}
         self._stage = "waiting"
@@ -126,6 +130,10 @@ class LiveRun:
         self._message = message
         self.notify_viewers()
 
+    def answer(self, text: str) -> None:
+        """Show all viewers what came of a command for the robot; thread-safe."""
+        self._answer = text
+
     def add_viewer(self, notify: Callable[[], None]) -> LiveViewer:
         """Add a viewer; `notify` is called whenever there may be something new."""
         viewer = LiveViewer(self)
@@ -161,7 +169,13 @@ class LiveRun:
 
     def session_file(self) -> Path | None:
         """Return the file from which a later run goes on; None if this one offers none."""
-        return None
+        return self._session
+
+    def offer_session(self, path: Path) -> None:
+        """Let viewers save the file from which a later run goes on."""
+        self._session = path
+        self._run_info = {**self._run_info, "layers": (*self._run_info["layers"], "session")}
+        self.notify_viewers()
 
     def open_channel(self, particle: int) -> int:
         """Open a channel for the map of a particle; raises ArgumentError if there is none, or too many are open."""
@@ -189,6 +203,7 @@ class LiveRun:
             **self._status,
             "stage": stage,
             "message": self._message,
+            "answer": self._answer,
             "speed": self.control.speed,
             "viewers": len(self._viewers),
             "channel": channel,
@@ -299,9 +314,17 @@ class LiveViewer:
                 self._select(command["particle"])
             case "seek":
                 self._seek(int(command["at"]))
+            case "robot":
+                self._command_robot(command)
             case what:
-                raise ArgumentError("do", "pause, resume, step, seek, speed or select", what)
+                raise ArgumentError("do", "pause, resume, step, seek, speed, select or robot", what)
         run.notify_viewers()
+
+    def _command_robot(self, command: Mapping[str, Any]) -> None:
+        control = self._run.control
+        if not isinstance(control, RobotControl):
+            raise ArgumentError("do", "a command for a log", "robot")
+        control.execute(command, self._run.answer)
 
     def close(self) -> None:
         """Remove the viewer."""

@@ -132,6 +132,7 @@ def test_a_running_filter_is_seen_as_it_was_while_it_goes_on(drive):
         assert client.path == pytest.approx(path, abs=1e-5)
         assert client.status["pose"] == pytest.approx(pose)
         assert (client.status["at"], client.status["keys"]) == (at, at + 1)
+        assert len(client.arrays["particles"]) == 6
 
     observed.check = check
     observed.go(drive[:250], before=note)

@@ -115,6 +115,38 @@ def test_a_robot_is_paused_by_its_page_and_seen_paused_but_not_held_back(drive):
                 until(lambda: told("stage") == "stepped")
 
 
+def test_a_node_is_placed_by_its_page(capsys):
+    log, outputs, seen = localized_drive(3), RecordedOutputs(), PageClient()
+    known = Localization(KnownMap(flat_map()), MonteCarloConfiguration())
+    core = NodeCore(NodeSettings(queue_s=60.0), known, outputs)
+    core.on_transforms([mounting(0.0, 0.0)._replace(pose=(0.0,) * 6 + (1.0,))], static=True)
+    with make_viewer_opener("robot", LiveOptions(port=0, controls=True), None)(core):
+        url = capsys.readouterr().err.split("live at ")[1].split()[0]
+        with connect(url.replace("http", "ws", 1) + "socket", max_size=None) as line:
+
+            def told():
+                seen.receive(line.recv(10))
+                line.send(json.dumps({"do": "ack"}))
+                return seen.status
+
+            def command(**given):
+                line.send(json.dumps({"do": "robot"} | given))
+
+            told()
+            assert seen.run_info["commands"] == ["set_pose", "locate"]
+            core.start()
+            play(core, outputs, log.measurements[:20], shift_ns=10**18, ahead=5)
+            command(command="set_pose", pose=[1e6, 0, 0])
+            assert until(lambda: "in the map" in told()["answer"] or "within" in told()["answer"])
+            command(command="set_pose", pose=log.truth.poses[19].tolist())
+            assert until(lambda: "pose set to" in told()["answer"])
+            play(core, outputs, log.measurements[20:40], shift_ns=10**18, ahead=5)
+            assert until(lambda: told()["scans"] == 40)
+            assert seen.status["lost"] is False
+            assert np.hypot(*(np.array(seen.status["pose"]) - log.truth.poses[39])[:2]) < 0.3
+        core.close()
+
+
 def test_a_node_that_localizes_is_watched_and_recorded(tmp_path, capsys):
     """Placed by people meanwhile, it stays one session."""
     pytest.importorskip("rerun", reason="Rerun (the extra rerun) is not installed")

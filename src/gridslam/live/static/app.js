@@ -2,6 +2,7 @@
 
 import { Camera } from "./camera.js";
 import { Chart, COLUMNS, WeightBars } from "./chart.js";
+import { Console } from "./console.js";
 import { Drawing } from "./drawing.js";
 import { Panel } from "./panel.js";
 import { Connection } from "./socket.js";
@@ -24,6 +25,7 @@ const charts = [
 ];
 const weightBars = new WeightBars($("#weights"), selectParticle);
 const measure = drawing.measure = new Measure();
+const robotConsole = drawing.console = new Console(camera, (command) => connection.send(command), () => redraw());
 let colours = {}, redrawPending = false;
 
 function reset() {
@@ -68,6 +70,7 @@ function setRunInfo(runInfo) {
   if (runInfo.other) world.other.place(runInfo.other.resolution_m, runInfo.other.offset_m);
   document.body.dataset.session = runInfo.session;
   panel.setRunInfo(runInfo);
+  robotConsole.setRunInfo(runInfo);
   resize();
 }
 
@@ -130,7 +133,7 @@ function arrow({ key, shiftKey }) {
 }
 
 // Whether particles can be selected.
-const isSelectable = () => world.runInfo.layers?.includes("weights");
+const isSelectable = () => world.runInfo.layers?.includes("weights") && !(world.status.past && panel.mode === "live");
 
 function selectParticle(particle) {
   if (!isSelectable()) return;
@@ -253,6 +256,6 @@ new Keys([
   [["n"], "not turned", () => turn(0)],
   [["g"], "grid in metres", () => $("#layers input[name='grid']").click()],
   [["m"], "measure", () => toggleMeasure()],
-  [["Escape"], "the best particle again; end measuring", () => (measure.active ? toggleMeasure() : connection.send({ do: "select", particle: null }))],
+  [["Escape"], "the best particle again; end measuring", () => (camera.takes ? robotConsole.toggle(false) : measure.active ? toggleMeasure() : connection.send({ do: "select", particle: null }))],
   [["?"], "this list", () => $("#help").showModal()],
 ], $("#help"));

@@ -55,7 +55,7 @@ export class Drawing {
     if (shown.scan) this.scan(context, colours.scan);
     this.robot(context, colours);
     if (shown.particles) this.particles(context, colours);
-    this.measure?.draw(context, camera, colours);
+    for (const tool of [this.measure, this.console]) tool?.draw(context, camera, colours);
   }
 
   maps(context) {

@@ -103,6 +103,7 @@ export class Panel {
     $("#pause").setAttribute("aria-label", this.held ? "Resume" : "Pause");
     if (document.activeElement !== $("#speed")) this.speed(status.speed ?? "");
     $("#summary").textContent = this.summarize(world).join(" · ");
+    $("#answer").textContent = status.answer ?? "";
     this.robot(status);
     this.particles(world);
     this.time(world);

@@ -71,6 +71,8 @@ class NodeCore:
 
     Attributes
     ----------
+    results_folder : Path
+        Where people who ask for it save the results while the node runs.
     failure : BaseException or None
         The exception that ended the filter's thread; None after `close`.
     ended : threading.Event
@@ -99,6 +101,7 @@ class NodeCore:
             raise ConfigurationError(f"odometry: expected needed, as this filter requires it, got {settings.odometry}")
         self.settings = settings
         self.configuration = configuration
+        self.results_folder = Path("gridslam-map")
         self.failure: BaseException | None = None
         self.ended = threading.Event()
         self._outputs = outputs

@@ -192,6 +192,8 @@ class RosNode:
             record=parameters.record,
             on_jump=None if self._out is None else self._save_earlier,
         )
+        if self._out is not None:
+            self.core.results_folder = self._out
         if parameters.paused:
             self.core.pause(True)
         transport.connect(self.core.refuse_message, self._topics(parameters))
@@ -324,8 +326,8 @@ class RosNode:
             transport.advertise_set_map("set_map", set_map)
         transport.advertise("~/pause", "std_srvs/SetBool", pause)
         transport.advertise_parameters(self._values, self._change_parameter, (_PAUSED,))
-        folder = self._out or Path("gridslam-map")
-        transport.advertise("~/save", "std_srvs/Trigger", lambda request: save_results(core, folder), slow=True)
+        save = partial(save_results, core, core.results_folder)
+        transport.advertise("~/save", "std_srvs/Trigger", lambda request: save(), slow=True)
 
     def _topics(self, parameters: NodeParameters) -> dict[str, str]:
         """Topics that are published, and their types."""
