@@ -39,9 +39,9 @@ def test_under_a_simulated_clock_each_transform_has_its_own_stamp(drive):
     core.close()
     stamps = np.array([one.stamp_ns for one in outputs.transforms])
     assert len(stamps) > len(drive)
-    assert (np.diff(stamps) > 0).all()
+    assert (np.diff(stamps * 1e-9) > 0).all()  # in floats, too, as tf2 has them in Python
     ahead_ns = stamps[-1] - SHIFT_NS - drive[-1].scan.stamp_ns
-    assert 0 <= ahead_ns - 50_000_000 < 1000
+    assert 0 <= ahead_ns - 50_000_000 < 1_000_000
 
 
 def test_a_bag_that_is_played_again_gets_transforms_with_its_stamps(drive):
@@ -52,7 +52,7 @@ def test_a_bag_that_is_played_again_gets_transforms_with_its_stamps(drive):
     last_ns = SHIFT_NS + drive[39].scan.stamp_ns + 50_000_000
     assert until(lambda: outputs.poses[-1].stamp_ns == SHIFT_NS + drive[39].scan.stamp_ns)
     core.close()
-    assert 0 <= outputs.transforms[-1].stamp_ns - last_ns < 1000
+    assert 0 <= outputs.transforms[-1].stamp_ns - last_ns < 1_000_000
 
 
 def test_the_pose_at_10_hz_odometry_comes_within_60_ms():

@@ -30,6 +30,7 @@ _MAX_CLOCK_OFFSET_NS = 5_000_000_000
 _MAX_LATENCIES = 2000  # the last ones, reported by the diagnostics
 _RECENT_S = 2.0
 _REPEAT_PERIOD_S = 1.0
+_APART_NS = 1_000
 _MAX_SET_BACK_NS = 500_000_000  # a clock that is set back by less is waited for
 _SILENT_S = 5.0
 _WAITING = Level.WARN, "waiting for a scan"
@@ -165,10 +166,13 @@ class StatePublisher:
             self._outputs.transform(transform)
 
     def _unique_stamp(self, stamp_ns: int) -> int:
-        """Return a stamp; 1 ns after the last one if the clock rests: tf2 keeps only the first transform of a stamp."""
+        """Return a stamp; 1 us after the last one if the clock rests: tf2 keeps only the first transform of a stamp.
+
+        In Python tf2 converts stamps to floats, which today are 0.24 us apart.
+        """
         last_ns = self._stamp_ns
         was_set_back = stamp_ns < last_ns - _MAX_SET_BACK_NS
-        self._stamp_ns = stamp_ns if was_set_back else max(stamp_ns, last_ns + 1)
+        self._stamp_ns = stamp_ns if was_set_back else max(stamp_ns, last_ns + _APART_NS)
         return self._stamp_ns
 
     def drop_own_transforms(
