@@ -306,8 +306,7 @@ class _Refinement:
         if not (constraints or found):
             return
         yield self._refine("refined", trajectory, recognized, constraints)
-        graph = self._graph(trajectory, found)  # what was refined before is known better than by these constraints
-        start = self.closure.solver.solve(replace(graph, held=max(graph.held, self.searched))).poses
+        start = self.closure.solver.solve(self._graph(trajectory, found)).poses
         if _max_distance_m(start, trajectory) > self.parameters.distinct_candidate_m:
             constraints = self._match_key_scans(recognized, start)
             yield self._refine("constraints", start, recognized, constraints)
