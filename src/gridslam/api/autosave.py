@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -13,11 +12,10 @@ from pathlib import Path
 from typing import Any, final
 
 from gridslam import __version__
-from gridslam.errors import GridslamError, InputError
+from gridslam.errors import InputError
 from gridslam.io.measurement import Measurement
-from gridslam.io.sessions.archive_file import write_sealed_arrays
+from gridslam.io.sessions.background_writer import BackgroundWriter
 from gridslam.io.sessions.session_file import SavedSession, read_session
-from gridslam.pipeline import describe_error
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import StepReport
 
@@ -51,14 +49,12 @@ class Autosave:
     ) -> None:
         self.path = Path(path)
         self.period_s = period_s
-        self._on_failure = on_failure
         self._on_resume = on_resume
         self._due_s = time.monotonic() + period_s
         self._session: SavedSession | None = None
         self._job = ""
         self._passed = 0
-        self._writer: threading.Thread | None = None
-        self._problem = ""
+        self._writer = BackgroundWriter(lambda problem: on_failure(f"the run cannot be saved: {problem}"))
 
     def find(self, job: Mapping[str, Any], threads: int = 1) -> tuple[SavedSession, int] | None:
         """Give what an interrupted run of the same job has left, and how many scans of its log it had processed.
@@ -100,38 +96,23 @@ class Autosave:
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Save the run if it is time to."""
-        if time.monotonic() < self._due_s or (self._writer is not None and self._writer.is_alive()):
+        if time.monotonic() < self._due_s or self._writer.is_busy:
             return
-        self._report_problem()
+        self._writer.report()
         session = self._session
         if session is None or session.run is None:
             return
         now = datetime.now(timezone.utc).isoformat(timespec="seconds")
+        job = f"{self._job} {self._passed}"
         run = replace(session.run, state=state)
-        arrays = replace(session, run=run, job=f"{self._job} {self._passed}", written=now).dump()
-        self._writer = threading.Thread(target=self._write, args=(arrays,), name="autosave", daemon=True)
-        self._writer.start()
+        self._writer.write(self.path, replace(session, run=run, job=job, written=now))
         self._due_s = time.monotonic() + self.period_s
 
     def close(self) -> None:
         """Wait for what is being written."""
-        if self._writer is not None:
-            self._writer.join()
-        self._report_problem()
+        self._writer.close()
 
     def remove(self) -> None:
         """Remove the file: the results are written."""
         self.close()
         self.path.unlink(missing_ok=True)
-
-    def _write(self, arrays: dict[str, Any]) -> None:
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            write_sealed_arrays(self.path, arrays)
-        except (OSError, GridslamError, MemoryError) as error:
-            self._problem = describe_error(error)
-
-    def _report_problem(self) -> None:
-        if self._problem:
-            self._on_failure(f"the run cannot be saved: {self._problem}")
-        self._problem = ""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import final
+from collections import deque
+from typing import TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ from gridslam.types import IntArray
 
 __all__ = ["TILE_BYTES", "Int32Array", "TileArena", "renumber"]
 
+_Number = TypeVar("_Number", np.int32, np.int16, np.uint8)
+
 TILE_BYTES = 3 * TILE * TILE
 """Of a tile's log-odds and field."""
 
@@ -26,6 +29,8 @@ _MOVED = 1024
 class TileArena:
     """Tiles (log-odds and distance field), pages of tile ids, and how often each is used. Id 0 is the empty one.
 
+    It belongs to one thread; others may read what `freeze` lends them.
+
     Attributes
     ----------
     pages : (K, 16, 16) int32
@@ -36,7 +41,10 @@ class TileArena:
         255 at an occupied cell, falling linearly with the distance to 0 at the field's reach.
     """
 
-    __slots__ = ("_free_pages", "_free_tiles", "field", "log_odds", "page_refs", "pages", "tile_refs")
+    __slots__ = (
+        *("_free_pages", "_free_tiles", "_lender", "_lent", "_readers", "_returned"),
+        *("field", "log_odds", "page_refs", "pages", "tile_refs"),
+    )
 
     def __init__(self) -> None:
         self.pages = np.zeros((8, PAGE, PAGE), np.int32)
@@ -46,6 +54,15 @@ class TileArena:
         self.tile_refs = np.zeros(64, np.int32)
         self._free_pages: Int32Array = np.arange(7, 0, -1, dtype=np.int32)
         self._free_tiles: Int32Array = np.arange(63, 0, -1, dtype=np.int32)
+        self._readers = 0
+        self._returned: deque[Int32Array] = deque()
+        self._lender: TileArena | None = None
+        self._lent: Int32Array = np.zeros((0, 1, 1), np.int32)
+
+    def __del__(self) -> None:
+        """Return what was lent, by whatever thread has read it last."""
+        if getattr(self, "_lender", None) is not None and self._lender is not None:
+            self._lender._returned.append(self._lent)
 
     @classmethod
     def from_arrays(
@@ -79,9 +96,37 @@ class TileArena:
         arena._free_pages = arena._free_tiles = np.zeros(0, np.int32)
         return arena
 
+    def freeze(self, roots: Int32Array) -> TileArena:
+        """Lend the pages of `roots` to another thread: an arena that is only read, and that the owner does not change.
+
+        Until the last reader has dropped it growing takes a copy of all tiles.
+        """
+        self.retain(roots)
+        twin = object.__new__(TileArena)
+        twin.pages, twin.log_odds, twin.field = self.pages, self.log_odds, self.field
+        twin.page_refs = twin.tile_refs = twin._free_pages = twin._free_tiles = np.zeros(0, np.int32)
+        twin._readers = 0
+        twin._returned = deque()
+        twin._lender, twin._lent = self, roots
+        self._readers += 1
+        return twin
+
+    def take_back(self) -> None:
+        """Release what readers have returned; called by the owner before it writes."""
+        while self._returned:
+            self.release(self._returned.popleft())
+            self._readers -= 1
+
+    @property
+    def is_frozen(self) -> bool:
+        """Whether it is only read."""
+        return self._lender is not None
+
     @property
     def tiles_used(self) -> int:
         """Number of tiles that some map uses."""
+        if self._lender is not None:
+            return self.tiles_of(self._lent)
         return len(self.tile_refs) - 1 - len(self._free_tiles)
 
     @property
@@ -102,16 +147,25 @@ class TileArena:
         """
         if not len(self._free_pages):
             free, new = self._extend_ids(self.page_refs)
-            self.pages.resize((new, PAGE, PAGE), refcheck=False)
+            self.pages = self._extend(self.pages, new)
             self.page_refs.resize(new, refcheck=False)
             self._free_pages = free
         if not len(self._free_tiles):
             free, new = self._extend_ids(self.tile_refs)
-            # resize extends large arrays in place: no second copy of the maps is ever held
-            self.log_odds.resize((new, TILE, TILE), refcheck=False)
-            self.field.resize((new, TILE, TILE), refcheck=False)
+            self.log_odds = self._extend(self.log_odds, new)
+            self.field = self._extend(self.field, new)
             self.tile_refs.resize(new, refcheck=False)
             self._free_tiles = free
+
+    def _extend(self, tiles: NDArray[_Number], size: int) -> NDArray[_Number]:
+        """Give tiles or pages with empty ones behind them, in place unless somebody reads them."""
+        if self._readers:
+            extended = np.zeros((size, *tiles.shape[1:]), tiles.dtype)
+            extended[: len(tiles)] = tiles
+            return extended
+        # resize extends large arrays in place: no second copy of the maps is ever held
+        tiles.resize((size, *tiles.shape[1:]), refcheck=False)
+        return tiles
 
     @staticmethod
     def _extend_ids(refs: Int32Array) -> tuple[Int32Array, int]:
@@ -126,10 +180,14 @@ class TileArena:
 
     def retain(self, roots: Int32Array) -> None:
         """Count one more use of every page in `roots`."""
+        if self._lender is not None:  # a reader holds all it needs as long as it holds the arena
+            return
         self.page_refs += _uses(roots, len(self.page_refs))
 
     def release(self, roots: Int32Array) -> None:
         """Count one use less of every page in `roots`; what nothing uses any more becomes free."""
+        if self._lender is not None:
+            return
         dead_pages = _release(self.page_refs, roots)
         if len(dead_pages):
             dead_tiles = _release(self.tile_refs, self.pages[dead_pages])
@@ -146,6 +204,9 @@ class TileArena:
 
     def compact(self) -> None:
         """Move the tiles in use to the front, in their order, and give the memory behind them back."""
+        self.take_back()
+        if self._readers:
+            self.pages, self.log_odds, self.field = self.pages.copy(), self.log_odds.copy(), self.field.copy()
         used = np.append(0, np.flatnonzero(self.tile_refs))
         places = np.zeros(len(self.tile_refs), np.int32)
         places[used] = np.arange(len(used), dtype=np.int32)

@@ -201,6 +201,13 @@ class TileMaps:
         twin._roots = roots
         return twin
 
+    def freeze(self) -> TileMaps:
+        """All maps as they are now, to be read by another thread while the owner goes on; they are never written to."""
+        twin = self.snapshot()
+        twin._arena.release(twin._roots)
+        twin._arena = self._arena.freeze(twin._roots)
+        return twin
+
     def select(self, parents: IntArray) -> None:
         """Let map i become what map parents[i] was; parents (rows,) int64."""
         roots = self._roots[parents]
@@ -228,6 +235,7 @@ class TileMaps:
         """
         if not len(beams):
             return
+        self._arena.take_back()
         self._cover(poses, beams)
         crossed = backend.tiles_on_rays(rows, poses, beams.ends, beams.origin, self.resolution_m, self.threads)
         if len(crossed) + self.tiles_used > self.most_tiles:
@@ -452,6 +460,9 @@ class TileMaps:
 
     def _make_writable(self, tiles_to_write: Int32Array) -> None:
         arena = self._arena
+        if arena.is_frozen:
+            raise ArgumentError("maps", "maps that may change", "frozen ones")
+        arena.take_back()
         while True:
             pages, tiles, done = backend.make_tiles_writable(
                 *self._view, arena.page_refs, arena.tile_refs, *arena.free_ids, tiles_to_write

@@ -80,6 +80,11 @@ class SavedRun:
             self, rng=rng, state=state, trajectory=trajectory, statistics=statistics, record=self.record.snapshot()
         )
 
+    def freeze(self) -> SavedRun:
+        """Give a copy that another thread may write while the filter goes on."""
+        frozen = replace(self, state=None).snapshot()
+        return replace(frozen, state=None if self.state is None else self.state.freeze())
+
     @property
     def drives(self) -> tuple[Drive, ...]:
         """The earlier drives, and the one so far."""

@@ -1,0 +1,62 @@
+"""Sessions written while the filter goes on, by a thread of their own."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import final
+
+from gridslam.errors import GridslamError
+from gridslam.io.sessions.session_file import SavedSession, write_session
+from gridslam.pipeline import describe_error
+
+__all__ = ["BackgroundWriter"]
+
+
+@final
+class BackgroundWriter:
+    """Writes one session at a time; the filter waits only while its tables are copied.
+
+    Parameters
+    ----------
+    on_failure : callable
+        Called with what has failed, such as a full disk, from `report`.
+    """
+
+    def __init__(self, on_failure: Callable[[str], None] = lambda problem: None) -> None:
+        self._on_failure = on_failure
+        self._thread: threading.Thread | None = None
+        self._problem = ""
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a session is being written."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def write(self, path: Path, session: SavedSession) -> None:
+        """Write a session as it is now, in place of an earlier one; call between two scans, and when it is idle."""
+        run = session.run
+        frozen = [replace(session, run=None if run is None else run.freeze())]  # dropped by the thread that writes it
+        self._thread = threading.Thread(target=self._write, args=(path, frozen), name="gridslam-autosave", daemon=True)
+        self._thread.start()
+
+    def report(self) -> None:
+        """Report what has failed since the last call."""
+        problem, self._problem = self._problem, ""
+        if problem:
+            self._on_failure(problem)
+
+    def close(self) -> None:
+        """Wait for what is being written, and report."""
+        if self._thread is not None:
+            self._thread.join()
+        self.report()
+
+    def _write(self, path: Path, frozen: list[SavedSession]) -> None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_session(path, frozen.pop())
+        except (OSError, GridslamError, MemoryError) as error:
+            self._problem = describe_error(error)
