@@ -193,6 +193,15 @@ class MapResult(Result):
         log = self.log
         return "no odometry" if log.without_odometry == log.scan_count else f"{log.odometry_length_m:.0f} m driven"
 
+    @property
+    def poses_by_drive(self) -> FloatArray:
+        """The poses of `trajectory` (N, 3), one drive after the other."""
+        if self.map_piece is None or len(self.map_piece.drives) < 2:
+            return self.trajectory.poses
+        poses = np.empty_like(self.trajectory.poses)
+        poses[np.argsort(self.map_piece.stamps_ns, kind="stable")] = self.trajectory.poses
+        return poses
+
     def to_session(self) -> SavedSession:
         """Give what later logs can go on from, to be saved by `Session.save`.
 

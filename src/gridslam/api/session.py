@@ -50,6 +50,16 @@ class _Map(NamedTuple):
 
     piece: SavedPiece
     tiled_map: TiledGrid
+    poses: FloatArray | None = None
+    """Where all scans of its drives lie (N, 3); None where that follows from the key scans."""
+
+    def prepare(self, configuration: Configuration, *, frozen: bool) -> SavedPiece:
+        """Give the piece as a later drive is joined with it: thinned, and frozen if that is wanted."""
+        piece = self.piece
+        if frozen and piece.drives:
+            bent = full_trajectories(piece.piece.poses, piece.tracked_scans) if self.poses is None else self.poses
+            piece = piece.freeze(bent)
+        return piece.thin(configuration.mapper)
 
     @classmethod
     def draw(cls, piece: SavedPiece, configuration: Configuration) -> _Map:
@@ -166,6 +176,7 @@ class Session:
         *,
         place: Place | Literal["auto", "same place", "elsewhere"] = Place.AUTO,
         pose: ArrayLike | None = None,
+        frozen: bool = False,
         name: str | None = None,
         options: LogOptions | None = None,
         repair: Literal["needed", "all", "none"] = "needed",
@@ -187,6 +198,9 @@ class Session:
             not known.
         pose : (3,) float64, optional
             About where it begins in the map of the newest piece, within 5 m and 0.5 rad: then it is elsewhere.
+        frozen : bool
+            Whether what was mapped before stays where it is, to the last bit: a new drive begins, and is aligned with
+            it. What was frozen once stays so.
         name : str, optional
             Of a new drive; that of the log if not given.
         options, repair
@@ -213,9 +227,11 @@ class Session:
         self.resumed = 0
         begun = None
         if autosave is not None:
-            begun = self._resume(autosave, self._describe_job(source, digest, where, begin, name, repair), begin)
+            begun = self._resume(
+                autosave, self._describe_job(source, digest, where, begin, frozen, name, repair), begin
+            )
         if begun is None:
-            begun = self._begin(first, where, begin, name or source.path.name.partition(".")[0])
+            begun = self._begin(first, where, begin, frozen, name or source.path.name.partition(".")[0])
         if autosave is not None:
             autosave.begin(replace(self._saved, run=begun.run, pieces=begun.pieces), begun.passed)
             begun = replace(begun, observers=[autosave])
@@ -238,15 +254,17 @@ class Session:
     def keep(self, result: MapResult) -> None:
         """Go on from the result of a run."""
         self._saved = replace(result.to_session(), thumbnail=b"")
-        newest = [] if result.map_piece is None else [_Map(result.map_piece, result.tiled_map)]
-        self._maps = [*newest, *(_Map.draw(piece, self.configuration) for piece in result.pieces)]
+        self._maps = None  # without loop closure there are no pieces
+        if result.map_piece is not None:
+            newest = _Map(result.map_piece, result.tiled_map, result.poses_by_drive)
+            self._maps = [newest, *(_Map.draw(piece, self.configuration) for piece in result.pieces)]
 
     def add_map(self, grid: OccupancyGrid) -> None:
         """Add a given map, such as one of map_server: drives are found in it and go on from there.
 
         Raises ArgumentError where no cell of it is free or none is occupied.
         """
-        piece = SavedPiece(piece_of_map(grid, self.configuration.range_max_m), ())
+        piece = SavedPiece(piece_of_map(grid, self.configuration.range_max_m).freeze(), ())
         self._maps = None
         self._saved = replace(self._saved, pieces=(*self._saved.pieces, piece))
 
@@ -296,7 +314,7 @@ class Session:
             self.configuration.final_refinement,
             on_progress,
         )
-        first = _Map(SavedPiece(full.piece or largest.piece, largest.drives), full.tiled_map)
+        first = _Map(SavedPiece(full.piece or largest.piece, largest.drives), full.tiled_map, full.poses)
         self._maps = [first, *(_Map.draw(piece, self.configuration) for piece in groups[1:])]
         self._saved = SavedSession(self.configuration, self._saved.seed, None, tuple(self.pieces))
         return full
@@ -320,7 +338,14 @@ class Session:
         self._path = Path(target)
 
     def _describe_job(
-        self, log: Log, digest: str, place: Place, pose: FloatArray | None, name: str | None, repair: str
+        self,
+        log: Log,
+        digest: str,
+        place: Place,
+        pose: FloatArray | None,
+        frozen: bool,
+        name: str | None,
+        repair: str,
     ) -> dict[str, Any]:
         """All that the results of a log depend on, as JSON values."""
         saved = self._saved
@@ -334,6 +359,7 @@ class Session:
             "session": saved.written,
             "place": place.value,
             "pose": None if pose is None else pose.tolist(),
+            "frozen": frozen,
             "name": name,
         }
 
@@ -347,10 +373,10 @@ class Session:
         assert run is not None
         return Beginning(run, saved.pieces, self.resumed, self._make_locator(run, saved.pieces, pose))
 
-    def _begin(self, first: Measurement, place: Place, pose: FloatArray | None, name: str) -> Beginning:
+    def _begin(self, first: Measurement, place: Place, pose: FloatArray | None, frozen: bool, name: str) -> Beginning:
         """Decide where the log begins, and what its run begins with."""
         saved = self._saved
-        if pose is not None:
+        if pose is not None or frozen:
             place = Place.ELSEWHERE
         self.decision = None
         if saved.run is not None:
@@ -361,7 +387,7 @@ class Session:
         self.is_same_place = is_same
         if is_same and saved.run is not None:
             return self._go_on(saved.run, first)
-        pieces = tuple(self.pieces)
+        pieces = tuple(own.prepare(saved.configuration, frozen=frozen) for own in self._refine())
         if pose is not None and not pieces:
             raise ArgumentError("pose", "a session in whose map the robot can begin", "an empty one")
         drives = [drive.name for drive in saved.drives]
@@ -403,7 +429,7 @@ class Session:
                 )
                 if full.piece is None:
                     raise ArgumentError("session", "one that was mapped with loop closure", "one without")
-                self._maps.insert(0, _Map(SavedPiece(full.piece, drives), full.tiled_map))
+                self._maps.insert(0, _Map(SavedPiece(full.piece, drives), full.tiled_map, full.poses))
         return self._maps
 
     def _thumbnail(self) -> bytes:

@@ -47,6 +47,7 @@ def map_to_folder(
         configuration = opened.configuration
     source = check_log(open_log(log, options), options)
     with open_viewers(live, rerun, source.path.name, configuration.range_max_m) as viewers:
+        session.make_room(out)
         with open_output(out, MapResult.all_names()) as folder:
             if opened is None:
                 run = partial(map_log, configuration=configuration, seed=seed, threads=threads)

@@ -331,6 +331,9 @@ _SESSION_OPTIONS = (
         callback=read_pose,
         help="About where LOG begins in the session's map (m, rad), within 5 m; searched for there alone.",
     ),
+    click.option(
+        "--frozen", is_flag=True, help="What the session has mapped stays where it is; LOG is aligned with it."
+    ),
     click.option("--name", metavar="NAME", help="Name of the drive, such as the robot's.  [default: that of LOG]"),
     click.option("--prior", type=PATH, metavar="YAML", help="Known map (map_server) to be found in and to go on from."),
     click.option(
@@ -343,7 +346,7 @@ _SESSION_OPTIONS = (
     click.option("--restart", is_flag=True, help="Begin with the first scan, whatever a killed run has left in OUT."),
 )
 _SESSION_FIELDS = (
-    *("save", "continued", "same_place", "elsewhere", "pose", "name", "prior"),
+    *("save", "continued", "same_place", "elsewhere", "pose", "frozen", "name", "prior"),
     *("autosave_min", "restart"),
 )
 _LOCALIZE_OPTIONS = (

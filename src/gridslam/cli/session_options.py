@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -40,6 +41,8 @@ class SessionOptions:
         Where the log begins, if that is known.
     pose : (float, float, float) or None
         About where the log begins in the session's map.
+    frozen : bool
+        Whether what the session has mapped stays where it is.
     name : str or None
         Of the drive.
     prior : Path or None
@@ -55,6 +58,7 @@ class SessionOptions:
     same_place: bool
     elsewhere: bool
     pose: tuple[float, float, float] | None
+    frozen: bool
     name: str | None
     prior: Path | None
     autosave_min: float | None
@@ -69,6 +73,7 @@ class SessionOptions:
             (self.same_place, "--same-place"),
             (self.elsewhere, "--elsewhere"),
             (self.pose is not None, "--pose"),
+            (self.frozen, "--frozen"),
         ):
             if given and not known:
                 raise click.UsageError(f"{option} needs --continue or --prior")
@@ -95,6 +100,12 @@ class SessionOptions:
                 raise click.ClickException(f"{self.prior}: {error}") from None
         return session
 
+    def make_room(self, out: Path) -> None:
+        """Create OUT for an autosave at once, so that results are staged in it before and after a kill."""
+        if self.autosave_min is not None:
+            with suppress(OSError):  # reported when OUT is opened
+                out.mkdir(parents=True, exist_ok=True)
+
     def add(self, session: Session, out: Path, log: Log, **options: Any) -> MapResult:  # noqa: ANN401
         """Add a log to a session."""
         place = Place.SAME if self.same_place else Place.ELSEWHERE if self.elsewhere else Place.AUTO
@@ -103,7 +114,9 @@ class SessionOptions:
             autosave = Autosave(out / _AUTOSAVE, 60 * self.autosave_min, warn, on_resume=_report_resumed)
             if self.restart:
                 autosave.remove()
-        result = session.add(log, place=place, pose=self.pose, name=self.name, autosave=autosave, **options)
+        result = session.add(
+            log, place=place, pose=self.pose, frozen=self.frozen, name=self.name, autosave=autosave, **options
+        )
         if autosave is not None:
             autosave.close()
         return result

@@ -6,6 +6,7 @@ import json
 import operator
 from dataclasses import replace
 from functools import reduce
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from gridslam.io.sessions.session_file import (
 from gridslam.pipeline import run
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.slam.grid_fastslam.state import STATE_SCHEMA
+from support.saved_sessions import make_session
 
 SCANS = 160
 
@@ -183,3 +185,31 @@ def test_generators_without_plain_state_and_unwritable_places_are_refused(file, 
     with pytest.raises(OutputError, match="cannot be written"):
         write_session(tmp_path / "none" / "run.gridslam", saved)
     assert not list(tmp_path.iterdir())
+
+
+KEPT = sorted(Path(__file__).parent.glob("session_*.gridslam"))
+
+
+@pytest.mark.parametrize("path", KEPT, ids=lambda path: path.stem)
+def test_every_earlier_schema_is_read(path, measurements):
+    session = Session.open(path)
+    assert [drive.name for drive in session.saved.drives] == ["monday", "tuesday"]
+    assert [len(piece.piece) for piece in session.pieces] == [14, 12]
+    assert [len(trajectory) for trajectory in session.trajectories.values()] == [60, 60]
+    assert all((grid.whole().log_odds > 1).sum() > 100 for grid in session.maps)
+    saved = session.saved
+    run(measurements[:20], build(saved.configuration), rng=saved.run.rng, state=saved.run.state)
+
+
+def test_what_a_session_holds_changes_with_the_number_of_its_schema(tmp_path):
+    """Else a file of this version would be refused, or misread, by one that has the same number."""
+    write_session(tmp_path / "now.gridslam", make_session())
+    with np.load(tmp_path / "now.gridslam") as archive, np.load(KEPT[-1]) as kept:
+        assert KEPT[-1].stem == f"session_{SESSION_SCHEMA.rpartition('/')[2]}"
+        forms = [
+            {name: (values.dtype.kind, values.ndim) for name, values in arrays.items()} for arrays in (archive, kept)
+        ]
+        assert forms[0] == forms[1]
+        heads = [json.loads(str(arrays["head"])) for arrays in (archive, kept)]
+        assert heads[0].keys() == heads[1].keys()
+        assert heads[0]["run"].keys() == heads[1]["run"].keys()

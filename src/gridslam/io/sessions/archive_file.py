@@ -76,7 +76,14 @@ def read_sealed_arrays(path: str | Path, schema: str, what: str) -> dict[str, ND
             seal = file.read(_SEAL_BYTES)
             if seal.startswith(_SEAL) and seal[len(_SEAL) :] != _digest(file, size):
                 raise InputError(path, f"expected {what}, got one that is damaged: its content has another SHA-256")
-    arrays = read_arrays(path, schema, what)
+        file.seek(0)
+        is_archive = file.read(4) == b"PK\x03\x04"
+    try:
+        arrays = read_arrays(path, schema, what)
+    except InputError as error:
+        if not is_archive or "schema" in str(error):
+            raise
+        raise InputError(path, f"expected {what}, got one that is damaged: {error}") from None
     if size < _SEAL_BYTES or not seal.startswith(_SEAL):
         raise InputError(path, f"expected {what}, got one that is damaged: its end, with its SHA-256, is missing")
     return arrays

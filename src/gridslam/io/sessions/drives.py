@@ -100,7 +100,12 @@ class SavedPiece:
         return np.concatenate([np.zeros(0, np.int64), *(drive.stamps_ns for drive in self.drives)])
 
     def thin(self, mapper: OccupancyGridMapping) -> SavedPiece:
-        """Leave out what newer drives have seen (see `thin_piece`), and drives of which nothing is left."""
+        """Leave out what newer drives have seen (see `thin_piece`), and drives of which nothing is left.
+
+        A piece that began with a given map stays as it is.
+        """
+        if len(self.piece.scans) > len(self.stamps_ns):
+            return self
         thinned = thin_piece(self.piece, self.tracked_scans, mapper)
         stamps = self.stamps_ns[thinned.scans] if self.drives else self.stamps_ns
         own = np.split(stamps, np.cumsum([len(scans.keys) for scans in thinned.drives])[:-1])
@@ -111,9 +116,14 @@ class SavedPiece:
         )
         return SavedPiece(thinned.piece, tuple(drives))
 
-    def freeze(self, *, frozen: bool = True) -> SavedPiece:
-        """The same piece, its key scans frozen, or released again."""
-        return replace(self, piece=self.piece.freeze() if frozen else self.piece.release())
+    def freeze(self, poses: FloatArray) -> SavedPiece:
+        """The same piece, its key scans frozen, and all its scans at poses (N, 3)."""
+        own = self.split(poses).values()
+        drives = (
+            replace(drive, scans=drive.scans._replace(poses=there))
+            for drive, there in zip(self.drives, own, strict=True)
+        )
+        return SavedPiece(self.piece.freeze(), tuple(drives))
 
     def split(self, rows: FloatArray) -> dict[str, FloatArray]:
         """Split an array with a row for each scan of all drives, by the drives' names."""

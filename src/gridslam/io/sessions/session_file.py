@@ -271,6 +271,8 @@ def _dump_drives(part: str, drives: tuple[Drive, ...]) -> dict[str, Any]:
         arrays[f"{own}.stamps_ns"] = drive.stamps_ns
         arrays[f"{own}.keys"] = drive.scans.keys
         arrays[f"{own}.key_from_base"] = drive.scans.key_from_base
+        if drive.scans.poses is not None:
+            arrays[f"{own}.poses"] = drive.scans.poses
     return arrays
 
 
@@ -283,7 +285,9 @@ def _load_drives(arrays: Arrays, heads: list[dict[str, Any]], key_scans: int) ->
         stamps_ns = read_array(own, "stamps_ns", np.int64, ("scans",), sizes)
         keys = read_array(own, "keys", np.int64, ("scans",), sizes)
         key_from_base = read_array(own, "key_from_base", np.float64, ("scans", 3), sizes)
-        drives.append(Drive(str(head["name"]), _load_logs(head["logs"]), stamps_ns, TrackedScans(keys, key_from_base)))
+        poses = read_array(own, "poses", np.float64, ("scans", 3), sizes) if "poses" in own else None
+        scans = TrackedScans(keys, key_from_base, poses)
+        drives.append(Drive(str(head["name"]), _load_logs(head["logs"]), stamps_ns, scans))
     for number, drive in enumerate(drives):
         later = drives[number + 1].scans.keys[:1].tolist() if number + 1 < len(drives) else [key_scans]
         keys = drive.scans.keys

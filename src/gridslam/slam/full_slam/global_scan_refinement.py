@@ -347,13 +347,17 @@ class _Refinement:
         return replace(graph, information=information)
 
     def match_scans(self, poses: FloatArray, maps: TileMaps, first: int = 0) -> FloatArray:
-        """Match every scan from the first on to the final map; one without stored beams moves with its predecessor."""
+        """Match every scan from the first on to the final map; one without stored beams moves with its predecessor.
+
+        The archive may begin with the key scans of a given map, which no drive has.
+        """
+        given = len(self.closure_state.scans) - len(poses)
         parameters = self.parameters
         matched = poses.copy()
         last = first
         prior = parameters.scan_prior_information * np.eye(3)[None]
         for scan in range(first, len(poses)):
-            beams = self.closure_state.scans[scan]
+            beams = self.closure_state.scans[given + scan]
             if len(beams) < parameters.matcher.min_beams:
                 matched[scan] = compose(matched[last], between(poses[last], poses[scan]))
                 continue
