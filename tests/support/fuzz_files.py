@@ -50,6 +50,7 @@ from gridslam.io.sessions.drives import DrivenLog
 from gridslam.io.sessions.saved_localization import SavedLocalization, read_localization, write_localization
 from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session, write_session
 from gridslam.io.trajectories import read_relations, read_trajectory_csv, read_tum
+from gridslam.live.history_file import read_history
 from gridslam.live.replay import Replay
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.slam.full_slam.full_trajectory import full_trajectories
@@ -290,8 +291,8 @@ def _names(folder: Path) -> Iterator[Family]:
 def _streams(folder: Path) -> Iterator[Family]:
     """Pipes, devices and directories in the place of files."""
     readers: list[Callable[[Path], object]] = [
-        open_log, read_tum, read_g2o, read_map, read_session, read_record, open_landmark_log, read_relations,
-        read_parameter_file, read_localization, read_trajectory_csv
+        open_log, read_tum, read_g2o, read_map, read_session, read_record, read_history, open_landmark_log,
+        read_relations, read_parameter_file, read_localization, read_trajectory_csv
     ]  # fmt: skip
 
     def prepare(to: Path, rng: np.random.Generator) -> None:

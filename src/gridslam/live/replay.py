@@ -4,35 +4,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 
-from gridslam.errors import ArgumentError, InputError
-from gridslam.io.g2o import read_g2o
-from gridslam.io.landmarks import read_landmarks
-from gridslam.io.maps import read_map
-from gridslam.io.results.record import read_record
-from gridslam.io.text import read_json, read_text
-from gridslam.io.trajectories import read_trajectory_csv, read_tum
+from gridslam.errors import ArgumentError
 from gridslam.live.ancestry_tree import NO_POINTS
 from gridslam.live.beside import read_beside
 from gridslam.live.control import check_particle, check_speed
-from gridslam.live.history import History, PastReplica
-from gridslam.live.history_file import HISTORY_NAME, read_history
+from gridslam.live.finished import count_key_scans, read_optional_history, read_results
+from gridslam.live.history import PastReplica
+from gridslam.live.history_file import HISTORY_NAME
 from gridslam.live.past import Past, PastReader
-from gridslam.live.results import MappedRun, Results, StaticMap, TrajectoryRun
+from gridslam.live.results import MappedRun, StaticMap
 from gridslam.live.scene import Scene, SentState, make_run_info
 from gridslam.live.tiles import TileReplica, tile_offset
-from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
+from gridslam.types import OccupancyGrid, Trajectory
 
 __all__ = ["Replay", "ReplayViewer"]
-
-_BELIEF_HEADER = "stamp_s,lost,lost_probability,inlier_ratio,particles,n_eff,injection_ratio"
-_MOST = 1e12  # of particles
-_WRITERS = "gridslam map, localize, grid or landmarks"
 
 
 @final
@@ -58,13 +48,8 @@ class Replay:
     def __init__(self, folder: str | Path, beside: str | Path | None = None, speed: float = 10.0) -> None:
         """Read the folder."""
         out = Path(folder)
-        document = _read_document(out / "run.json")
-        kind = str(document.get("schema", "")).rpartition("/")[0]
-        if kind not in _READERS:
-            raise InputError(out / "run.json", f"expected what {_WRITERS} wrote, got schema {kind or 'none'}")
-        source = document.get("input")
-        title = Path(str(source.get("path") if isinstance(source, dict) else "") or out.resolve()).name
-        self.results = results = _READERS[kind](out, document)
+        results, title = read_results(out)
+        self.results = results
         mode = "still" if isinstance(results, StaticMap) else "replay"
         self.speed = speed
         self.beside = read_beside(out, None if beside is None else Path(beside), results.trajectory)
@@ -74,10 +59,10 @@ class Replay:
             "truth": len(self.beside.path) > 0,
             "session": self._session is not None,
         }
-        self.history = _read_history(out / HISTORY_NAME)
+        self.history = read_optional_history(out / HISTORY_NAME)
         if self.history is not None:
             found |= dict.fromkeys(("scan", "particles"), True)
-        self.keys = _count_key_scans(results, self.history)
+        self.keys = count_key_scans(results, self.history)
         layers = (
             *results.layers,
             *(name for name, is_found in found.items() if is_found and name not in results.layers),
@@ -245,115 +230,3 @@ class ReplayViewer:
             truth=self._replay.beside.path,
             other=self._replay.other,
         )
-
-
-def _read_mapping(out: Path, document: dict[str, Any]) -> Results:
-    record = read_record(out / "record.npz")
-    poses = read_g2o(out / "graph.g2o").graph.poses
-    if not document.get("loop_closure"):
-        record = replace(record, revisits=record.revisits[:0])
-    trajectory = read_tum(out / "trajectory.tum")
-    grid = read_map(out / "map.yaml")
-    if not len(record) or len(poses) != len(record):
-        raise InputError(out / "record.npz", f"expected {len(poses)} key scans, got {len(record)}")
-    closures = _read_closures(out / "run.json", document, len(record))
-    online = out / "trajectory_online.tum"
-    return MappedRun(record, trajectory, poses, grid, closures, read_tum(online) if online.is_file() else None)
-
-
-def _read_localization(out: Path, document: dict[str, Any]) -> Results:
-    trajectory, covariances = read_trajectory_csv(out / "trajectory.csv")
-    belief = _read_belief(out / "belief.csv")
-    if len(belief) != len(trajectory):
-        raise InputError(out / "belief.csv", f"expected {len(trajectory)} scans, got {len(belief)}")
-    grid, missing = _read_known_map(document)
-    return TrajectoryRun(trajectory, covariances, grid, belief=belief, missing=missing)
-
-
-def _read_landmark_run(out: Path, document: dict[str, Any]) -> Results:
-    trajectory, covariances = read_trajectory_csv(out / "trajectory.csv")
-    path = out / "landmarks.csv"
-    if not path.is_file():  # a localization with known landmarks
-        return TrajectoryRun(trajectory, covariances)
-    found = read_landmarks(path)
-    rows = np.column_stack([found.positions, found.covariances[:, [0, 0, 1], [0, 1, 1]]]).astype(np.float32)
-    return TrajectoryRun(trajectory, covariances, landmarks=rows)
-
-
-_READERS: dict[str, Callable[[Path, dict[str, Any]], Results]] = {
-    "gridslam.run": _read_mapping,
-    "gridslam.localization": _read_localization,
-    "gridslam.landmarks": _read_landmark_run,
-    "gridslam.landmark_localization": _read_landmark_run,
-    "gridslam.grid": lambda out, document: StaticMap(read_map(out / "map.yaml")),
-}
-
-
-def _read_history(path: Path) -> History | None:
-    """Return the history of a run; None if the folder has none."""
-    history = read_history(path) if path.is_file() else None
-    return history if history is not None and history.moments else None
-
-
-def _count_key_scans(results: Results, history: History | None) -> IntArray:
-    """Return for each step of a run how many key scans there had been, as its history counts them."""
-    steps = len(results.times_s)
-    if history is None or results.trajectory is None or isinstance(results, MappedRun):
-        return np.arange(1, steps + 1)
-    stamps_ns = np.maximum.accumulate([moment.stamp_ns for moment in history.moments])
-    keys = np.array([0, *(moment.keys for moment in history.moments)])
-    counted: IntArray = keys[np.searchsorted(stamps_ns, results.trajectory.stamps_ns, "right")]
-    return counted
-
-
-def _read_document(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise InputError(path, f"no such file; expected the folder that {_WRITERS} wrote")
-    return read_json(path)
-
-
-def _read_closures(path: Path, document: dict[str, Any], keys: int) -> IntArray:
-    """Return the key scans (C, 2) of the loop closures, the older one first, without those not in the record."""
-    source = document.get("loop_closure") or {}
-    closures = source.get("closures", []) if isinstance(source, dict) else None
-    if not isinstance(closures, list):
-        raise InputError(path, "loop_closure: expected an object with a list of closures, or false")
-    pairs: list[list[int]] = []
-    for number, closure in enumerate(closures):
-        pair = closure.get("key_scans") if isinstance(closure, dict) else None
-        if not (isinstance(pair, list) and len(pair) == 2 and all(type(key) is int for key in pair)):
-            problem = f"expected two key scans, got {pair!r:.60}"
-            raise InputError(path, f"loop_closure.closures[{number}].key_scans: {problem}")
-        if all(0 <= key < keys for key in pair):
-            pairs.append(pair)
-    return np.array(pairs, np.int64).reshape(-1, 2)
-
-
-def _read_known_map(document: dict[str, Any]) -> tuple[OccupancyGrid | None, str]:
-    """Return the map of a localization from its original path; None and a message if it cannot be read."""
-    source = document.get("input")
-    path = Path(str(source.get("map") or "")) if isinstance(source, dict) else Path()
-    try:
-        return read_map(path), ""
-    except InputError as error:
-        return None, f"without the map: {error}"
-
-
-def _read_belief(path: Path) -> FloatArray:
-    """Read belief.csv as (T, 5): lost, lost probability, inlier ratio, particles, effective sample size (or NaN)."""
-    header, *lines = read_text(path).splitlines() or [""]
-    if header != _BELIEF_HEADER:
-        raise InputError(path, f"expected the columns {_BELIEF_HEADER}, got {header!r:.200}", 1)
-    rows = []
-    for number, line in enumerate(lines, 2):
-        try:
-            _, *numbers, _ = (float(word or "nan") for word in line.split(","))
-        except ValueError:
-            raise InputError(path, f"expected numbers ({_BELIEF_HEADER}), got {line!r:.200}", number) from None
-        if len(numbers) != 5:
-            raise InputError(path, f"expected seven numbers ({_BELIEF_HEADER}), got {line!r:.200}", number)
-        if not all(0 <= value < _MOST for value in numbers[:4]) or numbers[4] >= _MOST:
-            problem = f"expected numbers >= 0 and below {_MOST:g} ({_BELIEF_HEADER})"
-            raise InputError(path, f"{problem}, got {line!r:.200}", number)
-        rows.append(numbers)
-    return np.array(rows).reshape(-1, 5)
