@@ -3,7 +3,9 @@
 #   docker build -t gridslam .                                slim: the command line, and the node without ROS
 #   docker build -t gridslam-ros --target ros .               ROS 2's own image: the node by rclpy
 #
-# Both run as a user without rights, in /work: docker run --rm -v "$PWD:/work" gridslam map log.bag -o out
+# Both run as a user without rights, in /work:
+#
+#   docker run --rm --user "$(id -u):$(id -g)" -v "$PWD:/work" gridslam map log.bag -o out
 ARG BASE=python:3.12-slim-bookworm
 ARG ROS_DISTRO=jazzy
 ARG ROS_BASE=ros:${ROS_DISTRO}-ros-core
