@@ -236,7 +236,8 @@ class PastReplica:
         last = newer[most - 1][1] if len(newer) > most else self.sequence
         at = [at for at, _ in newer[:most]]
         packed = np.frombuffer(b"".join(self._tiles[one] for one in at), np.uint8)
-        levels = np.stack([packed & 15, packed >> 4], axis=-1).reshape(-1, TILE, TILE)
+        pairs = np.stack([packed & np.uint8(15), packed >> np.uint8(4)], axis=-1)
+        levels: NDArray[np.uint8] = pairs.reshape(-1, TILE, TILE).astype(np.uint8, copy=False)
         return np.array(at, np.int32).reshape(-1, 2), levels, last
 
     def _put(self, at: tuple[int, int], packed: bytes) -> None:
