@@ -100,6 +100,7 @@ class Node:
         return f"/{name}"
 
     def create_publisher(self, kind: type, topic: str, profile: Any, *, qos_overriding_options: Any) -> Any:
+        assert len(qos_overriding_options) == 4
         self.world.publishers[topic] = kind.__name__, profile
 
         def publish(data: bytes) -> None:
@@ -205,13 +206,13 @@ def installed(monkeypatch: Any, parameters: dict[str, Any]) -> World:
         MultiThreadedExecutor=MultiThreadedExecutor,
         ExternalShutdownException=ExternalShutdownException,
     )
-    overriding = SimpleNamespace(with_default_policies=lambda: "default policies")
-    module("rclpy.qos_overriding_options", QoSOverridingOptions=overriding)
+    module("rclpy.qos_overriding_options", QoSOverridingOptions=tuple)
     module("rclpy.parameter", Parameter=lambda name, value: SimpleNamespace(name=name, value=value))
     module("rclpy.callback_groups", MutuallyExclusiveCallbackGroup=object)
     module(
         "rclpy.qos",
         QoSProfile=lambda **policies: SimpleNamespace(**policies),
+        QoSPolicyKind=Enum("QoSPolicyKind", "HISTORY DEPTH RELIABILITY DURABILITY"),
         HistoryPolicy=Enum("HistoryPolicy", "KEEP_LAST"),
         ReliabilityPolicy=Enum("ReliabilityPolicy", "RELIABLE BEST_EFFORT"),
         DurabilityPolicy=Enum("DurabilityPolicy", "VOLATILE TRANSIENT_LOCAL"),

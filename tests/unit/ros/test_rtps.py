@@ -127,6 +127,24 @@ def test_a_writer_must_offer_what_a_reader_asks_for(offered, requested, policy):
     assert find_mismatch(offered, requested) == policy
 
 
+def test_a_handler_that_raises_is_named_and_the_next_sample_comes(pair):
+    sender, receiver, mismatches = pair
+    got = []
+
+    def handle(sample):
+        got.append(number_of(sample))
+        if len(got) == 1:
+            raise RuntimeError("odd bytes")
+
+    receiver.add_reader("rt/a", KIND, Qos(), handle)
+    writer = sender.add_writer("rt/a", KIND, Qos())
+    assert until(lambda: bool(writer.readers))
+    for number in range(2):
+        sender.write(writer, payload(number))
+    assert until(lambda: got == [0, 1])
+    assert mismatches == [("message", "rt/a", "a sample is left out: RuntimeError: odd bytes")]
+
+
 def test_one_that_goes_is_forgotten_at_once():
     domain = free_domain()
     stays, goes = Participant(domain, LOCAL), Participant(domain, LOCAL)

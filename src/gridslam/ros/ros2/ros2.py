@@ -45,7 +45,9 @@ class Ros2Transport:
         self._node = node
         self._rclpy = _import("rclpy")
         self._qos = _import("rclpy.qos")
-        self._qos_overriding = _import("rclpy.qos_overriding_options")
+        kinds = self._qos.QoSPolicyKind
+        policies = kinds.HISTORY, kinds.DEPTH, kinds.RELIABILITY, kinds.DURABILITY
+        self._overrides = _import("rclpy.qos_overriding_options").QoSOverridingOptions(policies)
         self._apart = _import("rclpy.callback_groups").MutuallyExclusiveCallbackGroup()
         self._publishers: dict[str, Any] = {}
         self._stores = False
@@ -64,9 +66,8 @@ class Ros2Transport:
                     raise
                 self._log(Level.WARN, f"{topic} is not published: {error}")
                 continue
-            overrides = self._qos_overriding.QoSOverridingOptions.with_default_policies()
-            options = {"qos_overriding_options": overrides}
-            self._publishers[topic] = self._node.create_publisher(message, topic, profile, **options)
+            overrides = {"qos_overriding_options": self._overrides}
+            self._publishers[topic] = self._node.create_publisher(message, topic, profile, **overrides)
         self.outputs.topics = tuple(self._publishers)
 
     def wire_of(self, data: bytes) -> Wire:
@@ -82,10 +83,7 @@ class Ros2Transport:
     ) -> None:
         """Subscribe to the bytes of messages; rclpy does not name their publisher."""
         profile = self._profile(reliable=reliable, latched=latched, depth=depth)
-        options = {
-            "raw": True,
-            "qos_overriding_options": self._qos_overriding.QoSOverridingOptions.with_default_policies(),
-        }
+        options = {"raw": True, "qos_overriding_options": self._overrides}
         self._node.create_subscription(_import(kind), topic, lambda data: handle(data, ""), profile, **options)
 
     def advertise(self, service: str, kind: str, serve: Callable[[Any], Sequence[Any]], *, slow: bool = False) -> None:

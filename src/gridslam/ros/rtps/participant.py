@@ -69,7 +69,8 @@ class Participant:
     name : str
         Of the participant, for tools.
     on_mismatch : callable
-        Called with "quality of service" or "message type", a topic, and why no sample passes.
+        Called with "quality of service" or "message type", a topic, and why no sample passes; with "message" for a
+        sample at which a handler raised an exception.
 
     Attributes
     ----------
@@ -196,7 +197,13 @@ class Participant:
         except (ValueError, IndexError, OverflowError, struct.error):  # WireError, too: of who knows whom
             pass
         for reader, sample in found:
+            self._call(reader, sample)
+
+    def _call(self, reader: Reader, sample: Sample) -> None:
+        try:
             reader.handle(sample)
+        except Exception as error:  # the thread goes on, whatever the bytes were
+            self._on_mismatch("message", reader.topic, f"a sample is left out: {type(error).__name__}: {error}")
 
     def _process(self, submessage: Submessage, source: str) -> list[tuple[Reader, Sample]]:
         """Process a submessage; return the samples that can be delivered, with their readers."""
