@@ -38,9 +38,9 @@ _LAST_KEY_SCANS = 90
 _VOTE_INTERVAL = 6
 _MIN_VOTES = 8
 _MIN_VOTE_RATIO = 0.5
-_MAX_RIVAL_RATIO = 1 / 3
-"""Drives on one floor of equal rooms had 73 to 82 % of the votes and rivals 8 to 18 % of these; on other floors that
-look alike at most 15 % of the votes, and rivals nearly as many."""
+_MAX_RUNNER_UP_RATIO = 1 / 3
+"""Drives on one floor of equal rooms had 73 to 82 % of the votes and the runner-up 8 to 18 % of these; on other floors that
+look alike at most 15 % of the votes, and the runner-up nearly as many."""
 
 _PATIENCE = 30
 """After each multiple of this many key scans without success searches are half as frequent, down to an eighth."""
@@ -129,7 +129,7 @@ class EarlierPieces:
         groups = sorted(group_hits(closure_state.graph, hits), key=len, reverse=True)
         if not groups or len(groups[0]) < max(_MIN_VOTES, _MIN_VOTE_RATIO * len(searched)):
             return None
-        if len(groups) > 1 and len(groups[1]) > _MAX_RIVAL_RATIO * len(groups[0]):
+        if len(groups) > 1 and len(groups[1]) > _MAX_RUNNER_UP_RATIO * len(groups[0]):
             return None
         alignment = Alignment(self._alignment, closure_state, self._places, self._scorer, keys, self._maps[number])
         best = alignment.track_component(groups[0])
