@@ -86,6 +86,8 @@ def test_a_page_that_is_open_to_others_wants_its_token(browser, drive, screensho
 
 
 def test_a_robot_is_paused_but_not_held_and_what_is_wrong_is_read(browser, drive, screenshot):
+    from selenium.webdriver import Keys
+
     paused = []
     control = RobotControl(lambda: bool(paused) and paused[-1], paused.append)
     with LivePage("ROS 1", LiveOptions(port=0), range_max_m=30.0, robot=control) as page:
@@ -104,8 +106,12 @@ def test_a_robot_is_paused_but_not_held_and_what_is_wrong_is_read(browser, drive
         session = wait(lambda: int(told(browser)["tiles"]) > 10 and told(browser)["session"], "a map")
         wait(lambda: not shown(browser, "notice"), "nothing is wrong any more")
         buttons = "pause", "step", "speed", "line", "follow"
-        assert [name for name in buttons if shown(browser, name)] == ["pause", "follow"]
+        assert [name for name in buttons if shown(browser, name)] == ["pause", "line", "follow"]
         browser.find_element("tag name", "body").send_keys(".")  # the key for a step does nothing
+        browser.find_element("tag name", "body").send_keys(Keys.HOME)
+        wait(lambda: told(browser)["at"] == "0", "the first key scan")
+        browser.find_element("tag name", "body").send_keys(Keys.END)
+        wait(lambda: told(browser)["at"] == "", "the present")
         click(browser, "pause")
         wait(lambda: told(browser)["stage"] == "paused", "paused")
         screenshot("paused")

@@ -133,7 +133,7 @@ function arrow({ key, shiftKey }) {
 }
 
 // Whether particles can be selected.
-const isSelectable = () => world.runInfo.layers?.includes("weights") && !(world.status.past && panel.mode === "live");
+const isSelectable = () => world.runInfo.layers?.includes("weights") && !(world.status.past && panel.mode !== "replay");
 
 function selectParticle(particle) {
   if (!isSelectable()) return;

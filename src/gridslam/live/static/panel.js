@@ -94,7 +94,7 @@ export class Panel {
     if (this.online) [$("#notice").hidden, $("#notice").textContent] = [!status.message, status.message ?? ""];
     document.body.dataset.stage = status.lost && status.stage === "running" ? "lost" : status.stage;
     const stage = document.body.dataset.stage === "lost" ? "running, robot lost" : WORDS[status.stage] ?? status.stage;
-    $("#stage").textContent = status.past && this.mode === "live" ? `${stage}, seen as it was` : stage;
+    $("#stage").textContent = status.past && this.mode !== "replay" ? `${stage}, seen as it was` : stage;
     document.body.toggleAttribute("data-held", status.stage === "paused");
     const going = ["running", "paused", "waiting"].includes(status.stage) && this.mode !== "still";
     document.body.toggleAttribute("data-over", ["final refinement", "writing", "done"].includes(status.stage));
@@ -155,8 +155,8 @@ export class Panel {
   // The time line: of a finished run its time, of a running one its key scans so far.
   time({ status, runInfo }) {
     const slider = $("#line"), replay = runInfo.mode === "replay";
-    slider.disabled = !(replay || (runInfo.mode === "live" && status.last > 0));
-    if (replay || runInfo.mode === "live") {
+    slider.disabled = !(replay || status.last > 0);
+    if (runInfo.mode !== "still") {
       slider.max = Math.max(status.last ?? 0, 0);
       if (document.activeElement !== slider || !slider.matches(":active")) slider.value = status.at ?? slider.max;
     }
