@@ -23,9 +23,9 @@ from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold
 from gridslam.particles.resampling import Systematic
 from gridslam.ros.node.accepted_scan import MeasurementBuilder, ScanRecorder
+from gridslam.ros.node.mapping_session import Session
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.rendering import MapRenderer
-from gridslam.ros.node.session import Session
 from gridslam.ros.node.state_publisher import StatePublisher
 from gridslam.ros.node.transport import RosNode
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate

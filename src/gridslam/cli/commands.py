@@ -645,6 +645,19 @@ _NODE_OPTIONS = (
     click.option("--map", "map_file", type=PATH, help="Map YAML file; localize in this map instead of mapping."),
     click.option("-o", "--out", type=PATH, help="Output folder of the node."),
     click.option("--record", type=PATH, metavar="FILE", help="Record the accepted scans to FILE for offline mapping."),
+    click.option("--save", type=PATH, metavar="FILE", help="Save the session to this file at the end."),
+    click.option("--continue", "continued", type=PATH, metavar="FILE", help="Go on from this session file."),
+    click.option("--same-place", is_flag=True, help="The robot is where the session has ended."),
+    click.option("--elsewhere", is_flag=True, help="The robot is elsewhere in the session's map, or beside it."),
+    click.option(
+        "--pose", "begin_pose", callback=read_pose, metavar="X,Y,THETA", help="About where in that map, m, rad."
+    ),
+    click.option(
+        "--autosave",
+        type=click.FloatRange(0),
+        metavar="MINUTES",
+        help="Minutes between two saves to autosave.gridslam in OUT; 0: none.  [default: 5]",
+    ),
 )
 _NODE_SETTINGS = {**SETTINGS, "ignore_unknown_options": True}
 

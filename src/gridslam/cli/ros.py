@@ -8,6 +8,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from gridslam.api.beginning import Place
 from gridslam.cli.live import node_page, rerun_recording
 from gridslam.cli.output import stop_if_interrupted
 from gridslam.errors import ConfigurationError
@@ -19,8 +20,21 @@ from gridslam.ros.node.transport import ViewerOpener
 __all__ = ["make_viewer_opener", "ros1", "ros2"]
 
 
-def _collect_parameters(assignments: Sequence[str] = (), **options: Any) -> dict[str, Any]:  # noqa: ANN401
+def _collect_parameters(
+    assignments: Sequence[str] = (),
+    *,
+    same_place: bool = False,
+    elsewhere: bool = False,
+    continued: Path | None = None,
+    begin_pose: tuple[float, float, float] | None = None,
+    **options: Any,  # noqa: ANN401
+) -> dict[str, Any]:
     """Options of the command line under the names of the node's parameters; what is not given is left out."""
+    if same_place and (elsewhere or begin_pose is not None):
+        raise ConfigurationError("--same-place contradicts --elsewhere and --pose")
+    place = Place.SAME.value if same_place else Place.ELSEWHERE.value if elsewhere else None
+    pose = None if begin_pose is None else " ".join(map(str, begin_pose))
+    options |= {"continue": continued, "begin_at": place, "begin_pose": pose}
     given = {name: str(value) if isinstance(value, Path) else value for name, value in options.items()}
     given["set"] = ";".join(assignments) or None
     given["mode"] = None if options.get("map_file") is None else "localization"

@@ -79,7 +79,7 @@ def test_a_disk_that_is_full_is_named_by_who_saves(drive, tmp_path, monkeypatch)
     def full(result, folder):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("gridslam.ros.node.session.MapResult.save", full)
+    monkeypatch.setattr("gridslam.ros.node.mapping_session.MapResult.save", full)
     outputs = RecordedOutputs()
     core = node(outputs)
     drive_all(core, outputs, drive[:10])

@@ -16,6 +16,7 @@ from gridslam.ros.node.parameters import (
     NODE_DEFAULTS,
     node_parameters,
 )
+from gridslam.ros.node.session_parameters import SESSION_DEFAULTS
 
 LISTED = """
 throttle_scans base_frame map_frame odom_frame map_update_interval maxUrange sigma kernelSize lstep astep iterations
@@ -34,7 +35,7 @@ def test_every_parameter_does_something_or_says_why_not():
         assert sum(name in table for table in (_FILTER, _DERIVED, _NODE, _UNSUPPORTED)) == 1, name
     others = {"preset", "config", "set", "record", "out", "mode", "map_file", "scan_topic", "paused_new_measurements"}
     others |= {"first_map_only", "tf_broadcast", "map_topic", "lifecycle", "use_map_topic", "save_pose_rate"}
-    assert {*_NODE, *others} >= set(NODE_DEFAULTS)
+    assert {*_NODE, *others, *SESSION_DEFAULTS} >= set(NODE_DEFAULTS)
 
 
 def test_the_defaults_are_those_of_the_preset_gmapping():

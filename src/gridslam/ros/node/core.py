@@ -22,18 +22,13 @@ from gridslam.particles import sample_gaussian
 from gridslam.pipeline import FailedStep, Observer, describe_error, isolate
 from gridslam.ros.node.accepted_scan import AcceptedScan, ScanRecorder
 from gridslam.ros.node.grid_input import make_occupancy_grid
+from gridslam.ros.node.live_autosave import LiveAutosave, SessionFiles
+from gridslam.ros.node.mapping_session import Session, SessionCopy
 from gridslam.ros.node.measurement_queue import MeasurementQueue, SessionEnd
 from gridslam.ros.node.messages import Diagnostics, GridMessage, Level, Outputs, ScanMessage, StampedTransform
 from gridslam.ros.node.parameters import NodeSettings
 from gridslam.ros.node.rendering import MapRenderer, make_grid_message
-from gridslam.ros.node.session import (
-    InitialPose,
-    Localization,
-    LocalizationSession,
-    Session,
-    SessionCopy,
-    WaitingSession,
-)
+from gridslam.ros.node.session import InitialPose, Localization, LocalizationSession, WaitingSession
 from gridslam.ros.node.state_publisher import StatePublisher
 from gridslam.ros.node.throttled_warnings import ThrottledWarnings
 from gridslam.tracking.tracker import OdometryTracker
@@ -68,6 +63,8 @@ class NodeCore:
         Called in the filter's thread with a copy of each session that ends as time jumps back.
     observers : sequence of Observer
         Called after each scan in the filter's thread.
+    files : SessionFiles, optional
+        The session that the first one goes on from, whose configuration must be given, and where to save.
 
     Attributes
     ----------
@@ -95,6 +92,7 @@ class NodeCore:
         record: str | Path | None = None,
         on_jump: Callable[[SessionCopy], None] | None = None,
         observers: Sequence[Observer] = (),
+        files: SessionFiles | None = None,
     ) -> None:
         by_odometry = isinstance(configuration, Localization) or isinstance(configuration.tracker, OdometryTracker)
         if settings.odometry != "needed" and by_odometry:
@@ -118,6 +116,7 @@ class NodeCore:
         if isinstance(configuration, Configuration):
             self._renderer = MapRenderer(configuration.mapper, settings, outputs.map, outputs.map_update)
         self._publisher = StatePublisher(settings, outputs, self._renderer, self._queue, self._warn)
+        self._continued = None if files is None else files.continued
         self._begin_session()
         self._begin_record()
         self._session_end = SessionEnd.CLOSED
@@ -126,6 +125,10 @@ class NodeCore:
             ("diagnostics", _DIAGNOSTICS_S, self._publish_diagnostics),
             ("map", settings.map_update_interval_s, lambda: self._queue.post(self._publish_map)),
         ]
+        self._autosave: LiveAutosave | None = None
+        if files is not None and files.autosave is not None:
+            self._autosave = LiveAutosave(files, outputs.log)
+            self.add_timer(files.autosave_period_s, lambda: self._queue.post(self._save_now))
         self._threads = [threading.Thread(target=self._run_filter, name="gridslam-filter", daemon=True)]
 
     def add_timer(self, period_s: float, callback: Callable[[], None]) -> None:
@@ -167,7 +170,11 @@ class NodeCore:
         if self._renderer is not None:
             self._renderer.close()
         is_mapped = not self.localizes and self._session.state is not None
-        copied = self._session.copy(self._whole_record()) if is_mapped else None
+        copied = self._session.copy(self._whole_record(), is_last=True) if is_mapped else None
+        if self._autosave is not None:
+            if is_mapped:
+                self._save_now()
+            self._autosave.close()
         self._close_record()
         return copied
 
@@ -419,6 +426,11 @@ class NodeCore:
         for on_diagnostics in self._diagnostics_callbacks:
             self._queue.post(partial(on_diagnostics, diagnostics))
 
+    def _save_now(self) -> None:
+        """Write the session; the filter waits while its tables are copied."""
+        if self._autosave is not None and isinstance(self._session, Session):
+            self._autosave.save(self._session)
+
     def _begin_session(self) -> None:
         self._publisher.start_session()
         self._check = EarlyCheck()
@@ -428,7 +440,10 @@ class NodeCore:
             self._queue.waits_for_map = waits
             self._session = WaitingSession() if waits else LocalizationSession(self.configuration, self.settings.seed)
         else:
-            self._session = Session(self.configuration, self.settings.seed, self.settings.threads)
+            seed = self.settings.seed if self._continued is None else self._continued.saved.seed
+            log = self._outputs.log
+            self._session = Session(self.configuration, seed, self.settings.threads, self._continued, log)
+            self._continued = None  # a later one begins with nothing
 
     def _begin_record(self) -> None:
         self._recorder = None

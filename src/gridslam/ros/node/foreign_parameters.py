@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final
 
 from gridslam.errors import ConfigurationError
+from gridslam.ros.node.session_parameters import find_saved_session
 
 __all__ = ["FOREIGN_NAMES", "flatten", "translate_parameters"]
 
@@ -27,7 +28,7 @@ _OWN_MATCHER = "the scan matcher is another one: parameters of this filter by se
 _OWN_CLOSURE = "loop closure is another one: parameters of this filter by set"
 _OWN_SOLVER = "the pose graph has a solver of its own"
 _PAGE = "the page of --live serves for that"
-_NO_GRAPH = "pose graphs of slam_toolbox cannot be read: map_file takes a map"
+_NO_GRAPH = "pose graphs of slam_toolbox cannot be read, and there is no NAME.gridslam: map_file takes a map"
 
 _IGNORED: Final[Mapping[str, str]] = {
     "solver_plugin": _OWN_SOLVER,
@@ -55,6 +56,8 @@ _IGNORED: Final[Mapping[str, str]] = {
 }
 """Patterns of names without an equivalent, with the reason."""
 
+_START: Final = ("map_file_name", "map_start_pose", "map_start_at_dock")
+
 FOREIGN_NAMES: Final = (*_MEANINGS, "min_laser_range", "do_loop_closing")
 """Names of slam_toolbox and map_server that change something here."""
 
@@ -72,6 +75,23 @@ def _flat(items: Iterable[tuple[Any, Any]], above: str) -> Iterator[tuple[str, A
             yield from _flat(value.items(), f"{above}{name}.")
         else:
             yield f"{above}{name}", value
+
+
+def _translate_session(given: Mapping[str, Any], names: dict[str, str]) -> Mapping[str, Any]:
+    """Translate the map that slam_toolbox starts from, where gridslam has saved one of that name."""
+    session = find_saved_session(str(given.get("map_file_name", "")))
+    if not session or "continue" in given:
+        return given
+    found = {name: value for name, value in given.items() if name not in _START}
+    found["continue"] = session
+    names["continue"] = "map_file_name"
+    if given.get("map_start_at_dock") is True:
+        found["begin_at"] = "same place"
+        names["begin_at"] = "map_start_at_dock"
+    elif "map_start_pose" in given:
+        found["begin_pose"] = str(given["map_start_pose"]).strip("[]()")
+        names["begin_pose"] = "map_start_pose"
+    return found
 
 
 def translate_parameters(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str], dict[str, str]]:
@@ -100,6 +120,7 @@ def translate_parameters(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict
     names: dict[str, str] = {}
     ignored: dict[str, str] = {}
     assignments: list[str] = []
+    given = _translate_session(given, names)
     for name, value in given.items():
         meaning = _MEANINGS.get(name)
         if meaning is not None:

@@ -19,7 +19,9 @@ from gridslam.config import Configuration, load, override, preset
 from gridslam.config.tables import describe_error, names, nest, replace_parameters, suggest_names, value_of
 from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.ros.node.foreign_parameters import FOREIGN_NAMES, flatten, translate_parameters
+from gridslam.ros.node.live_autosave import SessionFiles
 from gridslam.ros.node.session import Localization
+from gridslam.ros.node.session_parameters import SESSION_DEFAULTS, read_session_files
 
 __all__ = ["GMAPPING_DEFAULTS", "NODE_DEFAULTS", "NodeParameters", "NodeSettings", "node_parameters"]
 
@@ -89,6 +91,7 @@ NODE_DEFAULTS: Final[Mapping[str, float | int | str | bool]] = {
     "save_pose_rate": 0.5,
     "tf_broadcast": True,
     "lifecycle": False,
+    **SESSION_DEFAULTS,
 }
 """The node's own parameters and defaults: see docs/ros.md."""
 
@@ -265,6 +268,8 @@ class NodeParameters:
         Whether it is a managed node.
     values : dict
         The parameters that have an effect, by their ROS names.
+    files : SessionFiles
+        What the first mapping session goes on from, and where it is saved.
     """
 
     settings: NodeSettings
@@ -279,6 +284,7 @@ class NodeParameters:
     save_pose_rate_hz: float = 0.0
     lifecycle: bool = False
     values: Mapping[str, Any] = field(default_factory=dict)
+    files: SessionFiles = field(default_factory=SessionFiles)
 
 
 def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> NodeParameters:
@@ -330,6 +336,13 @@ def _node_parameters(given: Mapping[str, Any], foreign: Mapping[str, str], prese
     record = Path(str(values["record"])) if values["record"] else None
     out = Path(str(values["out"])) if values["out"] and not localizes else None
     _check_node_values(values)
+    files = SessionFiles()
+    if not localizes:
+        files = read_session_files(values, out, int(given.get("threads", 1)))
+    if files.continued is not None:
+        configuration = files.continued.saved.configuration
+        own = "the session's own configuration is used"
+        reasons |= {name: own for name in given if name in (*_PATHS, "preset", "config", "set", "seed")}
     if not values["tf_broadcast"]:
         given["transform_publish_period"] = 0.0
     map_topic = _find_map_topic(values) if localizes else ""
@@ -354,6 +367,7 @@ def _node_parameters(given: Mapping[str, Any], foreign: Mapping[str, str], prese
         max(float(values["save_pose_rate"]), 0.0),
         values["lifecycle"],
         effective,
+        files,
     )
 
 
@@ -424,7 +438,7 @@ def _read_localization(given: Mapping[str, Any]) -> tuple[Localization, dict[str
     ignored = [name for name in (*amcl.ignored, *changed.ignored) if name not in (*_AMCL_NODE, *NODE_DEFAULTS)]
     reasons = dict.fromkeys(ignored, "it has no equivalent")
     for name in given:
-        if name in (*_PATHS, *_UNSUPPORTED, "preset", "config", "out"):
+        if name in (*_PATHS, *_UNSUPPORTED, *SESSION_DEFAULTS, "preset", "config", "out"):
             reasons[name] = "the node localizes and builds no map"
         elif name not in (*_NODE, *NODE_DEFAULTS, *AMCL_NAMES):
             reasons[name] = f"there is no such parameter{suggest_names(name, [*AMCL_NAMES, *_NODE, *NODE_DEFAULTS])}"

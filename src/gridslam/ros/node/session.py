@@ -1,26 +1,16 @@
-"""One session of the filter: from its first scan until time jumps back, a reset or the end; and its output files."""
+"""One session of a filter that localizes: from its first scan until a reset, another map or the end."""
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
-from typing import Any, Final, TypeAlias, final
+from typing import Any, NoReturn, TypeAlias, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gridslam.api.mapping import MapResult, finish_mapping
-from gridslam.config import Configuration, build
-from gridslam.doctor.repair import Repair
-from gridslam.errors import ArgumentError, OutputError
-from gridslam.io.log_statistics import LogStatistics, Mounting
+from gridslam.errors import ArgumentError
 from gridslam.io.measurement import Measurement
-from gridslam.io.results.record import RecordWriter
-from gridslam.io.sessions.session_file import SavedRun
-from gridslam.io.text import compute_digest
 from gridslam.localization import (
     KnownMap,
     LocalizationReport,
@@ -28,19 +18,15 @@ from gridslam.localization import (
     MonteCarloLocalization,
     MonteCarloState,
 )
-from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
-from gridslam.pipeline import FailedStep, FailureRecorder, Observer, Stopwatch, run
+from gridslam.pipeline import FailedStep, run
 from gridslam.ros.node.accepted_scan import AcceptedScan
-from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.types import FloatArray, LaserScan, Odometry, StepReport
+from gridslam.types import FloatArray, LaserScan, Odometry
 
 __all__ = [
     "FailureCallback",
     "InitialPose",
     "Localization",
     "LocalizationSession",
-    "Session",
-    "SessionCopy",
     "WaitingSession",
 ]
 
@@ -49,9 +35,6 @@ FailureCallback: TypeAlias = Callable[[FailedStep], None]
 
 InitialPose: TypeAlias = tuple[FloatArray, FloatArray] | None
 """A pose (3,) and its covariance (3, 3); None if the pose is unknown."""
-
-_PRELOADED: Final = ("scipy.spatial", "scipy.sparse.csgraph", "scipy.special", "qdldl", "gridslam.viz")
-"""Modules that filter and `save` import on first use; imported early so that a moving robot does not wait."""
 
 
 @final
@@ -112,7 +95,7 @@ class LocalizationSession:
     def add(self, accepted: AcceptedScan) -> None:
         """Do nothing: a localization has no files, in which scans are counted."""
 
-    def copy(self, record: Path | None) -> SessionCopy:
+    def copy(self, record: Path | None, *, is_last: bool = False) -> NoReturn:
         """Raise ArgumentError: a localization has no map to save."""
         raise ArgumentError("save", "a node that maps", "one that localizes; `gridslam localize` takes its record")
 
@@ -151,7 +134,7 @@ class WaitingSession:
     def add(self, accepted: AcceptedScan) -> None:
         """Do nothing."""
 
-    def copy(self, record: Path | None) -> SessionCopy:
+    def copy(self, record: Path | None, *, is_last: bool = False) -> NoReturn:
         """Raise ArgumentError: there is nothing to save."""
         raise ArgumentError("save", "a node that maps", "one that waits for a map to localize in")
 
@@ -159,135 +142,3 @@ class WaitingSession:
         """Drop all scans."""
         for _ in source:
             pass
-
-
-@final
-class Session:
-    """A mapping session; used by the filter's thread only.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        Configuration of the filter.
-    seed, threads : int
-        Seed and threads of the filter.
-    """
-
-    restart_message = "starting a new map"
-
-    def __init__(self, configuration: Configuration, seed: int, threads: int) -> None:
-        for name in _PRELOADED:
-            import_module(name)
-        self.state: GridFastSlamState | None = None
-        self._configuration = configuration
-        self._seed = seed
-        self._threads = threads
-        self._trajectory = TrajectoryRecorder()
-        self._statistics = StatisticsRecorder()
-        self._log = LogStatistics()
-        self._stopwatch = Stopwatch()
-        self._keys: list[tuple[StepReport, float]] = []
-        self._failures = FailureRecorder()
-
-    def add(self, accepted: AcceptedScan) -> None:
-        """Count a measurement before the filter processes it."""
-        scan = accepted.measurement.scan
-        if scan.sensor not in self._log.mountings:
-            pose = np.append(scan.geometry.origin, accepted.mounting[5])
-            self._log.mountings[scan.sensor] = Mounting(pose, f"tf, frame {scan.frame}")
-        self._log.count(accepted.measurement)
-
-    def run(self, source: Iterator[Measurement], observers: Sequence[Observer], on_failure: FailureCallback) -> None:
-        """Run the filter on all measurements of a source; scans at which it fails are skipped."""
-        slam = build(self._configuration, self._threads)
-        rng = np.random.default_rng(self._seed)
-        first, *others = observers
-        every = [first, self._trajectory, self._statistics, self._note, *others]
-
-        def note_failure(failed: FailedStep) -> None:
-            self.state = failed.state
-            self._failures(failed)
-            on_failure(failed)
-
-        run(source, slam, rng=rng, observers=every, stopwatch=self._stopwatch, on_failure=note_failure)
-
-    def copy(self, record: Path | None) -> SessionCopy:
-        """Copy everything that `save` needs; raises ArgumentError before the first scan.
-
-        `record` is the file with all scans so far, None if there is none.
-        """
-        if self.state is None:
-            raise ArgumentError("session", "at least one scan", "none")
-        return SessionCopy(
-            self._configuration,
-            self._seed,
-            self._threads,
-            self.state.to_arrays(),
-            *copy.deepcopy((self._trajectory, self._statistics, self._log, self._stopwatch)),
-            tuple(self._keys),
-            record,
-            self._failures.describe(),
-        )
-
-    def _note(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-        self.state = state
-        if report.skipped is None:
-            self._keys.append((report, seconds))
-
-
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class SessionCopy:
-    """A copy of a session that shares nothing with the running filter."""
-
-    configuration: Configuration
-    seed: int
-    threads: int
-    state: Mapping[str, NDArray[Any]]
-    trajectory: TrajectoryRecorder
-    statistics: StatisticsRecorder
-    log: LogStatistics
-    stopwatch: Stopwatch
-    keys: tuple[tuple[StepReport, float], ...]
-    record: Path | None
-    failures: tuple[str, ...]
-
-    def save(self, folder: str | Path) -> dict[str, Any]:
-        """Write the files of `gridslam map` after the final refinement, which takes time; returns run.json's content.
-
-        Raises
-        ------
-        OutputError
-            The folder cannot be written.
-        """
-        result = self._compute_result()
-        try:
-            return result.save(folder)
-        except OSError as error:
-            raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
-
-    def _compute_result(self) -> MapResult:
-        """Compute the full result, as `gridslam map` does at the end of a log."""
-        record = RecordWriter()
-        for report, seconds in self.keys:
-            record.add(report, seconds)
-        self.stopwatch.resume()
-        run = SavedRun(
-            np.random.default_rng(self.seed),
-            GridFastSlamState.from_arrays(self.state, self.configuration.mapper, self.threads),
-            self.trajectory,
-            self.statistics,
-            record,
-        )
-        return finish_mapping(
-            run,
-            self.configuration,
-            seed=self.seed,
-            threads=self.threads,
-            log=self.log,
-            source=Path(next(iter(self.log.scans))) if self.record is None else self.record,
-            digest="" if self.record is None else compute_digest(self.record),
-            repair=Repair(),
-            stopwatch=self.stopwatch,
-            failures=self.failures,
-        )

@@ -23,9 +23,10 @@ from gridslam.io.output import OutputFolder
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.grid_input import decode_grid, grid_of
+from gridslam.ros.node.mapping_session import SessionCopy
 from gridslam.ros.node.messages import GridMessage, Level, Outputs
 from gridslam.ros.node.parameters import NodeParameters
-from gridslam.ros.node.session import InitialPose, SessionCopy
+from gridslam.ros.node.session import InitialPose
 
 __all__ = [
     "ALL_TOPICS",
@@ -179,6 +180,7 @@ class RosNode:
         self._transport = transport
         self._log = transport.outputs.log
         self._out = parameters.out
+        self._files = parameters.files
         self._scan_topic = parameters.scan_topic
         self._values = parameters.values
         self._map_topic = parameters.map_topic
@@ -191,6 +193,7 @@ class RosNode:
             transport.outputs,
             record=parameters.record,
             on_jump=None if self._out is None else self._save_earlier,
+            files=parameters.files,
         )
         if self._out is not None:
             self.core.results_folder = self._out
@@ -238,13 +241,31 @@ class RosNode:
         """Stop the core, write its map if a folder was given and there is a map, and shut the transport down."""
         try:
             session = self.core.close()
-            if self._out is not None and session is not None:
-                self._log(Level.OK, f"writing {session.log.scan_count} scans to {self._out.resolve()}")
-                session.save(self._out)
+            if session is not None:
+                self._write(session)
         finally:
             for thread in self._saving:
                 thread.join()
             self._transport.close()
+
+    def _write(self, session: SessionCopy) -> None:
+        """Write what was mapped: first the session, as a node that takes long to end may be killed."""
+        try:
+            self._write_session(session)
+        finally:
+            if self._out is not None:
+                self._log(Level.OK, f"writing {session.log.scan_count} scans to {self._out.resolve()}")
+                session.save(self._out)
+
+    def _write_session(self, session: SessionCopy) -> None:
+        save = self._files.save
+        if save is None:
+            return
+        session.save_session(save)
+        self._log(Level.OK, f"session saved: {save.resolve()}")
+        autosave = self._files.autosave
+        if autosave is not None and autosave != save and autosave.exists() and not os.path.samefile(autosave, save):
+            autosave.unlink()
 
     def _save_earlier(self, session: SessionCopy) -> None:
         """Save a session to OUT-1, or the next number that is free, while the next session is mapped."""
@@ -258,6 +279,7 @@ class RosNode:
             try:
                 self._log(Level.OK, f"writing {session.log.scan_count} scans of the session before to {folder}")
                 session.save(folder)
+                session.save_session(folder / "session.gridslam")
             except Exception as error:
                 self._log(Level.ERROR, f"the session before is not saved: {describe_error(error)}")
 

@@ -1,0 +1,162 @@
+"""What a mapping session of the node begins with: nothing, or a session file that it goes on from."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import NamedTuple, final
+
+import numpy as np
+
+from gridslam.api.beginning import Beginning, Place, decide_place, locate_in, restart_at_same_place
+from gridslam.api.session import Session as SavedDrives
+from gridslam.config import Configuration
+from gridslam.errors import GridslamError
+from gridslam.io.measurement import Measurement
+from gridslam.io.sessions.drives import Drive, SavedPiece, choose_name
+from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session
+from gridslam.pipeline import describe_error
+from gridslam.ros.node.messages import Level
+from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
+from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
+from gridslam.types import FloatArray
+
+__all__ = ["Continued", "Earlier", "EarlierDrives", "begin", "describe_drives"]
+
+Log = Callable[[Level, str], None]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Continued:
+    """A session that the next mapping session goes on from.
+
+    Attributes
+    ----------
+    path : Path
+        Its file.
+    saved : SavedSession
+        What it holds.
+    place : Place
+        Whether the robot is where the last drive has ended; by default stamps, odometry and the first scan decide.
+    pose : (3,) float64 or None
+        About where the robot is in the map of the newest piece, if that is known.
+    """
+
+    path: Path
+    saved: SavedSession
+    place: Place = Place.AUTO
+    pose: FloatArray | None = None
+
+    @classmethod
+    def read(
+        cls, path: str | Path, threads: int = 1, place: Place = Place.AUTO, pose: FloatArray | None = None
+    ) -> Continued:
+        """Read a session file; raises InputError if it is none."""
+        return cls(Path(path), read_session(path, threads), place, pose)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the drives so far."""
+        return [drive.name for drive in self.saved.drives]
+
+
+class Earlier(NamedTuple):
+    """What earlier drives have left, and what looks for the robot in it."""
+
+    pieces: tuple[SavedPiece, ...]
+    locator: EarlierPieces | None
+
+
+@final
+class EarlierDrives:
+    """Refines what earlier drives have left, by a thread of its own, while the robot maps already.
+
+    Parameters
+    ----------
+    continued : Continued
+        The session.
+    configuration : Configuration
+        Of the filter.
+    threads : int
+        Of the kernels.
+    is_new_drive : bool
+        Whether the drive that the session has ended with is earlier, too; otherwise it goes on.
+    """
+
+    def __init__(self, continued: Continued, configuration: Configuration, threads: int, *, is_new_drive: bool) -> None:
+        self._continued = continued
+        self._configuration = configuration
+        self._threads = threads
+        self._is_new_drive = is_new_drive
+        self._found: Earlier | None = None
+        self._problem = ""
+        self._thread = threading.Thread(target=self._prepare, name="gridslam-earlier", daemon=True)
+        self._thread.start()
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether `wait` does not wait."""
+        return not self._thread.is_alive()
+
+    def wait(self) -> Earlier:
+        """Give the pieces, and what looks for the robot in them.
+
+        Raises GridslamError where that has failed; then nothing may replace the session's file.
+        """
+        self._thread.join()
+        if self._found is None:
+            problem = f"{self._continued.path} cannot be gone on from: {self._problem}"
+            raise GridslamError(f"{problem}. The robot is not looked for in it, and no session is saved")
+        return self._found
+
+    def _prepare(self) -> None:
+        try:
+            saved = self._continued.saved
+            pieces = saved.pieces
+            if self._is_new_drive:
+                pieces = tuple(SavedDrives.of(saved, threads=self._threads).pieces)
+            locator = locate_in(pieces, self._configuration, self._continued.pose)
+            self._found = Earlier(pieces, locator)
+        except Exception as error:  # reported by the filter's thread
+            self._problem = describe_error(error)
+
+
+def begin(
+    continued: Continued | None, first: Measurement, slam: GridFastSlam, seed: int, log: Log
+) -> tuple[Beginning, bool]:
+    """Decide what a mapping session begins with at its first measurement, and whether that is a new drive."""
+    name = datetime.fromtimestamp(1e-9 * first.scan.stamp_ns, timezone.utc).strftime("%Y-%m-%d_%H-%M-%S")
+    if continued is None:
+        return Beginning(SavedRun(np.random.default_rng(seed), name=name)), True
+    saved = continued.saved
+    reason = "the newest drive has ended"
+    is_same = False
+    if saved.run is not None and continued.pose is None:
+        decision = decide_place(saved.run, slam, first)
+        reason = decision.reason
+        is_same = decision.is_same if continued.place is Place.AUTO else continued.place is Place.SAME
+        if is_same:
+            run = saved.run.snapshot()
+            if run.state is not None and not decision.is_same:
+                restart_at_same_place(run.state, first)
+            log(Level.OK, f"session {continued.path}: goes on where it has ended: {reason}")
+            return Beginning(run, saved.pieces), False
+    drives = continued.names
+    log(Level.OK, f"session {continued.path}: goes on elsewhere, the robot is looked for in its map: {reason}")
+    run = SavedRun(np.random.default_rng(saved.seed + len(drives)), name=choose_name(name, drives))
+    return Beginning(run), True
+
+
+def describe_drives(drives: Sequence[Drive]) -> str:
+    """Names of the drives that a piece is of."""
+    names = ", ".join(drive.name for drive in drives)
+    return f"the map of {names}" if names else "the given map"
+
+
+def prepare(begun: Beginning, earlier: Earlier) -> Beginning:
+    """Let a run that has begun look for the robot in what earlier drives have left."""
+    return replace(begun, pieces=earlier.pieces, locator=earlier.locator)

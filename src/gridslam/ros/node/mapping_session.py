@@ -1,0 +1,330 @@
+"""One mapping session of the node: from its first scan until time jumps back, a reset or the end; and its files."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+from importlib import import_module
+from io import BytesIO
+from itertools import chain
+from pathlib import Path
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+
+from gridslam.api.beginning import Beginning
+from gridslam.api.mapping import MapResult, finish_mapping
+from gridslam.config import Configuration, build
+from gridslam.doctor.repair import Repair
+from gridslam.errors import ArgumentError, GridslamError, OutputError
+from gridslam.io.log_statistics import LogStatistics, Mounting
+from gridslam.io.measurement import Measurement
+from gridslam.io.sessions.drives import DrivenLog
+from gridslam.io.sessions.session_file import SavedRun, SavedSession, write_session
+from gridslam.io.text import compute_digest
+from gridslam.pipeline import FailedStep, FailureRecorder, Observer, Stopwatch, run
+from gridslam.ros.node.accepted_scan import AcceptedScan
+from gridslam.ros.node.continued import Continued, EarlierDrives, begin, describe_drives, prepare
+from gridslam.ros.node.messages import Level
+from gridslam.ros.node.session import FailureCallback
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.types import FloatArray, StepReport
+
+__all__ = ["FoundAgainHere", "Session", "SessionCopy"]
+
+_PRELOADED: Final = ("scipy.spatial", "scipy.sparse.csgraph", "scipy.special", "qdldl", "gridslam.viz")
+"""Modules that filter and `save` import on first use; imported early so that a moving robot does not wait."""
+
+
+class FoundAgainHere(NamedTuple):
+    """Where the robot was found again.
+
+    Attributes
+    ----------
+    drives : tuple of str
+        Names of the earlier drives; none of a given map.
+    pose : (3,) float64
+        Of the robot then, map frame.
+    way_m : float, m
+        What it had driven in this session.
+    """
+
+    drives: tuple[str, ...]
+    pose: FloatArray
+    way_m: float
+
+
+@final
+class Session:
+    """A mapping session; used by the filter's thread only.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        Configuration of the filter.
+    seed, threads : int
+        Seed and threads of the filter.
+    continued : Continued, optional
+        What it goes on from.
+    log : callable
+        Reports to the user.
+
+    Attributes
+    ----------
+    state : GridFastSlamState or None
+        After the last scan; None before the first one.
+    found : FoundAgainHere or None
+        Where the robot was found in the map that it goes on from; None before.
+    """
+
+    restart_message = "starting a new map"
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        seed: int,
+        threads: int,
+        continued: Continued | None = None,
+        log: Callable[[Level, str], None] = lambda level, text: None,
+    ) -> None:
+        for name in _PRELOADED:
+            import_module(name)
+        self.state: GridFastSlamState | None = None
+        self.continued = continued
+        self.found: FoundAgainHere | None = None
+        self._configuration = configuration
+        self._seed = seed
+        self._threads = threads
+        self._report = log
+        self._log = LogStatistics()
+        self._stopwatch = Stopwatch()
+        self._failures = FailureRecorder()
+        self._begun = Beginning(SavedRun(np.random.default_rng(seed)))
+        self._earlier: EarlierDrives | None = None  # until they are prepared
+        self._is_prepared = False
+
+    def add(self, accepted: AcceptedScan) -> None:
+        """Count a measurement before the filter processes it."""
+        scan = accepted.measurement.scan
+        if scan.sensor not in self._log.mountings:
+            pose = np.append(scan.geometry.origin, accepted.mounting[5])
+            self._log.mountings[scan.sensor] = Mounting(pose, f"tf, frame {scan.frame}")
+        self._log.count(accepted.measurement)
+
+    def run(self, source: Iterator[Measurement], observers: Sequence[Observer], on_failure: FailureCallback) -> None:
+        """Run the filter on all measurements of a source; scans at which it fails are skipped."""
+        slam = build(self._configuration, self._threads)
+        begins = next(source)
+        self._begin(begins, slam)
+        run_so_far = self._begun.run
+        first, *others = observers
+        every: list[Observer] = [first, self._attach, run_so_far.trajectory, run_so_far.statistics, self._note, *others]
+
+        def note_failure(failed: FailedStep) -> None:
+            self.state = failed.state
+            self._failures(failed)
+            on_failure(failed)
+
+        run(
+            chain([begins], source),
+            slam,
+            rng=run_so_far.rng,
+            observers=every,
+            state=run_so_far.state,
+            stopwatch=self._stopwatch,
+            on_failure=note_failure,
+        )
+
+    def copy(self, record: Path | None, *, is_last: bool = False) -> SessionCopy:
+        """Copy everything that `save` needs; raises ArgumentError before the first scan.
+
+        `record` is the file with all scans so far, None if there is none; `is_last`: the filter has ended.
+        """
+        if self.state is None:
+            raise ArgumentError("session", "at least one scan", "none")
+        now = replace(self._begun.run, state=self.state).freeze()
+        return SessionCopy(
+            self._configuration,
+            self._seed,
+            self._threads,
+            replace(self._begun, run=now),
+            self._earlier,
+            *copy.deepcopy((self._log, self._stopwatch)),
+            record,
+            self._failures.describe(),
+            is_last,
+        )
+
+    def to_session(self) -> SavedSession | None:
+        """Give what a file of the session holds, to be frozen or written before the next scan; None if it must wait.
+
+        It must wait before the first scan, and until what earlier drives have left is at hand.
+
+        Raises
+        ------
+        GridslamError
+            What earlier drives have left cannot be gone on from.
+        """
+        if self.state is None or (self._earlier is not None and not self._earlier.is_ready):
+            return None
+        if self._earlier is not None:
+            self._earlier.wait()
+        return _make_session(self._configuration, self._seed, self._begun, self.state, self._log, None)
+
+    def _begin(self, first: Measurement, slam: Any) -> None:  # noqa: ANN401
+        self._begun, is_new = begin(self.continued, first, slam, self._seed, self._report)
+        if self.continued is not None and (is_new or self.continued.saved.pieces):
+            self._earlier = EarlierDrives(self.continued, self._configuration, self._threads, is_new_drive=is_new)
+
+    def _attach(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+        """Let the filter look for the robot in what earlier drives have left, once that is at hand."""
+        if self._earlier is not None and not self._is_prepared and self._earlier.is_ready:
+            self._is_prepared = True
+            try:
+                self._begun = prepare(self._begun, self._earlier.wait())
+                self._earlier = None
+            except GridslamError as error:
+                self._report(Level.ERROR, str(error))
+        self._begun.attach(report, state, seconds)
+
+    def _note(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+        self.state = state
+        self._begun.run.record.add(report, seconds)
+        if self.found is None and self._begun.locator is not None:
+            self.found = _find(self._begun, state)
+            if self.found is not None:
+                self._report(Level.OK, _describe_found(self._begun, state, self.found))
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionCopy:
+    """A copy of a session, read by another thread while the filter goes on."""
+
+    configuration: Configuration
+    seed: int
+    threads: int
+    beginning: Beginning
+    earlier: EarlierDrives | None
+    log: LogStatistics
+    stopwatch: Stopwatch
+    record: Path | None
+    failures: tuple[str, ...]
+    is_last: bool
+
+    def save(self, folder: str | Path) -> dict[str, Any]:
+        """Write the files of `gridslam map` after the final refinement, which takes time; returns run.json's content.
+
+        Raises
+        ------
+        OutputError
+            The folder cannot be written.
+        """
+        result = self._compute_result()
+        try:
+            return result.save(folder)
+        except OSError as error:
+            raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
+
+    def save_session(self, path: str | Path) -> None:
+        """Write the session file.
+
+        Raises
+        ------
+        OutputError
+            It cannot be written.
+        GridslamError
+            What earlier drives have left cannot be gone on from.
+        """
+        begun = self._whole()
+        state = begun.run.state
+        assert state is not None
+        session = _make_session(self.configuration, self.seed, begun, state, self.log, self.record)
+        write_session(path, replace(session, thumbnail=_draw(state)))
+
+    def _whole(self) -> Beginning:
+        """What the session has begun with, and what earlier drives have left, which may take time."""
+        return self.beginning if self.earlier is None else prepare(self.beginning, self.earlier.wait())
+
+    def _compute_result(self) -> MapResult:
+        """Compute the full result, as `gridslam map` does at the end of a log."""
+        self.stopwatch.resume()
+        begun = self.beginning
+        with suppress(GridslamError):  # reported before; the map is that of this drive alone
+            begun = self._whole()
+        frozen = begun.run.state
+        assert frozen is not None
+        state = GridFastSlamState.from_arrays(frozen.to_arrays(), self.configuration.mapper, self.threads)
+        if self.is_last:
+            begun.attach_to(state)
+            begun.finish(state, build(self.configuration, self.threads))
+        return finish_mapping(
+            begun.go_on(state, _describe_log(self.log, self.record)),
+            self.configuration,
+            seed=self.seed,
+            threads=self.threads,
+            log=self.log,
+            source=Path(next(iter(self.log.scans))) if self.record is None else self.record,
+            digest="" if self.record is None else compute_digest(self.record),
+            repair=Repair(),
+            stopwatch=self.stopwatch,
+            failures=self.failures,
+            pieces=begun.find_apart(state),
+        )
+
+
+def _make_session(
+    configuration: Configuration,
+    seed: int,
+    begun: Beginning,
+    state: GridFastSlamState,
+    log: LogStatistics,
+    record: Path | None,
+) -> SavedSession:
+    """Give what a file of a session holds."""
+    return SavedSession(
+        configuration,
+        seed,
+        begun.go_on(state, _describe_log(log, record)),
+        begun.find_apart(state),
+        written=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+    )
+
+
+def _describe_log(log: LogStatistics, record: Path | None) -> DrivenLog:
+    """Describe the scans of a session as a file remembers them."""
+    source = ", ".join(log.scans) if record is None else str(record)
+    return DrivenLog(source, "", log.scan_count, log.first_stamp_ns or 0, log.last_stamp_ns or 0, log.odometry_length_m)
+
+
+def _find(begun: Beginning, state: GridFastSlamState) -> FoundAgainHere | None:
+    """Where the robot was found again; None if it was not."""
+    closure_state = state.closure_state
+    if closure_state is None or closure_state.joined < 0:
+        return None
+    piece = begun.pieces[closure_state.joined]
+    first = len(piece.piece)
+    tracked = np.array(closure_state.graph.tracked[first : first + closure_state.joined_after])
+    way_m = float(np.hypot(*np.diff(tracked[:, :2], axis=0).T).sum())
+    return FoundAgainHere(tuple(drive.name for drive in piece.drives), state.best_pose, way_m)
+
+
+def _describe_found(begun: Beginning, state: GridFastSlamState, found: FoundAgainHere) -> str:
+    assert state.closure_state is not None
+    where = describe_drives(begun.pieces[state.closure_state.joined].drives)
+    x, y, theta = found.pose.tolist()
+    place = f"x {x:.2f} m, y {y:.2f} m, heading {math.degrees(theta):.0f} degrees"
+    return f"found again in {where} after {found.way_m:.1f} m, at {place}"
+
+
+def _draw(state: GridFastSlamState) -> bytes:
+    """A small picture of the best particle's map, PNG."""
+    from gridslam.viz.picture import draw_thumbnail
+
+    buffer = BytesIO()
+    draw_thumbnail(state.maps.tiled(state.best)).save(buffer, "PNG")
+    return buffer.getvalue()

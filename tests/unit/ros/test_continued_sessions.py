@@ -1,0 +1,202 @@
+"""A node's session goes on: at the same place, found again elsewhere, after a kill, and with its own configuration."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from gridslam.config import override, preset
+from gridslam.errors import ConfigurationError, InputError
+from gridslam.io.sessions.session_file import SavedSession, read_session, write_session
+from gridslam.ros.node.parameters import node_parameters
+from gridslam.ros.node.transport import RosNode
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from support.node_faults import RunningNode
+from support.ros_node import LocalTransport, until
+
+
+@pytest.fixture(scope="module")
+def drive():
+    rng = np.random.default_rng(1)
+    log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=180), rng)
+    return list(log.measurements)
+
+
+@pytest.fixture(scope="module")
+def first_half(drive, tmp_path_factory):
+    """Session of a node that was ended after half of the drive."""
+    path = tmp_path_factory.mktemp("session") / "s.gridslam"
+    node = RunningNode(save=str(path))
+    node.play(drive[: len(drive) // 2])
+    log = node.stop()
+    assert node.error is None
+    assert f"session saved: {path}" in log
+    return path
+
+
+def is_prepared(node):
+    """Whether what earlier drives have left is at hand."""
+    session = node.node.core._session
+    return session._is_prepared or session._earlier.is_ready
+
+
+def online(path):
+    run = read_session(path).run
+    trajectory = run.trajectory.online_trajectory()
+    return run, trajectory
+
+
+def test_a_node_goes_on_where_its_session_has_ended(drive, first_half, tmp_path):
+    node = RunningNode(**{"continue": str(first_half)}, save=str(tmp_path / "whole.gridslam"), particles=7)
+    node.play(drive[len(drive) // 2 :])
+    log = node.stop()
+    assert f"session {first_half}: goes on where it has ended: the first scan is" in log
+    assert "ignored parameters: particles (the session's own configuration is used)" in log
+    one = RunningNode(save=str(tmp_path / "one.gridslam"))
+    one.play(drive)
+    one.stop()
+    (ours, trajectory), (expected, expected_trajectory) = map(
+        online, (tmp_path / "whole.gridslam", tmp_path / "one.gridslam")
+    )
+    assert len(ours.logs) == 2
+    assert len(ours.state.poses) == 3
+    assert trajectory.poses.tobytes() == expected_trajectory.poses.tobytes()
+    assert ours.rng.bit_generator.state == expected.rng.bit_generator.state
+
+
+def test_a_robot_that_was_carried_is_found_again_in_the_map(drive, first_half, tmp_path):
+    """The second day begins with the same way, an hour later: scans of another stamp and odometry from zero."""
+    save = tmp_path / "days.gridslam"
+    node = RunningNode(**{"continue": str(first_half)}, save=str(save), out=str(tmp_path / "out"))
+    node.play(drive[:5], shift_s=3600.0)
+    assert until(lambda: is_prepared(node), 60.0)
+    node.play(drive[5 : len(drive) // 2], shift_s=3600.0)
+    log = node.stop()
+    assert "goes on elsewhere, the robot is looked for in its map: " in log
+    assert "found again in the map of 2023-11-14_22-13-20 after " in log
+    saved = read_session(save)
+    assert saved.pieces == ()
+    assert [drive.name[:16] for drive in saved.drives] == ["2023-11-14_22-13", "2023-11-14_23-13"]
+    poses = saved.run.state.best_trajectory()
+    half = len(poses) // 2
+    gap = np.abs(poses[half + 20 :, :2][:, None] - poses[None, :half, :2]).sum(axis=2).min(axis=1)
+    assert gap.max() < 0.6  # the same way: no key scan lies farther from the first day's
+    assert len(list((tmp_path / "out").glob("trajectory_2023*.tum"))) == 2
+
+
+def test_a_killed_node_has_left_its_session_and_the_next_one_says_so(drive, tmp_path):
+    out = tmp_path / "out"
+    node = RunningNode(out=str(out), autosave=0.002)
+    node.play(drive[:60])
+    autosave = out / "autosave.gridslam"
+    assert until(autosave.exists)
+    left = read_session(autosave)  # as if killed now
+    kept = autosave.read_bytes()
+    node.stop()
+    autosave.write_bytes(kept)
+    assert 1 <= len(left.run.trajectory.keys) <= 60
+    again = RunningNode(out=str(out), autosave=0.002)
+    again.play(drive[:30])
+    assert until(lambda: (out / "autosave-1.gridslam").exists())
+    log = again.stop()
+    assert f"--continue {autosave} goes on from it" in log
+    assert (out / "autosave-1.gridslam").read_bytes() == kept  # nothing is lost
+    third = RunningNode(**{"continue": str(autosave)}, out=str(out), autosave=0.002)
+    third.play(drive[30:60])
+    log = third.stop()
+    assert "is the session of an earlier node" not in log
+    assert "goes on where it has ended" in log
+    assert not (out / "autosave-2.gridslam").exists()
+    assert len(read_session(autosave).run.trajectory.keys) == 60
+
+
+def test_a_saved_session_leaves_no_autosave(drive, tmp_path):
+    node = RunningNode(out=str(tmp_path / "out"), save=str(tmp_path / "s.gridslam"), autosave=0.002)
+    node.play(drive[:30])
+    node.stop()
+    assert not (tmp_path / "out" / "autosave.gridslam").exists()
+    assert read_session(tmp_path / "s.gridslam").thumbnail[:4] == b"\x89PNG"
+
+
+def test_nothing_replaces_a_session_that_cannot_be_gone_on_from(drive, first_half, tmp_path, monkeypatch):
+    def fail(*arguments, **options):
+        raise RuntimeError("injected")
+
+    monkeypatch.setattr("gridslam.ros.node.continued.locate_in", fail)
+    path = tmp_path / "s.gridslam"
+    path.write_bytes(first_half.read_bytes())
+    node = RunningNode(**{"continue": str(path)}, save=str(path), out=str(tmp_path / "out"), begin_at="elsewhere")
+    node.play(drive[:30])
+    assert until(lambda: is_prepared(node), 60.0)
+    node.play(drive[30:40])
+    log = node.stop()
+    assert "injected" in log
+    assert "no session is saved" in log
+    assert path.read_bytes() == first_half.read_bytes()
+    assert (tmp_path / "out" / "map.pgm").exists()  # the drive is not lost, either
+
+
+def test_what_earlier_drives_have_left_stays_where_the_robot_is_not_found(drive, first_half, tmp_path):
+    save = tmp_path / "two.gridslam"
+    node = RunningNode(**{"continue": str(first_half)}, save=str(save), begin_at="elsewhere")
+    node.play(drive[:3], shift_s=3600.0)
+    node.stop()
+    saved = read_session(save)
+    assert [len(piece.drives) for piece in saved.pieces] == [1]
+    assert len(saved.run.trajectory.keys) == 3
+
+
+@pytest.mark.parametrize(
+    ("given", "problem"),
+    [
+        ({"autosave": -1.0}, "autosave: expected a number of minutes"),
+        ({"autosave": "often"}, "autosave: expected a number of minutes"),
+        ({"begin_at": "home"}, "begin_at: expected one of auto, same place, elsewhere"),
+        ({"begin_at": "elsewhere"}, "expected a session to continue"),
+        ({"begin_pose": "1 2 3"}, "expected a session to continue"),
+        ({"begin_pose": "1 2"}, "begin_pose: expected x, y in m and theta in rad"),
+    ],
+)
+def test_parameters_that_say_nothing_are_refused(given, problem):
+    with pytest.raises(ConfigurationError, match=problem):
+        node_parameters(given, "default")
+
+
+def test_a_session_that_is_none_is_refused_at_the_start(tmp_path):
+    (tmp_path / "s.gridslam").write_bytes(b"no session")
+    with pytest.raises(InputError, match=r"s\.gridslam: expected a session of gridslam"):
+        node_parameters({"continue": str(tmp_path / "s.gridslam")}, "default")
+    with pytest.raises(InputError, match="no such file"):
+        node_parameters({"continue": str(tmp_path / "other.gridslam")}, "default")
+
+
+def test_slam_toolboxs_parameters_name_a_session(tmp_path):
+    config = override(preset("default"), "particles=4")
+    write_session(tmp_path / "floor.gridslam", SavedSession(config, seed=5))
+    given = {"map_file_name": str(tmp_path / "floor"), "map_start_pose": [1.0, 2.0, 0.5]}
+    found = node_parameters(given, "default")
+    assert found.configuration == config
+    assert found.files.continued.pose.tolist() == [1.0, 2.0, 0.5]
+    other = node_parameters({"map_file_name": str(tmp_path / "other"), "map_start_pose": [1.0, 2.0, 0.5]}, "default")
+    assert other.files.continued is None
+    assert "pose graphs of slam_toolbox cannot be read" in other.warning
+    with pytest.raises(ConfigurationError, match="map_start_at_dock"):
+        node_parameters({"map_file_name": str(tmp_path / "floor"), "map_start_at_dock": True}, "default")
+
+
+def test_a_live_scan_is_not_held_up_while_the_session_is_written(drive, tmp_path):
+    """Saving costs the filter's thread the copies of tables: 50 ms at most."""
+    node = RosNode(LocalTransport(), node_parameters({"out": str(tmp_path / "out"), "particles": 3}, "default"))
+    assert node.core._autosave is not None
+    node.close()
+    running = RunningNode(out=str(tmp_path / "out"), autosave=0.0)
+    running.play(drive[:60])
+    session = running.node.core._session
+    begin = time.perf_counter()
+    copied = session.copy(None)
+    assert time.perf_counter() - begin < 0.05
+    running.stop()
+    assert copied.log.scan_count == 60
+    assert not (tmp_path / "out" / "autosave.gridslam").exists()  # 0 minutes: none
