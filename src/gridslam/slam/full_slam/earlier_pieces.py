@@ -39,8 +39,8 @@ _VOTE_INTERVAL = 6
 _MIN_VOTES = 8
 _MIN_VOTE_RATIO = 0.5
 _MAX_RUNNER_UP_RATIO = 1 / 3
-"""Drives on one floor of equal rooms had 73 to 82 % of the votes and the runner-up 8 to 18 % of these; on other floors that
-look alike at most 15 % of the votes, and the runner-up nearly as many."""
+"""Drives on one floor of equal rooms had 73 to 82 % of the votes and the runner-up 8 to 18 % of these; on other
+floors that look alike at most 15 % of the votes, and the runner-up nearly as many."""
 
 _PATIENCE = 30
 """After each multiple of this many key scans without success searches are half as frequent, down to an eighth."""
