@@ -181,7 +181,7 @@ def _join(one: Moment, other: Moment) -> Moment:
 
 @final
 class PastMaps:
-    """The map at each moment of a history, for one reader that goes forward and back."""
+    """The map at each moment of a history, for readers in one thread that go forward and back."""
 
     def __init__(self, history: History) -> None:
         """Start before the first moment."""
@@ -193,7 +193,7 @@ class PastMaps:
         self._reset()
 
     def at(self, index: int) -> PackedTiles:
-        """Return the tiles at a moment; the result is not to be written to."""
+        """Return the tiles at a moment; the result is not to be written to, and valid until the next call."""
         if self._history.moments is not self._moments:
             self._reset()
         if index < self._index:

@@ -56,10 +56,10 @@ class PastReader:
         The map as it was at the moment that was read last.
     """
 
-    def __init__(self, history: History) -> None:
-        """Start before the first moment."""
+    def __init__(self, history: History, maps: PastMaps) -> None:
+        """Start before the first moment; all viewers share the maps."""
         self._history = history
-        self._maps = PastMaps(history)
+        self._maps = maps
         self.replica = PastReplica()
 
     def reads(self, history: History) -> bool:

@@ -14,7 +14,7 @@ from gridslam.live.ancestry_tree import NO_POINTS
 from gridslam.live.beside import read_beside
 from gridslam.live.control import check_particle, check_speed
 from gridslam.live.finished import count_key_scans, read_optional_history, read_results
-from gridslam.live.history import PastReplica
+from gridslam.live.history import History, PastMaps, PastReplica
 from gridslam.live.history_file import HISTORY_NAME
 from gridslam.live.past import Past, PastReader
 from gridslam.live.results import MappedRun, StaticMap
@@ -62,6 +62,7 @@ class Replay:
         self.history = read_optional_history(out / HISTORY_NAME)
         if self.history is not None:
             found |= dict.fromkeys(("scan", "particles"), True)
+        self.past_maps = PastMaps(self.history or History())
         self.keys = count_key_scans(results, self.history)
         layers = (
             *results.layers,
@@ -110,7 +111,7 @@ class ReplayViewer:
         self._playing = False
         self._selected: int | None = None
         self._selected_path = NO_POINTS
-        self._reader = None if replay.history is None else PastReader(replay.history)
+        self._reader = None if replay.history is None else PastReader(replay.history, replay.past_maps)
         self._past: Past | None = None
         self._look()
 

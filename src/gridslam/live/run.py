@@ -13,6 +13,7 @@ import numpy as np
 from gridslam.errors import ArgumentError
 from gridslam.live.ancestry_tree import NO_POINTS
 from gridslam.live.control import Control, RobotControl, check_particle, check_speed
+from gridslam.live.history import History, PastMaps
 from gridslam.live.monitor import BEST
 from gridslam.live.observer import UNVIEWED_PERIOD_S, VIEWED_PERIOD_S, LiveObserver, Snapshot
 from gridslam.live.past import PastReader
@@ -63,6 +64,7 @@ class LiveRun:
         self._message = ""
         self._answer = ""
         self._session: Path | None = None
+        self._past: tuple[History, PastMaps] | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -242,6 +244,15 @@ class LiveRun:
         replica = self._replicas[BEST] if self._known is not None else reader.replica
         return Scene(self._run_info, status, replica, frame, self._series.rows, past.scan)
 
+    def find_reader(self, reader: PastReader | None) -> PastReader:
+        """Return a viewer's reader of the current session's past: its own, if that is still of this session."""
+        history = self.observer.history.history
+        if reader is not None and reader.reads(history):
+            return reader
+        if self._past is None or self._past[0] is not history:
+            self._past = history, PastMaps(history)
+        return PastReader(history, self._past[1])
+
     @property
     def keys(self) -> int:
         """Number of key scans that viewers can go back to."""
@@ -339,9 +350,8 @@ class LiveViewer:
     def _seek(self, at: int) -> None:
         """Look at the run as it was after a key scan, counted from 0; at the newest one at what comes, too."""
         self._at = None if at >= self._run.keys - 1 else max(at, 0)
-        history = self._run.observer.history.history
-        if self._at is not None and (self._reader is None or not self._reader.reads(history)):
-            self._reader = PastReader(history)
+        if self._at is not None:
+            self._reader = self._run.find_reader(self._reader)
 
     def _select(self, particle: int | None) -> None:
         if self._channel != BEST:
