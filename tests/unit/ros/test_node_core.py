@@ -158,6 +158,25 @@ def test_with_an_interval_of_0_a_map_comes_after_each_scan(drive):
     core.close()
 
 
+def test_updates_change_the_last_whole_map_to_the_present_one(drive):
+    outputs = RecordedOutputs()
+    whole = []
+    outputs.map = lambda message: whole.append((len(outputs.updates), message))
+    core = node(outputs, map_updates=True, map_update_interval_s=0.0)
+    drive_all(core, outputs, drive[:40])
+    core.close()
+    latest = core.dynamic_map()
+    since, map_ = whole[-1]
+    assert len(outputs.updates) > since
+    cells = map_.cells.copy()
+    for update in outputs.updates[since:]:
+        height, width = update.cells.shape
+        cells[update.y : update.y + height, update.x : update.x + width] = update.cells
+    assert map_.origin == latest.origin
+    np.testing.assert_array_equal(cells, latest.cells)
+    assert not np.array_equal(map_.cells, latest.cells)
+
+
 def test_frames_with_a_slash_are_those_without(drive):
     """As in launch files and bags from before tf2, whose listeners refuse them."""
     outputs = RecordedOutputs()

@@ -82,9 +82,8 @@ class RosArguments:
             name = f"qos_overrides.{of}.{which}.{policy}"
             if policy == "depth" and isinstance(value, int) and not isinstance(value, bool) and value > 0:
                 changes["depth"] = value
-            elif policy in _POLICIES and value in _POLICIES[policy]:
-                field_name, meaning = _POLICIES[policy][value]
-                changes |= {field_name: meaning} if field_name else {}
+            elif (known := _POLICIES.get(policy, {}).get(str(value))) is not None:
+                changes |= {known[0]: known[1]} if known[0] else {}
             elif policy in ("depth", *_POLICIES):
                 expected = "a number above 0" if policy == "depth" else " or ".join(_POLICIES[policy])
                 raise ConfigurationError(f"{name}: expected {expected}, got {value!r}")
