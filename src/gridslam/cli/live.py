@@ -183,6 +183,8 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
 
         def on_diagnostics(diagnostics: Diagnostics) -> None:
             page.show_message(diagnostics.summary if diagnostics.level else "")
+            if core.session_file is not None and core.session_file.is_file():
+                page.offer_session(core.session_file)
 
         core.add_observer(page.observer, page.follow_session, on_diagnostics)
         announce(page.url, live)

@@ -74,6 +74,7 @@ class LiveRun:
             self._run_info = make_run_info(self._title, mode, _LIVE_SLAM)
         else:
             self._run_info = make_run_info(self._title, mode, _LIVE_LOCALIZATION, "update", self._known)
+        self._run_info = self._add_session(self._run_info)
         if isinstance(self.control, RobotControl):
             self._run_info["commands"] = self.control.commands.names
         self._replicas = {BEST: TileReplica() if self._known is None else TileReplica.of(self._known)}
@@ -171,13 +172,18 @@ class LiveRun:
 
     def session_file(self) -> Path | None:
         """Return the file from which a later run goes on; None if this one offers none."""
-        return self._session
+        return self._session if self._session is not None and self._session.is_file() else None
 
     def offer_session(self, path: Path) -> None:
         """Let viewers save the file from which a later run goes on."""
-        self._session = path
-        self._run_info = {**self._run_info, "layers": (*self._run_info["layers"], "session")}
-        self.notify_viewers()
+        if self._session != path:
+            self._session = path
+            self._run_info = self._add_session(self._run_info)
+            self.notify_viewers()
+
+    def _add_session(self, run_info: dict[str, Any]) -> dict[str, Any]:
+        """Add the session to what there is to save, if it is offered."""
+        return run_info if self._session is None else {**run_info, "layers": (*run_info["layers"], "session")}
 
     def open_channel(self, particle: int) -> int:
         """Open a channel for the map of a particle; raises ArgumentError if there is none, or too many are open."""

@@ -125,7 +125,7 @@ def test_only_the_page_itself_commands(origin, is_obeyed):
 class Core:
     """A node's core."""
 
-    is_paused, localizes, results_folder = False, False, None
+    is_paused, localizes, results_folder, session_file = False, False, None, None
 
     class configuration:  # noqa: N801
         range_max_m = 30.0
@@ -146,3 +146,27 @@ def test_a_node_offers_commands_only_if_it_is_told_to(monkeypatch, localizes, co
         pass
     offered = ["set_pose", "locate"] if localizes else ["reset", "save"]
     assert seen == [offered if controls else []]
+
+
+def test_the_session_of_a_node_is_offered_once_it_is_saved(monkeypatch, tmp_path):
+    callbacks, pages = [], []
+    monkeypatch.setattr(LivePage, "__enter__", lambda self: pages.append(self) or self)
+    monkeypatch.setattr(LivePage, "__exit__", lambda self, *given: None)
+    monkeypatch.setattr(LivePage, "url", "here")
+    core = Core()
+    core.session_file = tmp_path / "autosave.gridslam"
+    core.add_observer = lambda observer, wrap, on_diagnostics: callbacks.append(on_diagnostics)
+    with node_page(LiveOptions(port=0), "robot", core, None):
+        run = pages[0]._run
+        monkeypatch.setattr(pages[0]._server, "call", lambda function, *given: function(*given))
+        diagnostics = type("Diagnostics", (), {"level": 0, "summary": ""})
+        callbacks[0](diagnostics)
+        assert run.session_file() is None
+        core.session_file.write_bytes(b"all there is")
+        for _ in range(2):
+            callbacks[0](diagnostics)
+        assert run.session_file() == core.session_file
+        run.reset()
+        assert run._run_info["layers"].count("session") == 1
+        core.session_file.unlink()
+        assert run.session_file() is None

@@ -70,6 +70,8 @@ class NodeCore:
     ----------
     results_folder : Path
         Where people who ask for it save the results while the node runs.
+    session_file : Path or None
+        Where the session is saved now and then while the node runs; there is no file before the first time.
     failure : BaseException or None
         The exception that ended the filter's thread; None after `close`.
     ended : threading.Event
@@ -125,6 +127,7 @@ class NodeCore:
             ("diagnostics", _DIAGNOSTICS_S, self._publish_diagnostics),
             ("map", settings.map_update_interval_s, lambda: self._queue.post(self._publish_map)),
         ]
+        self.session_file = None if files is None else files.autosave
         self._autosave: LiveAutosave | None = None
         if files is not None and files.autosave is not None:
             self._autosave = LiveAutosave(files, outputs.log)
