@@ -70,9 +70,10 @@ _FREE_LEVELS = [max(a, b) for a, b in zip(_ramp(_EVEN, _EVEN - 24), _ramp(_EVEN,
 _CRISP = _ramp(52, 204)  # sharpens an enlarged edge to about half a cell
 
 
-# Of several drives, each in one colour: after Okabe and Ito, so that they differ for every eye.
+# Of several drives, each in one colour, mostly after Okabe and Ito, so that they differ for every eye; no blue, which
+# is that of loop closures.
 _DRIVES: tuple[Colour, ...] = (
-    (213, 94, 0), (0, 114, 178), (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233), (128, 90, 50)
+    (213, 94, 0), (0, 158, 115), (136, 34, 136), (230, 159, 0), (128, 90, 50), (204, 121, 167), (60, 60, 110)
 )  # fmt: skip
 _MOST_KEYS = 7  # of drives
 
