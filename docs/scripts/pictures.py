@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +22,14 @@ from PIL import Image
 
 from gridslam import GraphSlam, GridFastSlam, GridFastSlamState, OccupancyGrid, PoseGraph, run
 from gridslam.api.mapping import map_log
+from gridslam.api.session import Session
 from gridslam.config import Configuration
 from gridslam.doctor.finding import Figure, Series
 from gridslam.evaluation import relation_errors
 from gridslam.geometry.se2 import between, compose
+from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.log import open_log
+from gridslam.io.measurement import Measurement
 from gridslam.io.trajectories import read_relations
 from gridslam.localization import KnownMap, MonteCarloLocalization
 from gridslam.mapping import OccupancyGridMapping
@@ -233,7 +238,29 @@ def tuning() -> None:
         keep(name, draw_chart(figure, caption=[caption]), 760)
 
 
+def sessions() -> None:
+    """Two halves of the Intel log as two days, the second one with an origin of its own."""
+    log = DATA / "intel.clf.bz2"
+    measurements = list(open_log(log))
+    half = len(measurements) // 2
+    with tempfile.TemporaryDirectory() as folder:
+        first, second = (Path(folder) / f"{name}.clf" for name in ("first", "second"))
+        begin = measurements[half].odometry
+        assert begin is not None
+        moved = [
+            Measurement(replace(o, pose=compose(np.array([10.0, 0.0, 2.0]), between(begin.pose, o.pose))), scan)
+            for o, scan in measurements[half:]
+            if o is not None
+        ]
+        write_carmen(first, measurements[:half])
+        write_carmen(second, moved)
+        session = Session()
+        session.add(first)
+        keep("sessions", session.add(second).picture(), 1000)
+
+
 PICTURES = (
+    sessions,
     tuning,
     first_map,
     grid_fastslam,
