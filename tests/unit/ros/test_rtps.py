@@ -158,6 +158,35 @@ def test_one_that_goes_is_forgotten_at_once():
     stays.close()
 
 
+def test_one_that_was_lost_for_a_while_is_found_again_and_lost_samples_are_repeated(pair, monkeypatch):
+    """As by a network that was away: only one of the two has noticed it."""
+    sender, receiver, _ = pair
+    got = []
+    receiver.add_reader("rt/a", KIND, Qos(), lambda sample: got.append(number_of(sample)))
+    writer = sender.add_writer("rt/a", KIND, Qos())
+    assert until(lambda: bool(writer.readers))
+    for number in range(5):
+        sender.write(writer, payload(number))
+    assert until(lambda: len(got) == 5)
+    with receiver._lock:
+        receiver._lose(sender.guid[:12])
+    assert until(lambda: any(reader.writers for reader in receiver._readers.values() if reader.topic), 10.0)
+    send, lost = Sockets.send, []
+
+    def lose_first(self, data, address):
+        if b"\x15" in data and not lost and self is sender._sockets:
+            lost.append(data)
+        else:
+            send(self, data, address)
+
+    sender.write(writer, payload(5))
+    assert until(lambda: got[-1:] == [5])
+    monkeypatch.setattr(Sockets, "send", lose_first)
+    sender.write(writer, payload(6))
+    assert until(lambda: got[-1:] == [6])
+    assert lost
+
+
 def test_interfaces_are_looked_up():
     assert find_addresses(["lo", "127.0.0.1"]) == ["127.0.0.1", "127.0.0.1"]
     assert find_addresses([])

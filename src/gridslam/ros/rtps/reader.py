@@ -49,14 +49,13 @@ class _Assembly:
 class _Proxy:
     """A writer, and what has come of it."""
 
-    __slots__ = ("assemblies", "count", "endpoint", "expected", "has_begun", "heartbeats", "pending", "prefix")
+    __slots__ = ("assemblies", "endpoint", "expected", "has_begun", "heartbeats", "pending", "prefix")
 
     def __init__(self, endpoint: RemoteEndpoint) -> None:
         self.endpoint = endpoint
         self.prefix = endpoint.guid[:12]
         self.expected = 1
         self.has_begun = False
-        self.count = 0
         self.heartbeats = -1
         self.pending: dict[int, Sample | None] = {}  # None: it will not come
         self.assemblies: OrderedDict[int, _Assembly] = OrderedDict()
@@ -92,6 +91,7 @@ class Reader:
         self.writers: dict[Guid, _Proxy] = {}
         self._entity = guid[12:]
         self._send = send
+        self._count = 0  # of all acknowledgements: a writer that was lost and found again ignores smaller ones
 
     def match(self, endpoint: RemoteEndpoint) -> None:
         """Add a writer."""
@@ -150,8 +150,8 @@ class Reader:
         partial = [number for number in missing if number in proxy.assemblies]
         for number in partial:
             lacking = sorted(proxy.assemblies[number].missing)
-            proxy.count += 1
-            message = encode_nack_frag(self._entity, guid[12:], number, lacking, proxy.count)
+            self._count += 1
+            message = encode_nack_frag(self._entity, guid[12:], number, lacking, self._count)
             self._send([message], proxy.prefix, proxy.endpoint.address)
         requested = [number for number in missing if number not in proxy.assemblies]
         if requested or partial or not final:
@@ -201,6 +201,6 @@ class Reader:
         return bytes(assembly.buffer)
 
     def _acknowledge(self, proxy: _Proxy, base: int, missing: list[int], *, final: bool) -> None:
-        proxy.count += 1
-        message = encode_acknack(self._entity, proxy.endpoint.guid[12:], base, missing, proxy.count, final=final)
+        self._count += 1
+        message = encode_acknack(self._entity, proxy.endpoint.guid[12:], base, missing, self._count, final=final)
         self._send([message], proxy.prefix, proxy.endpoint.address)
