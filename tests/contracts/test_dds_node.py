@@ -17,6 +17,7 @@ from websockets.sync.client import connect  # noqa: E402
 
 from gridslam.io.bags.ros_messages import StampedTransform  # noqa: E402
 from gridslam.io.maps import write_map  # noqa: E402
+from gridslam.io.sessions.session_file import read_session  # noqa: E402
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate  # noqa: E402
 from support.dds_peer import Node, Peer, Robot, free_domain, got, transforms, until  # noqa: E402
 from support.localization_world import drive as flat_drive  # noqa: E402
@@ -174,6 +175,16 @@ def test_services_answer(running):
     reply = asked(peer, "gridslam/save", "std_srvs/Trigger", 0)
     assert reply.success, reply.message
     assert (running.folder / "out" / "map.pgm").is_file()
+    reply = asked(peer, "gridslam/serialize_map", "std_srvs/Trigger", 0)
+    assert reply.success, reply.message
+    assert read_session(running.folder / "out" / "session.gridslam").run is not None
+    reply = asked(peer, "gridslam/localize", "std_srvs/SetBool", True)
+    assert reply.message == "localizing in the map so far"
+    reply = asked(peer, "gridslam/localize", "std_srvs/SetBool", False)
+    assert reply.message in (
+        "mapping goes on",
+        "localize: expected a robot that knows where it is, got one that is lost",
+    )
     asked(peer, "gridslam/reset", "std_srvs/Empty", 0)
     assert running.node.says("starting a new map: reset")
 

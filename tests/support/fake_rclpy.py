@@ -167,8 +167,11 @@ class LifecycleNode(Node):
         return "success"
 
 
-def installed(monkeypatch: Any, parameters: dict[str, Any]) -> World:
-    """Put the stand-in where `import rclpy` finds it."""
+SLAM_TOOLBOX = ["SerializePoseGraph", "DeserializePoseGraph", "SaveMap", "Pause", "Clear", "Reset"]
+
+
+def installed(monkeypatch: Any, parameters: dict[str, Any], slam_toolbox: bool = False) -> World:
+    """Put the stand-in where `import rclpy` finds it, with slam_toolbox's types if they are wanted."""
     world = World(parameters)
     Node.world = world
 
@@ -219,7 +222,8 @@ def installed(monkeypatch: Any, parameters: dict[str, Any]) -> World:
     )
     module("rcl_interfaces")
     module("rcl_interfaces.msg", SetParametersResult=lambda **fields: SimpleNamespace(**fields))
-    for name, kinds in TYPES.items():
+    more = {"slam_toolbox.srv": SLAM_TOOLBOX} if slam_toolbox else {}
+    for name, kinds in {**TYPES, **more}.items():
         module(name.partition(".")[0])
         module(name, **{kind: type(kind, (), {}) for kind in kinds})
     return world

@@ -111,6 +111,9 @@ class LocalTransport:
     def advertise(self, service: str, kind: str, serve: Callable[[object], Sequence[object]], **options: bool) -> None:
         self.services[service] = serve
 
+    def advertise_typed(self, package: str, services: dict[str, tuple[str, object]]) -> bool:
+        return False
+
     def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
         pass
 

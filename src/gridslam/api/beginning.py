@@ -20,10 +20,19 @@ from gridslam.pipeline import Observer
 from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.tracking.state import SensorTrack, TrackerState
 from gridslam.tracking.tracker import Tracker
 from gridslam.types import FloatArray, LaserScan, StepReport
 
-__all__ = ["Beginning", "Place", "PlaceDecision", "decide_place", "locate_in", "restart_at_same_place"]
+__all__ = [
+    "Beginning",
+    "Place",
+    "PlaceDecision",
+    "decide_place",
+    "locate_in",
+    "restart_at_pose",
+    "restart_at_same_place",
+]
 
 _MAX_GAP_S = 600.0
 """Longest time between two logs of which the second goes on; a robot that is started again begins a new drive."""
@@ -194,3 +203,22 @@ def restart_at_same_place(state: GridFastSlamState, first: Measurement) -> None:
     tracker.odometry = tracker.matched_odometry = np.full(3, np.nan) if odometry is None else odometry.pose
     tracker.matched_pose = tracker.pose
     tracker.twist = np.zeros(3)
+
+
+def restart_at_pose(state: GridFastSlamState, slam: GridFastSlam, first: Measurement, pose: FloatArray) -> None:
+    """Let a filter go on at another place, pose (3,) in its map: the tracker begins with local maps of this scan alone.
+
+    The way there is one step of the robot, with the noise of its length.
+    """
+    odometry, scan = first
+    here = compose(state.best_pose, between(state.key_pose, state.tracker.pose))
+    tracked = compose(state.tracker.pose, between(here, pose))
+    before = state.tracker
+    tracker = TrackerState.start(slam.mapper.empty(2), odometry, scan.stamp_ns, scan.sensor)
+    tracker.pose = tracker.matched_pose = tracked
+    tracker.sensors = {scan.sensor: SensorTrack.first(scan.stamp_ns, tracked)}
+    tracker.period_s, tracker.mean_step = before.period_s, before.mean_step
+    beams = scan.beams(slam.range_min_m, slam.range_max_m, slam.thinning)
+    if isinstance(slam.tracker, Tracker) and len(beams):
+        tracker.maps.update(tracker.row, tracked[None], beams)
+    state.tracker = tracker

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ConfigurationError
+from gridslam.io.sessions.session_file import read_session
 from gridslam.ros.ros2.ros2 import run_ros2
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support import fake_rclpy
@@ -87,6 +89,33 @@ def test_a_drive_by_way_of_bytes(monkeypatch, drive, tmp_path):
     assert "message refused: /scan: " in str(world.logged)
     assert "ignored parameters: xmin" in str(world.logged)
     assert world.nodes[0].destroyed
+
+
+def test_services_of_slam_toolbox_by_its_own_names_and_types(monkeypatch, drive, tmp_path):
+    world = fake_rclpy.installed(monkeypatch, {"particles": 4}, slam_toolbox=True)
+    path = tmp_path / "floor.gridslam"
+
+    def script():
+        world.subscriptions["/tf_static"][2](transforms(mounting()))
+        for one in drive:
+            send(world, one)
+        assert until(lambda: len(world.published.get("~/pose", ())) == len(drive)), world.logged
+        request = SimpleNamespace(filename=str(tmp_path / "floor"))
+        assert world.services["slam_toolbox/serialize_map"](request, SimpleNamespace(result=9)).result == 0
+        old = world.services["slam_toolbox/serialize_map"](request, SimpleNamespace())  # up to Foxy without a result
+        assert vars(old) == {}
+        pause = world.services["slam_toolbox/pause_new_measurements"]
+        assert pause(SimpleNamespace(), SimpleNamespace(status=False)).status
+        assert world.services["slam_toolbox/clear_changes"](SimpleNamespace(), SimpleNamespace()) is not None
+        assert {"~/serialize_map", "~/reset"} <= set(world.services)  # the node has another name
+
+    run(world, script)
+    assert len(read_session(path).run.trajectory.keys) == len(drive)
+    other = fake_rclpy.installed(monkeypatch, {"particles": 4})
+    monkeypatch.delitem(sys.modules, "slam_toolbox.srv", raising=False)
+    run(other, lambda: None)
+    assert not any(name.startswith("slam_toolbox/") for name in other.services)
+    assert "~/serialize_map" in other.services
 
 
 def test_ctrl_c_leaves_time_to_tell_the_last_map(monkeypatch, drive, tmp_path):

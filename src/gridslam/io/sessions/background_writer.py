@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import final
@@ -12,7 +15,16 @@ from gridslam.errors import GridslamError
 from gridslam.io.sessions.session_file import SavedSession, write_session
 from gridslam.pipeline import describe_error
 
-__all__ = ["BackgroundWriter"]
+__all__ = ["BackgroundWriter", "lower_priority"]
+
+_NICE = 10
+
+
+def lower_priority() -> None:
+    """Let this thread give way to all others, where the system knows priorities of threads."""
+    if sys.platform == "linux":
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
 
 
 @final
@@ -55,6 +67,7 @@ class BackgroundWriter:
         self.report()
 
     def _write(self, path: Path, frozen: list[SavedSession]) -> None:
+        lower_priority()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             write_session(path, frozen.pop())

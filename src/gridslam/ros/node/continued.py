@@ -16,6 +16,7 @@ from gridslam.api.session import Session as SavedDrives
 from gridslam.config import Configuration
 from gridslam.errors import GridslamError
 from gridslam.io.measurement import Measurement
+from gridslam.io.sessions.background_writer import lower_priority
 from gridslam.io.sessions.drives import Drive, SavedPiece, choose_name
 from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session
 from gridslam.pipeline import describe_error
@@ -114,6 +115,7 @@ class EarlierDrives:
         return self._found
 
     def _prepare(self) -> None:
+        lower_priority()
         try:
             saved = self._continued.saved
             pieces = saved.pieces

@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any, TypeAlias, final
+from typing import Any, TypeAlias, TypeVar, final
 
 import numpy as np
 
@@ -17,10 +17,11 @@ from gridslam.config import Configuration
 from gridslam.doctor import EarlyCheck
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, OutputError
 from gridslam.io.measurement import Measurement
-from gridslam.localization import KnownMap
+from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.particles import sample_gaussian
 from gridslam.pipeline import FailedStep, Observer, describe_error, isolate
 from gridslam.ros.node.accepted_scan import AcceptedScan, ScanRecorder
+from gridslam.ros.node.continued import Continued
 from gridslam.ros.node.grid_input import make_occupancy_grid
 from gridslam.ros.node.live_autosave import LiveAutosave, SessionFiles
 from gridslam.ros.node.mapping_session import Session, SessionCopy
@@ -39,6 +40,10 @@ SourceWrapper: TypeAlias = Callable[[Iterator[Measurement]], Iterator[Measuremen
 DiagnosticsCallback: TypeAlias = Callable[[Diagnostics], None]
 
 _DIAGNOSTICS_S = 1.0
+_OTHERS = (SessionEnd.MAP, SessionEnd.SESSION, SessionEnd.SWITCH)
+"""Ends after which another session begins even if this one has no scan yet."""
+
+_Answer = TypeVar("_Answer")
 
 
 @final
@@ -115,13 +120,14 @@ class NodeCore:
         self._queue = MeasurementQueue(settings, self._warn)
         self._known_map: GridMessage | None = None
         self._renderer: MapRenderer | None = None
-        if isinstance(configuration, Configuration):
-            self._renderer = MapRenderer(configuration.mapper, settings, outputs.map, outputs.map_update)
-        self._publisher = StatePublisher(settings, outputs, self._renderer, self._queue, self._warn)
+        self._publisher = StatePublisher(settings, outputs, None, self._queue, self._warn)
+        self._suspended: Session | None = None  # while the robot is localized in its map
+        self._has_switched = False
+        self._began_localizing = isinstance(configuration, Localization)
         self._continued = None if files is None else files.continued
+        self._session_end = SessionEnd.CLOSED
         self._begin_session()
         self._begin_record()
-        self._session_end = SessionEnd.CLOSED
         self._timers: list[tuple[str, float, Callable[[], None]]] = [
             ("transform", settings.transform_publish_period_s, self._publisher.publish_transform),
             ("diagnostics", _DIAGNOSTICS_S, self._publish_diagnostics),
@@ -172,8 +178,8 @@ class NodeCore:
                 thread.join()
         if self._renderer is not None:
             self._renderer.close()
-        is_mapped = not self.localizes and self._session.state is not None
-        copied = self._session.copy(self._whole_record(), is_last=True) if is_mapped else None
+        is_mapped = self.mapped_session is not None
+        copied = self._copy_mapped(is_last=True) if is_mapped else None
         if self._autosave is not None:
             if is_mapped:
                 self._save_now()
@@ -198,7 +204,7 @@ class NodeCore:
 
     def dynamic_map(self) -> GridMessage | None:
         """Return the last published map; None before the first one."""
-        return self._known_map if self._renderer is None else self._renderer.latest
+        return self._known_map if self.localizes or self._renderer is None else self._renderer.latest
 
     def diagnostics(self) -> Diagnostics:
         """Return the diagnostics, which are also published once per second."""
@@ -316,66 +322,140 @@ class NodeCore:
         Returns the content of run.json. Raises ArgumentError if nothing is mapped yet, OutputError if the folder
         cannot be written or the filter does not answer.
         """
-        copied: Future[SessionCopy] = Future()
+        return self.copy_session(timeout_s).save(folder)
 
-        def copy_session() -> None:
+    def copy_session(self, timeout_s: float = 60.0) -> SessionCopy:
+        """Copy the mapping session; raises ArgumentError if nothing is mapped yet, OutputError as `ask`."""
+        return self.ask(self._copy_mapped, timeout_s)
+
+    def ask(self, call: Callable[[], _Answer], timeout_s: float = 60.0) -> _Answer:
+        """Run a call in the filter's thread between two scans, and give what it returns or raises.
+
+        Raises OutputError if the filter does not respond in time.
+        """
+        answer: Future[_Answer] = Future()
+
+        def respond() -> None:
             try:
-                copied.set_result(self._session.copy(self._whole_record()))
+                answer.set_result(call())
             except GridslamError as error:
-                copied.set_exception(error)
+                answer.set_exception(error)
 
-        self._queue.post(copy_session)
+        self._queue.post(respond)
         try:
-            session = copied.result(0.0 if self.ended.is_set() else timeout_s)
+            return answer.result(0.0 if self.ended.is_set() else timeout_s)
         except TimeoutError:
-            raise OutputError(f"{folder}: the filter did not respond within {timeout_s:g} s") from None
-        return session.save(folder)
+            raise OutputError(f"the filter did not respond within {timeout_s:g} s") from None
+
+    def begin_session(self, continued: Continued) -> None:
+        """End the session, which is saved as where time jumps back, and go on from another one; in the filter's thread.
+
+        With its own configuration. The first scan decides where the robot begins.
+        """
+        self._continued = continued
+        self.configuration = continued.saved.configuration
+        self._queue.end_session(SessionEnd.SESSION)
+
+    def localize_in(self, known: KnownMap, configuration: MonteCarloConfiguration, pose: InitialPose) -> None:
+        """Localize in a map from the next scan on; in the filter's thread. The mapping session waits."""
+        if pose is not None:
+            known.require(pose[0])
+        if isinstance(self._session, Session) and self._session.state is not None:
+            self._suspended = self._session
+        self.configuration = Localization(known, configuration, pose)
+        self._known_map = make_grid_message(known.grid, self.settings, self._outputs.now_ns())
+        self._outputs.map(self._known_map)
+        self._queue.end_session(SessionEnd.SWITCH)
+
+    def resume_mapping(self) -> None:
+        """Go on with the mapping session that waits, from where the robot is localized; in the filter's thread.
+
+        Raises ArgumentError if none waits, or the robot is lost.
+        """
+        session = self._suspended
+        if session is None or not self.localizes:
+            raise ArgumentError("localize", "a mapping session that waits", "none")
+        if self._publisher.is_lost:
+            raise ArgumentError("localize", "a robot that knows where it is", "one that is lost")
+        is_located = self._publisher.latest_pose is not None  # otherwise there was no scan since it waits
+        session.map_from_odom = self._publisher.map_from_odom if is_located else None
+        self.configuration = session.configuration
+        self._queue.end_session(SessionEnd.SWITCH)
+
+    @property
+    def mapped_session(self) -> Session | None:
+        """The mapping session, at work or waiting; None if nothing is mapped yet. For the filter's thread."""
+        mapped = self._session if isinstance(self._session, Session) else self._suspended
+        return None if mapped is None or mapped.state is None else mapped
+
+    def _copy_mapped(self, *, is_last: bool = False) -> SessionCopy:
+        mapped = self.mapped_session
+        return (mapped or self._session).copy(None if self._has_switched else self._whole_record(), is_last=is_last)
 
     def _run_filter(self) -> None:
         """Run the sessions one after the other."""
         try:
             while self._run_session():
-                if self._session_end is SessionEnd.MAP and self._session.state is None:
-                    self._begin_session()
-                elif self._session.state is not None:
-                    self._hand_over_session()
-                    self._close_record()
-                    if self._renderer is not None:
-                        self._renderer.reset()
-                    self._begin_session()
-                    try:
-                        self._begin_record()
-                    except OutputError as error:
-                        self._warn("record", str(error))
+                self._end_session()
         except BaseException as error:  # report any error of the thread
             self.failure = error
             self._outputs.log(Level.ERROR, f"the filter failed: {type(error).__name__}: {error}")
         finally:
             self.ended.set()
 
+    def _end_session(self) -> None:
+        """Give the session away and begin the next one; where it has no scan yet and nothing changes it is the next."""
+        end = self._session_end
+        is_begun = self._session.state is not None
+        if not is_begun and end not in _OTHERS:
+            return
+        if end is SessionEnd.SWITCH:
+            self._has_switched = True
+            self._begin_session()
+            return
+        if is_begun:
+            self._hand_over_session()
+            self._close_record()
+            if self._renderer is not None:
+                self._renderer.reset()
+        self._suspended = None
+        self._begin_session()
+        if is_begun:
+            try:
+                self._begin_record()
+            except OutputError as error:
+                self._warn("record", str(error))
+
     def _run_session(self) -> bool:
         """Map until the session ends; return whether another one follows."""
         source = self._measurements()
-        for wrap in self._wrappers:
+        is_viewed = self.localizes == self._began_localizing  # viewers know one kind of filter
+        for wrap in self._wrappers if is_viewed else ():
             source = wrap(source)
         first = next(source, None)
         if first is not None:
+            viewers = self._observers if is_viewed else ()
             observers = [
                 isolate(self._publisher, partial(self._warn, "publishing failed")),
-                *(isolate(observer, partial(self._warn, "viewer failed")) for observer in self._observers),
+                *(isolate(observer, partial(self._warn, "viewer failed")) for observer in viewers),
             ]
             self._session.run(chain([first], source), observers, self._report_failure)
         if self._session_end is SessionEnd.CLOSED:
             return False
-        self._outputs.log(Level.WARN, f"{self._session.restart_message}: {self._session_end.value}")
+        level = Level.OK if self._session_end is SessionEnd.SWITCH else Level.WARN
+        what = "" if level is Level.OK else f"{self._session.restart_message}: "
+        goal = (" localizing" if self.localizes else " mapping goes on") if level is Level.OK else ""
+        self._outputs.log(level, f"{what}{self._session_end.value}{goal}")
         return True
 
     def _hand_over_session(self) -> None:
         """Give a copy of a session that was not ended on purpose to whoever saves it."""
-        if self._on_jump is None or self.localizes or self._session_end is not SessionEnd.JUMP:
+        if self._on_jump is None or self._session_end not in (SessionEnd.JUMP, SessionEnd.SESSION):
+            return
+        if self.mapped_session is None:
             return
         try:
-            self._on_jump(self._session.copy(self._whole_record()))
+            self._on_jump(self._copy_mapped())
         except Exception as error:
             self._warn("session not saved", describe_error(error))
 
@@ -431,8 +511,9 @@ class NodeCore:
 
     def _save_now(self) -> None:
         """Write the session; the filter waits while its tables are copied."""
-        if self._autosave is not None and isinstance(self._session, Session):
-            self._autosave.save(self._session)
+        mapped = self.mapped_session
+        if self._autosave is not None and mapped is not None:
+            self._autosave.save(mapped)
 
     def _begin_session(self) -> None:
         self._publisher.start_session()
@@ -442,11 +523,24 @@ class NodeCore:
             waits = self.configuration.known is None
             self._queue.waits_for_map = waits
             self._session = WaitingSession() if waits else LocalizationSession(self.configuration, self.settings.seed)
+            return
+        self._use_renderer(self.configuration)
+        if self._session_end is SessionEnd.SWITCH and self._suspended is not None:
+            self._session, self._suspended = self._suspended, None
         else:
             seed = self.settings.seed if self._continued is None else self._continued.saved.seed
             log = self._outputs.log
             self._session = Session(self.configuration, seed, self.settings.threads, self._continued, log)
             self._continued = None  # a later one begins with nothing
+
+    def _use_renderer(self, configuration: Configuration) -> None:
+        """Render maps of this configuration."""
+        if self._renderer is None or self._renderer.mapper != configuration.mapper:
+            if self._renderer is not None:
+                self._renderer.close()
+            outputs = self._outputs
+            self._renderer = MapRenderer(configuration.mapper, self.settings, outputs.map, outputs.map_update)
+            self._publisher.renderer = self._renderer
 
     def _begin_record(self) -> None:
         self._recorder = None

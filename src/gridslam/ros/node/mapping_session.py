@@ -16,11 +16,12 @@ from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from gridslam.api.beginning import Beginning
+from gridslam.api.beginning import Beginning, restart_at_pose
 from gridslam.api.mapping import MapResult, finish_mapping
 from gridslam.config import Configuration, build
 from gridslam.doctor.repair import Repair
 from gridslam.errors import ArgumentError, GridslamError, OutputError
+from gridslam.geometry.se2 import compose
 from gridslam.io.log_statistics import LogStatistics, Mounting
 from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.drives import DrivenLog
@@ -31,6 +32,7 @@ from gridslam.ros.node.accepted_scan import AcceptedScan
 from gridslam.ros.node.continued import Continued, EarlierDrives, begin, describe_drives, prepare
 from gridslam.ros.node.messages import Level
 from gridslam.ros.node.session import FailureCallback
+from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, StepReport
 
@@ -79,6 +81,10 @@ class Session:
         After the last scan; None before the first one.
     found : FoundAgainHere or None
         Where the robot was found in the map that it goes on from; None before.
+    map_from_odom : (3,) float64 or None
+        Where the odometry's frame is in the map, if the robot was localized while the session waited: it goes on there.
+    configuration : Configuration
+        As given.
     """
 
     restart_message = "starting a new map"
@@ -96,7 +102,8 @@ class Session:
         self.state: GridFastSlamState | None = None
         self.continued = continued
         self.found: FoundAgainHere | None = None
-        self._configuration = configuration
+        self.configuration = configuration
+        self.map_from_odom: FloatArray | None = None
         self._seed = seed
         self._threads = threads
         self._report = log
@@ -117,9 +124,12 @@ class Session:
 
     def run(self, source: Iterator[Measurement], observers: Sequence[Observer], on_failure: FailureCallback) -> None:
         """Run the filter on all measurements of a source; scans at which it fails are skipped."""
-        slam = build(self._configuration, self._threads)
+        slam = build(self.configuration, self._threads)
         begins = next(source)
-        self._begin(begins, slam)
+        if self.state is None:
+            self._begin(begins, slam)
+        else:
+            self._resume(begins, slam)
         run_so_far = self._begun.run
         first, *others = observers
         every: list[Observer] = [first, self._attach, run_so_far.trajectory, run_so_far.statistics, self._note, *others]
@@ -148,7 +158,7 @@ class Session:
             raise ArgumentError("session", "at least one scan", "none")
         now = replace(self._begun.run, state=self.state).freeze()
         return SessionCopy(
-            self._configuration,
+            self.configuration,
             self._seed,
             self._threads,
             replace(self._begun, run=now),
@@ -173,12 +183,22 @@ class Session:
             return None
         if self._earlier is not None:
             self._earlier.wait()
-        return _make_session(self._configuration, self._seed, self._begun, self.state, self._log, None)
+        return _make_session(self.configuration, self._seed, self._begun, self.state, self._log, None)
 
-    def _begin(self, first: Measurement, slam: Any) -> None:  # noqa: ANN401
+    def _resume(self, first: Measurement, slam: GridFastSlam) -> None:
+        """Go on after the session has waited while the robot was localized in its map."""
+        state = self.state
+        assert state is not None
+        if self.map_from_odom is not None:
+            odometry = first.odometry
+            pose = self.map_from_odom if odometry is None else compose(self.map_from_odom, odometry.pose)
+            restart_at_pose(state, slam, first, pose)
+        self._begun = replace(self._begun, run=replace(self._begun.run, state=state))
+
+    def _begin(self, first: Measurement, slam: GridFastSlam) -> None:
         self._begun, is_new = begin(self.continued, first, slam, self._seed, self._report)
         if self.continued is not None and (is_new or self.continued.saved.pieces):
-            self._earlier = EarlierDrives(self.continued, self._configuration, self._threads, is_new_drive=is_new)
+            self._earlier = EarlierDrives(self.continued, self.configuration, self._threads, is_new_drive=is_new)
 
     def _attach(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Let the filter look for the robot in what earlier drives have left, once that is at hand."""

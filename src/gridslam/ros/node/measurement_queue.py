@@ -43,6 +43,8 @@ class SessionEnd(Enum):
 
     RESET = "reset"
     MAP = "a new map"
+    SESSION = "another session"
+    SWITCH = "switched:"
     JUMP = "time jumped back, and the robot is elsewhere"
     CLOSED = "closed"
 

@@ -71,6 +71,8 @@ class MapRenderer:
     ----------
     latest : GridMessage or None
         The last rendered map.
+    mapper : OccupancyGridMapping
+        As given.
     """
 
     def __init__(
@@ -81,7 +83,7 @@ class MapRenderer:
         publish_update: Callable[[UpdateMessage], None] = lambda message: None,
     ) -> None:
         self.latest: GridMessage | None = None
-        self._mapper = mapper
+        self.mapper = mapper
         self._settings = settings
         self._publish = publish
         self._publish_update = publish_update
@@ -122,7 +124,7 @@ class MapRenderer:
             wait([self._rendered], _PATIENCE_S)
 
     def _render(self, arrays: Mapping[str, NDArray[Any]], stamp_ns: int) -> None:
-        grid = self._mapper.restore(arrays).occupancy(0)
+        grid = self.mapper.restore(arrays).occupancy(0)
         before, self.latest = self.latest, make_grid_message(grid, self._settings, stamp_ns)
         now_s = time.monotonic()
         is_same_area = before is not None and before.origin == self.latest.origin

@@ -23,6 +23,7 @@ SESSION_DEFAULTS: Final[Mapping[str, float | str]] = {
     "autosave": 5.0,
     "begin_at": Place.AUTO.value,
     "begin_pose": "",
+    "save_as": "",
 }
 """The node's parameters that concern sessions, and their defaults: see docs/ros.md."""
 

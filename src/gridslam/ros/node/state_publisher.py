@@ -65,7 +65,7 @@ class StatePublisher:
     ) -> None:
         self._settings = settings
         self._outputs = outputs
-        self._renderer = renderer
+        self.renderer = renderer
         self._queue = queue
         self._warn = warn
         self._lock = threading.Lock()  # the filter's thread and the timer both publish the transform
@@ -130,6 +130,17 @@ class StatePublisher:
             self.publish_map(state)
 
     @property
+    def map_from_odom(self) -> FloatArray:
+        """Pose (3,) of the odometry's frame in the map, after the last scan; without odometry that of the robot."""
+        with self._lock:
+            return self._map_from_odom
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the robot was lost at the last scan."""
+        return self._report is not None and bool(self._report.lost)
+
+    @property
     def latest_pose(self) -> tuple[FloatArray, FloatArray] | None:
         """Pose (3,) and covariance (3, 3) at the last scan; None without, or if the robot is lost."""
         report = self._report
@@ -137,9 +148,12 @@ class StatePublisher:
 
     def publish_map(self, state: Any) -> None:  # noqa: ANN401
         """Render and publish the map if it is new and no other map is being rendered; call from the filter's thread."""
-        renderer = self._renderer
+        renderer = self.renderer
         report = self._report
-        if renderer is not None and renderer.is_idle and report is not None and report is not self._mapped_report:
+        is_mapped = isinstance(state, GridFastSlamState)  # else the map is known
+        if renderer is None or not is_mapped or report is None or report is self._mapped_report:
+            return
+        if renderer.is_idle:
             self._mapped_report = report
             self._memory_bytes = renderer.render(state, report.stamp_ns)
 

@@ -27,6 +27,7 @@ from gridslam.ros.node.mapping_session import SessionCopy
 from gridslam.ros.node.messages import GridMessage, Level, Outputs
 from gridslam.ros.node.parameters import NodeParameters
 from gridslam.ros.node.session import InitialPose
+from gridslam.ros.node.session_services import SessionServices
 
 __all__ = [
     "ALL_TOPICS",
@@ -38,6 +39,7 @@ __all__ = [
     "Handler",
     "RosNode",
     "Transport",
+    "TypedService",
     "ViewerOpener",
     "import_ros",
     "save_results",
@@ -75,10 +77,14 @@ POLL_S: Final = 0.2
 Handler: TypeAlias = Callable[[bytes, str], None]
 """Called with the bytes of a message, and the name of its publisher if known."""
 
+TypedService: TypeAlias = tuple[str, Callable[[Any], Mapping[str, Any]]]
+"""Type of a service within its package, and what serves a request with the values of the response's fields."""
+
 ViewerOpener: TypeAlias = Callable[[NodeCore], AbstractContextManager[object]]
 """Opens the viewers of a core: a context entered before the core starts and left after it has stopped."""
 
 _PAUSED = "paused_new_measurements"
+_SAVE_AS = "save_as"
 _PLANAR = np.ix_((0, 1, 5), (0, 1, 5))  # x, y and yaw of x, y, z, roll, pitch, yaw
 
 
@@ -133,6 +139,14 @@ class Transport(Protocol):
 
         A slow service must not delay scans.
         """
+
+    def advertise_typed(self, package: str, services: Mapping[str, TypedService]) -> bool:
+        """Offer services of a package's own types, named PACKAGE/NAME; returns whether the types are installed.
+
+        `services` has the type of each and what serves a request with the values of the response's fields. None of them
+        may delay scans.
+        """
+        ...
 
     def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
         """Offer the map by a service of nav_msgs/GetMap."""
@@ -197,6 +211,8 @@ class RosNode:
         )
         if self._out is not None:
             self.core.results_folder = self._out
+        self._services = SessionServices(self.core, self.core.results_folder, self._log)
+        self._services.save_as = str(parameters.values.get(_SAVE_AS, ""))
         if parameters.paused:
             self.core.pause(True)
         transport.connect(self.core.refuse_message, self._topics(parameters))
@@ -341,15 +357,28 @@ class RosNode:
 
         if not self._map_topic:
             transport.advertise_map("dynamic_map", core.dynamic_map)
-        transport.advertise("~/reset", "std_srvs/Empty", reset)
+        typed = self._advertise_slam_toolbox()
+        if "reset" not in typed:
+            transport.advertise("~/reset", "std_srvs/Empty", reset)
         if core.localizes:
             transport.advertise(transport.global_localization, "std_srvs/Empty", reset)
             transport.advertise("request_nomotion_update", "std_srvs/Empty", update_once)
             transport.advertise_set_map("set_map", set_map)
         transport.advertise("~/pause", "std_srvs/SetBool", pause)
-        transport.advertise_parameters(self._values, self._change_parameter, (_PAUSED,))
+        for name, (kind, serve) in self._services.standard().items():
+            if name.removeprefix("~/") not in typed:
+                transport.advertise(name, kind, serve, slow=True)
+        transport.advertise_parameters(self._values, self._change_parameter, (_PAUSED, _SAVE_AS))
         save = partial(save_results, core, core.results_folder)
         transport.advertise("~/save", "std_srvs/Trigger", lambda request: save(), slow=True)
+
+    def _advertise_slam_toolbox(self) -> set[str]:
+        """Offer slam_toolbox's services where its types are installed; returns those that take the node's own names."""
+        services = self._services.of_slam_toolbox()
+        if not self._transport.advertise_typed("slam_toolbox", services):
+            return set()
+        resolve = self._transport.resolve
+        return {name for name in services if resolve(f"~/{name}") == resolve(f"slam_toolbox/{name}")}
 
     def _topics(self, parameters: NodeParameters) -> dict[str, str]:
         """Topics that are published, and their types."""
@@ -371,8 +400,13 @@ class RosNode:
 
     def _change_parameter(self, name: str, value: Any) -> str:  # noqa: ANN401
         """Set a parameter while the node runs."""
-        assert name == _PAUSED
-        self.core.pause(bool(value))
+        if name == _SAVE_AS:
+            if not isinstance(value, str):
+                return f"{name}: expected the name of a file, got {value!r}"
+            self._services.save_as = value
+        else:
+            assert name == _PAUSED
+            self.core.pause(bool(value))
         return ""
 
     def _subscribe(self, topic: str, kind: str, handle: Callable[[bytes, Wire, str], None], **qos: Any) -> None:  # noqa: ANN401

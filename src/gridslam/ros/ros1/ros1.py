@@ -21,7 +21,16 @@ from gridslam.io.bags.ros_messages import Wire, kind_of, wire_of_ros1
 from gridslam.ros.node.messages import GridMessage, Level, Outputs
 from gridslam.ros.node.outputs import EncodedOutputs, grid_values
 from gridslam.ros.node.parameters import GMAPPING_DEFAULTS, NODE_DEFAULTS, node_parameters
-from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, ViewerOpener, import_ros
+from gridslam.ros.node.transport import (
+    LATCHED,
+    POLL_S,
+    TOPICS,
+    Handler,
+    RosNode,
+    TypedService,
+    ViewerOpener,
+    import_ros,
+)
 
 __all__ = ["NODE_NAME", "Ros1Transport", "check_ros1_arguments", "run_ros1"]
 
@@ -47,6 +56,7 @@ class Ros1Transport:
         self._rospy = _import("rospy")
         self._encoder = MessageEncoder(is_ros1=True)
         self._publishers: dict[str, Any] = {}
+        self._settable: dict[str, Any] = {}
         name = self._rospy.get_name().lstrip("/")
         self.outputs: Outputs = EncodedOutputs(self._encoder, self._publish, self._now_ns, self._log, name)
 
@@ -87,9 +97,14 @@ class Ros1Transport:
         service_class = _import(kind, "srv")
 
         def answer(request: Any) -> Any:  # noqa: ANN401
+            self._read_parameters()
             return service_class._response_class(*serve(getattr(request, "data", None)))
 
         self._rospy.Service(_name(service), service_class, answer)
+
+    def advertise_typed(self, package: str, services: Mapping[str, TypedService]) -> bool:
+        """Return False: in ROS 1 the node has slam_gmapping's interface."""
+        return False
 
     def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
         """Offer the map by a service, which fails where there is none."""
@@ -128,7 +143,19 @@ class Ros1Transport:
     def advertise_parameters(
         self, values: Mapping[str, Any], change: Callable[[str, Any], str], settable: Sequence[str]
     ) -> None:
-        """Do nothing: ROS itself serves them."""
+        """Have them read when a service is asked for: ROS itself serves them, and reports no change."""
+        self._settable = {name: values[name] for name in settable if name in values}
+        self._change = change
+
+    def _read_parameters(self) -> None:
+        """Take over parameters that were set since the last look."""
+        for name, before in self._settable.items():
+            value = self._rospy.get_param(f"~{name}", before)
+            if value != before:
+                self._settable[name] = value
+                problem = self._change(name, value)
+                if problem:
+                    self._log(Level.WARN, problem)
 
     def spin(self, ended: threading.Event) -> Iterator[None]:
         """Wait until ROS is shut down or the event is set; rospy delivers messages in threads of its own."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import array
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from functools import partial
 from typing import Any, final
 
@@ -21,7 +21,16 @@ from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.messages import GridMessage, Level, Outputs
 from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.node.parameters import node_parameters
-from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, ViewerOpener, import_ros
+from gridslam.ros.node.transport import (
+    LATCHED,
+    POLL_S,
+    TOPICS,
+    Handler,
+    RosNode,
+    TypedService,
+    ViewerOpener,
+    import_ros,
+)
 from gridslam.ros.ros2.arguments import find_foreign_files
 
 __all__ = ["NODE_NAME", "Ros2Transport", "run_ros2"]
@@ -96,6 +105,27 @@ class Ros2Transport:
 
         group = {"callback_group": self._apart} if slow else {}
         self._node.create_service(_import(kind, "srv"), service, answer, **group)
+
+    def advertise_typed(self, package: str, services: Mapping[str, TypedService]) -> bool:
+        """Offer services of a package's own types; what a version of them does not have is left out."""
+
+        def offer(name: str, kind: str, serve: Callable[[Any], Mapping[str, Any]]) -> None:
+            def answer(request: Any, response: Any) -> Any:  # noqa: ANN401
+                for field, value in serve(request).items():
+                    if hasattr(response, field):
+                        setattr(response, field, value)
+                return response
+
+            self._node.create_service(
+                _import(f"{package}/{kind}", "srv"), f"{package}/{name}", answer, callback_group=self._apart
+            )
+
+        offered = False
+        for name, (kind, serve) in services.items():
+            with suppress(ConfigurationError, AttributeError):  # not installed, or not in that version
+                offer(name, kind, serve)
+                offered = True
+        return offered
 
     def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
         """Offer the map by a service; without a map the response is empty."""

@@ -20,7 +20,7 @@ from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.messages import GridMessage, Level, Outputs
 from gridslam.ros.node.outputs import EncodedOutputs, grid_values
 from gridslam.ros.node.parameters import node_parameters
-from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, ViewerOpener
+from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, TypedService, ViewerOpener
 from gridslam.ros.ros2.arguments import RosArguments, parse_ros_arguments
 from gridslam.ros.ros2.dds import DdsParticipant
 from gridslam.ros.ros2.lifecycle_services import TRANSITION_EVENT, LifecycleServices
@@ -118,6 +118,10 @@ class DdsTransport:
         self._parameters = ParameterServices(values, change, settable)
         for name, (kind, serve) in self._parameters.services().items():
             self._add_service(self.resolve(f"~/{name}"), kind, serve)
+
+    def advertise_typed(self, package: str, services: Mapping[str, TypedService]) -> bool:
+        """Return False: types of packages differ between versions, and none is installed here."""
+        return False
 
     def advertise_set_map(self, service: str, serve: Callable[[Any], bool]) -> None:
         """Offer a service of nav_msgs/SetMap."""

@@ -1,0 +1,231 @@
+"""What people and programs ask a running node for: to save, to load, and to switch between mapping and localizing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from enum import IntEnum
+from pathlib import Path
+from typing import Any, Final, TypeAlias, final
+
+import numpy as np
+
+from gridslam.api.beginning import Place
+from gridslam.api.session import Session as SavedDrives
+from gridslam.config import Configuration
+from gridslam.errors import ArgumentError, GridslamError, InputError
+from gridslam.io.maps import write_map
+from gridslam.localization import KnownMap, MonteCarloConfiguration
+from gridslam.pipeline import describe_error
+from gridslam.ros.node.continued import Continued
+from gridslam.ros.node.core import NodeCore
+from gridslam.ros.node.messages import Level
+from gridslam.ros.node.session import InitialPose
+from gridslam.types import FloatArray, OccupancyGrid
+
+__all__ = ["MatchType", "SessionServices"]
+
+Answer: TypeAlias = tuple[bool, str]
+"""Whether it succeeded, and a message."""
+
+_SUFFIX: Final = ".gridslam"
+_LEAST_VARIANCES: Final = np.diag([0.05**2, 0.05**2, 0.02**2])
+"""Of a pose from which a robot is localized in the map that it has just made."""
+_GIVEN_VARIANCES: Final = np.diag([0.5**2, 0.5**2, 0.25**2])
+"""Of a pose that a person gives."""
+_FAILED: Final = 255
+_INVALID_NAME: Final = 1
+_UNREADABLE: Final = 3
+
+
+class MatchType(IntEnum):
+    """Where the robot is in a session that is loaded, by slam_toolbox's numbers."""
+
+    UNSET = 0
+    START_AT_FIRST_NODE = 1
+    START_AT_GIVEN_POSE = 2
+    LOCALIZE_AT_POSE = 3
+
+
+@final
+class SessionServices:
+    """Serves requests in the transport's threads; the filter waits only while tables are copied.
+
+    Parameters
+    ----------
+    core : NodeCore
+        The node.
+    folder : Path
+        Where to save what is asked for without a name.
+    log : callable
+        Reports to the user.
+
+    Attributes
+    ----------
+    save_as : str
+        Name of the session, and of the map, for requests that cannot name one; empty: in the folder.
+    """
+
+    def __init__(self, core: NodeCore, folder: Path, log: Callable[[Level, str], None]) -> None:
+        self.save_as = ""
+        self._core = core
+        self._folder = folder
+        self._log = log
+
+    def standard(self) -> dict[str, tuple[str, Callable[[Any], Answer]]]:
+        """Services of std_srvs by name: their types, and what serves the request's value."""
+        return {
+            "~/serialize_map": ("std_srvs/Trigger", lambda request: self._try(self.serialize, self.save_as)),
+            "~/deserialize_map": ("std_srvs/Trigger", lambda request: self._try(self.deserialize, self.save_as)),
+            "~/save_map": ("std_srvs/Trigger", lambda request: self._try(self.save_map, self.save_as)),
+            "~/localize": ("std_srvs/SetBool", lambda on: self._try(self.localize, bool(on))),
+        }
+
+    def of_slam_toolbox(self) -> dict[str, tuple[str, Callable[[Any], Mapping[str, Any]]]]:
+        """Services of slam_toolbox by name: their types, and what serves a request with the response's fields."""
+
+        def serialize(request: Any) -> dict[str, Any]:  # noqa: ANN401
+            return {"result": 0 if self._try(self.serialize, request.filename)[0] else _FAILED}
+
+        def save(request: Any) -> dict[str, Any]:  # noqa: ANN401
+            return {"result": 0 if self._try(self.save_map, request.name.data)[0] else _FAILED}
+
+        def deserialize(request: Any) -> dict[str, Any]:  # noqa: ANN401
+            try:
+                match = MatchType(request.match_type)
+                self.deserialize(request.filename, match, _read_pose(request.initial_pose))
+            except (GridslamError, ValueError) as error:
+                self._refuse(error)
+                named = isinstance(error, InputError) and request.filename
+                return {"result": _UNREADABLE if named else _INVALID_NAME}
+            return {"result": 0}
+
+        def pause(request: Any) -> dict[str, Any]:  # noqa: ANN401
+            self._core.pause(not self._core.is_paused)
+            return {"status": True}
+
+        def reset(request: Any) -> dict[str, Any]:  # noqa: ANN401
+            self._core.reset()
+            self._core.pause(bool(getattr(request, "pause_new_measurements", False)))
+            return {"result": 0}
+
+        return {
+            "serialize_map": ("SerializePoseGraph", serialize),
+            "deserialize_map": ("DeserializePoseGraph", deserialize),
+            "save_map": ("SaveMap", save),
+            "pause_new_measurements": ("Pause", pause),
+            "clear_changes": ("Clear", lambda request: {}),  # nobody moves nodes by hand: there is none to undo
+            "reset": ("Reset", reset),
+        }
+
+    def serialize(self, name: str = "") -> str:
+        """Write the session to NAME.gridslam; returns what was done. Raises GridslamError where it cannot be."""
+        path = self._session_path(name)
+        self._core.copy_session().save_session(path)
+        return f"session saved: {path.resolve()}"
+
+    def deserialize(self, name: str = "", match: MatchType = MatchType.UNSET, pose: FloatArray | None = None) -> str:
+        """Go on from NAME.gridslam instead of what was mapped, or localize in its map.
+
+        Parameters
+        ----------
+        name : str
+            Of the session.
+        match : MatchType
+            At the first node and at a given pose, the robot is looked for about `pose` (3,), which of the first node
+            is the origin; unset, the first scan decides. With `LOCALIZE_AT_POSE` the session's map is known from then
+            on, and the mapping session waits.
+        pose : (3,) float64, optional
+            Of the robot in the session's map; the origin if it is needed and not given.
+
+        Raises
+        ------
+        GridslamError
+            The session cannot be read, or the pose is not in its map.
+        """
+        path = self._session_path(name)
+        origin = np.zeros(3)
+        begin = None if match is MatchType.UNSET else origin if match is MatchType.START_AT_FIRST_NODE else pose
+        place = Place.AUTO if match is MatchType.UNSET else Place.ELSEWHERE
+        if match is not MatchType.UNSET and begin is None:
+            begin = origin
+        continued = Continued.read(path, self._core.settings.threads, place, begin)
+        if match is MatchType.LOCALIZE_AT_POSE:
+            drives = SavedDrives.of(continued.saved, threads=self._core.settings.threads)
+            assert begin is not None
+            self._localize(drives.map, continued.saved.configuration, (begin, _GIVEN_VARIANCES))
+            return f"localizing in {path}"
+        self._core.ask(lambda: self._core.begin_session(continued))
+        return f"going on from {path}"
+
+    def save_map(self, name: str = "") -> str:
+        """Write the map as it is to NAME.yaml and NAME.pgm. Raises GridslamError where there is none."""
+        path = Path(name).expanduser() if name else self._folder / "map"
+        yaml = path.with_name(f"{path.name.removesuffix('.yaml')}.yaml")
+        grid = self._copy_map()[0]
+        try:
+            yaml.parent.mkdir(parents=True, exist_ok=True)
+            write_map(yaml, grid)
+        except OSError as error:
+            raise ArgumentError("name", "a file that can be written", f"{yaml}: {error.strerror or error}") from None
+        return f"map saved: {yaml.resolve()}"
+
+    def localize(self, on: bool) -> str:
+        """Localize in the map that was built, which is frozen, from where the robot is; or go on with mapping it.
+
+        Raises ArgumentError where nothing is mapped yet, or the robot is lost. What it does already it goes on with.
+        """
+        core = self._core
+        if on == core.localizes:
+            return "localizing" if on else "mapping"
+        if on:
+            self._localize(*self._copy_map(), None)
+        else:
+            core.ask(core.resume_mapping)
+        return "localizing in the map so far" if on else "mapping goes on"
+
+    def _localize(self, grid: OccupancyGrid, configuration: Configuration, pose: InitialPose) -> None:
+        core = self._core
+        own = MonteCarloConfiguration()
+        own = replace(own, range_max_m=min(own.range_max_m, configuration.range_max_m))
+        known = KnownMap(grid, reach_m=own.reach_m, threads=core.settings.threads)
+
+        def switch() -> None:
+            begin = pose
+            if begin is None and (now := core.latest_pose) is not None:
+                begin = now[0], now[1] + _LEAST_VARIANCES
+            core.localize_in(known, own, begin)
+
+        core.ask(switch)
+
+    def _copy_map(self) -> tuple[OccupancyGrid, Configuration]:
+        """The best particle's map, and the configuration with which it was built."""
+        copied = self._core.copy_session()
+        state = copied.beginning.run.state
+        assert state is not None
+        return state.maps.occupancy(state.best), copied.configuration
+
+    def _session_path(self, name: str) -> Path:
+        path = Path(name).expanduser() if name else self._folder / f"session{_SUFFIX}"
+        return path if path.suffix == _SUFFIX else path.with_name(path.name + _SUFFIX)
+
+    def _try(self, serve: Callable[..., str], *arguments: object) -> Answer:
+        try:
+            done = serve(*arguments)
+        except GridslamError as error:
+            self._refuse(error)
+            return False, str(error)
+        self._log(Level.OK, done)
+        return True, done
+
+    def _refuse(self, error: Exception) -> None:
+        self._log(Level.WARN, str(error) if isinstance(error, GridslamError) else describe_error(error))
+
+
+def _read_pose(message: Any) -> FloatArray:  # noqa: ANN401
+    """Pose (3,) of a decoded geometry_msgs/Pose or Pose2D."""
+    if hasattr(message, "theta"):
+        return np.array([message.x, message.y, message.theta])
+    turn = message.orientation
+    yaw = np.arctan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y**2 + turn.z**2))
+    return np.array([message.position.x, message.position.y, yaw])
