@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.grid.cells import LOG_ODDS_UNIT
-from gridslam.kernels import UNKNOWN
+from gridslam.kernels import TILE, UNKNOWN
 
 __all__ = ["STEP_NATS", "encode", "levels", "pack_tiles"]
 
@@ -61,6 +61,6 @@ def levels(log_odds: NDArray[np.int16]) -> NDArray[np.uint8]:
 
 def pack_tiles(tiles: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Levels (K, 32, 32) as (K, 512) bytes: of two neighbours in a row the first is in the lower four bits."""
-    pairs = tiles.reshape(len(tiles), -1, 2)
+    pairs = tiles.reshape(len(tiles), TILE * TILE // 2, 2)
     both: NDArray[np.uint8] = pairs[:, :, 0] | pairs[:, :, 1] << np.uint8(4)
     return both

@@ -62,9 +62,11 @@ def test_of_a_given_map_without_drives_nothing_is_left_out():
     assert alone.thin(MAPPER).drives == ()
 
 
-def test_a_saved_piece_is_frozen_and_released():
+def test_a_saved_piece_is_frozen_where_its_scans_lie_and_its_graph_is_released():
     piece = saved(2)
-    frozen = piece.freeze()
+    poses = np.random.default_rng(0).normal(size=(len(piece.stamps_ns), 3))
+    frozen = piece.freeze(poses)
     assert frozen.piece.graph.frozen == 2 * SCANS
-    assert frozen.drives == piece.drives
-    assert frozen.freeze(frozen=False).piece.graph.frozen == piece.piece.graph.frozen == 0
+    assert np.array_equal(np.concatenate([drive.scans.poses for drive in frozen.drives]), poses)
+    assert [drive.name for drive in frozen.drives] == [drive.name for drive in piece.drives]
+    assert frozen.piece.release().graph.frozen == piece.piece.graph.frozen == 0

@@ -68,3 +68,8 @@ def test_levels_rise_with_the_log_odds_and_are_within_half_a_step(a, b):
     for log_odds, level in ((low, one), (high, other)):
         if 1 < level < 15:
             assert abs(0.01 * log_odds - STEP_NATS * (level - 8)) <= STEP_NATS / 2 + 1e-9
+
+
+def test_no_tile_is_packed_to_no_bytes():
+    """As of a map whose every beam is refused."""
+    assert pack_tiles(np.zeros((0, 32, 32), np.uint8)).shape == (0, 512)
