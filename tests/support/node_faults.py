@@ -23,6 +23,7 @@ from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold
 from gridslam.particles.resampling import Systematic
 from gridslam.ros.node.accepted_scan import MeasurementBuilder, ScanRecorder
+from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.mapping_session import Session
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.rendering import MapRenderer
@@ -120,6 +121,12 @@ class RunningNode:
         self.thread.join(120)
         assert not self.thread.is_alive()
         return self.transport.outputs.warnings()
+
+
+def is_prepared(core: NodeCore) -> bool:
+    """Whether what earlier drives have left is at hand, for the session that goes on from them."""
+    session = core._session
+    return session._is_prepared or (session._earlier is not None and session._earlier.is_ready)
 
 
 def run_fault(name: str, drive: Sequence[Measurement], folder: Path, *, stays: bool) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -71,6 +71,11 @@ class Viewers(NamedTuple):
             warn(f"open the page to begin; without it the run begins in {timeout_s:.0f} s")
             if not self.page.wait_for_viewer(timeout_s):
                 self.page.control.set_speed(None)
+
+    def show_session(self, name: str, drives: Sequence[str]) -> None:
+        """Show on the page which session goes on: the name of its file, and of the drives in it."""
+        if self.page is not None:
+            self.page.show_session(name, drives)
 
     def offer_session(self, path: Path) -> None:
         """Let those who look on save the file from which a later run goes on."""
@@ -183,6 +188,9 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
 
         def on_diagnostics(diagnostics: Diagnostics) -> None:
             page.show_message(diagnostics.summary if diagnostics.level else "")
+            mapped = core.mapped_session
+            if mapped is not None and mapped.continued is not None:
+                page.show_session(mapped.continued.path.name, mapped.continued.names)
             if core.session_file is not None and core.session_file.is_file():
                 page.offer_session(core.session_file)
 

@@ -48,6 +48,8 @@ def map_to_folder(
     source = check_log(open_log(log, options), options)
     with open_viewers(live, rerun, source.path.name, configuration.range_max_m) as viewers:
         session.make_room(out)
+        if opened is not None and session.continued is not None:
+            viewers.show_session(session.continued.name, [drive.name for drive in opened.saved.drives])
         with open_output(out, MapResult.all_names()) as folder:
             if opened is None:
                 run = partial(map_log, configuration=configuration, seed=seed, threads=threads)

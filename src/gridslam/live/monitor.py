@@ -89,6 +89,7 @@ class MappingMonitor:
         self._resamplings: deque[tuple[int, IntArray]] = deque(maxlen=_MAX_RESAMPLINGS)
         self._detectors = {BEST: TileChangeDetector()}
         self._lines: dict[int, IntArray] = {}  # of each channel the descendants of the selected particle
+        self._was_searched = False  # the robot, in what earlier drives have left
 
     def record(self, report: StepReport, scan: LaserScan | None) -> int:
         """Record a scan; return `CORRECTED` if the trajectory was corrected."""
@@ -143,8 +144,28 @@ class MappingMonitor:
             "best": state.best,
             "closures": len(found),
             "bytes": state.maps.nbytes,
+            **self.find_again(state),
         }
         return StateView(maps, rows, state.maps.resolution_m, status, make_frame)
+
+    def find_again(self, state: GridFastSlamState) -> dict[str, Any]:
+        """Whether the robot is looked for in the map of earlier drives ("searches"), and where it was "found".
+
+        That is the key scan at which it was certain: its pose [x, y, theta], and how far the robot had driven then, m.
+        """
+        closure_state = state.closure_state
+        if closure_state is None:
+            return {}
+        self._was_searched |= closure_state.earlier is not None
+        if not self._was_searched or closure_state.joined < 0:
+            return {"searches": closure_state.earlier is not None}
+        first = len(closure_state.graph) - self._keys  # of this drive
+        at = first + closure_state.joined_after
+        if not 0 < first < at <= len(closure_state.graph):
+            return {"searches": False}
+        tracked = np.array(closure_state.graph.tracked[first:at])[:, :2]
+        way_m = float(np.hypot(*np.diff(tracked, axis=0).T).sum())
+        return {"searches": False, "found": {"pose": closure_state.graph.poses[at - 1].tolist(), "way_m": way_m}}
 
     def find_changes(self, state: GridFastSlamState, rows: dict[int, int]) -> dict[int, TileChanges]:
         """Return the changes of each channel's map since the last look; `rows` are the particles of the channels."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar, final
 
@@ -121,6 +121,10 @@ class LivePage:
     def offer_session(self, path: Path) -> None:
         """Let viewers save the file from which a later run goes on."""
         self._server.call(self._run.offer_session, path)
+
+    def show_session(self, name: str, drives: Sequence[str]) -> None:
+        """Show which session goes on: the name of its file, and of the drives in it."""
+        self._server.call(self._run.show_session, name, drives)
 
     def wait_for_viewer(self, timeout_s: float) -> bool:
         """Wait for a viewer, at most `timeout_s`; return whether there is one."""

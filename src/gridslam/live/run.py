@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, final
 
@@ -64,6 +64,7 @@ class LiveRun:
         self._message = ""
         self._answer = ""
         self._session: Path | None = None
+        self._goes_on: dict[str, Any] | None = None
         self._past: tuple[History, PastMaps] | None = None
         self.reset()
 
@@ -181,6 +182,13 @@ class LiveRun:
             self._run_info = self._add_session(self._run_info)
             self.notify_viewers()
 
+    def show_session(self, name: str, drives: Sequence[str]) -> None:
+        """Show which session goes on: the name of its file, and of the drives in it."""
+        goes_on = {"name": name, "drives": list(drives)}
+        if goes_on != self._goes_on:
+            self._goes_on = goes_on
+            self.notify_viewers()
+
     def _add_session(self, run_info: dict[str, Any]) -> dict[str, Any]:
         """Add the session to what there is to save, if it is offered."""
         return run_info if self._session is None else {**run_info, "layers": (*run_info["layers"], "session")}
@@ -212,6 +220,7 @@ class LiveRun:
             "stage": stage,
             "message": self._message,
             "answer": self._answer,
+            "goes_on": self._goes_on,
             "speed": self.control.speed,
             "viewers": len(self._viewers),
             "channel": channel,
@@ -246,6 +255,7 @@ class LiveRun:
             "scan_pose": past.pose.tolist(),
             "covariance": None,
             "best": None,
+            "found": None,
         }
         replica = self._replicas[BEST] if self._known is not None else reader.replica
         return Scene(self._run_info, status, replica, frame, self._series.rows, past.scan)

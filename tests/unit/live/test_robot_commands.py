@@ -125,7 +125,7 @@ def test_only_the_page_itself_commands(origin, is_obeyed):
 class Core:
     """A node's core."""
 
-    is_paused, localizes, results_folder, session_file = False, False, None, None
+    is_paused, localizes, results_folder, session_file, mapped_session = False, False, None, None, None
 
     class configuration:  # noqa: N801
         range_max_m = 30.0

@@ -13,7 +13,7 @@ from gridslam.io.sessions.session_file import SavedSession, read_session, write_
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.transport import RosNode
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
-from support.node_faults import RunningNode
+from support.node_faults import RunningNode, is_prepared
 from support.ros_node import LocalTransport, until
 
 
@@ -34,12 +34,6 @@ def first_half(drive, tmp_path_factory):
     assert node.error is None
     assert f"session saved: {path}" in log
     return path
-
-
-def is_prepared(node):
-    """Whether what earlier drives have left is at hand."""
-    session = node.node.core._session
-    return session._is_prepared or session._earlier.is_ready
 
 
 def online(path):
@@ -71,7 +65,7 @@ def test_a_robot_that_was_carried_is_found_again_in_the_map(drive, first_half, t
     save = tmp_path / "days.gridslam"
     node = RunningNode(**{"continue": str(first_half)}, save=str(save), out=str(tmp_path / "out"))
     node.play(drive[:5], shift_s=3600.0)
-    assert until(lambda: is_prepared(node), 60.0)
+    assert until(lambda: is_prepared(node.node.core), 60.0)
     node.play(drive[5 : len(drive) // 2], shift_s=3600.0)
     log = node.stop()
     assert "goes on elsewhere, the robot is looked for in its map: " in log
@@ -129,7 +123,7 @@ def test_nothing_replaces_a_session_that_cannot_be_gone_on_from(drive, first_hal
     path.write_bytes(first_half.read_bytes())
     node = RunningNode(**{"continue": str(path)}, save=str(path), out=str(tmp_path / "out"), begin_at="elsewhere")
     node.play(drive[:30])
-    assert until(lambda: is_prepared(node), 60.0)
+    assert until(lambda: is_prepared(node.node.core), 60.0)
     node.play(drive[30:40])
     log = node.stop()
     assert "injected" in log

@@ -12,7 +12,7 @@ from gridslam.io.maps import read_map
 from gridslam.io.sessions.session_file import read_session
 from gridslam.ros.node.session_services import MatchType
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
-from support.node_faults import RunningNode
+from support.node_faults import RunningNode, is_prepared
 from support.ros_node import until
 
 
@@ -199,7 +199,7 @@ def test_a_session_is_loaded_at_its_first_node(drive, tmp_path):
     node = RunningNode(save=str(tmp_path / "two.gridslam"))
     node.node._services.deserialize(str(tmp_path / "day"), MatchType.START_AT_FIRST_NODE)
     node.play(drive[:5], shift_s=86400.0)
-    assert until(lambda: node.node.core._session._is_prepared or node.node.core._session._earlier.is_ready, 60.0)
+    assert until(lambda: is_prepared(node.node.core), 60.0)
     node.play(drive[5 : len(drive) // 2], shift_s=86400.0)
     log = node.stop()
     assert "found again in the map of 2023-11-14" in log

@@ -160,7 +160,7 @@ function resize() {
 
 function applyColours() {
   const style = getComputedStyle(document.documentElement);
-  for (const name of ["unknown", "free", "occupied", "text", "faint", "rule", "path", "ancestry", "particle", "selected", "scan", "closure", "landmark", "truth", "other", "bad"]) {
+  for (const name of ["unknown", "free", "occupied", "text", "faint", "rule", "path", "ancestry", "particle", "selected", "scan", "closure", "landmark", "truth", "other", "good", "bad"]) {
     colours[name] = style.getPropertyValue(`--${name}`).trim();
   }
   world.map.colour(palette(colours.unknown, colours.free, colours.occupied));

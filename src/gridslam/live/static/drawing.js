@@ -53,6 +53,7 @@ export class Drawing {
     if (shown.closures) this.closures(context, colours.closure);
     if (shown.landmarks) this.landmarks(context, colours.landmark);
     if (shown.scan) this.scan(context, colours.scan);
+    this.found(context, colours);
     this.robot(context, colours);
     if (shown.particles) this.particles(context, colours);
     for (const tool of [this.measure, this.console]) tool?.draw(context, camera, colours);
@@ -159,6 +160,20 @@ export class Drawing {
       }
     }
     context.globalAlpha = 1;
+  }
+
+  // Marks where the robot was found again in the map of earlier drives.
+  found(context, colours) {
+    const { found } = this.world.status;
+    if (!found) return;
+    const [u, v] = this.camera.toScreen(...found.pose);
+    Object.assign(context, { strokeStyle: colours.good, fillStyle: colours.good, lineWidth: 2.4, font: "600 12px system-ui, sans-serif" });
+    for (const radius of [5, 11]) {
+      context.beginPath();
+      context.arc(u, v, radius, 0, 7);
+      context.stroke();
+    }
+    context.fillText("found again", u + 16, v + 4);
   }
 
   robot(context, colours) {

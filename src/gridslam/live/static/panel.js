@@ -104,6 +104,7 @@ export class Panel {
     if (document.activeElement !== $("#speed")) this.speed(status.speed ?? "");
     $("#summary").textContent = this.summarize(world).join(" · ");
     $("#answer").textContent = status.answer ?? "";
+    this.session(status);
     this.robot(status);
     this.particles(world);
     this.time(world);
@@ -121,6 +122,20 @@ export class Panel {
     if (status.real_time_factor && status.stage === "running" && this.mode === "live") parts.push(`${twoDigits(status.real_time_factor)} × real time`);
     if (status.bytes) parts.push(`maps ${(status.bytes / 1e6).toFixed(0)} MB`);
     return parts;
+  }
+
+  // Which session goes on, and where the robot was found again in it.
+  session({ goes_on, searches, found }) {
+    const part = $("#goes-on"), [session, state] = part.querySelectorAll("p");
+    part.hidden = !goes_on && !found && !searches;
+    if (part.hidden) return;
+    const drives = goes_on?.drives ?? [];
+    session.hidden = !goes_on;
+    session.querySelector("b").textContent = goes_on?.name ?? "";
+    session.querySelector("span").textContent = drives.length ? `${drives.length} drive${drives.length > 1 ? "s" : ""}` : "";
+    session.title = drives.join(", ");
+    state.textContent = found ? `found again after ${found.way_m.toFixed(1)} m, at ${found.pose[0].toFixed(2)} m, ${found.pose[1].toFixed(2)} m`
+      : searches ? "looking for the robot in its map" : goes_on ? "goes on" : "";
   }
 
   robot({ pose, covariance, lost_probability, inlier_ratio }) {
