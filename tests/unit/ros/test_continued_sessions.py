@@ -142,6 +142,41 @@ def test_what_earlier_drives_have_left_stays_where_the_robot_is_not_found(drive,
     assert len(saved.run.trajectory.keys) == 3
 
 
+def test_where_time_jumps_back_the_next_drive_belongs_to_the_same_session(drive, first_half, tmp_path):
+    """A bag that is played again, or a clock that was set: what the session holds is neither lost nor replaced."""
+    path = tmp_path / "s.gridslam"
+    path.write_bytes(first_half.read_bytes())
+    node = RunningNode(**{"continue": str(path)}, save=str(path), begin_at="same place")
+    node.play(drive[len(drive) // 2 : len(drive) // 2 + 20], shift_s=3600.0)
+    node.play(drive[:20], lost=1)
+    log = node.stop()
+    assert node.error is None
+    assert "goes on elsewhere" in log
+    saved = read_session(path)
+    lengths = [sum(log.scans for log in drive.logs) for drive in saved.drives]
+    assert lengths == [len(drive) // 2 + 20, 19]
+    assert not path.with_stem("s-1").exists()
+    other = RunningNode(save=str(path))  # has nothing to do with the file that is there
+    other.play(drive[20:40])
+    other.play(drive[:20], lost=1)
+    log = other.stop()
+    assert [sum(log.scans for log in drive.logs) for drive in read_session(path).drives] == [20, 19]
+    assert len([*read_session(path.with_stem("s-1")).drives]) == 2
+
+
+def test_a_reset_keeps_the_session_so_far_beside_the_new_one(drive, first_half, tmp_path):
+    path = tmp_path / "s.gridslam"
+    path.write_bytes(first_half.read_bytes())
+    node = RunningNode(**{"continue": str(path)}, save=str(path), out=str(tmp_path / "out"))
+    node.play(drive[len(drive) // 2 : len(drive) // 2 + 5])
+    node.node.core.reset()
+    node.play(drive[len(drive) // 2 + 5 : len(drive) // 2 + 15], lost=1)
+    log = node.stop()
+    assert f"the earlier session {path} is kept as {path.with_stem('s-1')}" in log
+    assert path.with_stem("s-1").read_bytes() == first_half.read_bytes()
+    assert len(read_session(path).run.trajectory.keys) in (9, 10)
+
+
 @pytest.mark.parametrize(
     ("given", "problem"),
     [

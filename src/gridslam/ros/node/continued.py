@@ -45,12 +45,15 @@ class Continued:
         Whether the robot is where the last drive has ended; by default stamps, odometry and the first scan decide.
     pose : (3,) float64 or None
         About where the robot is in the map of the newest piece, if that is known.
+    is_in_file : bool
+        Whether the file holds it, or what it has begun with: then the session may replace the file.
     """
 
     path: Path
     saved: SavedSession
     place: Place = Place.AUTO
     pose: FloatArray | None = None
+    is_in_file: bool = True
 
     @classmethod
     def read(

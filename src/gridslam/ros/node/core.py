@@ -13,6 +13,7 @@ from typing import Any, TypeAlias, TypeVar, final
 
 import numpy as np
 
+from gridslam.api.beginning import Place
 from gridslam.config import Configuration
 from gridslam.doctor import EarlyCheck
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, OutputError
@@ -125,6 +126,7 @@ class NodeCore:
         self._has_switched = False
         self._began_localizing = isinstance(configuration, Localization)
         self._continued = None if files is None else files.continued
+        self._goes_on = None if files is None else files.save or (files.continued and files.continued.path)
         self._session_end = SessionEnd.CLOSED
         self._begin_session()
         self._begin_record()
@@ -181,8 +183,8 @@ class NodeCore:
         is_mapped = self.mapped_session is not None
         copied = self._copy_mapped(is_last=True) if is_mapped else None
         if self._autosave is not None:
-            if is_mapped:
-                self._save_now()
+            self._autosave.close()
+            self._save_now(wait=True)
             self._autosave.close()
         self._close_record()
         return copied
@@ -414,6 +416,8 @@ class NodeCore:
             self._begin_session()
             return
         if is_begun:
+            if end is SessionEnd.JUMP:
+                self._go_on_elsewhere()
             self._hand_over_session()
             self._close_record()
             if self._renderer is not None:
@@ -448,6 +452,20 @@ class NodeCore:
         self._outputs.log(level, f"{what}{self._session_end.value}{goal}")
         return True
 
+    def _go_on_elsewhere(self) -> None:
+        """Let the next drive belong to the same session, where there is a file of it."""
+        mapped = self.mapped_session
+        if self._goes_on is None or mapped is None:
+            return
+        try:
+            saved = mapped.to_session(wait=True)
+        except GridslamError as error:
+            self._warn("session", str(error))
+            return
+        if saved is not None:
+            is_in_file = mapped.continued is not None and mapped.continued.is_in_file
+            self._continued = Continued(self._goes_on, saved, Place.ELSEWHERE, is_in_file=is_in_file)
+
     def _hand_over_session(self) -> None:
         """Give a copy of a session that was not ended on purpose to whoever saves it."""
         if self._on_jump is None or self._session_end not in (SessionEnd.JUMP, SessionEnd.SESSION):
@@ -456,6 +474,8 @@ class NodeCore:
             return
         try:
             self._on_jump(self._copy_mapped())
+            if self._autosave is not None:
+                self._autosave.note_kept()
         except Exception as error:
             self._warn("session not saved", describe_error(error))
 
@@ -509,11 +529,11 @@ class NodeCore:
         for on_diagnostics in self._diagnostics_callbacks:
             self._queue.post(partial(on_diagnostics, diagnostics))
 
-    def _save_now(self) -> None:
+    def _save_now(self, *, wait: bool = False) -> None:
         """Write the session; the filter waits while its tables are copied."""
         mapped = self.mapped_session
         if self._autosave is not None and mapped is not None:
-            self._autosave.save(mapped)
+            self._autosave.save(mapped, wait=wait)
 
     def _begin_session(self) -> None:
         self._publisher.start_session()

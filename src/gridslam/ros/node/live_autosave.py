@@ -15,7 +15,7 @@ from gridslam.ros.node.continued import Continued
 from gridslam.ros.node.mapping_session import Session
 from gridslam.ros.node.messages import Level
 
-__all__ = ["AUTOSAVE", "LiveAutosave", "SessionFiles"]
+__all__ = ["AUTOSAVE", "LiveAutosave", "SessionFiles", "keep_other"]
 
 AUTOSAVE = "autosave.gridslam"
 """Name of the file in the output folder."""
@@ -48,7 +48,7 @@ class SessionFiles:
 class LiveAutosave:
     """Writes the session of a live robot now and then; used by the filter's thread only.
 
-    A file that another node has left is kept under another name, unless the session goes on from it.
+    A file of another session is kept under another name, unless the session goes on from it.
 
     Parameters
     ----------
@@ -64,40 +64,55 @@ class LiveAutosave:
         self._log = log
         self._writer = BackgroundWriter(lambda problem: log(Level.ERROR, f"the session cannot be saved: {problem}"))
         self._saved: object = None
-        self._is_own = False
-        if files.continued is not None and self._path.exists():
-            self._is_own = os.path.samefile(files.continued.path, self._path)
-        if self._path.exists() and not self._is_own:
+        self._session: Session | None = None  # whose file it is
+        self._is_kept = False
+        if self._path.exists() and not _is_same_file(files.continued, self._path):
             log(
                 Level.WARN,
                 f"{self._path} is the session of an earlier node, which was not ended or saved: --continue {self._path}"
                 " goes on from it",
             )
 
-    def save(self, session: Session) -> None:
-        """Write the session, if there is something new and the last one is written; call between two scans."""
+    def save(self, session: Session, *, wait: bool = False) -> None:
+        """Write the session, if there is something new and the last one is written; call between two scans.
+
+        `wait`: until what earlier drives have left is at hand.
+        """
         if session.state is None or session.state is self._saved or self._writer.is_busy:
             return
         self._writer.report()
         try:
-            now = session.to_session()
+            now = session.to_session(wait=wait)
         except GridslamError:  # reported by the session: what it goes on from must not be replaced
             return
         if now is None:
             return
-        self._keep_other()
-        self._saved = session.state
+        if session is not self._session and not self._is_kept:
+            keep_other(self._path, session.continued, self._log)
+        self._session, self._saved, self._is_kept = session, session.state, False
         self._writer.write(self._path, now)
 
     def close(self) -> None:
         """Wait for what is being written."""
         self._writer.close()
 
-    def _keep_other(self) -> None:
-        """Move the file that an earlier node has left to a name that is free."""
-        if not self._is_own and self._path.exists():
-            numbered = (self._path.with_stem(f"{self._path.stem}-{number}") for number in count(1))
-            kept = next(path for path in numbered if not os.path.lexists(path))
-            self._path.rename(kept)
-            self._log(Level.WARN, f"the earlier node's {self._path} is kept as {kept}")
-        self._is_own = True
+    def note_kept(self) -> None:
+        """Note that the session so far is saved elsewhere: the next one's file may replace it."""
+        self._is_kept = True
+
+
+def keep_other(path: Path, continued: Continued | None, log: Callable[[Level, str], None]) -> None:
+    """Move a session file that is in the way to a name that is free, unless the new session goes on from it."""
+    if not path.exists() or _is_same_file(continued, path):
+        return
+    numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(1))
+    kept = next(name for name in numbered if not os.path.lexists(name))
+    path.rename(kept)
+    log(Level.WARN, f"the earlier session {path} is kept as {kept}")
+
+
+def _is_same_file(continued: Continued | None, path: Path) -> bool:
+    """Whether a session goes on from this file."""
+    if continued is None or not continued.is_in_file:
+        return False
+    return continued.path.exists() and path.exists() and continued.path.samefile(path)

@@ -167,23 +167,24 @@ class Session:
             record,
             self._failures.describe(),
             is_last,
+            self.continued,
         )
 
-    def to_session(self) -> SavedSession | None:
-        """Give what a file of the session holds, to be frozen or written before the next scan; None if it must wait.
+    def to_session(self, *, wait: bool = False) -> SavedSession | None:
+        """Give what a file of the session holds, to be frozen or written before the next scan; None if there is none.
 
-        It must wait before the first scan, and until what earlier drives have left is at hand.
+        There is none before the first scan, and until what earlier drives have left is at hand, unless it may wait.
 
         Raises
         ------
         GridslamError
             What earlier drives have left cannot be gone on from.
         """
-        if self.state is None or (self._earlier is not None and not self._earlier.is_ready):
+        earlier = self._earlier
+        if self.state is None or (earlier is not None and not earlier.is_ready and not wait):
             return None
-        if self._earlier is not None:
-            self._earlier.wait()
-        return _make_session(self.configuration, self._seed, self._begun, self.state, self._log, None)
+        begun = self._begun if earlier is None else prepare(self._begun, earlier.wait())
+        return _make_session(self.configuration, self._seed, begun, self.state, self._log, None)
 
     def _resume(self, first: Measurement, slam: GridFastSlam) -> None:
         """Go on after the session has waited while the robot was localized in its map."""
@@ -235,6 +236,7 @@ class SessionCopy:
     record: Path | None
     failures: tuple[str, ...]
     is_last: bool
+    continued: Continued | None = None
 
     def save(self, folder: str | Path) -> dict[str, Any]:
         """Write the files of `gridslam map` after the final refinement, which takes time; returns run.json's content.

@@ -23,6 +23,7 @@ from gridslam.io.output import OutputFolder
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.grid_input import decode_grid, grid_of
+from gridslam.ros.node.live_autosave import keep_other
 from gridslam.ros.node.mapping_session import SessionCopy
 from gridslam.ros.node.messages import GridMessage, Level, Outputs
 from gridslam.ros.node.parameters import NodeParameters
@@ -277,9 +278,11 @@ class RosNode:
         save = self._files.save
         if save is None:
             return
+        autosave = self._files.autosave
+        if autosave != save:
+            keep_other(save, session.continued, self._log)
         session.save_session(save)
         self._log(Level.OK, f"session saved: {save.resolve()}")
-        autosave = self._files.autosave
         if autosave is not None and autosave != save and autosave.exists() and not os.path.samefile(autosave, save):
             autosave.unlink()
 
