@@ -224,6 +224,8 @@ def test_an_interrupted_run_goes_on_from_its_autosave(first, tmp_path):
             for number, measurement in enumerate(measurements):
                 if number == until:
                     raise KilledError
+                if number % 20 == 19:
+                    autosave.close()  # so that the next scan finds the last file written, on a busy machine, too
                 yield measurement
 
         return session.add(log, autosave=autosave, gate=gate), session
@@ -237,7 +239,7 @@ def test_an_interrupted_run_goes_on_from_its_autosave(first, tmp_path):
     with pytest.raises(InputError, match="that of another run"):
         add(Autosave(tmp_path / "autosave.gridslam", 1e-9), seed=1)
     result, session = add(Autosave(tmp_path / "autosave.gridslam", 3600.0, on_resume=resumed.append))
-    assert session.resumed == resumed[-1] >= 150
+    assert session.resumed == resumed[-1] >= 200
     assert files_of(result, tmp_path / "resumed") == files_of(whole, tmp_path / "whole")
     (tmp_path / "autosave.gridslam").write_bytes((tmp_path / "autosave.gridslam").read_bytes()[:-100])
     with pytest.raises(InputError, match="damaged"):
