@@ -213,6 +213,39 @@ def test_a_node_that_was_killed_is_started_again(drive, tmp_path):
             node.kill()
 
 
+def test_the_session_of_a_node_that_was_killed_goes_on(drive, tmp_path):
+    """From the autosave, by the options of the command: as one drive, in one file."""
+    domain = free_domain()
+    robot = Robot(Peer(domain))
+    out, save = tmp_path / "out", tmp_path / "floor.gridslam"
+    autosave = out / "autosave.gridslam"
+    first = Node(domain, tmp_path / "1.log", "-o", str(out), "--autosave", "0.005", "--ros-args", *PATIENT)
+    second = None
+    try:
+        assert robot.meets(), first.log.read_text()
+        mapped = robot.drive(drive[:30])
+        assert mapped >= 20, first.log.read_text()
+        assert until(lambda: autosave.exists() and len(read_session(autosave).run.trajectory.keys) >= mapped)
+        first.kill()
+        left = len(read_session(autosave).run.trajectory.keys)
+        options = "-o", str(out), "--continue", str(autosave), "--save", str(save), "--same-place"
+        second = Node(domain, tmp_path / "2.log", *options, "--ros-args", *PATIENT)
+        assert robot.meets(), second.log.read_text()
+        more = robot.drive(drive[30:])
+        assert more >= 20, second.log.read_text()
+        assert second.says(f"session {autosave}: goes on where it has ended")
+        assert second.end() == 0, second.log.read_text()
+        saved = read_session(save)
+        assert len([*saved.drives]) == 1
+        assert abs(len(saved.run.trajectory.keys) - left - more) <= 2
+        assert not autosave.exists()
+        lines = (out / "trajectory.tum").read_text().splitlines()
+        assert len(lines) == len(saved.run.trajectory.keys)
+    finally:
+        for node in filter(None, (first, second)):
+            node.kill()
+
+
 def test_a_robot_is_localized_in_a_known_map(tmp_path):
     write_map(tmp_path / "flat.yaml", flat_map())
     log = flat_drive(3)
