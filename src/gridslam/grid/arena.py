@@ -24,6 +24,9 @@ TILE_BYTES = 3 * TILE * TILE
 _MOVED = 1024
 """Tiles that are copied at a time."""
 
+_SPARE_RATIO = 4
+"""A quarter of the tiles is spare when others begin to be read."""
+
 
 @final
 class TileArena:
@@ -99,8 +102,12 @@ class TileArena:
     def freeze(self, roots: Int32Array) -> TileArena:
         """Lend the pages of `roots` to another thread: an arena that is only read, and that the owner does not change.
 
-        Until the last reader has dropped it growing takes a copy of all tiles.
+        Until the last reader has dropped it growing takes a copy of all tiles. So that the owner need not, as many are
+        made before as it copies in the next seconds.
         """
+        self.take_back()
+        if not self._readers:
+            self._reserve(len(self.page_refs) // _SPARE_RATIO, len(self.tile_refs) // _SPARE_RATIO)
         self.retain(roots)
         twin = object.__new__(TileArena)
         twin.pages, twin.log_odds, twin.field = self.pages, self.log_odds, self.field
@@ -110,6 +117,21 @@ class TileArena:
         twin._lender, twin._lent = self, roots
         self._readers += 1
         return twin
+
+    def _reserve(self, pages: int, tiles: int) -> None:
+        """Have this number of pages and tiles that nothing uses, in memory that grows in place."""
+        new_pages, new_tiles = pages - len(self._free_pages), tiles - len(self._free_tiles)
+        if new_pages > 0:
+            first, size = len(self.page_refs), len(self.page_refs) + new_pages
+            self.pages = self._extend(self.pages, size)
+            self.page_refs.resize(size, refcheck=False)
+            self._free_pages = np.concatenate([_count_down(first, size), self._free_pages])
+        if new_tiles > 0:
+            first, size = len(self.tile_refs), len(self.tile_refs) + new_tiles
+            self.log_odds = self._extend(self.log_odds, size)
+            self.field = self._extend(self.field, size)
+            self.tile_refs.resize(size, refcheck=False)
+            self._free_tiles = np.concatenate([_count_down(first, size), self._free_tiles])
 
     def take_back(self) -> None:
         """Release what readers have returned; called by the owner before it writes."""
@@ -171,7 +193,7 @@ class TileArena:
     def _extend_ids(refs: Int32Array) -> tuple[Int32Array, int]:
         """Ids to be added to those that `refs` counts, and how many there are then."""
         size = min(len(refs) + max(len(refs) // 16, 64), np.iinfo(np.int32).max)
-        return np.arange(size - 1, len(refs) - 1, -1, dtype=np.int32), size
+        return _count_down(len(refs), size), size
 
     def allocate(self, pages: int, tiles: int) -> None:
         """Mark the last `pages` and `tiles` spare ids as used."""
@@ -219,6 +241,11 @@ class TileArena:
         self.field.resize((len(used), TILE, TILE), refcheck=False)
         self.tile_refs = self.tile_refs[used]
         self._free_tiles = np.zeros(0, np.int32)
+
+
+def _count_down(first: int, end: int) -> Int32Array:
+    """Ids from `end` - 1 down to `first`: those at the end are taken first."""
+    return np.arange(end - 1, first - 1, -1, dtype=np.int32)
 
 
 def renumber(ids: Int32Array) -> tuple[Int32Array, IntArray]:

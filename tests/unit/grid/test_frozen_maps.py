@@ -51,6 +51,17 @@ def test_frozen_maps_stay_as_they_were_while_their_owner_grows_and_compacts():
     assert dump(maps) == dump(loose)
 
 
+def test_a_scan_after_the_freeze_copies_its_own_tiles_alone():
+    """Growing would copy all tiles while somebody reads them: of a large map that takes longer than a scan may."""
+    maps = make_maps()
+    drive(maps, np.random.default_rng(1), 6, reach_m=60.0)
+    frozen = maps.freeze()
+    before = maps._arena.log_odds
+    drive(maps, np.random.default_rng(2), 2)
+    assert maps._arena.log_odds is before
+    assert dump(frozen) != dump(maps)
+
+
 def test_what_a_reader_drops_in_its_own_thread_is_free_again():
     maps, loose = make_maps(), make_maps()
     frozen = [maps.freeze()]

@@ -148,7 +148,7 @@ def test_where_time_jumps_back_the_next_drive_belongs_to_the_same_session(drive,
     path.write_bytes(first_half.read_bytes())
     node = RunningNode(**{"continue": str(path)}, save=str(path), begin_at="same place")
     node.play(drive[len(drive) // 2 : len(drive) // 2 + 20], shift_s=3600.0)
-    node.play(drive[:20], lost=1)
+    node.play(drive[:20])
     log = node.stop()
     assert node.error is None
     assert "goes on elsewhere" in log
@@ -158,7 +158,7 @@ def test_where_time_jumps_back_the_next_drive_belongs_to_the_same_session(drive,
     assert not path.with_stem("s-1").exists()
     other = RunningNode(save=str(path))  # has nothing to do with the file that is there
     other.play(drive[20:40])
-    other.play(drive[:20], lost=1)
+    other.play(drive[:20])
     log = other.stop()
     assert [sum(log.scans for log in drive.logs) for drive in read_session(path).drives] == [20, 19]
     assert len([*read_session(path.with_stem("s-1")).drives]) == 2

@@ -6,7 +6,6 @@ import importlib
 import math
 import os
 import struct
-import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -84,10 +83,6 @@ TypedService: TypeAlias = tuple[str, Callable[[Any], Mapping[str, Any]]]
 
 ViewerOpener: TypeAlias = Callable[[NodeCore], AbstractContextManager[object]]
 """Opens the viewers of a core: a context entered before the core starts and left after it has stopped."""
-
-_SWITCH_S: Final = 0.0005
-"""Time after which a thread of Python gives way to another, s: of a node that writes its session a key scan waited for the
-writer 5 ms, the interval of Python itself, at each of its kernels."""
 
 _PAUSED = "paused_new_measurements"
 _SAVE_AS = "save_as"
@@ -327,8 +322,6 @@ class RosNode:
             The filter failed.
         """
         core = self.core
-        interval_s = sys.getswitchinterval()
-        sys.setswitchinterval(_SWITCH_S)
         with open_viewers(core):
             try:
                 self.start()
@@ -338,7 +331,6 @@ class RosNode:
                 pass
             finally:
                 self.close()
-                sys.setswitchinterval(interval_s)
         if core.failure is not None:
             raise GridslamError(f"the filter failed: {core.failure}") from core.failure
 
