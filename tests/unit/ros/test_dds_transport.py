@@ -104,7 +104,8 @@ def test_the_graph_of_nodes_has_gids_of_24_bytes_for_humble_and_of_16_from_iron_
     (payload,) = (stored.payload for stored in new._history.values())
     assert payload[4:20] == node._participant.guid
     assert payload[20:24] == b"\1\0\0\0"
-    assert len(payload) == len(graph.gid.data) + len(b"\0\1\0\0") + 4 + 4 + 12 + 4 + 12 + 4 + 16 + 4 + 16 - 8
+    texts = (4 + len("/robot1\0")) + (4 + len("gridslam\0") + 3)  # length, text, and filled up to four bytes
+    assert len(payload) == len(b"\0\1\0\0") + 16 + 4 + texts + (4 + 16) + (4 + 16)
     node.close()
 
 

@@ -310,6 +310,15 @@ class Alignment:
         squared = (x * x + y * y) / variances[0] + turn * turn / variances[1]
         return match.poses[0] if squared < self.parameters.tracking_gate_sigmas**2 else guess
 
+    def overlap(self, hypothesis: Hypothesis) -> float:
+        """Ratio of the beams of all key scans that end in what the map knows."""
+        known = beams = 0
+        for key, pose in zip(self.keys.tolist(), hypothesis.poses, strict=True):
+            ends = self.closure_state.scans.key(key).ends
+            known += int(np.count_nonzero(self.maps.is_known(0, transform_points(pose, ends)))) if len(ends) else 0
+            beams += len(ends)
+        return known / max(beams, 1)
+
     def is_self_similar(self, own: Pyramid) -> bool:
         """Whether a component also matches its own map elsewhere (self-similarity)."""
         search = self.parameters.search
