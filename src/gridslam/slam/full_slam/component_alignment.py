@@ -310,14 +310,16 @@ class Alignment:
         squared = (x * x + y * y) / variances[0] + turn * turn / variances[1]
         return match.poses[0] if squared < self.parameters.tracking_gate_sigmas**2 else guess
 
-    def overlap(self, hypothesis: Hypothesis) -> float:
-        """Ratio of the beams of all key scans that end in what the map knows."""
+    def evidence(self, hypothesis: Hypothesis) -> tuple[float, float]:
+        """Ratio of the beams of all key scans that end in what the map knows, and how well these agree with it."""
         known = beams = 0
         for key, pose in zip(self.keys.tolist(), hypothesis.poses, strict=True):
             ends = self.closure_state.scans.key(key).ends
             known += int(np.count_nonzero(self.maps.is_known(0, transform_points(pose, ends)))) if len(ends) else 0
             beams += len(ends)
-        return known / max(beams, 1)
+        scorer = self.scorer
+        agreement = hypothesis.log_likelihood / (scorer.tempering * max(known, 1)) + scorer.neutral
+        return known / max(beams, 1), agreement
 
     def is_self_similar(self, own: Pyramid) -> bool:
         """Whether a component also matches its own map elsewhere (self-similarity)."""
