@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import heapq
 import math
-from bisect import insort
-from collections.abc import Mapping
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from itertools import accumulate, pairwise
 from operator import attrgetter
@@ -181,8 +181,7 @@ class KeyGraph:
     def add(self, constraint: Constraint) -> None:
         """Add a measurement between two key scans."""
         self.constraints.append(constraint)
-        self._add_link(constraint)
-        self._shorten_way(constraint)
+        self._use([constraint])
 
     def append(self, later: KeyGraph, poses: FloatArray, variances: tuple[float, float]) -> None:
         """Append the key scans of another graph, at `poses` (K, 3) in this one's map, and its constraints.
@@ -218,9 +217,7 @@ class KeyGraph:
         for derived in (self._gap_counts, self._sums, self._steps, self._links, self._drifts, self._arrivals):
             derived.clear()
         self._derive()
-        for constraint in sorted(self.constraints, key=attrgetter("to")):
-            self._add_link(constraint)
-            self._shorten_way(constraint)
+        self._use(sorted(self.constraints, key=attrgetter("to")))
 
     def extend_with_tracked(self, poses: FloatArray) -> FloatArray:
         """Poses (T, 3) of all key scans: the first ones as given, (K, 3), the rest as tracked from there."""
@@ -395,40 +392,66 @@ class KeyGraph:
         new = self._sums[first_key_scan(len(self._steps)) :: KEY_SCANS_PER_SUBMAP]
         self._steps += [tuple((after - before).tolist()) for before, after in pairwise(new)]
 
-    def _shorten_way(self, constraint: Constraint) -> None:
-        """Let the way to a key scan and to those after it come by a constraint if it is more certain so."""
-        at = constraint.to
-        if not constraint.determined:
-            return
-        pose = self.poses[at]
-        covariance = _MATCH_RATIO**2 * np.linalg.inv(constraint.information[None])
-        own = compute_moments(pose[None], np.asarray(covariance, np.float64))[0]
-        gained = self._drifts[constraint.from_] + own - self._drifts[at]
-        if np.trace(propagate_covariances(pose, gained[None])[0, :2, :2]) >= 0:
-            return
-        end = next((arrival for arrival in self._arrivals if arrival > at), len(self))
-        self._drifts[at:end] = [moments + gained for moments in self._drifts[at:end]]
-        if at not in self._arrivals:
-            insort(self._arrivals, at)
+    def _use(self, constraints: Sequence[Constraint]) -> None:
+        """Let constraints lead from submap to submap, and shorten the ways from the first key scan."""
+        determined = [constraint for constraint in constraints if constraint.determined]
+        if determined:
+            self._add_links(determined)
+            self._shorten_ways(determined)
 
-    def _add_link(self, constraint: Constraint) -> None:
-        """Add the link of a constraint between two submaps if it is the most certain so far."""
-        if not constraint.determined:
-            return
-        a = submap_of(constraint.from_)
-        b = submap_of(constraint.to)
-        within = sum(
-            self._sums[k] - self._sums[first_key_scan(submap_of(k))] for k in (constraint.from_, constraint.to)
-        )
-        xx, yy, heading = np.linalg.inv(constraint.information).diagonal().tolist()
-        own = compute_moments(
-            self.poses[constraint.to][None], diagonal_covariances(np.array([[0.5 * (xx + yy), heading]]))
-        )[0]
-        moments: _Moments = tuple((within + own).tolist())
-        known = self._links.get(a, {}).get(b)
-        if known is None or moments[0] + moments[3] < known[1][0] + known[1][3]:
-            to_anchor = between(self.tracked[first_key_scan(a)], self.tracked[constraint.from_])
-            from_key = between(self.tracked[constraint.to], self.tracked[first_key_scan(b)])
-            there = compose(to_anchor, compose(constraint.measurement, from_key))
-            self._links.setdefault(a, {})[b] = inverse(there), moments
-            self._links.setdefault(b, {})[a] = there, moments
+    def _shorten_ways(self, constraints: Sequence[Constraint]) -> None:
+        """Let the way to a key scan and to those after it come by a constraint if it is more certain so."""
+        ends = [constraint.to for constraint in constraints]
+        poses = np.array([self.poses[at] for at in ends]).reshape(-1, 3)
+        information = np.array([constraint.information for constraint in constraints]).reshape(-1, 3, 3)
+        measured = compute_moments(poses, _MATCH_RATIO**2 * np.asarray(np.linalg.inv(information), np.float64))
+        drifts = np.array(self._drifts) if len(constraints) > 1 else None  # of a few the list is faster
+        for constraint, at, pose, own in zip(constraints, ends, poses, measured, strict=True):
+            known = self._drifts if drifts is None else drifts
+            gained = known[constraint.from_] + own - known[at]
+            if _position_variance(pose, gained) >= 0:
+                continue
+            later = bisect_right(self._arrivals, at)
+            end = self._arrivals[later] if later < len(self._arrivals) else len(self)
+            if drifts is None:
+                self._drifts[at:end] = [moments + gained for moments in self._drifts[at:end]]
+            else:
+                drifts[at:end] += gained
+            if not later or self._arrivals[later - 1] != at:
+                self._arrivals.insert(later, at)
+        if drifts is not None:
+            self._drifts = list(drifts)
+
+    def _add_links(self, constraints: Sequence[Constraint]) -> None:
+        """Add the links of constraints between two submaps, each if it is the most certain so far."""
+        froms = np.array([constraint.from_ for constraint in constraints], np.int64)
+        tos = np.array([constraint.to for constraint in constraints], np.int64)
+        information = np.array([constraint.information for constraint in constraints]).reshape(-1, 3, 3)
+        xx, yy, heading = np.linalg.inv(information).diagonal(axis1=1, axis2=2).T
+        poses = np.array([self.poses[at] for at in tos.tolist()]).reshape(-1, 3)
+        own = compute_moments(poses, diagonal_covariances(np.stack([0.5 * (xx + yy), heading], axis=1)))
+        within = self._moments_within_submap(froms) + self._moments_within_submap(tos)
+        for constraint, total in zip(constraints, (within + own).tolist(), strict=True):
+            a = submap_of(constraint.from_)
+            b = submap_of(constraint.to)
+            known = self._links.get(a, {}).get(b)
+            if known is None or total[0] + total[3] < known[1][0] + known[1][3]:
+                to_anchor = between(self.tracked[first_key_scan(a)], self.tracked[constraint.from_])
+                from_key = between(self.tracked[constraint.to], self.tracked[first_key_scan(b)])
+                there = compose(to_anchor, compose(constraint.measurement, from_key))
+                self._links.setdefault(a, {})[b] = inverse(there), tuple(total)
+                self._links.setdefault(b, {})[a] = there, tuple(total)
+
+    def _moments_within_submap(self, keys: IntArray) -> FloatArray:
+        """Moments (K, 9) of the way from the first key scan of its submap to each of key scans (K,)."""
+        firsts = first_key_scan(1) * (keys // KEY_SCANS_PER_SUBMAP)
+        sums = self._sums
+        return np.array([sums[key] - sums[first] for key, first in zip(keys.tolist(), firsts.tolist(), strict=True)])
+
+
+def _position_variance(pose: FloatArray, moments: FloatArray) -> float:
+    """Trace of the position's covariance at a pose (3,) that `propagate_covariances` makes of moments (9,)."""
+    pxx, _, pyy, q, qx, qy, qxx, _, qyy = moments.tolist()
+    x, y, _ = pose.tolist()
+    variance: float = (pxx + q * y * y - 2 * qy * y + qyy) + (pyy + q * x * x - 2 * qx * x + qxx)
+    return variance
