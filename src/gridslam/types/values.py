@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import final
@@ -161,8 +162,10 @@ class StepReport:
     ----------
     stamp_ns : int
         Stamp of the scan.
-    pose, covariance : (3,), (3, 3) float64
+    pose : (3,) float64
         Of the best particle, the one of greatest log weight accumulated along its ancestry; map frame.
+    computed_covariance : (3, 3) float64, or a function that returns it
+        Of that pose: what `covariance` returns. It is computed when it is asked for, as most scans of a log never are.
     key_from_base : (3,) float64
         The robot seen from the last key scan before this one, as tracked.
     degenerate_direction : (2,) float64 or None
@@ -187,7 +190,7 @@ class StepReport:
 
     stamp_ns: int
     pose: FloatArray
-    covariance: FloatArray
+    computed_covariance: FloatArray | Callable[[], FloatArray]
     key_from_base: FloatArray
     degenerate_direction: FloatArray | None = None
     lost: bool = False
@@ -199,6 +202,12 @@ class StepReport:
     parents: IntArray | None = None
     closures: tuple[tuple[int, int], ...] = ()
     corrected: bool = False
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (3, 3) of the pose, by x, y and theta in the map frame: m^2, m rad, rad^2."""
+        computed = self.computed_covariance
+        return computed() if callable(computed) else computed
 
     def __repr__(self) -> str:
         """Return one line."""

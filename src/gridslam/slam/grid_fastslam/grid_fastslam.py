@@ -236,7 +236,7 @@ class GridFastSlam:
     ) -> tuple[GridFastSlamState, StepReport]:
         if self.loop_closure is not None and state.closure_state is not None:
             report = self.loop_closure(state, state.closure_state, report, beams, self.mapper, self.threads)
-        return state, self.reports.add_drift(state, report)
+        return state, report if report.skipped else self.reports.add_drift(state, report)
 
     def _skip(self, state: GridFastSlamState, pose: FloatArray, beams: Beams) -> SkipReason | None:
         last = state.sensor_key_poses.get(beams.scan.sensor)

@@ -88,11 +88,21 @@ class ReportBuilder:
         best = state.best
         pose = compose(state.poses[best], key_from_base)
         tracked = state.tracker
-        moved = self.drift.covariance(key_from_base, tracked.unmatched, float(tracked.pose[2]))
+
+        def covariance(
+            at_key: FloatArray = state.covariance,
+            unmatched: UnmatchedMotion = tracked.unmatched,
+            heading: float = tracked.pose[2],
+            drift: FloatArray = state.drift,
+            first_pose: FloatArray = state.ancestry.first_pose,
+        ) -> FloatArray:
+            moved = self.drift.covariance(key_from_base, unmatched, heading)
+            return at_key + rotate_covariances(moved, pose[2]) + self._drift_at(pose, drift, first_pose)
+
         return StepReport(
             scan.stamp_ns,
             pose,
-            state.covariance + rotate_covariances(moved, pose[2]),
+            covariance,
             key_from_base,
             lost=state.lost,
             skipped=reason,
@@ -146,10 +156,14 @@ class ReportBuilder:
         return self.drift.covariance(increment, unmatched, float(state.key_pose[2]), first=first)
 
     def add_drift(self, state: GridFastSlamState, report: StepReport) -> StepReport:
-        """Add the drift up to the last key scan, and the error of the scale, to the covariance of a report."""
-        drift = propagate_covariances(report.pose[None], state.drift[None])[0]
-        drift += self.drift.scale_covariances((report.pose - state.ancestry.first_pose)[None, :2])[0]
-        return replace(report, covariance=report.covariance + drift)
+        """Add the drift up to this key scan to the covariance of its report, after a loop closure has shortened it."""
+        drift = self._drift_at(report.pose, state.drift, state.ancestry.first_pose)
+        return replace(report, computed_covariance=report.covariance + drift)
+
+    def _drift_at(self, pose: FloatArray, moments: FloatArray, first_pose: FloatArray) -> FloatArray:
+        """Covariance (3, 3) of what a pose (3,) has drifted by since the first one, and of the error of the scale."""
+        drift: FloatArray = propagate_covariances(pose[None], moments[None])[0]
+        return drift + self.drift.scale_covariances((pose - first_pose)[None, :2])[0]
 
     @staticmethod
     def spread(state: GridFastSlamState) -> FloatArray:

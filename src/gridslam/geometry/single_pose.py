@@ -1,0 +1,78 @@
+"""SE(2) on one pose at a time: the functions of `gridslam.geometry.se2` on tuples of three Python floats.
+
+What a tracker computes at every scan is one pose, for which arrays cost ten times the arithmetic. Poses are
+(x m, y m, theta rad), and what the functions return has theta in [-pi, pi).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TypeAlias
+
+from gridslam.geometry.angles import wrap
+
+__all__ = ["ORIGIN", "Pose", "between", "compose", "exp", "is_finite", "log", "motion_of"]
+
+Pose: TypeAlias = tuple[float, float, float]
+"""One pose (x m, y m, theta rad), or a twist, or the increment between two poses."""
+
+ORIGIN: Pose = (0.0, 0.0, 0.0)
+
+
+def compose(a: Pose, b: Pose) -> Pose:
+    """Compose two poses: where `b`, given in the frame of `a`, lies in the frame in which `a` is given."""
+    ax, ay, at = a
+    bx, by, bt = b
+    c = math.cos(at)
+    s = math.sin(at)
+    return ax + c * bx - s * by, ay + s * bx + c * by, wrap(at + bt)
+
+
+def between(a: Pose, b: Pose) -> Pose:
+    """Pose of `b` seen from `a`, that is inverse(a) compose b, for poses given in one frame."""
+    ax, ay, at = a
+    bx, by, bt = b
+    c = math.cos(at)
+    s = math.sin(at)
+    dx = bx - ax
+    dy = by - ay
+    return c * dx + s * dy, c * dy - s * dx, wrap(bt - at)
+
+
+def exp(xi: Pose) -> Pose:
+    """Pose reached by moving with the constant twist `xi` for one unit of time.
+
+    Source: Sola et al., A micro Lie theory (2018), equations 156 and 158.
+    """
+    vx, vy, omega = xi
+    half = 0.5 * omega
+    c = math.cos(half)
+    s = math.sin(half)
+    chord = s / half if half else 1.0
+    return chord * (c * vx - s * vy), chord * (s * vx + c * vy), wrap(omega)
+
+
+def log(pose: Pose) -> Pose:
+    """Twist whose `exp` is `pose`, the one with omega in [-pi, pi).
+
+    Source: Sola et al., A micro Lie theory (2018), equation 157.
+    """
+    x, y, theta = pose
+    omega = wrap(theta)
+    half = 0.5 * omega
+    c = math.cos(half)
+    s = math.sin(half)
+    chord = s / half if half else 1.0
+    return (c * x + s * y) / chord, (c * y - s * x) / chord, omega
+
+
+def motion_of(increment: Pose) -> tuple[float, float]:
+    """Metres and radians of an increment, both >= 0."""
+    x, y, turn = increment
+    return math.hypot(x, y), abs(turn)
+
+
+def is_finite(pose: Pose) -> bool:
+    """Whether a pose is known: (nan, nan, nan) stands for one that is not."""
+    x, y, theta = pose
+    return math.isfinite(x + y + theta)
