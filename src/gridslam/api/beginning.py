@@ -11,7 +11,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from gridslam.config import Configuration
-from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.single_pose import ORIGIN, Pose, as_pose, between, compose, is_known, motion_of
 from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.drives import DrivenLog, SavedPiece
 from gridslam.io.sessions.session_file import SavedRun
@@ -20,7 +20,7 @@ from gridslam.pipeline import Observer
 from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.tracking.state import SensorTrack, TrackerState
+from gridslam.tracking.state import SensorTrack, TrackerState, pose_of
 from gridslam.tracking.tracker import Tracker
 from gridslam.types import FloatArray, LaserScan, StepReport
 
@@ -153,19 +153,19 @@ def decide_place(run: SavedRun, slam: GridFastSlam, first: Measurement) -> Place
         return PlaceDecision(False, "there is nothing to go on from")
     odometry, scan = first
     gap_s = 1e-9 * (scan.stamp_ns - state.tracker.stamp_ns)
-    moved = None if odometry is None else between(state.tracker.odometry, odometry.pose)
-    if moved is not None and math.isnan(moved[0]):
+    moved = None if odometry is None else between(state.tracker.odometry, as_pose(odometry.pose))
+    if moved is not None and not is_known(moved):
         moved = None
     reasons = [f"the first scan is {_describe_gap(gap_s)} the last one"]
     is_on_time = 0 <= gap_s <= _MAX_GAP_S
     goes_on = is_on_time
     if moved is not None:
-        metres, radians = math.hypot(moved[0], moved[1]), abs(float(moved[2]))
+        metres, radians = motion_of(moved)
         near = metres <= _JITTER_M + _MAX_SPEED_M_S * min(max(gap_s, 0.0), 1.0) and radians <= _JITTER_RAD
-        is_reset = odometry is not None and not odometry.pose.any() and bool(state.tracker.odometry.any())
+        is_reset = odometry is not None and not odometry.pose.any() and any(state.tracker.odometry)
         goes_on = goes_on and near and not is_reset
         reasons.append("the odometry was reset" if is_reset else f"the odometry is {metres:.2f} m from there")
-    ratio, away_m = _match_first(state, slam, scan, np.zeros(3) if moved is None or not goes_on else moved)
+    ratio, away_m = _match_first(state, slam, scan, ORIGIN if moved is None or not goes_on else moved)
     fits = ratio >= _MIN_INLIER_RATIO and away_m <= _MAX_GAIN_M
     reasons.append(f"{ratio:.0%} of its beams fit the map {'there' if fits else 'there, too few or too far away'}")
     return PlaceDecision(goes_on and fits, ", ".join(reasons))
@@ -179,9 +179,7 @@ def _describe_gap(seconds: float) -> str:
     return f"{size:.2f} s {'after' if seconds >= 0 else 'before'}"
 
 
-def _match_first(
-    state: GridFastSlamState, slam: GridFastSlam, scan: LaserScan, moved: FloatArray
-) -> tuple[float, float]:
+def _match_first(state: GridFastSlamState, slam: GridFastSlam, scan: LaserScan, moved: Pose) -> tuple[float, float]:
     """Inlier ratio of a scan in the newest local map, and the distance (m) from where it was expected."""
     if not isinstance(slam.tracker, Tracker):
         return 1.0, 0.0  # that tracker trusts its odometry
@@ -190,8 +188,8 @@ def _match_first(
     beams = scan.beams(slam.range_min_m, slam.range_max_m, slam.thinning)
     if len(beams) < slam.tracker.matcher.min_beams:
         return 0.0, 0.0
-    match = slam.tracker.matcher(tracker.maps, tracker.row, expected[None], NO_PRIOR[None], beams)
-    away = between(expected, match.poses[0])
+    match = slam.tracker.matcher(tracker.maps, tracker.row, np.array([expected]), NO_PRIOR[None], beams)
+    away = between(expected, as_pose(match.poses[0]))
     return float(match.score[0]) / len(beams), math.hypot(away[0], away[1])
 
 
@@ -200,9 +198,9 @@ def restart_at_same_place(state: GridFastSlamState, first: Measurement) -> None:
     odometry, scan = first
     tracker = state.tracker
     tracker.stamp_ns = scan.stamp_ns
-    tracker.odometry = tracker.matched_odometry = np.full(3, np.nan) if odometry is None else odometry.pose
+    tracker.odometry = tracker.matched_odometry = pose_of(odometry)
     tracker.matched_pose = tracker.pose
-    tracker.twist = np.zeros(3)
+    tracker.twist = ORIGIN
 
 
 def restart_at_pose(state: GridFastSlamState, slam: GridFastSlam, first: Measurement, pose: FloatArray) -> None:
@@ -211,8 +209,8 @@ def restart_at_pose(state: GridFastSlamState, slam: GridFastSlam, first: Measure
     The way there is one step of the robot, with the noise of its length.
     """
     odometry, scan = first
-    here = compose(state.best_pose, between(state.key_pose, state.tracker.pose))
-    tracked = compose(state.tracker.pose, between(here, pose))
+    here = compose(as_pose(state.best_pose), between(state.key_pose, state.tracker.pose))
+    tracked = compose(state.tracker.pose, between(here, as_pose(pose)))
     before = state.tracker
     tracker = TrackerState.start(slam.mapper.empty(2), odometry, scan.stamp_ns, scan.sensor)
     tracker.pose = tracker.matched_pose = tracked
@@ -220,5 +218,5 @@ def restart_at_pose(state: GridFastSlamState, slam: GridFastSlam, first: Measure
     tracker.period_s, tracker.mean_step = before.period_s, before.mean_step
     beams = scan.beams(slam.range_min_m, slam.range_max_m, slam.thinning)
     if isinstance(slam.tracker, Tracker) and len(beams):
-        tracker.maps.update(tracker.row, tracked[None], beams)
+        tracker.maps.update(tracker.row, np.array([tracked]), beams)
     state.tracker = tracker

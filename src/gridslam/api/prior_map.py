@@ -8,6 +8,7 @@ import numpy as np
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import transform_points
+from gridslam.geometry.single_pose import as_pose
 from gridslam.localization.known_map import KnownMap
 from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.map_piece import MapPiece
@@ -58,7 +59,7 @@ def piece_of_map(grid: OccupancyGrid, range_max_m: float = 30.0) -> MapPiece:
         ends = directions * ranges[:, None].astype(np.float64)
         hits = ends[(ranges < range_max_m) & _is_occupied(grid, known, transform_points(pose, ends))]
         if len(hits):
-            scans.append(StoredScan(hits, np.zeros(2)), pose, is_key=True)
+            scans.append(StoredScan(hits, np.zeros(2)), as_pose(pose), is_key=True)
             graph.extend(pose, pose, (_SURE_M2, _SURE_RAD2))
     if not len(graph):
         raise ArgumentError("map", "a free place from which an obstacle is seen", "none")

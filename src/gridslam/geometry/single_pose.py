@@ -9,14 +9,31 @@ from __future__ import annotations
 import math
 from typing import TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gridslam.geometry.angles import wrap
 
-__all__ = ["ORIGIN", "Pose", "between", "compose", "exp", "is_finite", "log", "motion_of"]
+__all__ = ["ORIGIN", "UNKNOWN_POSE", "Pose", "as_pose", "between", "compose", "exp", "is_known", "log", "motion_of"]
 
 Pose: TypeAlias = tuple[float, float, float]
 """One pose (x m, y m, theta rad), or a twist, or the increment between two poses."""
 
 ORIGIN: Pose = (0.0, 0.0, 0.0)
+
+UNKNOWN_POSE: Pose = (math.nan, math.nan, math.nan)
+"""Stands for a pose that is unknown."""
+
+
+def as_pose(values: NDArray[np.float64]) -> Pose:
+    """The pose in an array (3,)."""
+    x, y, theta = values.tolist()
+    return x, y, theta
+
+
+def is_known(pose: Pose) -> bool:
+    """Whether a pose is another than `UNKNOWN_POSE`."""
+    return not math.isnan(pose[0])
 
 
 def compose(a: Pose, b: Pose) -> Pose:
@@ -70,9 +87,3 @@ def motion_of(increment: Pose) -> tuple[float, float]:
     """Metres and radians of an increment, both >= 0."""
     x, y, turn = increment
     return math.hypot(x, y), abs(turn)
-
-
-def is_finite(pose: Pose) -> bool:
-    """Whether a pose is known: (nan, nan, nan) stands for one that is not."""
-    x, y, theta = pose
-    return math.isfinite(x + y + theta)

@@ -277,7 +277,7 @@ class MonteCarloLocalization:
         if scan.beam_times_s is None or last is None or odometry is None or odometry.stamp_ns <= last.stamp_ns:
             return beams
         if state.odometry_rejected and state.tracked is not None:
-            twist = state.tracked.tracker.twist
+            twist = np.array(state.tracked.tracker.twist)
         else:
             twist = log(between(last.pose, odometry.pose)) / (1e-9 * (odometry.stamp_ns - last.stamp_ns))
         if not len(state.poses):

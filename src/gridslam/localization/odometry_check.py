@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 from pydantic import Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between
+from gridslam.geometry.single_pose import Pose, between
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.models.parameters import STRICT
 from gridslam.tracking.search import OdometrySearch
@@ -34,14 +34,14 @@ class TrackedMotion(NamedTuple):
     ----------
     tracker : TrackerState
         Changed in place by each scan.
-    pose_at_update : (3,) float64
+    pose_at_update : Pose
         The tracker's pose at the last update.
     replaces_odometry : bool
         Whether the odometry since the last update was rejected at the last scan.
     """
 
     tracker: TrackerState
-    pose_at_update: Annotated[FloatArray, 3]
+    pose_at_update: Pose
     replaces_odometry: bool = False
 
     def snapshot(self) -> TrackedMotion:
@@ -93,7 +93,7 @@ class OdometryCheck:
             The motion model: conditions the motion on an increment (3,) of the odometry.
         """
         tracker = tracked.tracker
-        found = between(tracked.pose_at_update, tracker.pose)
+        found = np.array(between(tracked.pose_at_update, tracker.pose))
         replaces = not self.tracker.search.is_sparse(tracker) and (
             not tracker.odometry_errors.trusted or self._contradicts(found, measured, motion)
         )

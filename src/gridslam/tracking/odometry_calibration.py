@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.geometry.se2 import between
+from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose, between, is_known, motion_of
 from gridslam.types import FloatArray
 
-__all__ = ["MIN_SEGMENTS", "OdometryCalibration", "OdometryErrorModel", "motion_of"]
+__all__ = ["MIN_SEGMENTS", "OdometryCalibration", "OdometryErrorModel"]
 
 MIN_SEGMENTS = 20
 """Number of segments after which the errors of the odometry count as known ..."""
@@ -52,7 +52,7 @@ class OdometryErrorModel:
         What was left and what was moved over the last stretches, m and rad: left, moved, left, turned.
     trusted : bool
         Whether the odometry helps.
-    begin_pose, begin_odometry : (3,) float64
+    begin_pose, begin_odometry : Pose
         Begin of the present stretch, in the tracker's frame and in the odometry's; NaN where there is none.
     determined : bool
         Whether no scan of the current segment was degenerate.
@@ -65,16 +65,16 @@ class OdometryErrorModel:
     segments: float = 0.0
     sums: Annotated[FloatArray, 4] = field(default_factory=lambda: np.zeros(4))
     trusted: bool = True
-    begin_pose: Annotated[FloatArray, 3] = field(default_factory=lambda: np.full(3, np.nan))
-    begin_odometry: Annotated[FloatArray, 3] = field(default_factory=lambda: np.full(3, np.nan))
+    begin_pose: Pose = UNKNOWN_POSE
+    begin_odometry: Pose = UNKNOWN_POSE
     determined: bool = True
 
-    def correct_increment(self, increment: FloatArray) -> FloatArray:
-        """The increment (3,) of the odometry without its systematic errors."""
-        x, y, theta = increment.tolist()
+    def correct_increment(self, increment: Pose) -> Pose:
+        """The increment of the odometry without its systematic errors."""
+        x, y, theta = increment
         a, c, p, q, g, b = self.factors.tolist()
         turn = math.remainder(g * theta + b * x, math.tau)
-        return np.array([a * x - c * y + p * theta, c * x + a * y + q * theta, turn])
+        return a * x - c * y + p * theta, c * x + a * y + q * theta, turn
 
     def variance_along(self, way_m: float, moved_m: float) -> float:
         """Variance (m^2) that `moved_m` of corrected odometry add along its way, `way_m` after it was last checked.
@@ -119,8 +119,8 @@ class OdometryCalibration:
     def learn(
         self,
         errors: OdometryErrorModel,
-        pose: FloatArray,
-        odometry: FloatArray,
+        pose: Pose,
+        odometry: Pose,
         is_good_match: bool,
         determined: bool,
     ) -> None:
@@ -130,7 +130,7 @@ class OdometryCalibration:
         ----------
         errors : OdometryErrorModel
             Updated at the end of a stretch.
-        pose, odometry : (3,) float64
+        pose, odometry : Pose
             Of the scan, in the tracker's frame and in the odometry's; NaN where there is no odometry.
         is_good_match : bool
             Whether the match was good; else a new stretch begins.
@@ -138,8 +138,8 @@ class OdometryCalibration:
             Whether the scan is not degenerate.
         """
         errors.determined &= determined
-        known = is_good_match and not math.isnan(odometry[0] + errors.begin_odometry[0])
-        if known and not (_is_long(pose - errors.begin_pose) or _is_long(odometry - errors.begin_odometry)):
+        known = is_good_match and is_known(odometry) and is_known(errors.begin_odometry)
+        if known and not (_is_long(errors.begin_pose, pose) or _is_long(errors.begin_odometry, odometry)):
             return
         if known:
             moved = between(errors.begin_pose, pose)
@@ -151,7 +151,7 @@ class OdometryCalibration:
         errors.begin_odometry = odometry
         errors.determined = True
 
-    def _update_trust(self, errors: OdometryErrorModel, moved: FloatArray, measured: FloatArray) -> None:
+    def _update_trust(self, errors: OdometryErrorModel, moved: Pose, measured: Pose) -> None:
         """Whether the odometry, as corrected, explains the motion."""
         left_m, left_rad = motion_of(between(errors.correct_increment(measured), moved))
         moved_m, turned = motion_of(moved)
@@ -161,10 +161,10 @@ class OdometryCalibration:
         # 2 m and 1 rad count as explained beside: a stretch or two do not decide
         errors.trusted = left_m < limit * (moved_m + 2) and left_rad < limit * (turned + 1)
 
-    def _fit(self, errors: OdometryErrorModel, moved: FloatArray, measured: FloatArray) -> None:
+    def _fit(self, errors: OdometryErrorModel, moved: Pose, measured: Pose) -> None:
         """Recursive least squares with forgetting, by Geman-McClure weights of what the present factors leave."""
-        x, y, theta = measured.tolist()
-        mx, my, turned = moved.tolist()
+        x, y, theta = measured
+        mx, my, turned = moved
         residual = between(errors.correct_increment(measured), moved)
         squares = np.array([0.5 * (residual[0] ** 2 + residual[1] ** 2), residual[2] ** 2])
         weights = 1 / np.square(1 + squares / (4 * errors.variances))
@@ -180,15 +180,9 @@ class OdometryCalibration:
         errors.variances = errors.variances + change * [errors.determined, True] / (errors.segments + 10)
 
 
-def motion_of(increment: FloatArray) -> tuple[float, float]:
-    """Metres and radians of an increment (3,)."""
-    x, y, turn = increment.tolist()
-    return math.hypot(x, y), abs(turn)
-
-
-def _is_long(difference: FloatArray) -> bool:
-    x, y, turn = difference.tolist()
-    return math.hypot(x, y) >= _SEGMENT_M or abs(math.remainder(turn, math.tau)) >= _SEGMENT_RAD
+def _is_long(a: Pose, b: Pose) -> bool:
+    is_far = math.hypot(b[0] - a[0], b[1] - a[1]) >= _SEGMENT_M
+    return is_far or abs(math.remainder(b[2] - a[2], math.tau)) >= _SEGMENT_RAD
 
 
 def _solve(equations: FloatArray, exact: FloatArray) -> FloatArray:

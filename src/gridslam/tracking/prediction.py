@@ -10,9 +10,9 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.geometry.se2 import between, compose, exp, log, rotate_covariances
+from gridslam.geometry import se2
+from gridslam.geometry.single_pose import Pose, between, compose, exp, log, motion_of
 from gridslam.matching.branch_and_bound import BranchAndBound
-from gridslam.tracking.odometry_calibration import motion_of
 from gridslam.tracking.state import SensorTrack, TrackerState
 from gridslam.types import FloatArray, MotionSampler
 
@@ -60,7 +60,7 @@ NEWEST_WEIGHT = 0.05
 class Prediction(NamedTuple):
     """Predicted pose of a scan."""
 
-    pose: FloatArray  # (3,)
+    pose: Pose
     by_odometry: bool  # or by the velocity
     seconds: float  # since the last scan
     moved_m: float  # since the last scan that was matched, by the odometry; 0 without
@@ -84,7 +84,7 @@ class Prediction(NamedTuple):
 class PoseEstimate(NamedTuple):
     """Where a scan was taken."""
 
-    pose: FloatArray  # (3,)
+    pose: Pose
     prediction: Prediction  # from which it was found
     matched: bool  # whether the map was asked
     lost: bool  # neither match nor prediction is reliable
@@ -94,9 +94,9 @@ class PoseEstimate(NamedTuple):
 
 
 def predict_by_odometry(
-    state: TrackerState, increment: FloatArray, seconds: float, covariance: FloatArray | None, beam_sigma_m: float
+    state: TrackerState, increment: Pose, seconds: float, covariance: FloatArray | None, beam_sigma_m: float
 ) -> Prediction:
-    """Predict the pose after an increment (3,) of the odometry since the last scan that was matched.
+    """Predict the pose after an increment of the odometry since the last scan that was matched.
 
     `covariance` (3, 3) is that of the increment in the frame of the base at that scan. Where nothing is known of it
     standard deviations are assumed that grow with the motion, from a tenth of a cell on.
@@ -108,7 +108,7 @@ def predict_by_odometry(
         sigma_m = 0.1 * cell_m + 0.15 * moved_m + 0.5 * cell_m * turned_rad
         sigma_rad = 0.003 + 0.05 * turned_rad + 0.04 * moved_m
     else:
-        covariance = rotate_covariances(covariance, state.matched_pose[2]) + _STILL_COVARIANCE
+        covariance = se2.rotate_covariances(covariance, state.matched_pose[2]) + _STILL_COVARIANCE
         sigma_m = math.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])
         sigma_rad = math.sqrt(covariance[2, 2])
     return Prediction(pose, True, seconds, moved_m, turned_rad, sigma_m, sigma_rad, beam_sigma_m, covariance)
@@ -154,62 +154,65 @@ class ConstantVelocity:
 
     def predict(self, state: TrackerState, seconds: float) -> Prediction:
         """Predict the pose after `seconds` of the present velocity."""
-        pose = compose(state.pose, exp(seconds * state.twist))
-        turned = abs(float(state.twist[2])) * seconds
+        vx, vy, omega = state.twist
+        pose = compose(state.pose, exp((seconds * vx, seconds * vy, seconds * omega)))
+        turned = abs(omega) * seconds
         return Prediction(pose, False, seconds, 0.0, turned, *self.sigmas(seconds), _BEAM_SIGMA_M)
 
-    def exceeds(self, moved: FloatArray, seconds: float, margin_m: float, margin_rad: float) -> bool:
-        """Whether a difference of poses (3,) is larger than the margins and what the robot drives in `seconds`."""
-        dx, dy, turn = moved.tolist()
-        far = math.hypot(dx, dy) > margin_m + self.speed_mps * seconds
-        return far or abs(math.remainder(turn, math.tau)) > margin_rad + self.turn_rps * seconds
+    def exceeds(self, a: Pose, b: Pose, seconds: float, margin_m: float, margin_rad: float) -> bool:
+        """Whether poses are farther apart than the margins and what the robot drives in `seconds`."""
+        far = math.hypot(b[0] - a[0], b[1] - a[1]) > margin_m + self.speed_mps * seconds
+        return far or abs(math.remainder(b[2] - a[2], math.tau)) > margin_rad + self.turn_rps * seconds
 
-    def update_twist(self, state: TrackerState, pose: FloatArray, seconds: float) -> FloatArray:
-        """Velocity (3,) once the base is at `pose` (3,), `seconds` after the last scan: a running mean.
+    def update_twist(self, state: TrackerState, pose: Pose, seconds: float) -> Pose:
+        """Velocity once the base is at `pose`, `seconds` after the last scan: a running mean.
 
         The mean of increments over the time they took, in which the older ones count less, as exp(-age / smoothing) to
         first order; it is safe for any `seconds`, 0 included.
         """
-        moved = log(between(state.pose, pose))
-        blended: FloatArray = (_SMOOTHING_S * state.twist + moved) / (_SMOOTHING_S + seconds)
-        return blended
+        dx, dy, turn = log(between(state.pose, pose))
+        vx, vy, omega = state.twist
+        whole = _SMOOTHING_S + seconds
+        return (_SMOOTHING_S * vx + dx) / whole, (_SMOOTHING_S * vy + dy) / whole, (_SMOOTHING_S * omega + turn) / whole
 
-    def are_stamps_unreliable(self, track: SensorTrack, stamp_ns: int, pose: FloatArray) -> bool:
-        """Whether a laser's stamps cannot be true, as its scan at `stamp_ns` was taken from `pose` (3,).
+    def are_stamps_unreliable(self, track: SensorTrack, stamp_ns: int, pose: Pose) -> bool:
+        """Whether a laser's stamps cannot be true, as its scan at `stamp_ns` was taken from `pose`.
 
         They go backward, or the robot went too far: the scans were stamped when they arrived, in bursts, or the clock
         is coarse. The order of the scans is the true one all the same.
         """
         passed = 1e-9 * (stamp_ns - track.stamp_ns)
-        return passed < 0 or self.exceeds(pose - track.matched_pose, passed, _MARGIN_M, _MARGIN_RAD)
+        return passed < 0 or self.exceeds(track.matched_pose, pose, passed, _MARGIN_M, _MARGIN_RAD)
 
-    def update_variances(self, before: FloatArray, missed: FloatArray) -> FloatArray:
-        """Variances (2,) of predictions, m^2 and rad^2, of which the last one missed by the increment `missed` (3,)."""
-        x, y, turn = missed.tolist()
-        squares = np.array([0.5 * (x * x + y * y), turn * turn])
-        change: FloatArray = np.minimum(squares, 9 * before) - before
-        return before + NEWEST_WEIGHT * change
+    def update_variances(self, before: tuple[float, float], missed: Pose) -> tuple[float, float]:
+        """Variances of predictions, m^2 and rad^2, of which the last one missed by the increment `missed`."""
+        x, y, turn = missed
+        position, heading = before
+        return (
+            position + NEWEST_WEIGHT * (min(0.5 * (x * x + y * y), 9 * position) - position),
+            heading + NEWEST_WEIGHT * (min(turn * turn, 9 * heading) - heading),
+        )
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _WidenedMotion:
-    """A motion sampler with noise of these variances (2,) beside its own, m^2 (each of x and y) and rad^2."""
+    """A motion sampler with noise of these variances beside its own, m^2 (each of x and y) and rad^2."""
 
     sampler: MotionSampler
-    variances: FloatArray
+    variances: tuple[float, float]
 
     def __call__(self, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Draw one successor (N, 3) for each pose (N, 3)."""
-        std = np.sqrt(self.variances[[0, 0, 1]])
-        return compose(self.sampler(poses, rng), std * rng.standard_normal((len(poses), 3)))
+        std = np.sqrt(np.take(self.variances, [0, 0, 1]))
+        return se2.compose(self.sampler(poses, rng), std * rng.standard_normal((len(poses), 3)))
 
     def moments(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean successors (N, 3) and their covariances (N, 3, 3)."""
         means, covariances = self.sampler.moments(poses)
-        return means, covariances + np.diag(self.variances[[0, 0, 1]])
+        return means, covariances + np.diag(np.take(self.variances, [0, 0, 1]))
 
 
-def widen_motion(sampler: MotionSampler, variances: FloatArray | None) -> MotionSampler:
-    """Motion whose control is uncertain by variances (2,), m^2 and rad^2, beside the model's own noise, if not None."""
+def widen_motion(sampler: MotionSampler, variances: tuple[float, float] | None) -> MotionSampler:
+    """Motion whose control is uncertain by variances, m^2 and rad^2, beside the model's own noise, if not None."""
     return sampler if variances is None else _WidenedMotion(sampler, variances)

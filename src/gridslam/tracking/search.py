@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
+from gridslam.geometry.single_pose import Pose, as_pose
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
 from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, degenerate_direction, weigh_known_beams
 from gridslam.tracking.odometry_calibration import MIN_SEGMENTS
@@ -103,8 +104,8 @@ class OdometrySearch:
         """Whether scans are far apart, in time or by the way driven between them."""
         return state.interval_s > self.sparse_period_s or state.mean_step > self.sparse_step
 
-    def control(self, state: TrackerState, found: PoseEstimate) -> tuple[FloatArray, FloatArray | None]:
-        """Where the particles look for a scan (3,) by the odometry, and the variances (2,) of that beside their noise.
+    def control(self, state: TrackerState, found: PoseEstimate) -> tuple[Pose, tuple[float, float] | None]:
+        """Where the particles look for a scan by the odometry, and the variances of that beside their noise.
 
         It must not come from the scan that weighs them, so it is the prediction. Where that errs by more than a
         particle's descent can follow, it is where the scan was found: a descent from there ends at the same peak.
@@ -113,7 +114,7 @@ class OdometrySearch:
         if not self.is_far_from_last(state, predicted):
             return predicted.pose, None
         if found.lost:
-            return predicted.pose, np.square([predicted.sigma_m, predicted.sigma_rad])
+            return predicted.pose, (predicted.sigma_m**2, predicted.sigma_rad**2)
         follows = is_within(found.pose, predicted.pose, _BASIN_M, _BASIN_RAD)
         return (predicted.pose if follows else found.pose), None
 
@@ -132,10 +133,10 @@ class OdometrySearch:
 
         def find(window: BranchAndBound, sigmas: FloatArray) -> PoseEstimate | None:
             """The only place where the prediction, of standard deviations (3,), has the scan."""
-            place = window.search(pyramid, predicted.pose, np.diag(np.square(sigmas)), beams.ends)
+            place = window.search(pyramid, np.array(predicted.pose), np.diag(np.square(sigmas)), beams.ends)
             if place is None or place.runner_up_score > _MAX_AMBIGUITY * place.score:
                 return None
-            return _refine(state, place.pose, predicted, beams, matcher)
+            return _refine(state, as_pose(place.pose), predicted, beams, matcher)
 
         for gate, gain in _GATES:
             found = find(_WINDOW, gate / _WINDOW.gate_sigmas * np.array([sigma_m, sigma_m, sigma_rad]))
@@ -157,24 +158,23 @@ def calibrated(matcher: GaussNewton) -> GaussNewton:
 
 
 def _refine(
-    state: TrackerState, pose: FloatArray, predicted: Prediction, beams: BeamEnds, matcher: GaussNewton
+    state: TrackerState, pose: Pose, predicted: Prediction, beams: BeamEnds, matcher: GaussNewton
 ) -> PoseEstimate:
     """Match from a place that was found; its inlier ratio is that of the beams that end in what the map knows.
 
     If the scan is degenerate the odometry constrains it.
     """
     held = calibrated(matcher)
-    match = matcher(state.maps, state.row, pose[None], NO_PRIOR[None], beams)
+    match = matcher(state.maps, state.row, np.array([pose]), NO_PRIOR[None], beams)
     weak = degenerate_direction(match.information[0], float(match.score[0]), held.min_information)
     if weak is not None:
         along = match.poses[0].copy()
         along[:2] -= weak * float(weak @ (along - predicted.pose)[:2])
         match = held(state.maps, state.row, along[None], NO_PRIOR[None], beams)
-    best = match.poses[0]
-    weights = weigh_known_beams(state.maps, state.row, best, beams.ends, matcher.cauchy_m)
+    weights = weigh_known_beams(state.maps, state.row, match.poses[0], beams.ends, matcher.cauchy_m)
     inlier_ratio = float(weights.sum()) / max(len(weights), _MIN_OVERLAP * len(beams))
     return PoseEstimate(
-        best,
+        as_pose(match.poses[0]),
         predicted,
         matched=True,
         lost=False,

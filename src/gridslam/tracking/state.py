@@ -9,7 +9,8 @@ from typing import Annotated, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.geometry.se2 import between, transform_points
+from gridslam.geometry.se2 import transform_points
+from gridslam.geometry.single_pose import ORIGIN, UNKNOWN_POSE, Pose, as_pose, between
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.beam_order import BeamOrder
 from gridslam.tracking.odometry_calibration import OdometryErrorModel
@@ -35,16 +36,16 @@ class SensorTrack(NamedTuple):
     """Track of one laser; lasers are distinguished by `sensor`."""
 
     stamp_ns: int  # of its last scan that was matched
-    matched_pose: Annotated[FloatArray, 3]  # of that scan
+    matched_pose: Pose  # of that scan
     inlier_ratio: float  # inlier ratio of that match; 0 if it was rejected
-    inserted_pose: Annotated[FloatArray, 3]  # of its last scan that was inserted
+    inserted_pose: Pose  # of its last scan that was inserted
     beam_order: BeamOrder = BeamOrder()
     # of that scan, base frame; kept where there are several lasers
     ends: Annotated[FloatArray, None, 2] = np.zeros((0, 2))
 
     @classmethod
-    def first(cls, stamp_ns: int, pose: FloatArray) -> SensorTrack:
-        """After its first scan, from `pose` (3,)."""
+    def first(cls, stamp_ns: int, pose: Pose) -> SensorTrack:
+        """After its first scan, from `pose`."""
         return cls(stamp_ns, pose, 1.0, pose)
 
     @property
@@ -80,21 +81,21 @@ class TrackerState:
     ----------
     maps : TileMaps
         Two overlapping local maps.
-    pose : (3,) float64
+    pose : Pose
         Of the last scan, in the tracker's own, slowly drifting frame.
     stamp_ns : int
         Of the last scan.
-    odometry : (3,) float64
+    odometry : Pose
         Of the last scan; NaN where it had none.
-    matched_pose, matched_odometry : (3,) float64
+    matched_pose, matched_odometry : Pose
         Of the last scan that was matched, from which odometry goes on.
     sensors : dict of str to SensorTrack
         The last of each laser.
     odometry_errors : OdometryErrorModel
         What the odometry's errors are.
-    twist : (3,) float64
+    twist : Pose
         Velocity of the base in its own frame, m/s and rad/s.
-    velocity_variances : (2,) float64
+    velocity_variances : (float, float)
         Variances of what velocities predicted lately, m^2 (each of x and y) and rad^2.
     period_s : float
         Mean difference of the stamps of successive scans; negative where stamps run backward.
@@ -117,15 +118,15 @@ class TrackerState:
     """
 
     maps: TileMaps
-    pose: Annotated[FloatArray, 3]
+    pose: Pose
     stamp_ns: int
-    odometry: Annotated[FloatArray, 3]
-    matched_pose: Annotated[FloatArray, 3]
-    matched_odometry: Annotated[FloatArray, 3]
+    odometry: Pose
+    matched_pose: Pose
+    matched_odometry: Pose
     sensors: dict[str, SensorTrack]
     odometry_errors: OdometryErrorModel = field(default_factory=OdometryErrorModel)
-    twist: Annotated[FloatArray, 3] = field(default_factory=lambda: np.zeros(3))
-    velocity_variances: Annotated[FloatArray, 2] = field(default_factory=lambda: np.array([0.02**2, 0.03**2]))
+    twist: Pose = ORIGIN
+    velocity_variances: tuple[float, float] = (0.02**2, 0.03**2)
     period_s: float = 0.1
     mean_step: float = 0.0
     stamps_unreliable: bool = False
@@ -139,10 +140,9 @@ class TrackerState:
     @classmethod
     def start(cls, maps: TileMaps, odometry: Odometry | None, stamp_ns: int, sensor: str) -> TrackerState:
         """Begin at the origin of the tracker's frame."""
-        pose = np.zeros(3)
-        odometry_pose = pose_of(odometry)
-        track = SensorTrack.first(stamp_ns, pose)
-        return cls(maps, pose, stamp_ns, odometry_pose, pose, odometry_pose, {sensor: track})
+        reading = pose_of(odometry)
+        track = SensorTrack.first(stamp_ns, ORIGIN)
+        return cls(maps, ORIGIN, stamp_ns, reading, ORIGIN, reading, {sensor: track})
 
     @property
     def row(self) -> NDArray[np.int32]:
@@ -158,11 +158,13 @@ class TrackerState:
         """Keep the last of a laser; copies that were made before do not change."""
         self.sensors = {**self.sensors, sensor: track}
 
-    def merge_lasers(self, beams: Beams, pose: FloatArray, metres: float, radians: float) -> BeamEnds:
-        """The scan, taken at about `pose` (3,), with what the other lasers saw last from no farther away.
+    def merge_lasers(self, beams: Beams, pose: Pose, metres: float, radians: float) -> BeamEnds:
+        """The scan, taken at about `pose`, with what the other lasers saw last from no farther away.
 
         All lasers are one sensor: each alone may see a single wall.
         """
+        if len(self.sensors) == 1 and beams.scan.sensor in self.sensors:
+            return beams
         others = [
             transform_points(between(pose, track.matched_pose), track.ends)
             for sensor, track in self.sensors.items()
@@ -178,7 +180,7 @@ class TrackerState:
         rows = _ROWS[active] if scans[active] < full else _BOTH
         for row in rows.tolist():
             scans[row] += 1
-        self.maps.update(rows, np.repeat(self.pose[None], len(rows), axis=0), beams)
+        self.maps.update(rows, np.array([self.pose] * len(rows)), beams)
         if scans[1 - active] >= full:
             self.maps.clear(active)
             scans[active] = 0
@@ -196,15 +198,15 @@ class TrackerState:
         return replace(self, maps=self.maps.snapshot(), odometry_errors=self.odometry_errors.snapshot())
 
 
-def is_within(a: FloatArray, b: FloatArray, metres: float, radians: float) -> bool:
-    """Whether poses (3,) are nearer to each other than both."""
-    dx, dy, turn = (a - b).tolist()
-    return math.hypot(dx, dy) < metres and abs(math.remainder(turn, math.tau)) < radians
+def is_within(a: Pose, b: Pose, metres: float, radians: float) -> bool:
+    """Whether poses are nearer to each other than both."""
+    near = math.hypot(a[0] - b[0], a[1] - b[1]) < metres
+    return near and abs(math.remainder(a[2] - b[2], math.tau)) < radians
 
 
-def pose_of(odometry: Odometry | None) -> FloatArray:
-    """Pose (3,); NaN where there is none."""
-    return np.full(3, np.nan) if odometry is None else odometry.pose
+def pose_of(odometry: Odometry | None) -> Pose:
+    """The pose that is read; NaN where there is none."""
+    return UNKNOWN_POSE if odometry is None else as_pose(odometry.pose)
 
 
 @final
@@ -214,7 +216,7 @@ class TrackedScan:
 
     Attributes
     ----------
-    pose, predicted : (3,) float64
+    pose, predicted : Pose
         In the tracker's frame; `predicted` uses only the scans before this one, `pose` this one too. Where scans are
         far apart `predicted` may be a guess from this scan, to descend from.
     beams : Beams
@@ -222,13 +224,13 @@ class TrackedScan:
     merged_beams : BeamEnds
         These, and what the other lasers saw a moment ago: what is to be matched, as each laser alone may see a single
         wall. Weighing takes `beams` alone: what the other lasers saw has been weighed at their own key scans.
-    prediction_variances : (2,) float64 or None
+    prediction_variances : (float, float) or None
         Variances of a prediction by the velocity, m^2 (each of x and y) and rad^2; None by odometry, whose noise is the
         motion model's.
     """
 
-    pose: FloatArray
-    predicted: FloatArray
+    pose: Pose
+    predicted: Pose
     beams: Beams
     merged_beams: BeamEnds
-    prediction_variances: FloatArray | None = None
+    prediction_variances: tuple[float, float] | None = None

@@ -16,11 +16,11 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.errors import ArgumentError
-from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.single_pose import Pose, as_pose, between, compose, is_known, motion_of
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, NO_PRIOR, GaussNewton, degenerate_direction
 from gridslam.models.parameters import Kind
-from gridslam.tracking.odometry_calibration import OdometryCalibration, motion_of
+from gridslam.tracking.odometry_calibration import OdometryCalibration
 from gridslam.tracking.prediction import (
     NEWEST_WEIGHT,
     ConstantVelocity,
@@ -120,7 +120,7 @@ class Tracker:
     ) -> TrackerState:
         """Start at the origin of the tracker's frame with the first scan."""
         state = TrackerState.start(mapper.empty(2), odometry, stamp_ns, beams.scan.sensor)
-        state.maps.update(state.row, state.pose[None], beams)
+        state.maps.update(state.row, np.array([state.pose]), beams)
         return state
 
     def step(
@@ -136,9 +136,9 @@ class Tracker:
         `odometry_covariance` (3, 3) is that of the odometry's motion since the last scan that was matched, by x, y and
         theta in the frame of the base at that scan; None if nothing is known of it.
         """
-        odometry_pose = pose_of(odometry)
+        reading = pose_of(odometry)
         seconds = self.velocity.seconds(state, stamp_ns)
-        predicted = self._predict(state, odometry_pose, stamp_ns, seconds, odometry_covariance)
+        predicted = self._predict(state, reading, stamp_ns, seconds, odometry_covariance)
         spread = state.velocity_variances
         if self.deskew and beams.scan.beam_times_s is not None:
             found, beams = self._locate_deskewed(state, predicted, beams)
@@ -150,9 +150,9 @@ class Tracker:
         state.rejected_odometry += odometry is not None and not by_odometry
         if found.matched or not by_odometry:
             state.matched_pose = found.pose
-            state.matched_odometry = odometry_pose
+            state.matched_odometry = reading
         state.stamp_ns = stamp_ns
-        state.odometry = odometry_pose
+        state.odometry = reading
         if found.matched:
             self._learn(state, found)
             self._insert(state, found, beams)
@@ -164,7 +164,7 @@ class Tracker:
     def _predict(
         self,
         state: TrackerState,
-        odometry: FloatArray,
+        odometry: Pose,
         stamp_ns: int,
         seconds: float,
         covariance: FloatArray | None,
@@ -172,8 +172,8 @@ class Tracker:
         measured = between(state.matched_odometry, odometry)
         useless = not (state.odometry_errors.trusted or self.search.is_sparse(state))  # else velocities are worse
         passed = abs(stamp_ns - state.stamp_ns) * 1e-9
-        jumped = self.velocity.exceeds(odometry - state.odometry, passed, _JUMP_M, _JUMP_RAD)
-        if math.isnan(measured[0]) or useless or jumped:
+        jumped = self.velocity.exceeds(state.odometry, odometry, passed, _JUMP_M, _JUMP_RAD)
+        if not is_known(measured) or useless or jumped:
             return self.velocity.predict(state, seconds)
         increment = state.odometry_errors.correct_increment(measured)
         return predict_by_odometry(state, increment, seconds, covariance, self.beam_sigma_m)
@@ -187,12 +187,12 @@ class Tracker:
         """
         track = state.sensors.get(beams.scan.sensor)
         order = 1 if track is None else track.best_order
-        deskewed = beams.deskew(order * self.velocity.update_twist(state, predicted.pose, predicted.seconds))
+        deskewed = beams.deskew(order * np.array(self.velocity.update_twist(state, predicted.pose, predicted.seconds)))
         best = self._locate(state, predicted, deskewed)
         if not best.matched or not best.inlier_ratio:
             return best, deskewed
-        twist = self.velocity.update_twist(state, best.pose, predicted.seconds)
-        for other in (twist, 2 * twist - state.twist):
+        twist = np.array(self.velocity.update_twist(state, best.pose, predicted.seconds))
+        for other in (twist, 2 * twist - np.array(state.twist)):
             again = beams.deskew(order * other)
             found = self._locate(state, predicted, again)
             if found.inlier_ratio > best.inlier_ratio:
@@ -230,7 +230,7 @@ class Tracker:
             return self.search(state, predicted, beams, self.matcher)
         return self._match_from_velocity(state, self.velocity.predict(state, predicted.seconds), beams)
 
-    def _merge_lasers(self, state: TrackerState, pose: FloatArray, predicted: Prediction, beams: Beams) -> BeamEnds:
+    def _merge_lasers(self, state: TrackerState, pose: Pose, predicted: Prediction, beams: Beams) -> BeamEnds:
         """The scan, taken at about `pose`, with those of the other lasers."""
         trusted = 1.0 if predicted.by_odometry else 0.05
         return state.merge_lasers(beams, pose, trusted * _MERGE_M, trusted * _MERGE_RAD)
@@ -239,23 +239,23 @@ class Tracker:
         """Whether the robot has not moved according to the odometry, and the scan does not contradict it."""
         if not is_within(track.matched_pose, predicted.pose, self.standstill_m, self.standstill_rad):
             return False
-        ratio = EVALUATE_ONLY(state.maps, state.row, predicted.pose[None], NO_PRIOR[None], beams).score[0] / len(beams)
-        return bool(ratio > track.inlier_ratio - self.slip_inlier_gain)
+        ratio = _score(state, predicted.pose, beams) / len(beams)
+        return ratio > track.inlier_ratio - self.slip_inlier_gain
 
     def _match_from_odometry(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a prediction by odometry; where a match is implausible, only its heading is taken."""
         known = self.calibration is not None and self.calibration.is_known(state.odometry_errors)
         matcher = calibrated(self.matcher) if known else self.matcher
-        match = matcher(state.maps, state.row, predicted.pose[None], predicted.prior, beams)
-        pose = match.poses[0]
+        match = matcher(state.maps, state.row, np.array([predicted.pose]), predicted.prior, beams)
+        pose = as_pose(match.poses[0])
         score = float(match.score[0])
         if score < self.min_inlier_ratio * len(beams):
             return PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
-        stayed = np.array([predicted.pose[0], predicted.pose[1], pose[2]])
+        stayed = (predicted.pose[0], predicted.pose[1], pose[2])
         away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
         if away > max(self.slip_m, 4 * predicted.sigma_m):
-            before = EVALUATE_ONLY(state.maps, state.row, stayed[None], NO_PRIOR[None], beams).score[0]
-            pose = pose if score - float(before) > self.slip_inlier_gain * len(beams) else stayed
+            gain = score - _score(state, stayed, beams)
+            pose = pose if gain > self.slip_inlier_gain * len(beams) else stayed
         determined = pose is not stayed and self._is_determined(match)
         return PoseEstimate(
             pose,
@@ -270,17 +270,17 @@ class Tracker:
     def _match_from_velocity(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a prediction by the velocity; where few beams agree, search all around it."""
         count = len(beams)
-        match = self.matcher(state.maps, state.row, predicted.pose[None], predicted.prior, beams)
+        match = self.matcher(state.maps, state.row, np.array([predicted.pose]), predicted.prior, beams)
         if match.score[0] < self.search_inlier_ratio * count:
             search = self.velocity.search(state, predicted.seconds)
-            place = search.search(local_pyramid(state), predicted.pose, None, beams.ends)
+            place = search.search(local_pyramid(state), np.array(predicted.pose), None, beams.ends)
             if place is not None:
                 other = self.matcher(state.maps, state.row, place.pose[None], NO_PRIOR[None], beams)
                 convinces = other.score[0] - match.score[0] > self.slip_inlier_gain * count
                 match = other if convinces and other.score[0] >= self.search_inlier_ratio * count else match
         if match.score[0] < self.min_inlier_ratio * count:
             return PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
-        pose = match.poses[0]
+        pose = as_pose(match.poses[0])
         if is_within(state.pose, pose, self.standstill_m, self.standstill_rad):
             pose = state.pose
         ratio = float(match.score[0]) / count
@@ -301,7 +301,11 @@ class Tracker:
         if moved + turned > self.standstill_m + self.standstill_rad:
             state.mean_step += NEWEST_WEIGHT * (min(moved + turned, self.search.blind_step) - state.mean_step)
         blind = found.lost and not predicted.by_odometry
-        state.twist = 0.5 * state.twist if blind else self.velocity.update_twist(state, found.pose, predicted.seconds)
+        if blind:
+            vx, vy, omega = state.twist
+            state.twist = 0.5 * vx, 0.5 * vy, 0.5 * omega
+        else:
+            state.twist = self.velocity.update_twist(state, found.pose, predicted.seconds)
         if found.inlier_ratio and not predicted.by_odometry:
             state.velocity_variances = self.velocity.update_variances(
                 state.velocity_variances, between(predicted.pose, found.pose)
@@ -320,7 +324,7 @@ class Tracker:
         if predicted.by_odometry:
             variance = state.odometry_errors.variance_along(state.open_way_m, predicted.moved_m)
         else:
-            variance = float(state.velocity_variances[0])
+            variance = state.velocity_variances[0]
         state.open_way_m += predicted.moved_m
         added = variance * np.outer(direction, direction)
         state.unmatched = replace(state.unmatched, open_covariance=state.unmatched.open_covariance + added)
@@ -359,6 +363,11 @@ class Tracker:
             state.insert(beams, self.map_scans)
 
 
+def _score(state: TrackerState, pose: Pose, beams: BeamEnds) -> float:
+    """How many beams of a scan from `pose` agree with the local map."""
+    return float(EVALUATE_ONLY(state.maps, state.row, np.array([pose]), NO_PRIOR[None], beams).score[0])
+
+
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class OdometryTracker:
@@ -379,7 +388,7 @@ class OdometryTracker:
         odometry_covariance: FloatArray | None = None,
     ) -> TrackedScan:
         """Track one scan; updates `state`; ArgumentError where there is no odometry. The covariance is not used."""
-        state.odometry = _require_odometry(odometry, stamp_ns).pose
+        state.odometry = as_pose(_require_odometry(odometry, stamp_ns).pose)
         state.stamp_ns = stamp_ns
         state.pose = compose(state.matched_pose, between(state.matched_odometry, state.odometry))
         return TrackedScan(state.pose, state.pose, beams, beams)

@@ -160,7 +160,7 @@ def test_a_control_by_velocity_is_as_uncertain_as_those_before_were_wrong(perfec
     squares, claimed = np.square(missed_by[50:]), np.mean(told[50:], axis=0)
     assert claimed[0] == pytest.approx(squares[:, :2].mean(), rel=0.5)
     assert np.percentile(squares[:, 2], 75) < claimed[1] < np.percentile(squares[:, 2], 98)
-    assert track(Tracker(), perfect)[2].velocity_variances.tolist() == [0.02**2, 0.03**2]
+    assert track(Tracker(), perfect)[2].velocity_variances == (0.02**2, 0.03**2)
 
 
 def test_noise_of_the_control_is_added_to_that_of_the_motion():

@@ -50,7 +50,7 @@ def track(tracker, measurements):
 
 def away(poses, others):
     """Metres and radians (N, 2) between poses."""
-    off = between(others, poses)
+    off = between(np.atleast_2d(others), np.atleast_2d(poses))
     return np.column_stack([np.hypot(off[..., 0], off[..., 1]), np.abs(wrap(off[..., 2]))])
 
 
@@ -134,7 +134,7 @@ def test_where_the_odometry_turned_too_far_every_scan_is_found(states, turn):
         found = SEARCH(state, predicted_off(pose, turn), beams, MATCHER)
         assert not found.lost
         assert found.matched
-        assert (away(found.pose[None], pose[None]) < FAR).all()
+        assert (away(found.pose, pose) < FAR).all()
 
 
 @pytest.mark.parametrize("turn", [-1.4, 1.4])
@@ -152,7 +152,7 @@ def test_a_turn_that_was_not_counted_at_all_is_found_all_around_or_nothing_is_sa
             np.testing.assert_array_equal(found.pose, predicted_off(pose, turn).pose)
         else:
             assert found.inlier_ratio >= 0.8
-            assert (away(found.pose[None], pose[None]) < FAR).all()
+            assert (away(found.pose, pose) < FAR).all()
             right += 1
     assert right > 0.66 * len(states)
 
@@ -162,7 +162,7 @@ def test_a_half_turn_is_not_believed(states, monkeypatch):
     monkeypatch.setattr(search, "_GATES", NO_GATES)
     for state, beams, pose in states:
         found = SEARCH(state, predicted_off(pose, math.pi), beams, MATCHER)
-        assert found.lost or not (away(found.pose[None], pose[None]) < FAR).all()
+        assert found.lost or not (away(found.pose, pose) < FAR).all()
 
 
 @pytest.mark.parametrize("errors_m", [0.02, 0.3])
@@ -175,7 +175,7 @@ def test_how_far_is_searched_follows_from_what_the_odometry_has_been_worth(state
             state.odometry_errors, segments=50.0, variances=np.array([errors_m**2, 0.02**2])
         )
         prediction = predicted_off(compose(pose, np.array([1.3, 0.0, 0.0])), 0.0)
-        found.append((away(SEARCH(state, prediction, beams, MATCHER).pose[None], pose[None]) < FAR).all())
+        found.append((away(SEARCH(state, prediction, beams, MATCHER).pose, pose) < FAR).all())
     assert np.mean(found) > 0.66 if errors_m > 0.1 else np.mean(found) < 0.3
 
 
@@ -196,7 +196,7 @@ def test_odometry_is_given_up_for_velocities_only_where_scans_come_often(sparse,
 def test_a_poor_place_near_the_prediction_does_not_hide_the_right_one(states, turn):
     """With the usual gates, too: what is found within them may be no more than a wall that is parallel."""
     found = [SEARCH(state, predicted_off(pose, turn), beams, MATCHER) for state, beams, pose in states]
-    right = sum((away(f.pose[None], pose[None]) < FAR).all() for f, (_, _, pose) in zip(found, states, strict=True))
+    right = sum((away(f.pose, pose) < FAR).all() for f, (_, _, pose) in zip(found, states, strict=True))
     assert right > 0.66 * len(states)
 
 
@@ -262,7 +262,7 @@ def after_a_gap(halls, scans, tracker):
     )
     told = step(tracker, state, odometry, scan)
     true = compose(known.matched_pose, between(log.truth.poses[59], log.truth.poses[60 + scans]))
-    return told, ahead, state, away(told.pose[None], true[None])[0]
+    return told, ahead, state, away(told.pose, true)[0]
 
 
 @pytest.mark.parametrize("scans", [25, 29, 33, 37, 45])
@@ -305,4 +305,4 @@ def test_after_a_short_gap_the_scan_is_found_again_and_the_odometry_overruled(ha
     """Down to less than a cell, where the odometry is off by more."""
     told, ahead, _, off = after_a_gap(halls, 13, Tracker())
     assert off[0] < CELL_M
-    assert away(told.pose[None], ahead[None])[0, 0] > 0.01
+    assert away(told.pose, ahead)[0, 0] > 0.01

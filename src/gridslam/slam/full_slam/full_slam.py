@@ -10,6 +10,7 @@ from typing import final
 import numpy as np
 
 from gridslam.geometry.se2 import between
+from gridslam.geometry.single_pose import as_pose
 from gridslam.grid.tiles import TiledGrid
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.full_slam.full_trajectory import (
@@ -213,7 +214,7 @@ def _build_odometry_graph(trajectory: FloatArray, drives: Sequence[TrackedScans]
     ((keys, key_from_base, _),) = drives
     tracked = key_from_base[np.flatnonzero(np.diff(keys) > 0) + 1]
     information = np.linalg.inv(
-        np.array([drift.covariance(moved, first=not k) for k, moved in enumerate(tracked)]).reshape(-1, 3, 3)
+        np.array([drift.covariance(as_pose(moved), first=not k) for k, moved in enumerate(tracked)]).reshape(-1, 3, 3)
     )
     edges = np.stack([np.arange(len(tracked)), np.arange(1, len(trajectory))], axis=1)
     return PoseGraph.of(trajectory, edges, between(trajectory[:-1], trajectory[1:]), information)

@@ -9,6 +9,7 @@ import numpy as np
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose, rotate_covariances
+from gridslam.geometry.single_pose import as_pose
 from gridslam.slam.loop_closure.drift_model import DriftModel, compute_moments, propagate_covariances
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
@@ -156,7 +157,9 @@ def scan_covariances(
         last = int(np.searchsorted(keys, own.stop - 1))
         found[last:] = key_covariances[own.stop - 1]
         for scan in range(last + 1, len(keys)):
-            found[scan] += rotate_covariances(drift.covariance(key_from_base[scan]), graph.poses[own.stop - 1, 2])
+            found[scan] += rotate_covariances(
+                drift.covariance(as_pose(key_from_base[scan])), graph.poses[own.stop - 1, 2]
+            )
         parts.append(found)
     return np.concatenate(parts) + drift.scale_covariances(poses[:, :2] - poses[0, :2])
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from gridslam.arguments import describe
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between
+from gridslam.geometry.single_pose import Pose, between
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.models.motion import DiffusionMotion
@@ -228,7 +228,9 @@ class GridFastSlam:
 
     def _predict(self, state: GridFastSlamState, tracked: TrackedScan, noise: OdometryNoise | None) -> MotionSampler:
         """Condition the motion on the control: the tracked motion since the last key scan, up to this scan."""
-        motion = widen_motion(self.motion(between(state.key_pose, tracked.predicted)), tracked.prediction_variances)
+        motion = widen_motion(
+            self.motion(np.array(between(state.key_pose, tracked.predicted))), tracked.prediction_variances
+        )
         return motion if noise is None else noise.add_to(motion, state.key_pose, tracked.predicted)
 
     def _close_loops(
@@ -238,10 +240,10 @@ class GridFastSlam:
             report = self.loop_closure(state, state.closure_state, report, beams, self.mapper, self.threads)
         return state, report if report.skipped else self.reports.add_drift(state, report)
 
-    def _skip(self, state: GridFastSlamState, pose: FloatArray, beams: Beams) -> SkipReason | None:
+    def _skip(self, state: GridFastSlamState, pose: Pose, beams: Beams) -> SkipReason | None:
         last = state.sensor_key_poses.get(beams.scan.sensor)
         if last is not None:
-            dx, dy, turn = between(last, pose).tolist()
+            dx, dy, turn = between(last, pose)
             if not self.when_to_update(math.hypot(dx, dy), abs(turn)):
                 return SkipReason.BETWEEN_KEY_SCANS
         return None if len(beams) else SkipReason.NO_VALID_BEAM

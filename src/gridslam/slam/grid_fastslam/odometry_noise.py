@@ -7,13 +7,13 @@ all.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
-from gridslam.geometry.se2 import between, compose, compose_jacobians, compound_covariance
+from gridslam.geometry.se2 import compose_jacobians, compound_covariance
+from gridslam.geometry.single_pose import Pose, as_pose, between, compose, is_known
 from gridslam.models.motion import GaussianIncrement
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.tracking.prediction import MAX_INTERVAL_S, ConstantVelocity
@@ -43,16 +43,16 @@ class OdometryNoise:
 
     Attributes
     ----------
-    base : (3,) float64
+    base : Pose
         That pose, in the tracker's frame: of the last scan that was matched, or of the last key scan where none is.
-    reached : (3,) float64
+    reached : Pose
         Where the odometry then has the robot.
     covariance : (3, 3) float64, m^2, m rad, rad^2
         Of the motion between them, by x, y and theta in the frame of `base`.
     """
 
-    base: FloatArray
-    reached: FloatArray
+    base: Pose
+    reached: Pose
     covariance: FloatArray
 
     @classmethod
@@ -66,29 +66,30 @@ class OdometryNoise:
 
         """
         tracker = state.tracker
-        if odometry is None or odometry.covariance is None or math.isnan(tracker.odometry[0]):
+        if odometry is None or odometry.covariance is None or not is_known(tracker.odometry):
             return None
         base = tracker.matched_pose if matched else state.key_pose
-        begins = np.array_equal(*((tracker.matched_odometry, tracker.odometry) if matched else (base, tracker.pose)))
+        begins = tracker.matched_odometry == tracker.odometry if matched else base == tracker.pose
         before = np.zeros((3, 3)) if begins else state.odometry_covariance
         if before is None:
             return None
         moved = between(base, tracker.pose)
-        increment = between(tracker.odometry, odometry.pose)
-        moves = bool(increment.any())  # one reading may serve several scans
+        reading = as_pose(odometry.pose)
+        increment = between(tracker.odometry, reading)
+        moves = any(increment)  # one reading may serve several scans
         covariance = compound_covariance(moved, before, increment, odometry.covariance) if moves else before
-        since = between(tracker.matched_odometry, odometry.pose)
+        since = between(tracker.matched_odometry, reading)
         reached = compose(tracker.matched_pose, tracker.odometry_errors.correct_increment(since) if matched else since)
         return cls(base, reached, covariance)
 
-    def add_to(self, sampler: MotionSampler, key_pose: FloatArray, predicted: FloatArray) -> MotionSampler:
-        """The motion from `key_pose` (3,) to `predicted` (3,) with this noise beside that of its `sampler`.
+    def add_to(self, sampler: MotionSampler, key_pose: Pose, predicted: Pose) -> MotionSampler:
+        """The motion from `key_pose` to `predicted` with this noise beside that of its `sampler`.
 
         As it is where the prediction is not the odometry's.
         """
-        if np.abs(between(self.reached, predicted)).max() > _ROUNDING:
+        if max(map(abs, between(self.reached, predicted))) > _ROUNDING:
             return sampler
         _, by_motion = compose_jacobians(between(key_pose, self.base), between(self.base, predicted))
         own = sampler.moments(np.zeros((1, 3)))[1][0]
         reported = by_motion @ self.covariance @ by_motion.T
-        return GaussianIncrement.with_covariance(between(key_pose, predicted), own + reported)
+        return GaussianIncrement.with_covariance(np.array(between(key_pose, predicted)), own + reported)

@@ -10,7 +10,8 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import compose, rotate_covariances
+from gridslam.geometry.se2 import rotate_covariances
+from gridslam.geometry.single_pose import Pose, as_pose, compose
 from gridslam.matching.gauss_newton import degenerate_direction
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.drift_model import DriftModel, propagate_covariances
@@ -82,11 +83,11 @@ class ReportBuilder:
         )
 
     def between_key_scans(
-        self, state: GridFastSlamState, scan: LaserScan, key_from_base: FloatArray, reason: SkipReason
+        self, state: GridFastSlamState, scan: LaserScan, key_from_base: Pose, reason: SkipReason
     ) -> StepReport:
         """Report of a scan that did not step the particles: the best one's key pose, moved on by the tracker."""
         best = state.best
-        pose = compose(state.poses[best], key_from_base)
+        pose = np.array(compose(as_pose(state.poses[best]), key_from_base))
         tracked = state.tracker
 
         def covariance(
@@ -103,7 +104,7 @@ class ReportBuilder:
             scan.stamp_ns,
             pose,
             covariance,
-            key_from_base,
+            np.array(key_from_base),
             lost=state.lost,
             skipped=reason,
             best=best,
@@ -113,7 +114,7 @@ class ReportBuilder:
     def key_scan(
         state: GridFastSlamState,
         scan: LaserScan,
-        key_from_base: FloatArray,
+        key_from_base: Pose,
         estimate: Estimate,
         n_eff: float,
         parents: IntArray | None,
@@ -123,7 +124,7 @@ class ReportBuilder:
             scan.stamp_ns,
             estimate.pose,
             estimate.covariance,
-            key_from_base,
+            np.array(key_from_base),
             degenerate_direction=estimate.degenerate_direction,
             lost=estimate.lost,
             best=state.best,
@@ -133,8 +134,8 @@ class ReportBuilder:
             parents=parents,
         )
 
-    def estimate(self, state: GridFastSlamState, increment: FloatArray, match: Match, beams: BeamEnds) -> Estimate:
-        """Estimate the pose from the weighed particles and the `match` of `beams` at them, after an increment (3,)."""
+    def estimate(self, state: GridFastSlamState, increment: Pose, match: Match, beams: BeamEnds) -> Estimate:
+        """Estimate the pose from the weighed particles and the `match` of `beams` at them, after an increment."""
         best = state.best
         information = match.information[best]
         score = float(match.score[best])
@@ -146,14 +147,14 @@ class ReportBuilder:
         return Estimate(state.poses[best], covariance, drift, direction, lost, state.poses, state.log_weights)
 
     def _drift_covariance(
-        self, state: GridFastSlamState, increment: FloatArray, lost: bool, is_degenerate: bool
+        self, state: GridFastSlamState, increment: Pose, lost: bool, is_degenerate: bool
     ) -> FloatArray:
         """Where the match to the best particle's map is good, it does not matter what the tracker did not match."""
         unmatched = state.unmatched
         if not lost:
             unmatched = UnmatchedMotion(open_covariance=unmatched.open_covariance * is_degenerate)
         first = state.ancestry.steps == 2
-        return self.drift.covariance(increment, unmatched, float(state.key_pose[2]), first=first)
+        return self.drift.covariance(increment, unmatched, state.key_pose[2], first=first)
 
     def add_drift(self, state: GridFastSlamState, report: StepReport) -> StepReport:
         """Add the drift up to this key scan to the covariance of its report, after a loop closure has shortened it."""
@@ -163,7 +164,8 @@ class ReportBuilder:
     def _drift_at(self, pose: FloatArray, moments: FloatArray, first_pose: FloatArray) -> FloatArray:
         """Covariance (3, 3) of what a pose (3,) has drifted by since the first one, and of the error of the scale."""
         drift: FloatArray = propagate_covariances(pose[None], moments[None])[0]
-        return drift + self.drift.scale_covariances((pose - first_pose)[None, :2])[0]
+        drift += self.drift.scale_covariances((pose - first_pose)[None, :2])[0]
+        return drift
 
     @staticmethod
     def spread(state: GridFastSlamState) -> FloatArray:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gridslam import serialization
 from gridslam.errors import ArgumentError, ConsumedStateError
+from gridslam.geometry.single_pose import Pose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
@@ -36,9 +37,9 @@ class GridFastSlamState:
     ----------
     tracker : TrackerState
         The tracker's local maps and pose.
-    key_pose : (3,) float64
+    key_pose : Pose
         The tracker's pose at the last key scan.
-    sensor_key_poses : dict of str to (3,) float64
+    sensor_key_poses : dict of str to Pose
         The tracker's pose at the last key scan of each laser; replaced, never written to.
     poses : (N, 3) float64
         The particles at the last key scan, map frame.
@@ -69,8 +70,8 @@ class GridFastSlamState:
     scans_per_snapshot: ClassVar[int] = 512  # maps are copied where they are written, 0.5 % of the time of these scans
 
     tracker: TrackerState
-    key_pose: Annotated[FloatArray, 3]
-    sensor_key_poses: dict[str, Annotated[FloatArray, 3]]
+    key_pose: Pose
+    sensor_key_poses: dict[str, Pose]
     poses: Annotated[FloatArray, "N", 3]
     log_weights: Annotated[FloatArray, "N"]
     log_ancestry: Annotated[FloatArray, "N"]
@@ -134,8 +135,8 @@ class GridFastSlamState:
             self.closure_state.truncate(scans, key_scans)
         self.consumed = False
 
-    def move(self, poses: FloatArray, key_pose: FloatArray, sensor: str) -> None:
-        """Move the particles to `poses` (N, 3); `key_pose` (3,) is the tracker's, at a key scan of `sensor`."""
+    def move(self, poses: FloatArray, key_pose: Pose, sensor: str) -> None:
+        """Move the particles to `poses` (N, 3); `key_pose` is the tracker's, at a key scan of `sensor`."""
         self.poses = poses
         self.ancestry.extend(poses)
         self.key_pose = key_pose

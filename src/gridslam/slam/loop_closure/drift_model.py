@@ -10,6 +10,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import rotate_covariances
+from gridslam.geometry.single_pose import Pose
 from gridslam.tracking.state import UnmatchedMotion
 from gridslam.types import FloatArray
 
@@ -76,17 +77,17 @@ class DriftModel:
 
     def covariance(
         self,
-        increment: FloatArray,
+        increment: Pose,
         unmatched: UnmatchedMotion | None = None,
         heading: float = 0.0,
         *,
         first: bool = False,
     ) -> FloatArray:
-        """Covariance (3, 3) that is expected of an increment (3,), in the frame in which it ends.
+        """Covariance (3, 3) that is expected of an increment, in the frame in which it ends.
 
         `unmatched` is in a frame in which that one's heading is `heading`; `first`: it begins at the first scan.
         """
-        dx, dy, turned = increment.tolist()
+        dx, dy, turned = increment
         position, rotation = self.variances(math.hypot(dx, dy), abs(turned))
         expected = self.position_ratio**2 * position
         covariance = np.diag([expected, expected, rotation])
@@ -107,9 +108,9 @@ class DriftModel:
         covariances[:, :2, :2] = self.scale_sigma**2 * displacements[:, :, None] * displacements[:, None, :]
         return covariances
 
-    def bounds(self, increment: FloatArray, unmatched: UnmatchedMotion) -> tuple[float, float]:
-        """Variances (m^2, rad^2) of an increment (3,) for searches."""
-        dx, dy, turned = increment.tolist()
+    def bounds(self, increment: Pose, unmatched: UnmatchedMotion) -> tuple[float, float]:
+        """Variances (m^2, rad^2) of an increment for searches."""
+        dx, dy, turned = increment
         position, heading = self.variances(math.hypot(dx, dy), abs(turned))
         excess = self.rejected_match_sigmas**2
         return (

@@ -10,6 +10,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.single_pose import Pose, as_pose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.loop_closure.constraints import Constraint, key_scan_pairs
@@ -41,7 +42,7 @@ class FilterState(Protocol):
         ...
 
     @property
-    def key_pose(self) -> FloatArray:
+    def key_pose(self) -> Pose:
         """The tracker's pose (3,) at the last key scan."""
         ...
 
@@ -116,7 +117,7 @@ class LoopClosure:
         closure_state = LoopClosureState()
         closure_state.scans.append(beams, state.tracker.pose, is_key=True)
         closure_state.online_poses.append(state.best_pose)
-        closure_state.graph.extend(state.key_pose, state.best_pose, self.drift.variances(0.0, 0.0))
+        closure_state.graph.extend(np.array(state.key_pose), state.best_pose, self.drift.variances(0.0, 0.0))
         return closure_state
 
     def __call__(
@@ -176,13 +177,15 @@ class LoopClosure:
     def _add_key_scan(self, closure_state: LoopClosureState, state: FilterState) -> None:
         """Add the newest key scan, where it was tracked to."""
         graph = closure_state.graph
-        moved = between(graph.tracked[-1], state.key_pose)
+        key_pose = np.array(state.key_pose)
+        moved = between(graph.tracked[-1], key_pose)
+        increment = as_pose(moved)
         unmatched = state.unmatched
         graph.extend(
-            state.key_pose,
+            key_pose,
             compose(graph.poses[-1], moved),
-            self.drift.bounds(moved, unmatched),
-            self.drift.covariance(moved, unmatched, float(state.key_pose[2]), first=len(graph) == 1),
+            self.drift.bounds(increment, unmatched),
+            self.drift.covariance(increment, unmatched, state.key_pose[2], first=len(graph) == 1),
             state.drift_covariance,
         )
         closure_state.online_poses.append(state.best_pose)

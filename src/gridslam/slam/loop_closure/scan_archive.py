@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
+from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose
 from gridslam.serialization import NOT_SAVED
 from gridslam.tracking.state import is_within
 from gridslam.types import BeamEnds, FloatArray, IntArray, StoredScan
@@ -51,7 +52,7 @@ class ScanArchive:
     _ends: Annotated[list[Annotated[NDArray[np.int16], None, 2]], "E"] = field(default_factory=list)
     _steps_m: Annotated[list[float], "E"] = field(default_factory=list)
     _origins: Annotated[list[Annotated[FloatArray, 2]], "E"] = field(default_factory=list)
-    _last_stored_pose: Annotated[FloatArray, 3] = field(default_factory=lambda: np.full(3, np.nan))
+    _last_stored_pose: Pose = UNKNOWN_POSE
     _storage_interval: int = 1  # every n-th scan between key scans is stored
     _between_bytes: int = field(init=False, metadata=NOT_SAVED)
 
@@ -63,8 +64,8 @@ class ScanArchive:
             raise ArgumentError("stored", expected, f"{len(self._stored)} that are not")
         self._between_bytes = self._count_between_bytes()
 
-    def append(self, beams: BeamEnds, pose: FloatArray, *, is_key: bool) -> None:
-        """Append a scan from `pose` (3,) in a frame that drifts slowly."""
+    def append(self, beams: BeamEnds, pose: Pose, *, is_key: bool) -> None:
+        """Append a scan from `pose` in a frame that drifts slowly."""
         scan = self._count
         ends = beams.ends
         self._count += 1
@@ -142,7 +143,7 @@ class ScanArchive:
         """Forget all but the first scans, of which `key_scans` are key scans."""
         del self.keys[key_scans:]
         self._count = scans
-        self._last_stored_pose = np.full(3, np.nan)  # so the next scan is kept
+        self._last_stored_pose = UNKNOWN_POSE  # so the next scan is kept
         self._keep(range(bisect_left(self._stored, scans)))
 
     def snapshot(self) -> ScanArchive:
