@@ -16,6 +16,7 @@ from gridslam.arguments import freeze, require_array, require_instance
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se3 import from_planar
+from gridslam.kernels import backend
 
 __all__ = [
     "LONGEST_SCAN_S",
@@ -416,12 +417,13 @@ class LaserScan:
 
         Dense scans are thinned by `thinning`.
         """
-        hits = (self.status == _HIT) & (self.ranges >= min_m) & (self.ranges < max_m)
-        usable = hits.nonzero()[0]
-        taken = thinning(self.ranges.take(usable), self.geometry.widths.take(usable))
-        if taken is not None:
-            usable = usable[taken]
-        ends = self.geometry.directions.take(usable, axis=0)
-        ends *= self.ranges.take(usable)[:, None]
-        ends += self.geometry.origin
-        return Beams(self, usable, ends, self.geometry.origin)
+        geometry = self.geometry
+        usable, ends = backend.select_beams(
+            self.ranges, self.status, geometry.directions, geometry.origin, min_m, max_m
+        )
+        if len(usable) > thinning.dense_beams:
+            taken = thinning(self.ranges[usable], geometry.widths[usable])
+            if taken is not None:
+                usable = usable[taken]
+                ends = ends[taken]
+        return Beams(self, usable, ends, geometry.origin)

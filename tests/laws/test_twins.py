@@ -15,6 +15,7 @@ from gridslam.types import LaserScan, ScanGeometry
 compiled = pytest.importorskip("gridslam.kernels._compiled")
 
 KERNELS = (
+    "select_beams",
     "tiles_on_rays",
     "tiles_near_cells",
     "make_tiles_writable",
@@ -44,6 +45,21 @@ EVIDENCES = (
     Evidence(0.06, -0.05, -0.1, 0.13, 0.05),  # clamps are met within three scans
     Evidence(1.0, -1.0, -2.0, 2.0, 0.0),
 )
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_select_beams(seed):
+    rng = np.random.default_rng(seed)
+    beams = int(rng.integers(0, 200))
+    ranges = rng.choice([0.05, 30.0, np.nextafter(30.0, 0), np.nan, np.inf, -1.0, 0.0, 7.3], beams)
+    ranges = np.where(rng.random(beams) < 0.5, rng.uniform(0, 40, beams), ranges)
+    status = rng.integers(0, 3, beams).astype(np.uint8)
+    angles = rng.uniform(-3, 3, beams)
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    one, other = (k.select_beams(ranges, status, directions, ORIGIN, 0.05, 30.0) for k in (compiled, reference))
+    for a, b in zip(one, other, strict=True):
+        assert (a.dtype, a.shape) == (b.dtype, b.shape)
+        np.testing.assert_array_equal(a, b)
 
 
 def random_ends(rng, beams=60):

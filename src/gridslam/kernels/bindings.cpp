@@ -6,6 +6,7 @@
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/tuple.h>
 
+#include "beams.hpp"
 #include "correlate.hpp"
 #include "maps.hpp"
 
@@ -34,6 +35,13 @@ nb::ndarray<nb::numpy, int32_t> as_rows(const T* data, size_t n, size_t width) {
   return out;
 }
 
+template <class T>
+nb::ndarray<nb::numpy, T> copied(const std::vector<T>& values) {
+  auto out = fresh<T, 1>({values.size()});
+  std::copy(values.begin(), values.end(), out.data());
+  return out;
+}
+
 using Roots = Array<int32_t, 3>;
 using Pages = Array<int32_t, 3>;
 using LogOdds = Array<int16_t, 3>;
@@ -57,6 +65,18 @@ Maps view(const Roots& roots, nb::tuple first, const Pages& pages, const LogOdds
 #define GRIDSLAM_MAPS_ARGS                                                                                \
   nb::arg("roots").noconvert(), "first"_a, nb::arg("pages").noconvert(), nb::arg("log_odds").noconvert(), \
       nb::arg("field").noconvert()
+
+// Short enough to keep the GIL: a scan takes microseconds.
+auto py_select_beams(Vector ranges, Array<const uint8_t, 1> status, Matrix directions, Vector origin, double min_m,
+                     double max_m) {
+  std::vector<int64_t> indices;
+  std::vector<double> ends;
+  select_beams(ranges.data(), status.data(), static_cast<int>(ranges.shape(0)), directions.data(), origin.data(), min_m,
+               max_m, indices, ends);
+  auto points = fresh<double, 2>({indices.size(), 2});
+  std::copy(ends.begin(), ends.end(), points.data());
+  return std::make_tuple(copied(indices), points);
+}
 
 auto py_tiles_on_rays(Rows rows, Matrix poses, Matrix ends, Vector origin, double resolution, int threads) {
   TileList out;
@@ -198,6 +218,7 @@ auto py_correlate(Array<const uint8_t, 3> fine, Array<const uint8_t, 4> top, Mat
 
 NB_MODULE(_compiled, m) {
   using namespace gridslam;
+  m.def("select_beams", &py_select_beams, "ranges"_a, "status"_a, "directions"_a, "origin"_a, "min_m"_a, "max_m"_a);
   m.def("tiles_on_rays", &py_tiles_on_rays, "rows"_a, "poses"_a, "ends"_a, "origin"_a, "resolution"_a, "threads"_a);
   m.def("tiles_near_cells", &py_tiles_near_cells, "cells"_a, "reach"_a);
   m.def("make_tiles_writable", &py_make_tiles_writable, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(),

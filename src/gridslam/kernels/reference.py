@@ -51,6 +51,7 @@ __all__ = [
     "make_tiles_writable",
     "match",
     "max_pyramid",
+    "select_beams",
     "sum_at_ends",
     "tiles_near_cells",
     "tiles_on_rays",
@@ -66,6 +67,22 @@ _PIN = 1e6  # information, 1 / cell^2, that pins the guess along an undetermined
 _BASE = np.float32(6.0)  # cells between the ends that must lie on a line to be a wall
 _ASIDE = np.float32(0.6)  # cells by which they may miss it: more than a lidar scatters
 _BEYOND = 3.0  # the gradient leans 55 degrees from the normal of the wall: there its mapped part ends
+
+
+def select_beams(
+    ranges: FloatArray,
+    status: NDArray[np.uint8],
+    directions: FloatArray,
+    origin: FloatArray,
+    min_m: float,
+    max_m: float,
+) -> tuple[IntArray, FloatArray]:
+    """Indices (K,) of the beams of status 0 (HIT) and range in [`min_m`, `max_m`), and their ends (K, 2), base frame.
+
+    Of a scan of B beams: `ranges` (B,), `status` (B,), and `directions` (B, 2) in the base frame.
+    """
+    usable = ((status == 0) & (ranges >= min_m) & (ranges < max_m)).nonzero()[0]
+    return usable, directions[usable] * ranges[usable, None] + origin
 
 
 @final
