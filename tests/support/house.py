@@ -18,7 +18,7 @@ RANKS = {
     "geometry": 1,
     "scan": 2,
     "types": 3,
-    "kernels": 3,
+    "kernels": 1,
     "grid": 4,
     "particles": 4,
     "models": 5,
