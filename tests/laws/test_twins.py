@@ -27,8 +27,10 @@ KERNELS = (
     "max_pyramid",
     "correlate",
     "sum_at_ends",
+    "draw_scans",
+    "match_scans",
 )
-"""The last three in `test_branch_and_bound_laws.py` and `test_weighing_laws.py`."""
+"""The last five in `test_branch_and_bound_laws.py`, `test_weighing_laws.py` and `test_many_scans_laws.py`."""
 SEEDS = range(25)
 CELL = 0.05
 SINGLE = 4e-4

@@ -107,7 +107,7 @@ class TileArena:
         """
         self.take_back()
         if not self._readers:
-            self._reserve(len(self.page_refs) // _SPARE_RATIO, len(self.tile_refs) // _SPARE_RATIO)
+            self.reserve(len(self.page_refs) // _SPARE_RATIO, len(self.tile_refs) // _SPARE_RATIO)
         self.retain(roots)
         twin = object.__new__(TileArena)
         twin.pages, twin.log_odds, twin.field = self.pages, self.log_odds, self.field
@@ -118,7 +118,7 @@ class TileArena:
         self._readers += 1
         return twin
 
-    def _reserve(self, pages: int, tiles: int) -> None:
+    def reserve(self, pages: int, tiles: int) -> None:
         """Have this number of pages and tiles that nothing uses, in memory that grows in place."""
         new_pages, new_tiles = pages - len(self._free_pages), tiles - len(self._free_tiles)
         if new_pages > 0:

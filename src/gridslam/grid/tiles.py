@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gridslam.errors import ArgumentError
 from gridslam.grid.arena import TILE_BYTES, Int32Array, TileArena, renumber
 from gridslam.grid.cells import LOG_ODDS_UNIT, Evidence, cell_corner, cells_of
+from gridslam.grid.scan_batch import NOT_WEIGHED, ScanBatch, Weighing
 from gridslam.kernels import FARTHEST, PAGE, TILE, UNKNOWN, backend
 from gridslam.kernels.reference_update import cell_addresses
 from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid, Rows
@@ -25,6 +26,12 @@ MOST_BEAM_CELLS = 21_000
 
 MOST_TILES = 500_000
 """Tiles of all maps together where nothing else is asked for: 1.5 GB."""
+
+_SPARE_PAGES = 8
+_SPARE_TILES = 64
+"""Free ones that are made at a time where scans are drawn. A page is 1 KB, a tile 3."""
+_MOST_SPARE = 8 * _SPARE_TILES
+"""Of tiles for one scan; one that might take more, of a beam of 400 m, is drawn alone."""
 
 _PAGE_CELLS = PAGE * TILE
 _MOST_ENTRIES = 2**24  # of the tables of all maps together: 67 MB
@@ -247,6 +254,48 @@ class TileMaps:
         if len(changed):
             self._make_writable(backend.tiles_near_cells(changed, int(self.reach_cells)))
             backend.update_field(*self._view, changed, self._cone, self.threads)
+
+    def draw(
+        self, poses: FloatArray, batch: ScanBatch, first: int, last: int, weighing: Weighing = NOT_WEIGHED
+    ) -> None:
+        """Insert scans `first` to `last` - 1 of a batch, at poses (K, 3), into the one map, as `update` does.
+
+        Scans of the batch are weighed between two of them, each when those that count are drawn (see `Weighing`).
+        """
+        arena = self._arena
+        if arena.is_frozen:
+            raise ArgumentError("maps", "maps that may change", "frozen ones")
+        if first == last:
+            return
+        arena.take_back()
+        self._cover(poses[first:last], batch)
+        spare = 0
+        while True:
+            pages, tiles, done = backend.draw_scans(
+                *self._view,
+                *(arena.page_refs, arena.tile_refs, *arena.free_ids, poses, *batch, first, last, self.resolution_m),
+                *(self.evidence.steps, self._cone, self.most_tiles - self.tiles_used),
+                *(weighing.after, weighing.weights, self.reach_cells, weighing.scale_m),
+            )
+            arena.allocate(pages, tiles)
+            first += done
+            if first == last:
+                return
+            spare = 0 if done else spare
+            if spare > _MOST_SPARE:  # for a single scan; or it takes more than there may be
+                self.update(np.zeros(1, np.int32), poses[first : first + 1], batch.scan(first))
+                first += 1
+            spare += max(_SPARE_TILES, len(arena.tile_refs) // 16)
+            arena.reserve(_SPARE_PAGES, spare)
+
+    def match_scans(
+        self, guesses: FloatArray, prior: FloatArray, batch: ScanBatch, *settings: float | bool
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Match each scan of a batch to the one map from its guess (K, 3), with prior information (3, 3)."""
+        found: tuple[FloatArray, FloatArray, FloatArray] = backend.match_scans(
+            *self._view, guesses, prior, *batch, self.resolution_m, *settings, self.threads
+        )
+        return found
 
     def limit(self, log_odds: float) -> None:
         """Limit the log-odds of all known cells of all maps to `log_odds` nats, so that less evidence can change them.
@@ -473,7 +522,7 @@ class TileMaps:
             tiles_to_write = tiles_to_write[done:]
             arena.grow()
 
-    def _cover(self, poses: FloatArray, beams: BeamEnds) -> None:
+    def _cover(self, poses: FloatArray, beams: BeamEnds | ScanBatch) -> None:
         """Lay out the tables so that every cell that the scan can write lies inside; ArgumentError where none can."""
         reach_m = beams.reach_m
         if not reach_m <= MOST_BEAM_CELLS * self.resolution_m:

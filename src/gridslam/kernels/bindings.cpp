@@ -9,6 +9,7 @@
 #include "beams.hpp"
 #include "correlate.hpp"
 #include "maps.hpp"
+#include "several_scans.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -183,6 +184,51 @@ auto py_sum_at_ends(Array<const uint32_t, 2> patches, Vector corner, double reso
   return out;
 }
 
+using Starts = Array<const int64_t, 1>;
+
+Scans scans_of(const Matrix& poses, const Matrix& ends, const Starts& starts, const Matrix& origins) {
+  return {poses.data(), ends.data(), starts.data(), origins.data(), static_cast<int>(poses.shape(0))};
+}
+
+auto py_draw_scans(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1> tile_refs, Rows free_pages,
+                   Rows free_tiles, Matrix poses, Matrix ends, Starts starts, Matrix origins, int begin, int end,
+                   double resolution, std::array<int, 5> steps, Array<const uint8_t, 2> cone, int64_t room,
+                   Starts weighed_after, Array<float, 1> weights, double reach_cells, double scale_m) {
+  const Maps m = view(roots, first, pages, log_odds, field);
+  const FreeTiles spare{page_refs.data(),  tile_refs.data(),
+                        free_pages.data(), static_cast<int64_t>(free_pages.shape(0)),
+                        free_tiles.data(), static_cast<int64_t>(free_tiles.shape(0))};
+  const Weighing weighing{weighed_after.data(), static_cast<int>(weighed_after.shape(0)), reach_cells, scale_m,
+                          weights.data()};
+  Drawn drawn;
+  {
+    nb::gil_scoped_release release;
+    drawn = draw_scans(m, spare, scans_of(poses, ends, starts, origins), begin, end, resolution,
+                       {steps[0], steps[1], steps[2], steps[3], steps[4]}, cone.data(),
+                       static_cast<int>(cone.shape(0) / 2), room, weighing);
+  }
+  return std::make_tuple(drawn.pages, drawn.tiles, drawn.scans);
+}
+
+auto py_match_scans(GRIDSLAM_MAPS, Matrix guesses, Matrix prior, Matrix ends, Starts starts, Matrix origins,
+                    double resolution, int max_iterations, double cauchy_cells, double max_step_cells,
+                    double max_step_rad, double stop_cells, double stop_rad, double reach_cells, double min_information,
+                    bool point_to_line, int min_beams, int threads) {
+  const Maps m = view(roots, first, pages, log_odds, field);
+  const size_t k = guesses.shape(0);
+  auto poses = fresh<double, 2>({k, 3});
+  auto information = fresh<double, 3>({k, 3, 3});
+  auto score = fresh<double, 1>({k});
+  {
+    nb::gil_scoped_release release;
+    match_scans(m, scans_of(guesses, ends, starts, origins), prior.data(), resolution,
+                {max_iterations, cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells,
+                 min_information, point_to_line},
+                min_beams, threads, poses.data(), information.data(), score.data());
+  }
+  return std::make_tuple(poses, information, score);
+}
+
 auto py_max_pyramid(Array<const uint8_t, 2> likelihood, int levels) {
   const size_t rows = likelihood.shape(0), cols = likelihood.shape(1), side = size_t{1} << levels;
   auto fine = fresh<uint8_t, 3>({static_cast<size_t>(levels), rows + 2 * side, cols + 2 * side});
@@ -234,6 +280,13 @@ NB_MODULE(_compiled, m) {
   m.def("cast_rays", &py_cast_rays, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "origin"_a, "directions"_a, "resolution"_a,
         "max_m"_a, "threads"_a);
   m.def("sum_at_ends", &py_sum_at_ends, "patches"_a, "corner"_a, "resolution"_a, "poses"_a, "ends"_a, "threads"_a);
+  m.def("draw_scans", &py_draw_scans, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(),
+        nb::arg("tile_refs").noconvert(), "free_pages"_a, "free_tiles"_a, "poses"_a, "ends"_a, "starts"_a, "origins"_a,
+        "begin"_a, "end"_a, "resolution"_a, "steps"_a, "cone"_a, "room"_a, "weighed_after"_a,
+        nb::arg("weights").noconvert(), "reach_cells"_a, "scale_m"_a);
+  m.def("match_scans", &py_match_scans, GRIDSLAM_MAPS_ARGS, "guesses"_a, "prior"_a, "ends"_a, "starts"_a, "origins"_a,
+        "resolution"_a, "max_iterations"_a, "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a,
+        "stop_rad"_a, "reach_cells"_a, "min_information"_a, "point_to_line"_a, "min_beams"_a, "threads"_a);
   m.def("max_pyramid", &py_max_pyramid, "likelihood"_a, "levels"_a);
   m.def("correlate", &py_correlate, "fine"_a, "top"_a, "ends"_a, "headings"_a, "window"_a, "centre"_a, "information"_a,
         "distance"_a, "count"_a, "min_sum"_a, "min_runner_up_ratio"_a, "min_distance_cells"_a, "min_distance_rad"_a);

@@ -22,11 +22,13 @@ of the map of each pose, each map at most once where the kernel writes. `threads
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.kernels import reference_scans
 from gridslam.kernels.reference_update import (
     FARTHEST,
     OCCUPIED,
@@ -48,8 +50,10 @@ __all__ = [
     "cast_rays",
     "correlate",
     "distances",
+    "draw_scans",
     "make_tiles_writable",
     "match",
+    "match_scans",
     "max_pyramid",
     "select_beams",
     "sum_at_ends",
@@ -517,3 +521,7 @@ def _within(
     away[..., 2] = heading - centre[2]
     inside: NDArray[np.bool_] = np.einsum("yxi,ij,yxj->yx", away, information, away) <= distance * distance
     return inside
+
+
+draw_scans = partial(reference_scans.draw_scans, distances)
+match_scans = partial(reference_scans.match_scans, match)

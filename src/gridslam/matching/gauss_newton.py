@@ -12,6 +12,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import transform_points
 from gridslam.grid.arena import Int32Array
+from gridslam.grid.scan_batch import ScanBatch
 from gridslam.grid.tiles import TileMaps
 from gridslam.types import BeamEnds, FloatArray, Match
 
@@ -80,14 +81,19 @@ class GaussNewton:
         self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: BeamEnds
     ) -> Match:
         """Match the scan to maps `rows` (K,) from `guesses` (K, 3) with prior information (K, 3, 3)."""
-        cell = maps.resolution_m
         passes = self.max_iterations if len(beams) >= self.min_beams else 0
-        found = maps.match(
-            rows,
-            guesses,
-            priors,
-            beams.ends,
-            passes,
+        return Match(*maps.match(rows, guesses, priors, beams.ends, passes, *self._settings(maps)))
+
+    def match_scans(self, maps: TileMaps, guesses: FloatArray, prior: FloatArray, batch: ScanBatch) -> Match:
+        """Match each scan of a batch to the one map from its guess, (K, 3), with prior information (3, 3)."""
+        return Match(
+            *maps.match_scans(guesses, prior, batch, self.max_iterations, *self._settings(maps), self.min_beams)
+        )
+
+    def _settings(self, maps: TileMaps) -> tuple[float | bool, ...]:
+        """What the kernels take, in cells of the maps."""
+        cell = maps.resolution_m
+        return (
             self.cauchy_m / cell,
             self.max_step_m / cell,
             self.max_step_rad,
@@ -97,7 +103,6 @@ class GaussNewton:
             self.min_information,
             self.point_to_line,
         )
-        return Match(*found)
 
 
 EVALUATE_ONLY = GaussNewton(max_iterations=0)

@@ -135,7 +135,7 @@ class SkipReason(Enum):
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
-    """Result of matching one scan from K guesses.
+    """Result of matching one scan from K guesses, or each of K scans from its own.
 
     Attributes
     ----------
@@ -151,6 +151,10 @@ class Match:
     poses: FloatArray
     information: FloatArray
     score: FloatArray
+
+    def only(self, k: int) -> Match:
+        """Match k alone."""
+        return Match(*(found[k : k + 1] for found in (self.poses, self.information, self.score)))
 
 
 @final

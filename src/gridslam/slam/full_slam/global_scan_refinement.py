@@ -22,11 +22,13 @@ from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
-from gridslam.slam.loop_closure.submaps import ROW
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import CauchyEstimator
 from gridslam.types import FloatArray
+
+_SCANS_AT_A_TIME = 1024
+"""Matched in one call."""
 
 __all__ = ["Candidate", "CandidateSelection", "GlobalScanRefinement", "RefinementResult"]
 
@@ -351,23 +353,26 @@ class _Refinement:
 
         The archive may begin with the key scans of a given map, which no drive has.
         """
-        given = len(self.closure_state.scans) - len(poses)
+        archive = self.closure_state.scans
+        given = len(archive) - len(poses)
         parameters = self.parameters
         matched = poses.copy()
-        last = first
-        prior = parameters.scan_prior_information * np.eye(3)[None]
-        for scan in range(first, len(poses)):
-            beams = self.closure_state.scans[given + scan]
-            if len(beams) < parameters.matcher.min_beams:
-                matched[scan] = compose(matched[last], between(poses[last], poses[scan]))
-                continue
-            last = scan
-            if scan % 256 == 0:
-                self.on_progress()
-            match = parameters.matcher(maps, ROW, poses[scan : scan + 1], prior, beams)
-            is_inlier = match.score[0] >= parameters.scan_inlier_ratio * len(beams)
-            if is_inlier and _max_distance_m(match.poses, poses[scan : scan + 1]) <= parameters.scan_max_correction_m:
-                matched[scan] = match.poses[0]
+        beams = np.zeros(len(poses), np.int64)
+        prior = parameters.scan_prior_information * np.eye(3)
+        for begin in range(first, len(poses), _SCANS_AT_A_TIME):
+            self.on_progress()
+            own = slice(begin, min(begin + _SCANS_AT_A_TIME, len(poses)))
+            batch = archive.batch(range(given + begin, given + own.stop))
+            beams[own] = np.diff(batch.starts)
+            found = parameters.matcher.match_scans(maps, poses[own], prior, batch)
+            is_inlier = found.score >= parameters.scan_inlier_ratio * beams[own]
+            is_inlier &= np.hypot(*(found.poses - poses[own])[:, :2].T) <= parameters.scan_max_correction_m
+            matched[own][is_inlier] = found.poses[is_inlier]
+        is_bare = beams < max(parameters.matcher.min_beams, 1)
+        is_bare[:first] = False
+        bare = np.flatnonzero(is_bare)
+        last = np.maximum.accumulate(np.where(is_bare, first, np.arange(len(poses))))[bare]
+        matched[bare] = compose(matched[last], between(poses[last], poses[bare]))
         return matched
 
 

@@ -16,7 +16,7 @@ from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, anchor_of, submap_of
 from gridslam.slam.loop_closure.state import LoopClosureState
-from gridslam.slam.loop_closure.submaps import ROW, build_map, key_scans_of
+from gridslam.slam.loop_closure.submaps import build_map, key_scans_of
 from gridslam.types import FloatArray
 
 __all__ = ["VISIT_GAP", "KeyScanMatching"]
@@ -72,7 +72,7 @@ class KeyScanMatching:
     ) -> Iterator[Constraint]:
         """Match key scans to the submaps about them."""
         wanted = self._nearby_key_scans(closure_state, poses)
-        loose = np.full((1, 3, 3), 1e-6) * np.eye(3)
+        loose = 1e-6 * np.eye(3)
         for submap, members in enumerate(wanted):
             if not members:
                 continue
@@ -80,24 +80,24 @@ class KeyScanMatching:
             anchor = anchor_of(submap)
             keys = key_scans_of(submap, closure_state.graph)
             maps = build_map(mapper, closure_state.scans, keys, between(poses[anchor], poses[keys]))
+            batch = closure_state.scans.batch([closure_state.scans.keys[key] for key in members])
+            guesses = between(poses[anchor], poses[members])
+            matches = self.matcher.match_scans(maps, guesses, loose, batch)
+            moved = between(guesses, matches.poses)
+            beams = np.diff(batch.starts)
+            is_match = beams >= self.matcher.min_beams
+            is_match &= matches.score >= np.maximum(self.inlier_ratio * beams, 1.0)
+            is_match &= np.hypot(moved[:, 0], moved[:, 1]) <= self.max_correction_m
             visit: list[Constraint] = []
-            for key in members:
-                beams = closure_state.scans.key(key)
-                if len(beams) < self.matcher.min_beams:
-                    continue
-                guess = between(poses[anchor], poses[key])
-                match = self.matcher(maps, ROW, guess[None], loose, beams)
-                moved = between(guess, match.poses[0])
-                score = float(match.score[0])
-                too_far = np.hypot(moved[0], moved[1]) > self.max_correction_m
-                if score < max(self.inlier_ratio * len(beams), 1.0) or too_far:
-                    continue
+            for k in np.flatnonzero(is_match).tolist():
+                key = members[k]
                 if visit and key > visit[-1].to + VISIT_GAP:
                     yield from _divide_information(visit)
                     visit = []
                 visit.append(
                     Constraint.from_match(
-                        anchor, key, guess, match, self.beam_sigma_m, self.min_information, ConstraintSource.PROXIMITY
+                        *(anchor, key, guesses[k], matches.only(k), self.beam_sigma_m, self.min_information),
+                        ConstraintSource.PROXIMITY,
                     )
                 )
             yield from _divide_information(visit)

@@ -12,13 +12,14 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, rotate_covariances
+from gridslam.grid.scan_batch import Weighing
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import weigh_known_beams
 from gridslam.slam.loop_closure.drift_model import compute_moments, diagonal_covariances, propagate_covariances
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
-from gridslam.slam.loop_closure.submaps import ROW, insert_key_scans
+from gridslam.slam.loop_closure.submaps import ROW, batches, fade
 from gridslam.types import FloatArray
 
 __all__ = ["TrajectoryScore", "TrajectoryScorer", "path_lengths"]
@@ -100,19 +101,21 @@ class TrajectoryScorer:
         tracked = np.array(graph.tracked)
         way = path_lengths(tracked)
         maps = mapper.empty(1)
-        inserted = 0
+        after = np.searchsorted(way, way - self.same_visit_distance)  # key scans that each is compared with
         agreeing = 0.0
         beams = 0
-        for key, (pose, passed) in enumerate(zip(poses, way.tolist(), strict=True)):
-            while way[inserted] < passed - self.same_visit_distance:
-                insert_key_scans(maps, scans, (inserted,), poses[inserted][None], graph)
-                inserted += 1
-            if inserted:
-                share, count = self._agreement(maps, pose, scans.key(key).ends)
-                agreeing, beams = agreeing + share, beams + count
-            if key % 256 == 0:
-                on_progress()
-        insert_key_scans(maps, scans, range(inserted, len(poses)), poses[inserted:], graph)
+        for first, last in batches(graph, range(len(poses))):
+            if graph.begins_drive(first):
+                fade(maps)
+            seen = int(np.searchsorted(after, last, side="right"))  # key scans that are compared by then
+            keys = range(first, max(last, seen))
+            batch = scans.batch([scans.keys[key] for key in keys])
+            weighing = Weighing.of(batch, after[first : keys.stop] - first, self.scale_m)
+            maps.draw(poses[first : keys.stop], batch, 0, last - first, weighing)
+            known = weighing.weights[weighing.weights >= 0]
+            agreeing += float(known.sum(dtype=np.float64))
+            beams += len(known)
+            on_progress()
         motion = self._motion(tracked, np.array(graph.variances), poses)
         likelihood = self._log_likelihood(agreeing, beams) + motion
         return TrajectoryScore(likelihood, beams, agreeing / beams if beams else float("nan"), motion), maps

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose
+from gridslam.grid.scan_batch import ScanBatch
 from gridslam.serialization import NOT_SAVED
 from gridslam.tracking.state import is_within
 from gridslam.types import BeamEnds, FloatArray, IntArray, StoredScan
@@ -105,6 +106,10 @@ class ScanArchive:
     def key(self, key: int) -> StoredScan:
         """Key scan number `key`, from 0."""
         return self[self.keys[key]]
+
+    def batch(self, scans: Sequence[int]) -> ScanBatch:
+        """Scans by number, side by side."""
+        return ScanBatch.of([self[scan] for scan in scans])
 
     @property
     def nbytes(self) -> int:

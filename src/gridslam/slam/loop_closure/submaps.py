@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterator
 from functools import cached_property
+from itertools import pairwise
 from typing import final
 
 import numpy as np
@@ -18,7 +19,16 @@ from gridslam.slam.loop_closure.key_graph import KeyGraph, anchor_of, first_key_
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["ROW", "JointMap", "SubmapCache", "build_joint_map", "build_map", "insert_key_scans", "key_scans_of"]
+__all__ = [
+    "ROW",
+    "JointMap",
+    "SubmapCache",
+    "build_joint_map",
+    "build_map",
+    "fade",
+    "insert_key_scans",
+    "key_scans_of",
+]
 
 ROW: Int32Array = np.array([0], np.int32)
 """The one row of a submap."""
@@ -32,6 +42,9 @@ _CERTAIN = math.log((1 - _CHANGED) / _CHANGED)
 _LEAST_ABOVE = 0.4
 """Nats by which an obstacle stays above the threshold, whatever that is: one beam through it."""
 
+_SCANS_AT_A_TIME = 128
+"""Drawn in one call: as many are in memory as plain numbers."""
+
 _FEW = 12
 """Up to this many submaps every second key scan is inserted into the joint map, above it every fourth."""
 
@@ -44,11 +57,11 @@ def key_scans_of(submap: int, graph: KeyGraph) -> IntArray:
 def insert_key_scans(
     maps: TileMaps,
     scans: ScanArchive,
-    keys: Iterable[int],
-    poses: Iterable[FloatArray],
-    graph: KeyGraph | None = None,
+    keys: range,
+    poses: FloatArray,
+    graph: KeyGraph,
 ) -> None:
-    """Draw key scans into the one map of `maps`, each at its pose (3,); with a graph drive by drive.
+    """Draw key scans at poses (K, 3) into the one map of `maps`, drive by drive.
 
     What earlier drives have drawn is no longer certain when the next one begins: a cell may have changed in between,
     with probability p. A binary Markov chain leaves at most log((1 - p) / p) of its log-odds then, 2.9 nats: what has
@@ -60,16 +73,33 @@ def insert_key_scans(
     Meyer-Delius, Beinhofer, Burgard, Occupancy grid models for robot mapping in changing environments (2012); Yguel,
     Aycard, Laugier, Update policy of dense maps (2008), of the limit.
     """
-    for key, pose in zip(keys, poses, strict=True):
-        if graph is not None and graph.begins_drive(key):
-            maps.limit(max(_CERTAIN, maps.evidence.occupied_above * LOG_ODDS_UNIT + _LEAST_ABOVE))
-        maps.update(ROW, pose[None], scans.key(key))
+    drawn = 0
+    for first, last in batches(graph, keys):
+        if graph.begins_drive(first):
+            fade(maps)
+        batch = scans.batch([scans.keys[key] for key in range(first, last)])
+        maps.draw(poses[drawn : drawn + last - first], batch, 0, last - first)
+        drawn += last - first
+
+
+def batches(graph: KeyGraph, keys: range) -> Iterator[tuple[int, int]]:
+    """First and last + 1 of the key scans that are drawn in one call, each of one drive."""
+    begins = [key for key in keys if graph.begins_drive(key)]
+    return pairwise(sorted({*keys[::_SCANS_AT_A_TIME], *begins, keys.stop}))
+
+
+def fade(maps: TileMaps) -> None:
+    """Let what is drawn be no more certain than it is when the next drive begins; see `insert_key_scans`."""
+    maps.limit(max(_CERTAIN, maps.evidence.occupied_above * LOG_ODDS_UNIT + _LEAST_ABOVE))
 
 
 def build_map(mapper: OccupancyGridMapping, scans: ScanArchive, keys: IntArray, poses: FloatArray) -> TileMaps:
     """Build a map of key scans `keys` (K,) at poses (K, 3)."""
     maps = mapper.empty(1)
-    insert_key_scans(maps, scans, keys.tolist(), poses)
+    for first in range(0, len(keys), _SCANS_AT_A_TIME):
+        some = slice(first, first + _SCANS_AT_A_TIME)
+        batch = scans.batch([scans.keys[key] for key in keys[some].tolist()])
+        maps.draw(poses[some], batch, 0, batch.size)
     return maps
 
 
