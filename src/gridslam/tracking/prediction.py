@@ -77,7 +77,7 @@ class Prediction(NamedTuple):
             return np.asarray(self.beam_sigma_m**2 * np.linalg.inv(self.covariance)[None], np.float64)
         position = (self.beam_sigma_m / self.sigma_m) ** 2
         heading = (self.beam_sigma_m / self.sigma_rad) ** 2
-        return np.diag([position, position, heading])[None]
+        return np.array([[[position, 0.0, 0.0], [0.0, position, 0.0], [0.0, 0.0, heading]]])
 
 
 @final

@@ -257,15 +257,8 @@ class Tracker:
             gain = score - _score(state, stayed, beams)
             pose = pose if gain > self.slip_inlier_gain * len(beams) else stayed
         determined = pose is not stayed and self._is_determined(match)
-        return PoseEstimate(
-            pose,
-            predicted,
-            matched=True,
-            lost=False,
-            inlier_ratio=score / len(beams),
-            determined=determined,
-            open_direction=degenerate_direction(match.information[0], score, matcher.min_information),
-        )
+        direction = degenerate_direction(match.information[0], score, matcher.min_information)
+        return PoseEstimate(pose, predicted, True, False, score / len(beams), determined, direction)
 
     def _match_from_velocity(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a prediction by the velocity; where few beams agree, search all around it."""

@@ -67,14 +67,16 @@ def _rows(maps: TileMaps) -> Int32Array:
     return np.arange(len(maps), dtype=np.int32)
 
 
-def _information(motion: MotionSampler, poses: FloatArray) -> FloatArray:
-    """Inverse covariances (N, 3, 3) of the motion from poses (N, 3), world frame.
+_LEAST_COVARIANCE = np.diag([1e-8, 1e-8, 1e-10])
+"""Added to that of a motion, so that one without noise along some direction stays invertible."""
+
+
+def _information(covariance: FloatArray, poses: FloatArray) -> FloatArray:
+    """Inverse covariances (N, 3, 3) of the motion from poses (N, 3), world frame, of which the first has `covariance`.
 
     Motion models speak of increments in the robot's frame: each is the first one's, turned by the headings' difference.
-    A motion without noise along some direction stays invertible.
     """
-    floor = np.diag([1e-8, 1e-8, 1e-10])
-    first: FloatArray = np.asarray(np.linalg.inv(motion.moments(poses[:1])[1][0] + floor), np.float64)
+    first: FloatArray = np.asarray(np.linalg.inv(covariance + _LEAST_COVARIANCE), np.float64)
     return rotate_covariances(first, poses[:, 2] - poses[0, 2])
 
 
@@ -145,12 +147,14 @@ class ScanMatchedProposal:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows = _rows(maps)
         drawn = motion(poses, rng)
-        matcher = self.matcher if self._moved(motion, poses) else EVALUATE_ONLY
-        match = matcher(maps, rows, drawn, self.beam_sigma_m**2 * _information(motion, poses), beams)
+        means, covariances = motion.moments(poses[:1])
+        matcher = self.matcher if self._has_moved(poses[0], means[0]) else EVALUATE_ONLY
+        prior = self.beam_sigma_m**2 * _information(covariances[0], poses)
+        match = matcher(maps, rows, drawn, prior, beams)
         return ProposedPoses(match.poses, weigh(maps, rows, match.poses), match)
 
-    def _moved(self, motion: MotionSampler, poses: FloatArray) -> bool:
-        dx, dy, turn = (motion.moments(poses[:1])[0][0] - poses[0]).tolist()
+    def _has_moved(self, pose: FloatArray, mean: FloatArray) -> bool:
+        dx, dy, turn = (mean - pose).tolist()
         return math.hypot(dx, dy) > self.standstill_m or abs(math.remainder(turn, math.tau)) > self.standstill_rad
 
 
@@ -190,8 +194,8 @@ class ImprovedProposal:
     ) -> ProposedPoses:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows = _rows(maps)
-        means = motion.moments(poses)[0]
-        prior = _information(motion, poses)
+        means, covariances = motion.moments(poses)
+        prior = _information(covariances[0], poses)
         match = self.matcher(maps, rows, means, self.beam_sigma_m**2 * prior, beams)
         information = match.information / self.beam_sigma_m**2 + prior
         factor = np.linalg.cholesky(information)

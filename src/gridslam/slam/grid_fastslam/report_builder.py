@@ -158,8 +158,13 @@ class ReportBuilder:
 
     def add_drift(self, state: GridFastSlamState, report: StepReport) -> StepReport:
         """Add the drift up to this key scan to the covariance of its report, after a loop closure has shortened it."""
-        drift = self._drift_at(report.pose, state.drift, state.ancestry.first_pose)
-        return replace(report, computed_covariance=report.covariance + drift)
+
+        def covariance(
+            drift: FloatArray = state.drift, first_pose: FloatArray = state.ancestry.first_pose
+        ) -> FloatArray:
+            return report.covariance + self._drift_at(report.pose, drift, first_pose)
+
+        return replace(report, computed_covariance=covariance)
 
     def _drift_at(self, pose: FloatArray, moments: FloatArray, first_pose: FloatArray) -> FloatArray:
         """Covariance (3, 3) of what a pose (3,) has drifted by since the first one, and of the error of the scale."""

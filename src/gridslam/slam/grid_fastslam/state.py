@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from gridslam import serialization
 from gridslam.errors import ArgumentError, ConsumedStateError
-from gridslam.geometry.single_pose import Pose
+from gridslam.geometry.single_pose import Pose, as_pose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
 from gridslam.serialization import NOT_SAVED
-from gridslam.slam.loop_closure.drift_model import compute_moments
+from gridslam.slam.loop_closure.drift_model import compute_step_moments
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.tracking.state import UnmatchedMotion
 from gridslam.tracking.tracker import TrackerState
@@ -148,7 +148,7 @@ class GridFastSlamState:
     def extend_drift(self, covariance: FloatArray) -> None:
         """Let the drift grow by a covariance (3, 3) in the frame of the best pose."""
         self.drift_covariance = covariance
-        self.drift = self.drift + compute_moments(self.best_pose[None], covariance[None])[0]
+        self.drift = self.drift + compute_step_moments(as_pose(self.best_pose), covariance)
 
     def resample(self, parents: IntArray) -> None:
         """Let particle i continue particle parents[i], all with equal weights."""

@@ -14,7 +14,7 @@ from gridslam.geometry.single_pose import Pose
 from gridslam.tracking.state import UnmatchedMotion
 from gridslam.types import FloatArray
 
-__all__ = ["DriftModel", "compute_moments", "diagonal_covariances", "propagate_covariances"]
+__all__ = ["DriftModel", "compute_moments", "compute_step_moments", "diagonal_covariances", "propagate_covariances"]
 
 
 @final
@@ -89,18 +89,23 @@ class DriftModel:
         """
         dx, dy, turned = increment
         position, rotation = self.variances(math.hypot(dx, dy), abs(turned))
-        expected = self.position_ratio**2 * position
-        covariance = np.diag([expected, expected, rotation])
+        xx = yy = self.position_ratio**2 * position
+        xy = 0.0
         if unmatched is not None:
-            if unmatched.open_covariance.any():
-                covariance[2, 2] *= self.open_heading_ratio**2
             excess = self.rejected_match_sigmas**2
-            covariance += excess * np.diag([unmatched.position_m2, unmatched.position_m2, unmatched.heading_rad2])
-            left_open = np.zeros((3, 3))
-            left_open[:2, :2] = unmatched.open_covariance
-            covariance += rotate_covariances(left_open, -heading)
-        covariance[2, 2] += first * self.first_sigma_rad**2
-        return covariance
+            (oxx, oxy), (_, oyy) = unmatched.open_covariance.tolist()
+            if oxx or oyy:
+                rotation *= self.open_heading_ratio**2
+                c = math.cos(heading)
+                s = math.sin(heading)
+                xx += c * c * oxx + 2 * c * s * oxy + s * s * oyy
+                xy += c * s * (oyy - oxx) + (c * c - s * s) * oxy
+                yy += s * s * oxx - 2 * c * s * oxy + c * c * oyy
+            xx += excess * unmatched.position_m2
+            yy += excess * unmatched.position_m2
+            rotation += excess * unmatched.heading_rad2
+        rotation += first * self.first_sigma_rad**2
+        return np.array([[xx, xy, 0.0], [xy, yy, 0.0], [0.0, 0.0, rotation]])
 
     def scale_covariances(self, displacements: FloatArray) -> FloatArray:
         """Covariances (N, 3, 3) by the error of the scale, of poses displaced by (N, 2) m from the first one."""
@@ -137,6 +142,27 @@ def compute_moments(poses: FloatArray, covariances: FloatArray) -> FloatArray:
     q = in_map[:, 2, 2]
     position = in_map[:, 0, 0], in_map[:, 0, 1], in_map[:, 1, 1]
     return np.stack([*position, q, q * x, q * y, q * x * x, q * x * y, q * y * y], axis=1)
+
+
+def compute_step_moments(pose: Pose, covariance: FloatArray) -> FloatArray:
+    """Moments (9,) of one step to `pose`: what `compute_moments` gives for many."""
+    x, y, theta = pose
+    (xx, xy, _), (_, yy, _), (_, _, q) = covariance.tolist()
+    c = math.cos(theta)
+    s = math.sin(theta)
+    return np.array(
+        [
+            c * c * xx - 2 * c * s * xy + s * s * yy,
+            c * s * (xx - yy) + (c * c - s * s) * xy,
+            s * s * xx + 2 * c * s * xy + c * c * yy,
+            q,
+            q * x,
+            q * y,
+            q * x * x,
+            q * x * y,
+            q * y * y,
+        ]
+    )
 
 
 def propagate_covariances(poses: FloatArray, moments: FloatArray) -> FloatArray:
