@@ -59,7 +59,8 @@ Maps view(const Roots& roots, nb::tuple first, const Pages& pages, const LogOdds
               nb::cast<int>(first[1]),
               pages.data(),
               log_odds.data(),
-              field.data()};
+              field.data(),
+              static_cast<int64_t>(field.shape(0))};
 }
 
 #define GRIDSLAM_MAPS Roots roots, nb::tuple first, Pages pages, LogOdds log_odds, Field field

@@ -4,26 +4,7 @@
 
 namespace gridslam {
 
-// Values of the field at the centres of four neighbouring cells, for a block of points at once.
 constexpr int kLanes = 8;
-struct Corners {
-  float f00[kLanes], f01[kLanes], f10[kLanes], f11[kLanes];  // at (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)
-};
-
-GRIDSLAM_INLINE void gather(const Maps& m, const int32_t* root, const int* x, const int* y, Corners& out) {
-  for (int l = 0; l < kLanes; ++l) {
-    const int ix = x[l] & kTileMask, iy = y[l] & kTileMask;
-    if (ix < kTileMask && iy < kTileMask) {
-      const uint8_t* p = m.field +
-                         static_cast<int64_t>(m.tile(root, y[l] >> kTileBits, x[l] >> kTileBits)) * kTileCells +
-                         (iy << kTileBits) + ix;
-      out.f00[l] = p[0], out.f01[l] = p[1], out.f10[l] = p[kTile], out.f11[l] = p[kTile + 1];
-    } else {
-      out.f00[l] = m.field_at(root, y[l], x[l]), out.f01[l] = m.field_at(root, y[l], x[l] + 1);
-      out.f10[l] = m.field_at(root, y[l] + 1, x[l]), out.f11[l] = m.field_at(root, y[l] + 1, x[l] + 1);
-    }
-  }
-}
 
 // End points in cells, in blocks of kLanes; the last block is filled up with points that count nothing.
 struct Ends {
@@ -41,14 +22,6 @@ struct Ends {
   static constexpr double kMost = kFarthest / 4;  // seen from any pose, the sum fits an integer
 };
 
-// Bilinear interpolation between the centres of cells, at the ends seen from one pose. The pose's whole cells are kept
-// apart as integers, so single precision resolves 1e-4 of a cell at any distance from the world's origin.
-struct Block {
-  float rx[kLanes], ry[kLanes];                 // from the pose to the end, world axes, cells
-  float value[kLanes], du[kLanes], dv[kLanes];  // field in [0, 255] and its derivatives per cell
-  int x[kLanes], y[kLanes];                     // the cell that holds the end
-};
-
 struct CellPose {
   int x = kFarthest, y = kFarthest;  // where nothing is mapped: what a pose beyond, or one of NaN, sees
   float fx = 0, fy = 0, c = 1, s = 0;
@@ -60,30 +33,32 @@ struct CellPose {
   }
 };
 
-GRIDSLAM_INLINE void interpolate(const Maps& m, const int32_t* root, const CellPose& pose, const Ends& ends, int block,
-                                 Block& out) {
-  const float *ex = ends.x.data() + block * kLanes, *ey = ends.y.data() + block * kLanes;
-  int x[kLanes], y[kLanes];
-  float a[kLanes], b[kLanes];
-  for (int l = 0; l < kLanes; ++l) {
-    out.rx[l] = pose.c * ex[l] - pose.s * ey[l];
-    out.ry[l] = pose.s * ex[l] + pose.c * ey[l];
-    const float u = pose.fx + out.rx[l], v = pose.fy + out.ry[l];
-    const int iu = static_cast<int>(u), iv = static_cast<int>(v);
-    const int fu = iu - (u < static_cast<float>(iu)), fv = iv - (v < static_cast<float>(iv));
-    a[l] = u - static_cast<float>(fu), b[l] = v - static_cast<float>(fv);
-    x[l] = pose.x + fu, y[l] = pose.y + fv;
-  }
-  Corners f;
-  gather(m, root, x, y, f);
-  for (int l = 0; l < kLanes; ++l) out.x[l] = x[l] + (a[l] >= 0.5f), out.y[l] = y[l] + (b[l] >= 0.5f);
-  for (int l = 0; l < kLanes; ++l) {
-    const float dx0 = f.f01[l] - f.f00[l], dx1 = f.f11[l] - f.f10[l];
-    const float low = f.f00[l] + a[l] * dx0, high = f.f10[l] + a[l] * dx1;
-    out.value[l] = low + b[l] * (high - low);
-    out.du[l] = dx0 + b[l] * (dx1 - dx0);
-    out.dv[l] = high - low;
-  }
+// The ends seen from one pose, in blocks of kLanes: where they lie between the centres of four cells, and the field
+// there. The pose's whole cells are kept apart as integers, so single precision resolves 1e-4 of a cell at any distance
+// from the world's origin.
+struct View {
+  std::vector<float> rx, ry;      // from the pose to the end, world axes, cells
+  std::vector<float> a, b;        // from the centre of the lower left of the four cells, in [0, 1)
+  std::vector<int32_t> x, y;      // that cell
+  std::vector<uint32_t> corners;  // field at (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1), the first lowest
+  void of(const Maps& m, const int32_t* root, const CellPose& pose, const Ends& ends);
+  int end_x(int j) const { return x[j] + (a[j] >= 0.5f); }  // the cell that holds the end
+  int end_y(int j) const { return y[j] + (b[j] >= 0.5f); }
+};
+
+// Field in [0, 255] by bilinear interpolation, and its derivatives per cell.
+struct Value {
+  float value, du, dv;
+};
+
+GRIDSLAM_INLINE Value interpolate(uint32_t corners, float a, float b) {
+  const float f00 = static_cast<float>(static_cast<int>(corners & 255)),
+              f01 = static_cast<float>(static_cast<int>(corners >> 8 & 255)),
+              f10 = static_cast<float>(static_cast<int>(corners >> 16 & 255)),
+              f11 = static_cast<float>(static_cast<int>(corners >> 24));
+  const float dx0 = f01 - f00, dx1 = f11 - f10;
+  const float low = f00 + a * dx0, high = f10 + a * dx1;
+  return {low + b * (high - low), dx0 + b * (dx1 - dx0), high - low};
 }
 
 }  // namespace gridslam

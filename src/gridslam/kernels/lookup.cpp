@@ -11,12 +11,9 @@ void distances(const Maps& m, const int32_t* rows, const double* poses, int k, c
   parallel_for(k, threads, [&](int i) {
     const CellPose pose(poses[3 * i] / resolution, poses[3 * i + 1] / resolution, poses[3 * i + 2]);
     float* row = out + static_cast<int64_t>(i) * b;
-    Block f;
-    for (int block = 0; block < in_cells.blocks; ++block) {
-      interpolate(m, m.root(rows[i]), pose, in_cells, block, f);
-      const int first = block * kLanes, filled = std::min(kLanes, b - first);
-      for (int l = 0; l < filled; ++l) row[first + l] = reach_m - to_m * f.value[l];
-    }
+    thread_local View view;
+    view.of(m, m.root(rows[i]), pose, in_cells);
+    for (int j = 0; j < b; ++j) row[j] = reach_m - to_m * interpolate(view.corners[j], view.a[j], view.b[j]).value;
   });
 }
 

@@ -16,11 +16,11 @@
 #include <thread>
 #include <vector>
 
-// One wheel for every x86-64: such a function is compiled twice, and the loader takes the one that the CPU can run.
-// Both give identical results, as nothing is contracted or reassociated. Only GCC beside glibc does so: musl's loader
+// One wheel for every x86-64: such a function is compiled thrice, and the loader takes the one that the CPU can run.
+// All give identical results, as nothing is contracted or reassociated. Only GCC beside glibc does so: musl's loader
 // cannot choose. The other extensions of compilers stand in this file, too, each behind its test.
 #if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__) && !defined(GRIDSLAM_SANITIZE)
-#define GRIDSLAM_VERSIONS __attribute__((target_clones("default", "arch=x86-64-v3")))
+#define GRIDSLAM_VERSIONS __attribute__((target_clones("default", "arch=x86-64-v3", "arch=x86-64-v4")))
 #define GRIDSLAM_INLINE inline __attribute__((always_inline))  // else the default version is called from the fast one
 #else
 #define GRIDSLAM_VERSIONS
@@ -35,8 +35,19 @@ inline void prefetch([[maybe_unused]] const void* p) {
 #endif
 }
 
+#if defined(__GNUC__) || defined(_MSC_VER)
+#define GRIDSLAM_RESTRICT __restrict
+#else
+#define GRIDSLAM_RESTRICT
+#endif
+
 #if defined(__SSE2__) || defined(_M_X64)
 #define GRIDSLAM_SSE2
+#endif
+
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(GRIDSLAM_SANITIZE)
+#define GRIDSLAM_AVX2 __attribute__((target("avx2")))
+inline bool has_avx2() { return __builtin_cpu_supports("avx2"); }
 #endif
 
 constexpr double kPi = std::numbers::pi;
@@ -60,6 +71,7 @@ struct Maps {
   int32_t* pages;            // (capacity, 16, 16)
   int16_t* log_odds;         // (capacity, 32, 32)
   uint8_t* field;            // (capacity, 32, 32)
+  int64_t tiles;             // the capacity
 
   int32_t* root(int row) const { return roots + static_cast<int64_t>(row) * page_rows * page_cols; }
 

@@ -13,72 +13,115 @@ struct Normal {  // of sum w d^2 in cells and radians: H = [h00 h01 h02; . h11 h
 enum Sum { kH00, kH01, kH02, kH11, kH12, kH22, kG0, kG1, kG2, kScore, kSums };
 // clang-format on
 
+// How many ends apart those are that must lie on a line with each of n ends: kBase cells, by the farther neighbour.
+GRIDSLAM_VERSIONS void strides_of(const float* GRIDSLAM_RESTRICT ex, const float* GRIDSLAM_RESTRICT ey, int n,
+                                  float* GRIDSLAM_RESTRICT gap, int32_t* GRIDSLAM_RESTRICT stride) {
+  constexpr float kBase = 6.0f;
+  gap[0] = gap[n] = 0.0f;  // gap[i] is that between ends i - 1 and i
+  for (int i = 1; i < n; ++i) {
+    const float dx = ex[i] - ex[i - 1], dy = ey[i] - ey[i - 1];
+    gap[i] = std::sqrt(dx * dx + dy * dy);
+  }
+  const float most = static_cast<float>(n);
+  for (int i = 0; i < n; ++i) {
+    const float ends = kBase / std::max(gap[i], gap[i + 1]), count = std::min(ends, most);
+    const int whole = static_cast<int>(count), up = whole + (static_cast<float>(whole) < count);
+    stride[i] = std::max(1, up);
+  }
+}
+
+// Takes the walls on which end i is the one at `first` strides, of three, where none is known yet.
+GRIDSLAM_VERSIONS void walls_on(const float* GRIDSLAM_RESTRICT ex, const float* GRIDSLAM_RESTRICT ey,
+                                const int32_t* GRIDSLAM_RESTRICT stride, int n, int first, float* GRIDSLAM_RESTRICT x,
+                                float* GRIDSLAM_RESTRICT y, float* GRIDSLAM_RESTRICT along) {
+  constexpr float kAside = 0.6f;  // cells: more than a lidar scatters; walls that scatter more are not straight
+  for (int i = 0; i < n; ++i) {
+    const int from = i + first * stride[i], to = from + 2 * stride[i];
+    const int a = std::max(from, 0), b = std::min(to, n - 1), m = std::min(a + stride[i], n - 1);
+    const float ux = ex[m] - ex[a], uy = ey[m] - ey[a], vx = ex[b] - ex[m], vy = ey[b] - ey[m];
+    const float cx = ux + vx, cy = uy + vy, length = std::sqrt(cx * cx + cy * cy);
+    const int inside = static_cast<int>(from >= 0) & static_cast<int>(to < n);
+    const int onward = static_cast<int>(ux * vx + uy * vy > 0);
+    const int near = static_cast<int>(std::abs(ux * cy - uy * cx) <= kAside * length);
+    const bool found = (inside & onward & near & static_cast<int>(along[i] != 0.0f)) != 0;
+    const float nx = -cy / length, ny = cx / length;
+    x[i] = found ? nx : x[i], y[i] = found ? ny : y[i], along[i] = found ? 0.0f : along[i];
+  }
+}
+
 // Normals of the straight walls on which ends lie, in the frame of the ends, (0, 0) where they lie on none, and then
 // `along` is 1.
 struct Walls {
   std::vector<float> x, y, along;
   Walls(const Ends& ends, bool point_to_line) : x(ends.x.size(), 0.0f), y(x), along(x.size(), 1.0f) {
-    if (!point_to_line) return;
-    constexpr int kFirst[3] = {-1, -2, 0};  // the end itself is the middle of three, or the last, or the first
-    for (int i = 0; i < ends.n; ++i) {
-      const float apart =
-          std::max(i > 0 ? between(ends, i - 1, i) : 0.0f, i + 1 < ends.n ? between(ends, i, i + 1) : 0.0f);
-      const int stride = std::max(1, static_cast<int>(std::ceil(std::min(kBase / apart, static_cast<float>(ends.n)))));
-      for (const int first : kFirst) {
-        const int a = i + first * stride, b = a + 2 * stride;
-        if (a < 0 || b >= ends.n || !straight(ends, a, a + stride, b, i)) continue;
-        along[i] = 0.0f;
-        break;
-      }
-    }
-  }
-
- private:
-  static constexpr float kBase = 6.0f;  // cells between the three ends that must lie on a line
-  static float between(const Ends& e, int i, int j) {
-    const float dx = e.x[j] - e.x[i], dy = e.y[j] - e.y[i];
-    return std::sqrt(dx * dx + dy * dy);
-  }
-  bool straight(const Ends& e, int a, int m, int b, int i) {
-    constexpr float kAside = 0.6f;  // cells: more than a lidar scatters; walls that scatter more are not straight
-    const float ux = e.x[m] - e.x[a], uy = e.y[m] - e.y[a], vx = e.x[b] - e.x[m], vy = e.y[b] - e.y[m];
-    const float cx = ux + vx, cy = uy + vy, length = std::sqrt(cx * cx + cy * cy);
-    if (ux * vx + uy * vy <= 0 || std::abs(ux * cy - uy * cx) > kAside * length) return false;
-    x[i] = -cy / length, y[i] = cx / length;
-    return true;
+    if (!point_to_line || ends.n == 0) return;
+    std::vector<float> gap(ends.n + 1);
+    std::vector<int32_t> stride(ends.n);
+    strides_of(ends.x.data(), ends.y.data(), ends.n, gap.data(), stride.data());
+    for (const int first : {-1, -2, 0})  // the end itself is the middle of three, or the last, or the first
+      walls_on(ends.x.data(), ends.y.data(), stride.data(), ends.n, first, x.data(), y.data(), along.data());
   }
 };
 
-GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x, double y, double theta,
-                                   const Ends& ends, const Walls& walls, const MatchSettings& s) {
-  const CellPose pose(x, y, theta);
-  const float reach = static_cast<float>(s.reach_cells), to_cells = reach / 255.0f;
-  const float inverse_square = static_cast<float>(1.0 / (s.cauchy_cells * s.cauchy_cells));
+// What one scan's ends contribute, from one pose: memory that the passes of a match share.
+struct Residuals {
+  View view;
+  std::vector<float> value, ju, jv, beyond;
+  std::vector<int32_t> asked;
+  void resize(size_t n) {
+    if (value.size() >= n) return;
+    for (auto* part : {&value, &ju, &jv, &beyond}) part->resize(n);
+    asked.resize(n);
+  }
+};
+
+// The field at n ends and its gradient, across the wall alone where an end lies on one; `beyond` is positive where the
+// gradient leans far from the wall's normal.
+GRIDSLAM_VERSIONS void differentiate(const uint32_t* GRIDSLAM_RESTRICT corners, const float* GRIDSLAM_RESTRICT a,
+                                     const float* GRIDSLAM_RESTRICT b, const float* GRIDSLAM_RESTRICT wx,
+                                     const float* GRIDSLAM_RESTRICT wy, const float* GRIDSLAM_RESTRICT along, float c,
+                                     float s, int n, float to_cells, float* GRIDSLAM_RESTRICT value,
+                                     float* GRIDSLAM_RESTRICT ju, float* GRIDSLAM_RESTRICT jv,
+                                     float* GRIDSLAM_RESTRICT beyond) {
   constexpr float kBeyond = 3.0f;  // the gradient leans 55 degrees from the wall's normal
+  for (int j = 0; j < n; ++j) {
+    const Value f = interpolate(corners[j], a[j], b[j]);
+    const float gu = -to_cells * f.du, gv = -to_cells * f.dv;
+    const float nx = c * wx[j] - s * wy[j], ny = s * wx[j] + c * wy[j];
+    const float across = gu * nx + gv * ny;
+    value[j] = f.value;
+    beyond[j] = (nx * nx + ny * ny) * (gu * gu + gv * gv) - kBeyond * across * across;
+    ju[j] = across * nx + along[j] * gu, jv[j] = across * ny + along[j] * gv;
+  }
+}
+
+// A wall goes on where it is not mapped yet: its mapped part's end, the nearest there, is not informative.
+void ignore_beyond(const Maps& m, const int32_t* root, int n, Residuals& r) {
+  int32_t* asked = r.asked.data();
+  const float* beyond = r.beyond.data();
+  int count = 0;
+  for (int j = 0; j < n; ++j) asked[count] = j, count += beyond[j] > 0;  // without a branch: they are scattered
+  for (int i = 0; i < count; ++i) {
+    const int j = asked[i];
+    const bool unknown = m.is_unknown(root, r.view.end_y(j), r.view.end_x(j));
+    r.ju[j] = unknown ? 0.0f : r.ju[j], r.jv[j] = unknown ? 0.0f : r.jv[j];
+  }
+}
+
+GRIDSLAM_VERSIONS Normal add_up(const Residuals& r, int n, int filled, float reach, float to_cells,
+                                float inverse_square) {
   float sums[kSums][kLanes] = {};  // lane by lane in a fixed order: identical results for any instruction set
-  float ju[kLanes], jv[kLanes], beyond[kLanes];
-  Block f;
-  for (int block = 0; block < ends.blocks; ++block) {
-    interpolate(m, root, pose, ends, block, f);
+  const float *rx = r.view.rx.data(), *ry = r.view.ry.data(), *value = r.value.data(), *ju = r.ju.data(),
+              *jv = r.jv.data();
+  for (int first = 0; first < n; first += kLanes) {
     for (int l = 0; l < kLanes; ++l) {
-      const float gu = -to_cells * f.du[l], gv = -to_cells * f.dv[l];
-      const int j = block * kLanes + l;
-      const float nx = pose.c * walls.x[j] - pose.s * walls.y[j], ny = pose.s * walls.x[j] + pose.c * walls.y[j];
-      const float across = gu * nx + gv * ny;
-      beyond[l] = (nx * nx + ny * ny) * (gu * gu + gv * gv) - kBeyond * across * across;
-      ju[l] = across * nx + walls.along[j] * gu, jv[l] = across * ny + walls.along[j] * gv;
-    }
-    for (int l = 0; l < kLanes; ++l)  // a wall goes on where it is not mapped yet: its mapped part's end, the nearest
-                                      // there, is not informative
-      if (beyond[l] > 0 && m.is_unknown(root, f.y[l], f.x[l])) ju[l] = jv[l] = 0.0f;
-    const int filled = ends.n - block * kLanes;
-    for (int l = 0; l < kLanes; ++l) {
-      const float d = reach - to_cells * f.value[l];
-      const float w = (l < filled ? 1.0f : 0.0f) / (1.0f + d * d * inverse_square);
-      const float jt = jv[l] * f.rx[l] - ju[l] * f.ry[l];
-      const float wu = w * ju[l], wv = w * jv[l], wt = w * jt;
-      sums[kH00][l] += wu * ju[l], sums[kH01][l] += wu * jv[l], sums[kH02][l] += wu * jt;
-      sums[kH11][l] += wv * jv[l], sums[kH12][l] += wv * jt, sums[kH22][l] += wt * jt;
+      const int j = first + l;
+      const float d = reach - to_cells * value[j];
+      const float w = (j < filled ? 1.0f : 0.0f) / (1.0f + d * d * inverse_square);
+      const float jt = jv[j] * rx[j] - ju[j] * ry[j];
+      const float wu = w * ju[j], wv = w * jv[j], wt = w * jt;
+      sums[kH00][l] += wu * ju[j], sums[kH01][l] += wu * jv[j], sums[kH02][l] += wu * jt;
+      sums[kH11][l] += wv * jv[j], sums[kH12][l] += wv * jt, sums[kH22][l] += wt * jt;
       sums[kG0][l] += wu * d, sums[kG1][l] += wv * d, sums[kG2][l] += wt * d;
       sums[kScore][l] += w;
     }
@@ -88,6 +131,22 @@ GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x,
     for (int l = 0; l < kLanes; ++l) total[i] += sums[i][l];
   return {total[kH00], total[kH01], total[kH02], total[kH11], total[kH12],
           total[kH22], total[kG0],  total[kG1],  total[kG2],  total[kScore]};
+}
+
+Normal linearize(const Maps& m, const int32_t* root, double x, double y, double theta, const Ends& ends,
+                 const Walls& walls, const MatchSettings& s) {
+  thread_local Residuals r;
+  const CellPose pose(x, y, theta);
+  const float reach = static_cast<float>(s.reach_cells), to_cells = reach / 255.0f;
+  const float inverse_square = static_cast<float>(1.0 / (s.cauchy_cells * s.cauchy_cells));
+  const int n = ends.blocks * kLanes;
+  r.view.of(m, root, pose, ends);
+  r.resize(static_cast<size_t>(n));
+  differentiate(r.view.corners.data(), r.view.a.data(), r.view.b.data(), walls.x.data(), walls.y.data(),
+                walls.along.data(), pose.c, pose.s, n, to_cells, r.value.data(), r.ju.data(), r.jv.data(),
+                r.beyond.data());
+  if (s.point_to_line) ignore_beyond(m, root, n, r);
+  return add_up(r, n, ends.n, reach, to_cells, inverse_square);
 }
 
 // Pins the position along a degenerate direction (a corridor's axis) to the guess.

@@ -1,0 +1,111 @@
+// The field at the four cells about each end of a scan.
+#include "field.hpp"
+
+#if defined(GRIDSLAM_AVX2)
+#include <immintrin.h>
+#endif
+
+namespace gridslam {
+namespace {
+
+uint32_t corners_at(const Maps& m, const int32_t* root, int x, int y) {
+  const auto at = [&](int cell_y, int cell_x) { return static_cast<uint32_t>(m.field_at(root, cell_y, cell_x)); };
+  return at(y, x) | at(y, x + 1) << 8 | at(y + 1, x) << 16 | at(y + 1, x + 1) << 24;
+}
+
+using LookUp = void (*)(const Maps& m, const int32_t* root, const int32_t* x, const int32_t* y, int n, uint32_t* out);
+
+void look_up(const Maps& m, const int32_t* root, const int32_t* x, const int32_t* y, int n, uint32_t* out) {
+  for (int j = 0; j < n; ++j) {
+    const int ix = x[j] & kTileMask, iy = y[j] & kTileMask;
+    if (ix < kTileMask && iy < kTileMask) {
+      const int64_t tile = m.tile(root, y[j] >> kTileBits, x[j] >> kTileBits);
+      const uint8_t* p = m.field + tile * kTileCells + (iy << kTileBits) + ix;
+      out[j] = static_cast<uint32_t>(p[0] | p[1] << 8 | p[kTile] << 16) | static_cast<uint32_t>(p[kTile + 1]) << 24;
+    } else {
+      out[j] = corners_at(m, root, x[j], y[j]);
+    }
+  }
+}
+
+#if defined(GRIDSLAM_AVX2)
+constexpr int64_t kMostGathered = int64_t{1} << 21;  // tiles whose bytes 32 bits address
+
+GRIDSLAM_AVX2 inline __m256i all(int value) { return _mm256_set1_epi32(value); }
+GRIDSLAM_AVX2 inline __m256i load(const int32_t* p) { return _mm256_loadu_si256(reinterpret_cast<const __m256i*>(p)); }
+
+// The same for kLanes ends at once; where the four cells lie in more than one tile they are looked up one by one.
+GRIDSLAM_AVX2 void look_up_avx2(const Maps& m, const int32_t* root, const int32_t* x, const int32_t* y, int n,
+                                uint32_t* out) {
+  const __m256i sign = all(std::numeric_limits<int>::min());
+  const __m256i rows = _mm256_xor_si256(all(m.page_rows), sign), cols = _mm256_xor_si256(all(m.page_cols), sign);
+  for (int j = 0; j < n; j += kLanes) {
+    const __m256i cx = load(x + j), cy = load(y + j), mask = all(kTileMask);
+    const __m256i tx = _mm256_srai_epi32(cx, kTileBits), ty = _mm256_srai_epi32(cy, kTileBits);
+    const __m256i pc = _mm256_sub_epi32(_mm256_srai_epi32(tx, kPageBits), all(m.page_col0)),
+                  pr = _mm256_sub_epi32(_mm256_srai_epi32(ty, kPageBits), all(m.page_row0));
+    const __m256i inside = _mm256_and_si256(_mm256_cmpgt_epi32(rows, _mm256_xor_si256(pr, sign)),
+                                            _mm256_cmpgt_epi32(cols, _mm256_xor_si256(pc, sign)));
+    const __m256i at = _mm256_add_epi32(_mm256_mullo_epi32(pr, all(m.page_cols)), pc);
+    const __m256i page = _mm256_mask_i32gather_epi32(_mm256_setzero_si256(), root, at, inside, 4);
+    const __m256i entry = _mm256_or_si256(_mm256_slli_epi32(_mm256_and_si256(ty, all(kPageMask)), kPageBits),
+                                          _mm256_and_si256(tx, all(kPageMask)));
+    const __m256i tile =
+        _mm256_i32gather_epi32(m.pages, _mm256_add_epi32(_mm256_slli_epi32(page, 2 * kPageBits), entry), 4);
+    const __m256i ix = _mm256_and_si256(cx, mask), iy = _mm256_and_si256(cy, mask);
+    // Four bytes of a row are read, and no byte beyond its tile: the last three columns' are those before them.
+    const __m256i column = _mm256_min_epi32(ix, all(kTile - 4)), below = _mm256_min_epi32(iy, all(kTile - 2));
+    const __m256i from = _mm256_add_epi32(_mm256_slli_epi32(tile, 2 * kTileBits),
+                                          _mm256_add_epi32(_mm256_slli_epi32(below, kTileBits), column));
+    const __m256i shift = _mm256_slli_epi32(_mm256_sub_epi32(ix, column), 3);
+    const int* bytes = reinterpret_cast<const int*>(m.field);
+    const __m256i low = _mm256_srlv_epi32(_mm256_i32gather_epi32(bytes, from, 1), shift),
+                  high = _mm256_srlv_epi32(_mm256_i32gather_epi32(bytes, _mm256_add_epi32(from, all(kTile)), 1), shift);
+    const __m256i both = _mm256_blend_epi16(low, _mm256_slli_epi32(high, 16), 0xaa);
+    _mm256_storeu_si256(reinterpret_cast<__m256i*>(out + j), both);
+    const __m256i apart = _mm256_or_si256(_mm256_cmpeq_epi32(ix, mask), _mm256_cmpeq_epi32(iy, mask));
+    const int left = _mm256_movemask_ps(_mm256_castsi256_ps(apart));
+    for (int l = 0; left >> l != 0; ++l)
+      if (left >> l & 1) out[j + l] = corners_at(m, root, x[j + l], y[j + l]);
+  }
+}
+#endif
+
+LookUp look_up_for([[maybe_unused]] const Maps& m) {
+#if defined(GRIDSLAM_AVX2)
+  static const bool fast = has_avx2();
+  if (fast && m.tiles <= kMostGathered) return look_up_avx2;
+#endif
+  return look_up;
+}
+
+GRIDSLAM_VERSIONS void place(const CellPose& pose, const float* GRIDSLAM_RESTRICT ex, const float* GRIDSLAM_RESTRICT ey,
+                             int n, float* GRIDSLAM_RESTRICT rx, float* GRIDSLAM_RESTRICT ry,
+                             float* GRIDSLAM_RESTRICT a, float* GRIDSLAM_RESTRICT b, int32_t* GRIDSLAM_RESTRICT x,
+                             int32_t* GRIDSLAM_RESTRICT y) {
+  const CellPose at = pose;
+  for (int j = 0; j < n; ++j) {
+    const float east = at.c * ex[j] - at.s * ey[j], north = at.s * ex[j] + at.c * ey[j];
+    const float u = at.fx + east, v = at.fy + north;
+    const int iu = static_cast<int>(u), iv = static_cast<int>(v);
+    const int fu = iu - (u < static_cast<float>(iu)), fv = iv - (v < static_cast<float>(iv));
+    rx[j] = east, ry[j] = north;
+    a[j] = u - static_cast<float>(fu), b[j] = v - static_cast<float>(fv);
+    x[j] = at.x + fu, y[j] = at.y + fv;
+  }
+}
+
+}  // namespace
+
+void View::of(const Maps& m, const int32_t* root, const CellPose& pose, const Ends& ends) {
+  const size_t n = static_cast<size_t>(ends.blocks) * kLanes;
+  if (x.size() < n) {
+    for (auto* part : {&rx, &ry, &a, &b}) part->resize(n);
+    x.resize(n), y.resize(n), corners.resize(n);
+  }
+  place(pose, ends.x.data(), ends.y.data(), static_cast<int>(n), rx.data(), ry.data(), a.data(), b.data(), x.data(),
+        y.data());
+  look_up_for(m)(m, root, x.data(), y.data(), static_cast<int>(n), corners.data());
+}
+
+}  // namespace gridslam
