@@ -1,0 +1,74 @@
+"""One figure of speed, printed as JSON: python benchmarks/speed_parts.py PART BENCHMARKS.
+
+`speed.py` runs it for two commits, each with its own folder of benchmarks, whose helpers it takes.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import tempfile
+import time
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+__all__ = ["PARTS"]
+
+
+def mcl() -> dict[str, float]:
+    """CPU ms of an update of Monte Carlo localization, 10,000 particles x 180 beams, one thread."""
+    import localization
+
+    return {"ms": 1e3 / localization._rates(10_000, 180, 1, 100)[1]}
+
+
+def fastslam2() -> dict[str, float]:
+    """Wall ms of a step of FastSLAM 2.0, 1000 particles x 100 landmarks, two observations a step."""
+    import landmarks
+
+    known = getattr(landmarks, "KnownCorrespondence", None) or landmarks.Told  # its name up to 0.1
+    filters = landmarks.LandmarkFilters(landmarks._SENSOR, known())
+    return {"ms": 1e3 / landmarks._fastslam_rate(landmarks.FastSlam2(filters), 1000, 100, 100)}
+
+
+def dense(scans: int = 2000) -> dict[str, float]:
+    """Latency (ms) of scans of 1080 beams, 40 of them a second, through the filter with loop closure."""
+    import gridslam
+    from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+
+    lidar = LidarConfig(beams=1080, field_of_view_rad=math.radians(270), rate_hz=40.0)
+    rng = np.random.default_rng(0)
+    drive = simulate(make_world("demo", rng), RobotConfig(), OdometryNoise(), lidar, rng)
+    slam, rng, state = gridslam.build(gridslam.Configuration()), np.random.default_rng(0), None
+    seconds = []
+    for odometry, scan in islice(drive.measurements, scans):
+        begin = time.perf_counter()
+        state, _ = slam.step(state, odometry, scan, rng) if state else slam.init(odometry, scan)
+        seconds.append(time.perf_counter() - begin)
+    return {"p99_ms": 1e3 * float(np.percentile(seconds, 99)), "longest_ms": 1e3 * max(seconds)}
+
+
+def map_size(last: int = 300) -> dict[str, float]:
+    """CPU of a scan at the end of a drive about a building of 300 m over that about one of 50 m."""
+    import gridslam
+    from logs import ring, simulated
+
+    means = []
+    with tempfile.TemporaryDirectory() as folder:
+        for side in (50.0, 300.0):
+            log = simulated(ring(side, np.random.default_rng(0)), Path(folder), v_max_m_s=1.2)
+            clock = [time.process_time()]
+            observe = lambda report, state, seconds: clock.append(time.process_time())  # noqa: B023, E731
+            gridslam.map_log(log.path, observers=[observe])
+            means.append(float(np.diff(clock)[-last:].mean()))
+    return {"ratio": means[1] / means[0]}
+
+
+PARTS = {part.__name__: part for part in (mcl, fastslam2, dense, map_size)}
+
+if __name__ == "__main__":
+    sys.path.insert(0, sys.argv[2])
+    print(json.dumps(PARTS[sys.argv[1]]()))
