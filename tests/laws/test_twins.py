@@ -29,8 +29,10 @@ KERNELS = (
     "sum_at_ends",
     "draw_scans",
     "match_scans",
+    "shortest_ways",
 )
-"""The last five in `test_branch_and_bound_laws.py`, `test_weighing_laws.py` and `test_many_scans_laws.py`."""
+"""The last six in `test_branch_and_bound_laws.py`, `test_weighing_laws.py`, `test_many_scans_laws.py` and
+`test_shortest_ways_laws.py`."""
 SEEDS = range(25)
 CELL = 0.05
 SINGLE = 4e-4

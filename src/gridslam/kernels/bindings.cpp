@@ -10,6 +10,7 @@
 #include "correlate.hpp"
 #include "maps.hpp"
 #include "several_scans.hpp"
+#include "shortest_ways.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -230,6 +231,35 @@ auto py_match_scans(GRIDSLAM_MAPS, Matrix guesses, Matrix prior, Matrix ends, St
   return std::make_tuple(poses, information, score);
 }
 
+auto py_shortest_ways(Matrix firsts, Matrix steps, Array<const int32_t, 2> link_submaps, Matrix links, int submap,
+                      Vector moments, Vector pose, double x, double y, double limit, int most, int last) {
+  const SubmapGraph graph{firsts.data(),
+                          static_cast<int>(firsts.shape(0)),
+                          steps.data(),
+                          static_cast<int>(steps.shape(0)),
+                          link_submaps.data(),
+                          links.data(),
+                          static_cast<int>(links.shape(0))};
+  WayStart from{submap, {}, {pose.data()[0], pose.data()[1], pose.data()[2]}, x, y, limit, most, last};
+  std::copy_n(moments.data(), from.moments.size(), from.moments.data());
+  std::vector<int32_t> found;
+  std::vector<Moments> ways;
+  std::vector<std::array<double, 3>> ends;
+  {
+    nb::gil_scoped_release release;
+    shortest_ways(graph, from, found, ways, ends);
+  }
+  auto submaps = fresh<int32_t, 1>({found.size()});
+  auto sums = fresh<double, 2>({found.size(), 9});
+  auto poses = fresh<double, 2>({found.size(), 3});
+  std::copy_n(found.data(), found.size(), submaps.data());
+  for (size_t i = 0; i < found.size(); ++i) {
+    std::copy_n(ways[i].data(), 9, sums.data() + 9 * i);
+    std::copy_n(ends[i].data(), 3, poses.data() + 3 * i);
+  }
+  return std::make_tuple(submaps, sums, poses);
+}
+
 auto py_max_pyramid(Array<const uint8_t, 2> likelihood, int levels) {
   const size_t rows = likelihood.shape(0), cols = likelihood.shape(1), side = size_t{1} << levels;
   auto fine = fresh<uint8_t, 3>({static_cast<size_t>(levels), rows + 2 * side, cols + 2 * side});
@@ -288,6 +318,8 @@ NB_MODULE(_compiled, m) {
   m.def("match_scans", &py_match_scans, GRIDSLAM_MAPS_ARGS, "guesses"_a, "prior"_a, "ends"_a, "starts"_a, "origins"_a,
         "resolution"_a, "max_iterations"_a, "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a,
         "stop_rad"_a, "reach_cells"_a, "min_information"_a, "point_to_line"_a, "min_beams"_a, "threads"_a);
+  m.def("shortest_ways", &py_shortest_ways, "firsts"_a, "steps"_a, "link_submaps"_a, "links"_a, "submap"_a, "moments"_a,
+        "pose"_a, "x"_a, "y"_a, "limit"_a, "most"_a, "last"_a);
   m.def("max_pyramid", &py_max_pyramid, "likelihood"_a, "levels"_a);
   m.def("correlate", &py_correlate, "fine"_a, "top"_a, "ends"_a, "headings"_a, "window"_a, "centre"_a, "information"_a,
         "distance"_a, "count"_a, "min_sum"_a, "min_runner_up_ratio"_a, "min_distance_cells"_a, "min_distance_rad"_a);

@@ -45,6 +45,7 @@ from gridslam.kernels.reference_update import (
     update_field,
     update_log_odds,
 )
+from gridslam.kernels.reference_ways import shortest_ways
 
 __all__ = [
     "cast_rays",
@@ -56,6 +57,7 @@ __all__ = [
     "match_scans",
     "max_pyramid",
     "select_beams",
+    "shortest_ways",
     "sum_at_ends",
     "tiles_near_cells",
     "tiles_on_rays",

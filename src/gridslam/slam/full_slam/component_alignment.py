@@ -168,13 +168,14 @@ class ComponentAlignment:
         ways: list[dict[int, SubmapDistance]] = [{} for _ in older]
         if not older:
             return ways
-        members = [set((old // KEY_SCANS_PER_SUBMAP).tolist()) for old in older]
+        members = [np.unique(old // KEY_SCANS_PER_SUBMAP) for old in older]
         for key in keys[self.search_interval - 1 :: self.search_interval].tolist():
             nearby = graph.find_nearby_submaps(key, self.max_sigma_m, len(graph))
+            away = np.hypot(nearby.poses[:, 0], nearby.poses[:, 1]) / np.maximum(nearby.sigmas_m, 1e-6)
             for of_old, submaps in zip(ways, members, strict=True):
-                near = [n for n in nearby if n.submap in submaps]
-                if near:
-                    of_old[key] = min(near, key=lambda n: float(np.hypot(*n.pose[:2])) / max(n.sigma_m, 1e-6))
+                near = np.flatnonzero(np.isin(nearby.submaps, submaps))
+                if len(near):
+                    of_old[key] = nearby[int(near[np.argmin(away[near])])]
         return ways
 
     def _select_key_scans(self, poses: FloatArray, old: IntArray, guesses: FloatArray) -> IntArray:

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-import heapq
 import math
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from itertools import accumulate, pairwise
+from functools import partial
+from itertools import accumulate
 from operator import attrgetter
 from typing import Annotated, NamedTuple, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridslam.geometry.se2 import between, compose, inverse
+from gridslam.kernels import backend
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import compute_moments, diagonal_covariances, propagate_covariances
+from gridslam.slam.loop_closure.rows import Rows
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
@@ -24,6 +27,7 @@ __all__ = [
     "KEY_SCANS_PER_SUBMAP",
     "UNKNOWN_VARIANCES",
     "KeyGraph",
+    "NearbySubmaps",
     "SubmapDistance",
     "anchor_of",
     "first_key_scan",
@@ -45,11 +49,10 @@ _MATCH_RATIO = 1 / 6
 """Standard deviation that is expected of a constraint over the one that it has in searches and against outliers: that
 of `KeyScanMatching` over that of `PlaceMatching`."""
 
-_Moments = tuple[float, ...]
-"""Sums of the result of `compute_moments` along a path."""
-
-_Crossing = tuple[int, FloatArray] | None
-"""Submap at which a constraint starts, and pose of its first key scan relative to that of the target submap."""
+_new_poses = partial(Rows[np.float64], 3, np.float64)
+_new_moments = partial(Rows[np.float64], 9, np.float64)
+_new_pairs = partial(Rows[np.int32], 2, np.int32)
+_new_links = partial(Rows[np.float64], 12, np.float64)
 
 
 def submap_of(key: int) -> int:
@@ -80,6 +83,42 @@ class SubmapDistance(NamedTuple):
         """Greatest standard deviation of the position."""
         (xx, xy, _), (_, yy, _), _ = self.covariance.tolist()
         return math.sqrt(0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy))
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class NearbySubmaps:
+    """K submaps with the pose of a key scan relative to each of their first ones, as in `SubmapDistance`.
+
+    Attributes
+    ----------
+    submaps : (K,) int64
+        Nearest first.
+    poses, covariances : (K, 3), (K, 3, 3) float64
+        Along the least uncertain paths; covariances in the map frame.
+    """
+
+    submaps: IntArray
+    poses: FloatArray
+    covariances: FloatArray
+
+    @property
+    def sigmas_m(self) -> FloatArray:
+        """Greatest standard deviations of the position, (K,)."""
+        xx, xy, yy = self.covariances[:, [0, 0, 1], [0, 1, 1]].T
+        return np.asarray(np.sqrt(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)), np.float64)
+
+    def select(self, chosen: NDArray[np.bool_]) -> NearbySubmaps:
+        """Those that are chosen (K,)."""
+        return NearbySubmaps(self.submaps[chosen], self.poses[chosen], self.covariances[chosen])
+
+    def __len__(self) -> int:
+        """Return the number of submaps."""
+        return len(self.submaps)
+
+    def __getitem__(self, k: int) -> SubmapDistance:
+        """Submap k of them."""
+        return SubmapDistance(int(self.submaps[k]), self.poses[k], self.covariances[k])
 
 
 @final
@@ -128,12 +167,15 @@ class KeyGraph:
     _drifts: list[FloatArray] = field(init=False, default_factory=list, metadata=NOT_SAVED)
     # key scans whose way comes by a constraint
     _arrivals: list[int] = field(init=False, default_factory=list, metadata=NOT_SAVED)
-    # from each submap's first key scan to the next one's
-    _steps: list[_Moments] = field(init=False, default_factory=list, metadata=NOT_SAVED)
-    # submap -> submap -> relative pose (3,) and moments (9,) of the most certain constraint
-    _links: dict[int, dict[int, tuple[FloatArray, _Moments]]] = field(
-        init=False, default_factory=dict, metadata=NOT_SAVED
-    )
+    # as tracked, the first key scan of each submap
+    _firsts: Rows[np.float64] = field(init=False, default_factory=_new_poses, metadata=NOT_SAVED)
+    # (9,) each, moments from each submap's first key scan to the next one's
+    _steps: Rows[np.float64] = field(init=False, default_factory=_new_moments, metadata=NOT_SAVED)
+    # from submap, to submap -> place of the most certain constraint in `_links`
+    _link_places: dict[tuple[int, int], int] = field(init=False, default_factory=dict, metadata=NOT_SAVED)
+    _link_submaps: Rows[np.int32] = field(init=False, default_factory=_new_pairs, metadata=NOT_SAVED)
+    # relative pose (3,) of the first key scan of the submap from which it leads, and moments (9,)
+    _links: Rows[np.float64] = field(init=False, default_factory=_new_links, metadata=NOT_SAVED)
 
     def __post_init__(self) -> None:
         """Derive the moments."""
@@ -214,7 +256,8 @@ class KeyGraph:
     def correct(self, poses: FloatArray) -> None:
         """Set all poses (T, 3)."""
         self.poses = list(poses)
-        for derived in (self._gap_counts, self._sums, self._steps, self._links, self._drifts, self._arrivals):
+        links = (self._link_places, self._link_submaps, self._links)
+        for derived in (self._gap_counts, self._sums, self._firsts, self._steps, *links, self._drifts, self._arrivals):
             derived.clear()
         self._derive()
         self._use(sorted(self.constraints, key=attrgetter("to")))
@@ -239,70 +282,29 @@ class KeyGraph:
         frame = self.tracked if abs(anchor - key) <= 3 * KEY_SCANS_PER_SUBMAP else self.poses
         return between(frame[anchor], frame[key])
 
-    def find_nearby_submaps(self, key: int, limit_m: float, most: int) -> list[SubmapDistance]:
+    def find_nearby_submaps(self, key: int, limit_m: float, most: int) -> NearbySubmaps:
         """Submaps in the order of their uncertainty as seen from a key scan, nearest first.
 
         The search ends at a standard deviation of the position of `limit_m`, or after `most` submaps.
         """
-        return self._distances_to(key, self._search_shortest_paths(key, limit_m, most))
+        return self._search_ways(key, limit_m, most)
 
     def find_distance_to(self, submap: int, key: int, limit_m: float, most: int) -> SubmapDistance | None:
         """Give the one of `find_nearby_submaps` that is a submap; None if it is not among them."""
-        found = self._search_shortest_paths(key, limit_m, most, last=submap)
-        return self._distances_to(key, {submap: found[submap]})[0] if submap in found else None
+        found = self._search_ways(key, limit_m, most, submap)
+        return found[-1] if found.submaps[-1] == submap else None
 
-    def _search_shortest_paths(
-        self, key: int, limit_m: float, most: int, last: int = -1
-    ) -> dict[int, tuple[_Moments, FloatArray]]:
-        """_Moments of the most certain ways to submaps, and the key scan as the tracker had it if they were certain.
-
-        In the order of `find_nearby_submaps`; the search ends at submap `last`, too.
-        """
+    def _search_ways(self, key: int, limit_m: float, most: int, last: int = -1) -> NearbySubmaps:
+        """Search for the most certain ways to submaps, up to submap `last`."""
         here = submap_of(key)
-        tracked = self.tracked
         x, y, _ = self.poses[key].tolist()
-        away = x * x + y * y
-        limit = limit_m**2
-        start: _Moments = tuple((self._sums[key] - self._sums[first_key_scan(here)]).tolist())
-        queue = list[tuple[float, int, int, _Moments, FloatArray, _Crossing]]()
-        queue.append((0.0, 0, here, start, tracked[key], None))
-        pushed = 0  # keeps the order of equals
-        done = dict[int, tuple[_Moments, FloatArray]]()
-        least = dict[int, float]()
-        while queue and len(done) < most and last not in done:
-            cost, _, submap, moments, end, crossing = heapq.heappop(queue)
-            if submap in done:
-                continue
-            if crossing is not None:
-                before, step = crossing
-                end = compose(
-                    tracked[first_key_scan(submap)],
-                    compose(step, between(tracked[first_key_scan(before)], end)),
-                )
-            done[submap] = moments, end
-            pxx, pxy, pyy, s, sx, sy, sxx, sxy, syy = moments
-            for other, there, (oxx, oxy, oyy, t, tx, ty, txx, txy, tyy) in self._neighbours(submap):
-                if other in done:
-                    continue
-                across = (s + t) * away - 2 * ((sx + tx) * x + (sy + ty) * y) + (sxx + txx) + (syy + tyy)
-                spread = max(cost, pxx + oxx + pyy + oyy + max(across, 0.0))  # of the position, the covariance's trace
-                if spread < least.get(other, limit):
-                    least[other] = spread
-                    pushed += 1
-                    total = (
-                        *(pxx + oxx, pxy + oxy, pyy + oyy),
-                        *(s + t, sx + tx, sy + ty, sxx + txx, sxy + txy, syy + tyy),
-                    )
-                    way = None if there is None else (submap, there)
-                    heapq.heappush(queue, (spread, pushed, other, total, end, way))
-        return done
-
-    def _distances_to(self, key: int, ways: Mapping[int, tuple[_Moments, FloatArray]]) -> list[SubmapDistance]:
-        """Where a key scan is as seen from submaps, by the ways there."""
-        firsts = np.array([self.tracked[first_key_scan(submap)] for submap in ways])
-        poses = between(firsts, np.array([end for _, end in ways.values()]))
-        spreads = propagate_covariances(self.poses[key], np.array([moments for moments, _ in ways.values()]))
-        return [SubmapDistance(*found) for found in zip(ways, poses, spreads, strict=True)]
+        submaps, moments, ends = backend.shortest_ways(
+            *(self._firsts.array, self._steps.array, self._link_submaps.array, self._links.array),
+            *(here, self._sums[key] - self._sums[first_key_scan(here)], self.tracked[key], x, y),
+            *(limit_m**2, most, last),
+        )
+        poses = between(self._firsts.array[submaps], ends)
+        return NearbySubmaps(submaps.astype(np.int64), poses, propagate_covariances(self.poses[key], moments))
 
     def label_gaps(self) -> IntArray:
         """Label (T,) of the stretch without a gap in the laser data that each key scan belongs to, ascending."""
@@ -313,9 +315,9 @@ class KeyGraph:
 
         Components are separated by gaps in the laser data and not joined by tracked or recognized constraints.
         """
+        if not self._gap_counts[-1]:
+            return np.zeros(len(self), np.int64)
         labels = np.array(self._gap_counts)
-        if not labels[-1]:
-            return labels
         roots = np.arange(labels[-1] + 1)
         for constraint in self.constraints:
             if constraint.determined and constraint.source is not ConstraintSource.PROXIMITY:
@@ -363,19 +365,7 @@ class KeyGraph:
         for own in fields(self):
             value = getattr(self, own.name)
             setattr(twin, own.name, value if isinstance(value, int) else value.copy())
-        twin._links = {submap: links.copy() for submap, links in self._links.items()}
         return twin
-
-    def _neighbours(self, submap: int) -> list[tuple[int, FloatArray | None, _Moments]]:
-        """Submaps one step away: this one's first key scan seen from theirs, None if as tracked, and the moments."""
-        found: list[tuple[int, FloatArray | None, _Moments]] = []
-        if submap in self._links:
-            found += [(other, there, more) for other, (there, more) in self._links[submap].items()]
-        if submap:
-            found.append((submap - 1, None, self._steps[submap - 1]))
-        if submap < len(self._steps):
-            found.append((submap + 1, None, self._steps[submap]))
-        return found
 
     def _derive(self) -> None:
         """Extend to the newest key scan what follows from the poses and the variances."""
@@ -389,8 +379,10 @@ class KeyGraph:
         if not first:
             expected[0] = 0.0  # the first pose is the origin
         self._drifts[-1:] = accumulate(self._drifts[-1:] + list(expected))
-        new = self._sums[first_key_scan(len(self._steps)) :: KEY_SCANS_PER_SUBMAP]
-        self._steps += [tuple((after - before).tolist()) for before, after in pairwise(new)]
+        for first in range(first_key_scan(len(self._firsts)), len(self), KEY_SCANS_PER_SUBMAP):
+            self._firsts.append(self.tracked[first])
+            if first:
+                self._steps.append(self._sums[first] - self._sums[first - KEY_SCANS_PER_SUBMAP])
 
     def _use(self, constraints: Sequence[Constraint]) -> None:
         """Let constraints lead from submap to submap, and shorten the ways from the first key scan."""
@@ -431,16 +423,27 @@ class KeyGraph:
         poses = np.array([self.poses[at] for at in tos.tolist()]).reshape(-1, 3)
         own = compute_moments(poses, diagonal_covariances(np.stack([0.5 * (xx + yy), heading], axis=1)))
         within = self._moments_within_submap(froms) + self._moments_within_submap(tos)
-        for constraint, total in zip(constraints, (within + own).tolist(), strict=True):
+        for constraint, total in zip(constraints, within + own, strict=True):
             a = submap_of(constraint.from_)
             b = submap_of(constraint.to)
-            known = self._links.get(a, {}).get(b)
-            if known is None or total[0] + total[3] < known[1][0] + known[1][3]:
+            place = self._link_places.get((a, b))
+            known = None if place is None else self._links.array[place]
+            if known is None or total[0] + total[3] < known[3] + known[6]:
                 to_anchor = between(self.tracked[first_key_scan(a)], self.tracked[constraint.from_])
                 from_key = between(self.tracked[constraint.to], self.tracked[first_key_scan(b)])
                 there = compose(to_anchor, compose(constraint.measurement, from_key))
-                self._links.setdefault(a, {})[b] = inverse(there), tuple(total)
-                self._links.setdefault(b, {})[a] = there, tuple(total)
+                self._set_link(a, b, inverse(there), total)
+                self._set_link(b, a, there, total)
+
+    def _set_link(self, a: int, b: int, there: FloatArray, moments: FloatArray) -> None:
+        """Let a link lead from submap `a` to submap `b`, from which the first key scan of `a` lies at `there`."""
+        place = self._link_places.setdefault((a, b), len(self._links))
+        if place == len(self._links):
+            self._links.append(0.0)
+            self._link_submaps.append((a, b))
+        link = self._links.array[place]
+        link[:3] = there
+        link[3:] = moments
 
     def _moments_within_submap(self, keys: IntArray) -> FloatArray:
         """Moments (K, 9) of the way from the first key scan of its submap to each of key scans (K,)."""

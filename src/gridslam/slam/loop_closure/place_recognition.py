@@ -221,18 +221,20 @@ class PlaceRecognition(PlaceMatching):
         its own.
         """
         oldest = submap_of(key) - self.recent_submaps
-        labels = graph.label_rigid_components()
         gate_sigmas = self.search.gate_sigmas
-        found: dict[int, list[tuple[float, SubmapDistance]]] = {}
-        for nearby in graph.find_nearby_submaps(key, self.search.window_m / gate_sigmas, len(graph)):
-            if nearby.submap > oldest:
-                continue
-            away = self._mahalanobis_distance(nearby)
-            if away * nearby.sigma_m < gate_sigmas * nearby.sigma_m + self.ambiguity_window_m:
-                found.setdefault(int(labels[anchor_of(nearby.submap)]), []).append((away, nearby))
-        components = [sorted(component, key=lambda f: (f[0], f[1].submap)) for component in found.values()]
-        near = sorted((c for c in components if c[0][0] < gate_sigmas), key=lambda component: component[0][0])
-        return [[nearby for _, nearby in component[:_AMBIGUITY_SUBMAPS]] for component in near]
+        nearby = graph.find_nearby_submaps(key, self.search.window_m / gate_sigmas, len(graph))
+        nearby = nearby.select(nearby.submaps <= oldest)
+        sigmas_m = nearby.sigmas_m
+        away = np.maximum(np.hypot(nearby.poses[:, 0], nearby.poses[:, 1]) - self.max_distance_m, 0.0) / sigmas_m
+        candidates = np.flatnonzero(away * sigmas_m < gate_sigmas * sigmas_m + self.ambiguity_window_m)
+        candidates = candidates[np.lexsort((nearby.submaps[candidates], away[candidates]))]
+        labels = graph.label_rigid_components()[anchor_of(0) + KEY_SCANS_PER_SUBMAP * nearby.submaps[candidates]]
+        components = [candidates[labels == label] for label in dict.fromkeys(labels.tolist())]
+        return [
+            [nearby[k] for k in component[:_AMBIGUITY_SUBMAPS].tolist()]
+            for component in components
+            if away[component[0]] < gate_sigmas
+        ]
 
     def _mahalanobis_distance(self, nearby: SubmapDistance) -> float:
         """Distance to a submap in standard deviations of the relative pose."""
