@@ -65,6 +65,14 @@ def test_map_writes_what_the_contract_lists_and_nothing_else(mapped, log):
     assert read_record(mapped / "record.npz").poses.shape[1:] == (4, 3)
 
 
+def test_map_writes_the_same_but_the_past_without_a_history(mapped, log, tmp_path, call):
+    given = "--seed", 5, "--particles", 4, "--no-loop-closure", "--no-history"
+    assert call("map", log, "-o", tmp_path / "out", *given)[0] == 0
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES - {"history.npz"}
+    for name in ("trajectory.tum", "map.pgm", "graph.g2o"):
+        assert (tmp_path / "out" / name).read_bytes() == (mapped / name).read_bytes()
+
+
 def test_map_gives_a_pose_for_every_scan_at_its_own_stamp(mapped, log):
     stamps = [scan.stamp_ns for _, scan in CarmenLog(log)]
     for name in ("trajectory.tum", "trajectory_online.tum"):

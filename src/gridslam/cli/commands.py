@@ -20,6 +20,7 @@ from gridslam.cli.options import (
     add_options,
     assignment_option,
     evaluate_options,
+    history_option,
     host_options,
     json_option,
     live_options,
@@ -90,6 +91,7 @@ class _MapCommand(click.Command):
 @map_options
 @session_options
 @live_options
+@history_option
 @rerun_option
 @json_option
 def map_command(**options: Any) -> None:  # noqa: ANN401
@@ -213,6 +215,7 @@ def dataset_get_command(**options: Any) -> None:  # noqa: ANN401
     "--seed", type=SEED, default=0, show_default=True, help="Random seed of the simulation and of the filter."
 )
 @live_options
+@history_option
 @rerun_option
 @json_option
 def demo_command(**options: Any) -> None:  # noqa: ANN401
@@ -337,6 +340,7 @@ def grid_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("-o", "--out", type=OUT, help="Output folder; created if missing.")
 @localize_options
 @live_options
+@history_option
 @rerun_option
 @json_option
 def localize_command(**options: Any) -> None:  # noqa: ANN401

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 __all__ = ["NOBODY", "Viewers", "node_page", "open_viewers", "rerun_recording", "serve_page", "view"]
 
 _Page = TypeVar("_Page")
+_MOST_MOMENTS = 512
+_KEYS_BETWEEN_MOMENTS = 8  # at first
 
 
 class Viewers(NamedTuple):
@@ -119,6 +121,7 @@ def open_viewers(
     known: OccupancyGrid | None = None,
     *,
     is_localization: bool = False,
+    has_history: bool = True,
 ) -> Iterator[Viewers]:
     """Give those who look on; in the end the page stays as long as someone looks, and the recording is complete.
 
@@ -126,14 +129,12 @@ def open_viewers(
     """
     with rerun_recording(rerun, title, range_max_m, known) as recording, ExitStack() as stack:
         if live is None:
-            from gridslam.live.history_recorder import HistoryRecorder
-
-            yield Viewers(None, recording, HistoryRecorder(range_max_m, is_localization=is_localization))
+            yield Viewers(None, recording, _record_history(range_max_m, is_localization) if has_history else None)
             return
         from gridslam.live.page import LivePage
 
         page = stack.enter_context(serve_page(LivePage(title, live, range_max_m=range_max_m, known=known)))
-        viewers = Viewers(page, recording, page.observer.history)
+        viewers = Viewers(page, recording, page.observer.history if has_history else None)
         announce(page.url, live)
         viewers.wait(live.wait_s or 0.0)
         yield viewers
@@ -143,6 +144,15 @@ def open_viewers(
                 page.serve_until_left()
             except KeyboardInterrupt:  # the results are written, and nothing is cut short
                 return
+
+
+def _record_history(range_max_m: float, is_localization: bool) -> HistoryRecorder:
+    """Give what records the past of a run at which nobody looks while it goes on: fewer moments, at less cost."""
+    from gridslam.live.history_recorder import HistoryRecorder
+
+    return HistoryRecorder(
+        range_max_m, is_localization=is_localization, most=_MOST_MOMENTS, interval=_KEYS_BETWEEN_MOMENTS
+    )
 
 
 @contextmanager

@@ -44,6 +44,7 @@ def localize_to_folder(
     options: LogOptions,
     repair: Literal["needed", "all", "none"],
     live: LiveOptions | None,
+    no_history: bool,
     rerun: str | None,
     as_json: bool,
 ) -> None:
@@ -54,7 +55,13 @@ def localize_to_folder(
     is_watched = live is not None or rerun is not None
     known = read_map(map_path, strict_thresholds=strict_thresholds) if is_watched else None
     with open_viewers(
-        live, rerun, source.path.name, read.configuration.range_max_m, known, is_localization=True
+        live,
+        rerun,
+        source.path.name,
+        read.configuration.range_max_m,
+        known,
+        is_localization=True,
+        has_history=out is not None and not no_history,
     ) as viewers:
         with (
             nullcontext() if out is None else open_output(out, LocalizationResult.all_names()) as folder,

@@ -36,6 +36,7 @@ def map_to_folder(
     repair: Literal["needed", "all", "none"],
     session: SessionOptions,
     live: LiveOptions | None,
+    no_history: bool,
     rerun: str | None,
     as_json: bool,
 ) -> None:
@@ -46,7 +47,7 @@ def map_to_folder(
     if opened is not None:
         configuration = opened.configuration
     source = check_log(open_log(log, options), options)
-    with open_viewers(live, rerun, source.path.name, configuration.range_max_m) as viewers:
+    with open_viewers(live, rerun, source.path.name, configuration.range_max_m, has_history=not no_history) as viewers:
         session.make_room(out)
         if opened is not None and session.continued is not None:
             viewers.show_session(session.continued.name, [drive.name for drive in opened.saved.drives])

@@ -27,6 +27,7 @@ __all__ = [
     "add_options",
     "assignment_option",
     "evaluate_options",
+    "history_option",
     "host_options",
     "json_option",
     "live_options",
@@ -135,6 +136,8 @@ json_option = click.option(
 rerun_option = click.option(
     "--rerun", metavar="FILE|HOST:PORT", help="Record the run for Rerun's viewer, or stream it there (extra: rerun)."
 )
+
+history_option = click.option("--no-history", is_flag=True, help="Do not record the past of the run for gridslam view.")
 
 _LOG_OPTIONS = (
     click.option("--scan", "scan_topics", multiple=True, metavar="TOPIC", help="Topic of the scans; may be repeated."),

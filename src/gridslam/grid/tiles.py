@@ -208,6 +208,10 @@ class TileMaps:
         twin._roots = roots
         return twin
 
+    def shares_tiles(self, other: TileMaps) -> bool:
+        """Whether ids of tiles mean the same in both."""
+        return self._arena is other._arena
+
     def freeze(self) -> TileMaps:
         """All maps as they are now, to be read by another thread while the owner goes on; they are never written to."""
         twin = self.snapshot()

@@ -40,7 +40,7 @@ _OF_A_MOMENT = {"keys", "stamps_ns", "poses", "path_firsts", *_COUNTED}
 
 def write_history(path: str | Path, history: History) -> None:
     """Write the moments of a run; the tiles in it are compressed."""
-    moments = history.moments
+    moments = [moment.compress() for moment in history.moments]
     lists: dict[str, list[Any]] = {
         "keys": [moment.keys for moment in moments],
         "stamps_ns": [moment.stamp_ns for moment in moments],
@@ -132,6 +132,6 @@ def _check_moment(path: str | Path, number: int, moment: Moment) -> None:
     try:
         if len(moment.at) * TILE_BYTES > 1 << 30:
             raise ValueError(f"{len(moment.at)} tiles at once")
-        unpack_tiles(moment.at, moment.tiles)
+        unpack_tiles(moment.tiles, len(moment.at))
     except ValueError as error:
         raise InputError(path, f"tiles of moment {number}: {error}") from None

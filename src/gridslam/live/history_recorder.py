@@ -7,14 +7,17 @@ from collections.abc import Iterable, Iterator
 from typing import Any, TypeVar, final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from gridslam.grid.tiles import TileMaps
+from gridslam.kernels import TILE, UNKNOWN
 from gridslam.live.ancestry_tree import NO_POINTS
-from gridslam.live.history import History, Moment, PackedTiles, pack_tiles, round_scan
-from gridslam.live.monitor import BEST, MappingMonitor
+from gridslam.live.history import TILE_BYTES, History, Moment, pack_tiles, round_scan
+from gridslam.live.monitor import ClosureCollector
 from gridslam.live.protocol import levels
 from gridslam.live.protocol import pack_tiles as pack_levels
 from gridslam.live.scene import RowBuffer
-from gridslam.live.tiles import TileChanges
+from gridslam.live.tiles import compare_maps
 from gridslam.localization import LocalizationReport, MonteCarloState
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, IntArray, LaserScan, Odometry, StepReport
@@ -37,6 +40,10 @@ class HistoryRecorder:
         Beams of this range or more are not recorded; infinite if unknown.
     is_localization : bool
         Whether the filter localizes in a known map.
+    most : int, >= 2
+        Moments of a session that are not exceeded.
+    interval : int, >= 1
+        Key scans between two moments at first.
 
     Attributes
     ----------
@@ -48,24 +55,32 @@ class HistoryRecorder:
         How many of them, from the first on, are recognized; the others are tracked.
     """
 
-    def __init__(self, range_max_m: float = math.inf, *, is_localization: bool = False) -> None:
+    def __init__(
+        self,
+        range_max_m: float = math.inf,
+        *,
+        is_localization: bool = False,
+        most: int = 1024,
+        interval: int = 1,
+    ) -> None:
         """Start before the first scan."""
         self._range_max_m = range_max_m
-        self._monitor = None if is_localization else MappingMonitor(range_max_m)
+        self._maps = not is_localization
+        self._most = most
+        self._interval = interval
         self.reset()
 
     def reset(self) -> None:
         """Start before the first scan of a new session."""
-        self.history = History()
+        self.history = History(self._most, self._interval)
         self.closures: IntArray = np.zeros((0, 2), np.int64)
         self.recognized = 0
         self._keys = 0
         self._scan: LaserScan | None = None
         self._path: FloatArray = np.zeros((0, 2))
-        self._shown: PackedTiles = {}
         self._poses = RowBuffer(2)
-        if self._monitor is not None:
-            self._monitor.reset()
+        self._shown = _ShownMap()
+        self._collector = ClosureCollector()
 
     def follow(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
         """Yield the measurements of a source, and note their scans."""
@@ -79,12 +94,14 @@ class HistoryRecorder:
 
     def __call__(self, report: Any, state: Any, seconds: float) -> None:  # noqa: ANN401
         """Record a step, if it is a key scan and due."""
-        if self._monitor is not None:
-            self._monitor.record(report, self._scan)
+        if self._maps and report.closures:
+            self._collector.add(report.closures)
         if report.skipped is not None:
             return
+        if self._maps and report.corrected:
+            self._shown.forget()
         self._keys += 1
-        if self._monitor is None:
+        if not self._maps:
             self._poses.append(np.full((1, 2), np.nan) if report.lost else report.pose[None, :2])
         if self.history.is_due(self._keys):
             self.history.add(self._make_moment(report, state))
@@ -92,10 +109,10 @@ class HistoryRecorder:
     def _make_moment(
         self, report: StepReport | LocalizationReport, state: GridFastSlamState | MonteCarloState
     ) -> Moment:
-        changed: PackedTiles = {}
-        if self._monitor is not None and isinstance(report, StepReport) and isinstance(state, GridFastSlamState):
-            changed = self._find_changes(self._monitor.find_changes(state, {BEST: state.best})[BEST])
-            self.closures, self.recognized = self._monitor.find_closures(state)
+        at, tiles = _NOWHERE, b""
+        if isinstance(state, GridFastSlamState):
+            at, tiles = self._shown.find_changes(state.maps, state.best)
+            self.closures, self.recognized = self._collector.find(state)
             first, newest = state.ancestry.newest_positions(state.best, self._path)
             self._path = np.concatenate([self._path[:first], newest])
         else:
@@ -104,17 +121,53 @@ class HistoryRecorder:
             self._path = np.concatenate([self._path, newest])
         chosen, ratios = select_representatives(np.exp(state.log_weights), _MOST_PARTICLES)
         cloud = np.column_stack([state.poses[chosen], ratios]).astype(np.float32)
-        at, tiles = pack_tiles(changed)
         ends = NO_POINTS if self._scan is None else self._scan.beams(_CLOSEST_M, self._range_max_m).ends
         pose = np.array(report.pose)
         return Moment(
             self._keys, report.stamp_ns, pose, first, newest.astype(np.float32), at, tiles, round_scan(ends), cloud
         )
 
-    def _find_changes(self, changes: TileChanges) -> PackedTiles:
-        """Return the tiles that look different from those of the moment before."""
-        packed = pack_levels(levels(changes.log_odds))
-        tiles = {(row, column): one.tobytes() for (row, column), one in zip(changes.at.tolist(), packed, strict=True)}
-        seen = {at: tile for at, tile in tiles.items() if self._shown.get(at) != tile}
-        self._shown.update(seen)
-        return seen
+
+_NOWHERE: NDArray[np.int32] = np.zeros((0, 2), np.int32)
+_UNKNOWN_TILE: NDArray[np.int16] = np.full((1, TILE, TILE), UNKNOWN, np.int16)
+
+
+@final
+class _ShownMap:
+    """The map of the best particle as it was at the last moment.
+
+    It owns that map until the next one: the filter copies a tile before it writes to it, and only tiles that have
+    another id by then can look different.
+    """
+
+    def __init__(self) -> None:
+        """Start with an empty map."""
+        self._owned: TileMaps | None = None
+        self._places: dict[tuple[int, int], int] = {}  # of the tiles in `_packed`
+        self._packed: NDArray[np.uint8] = np.zeros((64, TILE_BYTES), np.uint8)
+
+    def forget(self) -> None:
+        """Give the map back; all tiles are compared at the next moment."""
+        self._owned = None
+
+    def find_changes(self, maps: TileMaps, row: int) -> tuple[NDArray[np.int32], bytes]:
+        """Return rows and columns (K, 2) and packed levels of the tiles that look different now."""
+        at, ids = compare_maps(maps, row, self._owned)
+        if self._owned is None:
+            at, ids = self._with_gone(at, ids)
+        self._owned = maps.snapshot(np.array([row]))
+        packed = pack_levels(levels(maps.tiles(ids)))
+        places = [self._places.setdefault(place, len(self._places)) for place in map(tuple, at.tolist())]
+        if len(self._places) > len(self._packed):
+            room = np.zeros((len(self._places), TILE_BYTES), np.uint8)
+            self._packed = np.concatenate([self._packed, room])
+        differs = (self._packed[places].view(np.uint64) != packed.view(np.uint64)).any(axis=1)
+        at, packed = at[differs], packed[differs]
+        self._packed[np.array(places, np.int64)[differs]] = packed
+        return at, pack_tiles(packed)
+
+    def _with_gone(self, at: NDArray[np.int32], ids: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Add the places, without a tile, of which nothing is known any more."""
+        known = set(map(tuple, at.tolist()))
+        gone = np.array([place for place in self._places if place not in known], np.int32).reshape(-1, 2)
+        return np.concatenate([at, gone]), np.concatenate([ids, np.zeros(len(gone), np.int32)])

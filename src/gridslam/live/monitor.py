@@ -7,7 +7,7 @@ is empty there.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
@@ -23,7 +23,16 @@ from gridslam.slam.loop_closure.constraints import ConstraintSource, select_show
 from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan, OccupancyGrid, StepReport
 from gridslam.viz.cloud import select_representatives
 
-__all__ = ["BEST", "CORRECTED", "LOST", "FilterMonitor", "LocalizationMonitor", "MappingMonitor", "StateView"]
+__all__ = [
+    "BEST",
+    "CORRECTED",
+    "LOST",
+    "ClosureCollector",
+    "FilterMonitor",
+    "LocalizationMonitor",
+    "MappingMonitor",
+    "StateView",
+]
 
 BEST = 0
 """The channel that always shows the map of the best particle."""
@@ -63,6 +72,33 @@ class StateView(NamedTuple):
 
 
 @final
+class ClosureCollector:
+    """Collects the loop closures of a session."""
+
+    def __init__(self) -> None:
+        """Start without closures."""
+        self._recognized: list[tuple[int, int]] = []
+        self._tracked: list[tuple[int, int]] = []  # of the first `_seen` constraints
+        self._seen = 0
+
+    def add(self, recognized: Iterable[tuple[int, int]]) -> None:
+        """Add what was recognized at a scan: the older and the later key scan of each."""
+        self._recognized += recognized
+
+    def find(self, state: GridFastSlamState) -> tuple[IntArray, int]:
+        """Return the loop closures (C, 2) so far, the older key scan first, and how many are recognized: the first."""
+        recognized = np.array(self._recognized, np.int64).reshape(-1, 2)
+        constraints = [] if state.closure_state is None else state.closure_state.graph.constraints
+        if len(constraints) < self._seen:
+            self._seen = 0
+            self._tracked = []
+        new = constraints[self._seen :]
+        self._tracked += [constraint.pair for constraint in new if constraint.source is ConstraintSource.TRACKED]
+        self._seen = len(constraints)
+        return np.concatenate([recognized, np.array(self._tracked, np.int64).reshape(-1, 2)]), len(recognized)
+
+
+@final
 class MappingMonitor:
     """Monitor of a filter that maps.
 
@@ -83,9 +119,7 @@ class MappingMonitor:
         self._maps: TileMaps | None = None
         self._keys = 0
         self._written: list[tuple[FloatArray, LaserScan | None]] = []
-        self._recognized: list[tuple[int, int]] = []
-        self._tracked: list[tuple[int, int]] = []  # of the first `_seen` constraints
-        self._seen = 0
+        self._collector = ClosureCollector()
         self._resamplings: deque[tuple[int, IntArray]] = deque(maxlen=_MAX_RESAMPLINGS)
         self._detectors = {BEST: TileChangeDetector()}
         self._lines: dict[int, IntArray] = {}  # of each channel the descendants of the selected particle
@@ -93,7 +127,7 @@ class MappingMonitor:
 
     def record(self, report: StepReport, scan: LaserScan | None) -> int:
         """Record a scan; return `CORRECTED` if the trajectory was corrected."""
-        self._recognized += report.closures
+        self._collector.add(report.closures)
         if report.skipped is not None:
             return 0
         self._keys += 1
@@ -126,7 +160,7 @@ class MappingMonitor:
         poses = state.poses
         log_weights = state.log_weights
         ancestry = state.ancestry.snapshot()
-        found, recognized = self.find_closures(state)
+        found, recognized = self._collector.find(state)
         closures = select_shown_closures(found[:recognized], found[recognized:])
 
         def make_frame() -> Frame:
@@ -179,18 +213,6 @@ class MappingMonitor:
             for channel, detector in self._detectors.items()
             if rows[channel] != _DIED_OUT
         }
-
-    def find_closures(self, state: GridFastSlamState) -> tuple[IntArray, int]:
-        """Return the loop closures (C, 2) so far, the older key scan first, and how many are recognized: the first."""
-        recognized = np.array(self._recognized, np.int64).reshape(-1, 2)
-        constraints = [] if state.closure_state is None else state.closure_state.graph.constraints
-        if len(constraints) < self._seen:
-            self._seen = 0
-            self._tracked = []
-        new = constraints[self._seen :]
-        self._tracked += [constraint.pair for constraint in new if constraint.source is ConstraintSource.TRACKED]
-        self._seen = len(constraints)
-        return np.concatenate([recognized, np.array(self._tracked, np.int64).reshape(-1, 2)]), len(recognized)
 
     def _written_box(self) -> Box | None:
         """Return the box in which maps may have changed since the last view; None if unknown."""

@@ -43,24 +43,22 @@ def encode(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> byt
     return b"".join([*parts, packer.flush()])
 
 
-def _table() -> NDArray[np.uint8]:
-    """The level of every int16, by its bits."""
-    log_odds = np.arange(2**16, dtype=np.uint16).view(np.int16)
-    steps = np.rint(log_odds.astype(np.float64) * (LOG_ODDS_UNIT / STEP_NATS))
-    return np.where(log_odds == UNKNOWN, 0, np.clip(steps + 8, 1, 15)).astype(np.uint8)
-
-
-_LEVEL_OF = _table()
+_STEP = round(STEP_NATS / LOG_ODDS_UNIT)
+_LOWEST = -7 * _STEP - _STEP // 2  # of level 1
+_HIGHEST = _LOWEST + 15 * _STEP - 1  # of level 15
 
 
 def levels(log_odds: NDArray[np.int16]) -> NDArray[np.uint8]:
     """Levels (...) of stored log-odds (...), 0 to 15."""
-    found: NDArray[np.uint8] = _LEVEL_OF.take(log_odds.view(np.uint16))
-    return found
+    found = np.clip(log_odds, np.int16(_LOWEST), np.int16(_HIGHEST))
+    found -= np.int16(_LOWEST - _STEP)
+    found //= np.int16(_STEP)
+    found *= log_odds != UNKNOWN
+    return found.astype(np.uint8)
 
 
 def pack_tiles(tiles: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Levels (K, 32, 32) as (K, 512) bytes: of two neighbours in a row the first is in the lower four bits."""
-    pairs = tiles.reshape(len(tiles), TILE * TILE // 2, 2)
-    both: NDArray[np.uint8] = pairs[:, :, 0] | pairs[:, :, 1] << np.uint8(4)
+    pairs = np.ascontiguousarray(tiles).reshape(len(tiles), TILE * TILE).view("<u2")
+    both: NDArray[np.uint8] = (pairs | pairs >> np.uint16(4)).astype(np.uint8)
     return both

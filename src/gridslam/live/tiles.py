@@ -14,9 +14,18 @@ from gridslam.grid.cells import LOG_ODDS_UNIT, cell_corner
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE, UNKNOWN
 from gridslam.live.protocol import levels
-from gridslam.types import FloatArray, OccupancyGrid
+from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
-__all__ = ["EMPTY_BOX", "Box", "TileChangeDetector", "TileChanges", "TileReplica", "split_into_tiles", "tile_offset"]
+__all__ = [
+    "EMPTY_BOX",
+    "Box",
+    "TileChangeDetector",
+    "TileChanges",
+    "TileReplica",
+    "compare_maps",
+    "split_into_tiles",
+    "tile_offset",
+]
 
 _UNKNOWN_TILE: NDArray[np.int16] = np.full((TILE, TILE), UNKNOWN, np.int16)
 _MARGIN_M = 2 * TILE * 0.05  # deskewing may move the end point of a beam this far
@@ -79,17 +88,9 @@ class TileChangeDetector:
         `written` marks the tiles written since the last look; None where that is unknown, or where these are
         other maps than those looked at before.
         """
-        ids, corner = maps.tile_ids(row)
-        corners = np.array([corner, self._corner])
-        tables = [ids, self._ids]
-        self._ids = ids
-        self._corner = corner
-        origin = corners.min(axis=0)
-        end = (corners + [table.shape for table in tables]).max(axis=0)
-        ids, before = (
-            np.pad(table, np.stack([at - origin, end - at - table.shape], axis=1))
-            for table, at in zip(tables, corners, strict=True)
-        )
+        now = maps.tile_ids(row)
+        ids, before, origin = _align(now, (self._ids, self._corner))
+        self._ids, self._corner = now
         changed = ids != before
         if written is None:
             changed |= ids != 0
@@ -101,6 +102,49 @@ class TileChangeDetector:
             changed[inside] |= ids[inside] != 0
         at = (np.argwhere(changed) + origin).astype(np.int32)
         return TileChanges(at, maps.tiles(ids[changed]))
+
+
+def compare_maps(maps: TileMaps, row: int, before: TileMaps | None) -> tuple[Int32Array, Int32Array]:
+    """Return where a map may have changed since it was copied.
+
+    Parameters
+    ----------
+    maps : TileMaps
+        With the map in question.
+    row : int
+        Its row.
+    before : TileMaps or None
+        A snapshot of one map, as `TileMaps.snapshot` makes it; all tiles are compared where it is None, or of other
+        maps.
+
+    Returns
+    -------
+    at : (K, 2) int32
+        Rows and columns of the tiles that may have changed.
+    ids : (K,) int32
+        Their ids now, 0 where nothing is.
+    """
+    now = maps.tile_ids(row)
+    earlier = (np.zeros((1, 1), np.int32), now[1]) if before is None else before.tile_ids(0)
+    ids, others, origin = _align(now, earlier)
+    is_same = before is None or maps.shares_tiles(before)
+    changed = ids != others if is_same else (ids != 0) | (others != 0)
+    return (np.argwhere(changed) + origin).astype(np.int32), ids[changed]
+
+
+def _align(*tables: tuple[Int32Array, tuple[int, int]]) -> tuple[Int32Array, Int32Array, IntArray]:
+    """Return two tables of ids over the same tiles, and the row and column of their corner."""
+    (one, corner), (other, at) = tables
+    if corner == at and one.shape == other.shape:
+        return one, other, np.array(corner)
+    corners = np.array([corner, at])
+    origin = corners.min(axis=0)
+    end = (corners + [table.shape for table in (one, other)]).max(axis=0)
+    wide: list[Int32Array] = []
+    for table, (row, column) in ((one, corners[0] - origin), (other, corners[1] - origin)):
+        wide.append(np.zeros(end - origin, np.int32))
+        wide[-1][row : row + table.shape[0], column : column + table.shape[1]] = table
+    return wide[0], wide[1], origin
 
 
 @final

@@ -142,14 +142,14 @@ class Ancestry:
         """
         start = len(self._trunk) // self._width
         place = int(self._leaves[particle])
-        rows: list[FloatArray] = []
+        rows: list[tuple[float, float]] = []
         for k in range(len(self._levels) - 1, -1, -1):
             poses, parents = self._levels[k]
-            row = poses[place, :2]
-            if start + k < len(known) and row[0] == known[start + k, 0] and row[1] == known[start + k, 1]:
+            x, y = poses.item(place, 0), poses.item(place, 1)
+            if start + k < len(known) and x == known.item(start + k, 0) and y == known.item(start + k, 1):
                 return start + k + 1, np.array(rows[::-1]).reshape(-1, 2)
-            rows.append(row)
-            place = int(parents[place])
+            rows.append((x, y))
+            place = parents.item(place)
         trunk = self._trunk_poses[:, :2]
         count = min(len(trunk), len(known))
         differs = (trunk[:count] != known[:count]).any(axis=1)

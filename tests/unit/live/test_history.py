@@ -50,6 +50,45 @@ def record(drive, most):
     return recorder, seen
 
 
+@pytest.mark.parametrize("interval", [1, 3])
+def test_the_beginning_is_kept_however_moments_are_joined(drive, interval):
+    recorder = HistoryRecorder(30.0, most=12, interval=interval)
+    keys = []
+
+    def note(report, state, seconds):
+        if report.skipped is None:
+            keys.append(len(keys) + 1)
+
+    slam = build(RESAMPLING)
+    run(recorder.follow(drive[:150]), slam, particles=4, rng=np.random.default_rng(3), observers=[recorder, note])
+    history = recorder.history
+    apart = history.interval
+    assert apart > interval
+    due = [1, *range(apart, len(keys) + 1, apart)]
+    found = [moment.keys for moment in history.moments]
+    assert found[: len(due)] == due
+    assert len(found) <= len(due) + 1, "at most one that is not joined yet"
+
+
+def test_a_map_that_shrinks_is_seen_as_it_was(drive):
+    """As after a correction, where other maps replace those of before."""
+    recorder, seen = HistoryRecorder(30.0), []
+
+    def note(report, state, seconds):
+        if report.skipped is None:
+            if len(seen) == 40:
+                state.maps.clear(state.best)
+            seen.append(looks_of(state.maps.occupancy(state.best)))
+
+    slam = build(RESAMPLING)
+    run(recorder.follow(drive[:120]), slam, particles=1, rng=np.random.default_rng(3), observers=[note, recorder])
+    assert len(seen[40]) < len(seen[39])
+    maps, replica = PastMaps(recorder.history), PastReplica()
+    for index in (39, 40, 41, len(seen) - 1):
+        replica.show(maps.at(index))
+        assert looks(replica) == seen[index]
+
+
 @pytest.mark.parametrize("most", [10_000, 40])
 def test_every_moment_is_as_it_was(drive, most):
     recorder, seen = record(drive, most)
@@ -96,8 +135,9 @@ def test_a_file_gives_the_same_moments(drive, tmp_path):
     read = read_history(tmp_path / "history.npz")
     assert len(read.moments) == len(history.moments)
     for one, other in zip(history.moments, read.moments, strict=True):
-        for a, b in zip(one, other, strict=True):
+        for a, b in zip(one.compress(), other, strict=True):
             assert np.array_equal(a, b)
+        assert one.unpack() == other.unpack()
     assert (tmp_path / "history.npz").stat().st_size < 400_000
     write_history(tmp_path / "none.npz", History())
     assert not read_history(tmp_path / "none.npz").moments
