@@ -30,9 +30,12 @@ KERNELS = (
     "draw_scans",
     "match_scans",
     "shortest_ways",
+    "draw_gaussians",
+    "kalman_update",
+    "predict_landmarks",
 )
-"""The last six in `test_branch_and_bound_laws.py`, `test_weighing_laws.py`, `test_many_scans_laws.py` and
-`test_shortest_ways_laws.py`."""
+"""Those from `max_pyramid` on in `test_branch_and_bound_laws.py`, `test_weighing_laws.py`, `test_many_scans_laws.py`,
+`test_shortest_ways_laws.py` and `test_landmark_kernels.py`."""
 SEEDS = range(25)
 CELL = 0.05
 SINGLE = 4e-4

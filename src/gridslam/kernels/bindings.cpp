@@ -8,6 +8,7 @@
 
 #include "beams.hpp"
 #include "correlate.hpp"
+#include "landmarks.hpp"
 #include "maps.hpp"
 #include "several_scans.hpp"
 #include "shortest_ways.hpp"
@@ -187,6 +188,49 @@ auto py_sum_at_ends(Array<const uint32_t, 2> patches, Vector corner, double reso
 }
 
 using Starts = Array<const int64_t, 1>;
+using Matrices = Array<const double, 3>;
+
+auto py_predict_landmarks(int sensor, Matrix poses, Matrix calibration, Matrices positions,
+                          Array<const double, 4> covariances, Starts rows, Starts columns, Matrices pose_covariances,
+                          Vector measured, Matrix noise) {
+  const size_t r = rows.shape(0);
+  auto residuals = fresh<double, 2>({r, 2});
+  auto innovations = fresh<double, 3>({r, 2, 2}), by_landmark = fresh<double, 3>({r, 2, 2});
+  auto by_pose = fresh<double, 3>({r, 2, 3}), by_sensor = fresh<double, 3>({r, 2, 2});
+  const Landmarks all{poses.data(), calibration.data(), positions.data(), covariances.data(),
+                      static_cast<int64_t>(positions.shape(1))};
+  {
+    nb::gil_scoped_release release;
+    predict_landmarks(static_cast<LandmarkSensor>(sensor), all, rows.data(), columns.data(), static_cast<int64_t>(r),
+                      pose_covariances.shape(0) ? pose_covariances.data() : nullptr, measured.data(), noise.data(),
+                      {residuals.data(), innovations.data(), by_pose.data(), by_landmark.data(), by_sensor.data()});
+  }
+  return std::make_tuple(residuals, innovations, by_pose, by_landmark, by_sensor);
+}
+
+auto py_draw_gaussians(Matrix means, Matrices covariances, Matrix numbers) {
+  auto drawn = fresh<double, 2>({means.shape(0), means.shape(1)});
+  {
+    nb::gil_scoped_release release;
+    draw_gaussians(means.data(), covariances.data(), numbers.data(), static_cast<int64_t>(means.shape(0)),
+                   static_cast<int64_t>(means.shape(1)), drawn.data());
+  }
+  return drawn;
+}
+
+auto py_kalman_update(Array<double, 2> means, Array<double, 3> covariances, Starts rows, Matrices jacobians,
+                      Matrices innovations, Matrix residuals) {
+  const size_t r = rows.shape(0), size = covariances.shape(1);
+  auto shifts = fresh<double, 2>({r, size});
+  auto gains = fresh<double, 3>({r, size, 2});
+  {
+    nb::gil_scoped_release release;
+    kalman_update({means.data(), covariances.data(), static_cast<int64_t>(means.shape(1)), static_cast<int64_t>(size)},
+                  rows.data(), static_cast<int64_t>(r), jacobians.data(), innovations.data(), residuals.data(),
+                  shifts.data(), gains.data());
+  }
+  return std::make_tuple(shifts, gains);
+}
 
 Scans scans_of(const Matrix& poses, const Matrix& ends, const Starts& starts, const Matrix& origins) {
   return {poses.data(), ends.data(), starts.data(), origins.data(), static_cast<int>(poses.shape(0))};
@@ -310,6 +354,11 @@ NB_MODULE(_compiled, m) {
         "threads"_a);
   m.def("cast_rays", &py_cast_rays, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "origin"_a, "directions"_a, "resolution"_a,
         "max_m"_a, "threads"_a);
+  m.def("predict_landmarks", &py_predict_landmarks, "sensor"_a, "poses"_a, "calibration"_a, "positions"_a,
+        "covariances"_a, "rows"_a, "columns"_a, "pose_covariances"_a, "measured"_a, "noise"_a);
+  m.def("draw_gaussians", &py_draw_gaussians, "means"_a, "covariances"_a, "numbers"_a);
+  m.def("kalman_update", &py_kalman_update, nb::arg("means").noconvert(), nb::arg("covariances").noconvert(), "rows"_a,
+        "jacobians"_a, "innovations"_a, "residuals"_a);
   m.def("sum_at_ends", &py_sum_at_ends, "patches"_a, "corner"_a, "resolution"_a, "poses"_a, "ends"_a, "threads"_a);
   m.def("draw_scans", &py_draw_scans, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(),
         nb::arg("tile_refs").noconvert(), "free_pages"_a, "free_tiles"_a, "poses"_a, "ends"_a, "starts"_a, "origins"_a,

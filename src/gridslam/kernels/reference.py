@@ -1,7 +1,7 @@
 """The NumPy twins of the compiled kernels: what each computes, readable; the oracle of their tests, and the fallback.
 
-All functions but `max_pyramid`, `correlate` and `sum_at_ends`, which work on one plain array, work on maps of one
-layout, five arguments that always come first:
+All functions but `max_pyramid`, `correlate` and `sum_at_ends`, which work on one plain array, and those of landmarks
+work on maps of one layout, five arguments that always come first:
 
 roots : (R, P, Q) int32
     For each map (row) a table of page ids; ``roots[r, 0, 0]`` is the page at page coordinates `first`.
@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.kernels import reference_scans
+from gridslam.kernels.reference_landmarks import draw_gaussians, kalman_update, predict_landmarks
 from gridslam.kernels.reference_update import (
     FARTHEST,
     OCCUPIED,
@@ -51,11 +52,14 @@ __all__ = [
     "cast_rays",
     "correlate",
     "distances",
+    "draw_gaussians",
     "draw_scans",
+    "kalman_update",
     "make_tiles_writable",
     "match",
     "match_scans",
     "max_pyramid",
+    "predict_landmarks",
     "select_beams",
     "shortest_ways",
     "sum_at_ends",

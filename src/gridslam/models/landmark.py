@@ -399,4 +399,7 @@ def _with_bearing_wrapped(residual: FloatArray) -> FloatArray:
 def _noise(observations: LandmarkObservations, first: float, second: float) -> FloatArray:
     if observations.covariances is not None:
         return observations.covariances
-    return np.broadcast_to(np.diag([first**2, second**2]), (len(observations), 2, 2))
+    noise = np.zeros((len(observations), 2, 2))
+    noise[:, 0, 0] = first**2
+    noise[:, 1, 1] = second**2
+    return noise

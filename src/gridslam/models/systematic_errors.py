@@ -81,7 +81,8 @@ class SystematicErrors:
 
     def by_calibration(self, derivative: FloatArray) -> FloatArray:
         """Derivatives (..., 2, B) by the errors, of those (..., 2, 2) by the calibration of the sensor."""
-        return np.asarray(derivative @ self._of_sensor.T)
+        of_sensor = self._of_sensor
+        return np.asarray(derivative @ of_sensor.T) if len(of_sensor) else np.empty((*derivative.shape[:-1], 0))
 
     def predict(self, motion: MotionSampler, known: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Move N poses together with their errors.

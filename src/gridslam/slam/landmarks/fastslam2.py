@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from gridslam.arguments import require_generator, require_instance
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import lever_arm_jacobian
+from gridslam.kernels import backend
 from gridslam.models.association import NEW
 from gridslam.models.landmark import LandmarkObservations
 from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
@@ -24,7 +25,7 @@ from gridslam.particles.resampling import Systematic
 from gridslam.slam.landmarks.filters import Innovation, LandmarkFilters, SampledPoses
 from gridslam.slam.landmarks.particles import LandmarkParticles
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
-from gridslam.slam.landmarks.small_gaussians import draw_poses, inverse_2x2, matvec, transform_covariances, transpose
+from gridslam.slam.landmarks.small_gaussians import draw_poses, transform_covariances
 from gridslam.types import FloatArray, IntArray, MotionSampler, Resampler
 
 __all__ = ["FastSlam2", "PoseProposal"]
@@ -69,12 +70,9 @@ class PoseProposal:
         Sigma_x = [H_x' Q^-1 H_x + R^-1]^-1 = R - K H_x R and mu_x = x + Sigma_x H_x' Q^-1 (z - h) = x + K (z - h), with
         the Kalman gain K = R H_x' L^-1, which needs no inverse of R: that may be singular.
         """
-        R = self.covariance[seen.rows]
-        R_Hx = R @ transpose(self._jacobian(seen))
-        K = R_Hx @ inverse_2x2(seen.covariances)
-        shift = matvec(K, seen.residuals)
-        self.covariance[seen.rows] = R - K @ transpose(R_Hx)
-        self.mean[seen.rows] += shift[:, : self.mean.shape[1]]
+        shift: FloatArray = backend.kalman_update(
+            self.mean, self.covariance, seen.rows, self._jacobian(seen), seen.covariances, seen.residuals
+        )[0]
         self.mean[:, 2] = wrap(self.mean[:, 2])
         return shift
 

@@ -9,6 +9,8 @@ from typing import Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.kernels import backend
+from gridslam.kernels.reference_landmarks import DEPTH_BEARING, RANGE_BEARING, RELATIVE_POSITION
 from gridslam.models.association import (
     AMBIGUOUS,
     NEW,
@@ -19,9 +21,11 @@ from gridslam.models.association import (
     signatures,
 )
 from gridslam.models.landmark import (
+    DepthBearing,
     LandmarkModel,
     LandmarkObservations,
     RangeBearing,
+    RelativePosition,
     linearize_calibrated,
     locate_calibrated,
 )
@@ -31,13 +35,19 @@ from gridslam.slam.landmarks.small_gaussians import (
     inverse_2x2,
     log_density,
     mahalanobis,
-    matvec,
     transform_covariances,
-    transpose,
 )
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["Innovation", "LandmarkFilters", "PoseBelief", "SampledPoses"]
+
+# Sensors whose predictions a kernel computes; any other one is asked for its own.
+_KINDS: dict[type, int] = {
+    RangeBearing: RANGE_BEARING,
+    DepthBearing: DEPTH_BEARING,
+    RelativePosition: RELATIVE_POSITION,
+}
+_EXACT = np.empty((0, 3, 3))
 
 
 class PoseBelief(Protocol):
@@ -105,6 +115,8 @@ class Innovation:
 
     def select(self, chosen: NDArray[np.bool_]) -> Innovation:
         """Return those that are chosen (R,)."""
+        if chosen.all():
+            return self
         return Innovation(
             self.rows[chosen],
             self.columns[chosen],
@@ -187,15 +199,16 @@ class LandmarkFilters:
         if isinstance(self.association, MaximumLikelihood):
             return self._draw_correspondences(state, observations, k, belief, taken, self.association, rng)
         column = state.column(int(signatures(observations)[k]))
-        rows = np.arange(len(state) if column != NEW else 0)
+        if column == NEW:
+            nobody = np.empty(0, np.int64)
+            none = self.innovation(state, nobody, nobody, belief, observations, k)
+            return np.full(len(state), NEW), np.full(len(state), self._log_threshold(observations, k)), none
+        rows = np.arange(len(state))
         seen = self.innovation(state, rows, np.full(len(rows), column), belief, observations, k)
         squared, log_dets = mahalanobis(seen.residuals, seen.covariances)
         believed = squared <= self.association.gate
-        columns = np.full(len(state), NEW)
-        likelihood = np.full(len(state), self._log_threshold(observations, k))
-        columns[rows] = np.where(believed, column, AMBIGUOUS)
-        likelihood[rows] = log_density(np.minimum(squared, self.association.gate), log_dets)
-        return columns, likelihood, seen.select(believed)
+        likelihood = log_density(np.minimum(squared, self.association.gate), log_dets)
+        return np.where(believed, column, AMBIGUOUS), likelihood, seen.select(believed)
 
     def innovation(
         self,
@@ -207,14 +220,30 @@ class LandmarkFilters:
         k: int,
     ) -> Innovation:
         """Predict observation k of R landmarks (rows, columns): h, H_x, H_m, and H_m Sigma H_m' + Q + H_x R H_x'."""
-        predicted, H_x, H_m, H_c = linearize_calibrated(
-            self.sensor, belief.poses[rows], state.positions[rows, columns], belief.calibration[rows]
-        )
-        L = transform_covariances(H_m, state.covariances[rows, columns]) + self.sensor.noise(observations)[k]
         R = belief.covariance_seen_from(rows, columns)
-        if R is not None:
-            L += transform_covariances(H_x, R)
-        residuals = self.sensor.residual(observations.values[k], predicted)
+        Q = self.sensor.noise(observations)[k]
+        kind = _KINDS.get(type(self.sensor))
+        if kind is not None:
+            residuals, L, H_x, H_m, H_c = backend.predict_landmarks(
+                kind,
+                belief.poses,
+                belief.calibration,
+                state.positions,
+                state.covariances,
+                rows,
+                columns,
+                _EXACT if R is None else R,
+                observations.values[k],
+                Q,
+            )
+        else:
+            predicted, H_x, H_m, H_c = linearize_calibrated(
+                self.sensor, belief.poses[rows], state.positions[rows, columns], belief.calibration[rows]
+            )
+            L = transform_covariances(H_m, state.covariances[rows, columns]) + Q
+            if R is not None:
+                L += transform_covariances(H_x, R)
+            residuals = self.sensor.residual(observations.values[k], predicted)
         return Innovation(rows, columns, residuals, L, H_x, H_m, self.bias.by_calibration(H_c))
 
     def correct(self, state: LandmarkParticles, seen: Innovation) -> None:
@@ -222,14 +251,12 @@ class LandmarkFilters:
 
         Source: Probabilistic Robotics, Tables 13.1 and 13.2 (mean and covariance of the features).
         """
-        of = seen.rows, seen.columns
-        covariances = state.covariances[of]
-        shared = covariances @ transpose(seen.by_landmark)
-        gain = shared @ inverse_2x2(seen.covariances)
-        state.positions[of] += matvec(gain, seen.residuals)
-        state.covariances[of] = covariances - gain @ transpose(shared)
+        places = seen.rows * state.positions.shape[1] + seen.columns
+        means, covariances = state.positions.reshape(-1, 2), state.covariances.reshape(-1, 2, 2)
+        _, gain = backend.kalman_update(means, covariances, places, seen.by_landmark, seen.covariances, seen.residuals)
         if state.pose_by_bias.size:
             directly = seen.by_pose @ state.pose_by_bias[seen.rows] + seen.by_errors
+            of = seen.rows, seen.columns
             state.positions_by_bias[of] -= gain @ (directly + seen.by_landmark @ state.positions_by_bias[of])
 
     def add(

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from gridslam.geometry.angles import wrap
+from gridslam.kernels import backend
 from gridslam.types import FloatArray
 
 __all__ = [
@@ -64,15 +65,6 @@ def draw_poses(means: FloatArray, covariances: FloatArray, rng: np.random.Genera
 
 
 def draw(means: FloatArray, covariances: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Draw a vector (N, i) from each Gaussian (N, i), (N, i, i).
-
-    Cholesky's factor comes column by column, and each takes away what it explains; variances may be 0.
-    """
-    drawn = means.T.copy()
-    left = covariances.transpose(1, 2, 0).copy()  # loops run along particles
-    for i, number in enumerate(rng.standard_normal(means.shape).T):
-        sigma = np.sqrt(np.maximum(left[i, i], 0.0))
-        column = np.divide(left[i], sigma, out=np.zeros_like(left[i]), where=sigma > 0)  # no variance, no covariance
-        drawn += number * column
-        left -= column[:, None] * column
-    return np.ascontiguousarray(drawn.T)
+    """Draw a vector (N, i) from each Gaussian (N, i), (N, i, i); variances may be 0."""
+    drawn: FloatArray = backend.draw_gaussians(means, covariances, rng.standard_normal(means.shape))
+    return drawn
