@@ -152,9 +152,13 @@ class Match:
     information: FloatArray
     score: FloatArray
 
+    def select(self, chosen: IntArray) -> Match:
+        """Matches `chosen` (M,) of them."""
+        return Match(self.poses[chosen], self.information[chosen], self.score[chosen])
+
     def only(self, k: int) -> Match:
         """Match k alone."""
-        return Match(*(found[k : k + 1] for found in (self.poses, self.information, self.score)))
+        return self.select(np.array([k]))
 
 
 @final

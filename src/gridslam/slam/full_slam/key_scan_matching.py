@@ -13,16 +13,19 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
-from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, anchor_of, submap_of
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, constraints_from_matches
+from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph, anchor_of, first_key_scan
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submaps import build_map, key_scans_of
-from gridslam.types import FloatArray
+from gridslam.types import FloatArray, IntArray
 
 __all__ = ["VISIT_GAP", "KeyScanMatching"]
 
 _RECENT_SUBMAPS = 3
 """Submaps so near in time show what the tracker has matched already."""
+
+_KEY_SCANS_AT_A_TIME = 32
+"""Compared with the submaps about them in one go: what is near one is near the next."""
 
 VISIT_GAP = 3
 """Key scans farther apart than this in time belong to different visits of a submap."""
@@ -88,41 +91,61 @@ class KeyScanMatching:
             is_match = beams >= self.matcher.min_beams
             is_match &= matches.score >= np.maximum(self.inlier_ratio * beams, 1.0)
             is_match &= np.hypot(moved[:, 0], moved[:, 1]) <= self.max_correction_m
+            chosen = np.flatnonzero(is_match)
             visit: list[Constraint] = []
-            for k in np.flatnonzero(is_match).tolist():
-                key = members[k]
-                if visit and key > visit[-1].to + VISIT_GAP:
+            for constraint in constraints_from_matches(
+                anchor,
+                [members[k] for k in chosen.tolist()],
+                guesses[chosen],
+                matches.select(chosen),
+                self.beam_sigma_m,
+                self.min_information,
+                ConstraintSource.PROXIMITY,
+            ):
+                if visit and constraint.to > visit[-1].to + VISIT_GAP:
                     yield from _divide_information(visit)
                     visit = []
-                visit.append(
-                    Constraint.from_match(
-                        *(anchor, key, guesses[k], matches.only(k), self.beam_sigma_m, self.min_information),
-                        ConstraintSource.PROXIMITY,
-                    )
-                )
+                visit.append(constraint)
             yield from _divide_information(visit)
 
     def _nearby_key_scans(self, closure_state: LoopClosureState, poses: FloatArray) -> list[list[int]]:
-        """For each submap the key scans to match to it."""
-        from scipy.spatial import KDTree  # imported lazily: only needed for loop closure
-
+        """For each submap the key scans to match to it: those of which it is one of the nearest."""
         graph = closure_state.graph
         components = graph.label_rigid_components()
-        wanted: list[list[int]] = [[] for _ in range(graph.complete_submaps)]
-        complete = graph.complete_submaps * KEY_SCANS_PER_SUBMAP
-        for key, near in enumerate(KDTree(poses[:, :2]).query_ball_point(poses[:, :2], self.max_distance_m)):
-            others = np.array([k for k in near if k < complete], np.int64)
-            submaps = others // KEY_SCANS_PER_SUBMAP
-            is_left_out = np.abs(submaps - submap_of(key)) <= _RECENT_SUBMAPS
-            if key < graph.frozen:
-                is_left_out |= anchor_of(0) + KEY_SCANS_PER_SUBMAP * submaps < graph.frozen
-            others = others[~is_left_out & (components[others] == components[key])]
-            turned = np.abs(wrap(poses[others, 2] - poses[key, 2]))
-            away = np.hypot(*(poses[others, :2] - poses[key, :2]).T) + 0.5 * turned
-            nearest = dict.fromkeys((others[np.lexsort((others, away))] // KEY_SCANS_PER_SUBMAP).tolist())
-            for submap in list(nearest)[: self.max_submaps]:
+        submaps = graph.complete_submaps
+        wanted: list[list[int]] = [[] for _ in range(submaps)]
+        of_submaps = poses[: submaps * KEY_SCANS_PER_SUBMAP]
+        members = of_submaps.reshape(submaps, KEY_SCANS_PER_SUBMAP, 3)
+        low, high = members[:, :, :2].min(axis=1), members[:, :, :2].max(axis=1)
+        for first in range(0, len(poses), _KEY_SCANS_AT_A_TIME):
+            here = np.arange(first, min(first + _KEY_SCANS_AT_A_TIME, len(poses)))
+            begin = poses[here, :2].min(axis=0) - self.max_distance_m
+            end = poses[here, :2].max(axis=0) + self.max_distance_m
+            near = np.flatnonzero(((high >= begin) & (low <= end)).all(axis=1))
+            away = self._distances(graph, components, poses, here, near)
+            order = np.argsort(away, axis=1, kind="stable")[:, : self.max_submaps]
+            nearest = np.take_along_axis(away, order, axis=1)
+            of_key, rank = np.nonzero(np.isfinite(nearest))
+            for key, submap in zip(here[of_key].tolist(), near[order[of_key, rank]].tolist(), strict=True):
                 wanted[submap].append(key)
         return wanted
+
+    def _distances(
+        self, graph: KeyGraph, components: IntArray, poses: FloatArray, here: IntArray, submaps: IntArray
+    ) -> FloatArray:
+        """Distances (H, S), in m and half radians, of key scans `here` (H,) from submaps (S,).
+
+        Infinite where no match is wanted.
+        """
+        members = first_key_scan(1) * submaps[:, None] + np.arange(KEY_SCANS_PER_SUBMAP)
+        dx, dy, turn = np.moveaxis(poses[members] - poses[here, None, None, :], -1, 0)  # (H, S, K) each
+        metres = np.hypot(dx, dy)
+        is_wanted = (metres <= self.max_distance_m) & (components[members] == components[here, None, None])
+        away: FloatArray = np.where(is_wanted, metres + 0.5 * np.abs(wrap(turn)), np.inf).min(axis=2, initial=np.inf)
+        is_left_out = np.abs(submaps - here[:, None] // KEY_SCANS_PER_SUBMAP) <= _RECENT_SUBMAPS
+        is_left_out |= (here[:, None] < graph.frozen) & (anchor_of(0) + first_key_scan(1) * submaps < graph.frozen)
+        away[is_left_out] = np.inf
+        return away
 
 
 def _divide_information(visit: list[Constraint]) -> Iterator[Constraint]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from enum import IntEnum
 from typing import Annotated, NamedTuple, final
@@ -10,12 +10,13 @@ from typing import Annotated, NamedTuple, final
 import numpy as np
 
 from gridslam.geometry.se2 import between, compose_jacobians
-from gridslam.matching.gauss_newton import degenerate_direction
+from gridslam.matching.gauss_newton import are_degenerate, degenerate_direction
 from gridslam.types import FloatArray, IntArray, Match
 
 __all__ = [
     "Constraint",
     "ConstraintSource",
+    "constraints_from_matches",
     "key_scan_pairs",
     "select_shown_closures",
     "transform_match",
@@ -95,6 +96,28 @@ class Constraint(NamedTuple):
         return cls(from_, to, pose, _rotate(information, pose) + _FLOOR, source, weak is None)
 
 
+def constraints_from_matches(
+    from_: int,
+    keys: Sequence[int],
+    guesses: FloatArray,
+    matches: Match,
+    sigma_m: float,
+    least: float,
+    source: ConstraintSource,
+) -> list[Constraint]:
+    """Give `Constraint.from_match` for key scans `keys` (K,), each matched from its guess (K, 3)."""
+    information = matches.information / sigma_m**2
+    rotated = _rotate(information, matches.poses) + _FLOOR
+    weak = are_degenerate(matches.information, matches.score, least)
+    found = []
+    for k, key in enumerate(keys):
+        if weak[k]:
+            found.append(Constraint.from_match(from_, key, guesses[k], matches.only(k), sigma_m, least, source))
+        else:
+            found.append(Constraint(from_, key, matches.poses[k], rotated[k], source, True))
+    return found
+
+
 def transform_match(frame: FloatArray, match: Match) -> Match:
     """The same match, poses and information, in a frame that is at pose (3,) in the map's."""
     return replace(match, poses=between(frame, match.poses), information=_rotate(match.information, frame))
@@ -116,7 +139,7 @@ def select_shown_closures(recognized: IntArray, tracked: IntArray) -> IntArray:
 
 
 def _rotate(information: FloatArray, frame: FloatArray) -> FloatArray:
-    """Information (..., 3, 3) in the axes of a frame at pose (3,)."""
+    """Information (..., 3, 3) in the axes of frames at poses (3,) or (..., 3)."""
     _, rotation = compose_jacobians(frame, frame)
-    rotated: FloatArray = rotation.T @ information @ rotation
+    rotated: FloatArray = np.swapaxes(rotation, -1, -2) @ information @ rotation
     return rotated
