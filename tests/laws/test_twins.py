@@ -33,9 +33,10 @@ KERNELS = (
     "draw_gaussians",
     "kalman_update",
     "predict_landmarks",
+    "parse_numbers",
 )
 """Those from `max_pyramid` on in `test_branch_and_bound_laws.py`, `test_weighing_laws.py`, `test_many_scans_laws.py`,
-`test_shortest_ways_laws.py` and `test_landmark_kernels.py`."""
+`test_shortest_ways_laws.py`, `test_landmark_kernels.py` and `test_number_laws.py`."""
 SEEDS = range(25)
 CELL = 0.05
 SINGLE = 4e-4

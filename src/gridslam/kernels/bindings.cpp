@@ -10,6 +10,7 @@
 #include "correlate.hpp"
 #include "landmarks.hpp"
 #include "maps.hpp"
+#include "numbers.hpp"
 #include "several_scans.hpp"
 #include "shortest_ways.hpp"
 
@@ -304,6 +305,19 @@ auto py_shortest_ways(Matrix firsts, Matrix steps, Array<const int32_t, 2> link_
   return std::make_tuple(submaps, sums, poses);
 }
 
+auto py_parse_numbers(nb::bytes text, size_t rows) {
+  std::vector<double> values;
+  bool is_plain;
+  {
+    nb::gil_scoped_release release;
+    is_plain = parse_numbers(text.c_str(), text.size(), rows, values);
+  }
+  if (!is_plain) return fresh<double, 2>({0, 0});
+  auto out = fresh<double, 2>({rows, values.size() / rows});
+  std::copy(values.begin(), values.end(), out.data());
+  return out;
+}
+
 auto py_max_pyramid(Array<const uint8_t, 2> likelihood, int levels) {
   const size_t rows = likelihood.shape(0), cols = likelihood.shape(1), side = size_t{1} << levels;
   auto fine = fresh<uint8_t, 3>({static_cast<size_t>(levels), rows + 2 * side, cols + 2 * side});
@@ -369,6 +383,7 @@ NB_MODULE(_compiled, m) {
         "stop_rad"_a, "reach_cells"_a, "min_information"_a, "point_to_line"_a, "min_beams"_a, "threads"_a);
   m.def("shortest_ways", &py_shortest_ways, "firsts"_a, "steps"_a, "link_submaps"_a, "links"_a, "submap"_a, "moments"_a,
         "pose"_a, "x"_a, "y"_a, "limit"_a, "most"_a, "last"_a);
+  m.def("parse_numbers", &py_parse_numbers, "text"_a, "rows"_a);
   m.def("max_pyramid", &py_max_pyramid, "likelihood"_a, "levels"_a);
   m.def("correlate", &py_correlate, "fine"_a, "top"_a, "ends"_a, "headings"_a, "window"_a, "centre"_a, "information"_a,
         "distance"_a, "count"_a, "min_sum"_a, "min_runner_up_ratio"_a, "min_distance_cells"_a, "min_distance_rad"_a);

@@ -9,6 +9,7 @@ from typing import final
 import numpy as np
 
 from gridslam.io.measurement import FARTHEST_M
+from gridslam.kernels import backend
 from gridslam.types import FloatArray
 
 __all__ = ["SCAN_TAGS", "BeamLayout", "LineError", "ScanRows", "parse_pose", "parse_rows"]
@@ -75,7 +76,9 @@ def parse_rows(tag: str, texts: Sequence[str]) -> list[tuple[int, ScanRows]]:
     Raises LineError with the offending row.
     """
     try:
-        values = np.loadtxt(texts, dtype=np.float64, comments=None, ndmin=2)
+        values = backend.parse_numbers("\n".join(texts).encode("latin-1"), len(texts))
+        if not len(values):  # some are written otherwise, as "nan"
+            values = np.loadtxt(texts, dtype=np.float64, comments=None, ndmin=2)
         if len(values) == len(texts) and _have_same_form(tag, values):
             return [(0, _decode(tag, values))]
     except ValueError:
