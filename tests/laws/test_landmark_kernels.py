@@ -33,7 +33,7 @@ def case(seed, particles=40, landmarks=7):
     rows = np.sort(rng.permutation(particles)[: particles - 5])
     return {
         "poses": poses,
-        "calibration": rng.normal(size=(particles, 2)) * 0.2,
+        "calibration": rng.normal(size=(particles, 2)) * 0.2 if seed % 3 else np.empty((0, 2)),
         "positions": poses[:, None, :2] + rng.normal(size=(particles, landmarks, 2)) * 10,
         "covariances": covariances(rng, particles, landmarks, 2),
         "rows": rows,
@@ -52,6 +52,17 @@ def test_predictions_are_those_of_the_twin(sensor, seed):
         compiled.predict_landmarks(sensor, **given), reference.predict_landmarks(sensor, **given), strict=True
     ):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
+
+
+@BOTH
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_a_sensor_without_errors_is_one_of_errors_of_zero(sensor, kernels):
+    given = case(3)
+    zeros = kernels.predict_landmarks(sensor, **{**given, "calibration": np.zeros((len(given["poses"]), 2))})
+    none = kernels.predict_landmarks(sensor, **given)
+    assert none[4].shape == (0, 2, 2)
+    for ours, theirs in zip(none[:4], zeros[:4], strict=True):
+        np.testing.assert_array_equal(ours, theirs)
 
 
 @BOTH

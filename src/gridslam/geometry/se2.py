@@ -271,10 +271,19 @@ def weighted_mean(poses: ArrayLike, weights: ArrayLike) -> FloatArray:
     ArgumentError
         If the shapes do not fit, a weight is negative or not finite, or all are 0.
     """
+    return _mean(*_poses_and_shares(poses, weights))
+
+
+def _poses_and_shares(poses: ArrayLike, weights: ArrayLike) -> tuple[FloatArray, FloatArray]:
     given = _as_poses(poses, "poses")
     share = normalize_weights(weights)
     if given.ndim < 2 or given.shape[-2] != share.shape[-1]:
         raise ArgumentError("weights", f"one for each pose of shape {given.shape}", f"shape {share.shape}")
+    return given, share
+
+
+def _mean(given: FloatArray, share: FloatArray) -> FloatArray:
+    """Mean (..., 3) of poses (..., N, 3), by shares (..., N) that sum to 1."""
     position = (share[..., None] * given[..., :2]).sum(axis=-2)
     theta = given[..., 2]
     direction = np.arctan2((share * np.sin(theta)).sum(axis=-1), (share * np.cos(theta)).sum(axis=-1))
@@ -288,10 +297,10 @@ def weighted_covariance(poses: ArrayLike, weights: ArrayLike) -> FloatArray:
     (..., N) are taken as probabilities: they are divided by their sum, with no correction for N. Raises as
     `weighted_mean` does.
     """
-    given = _as_poses(poses, "poses")
-    residual = given - weighted_mean(given, weights)[..., None, :]
+    given, share = _poses_and_shares(poses, weights)
+    residual = given - _mean(given, share)[..., None, :]
     residual[..., 2] = wrap(residual[..., 2])
-    return np.asarray(np.swapaxes(residual, -1, -2) @ (normalize_weights(weights)[..., None] * residual))
+    return np.asarray(np.swapaxes(residual, -1, -2) @ (share[..., None] * residual))
 
 
 def _as_poses(values: ArrayLike, name: str, width: int = 3) -> FloatArray:

@@ -197,9 +197,9 @@ auto py_predict_landmarks(int sensor, Matrix poses, Matrix calibration, Matrices
   const size_t r = rows.shape(0);
   auto residuals = fresh<double, 2>({r, 2});
   auto innovations = fresh<double, 3>({r, 2, 2}), by_landmark = fresh<double, 3>({r, 2, 2});
-  auto by_pose = fresh<double, 3>({r, 2, 3}), by_sensor = fresh<double, 3>({r, 2, 2});
-  const Landmarks all{poses.data(), calibration.data(), positions.data(), covariances.data(),
-                      static_cast<int64_t>(positions.shape(1))};
+  auto by_pose = fresh<double, 3>({r, 2, 3}), by_sensor = fresh<double, 3>({calibration.shape(0) ? r : 0, 2, 2});
+  const Landmarks all{poses.data(), calibration.shape(0) ? calibration.data() : nullptr, positions.data(),
+                      covariances.data(), static_cast<int64_t>(positions.shape(1))};
   {
     nb::gil_scoped_release release;
     predict_landmarks(static_cast<LandmarkSensor>(sensor), all, rows.data(), columns.data(), static_cast<int64_t>(r),

@@ -49,11 +49,14 @@ void add_transformed(const double (&jacobian)[2][N], const double* covariance, d
 void predict_landmarks(LandmarkSensor sensor, const Landmarks& all, const int64_t* rows, const int64_t* columns,
                        int64_t r, const double* pose_covariances, const double* measured, const double* noise,
                        const Predictions& out) {
+  const bool exact = all.calibration == nullptr;
+  constexpr double none[2] = {};
   for (int64_t i = 0; i < r; ++i) {
-    const double *pose = all.poses + 3 * rows[i], *calibration = all.calibration + 2 * rows[i];
+    const double *pose = all.poses + 3 * rows[i], *calibration = exact ? none : all.calibration + 2 * rows[i];
     const int64_t landmark = rows[i] * all.columns + columns[i];
     const double mounted = calibration[0], scale = 1.0 + calibration[1];
-    const double c = std::cos(pose[2]), s = std::sin(pose[2]);
+    const bool turned = !(exact && sensor == LandmarkSensor::range_bearing);  // else the axes do not matter
+    const double c = turned ? std::cos(pose[2]) : 1.0, s = turned ? std::sin(pose[2]) : 0.0;
     const double x = all.positions[2 * landmark] - (pose[0] + mounted * c);  // from the sensor
     const double y = all.positions[2 * landmark + 1] - (pose[1] + mounted * s);
     const Measurement seen = measure(sensor, scale * x, scale * y, pose[2], c, s);
@@ -62,8 +65,10 @@ void predict_landmarks(LandmarkSensor sensor, const Landmarks& all, const int64_
       for (int l = 0; l < 2; ++l) by_landmark[k][l] = scale * seen.by_landmark[k][l], sum[2 * k + l] = noise[2 * k + l];
       by_pose[k][0] = -by_landmark[k][0], by_pose[k][1] = -by_landmark[k][1];
       by_pose[k][2] = seen.by_heading[k] - mounted * (by_landmark[k][1] * c - by_landmark[k][0] * s);
-      out.by_sensor[4 * i + 2 * k] = -(by_landmark[k][0] * c + by_landmark[k][1] * s);
-      out.by_sensor[4 * i + 2 * k + 1] = seen.by_landmark[k][0] * x + seen.by_landmark[k][1] * y;
+      if (!exact) {
+        out.by_sensor[4 * i + 2 * k] = -(by_landmark[k][0] * c + by_landmark[k][1] * s);
+        out.by_sensor[4 * i + 2 * k + 1] = seen.by_landmark[k][0] * x + seen.by_landmark[k][1] * y;
+      }
       for (int l = 0; l < 2; ++l) out.by_landmark[4 * i + 2 * k + l] = by_landmark[k][l];
       for (int l = 0; l < 3; ++l) out.by_pose[6 * i + 3 * k + l] = by_pose[k][l];
     }

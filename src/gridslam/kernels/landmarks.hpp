@@ -22,7 +22,7 @@ struct Predictions {
   double* covariances;  // (R, 2, 2)
   double* by_pose;      // (R, 2, 3)
   double* by_landmark;  // (R, 2, 2)
-  double* by_sensor;    // (R, 2, 2), by the calibration
+  double* by_sensor;    // (R, 2, 2), by the calibration, if there is any
 };
 
 // `pose_covariances` (R, 3, 3) is null where poses are exact.

@@ -40,8 +40,10 @@ def predict_landmarks(
     ----------
     sensor : int
         `RANGE_BEARING`, `DEPTH_BEARING` or `RELATIVE_POSITION`.
-    poses, calibration : (N, 3), (N, 2) float64
-        Of the particles; how far the sensor is ahead, m, and the share by which it takes ranges for too long.
+    poses : (N, 3) float64
+        Of the particles.
+    calibration : (N, 2) or (0, 2) float64
+        How far the sensor is ahead, m, and the share by which it takes ranges for too long; none if it is exact.
     positions, covariances : (N, M, 2), (N, M, 2, 2) float64
         Of the landmarks, map frame.
     pose_covariances : (R, 3, 3) or (0, 3, 3) float64
@@ -54,11 +56,12 @@ def predict_landmarks(
     residuals, innovations : (R, 2), (R, 2, 2) float64
         z - h, angles in [-pi, pi), and H_m Sigma H_m' + H_x R H_x' + Q.
     by_pose, by_landmark, by_sensor : (R, 2, 3), (R, 2, 2), (R, 2, 2) float64
-        H_x, H_m, and the Jacobian by the calibration.
+        H_x, H_m, and the Jacobian by the calibration, if there is any.
     """
     theta = poses[rows, 2]
     c, s = np.cos(theta), np.sin(theta)
-    mounted, scale = calibration[rows, 0], 1.0 + calibration[rows, 1]
+    errors = calibration[rows] if len(calibration) else np.zeros((len(rows), 2))
+    mounted, scale = errors[:, 0], 1.0 + errors[:, 1]
     x = positions[rows, columns, 0] - (poses[rows, 0] + mounted * c)
     y = positions[rows, columns, 1] - (poses[rows, 1] + mounted * s)
     h, by_landmark, by_heading = _measure(sensor, scale * x, scale * y, theta)
@@ -73,7 +76,8 @@ def predict_landmarks(
     residuals = measured - h
     if sensor != RELATIVE_POSITION:
         residuals[:, 1] = _wrap(residuals[:, 1])
-    return residuals, innovations, by_pose, by_landmark, np.stack([-along, by_scale], axis=-1)
+    by_sensor = np.stack([-along, by_scale], axis=-1)
+    return residuals, innovations, by_pose, by_landmark, by_sensor if len(calibration) else by_sensor[:0]
 
 
 def kalman_update(

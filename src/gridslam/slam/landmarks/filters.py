@@ -47,7 +47,7 @@ _KINDS: dict[type, int] = {
     DepthBearing: DEPTH_BEARING,
     RelativePosition: RELATIVE_POSITION,
 }
-_EXACT = np.empty((0, 3, 3))
+_EXACT, _NO_CALIBRATION = np.empty((0, 3, 3)), np.empty((0, 2))
 
 
 class PoseBelief(Protocol):
@@ -223,11 +223,12 @@ class LandmarkFilters:
         R = belief.covariance_seen_from(rows, columns)
         Q = self.sensor.noise(observations)[k]
         kind = _KINDS.get(type(self.sensor))
+        learned = state.pose_by_bias.size > 0
         if kind is not None:
             residuals, L, H_x, H_m, H_c = backend.predict_landmarks(
                 kind,
                 belief.poses,
-                belief.calibration,
+                belief.calibration if learned else _NO_CALIBRATION,
                 state.positions,
                 state.covariances,
                 rows,
@@ -244,7 +245,8 @@ class LandmarkFilters:
             if R is not None:
                 L += transform_covariances(H_x, R)
             residuals = self.sensor.residual(observations.values[k], predicted)
-        return Innovation(rows, columns, residuals, L, H_x, H_m, self.bias.by_calibration(H_c))
+        by_errors = self.bias.by_calibration(H_c) if learned else H_x[..., :0]
+        return Innovation(rows, columns, residuals, L, H_x, H_m, by_errors)
 
     def correct(self, state: LandmarkParticles, seen: Innovation) -> None:
         """Correct the observed landmarks, given the poses.
@@ -287,7 +289,9 @@ class LandmarkFilters:
         state.covariances[of] = transform_covariances(
             root, np.broadcast_to(self.sensor.noise(observations)[k], root.shape)
         )
-        state.evidence[of] = 0.0
+        known = self.association.uses_signatures
+        state.evidence[of] = math.inf if known else 0.0
+        state.confirmed[of] = known
         state.observations[of] = 0
         state.landmark_in_local_frame[of] = state.in_local_frame[rows]
 
@@ -299,10 +303,7 @@ class LandmarkFilters:
         rows, k = np.nonzero(columns >= 0)
         of = rows, columns[rows, k]
         state.observations[of] += 1
-        if self.association.uses_signatures:
-            state.evidence[of] = math.inf
-            state.confirmed[of] = True
-        elif columns.shape[1]:  # a sensor that sees nothing may not have looked
+        if columns.shape[1] and not self.association.uses_signatures:  # a sensor that sees nothing may not have looked
             seen = np.zeros(state.evidence.shape, np.bool_)
             seen[of] = True
             evidence = self.existence(state.evidence, seen, state.poses[:, None], state.positions)

@@ -241,7 +241,9 @@ class LandmarkParticles:
         best = self.best
         weights = np.exp(self.log_weights)
         covariance = weighted_covariance(self.poses, weights)
-        covariance += np.einsum("n,nij->ij", weights, self._pose_covariances())
+        spread = self._pose_covariances()
+        if spread.any():  # not where all are drawn
+            covariance += np.einsum("n,nij->ij", weights, spread)
         columns = places[best]
         names = self.names[columns]  # below 0 where columns have no signatures
         reported = np.where((columns >= 0) & (names >= 0), names, columns)
