@@ -2,6 +2,8 @@
 
 #include "landmarks.hpp"
 
+#include "maps.hpp"
+
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -9,6 +11,8 @@
 
 namespace gridslam {
 namespace {
+
+constexpr int kAhead = 8;  // particles
 
 double wrapped(double angle) {
   constexpr double pi = std::numbers::pi;
@@ -52,6 +56,10 @@ void predict_landmarks(LandmarkSensor sensor, const Landmarks& all, const int64_
   const bool exact = all.calibration == nullptr;
   constexpr double none[2] = {};
   for (int64_t i = 0; i < r; ++i) {
+    if (i + kAhead < r) {  // landmarks of two particles lie far apart
+      const int64_t later = rows[i + kAhead] * all.columns + columns[i + kAhead];
+      prefetch(all.positions + 2 * later), prefetch(all.covariances + 4 * later);
+    }
     const double *pose = all.poses + 3 * rows[i], *calibration = exact ? none : all.calibration + 2 * rows[i];
     const int64_t landmark = rows[i] * all.columns + columns[i];
     const double mounted = calibration[0], scale = 1.0 + calibration[1];

@@ -21,6 +21,7 @@ class _Level(NamedTuple):
 
     poses: FloatArray  # (K, 3)
     parents: IntArray  # (K,) places in the level before
+    direct: bool = False  # whether these are 0 to K - 1, as between two resamplings
 
 
 @final
@@ -39,11 +40,12 @@ class Ancestry:
     A state has one owner: `extend` and `resample` change the object; `snapshot` keeps a copy for later.
     """
 
-    __slots__ = ("_leaves", "_levels", "_trunk", "_width")
+    __slots__ = ("_extended", "_leaves", "_levels", "_trunk", "_width")
 
     def __init__(self, leaves: IntArray, levels: list[_Level], trunk: FloatArray) -> None:
         """Take the parts as they are; use `start` or `from_arrays`."""
         self._leaves = leaves  # (N,) each particle's place in the newest level
+        self._extended = False  # whether that is its number: nothing was resampled since the newest level
         self._levels = levels
         self._trunk = array("d", trunk.tobytes())
         self._width: int = trunk.shape[1]
@@ -72,8 +74,9 @@ class Ancestry:
         expected = len(self), self._width
         if copy.shape != expected:
             raise ArgumentError("poses", f"shape {expected}", copy.shape)
-        self._levels.append(_Level(copy, self._leaves))
+        self._levels.append(_Level(copy, self._leaves, self._extended and len(self._levels) > 0))
         self._leaves = np.arange(len(copy), dtype=np.int64)
+        self._extended = True
         self._coalesce()
 
     def resample(self, parents: ArrayLike) -> None:
@@ -95,16 +98,18 @@ class Ancestry:
         if chosen.min() < 0 or chosen.max() >= len(self):
             raise ArgumentError("parents", f"indices in [0, {len(self)})", f"{chosen.min()} to {chosen.max()}")
         self._leaves = self._leaves[chosen]
+        self._extended = False
         self._prune()
         self._coalesce()
 
     def retract(self) -> FloatArray:
         """Take back the newest of at least two steps, also after a resampling; poses (N, 3) of the step before it."""
+        self._extended = False
         if self._levels:
             places = self._levels.pop().parents[self._leaves]
             if self._levels:
                 alive, self._leaves = np.unique(places, return_inverse=True)
-                poses, parents = self._levels[-1]
+                poses, parents, _ = self._levels[-1]
                 self._levels[-1] = _Level(poses[alive], parents[alive])
                 return self._levels[-1].poses[self._leaves]
             self._leaves = np.zeros_like(places)
@@ -144,7 +149,7 @@ class Ancestry:
         place = int(self._leaves[particle])
         rows: list[tuple[float, float]] = []
         for k in range(len(self._levels) - 1, -1, -1):
-            poses, parents = self._levels[k]
+            poses, parents, _ = self._levels[k]
             x, y = poses.item(place, 0), poses.item(place, 1)
             if start + k < len(known) and x == known.item(start + k, 0) and y == known.item(start + k, 1):
                 return start + k + 1, np.array(rows[::-1]).reshape(-1, 2)
@@ -229,20 +234,27 @@ class Ancestry:
         return ancestry
 
     def _prune(self) -> None:
-        used = self._leaves
+        used, kept = self._leaves, np.empty(0, np.int64)
+        direct = False
         for k in range(len(self._levels) - 1, -1, -1):
-            poses, parents = self._levels[k]
-            alive = np.zeros(len(parents), dtype=np.bool_)
-            alive[used] = True
-            if alive.all():
-                return
-            place = np.cumsum(alive, dtype=np.int64) - 1
-            if k + 1 < len(self._levels):
-                self._levels[k + 1] = _Level(self._levels[k + 1].poses, place[used])
+            poses, parents, direct_here = self._levels[k]
+            if direct:  # each node has one descendant in the level after it: the same ones are kept
+                places = np.arange(len(kept))
             else:
-                self._leaves = place[used]
-            self._levels[k] = _Level(poses[alive], parents[alive])
-            used = self._levels[k].parents
+                alive = np.zeros(len(parents), dtype=np.bool_)
+                alive[used] = True
+                kept = alive.nonzero()[0]
+                if len(kept) == len(alive):
+                    return
+                place = np.empty(len(alive), np.int64)
+                place[kept] = np.arange(len(kept))
+                places = place[used]
+            if k + 1 < len(self._levels):
+                self._levels[k + 1] = self._levels[k + 1]._replace(parents=places)
+            else:
+                self._leaves = places
+            used, direct = kept if direct_here else parents[kept], direct_here
+            self._levels[k] = _Level(poses.take(kept, axis=0), used, direct)
 
     def _coalesce(self) -> None:
         """Move the leading levels of a single node into the trunk."""
@@ -257,7 +269,7 @@ class Ancestry:
         past = np.empty((len(places), self.steps, self._width))
         past[:, : len(trunk)] = trunk
         for k in range(len(self._levels) - 1, -1, -1):
-            poses, parents = self._levels[k]
+            poses, parents, _ = self._levels[k]
             past[:, len(trunk) + k] = poses[places]
             places = parents[places]
         return past
