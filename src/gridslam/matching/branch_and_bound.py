@@ -208,11 +208,15 @@ def thin_points(points: FloatArray, most: int, finest_m: float = 0.05) -> FloatA
     Grids have sides `finest_m`, and each next one a tenth more; `most` is 4 or more.
     """
 
-    def firsts(grid: int) -> IntArray:
-        cells = np.floor(points * (1 / (finest_m * 1.1**grid))).astype(np.int64)
-        indices: IntArray = np.unique((cells[:, 0] << 32) + cells[:, 1], return_index=True)[1]
-        return indices
+    def cells(grid: int) -> IntArray:
+        whole = np.floor(points * (1 / (finest_m * 1.1**grid))).astype(np.int64)
+        numbers: IntArray = (whole[:, 0] << 32) + whole[:, 1]
+        return numbers
 
-    grid = bisect_left(range(200), -most, key=lambda grid: -len(firsts(grid)))
-    evenly: FloatArray = points[np.sort(firsts(grid))]
+    def count(grid: int) -> int:
+        return 1 + int(np.count_nonzero(np.diff(np.sort(cells(grid)))))
+
+    grid = 0 if len(points) <= most else bisect_left(range(200), -most, key=lambda grid: -count(grid))
+    firsts = np.unique(cells(grid), return_index=True)[1]
+    evenly: FloatArray = points[np.sort(firsts)]
     return evenly

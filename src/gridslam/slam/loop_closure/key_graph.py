@@ -7,7 +7,6 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
-from itertools import accumulate
 from operator import attrgetter
 from typing import Annotated, NamedTuple, final
 
@@ -18,7 +17,7 @@ from gridslam.geometry.se2 import between, compose, inverse
 from gridslam.kernels import backend
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
-from gridslam.slam.loop_closure.drift_model import compute_moments, diagonal_covariances, propagate_covariances
+from gridslam.slam.loop_closure.drift_model import compute_moments, propagate_covariances
 from gridslam.slam.loop_closure.rows import Rows
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
@@ -369,39 +368,46 @@ class KeyGraph:
 
     def _derive(self) -> None:
         """Extend to the newest key scan what follows from the poses and the variances."""
-        first = len(self._sums)
-        variances = np.array(self.variances[first:])
-        gaps = [int(gap) for gap in np.any(variances > [BLIND_SIGMA_M**2, BLIND_SIGMA_RAD**2], axis=1)]
-        self._gap_counts[-1:] = accumulate(self._gap_counts[-1:] + gaps)
-        moments = compute_moments(np.array(self.poses[first:]), diagonal_covariances(variances))
-        self._sums[-1:] = accumulate(self._sums[-1:] + list(moments))
-        expected = compute_moments(np.array(self.poses[first:]), np.array(self.drift_covariances[first:]))
-        if not first:
-            expected[0] = 0.0  # the first pose is the origin
-        self._drifts[-1:] = accumulate(self._drifts[-1:] + list(expected))
-        for first in range(first_key_scan(len(self._firsts)), len(self), KEY_SCANS_PER_SUBMAP):
-            self._firsts.append(self.tracked[first])
-            if first:
-                self._steps.append(self._sums[first] - self._sums[first - KEY_SCANS_PER_SUBMAP])
+        for key in range(len(self._sums), len(self)):
+            x, y, theta = self.poses[key].tolist()
+            position, heading = self.variances[key]
+            is_gap = position > BLIND_SIGMA_M**2 or heading > BLIND_SIGMA_RAD**2
+            self._gap_counts.append((self._gap_counts[-1] if key else 0) + is_gap)
+            moments = _moments((x, y), position, 0.0, position, heading)
+            self._sums.append(self._sums[-1] + moments if key else moments)
+            (xx, xy, _), (_, yy, _), (_, _, heading) = self.drift_covariances[key].tolist()
+            c = math.cos(theta)
+            s = math.sin(theta)
+            turned = c * c * xx - 2 * c * s * xy + s * s * yy, c * s * (xx - yy) + (c * c - s * s) * xy
+            moments = _moments((x, y), *turned, s * s * xx + 2 * c * s * xy + c * c * yy, heading)
+            self._drifts.append(self._drifts[-1] + moments if key else np.zeros(9))  # the first pose is the origin
+            if key % KEY_SCANS_PER_SUBMAP == 0:
+                self._firsts.append(self.tracked[key])
+                if key:
+                    self._steps.append(self._sums[key] - self._sums[key - KEY_SCANS_PER_SUBMAP])
 
     def _use(self, constraints: Sequence[Constraint]) -> None:
         """Let constraints lead from submap to submap, and shorten the ways from the first key scan."""
         determined = [constraint for constraint in constraints if constraint.determined]
-        if determined:
-            self._add_links(determined)
-            self._shorten_ways(determined)
+        if not determined:
+            return
+        covariances = np.asarray(np.linalg.inv(np.array([c.information for c in determined])), np.float64)
+        for constraint, covariance in zip(determined, covariances, strict=True):
+            self._add_link(constraint, covariance)
+        poses = np.array([self.poses[constraint.to] for constraint in determined])
+        self._shorten_ways(determined, compute_moments(poses, _MATCH_RATIO**2 * covariances))
 
-    def _shorten_ways(self, constraints: Sequence[Constraint]) -> None:
-        """Let the way to a key scan and to those after it come by a constraint if it is more certain so."""
-        ends = [constraint.to for constraint in constraints]
-        poses = np.array([self.poses[at] for at in ends]).reshape(-1, 3)
-        information = np.array([constraint.information for constraint in constraints]).reshape(-1, 3, 3)
-        measured = compute_moments(poses, _MATCH_RATIO**2 * np.asarray(np.linalg.inv(information), np.float64))
+    def _shorten_ways(self, constraints: Sequence[Constraint], measured: FloatArray) -> None:
+        """Let the way to a key scan and to those after it come by a constraint if it is more certain so.
+
+        `measured` (K, 9) are the moments of the constraints.
+        """
         drifts = np.array(self._drifts) if len(constraints) > 1 else None  # of a few the list is faster
-        for constraint, at, pose, own in zip(constraints, ends, poses, measured, strict=True):
+        for constraint, own in zip(constraints, measured, strict=True):
+            at = constraint.to
             known = self._drifts if drifts is None else drifts
             gained = known[constraint.from_] + own - known[at]
-            if _position_variance(pose, gained) >= 0:
+            if _position_variance(self.poses[at], gained) >= 0:
                 continue
             later = bisect_right(self._arrivals, at)
             end = self._arrivals[later] if later < len(self._arrivals) else len(self)
@@ -414,26 +420,24 @@ class KeyGraph:
         if drifts is not None:
             self._drifts = list(drifts)
 
-    def _add_links(self, constraints: Sequence[Constraint]) -> None:
-        """Add the links of constraints between two submaps, each if it is the most certain so far."""
-        froms = np.array([constraint.from_ for constraint in constraints], np.int64)
-        tos = np.array([constraint.to for constraint in constraints], np.int64)
-        information = np.array([constraint.information for constraint in constraints]).reshape(-1, 3, 3)
-        xx, yy, heading = np.linalg.inv(information).diagonal(axis1=1, axis2=2).T
-        poses = np.array([self.poses[at] for at in tos.tolist()]).reshape(-1, 3)
-        own = compute_moments(poses, diagonal_covariances(np.stack([0.5 * (xx + yy), heading], axis=1)))
-        within = self._moments_within_submap(froms) + self._moments_within_submap(tos)
-        for constraint, total in zip(constraints, within + own, strict=True):
-            a = submap_of(constraint.from_)
-            b = submap_of(constraint.to)
-            place = self._link_places.get((a, b))
-            known = None if place is None else self._links.array[place]
-            if known is None or total[0] + total[3] < known[3] + known[6]:
-                to_anchor = between(self.tracked[first_key_scan(a)], self.tracked[constraint.from_])
-                from_key = between(self.tracked[constraint.to], self.tracked[first_key_scan(b)])
-                there = compose(to_anchor, compose(constraint.measurement, from_key))
-                self._set_link(a, b, inverse(there), total)
-                self._set_link(b, a, there, total)
+    def _add_link(self, constraint: Constraint, covariance: FloatArray) -> None:
+        """Add the link of a constraint between two submaps if it is the most certain so far."""
+        a = submap_of(constraint.from_)
+        b = submap_of(constraint.to)
+        sums = self._sums
+        x, y, _ = self.poses[constraint.to].tolist()
+        xx, yy, heading = covariance.diagonal().tolist()
+        own = _moments((x, y), 0.5 * (xx + yy), 0.0, 0.5 * (xx + yy), heading)
+        within = (sums[constraint.from_] - sums[first_key_scan(a)]) + (sums[constraint.to] - sums[first_key_scan(b)])
+        total = within + own
+        place = self._link_places.get((a, b))
+        known = None if place is None else self._links.array[place]
+        if known is None or total[0] + total[3] < known[3] + known[6]:
+            to_anchor = between(self.tracked[first_key_scan(a)], self.tracked[constraint.from_])
+            from_key = between(self.tracked[constraint.to], self.tracked[first_key_scan(b)])
+            there = compose(to_anchor, compose(constraint.measurement, from_key))
+            self._set_link(a, b, inverse(there), total)
+            self._set_link(b, a, there, total)
 
     def _set_link(self, a: int, b: int, there: FloatArray, moments: FloatArray) -> None:
         """Let a link lead from submap `a` to submap `b`, from which the first key scan of `a` lies at `there`."""
@@ -445,11 +449,11 @@ class KeyGraph:
         link[:3] = there
         link[3:] = moments
 
-    def _moments_within_submap(self, keys: IntArray) -> FloatArray:
-        """Moments (K, 9) of the way from the first key scan of its submap to each of key scans (K,)."""
-        firsts = first_key_scan(1) * (keys // KEY_SCANS_PER_SUBMAP)
-        sums = self._sums
-        return np.array([sums[key] - sums[first] for key, first in zip(keys.tolist(), firsts.tolist(), strict=True)])
+
+def _moments(place: tuple[float, float], xx: float, xy: float, yy: float, heading: float) -> FloatArray:
+    """`compute_moments` (9,) of one step, by the covariance of its position, map frame, and the heading's variance."""
+    x, y = place
+    return np.array((xx, xy, yy, heading, heading * x, heading * y, heading * x * x, heading * x * y, heading * y * y))
 
 
 def _position_variance(pose: FloatArray, moments: FloatArray) -> float:

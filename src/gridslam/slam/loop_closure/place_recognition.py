@@ -146,23 +146,23 @@ class PlaceRecognition(PlaceMatching):
         search = closure_state.search
         way = candidates[0]
         guess = compose(closure_state.graph.poses[first_key_scan(way.submap)], way.pose)
-        points = thin_points(collect_recent_points(closure_state, key, self.query_key_scans), self.search.max_points)
         submaps = [nearby.submap for nearby in candidates]
         gate_sigmas = self.search.gate_sigmas
         near = [nearby.submap for nearby in candidates if self._mahalanobis_distance(nearby) < gate_sigmas]
         near = near[:_SEARCH_SUBMAPS]
         phase = search.phase(near[:6], submaps[:_SEARCH_SUBMAPS])
-        if phase is SearchPhase.AMBIGUITY_CHECK:
-            found = self._check_ambiguity(closure_state, mapper, key, guess, way.covariance, points)
-            if isinstance(found, RejectionReason):
-                search.ambiguity_submaps = ()
-            return found
         if phase is SearchPhase.MAP_BUILDING:
             oldest = submap_of(key) - self.recent_submaps
             in_sight = {b for submap in near for b in range(submap - 1, submap + 2)}  # within the range of the sensor
             search.near_submaps = tuple(sorted(b for b in in_sight if 0 <= b <= oldest))
             closure_state.joint_map(search.near_submaps, mapper)
             return None
+        points = thin_points(collect_recent_points(closure_state, key, self.query_key_scans), self.search.max_points)
+        if phase is SearchPhase.AMBIGUITY_CHECK:
+            found = self._check_ambiguity(closure_state, mapper, key, guess, way.covariance, points)
+            if isinstance(found, RejectionReason):
+                search.ambiguity_submaps = ()
+            return found
         joint = closure_state.joint_map(search.near_submaps, mapper)
         match = self.search.search(joint.pyramid, guess, way.covariance, points)
         if match is None or not self.is_inlier_match(joint.maps, match.pose, points):
