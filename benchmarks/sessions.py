@@ -10,6 +10,8 @@ Writes benchmarks/results/sessions.json, each part by itself; the others stay as
 from __future__ import annotations
 
 import argparse
+import bz2
+import filecmp
 import itertools
 import json
 import os
@@ -33,7 +35,7 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, si
 from gridslam.sim.floor_plan import clearance, furniture, join
 from gridslam.sim.world import World
 from gridslam.types import FloatArray, Trajectory
-from measure import RESULTS, write_document
+from measure import GRIDSLAM, RESULTS, timed, write_document
 
 _ELSEWHERE = np.array([10.0, 0.0, 2.0])
 """Another day: the odometry begins 10 m off, turned by 2 rad."""
@@ -255,6 +257,46 @@ def real_pair(folder: Path, seeds: Sequence[int]) -> Iterator[dict[str, Any]]:
         }
 
 
+def cuts(folder: Path, parts: Sequence[int]) -> Iterator[dict[str, Any]]:
+    """The Intel log cut into so many parts, each continued by the command; whether its files are those of one run."""
+    whole = _DATA / "intel.clf.bz2"
+    one = folder / "one"
+    timed([*GRIDSLAM, "map", whole, "-o", one, "--repair", "none"])
+    with bz2.open(whole, "rt", encoding="utf-8") as file:
+        lines = file.readlines()
+    for count in parts:
+        saved = folder / f"{count}.gridslam"
+        out = folder / f"cut-{count}"
+        for part in range(count):
+            log = folder / f"intel-{count}-{part}.clf"
+            log.write_text(
+                "".join(lines[part * len(lines) // count : (part + 1) * len(lines) // count]), encoding="utf-8"
+            )
+            options = ["--continue", saved] if part else []
+            timed([*GRIDSLAM, "map", log, "-o", out, "--repair", "none", "--save", saved, *options])
+        names = ("trajectory.tum", "map.pgm", "graph.g2o")
+        yield {"parts": count, "identical": {name: filecmp.cmp(one / name, out / name, False) for name in names}}
+
+
+def file(folder: Path, seeds: Sequence[int]) -> Iterator[dict[str, Any]]:
+    """Size of the session of the Intel log, and the seconds that it takes to write and to read."""
+    path = folder / "intel.gridslam"
+    for seed in seeds:
+        session = gridslam.Session(seed=seed)
+        session.add(open_log(_DATA / "intel.clf.bz2"), repair="none")
+        begin = time.perf_counter()
+        session.save(path)
+        written = time.perf_counter()
+        gridslam.Session.open(path)
+        read_s = time.perf_counter() - written
+        yield {
+            "seed": seed,
+            "mb": round(path.stat().st_size / 1e6, 1),
+            "write_s": round(written - begin, 2),
+            "read_s": round(read_s, 2),
+        }
+
+
 _PARTS: dict[str, tuple[Callable[..., Iterator[dict[str, Any]]], Sequence[int]]] = {
     "halves": (halves, range(10)),
     "robots": (robots, range(1)),
@@ -262,6 +304,8 @@ _PARTS: dict[str, tuple[Callable[..., Iterator[dict[str, Any]]], Sequence[int]]]
     "real_pair": (real_pair, range(1)),
     "apart": (apart, range(20)),
     "changed": (changed, range(20)),
+    "cuts": (cuts, (2, 3, 7)),
+    "file": (file, range(3)),
 }
 
 
@@ -284,7 +328,11 @@ def main() -> None:
                 print(part, row, flush=True)
                 known = json.loads(path.read_text(encoding="utf-8"))["parts"] if path.exists() else {}
                 rows = known.get(part, [])
-                same = [own for own in rows if all(own.get(key) == row.get(key) for key in ("log", "world", "seed"))]
+                same = [
+                    own
+                    for own in rows
+                    if all(own.get(key) == row.get(key) for key in ("log", "world", "seed", "parts"))
+                ]
                 known[part] = [own for own in rows if own not in same] + [row]
                 write_document(path, "python benchmarks/sessions.py", parts=known)
 
