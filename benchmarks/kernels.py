@@ -92,6 +92,11 @@ def record(particles: int = 30, scans: int = 400) -> Situation:
                 BranchAndBound(window_m=3.0, window_rad=0.3).search(
                     Pyramid.of(state.maps, 0), state.poses[0], None, beams.ends
                 )
+                crossed = recorder.tiles_on_rays(
+                    rows.astype(np.int32), state.poses, beams.ends, beams.origin, state.maps.resolution_m, 1
+                )
+                state.maps._arena.reserve(100, len(crossed))
+                state.maps.snapshot()._make_writable(crossed)
                 field = rng.random((400, 400), np.float32)
                 FieldTable.of(field, np.full(2, -10.0), state.maps.resolution_m).sums(state.poses, beams.ends, 1)
                 work = _work(recorder.calls, state.poses, beams, state.maps.resolution_m)
@@ -107,17 +112,14 @@ def _work(calls: dict[str, Call], poses: FloatArray, beams: Beams, resolution_m:
     looked_up = len(poses) * len(beams)
     searched = calls["correlate"].arguments
     x0, x1, y0, y1 = searched[4]
-    touched, changed = len(calls["tiles_on_rays"].result), len(calls["update_log_odds"].result)
     return {
         "match": (looked_up, "beam"),
         "distances": (looked_up, "beam"),
         "sum_at_ends": (looked_up, "beam"),
         "cast_rays": (calls["cast_rays"].result.size, "beam"),
-        "tiles_on_rays": (touched, "tile"),
+        "tiles_on_rays": (len(calls["tiles_on_rays"].result), "tile"),
         "make_tiles_writable": (len(calls["make_tiles_writable"].arguments[-1]), "tile"),
-        "update_log_odds": (round(float(cells.sum())), "cell on a ray"),
-        "tiles_near_cells": (changed, "changed cell"),
-        "update_field": (changed, "changed cell"),
+        "update": (round(float(cells.sum())), "cell on a ray"),
         "max_pyramid": (calls["max_pyramid"].arguments[0].size, "cell"),
         "correlate": ((x1 - x0) * (y1 - y0) * len(searched[3]), "pose of the lattice"),
     }

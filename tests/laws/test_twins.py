@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import gridslam.grid.tiles as tiles_module
+import gridslam.kernels as kernels_module
 from gridslam.grid import Evidence, TileMaps
-from gridslam.kernels import reference
+from gridslam.kernels import reference, reference_update
 from gridslam.types import LaserScan, ScanGeometry
 
 compiled = pytest.importorskip("gridslam.kernels._compiled")
@@ -17,10 +20,8 @@ compiled = pytest.importorskip("gridslam.kernels._compiled")
 KERNELS = (
     "select_beams",
     "tiles_on_rays",
-    "tiles_near_cells",
     "make_tiles_writable",
-    "update_log_odds",
-    "update_field",
+    "update",
     "match",
     "distances",
     "cast_rays",
@@ -143,17 +144,12 @@ def test_touched_tiles(seed):
     by_rays = [k.tiles_on_rays(ROWS, poses, ends, ORIGIN, CELL, 2) for k in (compiled, reference)]
     assert as_set(by_rays[0]) == as_set(by_rays[1])
     assert len(by_rays[0]) > 3
-    cells = np.column_stack([np.sort(rng.integers(0, 3, 40)), rng.integers(-600, 600, (40, 2)), rng.integers(0, 2, 40)])
-    cells[:9, 1:3] = [[y, x] for y in (-512, -1, 0) for x in (-32, 31, 512)]
-    for reach in (1, 10, 15):
-        by_cells = [k.tiles_near_cells(cells.astype(np.int32), reach) for k in (compiled, reference)]
-        assert as_set(by_cells[0]) == as_set(by_cells[1])
 
 
-def test_nothing_is_touched_without_poses_or_changes():
+def test_nothing_is_touched_without_poses():
     for kernels in (compiled, reference):
         none = kernels.tiles_on_rays(ROWS[:0], np.zeros((0, 3)), np.ones((4, 2)), ORIGIN, CELL, 1)
-        assert none.shape == kernels.tiles_near_cells(np.zeros((0, 4), np.int32), 3).shape == (0, 3)
+        assert none.shape == (0, 3)
 
 
 @pytest.mark.parametrize("few", [3, 1000])
@@ -180,28 +176,107 @@ def test_owned_tiles(seed, few):
     del keep
 
 
+NOTHING = np.zeros((0, 4), np.int32)
+
+
+def arguments_of_update(maps, poses, ends, *, pending=NOTHING, room=-1, threads=1):
+    """Arguments of the kernel but for the maps: free ids are all that are left."""
+    arena = maps._arena
+    ids = arena.page_refs, arena.tile_refs, *arena.free_ids
+    scan = ROWS[: len(poses)], poses, ends, ORIGIN, CELL, *maps.evidence.steps
+    return (*ids, pending, room, *scan, maps._cone, 2 * maps.reach_m, threads)
+
+
+def with_numbers_in_order(view):
+    """Maps as plain arrays whatever their tiles' ids are."""
+    roots, _, pages, log_odds, field = view
+    tiles = pages[roots]
+    return (roots > 0, tiles > 0, log_odds[tiles], field[tiles])
+
+
+@pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_updated_log_odds_and_field(seed):
+def test_updates(seed, threads):
+    """The maps are the same, and as many ids are taken; each tile's number is its kernel's own."""
     rng = np.random.default_rng(seed)
     maps = random_maps(rng)
     for poses, ends in ((random_poses(rng), random_ends(rng)) for _ in range(3)):
+        keep = maps.snapshot()
         maps._cover(poses, beams_to(ends))
-        maps._make_writable(compiled.tiles_on_rays(ROWS, poses, ends, ORIGIN, CELL, 1))
-        views = copies(maps._view), copies(maps._view)
-        changed = [
-            kernels.update_log_odds(*view, ROWS, poses, ends, ORIGIN, CELL, *maps.evidence.steps, 2)
-            for kernels, view in zip((compiled, reference), views, strict=True)
-        ]
-        assert as_set(changed[0]) == as_set(changed[1])
-        assert_same_maps(*views)
-        maps._arena.log_odds[:] = views[0][3]
-        maps._make_writable(compiled.tiles_near_cells(changed[0], int(maps.reach_cells)))
-        views = copies(maps._view), copies(maps._view)
-        for kernels, view in zip((compiled, reference), views, strict=True):
-            kernels.update_field(*view, changed[0], maps._cone, 2)
-        assert_same_maps(*views)
-        assert not views[0][4][0].any()
-        maps._arena.field[:] = views[0][4]
+        maps._arena.reserve(100, 4000)
+        results = []
+        for kernels in (compiled, reference):
+            view, arguments = copies(maps._view), copies(arguments_of_update(maps, poses, ends, threads=threads))
+            done, pages, tiles, pending = kernels.update(*view, *arguments)
+            assert done == 3
+            assert pending.shape == (0, 4)
+            assert not view[4][0].any()
+            results.append((with_numbers_in_order(view), (pages, tiles), np.bincount(arguments[1])))
+        for one, other in zip(results[0][0], results[1][0], strict=True):
+            np.testing.assert_array_equal(one, other)
+        assert results[0][1] == results[1][1]
+        np.testing.assert_array_equal(results[0][2], results[1][2])
+        maps.update(ROWS, poses, beams_to(ends))
+        del keep
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_updates_where_ids_are_scarce(seed, monkeypatch):
+    """Whichever tile the ids suffice to: the maps are those of an arena in which there are enough."""
+    rng = np.random.default_rng(seed)
+    scans = [(random_poses(rng), beams_to(random_ends(rng))) for _ in range(4)]
+    evidence = EVIDENCES[seed % len(EVIDENCES)]
+    made, stops = [], set()
+    for kernels, scarce in ((compiled, True), (reference, True), (compiled, False)):
+
+        def update(*arguments, kernels=kernels):
+            found = kernels.update(*arguments)
+            stops.add((found[0] >= 0, len(found[3]) > 0))
+            return found
+
+        monkeypatch.undo()
+        monkeypatch.setattr(tiles_module, "backend", SimpleNamespace(update=update))
+        maps = TileMaps(3, resolution_m=CELL, reach_cells=10.5, evidence=evidence)
+        if scarce:
+            step = int(rng.integers(1, 4))
+            monkeypatch.setattr(type(maps._arena), "_extend_ids", staticmethod(partial(a_few_ids, step)))
+        for poses, beams in scans:
+            maps.update(ROWS, poses, beams)
+            maps.select(np.array([0, 0, 2]))
+        made.append(maps.to_arrays())
+    for name in made[0]:
+        np.testing.assert_array_equal(made[0][name], made[2][name])
+        np.testing.assert_array_equal(made[1][name], made[2][name])
+    assert (True, True) in stops  # a field was left to follow
+
+
+def a_few_ids(step, refs):
+    """Ids of `step` more tiles or pages than `refs` counts."""
+    return np.arange(len(refs) + step - 1, len(refs) - 1, -1, dtype=np.int32), len(refs) + step
+
+
+def test_what_the_tables_do_not_hold_is_not_written():
+    maps = random_maps(np.random.default_rng(0))
+    ends = np.array([[3.0, 0.0]])
+    for pose in ([1e6, 0, 0], [0, -1e6, 0], [np.nan, 0, 0], [0, np.inf, 0], [0, 0, np.nan]):
+        for far in (ends, ends + 2000.0, ends * np.nan):
+            for kernels in (compiled, reference):
+                view, arguments = copies(maps._view), copies(arguments_of_update(maps, np.array([pose]), far))
+                assert kernels.update(*view, *arguments)[:3] == (kernels_module.OUTSIDE, 0, 0)
+                assert_same_maps(view, maps._view)
+
+
+def test_no_more_tiles_are_crossed_than_there_is_room_for():
+    maps = random_maps(np.random.default_rng(0))
+    poses, ends = np.zeros((3, 3)), np.array([[3.0, 0.0], [0.0, -4.0]])
+    maps._cover(poses, beams_to(ends))
+    crossed = len(reference.tiles_on_rays(ROWS, poses, ends, ORIGIN, CELL, 1))
+    for kernels in (compiled, reference):
+        view, arguments = copies(maps._view), copies(arguments_of_update(maps, poses, ends, room=crossed - 1))
+        assert kernels.update(*view, *arguments)[:3] == (kernels_module.NO_ROOM, 0, 0)
+        assert_same_maps(view, maps._view)
+        arguments = copies(arguments_of_update(maps, poses, ends, room=crossed))
+        assert kernels.update(*view, *arguments)[0] == 3
 
 
 def test_updates_meet_every_case():
@@ -214,7 +289,7 @@ def test_updates_meet_every_case():
         maps._cover(poses, beams_to(ends))
         maps._make_writable(reference.tiles_on_rays(ROWS, poses, ends, ORIGIN, CELL, 1))
         steps = maps.evidence.steps
-        changed = reference.update_log_odds(*maps._view, ROWS, poses, ends, ORIGIN, CELL, *steps, 1)
+        changed = reference_update.update_log_odds(*maps._view, ROWS, poses, ends, ORIGIN, CELL, *steps, 1)
         kinds |= set(changed[:, 3].tolist())
         least.add(bool((maps._arena.log_odds == steps[2]).any()))
         greatest.add(bool((maps._arena.log_odds == steps[3]).any()))

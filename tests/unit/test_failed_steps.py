@@ -29,7 +29,7 @@ PARTS = [
     (Tracker, "_insert"),
     (GridFastSlamState, "move"),
     (OccupancyGridMapping, "__call__"),
-    (TileMaps, "_make_writable"),
+    (TileMaps, "update"),
     (TileArena, "grow"),
     (Ancestry, "extend"),
     (ReportBuilder, "estimate"),

@@ -12,7 +12,7 @@ from gridslam.errors import ArgumentError
 from gridslam.grid.arena import TILE_BYTES, Int32Array, TileArena, renumber
 from gridslam.grid.cells import LOG_ODDS_UNIT, Evidence, cell_corner, cells_of
 from gridslam.grid.scan_batch import NOT_WEIGHED, ScanBatch, Weighing
-from gridslam.kernels import FARTHEST, PAGE, TILE, UNKNOWN, backend
+from gridslam.kernels import FARTHEST, MOST_BEAM_CELLS, NO_ROOM, OUTSIDE, PAGE, TILE, UNKNOWN, backend
 from gridslam.kernels.reference_update import cell_addresses
 from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid, Rows
 
@@ -20,9 +20,6 @@ __all__ = ["MOST_BEAM_CELLS", "MOST_CELLS", "MOST_TILES", "TileMaps", "TiledGrid
 
 MOST_CELLS = 2**31
 """Cells of the rectangle that all maps of a table may span, 2.3 km x 2.3 km in cells of 5 cm: an image of 2.1 GB."""
-
-MOST_BEAM_CELLS = 21_000
-"""Cells from the robot to the end of a beam, 1050 m in cells of 5 cm: with them all around, a scan spans 2^31 cells."""
 
 MOST_TILES = 500_000
 """Tiles of all maps together where nothing else is asked for: 1.5 GB."""
@@ -34,6 +31,7 @@ _MOST_SPARE = 8 * _SPARE_TILES
 """Of tiles for one scan; one that might take more, of a beam of 400 m, is drawn alone."""
 
 _PAGE_CELLS = PAGE * TILE
+_NOTHING_PENDING = np.zeros((0, 4), np.int32)
 _MOST_ENTRIES = 2**24  # of the tables of all maps together: 67 MB
 
 
@@ -246,18 +244,32 @@ class TileMaps:
         """
         if not len(beams):
             return
-        self._arena.take_back()
-        self._cover(poses, beams)
-        crossed = backend.tiles_on_rays(rows, poses, beams.ends, beams.origin, self.resolution_m, self.threads)
-        if len(crossed) + self.tiles_used > self.most_tiles:
-            self._require_room(crossed)
-        self._make_writable(crossed)
-        changed = backend.update_log_odds(
-            *self._view, rows, poses, beams.ends, beams.origin, self.resolution_m, *self.evidence.steps, self.threads
-        )
-        if len(changed):
-            self._make_writable(backend.tiles_near_cells(changed, int(self.reach_cells)))
-            backend.update_field(*self._view, changed, self._cone, self.threads)
+        arena = self._arena
+        if arena.is_frozen:
+            raise ArgumentError("maps", "maps that may change", "frozen ones")
+        arena.take_back()
+        room = self.most_tiles - self.tiles_used
+        pending = _NOTHING_PENDING
+        done = 0
+        while done < len(rows) or len(pending):
+            status, pages, tiles, pending = backend.update(
+                *(*self._view, arena.page_refs, arena.tile_refs, *arena.free_ids, pending, room),
+                *(rows[done:], poses[done:], beams.ends, beams.origin, self.resolution_m, *self.evidence.steps),
+                *(self._cone, 2 * self.reach_m, self.threads),
+            )
+            arena.allocate(pages, tiles)
+            if status == OUTSIDE:
+                self._cover(poses, beams)
+            elif status == NO_ROOM:
+                self._require_room(
+                    backend.tiles_on_rays(rows, poses, beams.ends, beams.origin, self.resolution_m, self.threads)
+                )
+                room = -1
+            else:
+                done += status
+                if done < len(rows) or len(pending):
+                    arena.grow()
+                    room = -1
 
     def draw(
         self, poses: FloatArray, batch: ScanBatch, first: int, last: int, weighing: Weighing = NOT_WEIGHED

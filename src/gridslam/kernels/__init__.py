@@ -11,9 +11,21 @@ import os
 import warnings
 from typing import Any
 
+from gridslam.kernels.reference_maps import MOST_BEAM_CELLS, NO_ROOM, OUTSIDE
 from gridslam.kernels.reference_update import FARTHEST, FREE_CELLS, PAGE, TILE, UNKNOWN
 
-__all__ = ["FARTHEST", "FREE_CELLS", "PAGE", "TILE", "UNKNOWN", "backend", "compiled"]
+__all__ = [
+    "FARTHEST",
+    "FREE_CELLS",
+    "MOST_BEAM_CELLS",
+    "NO_ROOM",
+    "OUTSIDE",
+    "PAGE",
+    "TILE",
+    "UNKNOWN",
+    "backend",
+    "compiled",
+]
 
 
 def _load() -> tuple[Any, bool]:

@@ -9,8 +9,8 @@
 #include "beams.hpp"
 #include "correlate.hpp"
 #include "landmarks.hpp"
-#include "maps.hpp"
 #include "numbers.hpp"
+#include "rays.hpp"
 #include "several_scans.hpp"
 #include "shortest_ways.hpp"
 
@@ -83,6 +83,16 @@ auto py_select_beams(Vector ranges, Array<const uint8_t, 1> status, Matrix direc
   return std::make_tuple(copied(indices), points);
 }
 
+Arena arena_of(const Array<int32_t, 1>& page_refs, const Array<int32_t, 1>& tile_refs, const Rows& free_pages,
+               const Rows& free_tiles) {
+  return {page_refs.data(),
+          tile_refs.data(),
+          free_pages.data(),
+          free_tiles.data(),
+          static_cast<int64_t>(free_pages.shape(0)),
+          static_cast<int64_t>(free_tiles.shape(0))};
+}
+
 auto py_tiles_on_rays(Rows rows, Matrix poses, Matrix ends, Vector origin, double resolution, int threads) {
   TileList out;
   {
@@ -93,44 +103,38 @@ auto py_tiles_on_rays(Rows rows, Matrix poses, Matrix ends, Vector origin, doubl
   return as_rows(out.data(), out.size(), 3);
 }
 
-auto py_tiles_near_cells(Array<const int32_t, 2> cells, int reach) {
-  TileList out;
-  tiles_near_cells(reinterpret_cast<const Cell*>(cells.data()), static_cast<int>(cells.shape(0)), reach, out);
-  return as_rows(out.data(), out.size(), 3);
-}
-
 auto py_make_tiles_writable(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1> tile_refs, Rows free_pages,
                             Rows free_tiles, Array<const int32_t, 2> tiles_to_write) {
   const Maps m = view(roots, first, pages, log_odds, field);
-  int64_t used[3];
+  Arena arena = arena_of(page_refs, tile_refs, free_pages, free_tiles);
+  int64_t done;
   {
     nb::gil_scoped_release release;
-    make_tiles_writable(m, page_refs.data(), tile_refs.data(), free_pages.data(),
-                        static_cast<int64_t>(free_pages.shape(0)), free_tiles.data(),
-                        static_cast<int64_t>(free_tiles.shape(0)), tiles_to_write.data(),
-                        static_cast<int64_t>(tiles_to_write.shape(0)), used);
+    done = make_tiles_writable(m, arena, tiles_to_write.data(), static_cast<int64_t>(tiles_to_write.shape(0)));
   }
-  return std::make_tuple(used[0], used[1], used[2]);
+  return std::make_tuple(static_cast<int64_t>(free_pages.shape(0)) - arena.n_free_pages,
+                         static_cast<int64_t>(free_tiles.shape(0)) - arena.n_free_tiles, done);
 }
 
-auto py_update_log_odds(GRIDSLAM_MAPS, Rows rows, Matrix poses, Matrix ends, Vector origin, double resolution, int hit,
-                        int miss, int min, int max, int occupied_above, int threads) {
+auto py_update(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1> tile_refs, Rows free_pages,
+               Rows free_tiles, Array<const int32_t, 2> pending, int64_t room, Rows rows, Matrix poses, Matrix ends,
+               Vector origin, double resolution, int hit, int miss, int min, int max, int occupied_above,
+               Array<const uint8_t, 2> cone, double margin_m, int threads) {
   const Maps m = view(roots, first, pages, log_odds, field);
-  std::vector<Cell> changed;
+  Arena arena = arena_of(page_refs, tile_refs, free_pages, free_tiles);
+  const auto* cells = reinterpret_cast<const Cell*>(pending.data());
+  std::vector<Cell> left(cells, cells + pending.shape(0));
+  int done;
   {
     nb::gil_scoped_release release;
-    update_log_odds(m, rows.data(), poses.data(), static_cast<int>(poses.shape(0)), ends.data(),
-                    static_cast<int>(ends.shape(0)), origin.data(), resolution, {hit, miss, min, max, occupied_above},
-                    threads, changed);
+    done = update(m, arena, rows.data(), poses.data(), static_cast<int>(poses.shape(0)),
+                  {ends.data(), origin.data(), static_cast<int>(ends.shape(0)), resolution},
+                  {hit, miss, min, max, occupied_above}, cone.data(), static_cast<int>(cone.shape(0) / 2), margin_m,
+                  room, threads, left);
   }
-  return as_rows(changed.data(), changed.size(), 4);
-}
-
-void py_update_field(GRIDSLAM_MAPS, Array<const int32_t, 2> cells, Array<const uint8_t, 2> cone, int threads) {
-  const Maps m = view(roots, first, pages, log_odds, field);
-  nb::gil_scoped_release release;
-  update_field(m, reinterpret_cast<const Cell*>(cells.data()), static_cast<int>(cells.shape(0)), cone.data(),
-               static_cast<int>(cone.shape(0) / 2), threads);
+  return std::make_tuple(done, static_cast<int64_t>(free_pages.shape(0)) - arena.n_free_pages,
+                         static_cast<int64_t>(free_tiles.shape(0)) - arena.n_free_tiles,
+                         as_rows(left.data(), left.size(), 4));
 }
 
 auto py_match(GRIDSLAM_MAPS, Rows rows, Matrix guesses, Array<const double, 3> priors, Matrix ends, double resolution,
@@ -355,12 +359,11 @@ NB_MODULE(_compiled, m) {
   using namespace gridslam;
   m.def("select_beams", &py_select_beams, "ranges"_a, "status"_a, "directions"_a, "origin"_a, "min_m"_a, "max_m"_a);
   m.def("tiles_on_rays", &py_tiles_on_rays, "rows"_a, "poses"_a, "ends"_a, "origin"_a, "resolution"_a, "threads"_a);
-  m.def("tiles_near_cells", &py_tiles_near_cells, "cells"_a, "reach"_a);
   m.def("make_tiles_writable", &py_make_tiles_writable, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(),
         nb::arg("tile_refs").noconvert(), "free_pages"_a, "free_tiles"_a, "tiles_to_write"_a);
-  m.def("update_log_odds", &py_update_log_odds, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "ends"_a, "origin"_a,
-        "resolution"_a, "hit"_a, "miss"_a, "min"_a, "max"_a, "occupied_above"_a, "threads"_a);
-  m.def("update_field", &py_update_field, GRIDSLAM_MAPS_ARGS, "cells"_a, "cone"_a, "threads"_a);
+  m.def("update", &py_update, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(), nb::arg("tile_refs").noconvert(),
+        "free_pages"_a, "free_tiles"_a, "pending"_a, "room"_a, "rows"_a, "poses"_a, "ends"_a, "origin"_a,
+        "resolution"_a, "hit"_a, "miss"_a, "min"_a, "max"_a, "occupied_above"_a, "cone"_a, "margin_m"_a, "threads"_a);
   m.def("match", &py_match, GRIDSLAM_MAPS_ARGS, "rows"_a, "guesses"_a, "priors"_a, "ends"_a, "resolution"_a,
         "max_iterations"_a, "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a, "stop_rad"_a,
         "reach_cells"_a, "min_information"_a, "point_to_line"_a, "threads"_a);

@@ -1,48 +1,45 @@
-// Copy on write, the serial phase between finding the tiles that a step touches and writing to them. Stops when no free
-// ids are left; the caller allocates more and continues.
+// Copy on write: what a step writes to belongs to its map alone, first.
 #include <cstring>
 
-#include "maps.hpp"
+#include "rays.hpp"
 
 namespace gridslam {
 
-void make_tiles_writable(const Maps& m, int32_t* page_refs, int32_t* tile_refs, const int32_t* free_pages,
-                         int64_t n_free_pages, const int32_t* free_tiles, int64_t n_free_tiles,
-                         const int32_t* tiles_to_write, int64_t n, int64_t used[3]) {
-  int64_t pages_left = n_free_pages, tiles_left = n_free_tiles;
-  int64_t i = 0;
-  for (; i < n; ++i) {
-    const int32_t row = tiles_to_write[3 * i], ty = tiles_to_write[3 * i + 1], tx = tiles_to_write[3 * i + 2];
-    int32_t& page = m.root(row)[((ty >> kPageBits) - m.page_row0) * m.page_cols + (tx >> kPageBits) - m.page_col0];
-    if (page == 0 || page_refs[page] > 1) {
-      if (pages_left == 0) break;
-      const int32_t fresh = free_pages[--pages_left];
-      int32_t* to = m.pages + static_cast<int64_t>(fresh) * kPageTiles;
-      std::memcpy(to, m.pages + static_cast<int64_t>(page) * kPageTiles, kPageTiles * sizeof(int32_t));
-      if (page != 0) {
-        --page_refs[page];
-        for (int t = 0; t < kPageTiles; ++t)
-          if (to[t] != 0) ++tile_refs[to[t]];
-      }
-      page_refs[fresh] = 1;
-      page = fresh;
+bool Arena::own(const Maps& m, int row, int tile_y, int tile_x) {
+  int32_t& page =
+      m.root(row)[((tile_y >> kPageBits) - m.page_row0) * m.page_cols + (tile_x >> kPageBits) - m.page_col0];
+  if (page == 0 || page_refs[page] > 1) {
+    if (n_free_pages == 0) return false;
+    const int32_t fresh = free_pages[--n_free_pages];
+    int32_t* to = m.pages + static_cast<int64_t>(fresh) * kPageTiles;
+    std::memcpy(to, m.pages + static_cast<int64_t>(page) * kPageTiles, kPageTiles * sizeof(int32_t));
+    if (page != 0) {
+      --page_refs[page];
+      for (int t = 0; t < kPageTiles; ++t)
+        if (to[t] != 0) ++tile_refs[to[t]];
     }
-    int32_t& tile =
-        m.pages[static_cast<int64_t>(page) * kPageTiles + ((ty & kPageMask) << kPageBits) + (tx & kPageMask)];
-    if (tile == 0 || tile_refs[tile] > 1) {
-      if (tiles_left == 0) break;
-      const int64_t fresh = free_tiles[--tiles_left];
-      std::memcpy(m.log_odds + fresh * kTileCells, m.log_odds + static_cast<int64_t>(tile) * kTileCells,
-                  kTileCells * sizeof(int16_t));
-      std::memcpy(m.field + fresh * kTileCells, m.field + static_cast<int64_t>(tile) * kTileCells, kTileCells);
-      if (tile != 0) --tile_refs[tile];
-      tile_refs[fresh] = 1;
-      tile = static_cast<int32_t>(fresh);
-    }
+    page_refs[fresh] = 1;
+    page = fresh;
   }
-  used[0] = n_free_pages - pages_left;
-  used[1] = n_free_tiles - tiles_left;
-  used[2] = i;
+  int32_t& tile =
+      m.pages[static_cast<int64_t>(page) * kPageTiles + ((tile_y & kPageMask) << kPageBits) + (tile_x & kPageMask)];
+  if (tile == 0 || tile_refs[tile] > 1) {
+    if (n_free_tiles == 0) return false;
+    const int64_t fresh = free_tiles[--n_free_tiles];
+    std::memcpy(m.log_odds + fresh * kTileCells, m.log_odds + static_cast<int64_t>(tile) * kTileCells,
+                kTileCells * sizeof(int16_t));
+    std::memcpy(m.field + fresh * kTileCells, m.field + static_cast<int64_t>(tile) * kTileCells, kTileCells);
+    if (tile != 0) --tile_refs[tile];
+    tile_refs[fresh] = 1;
+    tile = static_cast<int32_t>(fresh);
+  }
+  return true;
+}
+
+int64_t make_tiles_writable(const Maps& m, Arena& arena, const int32_t* tiles_to_write, int64_t n) {
+  for (int64_t i = 0; i < n; ++i)
+    if (!arena.own(m, tiles_to_write[3 * i], tiles_to_write[3 * i + 1], tiles_to_write[3 * i + 2])) return i;
+  return n;
 }
 
 }  // namespace gridslam

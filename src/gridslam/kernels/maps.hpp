@@ -144,14 +144,21 @@ struct Line {
   bool along_x;
   int major_step, minor_step;
   uint64_t slope = 0, start = 1ull << 31;
-  Line(int ax, int ay, int bx, int by) : x0(ax), y0(ay) {
+  // 2^32 |minor| / |major|, of which Line takes the whole part: exact for lines shorter than 2^20 cells, as the
+  // quotient is by 1 / n away from the next whole number, and is rounded by less.
+  static GRIDSLAM_INLINE double slope_of(int dx, int dy) {
+    const int across = std::abs(dx), up = std::abs(dy);
+    return static_cast<double>(std::min(across, up)) * 0x1p32 / static_cast<double>(std::max(1, std::max(across, up)));
+  }
+  Line(int ax, int ay, int bx, int by, double quotient) : x0(ax), y0(ay) {
     const int dx = bx - ax, dy = by - ay;
     along_x = std::abs(dx) >= std::abs(dy);
     const int major = along_x ? dx : dy, minor = along_x ? dy : dx;
     n = std::abs(major);
     major_step = major >= 0 ? 1 : -1, minor_step = minor >= 0 ? 1 : -1;
     if (n == 0) return;
-    slope = (static_cast<uint64_t>(std::abs(minor)) << 32) / static_cast<uint64_t>(n);
+    slope = n < 1 << 20 ? static_cast<uint64_t>(static_cast<int64_t>(quotient))
+                        : (static_cast<uint64_t>(std::abs(minor)) << 32) / static_cast<uint64_t>(n);
     start += minor >= 0 ? static_cast<uint64_t>(n) : ~0ull;
   }
   int freed() const { return std::min(n, kFreeCells); }  // cells 0 to freed() - 1 are passed
@@ -169,18 +176,21 @@ using TileList = std::vector<std::array<int32_t, 3>>;
 
 void tiles_on_rays(const int32_t* rows, const double* poses, int k, const double* ends, int b, const double* origin,
                    double resolution, int threads, TileList& out);
-void tiles_near_cells(const Cell* cells, int n, int reach, TileList& out);
-void make_tiles_writable(const Maps& m, int32_t* page_refs, int32_t* tile_refs, const int32_t* free_pages,
-                         int64_t n_free_pages, const int32_t* free_tiles, int64_t n_free_tiles,
-                         const int32_t* tiles_to_write, int64_t n, int64_t used[3]);
+struct Arena;
+int64_t make_tiles_writable(const Maps& m, Arena& arena, const int32_t* tiles_to_write, int64_t n);
 
 struct Evidence {
   int hit, miss, min, max, occupied_above;
 };
-void update_log_odds(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b,
-                     const double* origin, double resolution, const Evidence& e, int threads,
-                     std::vector<Cell>& changed);
-void update_field(const Maps& m, const Cell* cells, int n, const uint8_t* cone, int reach, int threads);
+struct Scan {
+  const double *ends, *origin;  // (b, 2), (2,)
+  int b;
+  double resolution;
+};
+constexpr int kOutside = -1, kNoRoom = -2;
+int update(const Maps& m, Arena& arena, const int32_t* rows, const double* poses, int k, const Scan& scan,
+           const Evidence& e, const uint8_t* cone, int reach, double margin_m, int64_t room, int threads,
+           std::vector<Cell>& pending);
 
 struct MatchSettings {
   int max_iterations;

@@ -1,4 +1,4 @@
-// The tiles that the rays of a scan cross.
+// The rays of a scan as lines of cells, and the tiles that they cross.
 #pragma once
 #include "maps.hpp"
 
@@ -7,13 +7,11 @@ namespace gridslam {
 // A bitmap over the tiles around one scan.
 class TileSet {
  public:
-  const int y0, x0, rows, cols;
-  TileSet(int y_min, int y_max, int x_min, int x_max)
-      : y0(y_min),
-        x0(x_min),
-        rows(y_max - y_min + 1),
-        cols(x_max - x_min + 1),
-        marks_(static_cast<size_t>(rows) * cols, 0) {}
+  int y0 = 0, x0 = 0, rows = 0, cols = 0;
+  void reset(int y_min, int y_max, int x_min, int x_max) {
+    y0 = y_min, x0 = x_min, rows = y_max - y_min + 1, cols = x_max - x_min + 1;
+    marks_.assign(static_cast<size_t>(rows) * cols, 0);
+  }
   void mark(int ty, int tx) { marks_[static_cast<size_t>(ty - y0) * cols + (tx - x0)] = 1; }
   // Calls visit(tile y, tile x) for those that are marked, ascending.
   template <class Visit>
@@ -23,6 +21,7 @@ class TileSet {
       for (int x = x0; x < x0 + cols; ++x)
         if (*mark++) visit(y, x);
   }
+  int64_t count() const { return std::count(marks_.begin(), marks_.end(), 1); }
 
  private:
   std::vector<uint8_t> marks_;
@@ -30,45 +29,26 @@ class TileSet {
 
 // The cells of a scan as seen from one pose: where the laser is, and where the beams end.
 struct Fan {
-  int x, y;
+  int x = 0, y = 0;
   std::vector<int> xs, ys;
-  Fan(const Pose& pose, const double* ends, int b, const double* origin, double scale)
-      : x(cell_of(pose.world_x(origin), scale)), y(cell_of(pose.world_y(origin), scale)), xs(b), ys(b) {
-    cells_of(pose, ends, b, scale, xs.data(), ys.data());
-  }
-  Line line(size_t j) const { return Line(x, y, xs[j], ys[j]); }
+  std::vector<double> slopes;  // of the beams' lines, as Line has them
 
+  void see(const Pose& pose, const double* ends, int b, const double* origin, double scale);
+  Line line(size_t j) const { return Line(x, y, xs[j], ys[j], slopes[j]); }
   // The tiles that the lines cross where they free cells, and those of their ends.
-  TileSet tiles() const {
-    int x_min = x, x_max = x, y_min = y, y_max = y;
-    for (size_t j = 0; j < xs.size(); ++j) {
-      x_min = std::min(x_min, xs[j]), x_max = std::max(x_max, xs[j]);
-      y_min = std::min(y_min, ys[j]), y_max = std::max(y_max, ys[j]);
-    }
-    TileSet set(y_min >> kTileBits, y_max >> kTileBits, x_min >> kTileBits, x_max >> kTileBits);
-    for (size_t j = 0; j < xs.size(); ++j) mark(line(j), set);
-    return set;
-  }
-
- private:
-  static void cells_of(const Pose& pose, const double* ends, int b, double scale, int* xs, int* ys);
-  static void mark(const Line& line, TileSet& set) {
-    const int most = line.n <= kFreeCells ? line.n : kFreeCells - 1;
-    if (most < line.n) {
-      const int end = line.major(line.n) >> kTileBits, aside = line.minor(line.n) >> kTileBits;
-      line.along_x ? set.mark(aside, end) : set.mark(end, aside);
-    }
-    for (int i = 0; i <= most;) {
-      const int major = line.major(i), inside = major & kTileMask, tile = major >> kTileBits;
-      const int last = std::min(most, i + (line.major_step > 0 ? kTileMask - inside : inside));
-      for (const int end :
-           {i, last}) {  // the minor axis is monotone, and within a tile's width it crosses one border at most
-        const int aside = line.minor(end) >> kTileBits;
-        line.along_x ? set.mark(aside, tile) : set.mark(tile, aside);
-      }
-      i = last + 1;
-    }
-  }
+  void tiles(TileSet& set) const;
 };
+
+// Makes tiles the own ones of their map: copies those that another uses, too. False where no free id is left.
+struct Arena {
+  int32_t *page_refs, *tile_refs;
+  const int32_t *free_pages, *free_tiles;  // taken from the end
+  int64_t n_free_pages, n_free_tiles;      // that are left
+  bool own(const Maps& m, int row, int tile_y, int tile_x);
+};
+
+// The tiles within reach of n changed cells of one map, at least one; a window of at most a tile's side lies in the
+// tiles of its four corners.
+void tiles_near_cells(const Cell* cells, int n, int reach, TileSet& set);
 
 }  // namespace gridslam

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from gridslam.kernels import reference_scans
 from gridslam.kernels.reference_landmarks import draw_gaussians, kalman_update, predict_landmarks
+from gridslam.kernels.reference_maps import update
 from gridslam.kernels.reference_numbers import parse_numbers
 from gridslam.kernels.reference_update import (
     FARTHEST,
@@ -41,11 +42,8 @@ from gridslam.kernels.reference_update import (
     cell_addresses,
     cells_within,
     make_tiles_writable,
-    tiles_near_cells,
     tiles_on_rays,
     transform_to_world,
-    update_field,
-    update_log_odds,
 )
 from gridslam.kernels.reference_ways import shortest_ways
 
@@ -65,10 +63,8 @@ __all__ = [
     "select_beams",
     "shortest_ways",
     "sum_at_ends",
-    "tiles_near_cells",
     "tiles_on_rays",
-    "update_field",
-    "update_log_odds",
+    "update",
 ]
 
 

@@ -4,7 +4,7 @@
 #include "several_scans.hpp"
 
 #include "field.hpp"
-#include "rays.hpp"
+#include "update.hpp"
 
 namespace gridslam {
 namespace {
@@ -12,18 +12,22 @@ namespace {
 class Drawing {
  public:
   Drawing(const Maps& m, const FreeTiles& spare, const Evidence& e, const uint8_t* cone, int reach)
-      : m_(m), spare_(spare), e_(e), cone_(cone), reach_(reach) {}
+      : m_(m),
+        spare_(spare),
+        arena_{spare.page_refs, spare.tile_refs, spare.pages, spare.tiles, spare.n_pages, spare.n_tiles},
+        e_(e),
+        cone_(cone, reach) {}
 
   // Whether the scan was drawn: not where it may take more tiles than there are.
   bool draw(const double* pose, const double* ends, int b, const double* origin, double resolution, int64_t room) {
-    static constexpr int32_t kRow = 0;
-    touched_.clear(), changed_.clear();
-    tiles_on_rays(&kRow, pose, 1, ends, b, origin, resolution, 1, touched_);
+    fan_.see(Pose(pose), ends, b, origin, 1.0 / resolution);
+    fan_.tiles(touched_);
     if (!fits(room)) return false;
     make_writable(touched_);
-    update_log_odds(m_, &kRow, pose, 1, ends, b, origin, resolution, e_, 1, changed_);
-    touched_.clear();
-    tiles_near_cells(changed_.data(), static_cast<int>(changed_.size()), reach_, touched_);
+    changed_.clear();
+    add_evidence(m_, 0, fan_, touched_, e_, changed_);
+    if (changed_.empty()) return true;
+    tiles_near_cells(changed_.data(), static_cast<int>(changed_.size()), cone_.reach, touched_);
     make_writable(touched_);
     pending_.insert(pending_.end(), changed_.begin(), changed_.end());
     return true;
@@ -42,51 +46,44 @@ class Drawing {
       cell.occupied = m_.log_odds[at] > e_.occupied_above;
       return (m_.field[at] == kOccupiedField) == (cell.occupied != 0);
     });
-    gridslam::update_field(m_, pending_.data(), static_cast<int>(pending_.size()), cone_, reach_, 1);
+    follow(m_, m_.root(0), pending_.data(), static_cast<int>(pending_.size()), cone_);
     pending_.clear();
   }
 
-  int64_t pages() const { return pages_; }
-  int64_t tiles() const { return tiles_; }
+  int64_t pages() const { return spare_.n_pages - arena_.n_free_pages; }
+  int64_t tiles() const { return spare_.n_tiles - arena_.n_free_tiles; }
 
  private:
   // Whether there are pages and tiles for all that the rays cross and for what may lie about their ends.
-  bool fits(int64_t room) const {
-    if (touched_.empty()) return true;
-    int y_min = touched_.front()[1], y_max = y_min, x_min = touched_.front()[2], x_max = x_min;
-    for (const auto& tile : touched_) {
-      y_min = std::min(y_min, tile[1]), y_max = std::max(y_max, tile[1]);
-      x_min = std::min(x_min, tile[2]), x_max = std::max(x_max, tile[2]);
-    }
-    TileSet around(y_min - 1, y_max + 1, x_min - 1, x_max + 1);
-    for (const auto& tile : touched_)
+  bool fits(int64_t room) {
+    const int y_min = touched_.y0 - 1, y_max = touched_.y0 + touched_.rows, x_min = touched_.x0 - 1,
+              x_max = touched_.x0 + touched_.cols;
+    around_.reset(y_min, y_max, x_min, x_max);
+    touched_.each([&](int y, int x) {
       for (int dy = -1; dy <= 1; ++dy)
-        for (int dx = -1; dx <= 1; ++dx) around.mark(tile[1] + dy, tile[2] + dx);
+        for (int dx = -1; dx <= 1; ++dx) around_.mark(y + dy, x + dx);
+    });
     int64_t tiles = 0;
-    around.each([&](int y, int x) {
+    around_.each([&](int y, int x) {
       const int32_t tile = m_.tile(m_.root(0), y, x);
       tiles += tile == 0 || spare_.tile_refs[tile] > 1;
     });
-    const int64_t pages = static_cast<int64_t>(((y_max + 1) >> kPageBits) - ((y_min - 1) >> kPageBits) + 1) *
-                          (((x_max + 1) >> kPageBits) - ((x_min - 1) >> kPageBits) + 1);
-    return pages <= spare_.n_pages - pages_ && tiles <= spare_.n_tiles - tiles_ && tiles <= room - tiles_;
+    const int64_t pages = static_cast<int64_t>((y_max >> kPageBits) - (y_min >> kPageBits) + 1) *
+                          ((x_max >> kPageBits) - (x_min >> kPageBits) + 1);
+    return pages <= arena_.n_free_pages && tiles <= arena_.n_free_tiles && tiles <= room - this->tiles();
   }
 
-  void make_writable(const TileList& tiles) {
-    int64_t used[3];
-    make_tiles_writable(m_, spare_.page_refs, spare_.tile_refs, spare_.pages, spare_.n_pages - pages_, spare_.tiles,
-                        spare_.n_tiles - tiles_, reinterpret_cast<const int32_t*>(tiles.data()),
-                        static_cast<int64_t>(tiles.size()), used);
-    pages_ += used[0], tiles_ += used[1];
+  void make_writable(const TileSet& tiles) {
+    tiles.each([&](int y, int x) { arena_.own(m_, 0, y, x); });
   }
 
   const Maps& m_;
   const FreeTiles& spare_;
+  Arena arena_;
   const Evidence& e_;
-  const uint8_t* cone_;
-  int reach_;
-  int64_t pages_ = 0, tiles_ = 0;
-  TileList touched_;
+  Cone cone_;
+  Fan fan_;
+  TileSet touched_, around_;
   std::vector<Cell> changed_, pending_;
 };
 
