@@ -25,6 +25,7 @@ KERNELS = (
     "match",
     "distances",
     "cast_rays",
+    "known_cells",
     "max_pyramid",
     "correlate",
     "sum_at_ends",
@@ -312,6 +313,9 @@ def test_distances_and_ray_casting(seed):
     np.testing.assert_allclose(
         compiled.distances(*maps._view, *far), reference.distances(*maps._view, *far), rtol=0, atol=SINGLE * CELL
     )
+    for row, pose in zip(rows.tolist(), poses, strict=True):
+        known = [k.known_cells(*maps._view, row, pose, points, CELL) for k in (compiled, reference)]
+        np.testing.assert_array_equal(*known)
     ranges = compiled.cast_rays(*maps._view, *ray)
     np.testing.assert_allclose(ranges, reference.cast_rays(*maps._view, *ray), rtol=0, atol=2e-6)
     assert (ranges >= 0).all()

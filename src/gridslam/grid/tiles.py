@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
 from gridslam.grid.arena import TILE_BYTES, Int32Array, TileArena, renumber
-from gridslam.grid.cells import LOG_ODDS_UNIT, Evidence, cell_corner, cells_of
+from gridslam.grid.cells import LOG_ODDS_UNIT, Evidence, cell_corner
 from gridslam.grid.scan_batch import NOT_WEIGHED, ScanBatch, Weighing
 from gridslam.kernels import FARTHEST, MOST_BEAM_CELLS, NO_ROOM, OUTSIDE, PAGE, TILE, UNKNOWN, backend
-from gridslam.kernels.reference_update import cell_addresses
 from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid, Rows
 
 __all__ = ["MOST_BEAM_CELLS", "MOST_CELLS", "MOST_TILES", "TileMaps", "TiledGrid"]
@@ -30,6 +29,7 @@ _SPARE_TILES = 64
 _MOST_SPARE = 8 * _SPARE_TILES
 """Of tiles for one scan; one that might take more, of a beam of 400 m, is drawn alone."""
 
+_ORIGIN = np.zeros(3)
 _PAGE_CELLS = PAGE * TILE
 _NOTHING_PENDING = np.zeros((0, 4), np.int32)
 _MOST_ENTRIES = 2**24  # of the tables of all maps together: 67 MB
@@ -371,11 +371,9 @@ class TileMaps:
         )
         return found
 
-    def is_known(self, row: int, points: FloatArray) -> NDArray[np.bool_]:
-        """Whether the cells of points (B, 2) of the world were observed, in one map."""
-        roots, first, pages, log_odds, _ = self._view
-        y, x = cells_of(points, self.resolution_m).T
-        found: NDArray[np.bool_] = log_odds.reshape(-1)[cell_addresses(roots, first, pages, row, y, x)] != UNKNOWN
+    def is_known(self, row: int, points: FloatArray, pose: FloatArray = _ORIGIN) -> NDArray[np.bool_]:
+        """Whether the cells (B,) of points (B, 2), seen from a pose (3,), were observed, in one map."""
+        found: NDArray[np.bool_] = backend.known_cells(*self._view, row, pose, points, self.resolution_m)
         return found
 
     def tiled(self, row: int) -> TiledGrid:

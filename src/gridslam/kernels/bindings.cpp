@@ -168,6 +168,16 @@ auto py_distances(GRIDSLAM_MAPS, Rows rows, Matrix poses, Matrix ends, double re
   return out;
 }
 
+auto py_known_cells(GRIDSLAM_MAPS, int row, Vector pose, Matrix points, double resolution) {
+  const Maps m = view(roots, first, pages, log_odds, field);
+  auto out = fresh<bool, 1>({points.shape(0)});
+  {
+    nb::gil_scoped_release release;
+    known_cells(m, row, pose.data(), points.data(), static_cast<int>(points.shape(0)), resolution, out.data());
+  }
+  return out;
+}
+
 auto py_cast_rays(GRIDSLAM_MAPS, Rows rows, Matrix poses, Vector origin, Matrix directions, double resolution,
                   double max_m, int threads) {
   const Maps m = view(roots, first, pages, log_odds, field);
@@ -369,6 +379,7 @@ NB_MODULE(_compiled, m) {
         "reach_cells"_a, "min_information"_a, "point_to_line"_a, "threads"_a);
   m.def("distances", &py_distances, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "ends"_a, "resolution"_a, "reach_cells"_a,
         "threads"_a);
+  m.def("known_cells", &py_known_cells, GRIDSLAM_MAPS_ARGS, "row"_a, "pose"_a, "points"_a, "resolution"_a);
   m.def("cast_rays", &py_cast_rays, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "origin"_a, "directions"_a, "resolution"_a,
         "max_m"_a, "threads"_a);
   m.def("predict_landmarks", &py_predict_landmarks, "sensor"_a, "poses"_a, "calibration"_a, "positions"_a,

@@ -17,6 +17,15 @@ void distances(const Maps& m, const int32_t* rows, const double* poses, int k, c
   });
 }
 
+void known_cells(const Maps& m, int row, const double* pose, const double* points, int b, double resolution,
+                 bool* out) {
+  const Pose at(pose);
+  const double scale = 1.0 / resolution;
+  for (int j = 0; j < b; ++j)
+    out[j] = !m.is_unknown(m.root(row), cell_of(at.world_y(points + 2 * j), scale),
+                           cell_of(at.world_x(points + 2 * j), scale));
+}
+
 namespace {
 
 // Follows the cells that the ray crosses (Amanatides and Woo 1987) to the first occupied one.

@@ -204,6 +204,7 @@ void match(const Maps& m, const int32_t* rows, const double* guesses, const doub
            double* score);
 void distances(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b,
                double resolution, double reach_cells, int threads, float* out);
+void known_cells(const Maps& m, int row, const double* pose, const double* points, int b, double resolution, bool* out);
 void cast_rays(const Maps& m, const int32_t* rows, const double* poses, int k, const double* origin,
                const double* directions, int b, double resolution, double max_m, int threads, float* out);
 void sum_at_ends(const uint32_t* patches, int rows, int cols, const double* corner, double resolution,

@@ -54,6 +54,7 @@ __all__ = [
     "draw_gaussians",
     "draw_scans",
     "kalman_update",
+    "known_cells",
     "make_tiles_writable",
     "match",
     "match_scans",
@@ -154,6 +155,24 @@ def distances(
     x, y = transform_to_world(poses, ends)
     value, _, _ = _Field(roots, first, pages, field, rows).sample(x * scale, y * scale)
     return (reach_m - reach_m / 255.0 * value.astype(np.float64)).astype(np.float32)
+
+
+def known_cells(
+    roots: Int32Array,
+    first: tuple[int, int],
+    pages: Int32Array,
+    log_odds: NDArray[np.int16],
+    field: NDArray[np.uint8],
+    row: int,
+    pose: FloatArray,
+    points: FloatArray,
+    resolution: float,
+) -> NDArray[np.bool_]:
+    """Whether something is known of the cells (B,) of map `row` in which points (B, 2) lie, seen from a pose (3,)."""
+    x, y = (cells_within(np.floor(at[0] * (1.0 / resolution))) for at in transform_to_world(pose[None], points))
+    addresses = cell_addresses(roots, first, pages, row, y.astype(np.int64), x.astype(np.int64))
+    known: NDArray[np.bool_] = log_odds.reshape(-1)[addresses] != UNKNOWN
+    return known
 
 
 def cast_rays(
@@ -527,5 +546,5 @@ def _within(
     return inside
 
 
-draw_scans = partial(reference_scans.draw_scans, distances)
+draw_scans = partial(reference_scans.draw_scans, distances, known_cells)
 match_scans = partial(reference_scans.match_scans, match)

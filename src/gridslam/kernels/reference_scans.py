@@ -12,16 +12,12 @@ from numpy.typing import NDArray
 
 from gridslam.kernels.reference_update import (
     PAGE,
-    UNKNOWN,
     FloatArray,
     Int32Array,
     IntArray,
-    cell_addresses,
-    cells_within,
     make_tiles_writable,
     tiles_near_cells,
     tiles_on_rays,
-    transform_to_world,
     update_field,
     update_log_odds,
 )
@@ -33,6 +29,7 @@ _ROW = np.zeros(1, np.int32)
 
 def draw_scans(
     distances: Callable[..., NDArray[np.float32]],
+    known_cells: Callable[..., NDArray[np.bool_]],
     roots: Int32Array,
     first: tuple[int, int],
     pages: Int32Array,
@@ -91,7 +88,9 @@ def draw_scans(
     def weigh_after(drawn: int) -> None:
         for seen in np.flatnonzero(weighed_after == drawn).tolist() if drawn else ():
             own = slice(starts[seen], starts[seen + 1])
-            weights[own] = _weigh(distances, maps, poses[seen], ends[own], resolution, reach_cells, scale_m)
+            weights[own] = _weigh(
+                distances, known_cells, maps, poses[seen], ends[own], resolution, reach_cells, scale_m
+            )
 
     weigh_after(done)
     for scan in range(begin, end):
@@ -173,6 +172,7 @@ def _most_new(
 
 def _weigh(
     distances: Callable[..., NDArray[np.float32]],
+    known_cells: Callable[..., NDArray[np.bool_]],
     maps: tuple[Int32Array, tuple[int, int], Int32Array, NDArray[np.int16], NDArray[np.uint8]],
     pose: FloatArray,
     ends: FloatArray,
@@ -181,10 +181,7 @@ def _weigh(
     scale_m: float,
 ) -> NDArray[np.float32]:
     """Cauchy weights (B,) of the ends of a scan, -1 in unknown cells."""
-    roots, first, pages, log_odds, _ = maps
     away = distances(*maps, _ROW, pose[None], ends, resolution, reach_cells, 1)[0]
-    x, y = (cells_within(np.floor(at[0] * (1.0 / resolution))) for at in transform_to_world(pose[None], ends))
-    addresses = cell_addresses(roots, first, pages, 0, y.astype(np.int64), x.astype(np.int64))
-    known = log_odds.reshape(-1)[addresses] != UNKNOWN
+    known = known_cells(*maps, 0, pose, ends, resolution)
     scaled = away / np.float32(scale_m)
     return np.where(known, 1 / (1 + scaled * scaled), np.float32(-1)).astype(np.float32)

@@ -3,6 +3,8 @@
 
 #include "several_scans.hpp"
 
+#include <memory>
+
 #include "field.hpp"
 #include "update.hpp"
 
@@ -92,14 +94,12 @@ void weigh(const Maps& m, const double* pose, const double* ends, int b, double 
            double scale_m, float* weights) {
   static constexpr int32_t kRow = 0;
   distances(m, &kRow, pose, 1, ends, b, resolution, reach_cells, 1, weights);
-  const Pose at(pose);
+  const std::unique_ptr<bool[]> known(new bool[b]);
+  known_cells(m, kRow, pose, ends, b, resolution, known.get());
   const float scale = static_cast<float>(scale_m);
   for (int j = 0; j < b; ++j) {
-    const double* end = ends + 2 * j;
-    const bool known = !m.is_unknown(m.root(0), cell_of(at.world_y(end), 1.0 / resolution),
-                                     cell_of(at.world_x(end), 1.0 / resolution));
     const float away = weights[j] / scale;
-    weights[j] = known ? 1.0f / (1.0f + away * away) : -1.0f;
+    weights[j] = known[j] ? 1.0f / (1.0f + away * away) : -1.0f;
   }
 }
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.geometry.se2 import transform_points
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.scan_batch import ScanBatch
 from gridslam.grid.tiles import TileMaps
@@ -147,5 +146,5 @@ def weigh_known_beams(
     maps: TileMaps, row: Int32Array, pose: FloatArray, ends: FloatArray, scale_m: float
 ) -> NDArray[np.float32]:
     """Cauchy weights (K,) of those of the ends of beams (B, 2), seen from a pose (3,), that lie in known cells."""
-    known = maps.is_known(int(row[0]), transform_points(pose, ends))
+    known = maps.is_known(int(row[0]), ends, pose)
     return cauchy_weights(maps.distances(row, pose[None], ends)[0, known], scale_m)

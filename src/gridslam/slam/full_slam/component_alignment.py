@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.geometry.se2 import between, compose, transform_points
+from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid, thin_points
@@ -304,7 +304,7 @@ class Alignment:
         """Pose (3,) of a key scan matched near a guess; the guess if it sees little of the map or moves too far."""
         if len(beams) < self.parameters.matcher.min_beams:
             return guess
-        if np.mean(self.maps.is_known(0, transform_points(guess, beams.ends))) < _MIN_OVERLAP:
+        if np.mean(self.maps.is_known(0, beams.ends, guess)) < _MIN_OVERLAP:
             return guess
         match = self.parameters.matcher(self.maps, ROW, guess[None], _LOOSE, beams)
         x, y, turn = between(guess, match.poses[0]).tolist()
@@ -316,7 +316,7 @@ class Alignment:
         known = beams = 0
         for key, pose in zip(self.keys.tolist(), hypothesis.poses, strict=True):
             ends = self.closure_state.scans.key(key).ends
-            known += int(np.count_nonzero(self.maps.is_known(0, transform_points(pose, ends)))) if len(ends) else 0
+            known += int(np.count_nonzero(self.maps.is_known(0, ends, pose))) if len(ends) else 0
             beams += len(ends)
         scorer = self.scorer
         agreement = hypothesis.log_likelihood / (scorer.tempering * max(known, 1)) + scorer.neutral

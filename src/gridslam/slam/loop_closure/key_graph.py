@@ -18,7 +18,7 @@ from gridslam.kernels import backend
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import compute_moments, propagate_covariances
-from gridslam.slam.loop_closure.rows import Rows
+from gridslam.slam.loop_closure.rows import Rows, new_poses
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
@@ -48,7 +48,6 @@ _MATCH_RATIO = 1 / 6
 """Standard deviation that is expected of a constraint over the one that it has in searches and against outliers: that
 of `KeyScanMatching` over that of `PlaceMatching`."""
 
-_new_poses = partial(Rows[np.float64], 3, np.float64)
 _new_moments = partial(Rows[np.float64], 9, np.float64)
 _new_pairs = partial(Rows[np.int32], 2, np.int32)
 _new_links = partial(Rows[np.float64], 12, np.float64)
@@ -167,7 +166,7 @@ class KeyGraph:
     # key scans whose way comes by a constraint
     _arrivals: list[int] = field(init=False, default_factory=list, metadata=NOT_SAVED)
     # as tracked, the first key scan of each submap
-    _firsts: Rows[np.float64] = field(init=False, default_factory=_new_poses, metadata=NOT_SAVED)
+    _firsts: Rows[np.float64] = field(init=False, default_factory=new_poses, metadata=NOT_SAVED)
     # (9,) each, moments from each submap's first key scan to the next one's
     _steps: Rows[np.float64] = field(init=False, default_factory=_new_moments, metadata=NOT_SAVED)
     # from submap, to submap -> place of the most certain constraint in `_links`

@@ -12,10 +12,9 @@ from gridslam.geometry.se2 import between, compose, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import BranchAndBound
-from gridslam.matching.gauss_newton import GaussNewton, cauchy_weights
+from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, cauchy_weights
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, transform_match
 from gridslam.slam.loop_closure.key_graph import (
-    KEY_SCANS_PER_SUBMAP,
     KeyGraph,
     SubmapDistance,
     anchor_of,
@@ -119,14 +118,13 @@ class PlaceMatching:
         That frame is at `anchor` (3,) in `maps`, by default at the origin.
         """
         beams = closure_state.scans.key(key)
-        frame = np.zeros(3) if anchor is None else anchor
-        begin = compose(frame, guess)
-        match = self.matcher(maps, ROW, begin[None], np.full((1, 3, 3), 1e-9) * np.eye(3), beams)
+        begin = guess if anchor is None else compose(anchor, guess)
+        match = self.matcher(maps, ROW, begin[None], NO_PRIOR[None], beams)
         pose = match.poses[0]
         moved = between(begin, pose)
         if math.hypot(moved[0], moved[1]) > max_correction_m or not self.is_inlier_match(maps, pose, beams.ends):
             return RejectionReason.LOW_INLIER_RATIO
-        seen = transform_match(frame, match)
+        seen = match if anchor is None else transform_match(anchor, match)
         return Constraint.from_match(
             anchor_of(submap), key, guess, seen, self.beam_sigma_m, self.min_information, source
         )
@@ -137,7 +135,7 @@ class PlaceMatching:
         An end that falls behind a wall's nearest cells, which no beam has seen, is known all the same.
         """
         away = maps.distances(ROW, pose[None], points)[0]
-        known = maps.is_known(0, transform_points(pose, points)) | (away < self.matcher.cauchy_m)
+        known = maps.is_known(0, points, pose) | (away < self.matcher.cauchy_m)
         if np.mean(known) < self.min_overlap:
             return False
         return float(np.mean(cauchy_weights(away[known], self.matcher.cauchy_m))) >= self.inlier_ratio
@@ -208,9 +206,8 @@ class PlaceMatching:
 
     def _predict_from_filter(self, closure_state: LoopClosureState, oldest: int) -> tuple[int, FloatArray] | None:
         """The old submap nearest to the filter's pose, and that pose in its frame."""
-        poses = closure_state.online_poses
-        anchors = np.array(poses[anchor_of(0) : anchor_of(oldest) + 1 : KEY_SCANS_PER_SUBMAP])
-        here = poses[-1]
+        anchors = closure_state.online_anchors(oldest + 1)
+        here = closure_state.online_poses[-1]
         away = np.hypot(*(anchors[:, :2] - here[:2]).T)
         submap = int(away.argmin())
         return (submap, between(anchors[submap], here)) if away[submap] < self.max_distance_m else None

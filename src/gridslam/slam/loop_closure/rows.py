@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Generic, TypeVar, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Rows"]
+__all__ = ["Rows", "new_poses"]
 
 _Number = TypeVar("_Number", np.float64, np.int32)
 
@@ -49,3 +50,6 @@ class Rows(Generic[_Number]):
     def clear(self) -> None:
         """Forget all rows."""
         self._count = 0
+
+
+new_poses = partial(Rows[np.float64], 3, np.float64)

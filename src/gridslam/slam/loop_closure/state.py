@@ -8,12 +8,15 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Annotated, NamedTuple, Protocol, final
 
+import numpy as np
+
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.constraints import Constraint
-from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.key_graph import KeyGraph, anchor_of
 from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
+from gridslam.slam.loop_closure.rows import Rows, new_poses
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.submaps import JointMap, SubmapCache
 from gridslam.slam.pose_graph.descent import Computation
@@ -193,6 +196,9 @@ class LoopClosureState:
     joined: int = -1
     joined_after: int = 0
     submap_cache: SubmapCache = field(default_factory=SubmapCache, metadata=NOT_SAVED)
+    _anchors: Rows[np.float64] = field(init=False, default_factory=new_poses, metadata=NOT_SAVED)
+    # the list of which `_anchors` are, another one after a correction
+    _anchored: list[FloatArray] | None = field(init=False, default=None, metadata=NOT_SAVED)
 
     def submap(self, submap: int, mapper: OccupancyGridMapping) -> TileMaps:
         """The map of a submap, in the frame of its anchor."""
@@ -201,6 +207,15 @@ class LoopClosureState:
     def joint_map(self, submaps: tuple[int, ...], mapper: OccupancyGridMapping) -> JointMap:
         """The joint map of several submaps, in the map frame."""
         return self.submap_cache.joint_map(submaps, mapper, self.scans, self.graph)
+
+    def online_anchors(self, submaps: int) -> FloatArray:
+        """Poses (K, 3) of the anchors of the first submaps, as the best particle had them at the time or later."""
+        if self._anchored is not self.online_poses:
+            self._anchored = self.online_poses
+            self._anchors.clear()
+        for submap in range(len(self._anchors), submaps):
+            self._anchors.append(self.online_poses[anchor_of(submap)])
+        return self._anchors.array[:submaps]
 
     def correct(self, poses: FloatArray) -> None:
         """Set the poses (T, 3) of the key scans and invalidate cached maps."""
@@ -227,7 +242,7 @@ class LoopClosureState:
         """Forget all but the first scans and key scans, wherever a step that added others has ended."""
         self.scans.truncate(scans, key_scans)
         self.graph.truncate(key_scans)
-        del self.online_poses[key_scans:]
+        self.online_poses = self.online_poses[:key_scans]
         self.unconfirmed = [constraint for constraint in self.unconfirmed if constraint.to < key_scans]
         pending = self.pending_constraints
         if pending is not None:
