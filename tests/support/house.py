@@ -55,6 +55,7 @@ INNER_RANKS = {
     },
     "io": {
         "limits": -1,
+        "read_ahead": -1,
         "staging": -1,
         "measurement": 0,
         "output": 0,

@@ -365,11 +365,14 @@ class CheckedLog:
 
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start."""
-        for count, measurement in enumerate(self._log, 1):
+        measurements = iter(self._log)
+        for count, measurement in enumerate(measurements, 1):
             if count > self._checked:
                 self._checked = count
                 self._report(partial(self._check.take, measurement))
             yield measurement
+            if self._check.is_complete:
+                yield from measurements
         self._report(self._check.end)
 
     def _report(self, check: Callable[[], tuple[Finding, ...]]) -> None:

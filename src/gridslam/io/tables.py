@@ -55,6 +55,11 @@ class Table(NamedTuple):
 
 def parse_stamp_ns(text: str) -> int:
     """Nanoseconds of a decimal number of seconds, exactly; raises ValueError, with what was expected."""
+    seconds, _, fraction = text.partition(".")
+    if seconds.isdecimal() and fraction.isdecimal() and len(seconds) <= 10 and len(fraction) <= 9:  # the usual form
+        stamp_ns = int(seconds) * 10**9 + int(fraction.ljust(9, "0"))
+        if stamp_ns < _STAMPS_NS[1]:
+            return stamp_ns
     try:
         value = Decimal(text).scaleb(9, _EXACT)
         if _STAMPS_NS[0] <= value < _STAMPS_NS[1]:

@@ -17,6 +17,7 @@ from typing import IO, Any, cast, final
 
 from gridslam.errors import InputError
 from gridslam.io.limits import UnpackingLimit, describe_bytes
+from gridslam.io.read_ahead import read_ahead
 
 __all__ = [
     "TextSource",
@@ -145,15 +146,19 @@ def read_numbered_lines(path: str | Path, *, with_comments: bool = False) -> Ite
         raise InputError(path, "the compressed file ends in the middle", number)
 
 
-def _decompressed(file: IO[bytes]) -> IO[bytes]:
-    """Undo the compression detected from the first bytes, whatever the name of the file."""
+def _find_compression(file: IO[bytes]) -> str:
+    """Return "bz2", "gzip" or "" by the first bytes of a file, whatever its name; it stands at its begin then."""
     magic = file.read(3)
     file.seek(0)
-    if magic == b"BZh":
+    return "bz2" if magic == b"BZh" else "gzip" if magic[:2] == b"\x1f\x8b" else ""
+
+
+def _decompressed(file: IO[bytes]) -> IO[bytes]:
+    """Undo the compression of a file."""
+    compression = _find_compression(file)
+    if compression == "bz2":
         return bz2.BZ2File(file)
-    if magic[:2] == b"\x1f\x8b":
-        return cast(IO[bytes], gzip.GzipFile(fileobj=file))
-    return file
+    return cast(IO[bytes], gzip.GzipFile(fileobj=file)) if compression else file
 
 
 @final
@@ -175,6 +180,7 @@ class TextSource:
         self.path = Path(path)
         with open_for_reading(path) as file:
             self.total_bytes = os.fstat(file.fileno()).st_size
+            self._is_compressed = bool(_find_compression(file))
         self.bytes_read = 0
         self.is_truncated = False
         self.unterminated = False
@@ -183,7 +189,8 @@ class TextSource:
         """Yield blocks of lines; raises InputError for binary, damaged or unreadable files."""
         rest = b""
         blank = 0
-        for chunk in self._chunks():
+        for chunk, bytes_read, is_truncated in self._read_chunks():
+            self.bytes_read, self.is_truncated = bytes_read, is_truncated
             blank = blank + len(chunk) if chunk.isspace() else 0
             if blank > _LONGEST_LINE_BYTES:
                 raise InputError(self.path, f"expected text, got blank lines of more than {_LONGEST_LINE_BYTES} bytes")
@@ -198,23 +205,28 @@ class TextSource:
             self.unterminated = True
             yield [rest.decode("latin-1")]
 
-    def _chunks(self) -> Iterator[bytes]:
+    def _read_chunks(self) -> Iterator[tuple[bytes, int, bool]]:
+        """Yield blocks, how much of the file was read, and whether it has ended too early; unpack ahead."""
+        return read_ahead(self._chunks) if self._is_compressed else self._chunks()
+
+    def _chunks(self) -> Iterator[tuple[bytes, int, bool]]:
         limit = UnpackingLimit(self.total_bytes)
+        is_first = True
         with open_for_reading(self.path) as file, _decompressed(file) as stream:
             while chunk := self._read(stream):
                 if not limit.take(len(chunk)):
                     raise InputError(self.path, limit.problem)
-                if self.bytes_read == 0 and _NOT_TEXT.search(chunk):
+                if is_first and _NOT_TEXT.search(chunk):
                     raise InputError(self.path, "expected a text file, got binary data")
-                self.bytes_read = file.tell()
-                yield chunk
-            self.bytes_read = file.tell()
+                is_first = False
+                yield chunk, file.tell(), False
+            yield b"", file.tell(), chunk is None
 
-    def _read(self, stream: IO[bytes]) -> bytes:
+    def _read(self, stream: IO[bytes]) -> bytes | None:
+        """Read a block; none at the end, None where the compressed stream ends without its end mark."""
         try:
             return stream.read1(_BLOCK_BYTES)  # type: ignore[attr-defined, no-any-return]
         except EOFError:
-            self.is_truncated = True
-            return b""
+            return None
         except (OSError, zlib.error) as error:
             raise InputError(self.path, f"the file is damaged and cannot be read further: {error}") from None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple, final
 
@@ -208,10 +208,15 @@ class _Parser:
             if array is not None:
                 array.flags.writeable = False
         frame = f"{sensor}_laser"
-        for row, (number, _, stamp_ns, odometry_line) in enumerate(lines):
-            odometry = self._odometry(odometry_line) if poses is None else Odometry(stamp_ns, poses[row])
-            scan = LaserScan(stamp_ns, ranges[row], status[row], geometry, 0.0, limit, sensor, frame)
-            yield number, Measurement(odometry, scan)
+        stamps_ns = [line.stamp_ns for line in lines]
+        scans = LaserScan.from_rows(stamps_ns, ranges, status, geometry, range_max_m=limit, sensor=sensor, frame=frame)
+        readings: Iterable[Odometry | None]
+        if poses is None:
+            readings = [self._odometry(line.odometry_line) for line in lines]
+        else:
+            readings = Odometry.from_rows(stamps_ns, poses)
+        for line, odometry, scan in zip(lines, readings, scans, strict=True):
+            yield line.number, Measurement(odometry, scan)
 
     def _status(self, ranges: FloatArray, limit: float) -> NDArray[np.uint8]:
         """Decide each beam's status (K, B) and count."""
