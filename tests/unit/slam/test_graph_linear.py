@@ -10,7 +10,7 @@ import pytest
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
-from gridslam.slam.pose_graph.linear import BlockSystem, MatrixBlocks, linearize, require_connected
+from gridslam.slam.pose_graph.linear import BlockSystem, MatrixBlocks, find_parts, linearize, require_connected
 from support.random_graphs import random_graph
 
 
@@ -88,6 +88,22 @@ def test_parts_are_counted_and_who_is_apart_is_named():
     with pytest.raises(ArgumentError, match=r"12 parts: 11 poses .* \(1, 2, 3, 4, 5, 6, 7, 8, 9, 10, ...\)"):
         require_connected(np.empty((0, 2), np.int64), 12)
     require_connected(np.array([[1, 0], [2, 1]]), 3)
+
+
+@pytest.mark.parametrize("edges", [0, 20, 60, 200])
+@pytest.mark.parametrize("seed", range(4))
+def test_parts_are_those_that_a_walk_from_pose_to_pose_finds(seed, edges):
+    """And they are numbered by their first poses."""
+    joined = np.random.default_rng(seed).integers(0, 100, (edges, 2))
+    walked = np.full(100, -1)
+    for begin in range(100):
+        part = walked.max() + 1
+        waiting = [begin] if walked[begin] < 0 else []
+        while waiting:
+            pose = waiting.pop()
+            walked[pose] = part
+            waiting += [b for a, b in (*joined.tolist(), *joined[:, ::-1].tolist()) if a == pose and walked[b] < 0]
+    np.testing.assert_array_equal(find_parts(joined, 100), walked)
 
 
 def test_importing_the_solver_does_not_import_scipy():
