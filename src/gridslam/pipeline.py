@@ -194,11 +194,14 @@ class Stopwatch:
     def lap(self, stage: str) -> float:
         """Add the time since the last lap to `stage`; return its wall seconds."""
         wall_s, cpu_s = self._last
-        self.resume()
-        passed_s = self._last[0] - wall_s
-        times = self.stages.setdefault(stage, [0.0, 0.0])
+        now = time.perf_counter(), time.process_time()
+        self._last = now
+        passed_s = now[0] - wall_s
+        times = self.stages.get(stage)
+        if times is None:
+            times = self.stages[stage] = [0.0, 0.0]
         times[0] += passed_s
-        times[1] += self._last[1] - cpu_s
+        times[1] += now[1] - cpu_s
         return passed_s
 
     def resume(self) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
+from operator import attrgetter
 from typing import Annotated, Any, ClassVar, final
 
 import numpy as np
@@ -113,9 +114,7 @@ class GridFastSlamState:
     def take(self) -> GridFastSlamState:
         """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
         self._check()
-        owner = object.__new__(GridFastSlamState)
-        for name in GridFastSlamState.__slots__:  # five times as fast as `replace`
-            setattr(owner, name, getattr(self, name))
+        owner = GridFastSlamState(*_contents(self))  # several times as fast as `replace`
         self.consumed = True
         self.steps_taken = self.ancestry.steps, 0 if self.closure_state is None else len(self.closure_state.scans)
         return owner
@@ -217,3 +216,7 @@ class GridFastSlamState:
     def _check(self) -> None:
         if self.consumed:
             raise ConsumedStateError
+
+
+_contents = attrgetter(*(own.name for own in fields(GridFastSlamState)))
+"""All fields of a state, in the order in which its class takes them."""
