@@ -6,15 +6,15 @@
 
 #include <algorithm>
 #include <array>
-#include <atomic>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>
 #include <limits>
 #include <numbers>
-#include <thread>
 #include <vector>
+
+#include "threads.hpp"
 
 // One wheel for every x86-64: such a function is compiled thrice, and the loader takes the one that the CPU can run.
 // All give identical results, as nothing is contracted or reassociated. Only GCC beside glibc does so: musl's loader
@@ -114,25 +114,6 @@ GRIDSLAM_INLINE Float bounded(Float cells, Float most) {
 
 GRIDSLAM_INLINE int cell_of(double world, double inverse_resolution) {
   return static_cast<int>(bounded(std::floor(world * inverse_resolution), static_cast<double>(kFarthest)));
-}
-
-// Runs body(i) for i in [0, n). Each i writes only what belongs to it, so the number of threads cannot change a result.
-template <class Body>
-void parallel_for(int n, int threads, const Body& body) {
-  if (threads > n) threads = n;
-  if (threads <= 1) {
-    for (int i = 0; i < n; ++i) body(i);
-    return;
-  }
-  std::atomic<int> next{0};
-  auto work = [&] {
-    for (int i; (i = next.fetch_add(1, std::memory_order_relaxed)) < n;) body(i);
-  };
-  std::vector<std::thread> pool;
-  pool.reserve(threads - 1);
-  for (int t = 1; t < threads; ++t) pool.emplace_back(work);
-  work();
-  for (auto& t : pool) t.join();
 }
 
 // Cells of the 8-connected line from (x0, y0) to (x1, y1): cell i of n = max(|dx|, |dy|) lies i cells along the major

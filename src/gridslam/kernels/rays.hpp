@@ -35,6 +35,12 @@ struct Fan {
 
   void see(const Pose& pose, const double* ends, int b, const double* origin, double scale);
   Line line(size_t j) const { return Line(x, y, xs[j], ys[j], slopes[j]); }
+  // The longest line, in cells.
+  int reach() const {
+    int most = 0;
+    for (size_t j = 0; j < xs.size(); ++j) most = std::max({most, std::abs(xs[j] - x), std::abs(ys[j] - y)});
+    return most;
+  }
   // The tiles that the lines cross where they free cells, and those of their ends.
   void tiles(TileSet& set) const;
 };

@@ -1,6 +1,7 @@
 // The binary Bayes filter along the rays of a scan.
 
 #include <cstring>
+#include <utility>
 
 #include "row_bits.hpp"
 #include "update.hpp"
@@ -50,41 +51,46 @@ GRIDSLAM_VERSIONS uint16_t free_tile(int16_t* cells, const uint32_t* passes, int
   return free_tile<uint32_t>(cells, passes, stride, e);
 }
 
-// How often the rays of one scan pass each cell: a rectangle of counters about the laser, of which only the tiles that
-// they cross are used. Tiles beyond hold ends alone.
+// How often the rays of one scan pass each cell: a square of counters about the laser, of which only the tiles that the
+// rays cross are used. Tiles beyond hold ends alone. It is kept from pose to pose: most lines of a scan lead from the
+// laser's cell to the same cell as they did from the pose before, and only the others are counted again.
 template <class Count>
 class PassCounts {
  public:
-  PassCounts(const TileSet& tiles, int y, int x, std::vector<Count>& memory)
-      : y0_(std::max(tiles.y0, tile_of(y - kFreeCells)) * kTile),
-        x0_(std::max(tiles.x0, tile_of(x - kFreeCells)) * kTile),
-        height_((std::min(tiles.y0 + tiles.rows - 1, tile_of(y + kFreeCells)) + 1) * kTile - y0_),
-        width_((std::min(tiles.x0 + tiles.cols - 1, tile_of(x + kFreeCells)) + 1) * kTile - x0_),
-        tiles_(tiles) {
-    const size_t size = static_cast<size_t>(height_) * width_;
-    if (memory.size() < size) memory.resize(size);
-    counts_ = memory.data();
-    tiles.each([&](int ty, int tx) {
-      if (!covers(ty * kTile, tx * kTile)) return;
-      Count* first = at(ty * kTile, tx * kTile);
-      for (int y = 0; y < kTile; ++y) std::fill_n(first + static_cast<size_t>(y) * width_, kTile, Count{0});
-    });
-  }
-  Count* at(int y, int x) { return counts_ + static_cast<size_t>(y - y0_) * width_ + (x - x0_); }
-  bool covers(int y, int x) const {
-    return static_cast<unsigned>(y - y0_) < static_cast<unsigned>(height_) &&
-           static_cast<unsigned>(x - x0_) < static_cast<unsigned>(width_);
+  void see(const Fan& fan, const TileSet& tiles) {
+    const size_t b = fan.xs.size();
+    const int reach = std::min(kFreeCells, fan.reach());
+    const bool fits = reach + kTile <= half_ && 4 * (reach + kTile) >= half_;
+    others_.resize(b);
+    size_t n = b;
+    if (fits && before_.size() == b) {
+      n = 0;
+      for (size_t j = 0; j < b; ++j) {
+        others_[n] = static_cast<int32_t>(j);
+        n += before_[j].dx != fan.xs[j] - fan.x || before_[j].dy != fan.ys[j] - fan.y;
+      }
+    }
+    if (2 * n > b) {
+      clear();
+      if (!fits) lay_out(reach);
+      before_.resize(b);
+      for (size_t j = 0; j < b; ++j) count(j, fan, 1);
+    } else {
+      for (size_t i = 0; i < n; ++i) {
+        const auto j = static_cast<size_t>(others_[i]);
+        add(before_[j].line(), -1);
+        count(j, fan, 1);
+      }
+    }
+    y_ = fan.y, x_ = fan.x, tiles_ = tiles;
   }
 
-  // Counts the cells that a line frees.
-  void add(const Line& line) {
-    const int64_t row = width_, major = line.major_step * (line.along_x ? 1 : row),
-                  minor = line.minor_step * (line.along_x ? row : 1);
-    const uint64_t slope = line.slope;
-    const int n = line.freed();
-    uint64_t aside = line.start;
-    Count* cell = at(line.y0, line.x0);
-    for (int i = 0; i < n; ++i, cell += major, aside += slope) ++cell[static_cast<int64_t>(aside >> 32) * minor];
+  // Where a cell of the map is counted; it must be covered.
+  Count* at(int y, int x) { return memory_.data() + static_cast<int64_t>(y - y_ + half_) * width_ + (x - x_ + half_); }
+  // Whether the tile's cells are counted that holds this cell.
+  bool covers(int y, int x) const {
+    const int first_y = (y & ~kTileMask) - y_, first_x = (x & ~kTileMask) - x_;
+    return first_y >= -half_ && first_x >= -half_ && first_y + kTile <= half_ && first_x + kTile <= half_;
   }
 
   // Frees the cells that were passed; those that stop being occupied, while their field is still that of occupied
@@ -114,24 +120,71 @@ class PassCounts {
   }
 
  private:
-  static int tile_of(int cell) { return cell >> kTileBits; }
+  struct Ray {
+    int dx, dy;
+    double slope;
+    Line line() const { return Line(0, 0, dx, dy, slope); }
+  };
 
-  int y0_, x0_, height_, width_;
-  const TileSet& tiles_;
-  Count* counts_;
+  void count(size_t j, const Fan& fan, int by) {
+    before_[j] = {fan.xs[j] - fan.x, fan.ys[j] - fan.y, fan.slopes[j]};
+    add(before_[j].line(), by);
+  }
+
+  // Counts the cells that a line frees.
+  void add(const Line& line, int by) {
+    const int64_t row = width_, major = line.major_step * (line.along_x ? 1 : row),
+                  minor = line.minor_step * (line.along_x ? row : 1);
+    const uint64_t slope = line.slope;
+    const int n = line.freed();
+    const auto change = static_cast<Count>(by);
+    uint64_t aside = line.start;
+    Count* cell = memory_.data() + static_cast<int64_t>(half_) * width_ + half_;
+    for (int i = 0; i < n; ++i, cell += major, aside += slope) {
+      Count& passes = cell[static_cast<int64_t>(aside >> 32) * minor];
+      passes = static_cast<Count>(passes + change);
+    }
+  }
+
+  void clear() {
+    tiles_.each([&](int ty, int tx) {
+      if (!covers(ty * kTile, tx * kTile)) return;
+      Count* first = at(ty * kTile, tx * kTile);
+      for (int y = 0; y < kTile; ++y) std::fill_n(first + static_cast<int64_t>(y) * width_, kTile, Count{0});
+    });
+    tiles_.reset(0, -1, 0, -1);
+    before_.clear();
+  }
+
+  void lay_out(int reach) {
+    half_ = ((reach + kTile - 1) & ~kTileMask) + 2 * kTile, width_ = 2 * half_;
+    const size_t size = static_cast<size_t>(width_) * width_;
+    if (memory_.size() < size) memory_.resize(size);
+  }
+
+  int half_ = 0, width_ = 0, y_ = 0, x_ = 0;
+  TileSet tiles_;
+  std::vector<Count> memory_;  // 0 but for what the lines pass
+  std::vector<Ray> before_;
+  std::vector<int32_t> others_;
 };
 
 template <class Count>
 void add_counted(const Maps& m, int row, const Fan& fan, const TileSet& tiles, const Evidence& e,
                  std::vector<Cell>& changed) {
-  thread_local std::vector<Count> memory;
+  thread_local PassCounts<Count> kept;
+  thread_local std::vector<Count> kept_at_ends;
+  PassCounts<Count>& passes = kept;
+  std::vector<Count>& at_ends = kept_at_ends;
   const int32_t* root = m.root(row);
   const size_t b = fan.xs.size();
-  PassCounts<Count> passes(tiles, fan.y, fan.x, memory);
-  for (size_t j = 0; j < b; ++j) passes.add(fan.line(j));
-  for (size_t j = 0; j < b; ++j)
-    if (passes.covers(fan.ys[j], fan.xs[j])) *passes.at(fan.ys[j], fan.xs[j]) = 0;  // no end of the scan is freed by it
+  passes.see(fan, tiles);
+  at_ends.resize(b);
+  for (size_t j = 0; j < b; ++j)  // no end of the scan is freed by it
+    if (passes.covers(fan.ys[j], fan.xs[j])) at_ends[j] = std::exchange(*passes.at(fan.ys[j], fan.xs[j]), Count{0});
   passes.apply(m, root, e, row, changed);
+  for (size_t j = b; j-- > 0;)
+    if (passes.covers(fan.ys[j], fan.xs[j])) *passes.at(fan.ys[j], fan.xs[j]) = at_ends[j];
   for (size_t j = 0; j < b; ++j) {
     const int y = fan.ys[j], x = fan.xs[j];
     int16_t& cell = m.log_odds[static_cast<int64_t>(m.tile(root, y >> kTileBits, x >> kTileBits)) * kTileCells +

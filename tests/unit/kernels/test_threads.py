@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -39,3 +44,33 @@ def alone():
 @pytest.mark.parametrize("threads", [2, 3, 7])
 def test_same_bytes_for_any_number_of_threads(threads, alone):
     assert run(threads) == alone
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
+def test_a_forked_process_has_threads_of_its_own(alone):
+    """Those of its parent, which were at work, are not there to wait for."""
+    assert run(2) == alone
+    reader, writer = os.pipe()
+    child = os.fork()
+    if not child:
+        os.write(writer, b"1" if run(3) == alone else b"0")
+        os._exit(0)
+    os.close(writer)
+    with os.fdopen(reader, "rb") as pipe:
+        assert pipe.read() == b"1"
+    assert os.waitpid(child, 0)[1] == 0
+    assert run(2) == alone
+
+
+def test_threads_of_python_share_those_of_the_kernels(alone):
+    with ThreadPoolExecutor(3) as pool:
+        assert list(pool.map(run, [2, 3, 2])) == [alone] * 3
+
+
+def test_an_interpreter_ends_while_threads_wait():
+    """At once, and without a word."""
+    code = "import test_threads; test_threads.run(4)"
+    found = subprocess.run(
+        [sys.executable, "-c", code], cwd=os.path.dirname(__file__), capture_output=True, timeout=60, check=False
+    )
+    assert (found.returncode, found.stderr) == (0, b"")

@@ -1,0 +1,43 @@
+// Work that is shared among threads which wait for the next.
+#pragma once
+#include <atomic>
+#include <exception>
+
+namespace gridslam {
+
+// Runs work(context) in this thread and in up to `others` more at once, and waits for them. The threads are kept: they
+// wait actively for some 20 us, then asleep; a process that was forked starts its own. Where another thread of the
+// process has them at work, or no more can be had, fewer take part.
+void run_in_threads(int others, void (*work)(void*), void* context);
+
+// Runs body(i) for i in [0, n). Each i writes only what belongs to it, so the number of threads cannot change a result.
+template <class Body>
+void parallel_for(int n, int threads, const Body& body) {
+  if (threads > n) threads = n;
+  if (threads <= 1) {
+    for (int i = 0; i < n; ++i) body(i);
+    return;
+  }
+  struct Shared {
+    const Body& body;
+    const int n;
+    std::atomic<int> next{0};
+    std::atomic<bool> failed{false};
+    std::exception_ptr failure{};
+  } shared{body, n};
+  run_in_threads(
+      threads - 1,
+      [](void* context) {
+        Shared& s = *static_cast<Shared*>(context);
+        try {
+          for (int i; (i = s.next.fetch_add(1, std::memory_order_relaxed)) < s.n;) s.body(i);
+        } catch (...) {
+          s.next.store(s.n);
+          if (!s.failed.exchange(true)) s.failure = std::current_exception();
+        }
+      },
+      &shared);
+  if (shared.failed) std::rethrow_exception(shared.failure);
+}
+
+}  // namespace gridslam
