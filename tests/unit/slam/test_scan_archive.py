@@ -60,6 +60,25 @@ def test_what_is_truncated_is_as_if_no_more_had_come(count):
     assert contents(whole) == contents(first)
 
 
+def test_scans_side_by_side_are_those_one_by_one():
+    """To the last bit, those of which nothing is kept included."""
+    kept = ScanArchive()
+    rng = np.random.default_rng(0)
+    for scan in range(6):
+        ends = rng.uniform(-8, 8, (5 * (scan != 4), 2))
+        kept.append(
+            StoredScan(ends, rng.normal(size=2)), np.array([0.0 if scan == 3 else scan, 0, 0]), is_key=scan == 3
+        )
+        kept.append(StoredScan(ends, rng.normal(size=2)), np.array([scan, 0.0, 0.0]), is_key=False)
+    chosen = [1, 3, 6, 8, 9, 10]
+    batch = kept.batch(chosen)
+    assert {len(kept[scan]) for scan in chosen} == {0, 5}
+    for place, scan in enumerate(chosen):
+        np.testing.assert_array_equal(batch.scan(place).ends, kept[scan].ends)
+        np.testing.assert_array_equal(batch.scan(place).origin, kept[scan].origin)
+    assert kept.batch([]).size == 0
+
+
 def test_of_a_robot_that_stands_nothing_is_kept():
     """But of every key scan, and of what was seen from 2 cm or 0.01 rad away from the last scan that was kept."""
     scan, kept = scans()[1], ScanArchive()

@@ -267,9 +267,11 @@ class KeyGraph:
             [poses, compose(poses[-1], self.tracked_poses_from(last, np.arange(last + 1, len(self))))]
         )
 
-    def tracked_poses_in_map(self, anchor: int, keys: IntArray) -> FloatArray:
-        """Poses (K, 3) of key scans near `anchor` as tracked, about the anchor's pose in the map."""
-        return compose(self.poses[anchor], self.tracked_poses_from(anchor, keys))
+    def tracked_poses_in_map(self, anchors: IntArray, keys: IntArray) -> FloatArray:
+        """Poses (K, 3) of key scans, each as tracked about the pose of the one of `anchors` (K,) near it in the map."""
+        tracked = np.array([self.tracked[key] for key in keys.tolist()]).reshape(-1, 3)
+        frames = np.array([(*self.tracked[anchor], *self.poses[anchor]) for anchor in anchors.tolist()]).reshape(-1, 6)
+        return compose(frames[:, 3:], between(frames[:, :3], tracked))
 
     def tracked_poses_from(self, anchor: int, keys: IntArray) -> FloatArray:
         """Poses (K, 3) of key scans seen from `anchor`, as tracked."""
@@ -328,6 +330,8 @@ class KeyGraph:
 
     def select_without_gap(self, keys: IntArray, anchor: int) -> IntArray:
         """Select those of consecutive key scans (K,) that no gap separates from `anchor`."""
+        if self._gap_counts[keys[0]] == self._gap_counts[keys[-1]]:
+            return keys
         side = np.array(self._gap_counts[keys[0] : keys[-1] + 1])
         here: IntArray = keys[side == side[anchor - keys[0]]]
         return here

@@ -109,8 +109,9 @@ def build_joint_map(
     """Build one map of several blocks, each at the pose of its anchor in the graph."""
     stride = 2 if len(submaps) <= _FEW else 4  # neighbouring scans show much the same
     keys = [key_scans_of(submap, graph)[::stride] for submap in submaps]
-    poses = [graph.tracked_poses_in_map(anchor_of(b), k) for b, k in zip(submaps, keys, strict=True)]
-    return build_map(mapper, scans, np.concatenate(keys), np.concatenate(poses))
+    anchors = np.repeat([anchor_of(submap) for submap in submaps], [len(some) for some in keys])
+    poses = graph.tracked_poses_in_map(anchors, np.concatenate(keys))
+    return build_map(mapper, scans, np.concatenate(keys), poses)
 
 
 @final
