@@ -312,7 +312,11 @@ class EarlyCheck:
             return self._report(self._doctor.findings()) if over else ()
         self._doctor.take_ranges(measurement)
         self.is_complete = self._doctor.is_range_check_complete or self._scans >= _RANGE_SCANS
-        return self._report(self._doctor.range_findings()) if self.is_complete else ()
+        if not self.is_complete:
+            return ()
+        found = self._report(self._doctor.range_findings())
+        self._doctor = Doctor(matching=False)  # the memory of what was seen is not needed any more
+        return found
 
     def end(self) -> tuple[Finding, ...]:
         """Return the warnings and errors of a log that ends here, apart from those that `take` has returned."""

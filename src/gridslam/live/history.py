@@ -36,7 +36,7 @@ SCAN_UNIT_M = 0.01
 """Scans are stored in whole multiples of this length."""
 NO_CLOUD: Float32Array = np.zeros((0, 4), np.float32)
 _MOST_MOMENTS = 1024
-_STORED, _FAST = 0, 1  # levels of zlib; a moment of the Intel log takes 0.01 and 0.15 ms
+_COMPRESSION = 1  # of zlib: a moment of the Intel log takes 0.15 ms
 _KEYFRAME = 32  # moments between two maps that are kept for seeking
 _UNKNOWN_TILE = bytes(TILE_BYTES)
 
@@ -60,7 +60,7 @@ class Moment(NamedTuple):
     at : (K, 2) int32
         Rows and columns of the tiles that changed.
     tiles : bytes
-        Their packed levels, (K, `TILE_BYTES`) uint8, in the form of zlib; not compressed as long as they are new.
+        Their packed levels, (K, `TILE_BYTES`) uint8, compressed by zlib.
     scan : (S, 2) int16
         End points of the scan in the robot frame, in units of `SCAN_UNIT_M`.
     particles : (N, 4) float32
@@ -85,12 +85,6 @@ class Moment(NamedTuple):
             (row, column): data[k : k + TILE_BYTES] for (row, column), k in zip(self.at.tolist(), starts, strict=True)
         }
 
-    def compress(self) -> Moment:
-        """Return it with compressed tiles."""
-        if len(self.tiles) <= len(self.at) * TILE_BYTES:
-            return self
-        return self._replace(tiles=zlib.compress(unpack_tiles(self.tiles, len(self.at)), _FAST))
-
 
 def unpack_tiles(tiles: bytes, count: int) -> bytes:
     """Return the packed levels of this number of tiles; raises ValueError where there are not as many."""
@@ -106,8 +100,8 @@ def unpack_tiles(tiles: bytes, count: int) -> bytes:
 
 
 def pack_tiles(tiles: NDArray[np.uint8]) -> bytes:
-    """Return packed levels (K, `TILE_BYTES`) in the form of zlib, not compressed: most will yet be joined."""
-    return zlib.compress(tiles.tobytes(), _STORED) if len(tiles) else b""
+    """Return packed levels (K, `TILE_BYTES`), compressed."""
+    return zlib.compress(tiles.tobytes(), _COMPRESSION) if len(tiles) else b""
 
 
 @final
@@ -204,7 +198,7 @@ def _join(one: Moment, other: Moment) -> Moment:
     )
     at = np.concatenate([one.at[is_kept], other.at])
     tiles = pack_tiles(np.concatenate([before[is_kept], after]))
-    return other._replace(first=first, path=path, at=at, tiles=tiles).compress()
+    return other._replace(first=first, path=path, at=at, tiles=tiles)
 
 
 @final

@@ -40,7 +40,7 @@ _OF_A_MOMENT = {"keys", "stamps_ns", "poses", "path_firsts", *_COUNTED}
 
 def write_history(path: str | Path, history: History) -> None:
     """Write the moments of a run; the tiles in it are compressed."""
-    moments = [moment.compress() for moment in history.moments]
+    moments = history.moments
     lists: dict[str, list[Any]] = {
         "keys": [moment.keys for moment in moments],
         "stamps_ns": [moment.stamp_ns for moment in moments],
