@@ -32,6 +32,8 @@ KERNELS = (
     "draw_scans",
     "match_scans",
     "shortest_ways",
+    "mean_shift",
+    "are_true",
     "draw_gaussians",
     "kalman_update",
     "predict_landmarks",

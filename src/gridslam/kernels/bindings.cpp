@@ -7,6 +7,7 @@
 #include <nanobind/stl/tuple.h>
 
 #include "beams.hpp"
+#include "clusters.hpp"
 #include "correlate.hpp"
 #include "landmarks.hpp"
 #include "numbers.hpp"
@@ -223,6 +224,32 @@ auto py_predict_landmarks(int sensor, Matrix poses, Matrix calibration, Matrices
   return std::make_tuple(residuals, innovations, by_pose, by_landmark, by_sensor);
 }
 
+auto py_mean_shift(Matrix poses, Vector weights, Array<const bool, 1> first, Vector centre, double radius_m,
+                   double radius_rad, int shifts) {
+  auto moved = fresh<double, 1>({3});
+  auto moment = fresh<double, 2>({3, 3});
+  std::copy_n(centre.data(), 3, moved.data());
+  ClusterMoments found;
+  {
+    nb::gil_scoped_release release;
+    found = mean_shift(poses.data(), weights.data(), first.data(), static_cast<int64_t>(poses.shape(0)),
+                       {radius_m, radius_rad, shifts}, moved.data());
+  }
+  const double entries[9] = {found.xx, found.xy, found.xt, found.xy, found.yy, found.yt, found.xt, found.yt, found.tt};
+  std::copy_n(entries, 9, moment.data());
+  return std::make_tuple(moved, found.cluster_mass, found.mass, found.mass_of_squares, moment);
+}
+
+auto py_are_true(Array<const bool, 2> mask, Vector corner, double inverse_resolution, Matrix poses) {
+  auto out = fresh<bool, 1>({poses.shape(0)});
+  {
+    nb::gil_scoped_release release;
+    are_true(mask.data(), static_cast<int64_t>(mask.shape(0)), static_cast<int64_t>(mask.shape(1)), corner.data(),
+             inverse_resolution, poses.data(), static_cast<int64_t>(poses.shape(0)), out.data());
+  }
+  return out;
+}
+
 auto py_draw_gaussians(Matrix means, Matrices covariances, Matrix numbers) {
   auto drawn = fresh<double, 2>({means.shape(0), means.shape(1)});
   {
@@ -384,6 +411,9 @@ NB_MODULE(_compiled, m) {
         "max_m"_a, "threads"_a);
   m.def("predict_landmarks", &py_predict_landmarks, "sensor"_a, "poses"_a, "calibration"_a, "positions"_a,
         "covariances"_a, "rows"_a, "columns"_a, "pose_covariances"_a, "measured"_a, "noise"_a);
+  m.def("mean_shift", &py_mean_shift, "poses"_a, "weights"_a, "first"_a, "centre"_a, "radius_m"_a, "radius_rad"_a,
+        "shifts"_a);
+  m.def("are_true", &py_are_true, "mask"_a, "corner"_a, "inverse_resolution"_a, "poses"_a);
   m.def("draw_gaussians", &py_draw_gaussians, "means"_a, "covariances"_a, "numbers"_a);
   m.def("kalman_update", &py_kalman_update, nb::arg("means").noconvert(), nb::arg("covariances").noconvert(), "rows"_a,
         "jacobians"_a, "innovations"_a, "residuals"_a);

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.kernels import reference_scans
+from gridslam.kernels.reference_clusters import are_true, mean_shift
 from gridslam.kernels.reference_landmarks import draw_gaussians, kalman_update, predict_landmarks
 from gridslam.kernels.reference_maps import update
 from gridslam.kernels.reference_numbers import parse_numbers
@@ -48,6 +49,7 @@ from gridslam.kernels.reference_update import (
 from gridslam.kernels.reference_ways import shortest_ways
 
 __all__ = [
+    "are_true",
     "cast_rays",
     "correlate",
     "distances",
@@ -59,6 +61,7 @@ __all__ = [
     "match",
     "match_scans",
     "max_pyramid",
+    "mean_shift",
     "parse_numbers",
     "predict_landmarks",
     "select_beams",

@@ -12,6 +12,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, lever_arm_jacobian
+from gridslam.kernels import backend
 from gridslam.localization.known_map import PoseLikelihood
 from gridslam.models.parameters import STRICT
 from gridslam.types import FloatArray, IntArray
@@ -60,21 +61,27 @@ class PoseEstimate(NamedTuple):
 
 
 def estimate_pose(poses: FloatArray, weights: FloatArray) -> PoseEstimate:
-    """Find the densest cluster of poses (N, 3) with weights (N,) that sum to 1: mean shift from the heaviest bin."""
-    x, y, theta = poses.T.copy()
-    names = cluster_bins(x, y, theta)
-    near = names == np.bincount(names, weights).argmax()
-    centre = poses[np.flatnonzero(near)[weights[near].argmax()]]
-    away = _relative_coordinates(x, y, theta, centre)
-    for _ in range(_SHIFTS):
-        shares = np.where(near, weights, 0.0)
-        centre = centre + away @ shares / shares.sum()
-        centre[2] = wrap(float(centre[2]))
+    """Find the densest cluster of poses (N, 3) with weights (N,) that sum to 1: mean shift from the heaviest bin.
+
+    The spread is widened so that its inverse, which judges errors, has no bias of few particles: the inverse of the
+    covariance of n samples of a Gaussian in three dimensions is n / (n - 5) times too large on average.
+
+    Source: K. Mardia, J. Kent and J. Bibby, Multivariate Analysis (1979), Section 3.4 (the inverse Wishart's mean).
+    """
+    names = cluster_bins(*poses.T.copy())
+    heaviest = names == np.bincount(names, weights).argmax()
+    first = poses[np.flatnonzero(heaviest)[weights[heaviest].argmax()]]
+    centre, mass, total, squares, moment = backend.mean_shift(
+        poses, weights, heaviest, first, CLUSTER_RADIUS_M, CLUSTER_RADIUS_RAD, _SHIFTS
+    )
+    if total**2 < _FEW * squares:  # too few effective particles do not determine the spread: all weights are equal
+        x, y, theta = poses.T
         away = _relative_coordinates(x, y, theta, centre)
-        near = _is_in_cluster(away)
-    mass = float(weights[near].sum())
-    covariance = _second_moment(away[:, near], weights[near]) if mass > 0.5 else _second_moment(away, weights)
-    return PoseEstimate(centre, covariance, min(mass, 1.0))
+        away = away[:, _is_in_cluster(away)] if mass > 0.5 else away
+        effective, covariance = max(float(away.shape[1]), _FEW), away @ away.T / away.shape[1]
+    else:
+        effective, covariance = total**2 / squares, moment / total
+    return PoseEstimate(centre, covariance * (effective / (effective - 5)), min(mass, 1.0))
 
 
 def cluster_bins(x: FloatArray, y: FloatArray, theta: FloatArray) -> IntArray:
@@ -98,22 +105,6 @@ def is_in_cluster(poses: FloatArray, centre: FloatArray) -> NDArray[np.bool_]:
 def _is_in_cluster(away: FloatArray) -> NDArray[np.bool_]:
     """Which of coordinates (3, N), as seen from a centre, belong to its cluster."""
     return np.asarray((away[0] ** 2 + away[1] ** 2 < CLUSTER_RADIUS_M**2) & (np.abs(away[2]) < CLUSTER_RADIUS_RAD))
-
-
-def _second_moment(away: FloatArray, weights: FloatArray) -> FloatArray:
-    """Mean of away away' over (3, N), widened so that its inverse, which judges errors, has no bias of few particles.
-
-    The inverse of the covariance of n samples of a Gaussian in three dimensions is n / (n - 5) times too large on
-    average. Too few effective particles do not determine the spread: then all have equal weights.
-
-    Source: K. Mardia, J. Kent and J. Bibby, Multivariate Analysis (1979), Section 3.4 (the inverse Wishart's mean).
-    """
-    shares = weights / weights.sum()
-    effective = 1 / float(shares @ shares)
-    if effective < _FEW:
-        shares = np.full(len(weights), 1 / len(weights))
-        effective = max(float(len(weights)), _FEW)
-    return np.asarray((shares * away) @ away.T * (effective / (effective - 5)))
 
 
 def _relative_coordinates(x: FloatArray, y: FloatArray, theta: FloatArray, centre: FloatArray) -> FloatArray:

@@ -70,6 +70,7 @@ class KnownMap:
         self.threads = threads
         self.resolution_m = grid.resolution_m
         self._free_cells = np.argwhere(self.free)
+        self._origin = np.array(grid.origin, np.float64)
         self._middle = (self._free_cells.mean(axis=0)[::-1] + 0.5) * grid.resolution_m + grid.origin
         self._spread = np.cov(self._free_cells[:, ::-1].T, bias=True) * grid.resolution_m**2
         reach = math.ceil(reach_m / grid.resolution_m)
@@ -103,11 +104,8 @@ class KnownMap:
 
     def is_free(self, poses: FloatArray) -> NDArray[np.bool_]:
         """Whether each of poses (N, 3) stands on a free cell."""
-        cells = np.floor((poses[:, :2] - self.grid.origin) * (1 / self.resolution_m)).astype(np.int64)
-        height, width = self.free.shape
-        column, row = cells.T
-        inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
-        return np.asarray(inside & self.free[np.where(inside, row, 0), np.where(inside, column, 0)])
+        standing: NDArray[np.bool_] = backend.are_true(self.free, self._origin, 1 / self.resolution_m, poses)
+        return standing
 
     def spread_about(self, pose: FloatArray) -> FloatArray:
         """Mean square (3, 3) of how far poses that are even over free cells and headings are from a pose (3,)."""

@@ -1,0 +1,72 @@
+"""The kernels of beliefs about a pose: their NumPy twins, and closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from gridslam.kernels import reference
+
+compiled = pytest.importorskip("gridslam.kernels._compiled")
+
+BOTH = pytest.mark.parametrize("kernels", [compiled, reference], ids=["compiled", "reference"])
+
+
+def belief(seed, count=300):
+    """Poses about two places, one of them at a heading of a half turn, where it jumps; weights of a sum of 1."""
+    rng = np.random.default_rng(seed)
+    poses = rng.normal(size=(count, 3)) * [0.4, 0.4, 0.3] + [3.0, -7.0, math.pi]
+    poses[: int(count * 0.15 * seed)] += [30.0, 0.0, 1.0]
+    poses[:, 2] = (poses[:, 2] + math.pi) % math.tau - math.pi
+    weights = rng.exponential(size=count)
+    return poses, weights / weights.sum()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_mean_shift_is_that_of_the_twin(seed):
+    poses, weights = belief(seed)
+    near = np.hypot(*(poses[:, :2] - poses[-1, :2]).T) < 0.7
+    ours, theirs = (k.mean_shift(poses, weights, near, poses[-1], 1.0, 0.5, 3) for k in (compiled, reference))
+    for one, other in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+
+
+@BOTH
+def test_the_moment_is_that_of_the_cluster_alone_or_of_all(kernels):
+    """Weighted covariances by NumPy: what is far counts where the cluster has no more than half of the weight."""
+    for seed, counted in ((2, "cluster"), (5, "all")):
+        poses, weights = belief(seed)
+        poses[:, 2] = np.random.default_rng(1).normal(size=len(poses)) * 0.05
+        far = poses[:, 0] > 20
+        centre, in_cluster, mass, squares, moment = kernels.mean_shift(poses, weights, ~far, poses[-1], 5.0, 3.0, 40)
+        assert in_cluster == pytest.approx(weights[~far].sum())
+        assert (in_cluster > 0.5) == (counted == "cluster")
+        kept = ~far if counted == "cluster" else np.ones(len(poses), bool)
+        assert (mass, squares) == pytest.approx((weights[kept].sum(), np.square(weights[kept]).sum()))
+        np.testing.assert_allclose(centre, np.average(poses[~far], axis=0, weights=weights[~far]), atol=1e-9)
+        away = poses[kept] - centre
+        np.testing.assert_allclose(moment, (weights[kept, None] * away).T @ away, atol=1e-9)
+
+
+@BOTH
+def test_poses_on_marked_cells(kernels):
+    rng = np.random.default_rng(3)
+    mask, corner = rng.random((20, 30)) < 0.5, np.array([-4.0, 2.5])
+    rows, columns = rng.integers(-4, 25, 500), rng.integers(-4, 35, 500)
+    poses = np.column_stack([corner + (np.column_stack([columns, rows]) + rng.uniform(0.01, 0.99, (500, 2))) / 4] * 2)
+    marked = kernels.are_true(mask, corner, 4.0, np.ascontiguousarray(poses[:, :3]))
+    inside = (rows >= 0) & (rows < 20) & (columns >= 0) & (columns < 30)
+    expected = [bool(i and mask[r, c]) for i, r, c in zip(inside, rows, columns, strict=True)]
+    assert marked.dtype == np.bool_
+    assert marked.tolist() == expected
+    assert 100 < sum(expected) < 300
+
+
+@BOTH
+def test_what_is_no_number_or_beyond_all_numbers_is_on_no_cell(kernels):
+    nowhere = np.array([[np.nan, 0.5, 0], [0.5, np.inf, 0], [-np.inf, np.nan, 0], [1e300, 1e300, 0]])
+    with np.errstate(invalid="ignore", over="ignore"):
+        marked = kernels.are_true(np.ones((4, 4), bool), np.zeros(2), 20.0, nowhere)
+    assert marked.tolist() == [False] * 4
