@@ -18,12 +18,19 @@ import numpy as np
 from gridslam import StepReport, build, preset, run
 from gridslam.kernels import backend, compiled, reference
 from gridslam.localization.known_map import FieldTable
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching import BranchAndBound, Pyramid
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.types import Beams, FloatArray
 from report import table
 
-__all__ = ["Call", "Situation", "kernel_times", "record"]
+__all__ = ["ELSEWHERE", "Call", "Situation", "fork_join_us", "kernel_times", "record"]
+
+ELSEWHERE = {
+    *("draw_scans", "known_cells", "match_scans", "select_beams", "shortest_ways", "parse_numbers"),
+    *("draw_gaussians", "kalman_update", "predict_landmarks"),
+}
+"""Kernels that no particle's map needs: of many scans in one map, of reading, and of landmarks."""
 
 _SEARCH = "gridslam.matching.branch_and_bound.backend"
 _TABLE = "gridslam.localization.known_map.backend"
@@ -149,6 +156,19 @@ def kernel_times(situation: Situation, repeats: int = 20) -> str:
     return table(head, rows)
 
 
+def fork_join_us(threads: int, repeats: int = 20_000) -> float:
+    """Mean time in us that `threads` take longer than one thread where there is nothing to do for them."""
+    maps = OccupancyGridMapping().empty(threads)
+    rows, poses, ends = np.arange(threads), np.zeros((threads, 3)), np.ones((1, 2))
+    seconds = []
+    for maps.threads in (1, threads):
+        begin = time.perf_counter()
+        for _ in range(repeats):
+            maps.distances(rows, poses, ends)
+        seconds.append(time.perf_counter() - begin)
+    return 1e6 * (seconds[1] - seconds[0]) / repeats
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Times of the kernels against their NumPy twins.")
     parser.add_argument("--particles", type=int, default=30)
@@ -160,6 +180,8 @@ def main() -> None:
         print("The kernels are not compiled: the twins are compared with themselves.")
     print(f"{situation.particles} particles, {situation.beams} beams, one thread, median of {given.repeats}\n")
     print(kernel_times(situation, given.repeats))
+    for threads in (2, 4):
+        print(f"{threads} threads begin and end together: {fork_join_us(threads):.1f} us")
 
 
 if __name__ == "__main__":
