@@ -1,7 +1,8 @@
 """What this tree costs beside an earlier commit: python benchmarks/speed.py REFERENCE [ROW ...] [-o FILE].
 
 REFERENCE is a checkout of that commit with an environment of its own in .venv, into which it is installed. Both run
-alternately, so that what else the machine does meets both; a figure is the median of the runs, beside its target.
+alternately, so that what else the machine does meets both; a figure is the median of the runs, beside its target. The
+table in docs/performance.md is written from the results.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -19,10 +21,22 @@ from statistics import median
 from typing import NamedTuple, final
 
 from measure import RESULTS, write_document
+from report import table
 
 __all__ = ["main"]
 
 _HERE = Path(__file__).resolve().parent
+_RESULT = RESULTS / "speed.json"
+_PAGE = _HERE.parent / "docs" / "performance.md"
+_TABLE = re.compile(r"(?<=<!-- speed -->\n).*?(?=<!-- end of speed -->)", re.DOTALL)
+
+
+_FIRST_SCAN = """
+import sys
+import gridslam
+odometry, scan = next(iter(gridslam.open_log(sys.argv[1])))
+gridslam.build(gridslam.Configuration()).init(odometry, scan)
+"""
 
 
 @final
@@ -89,6 +103,7 @@ def rows(log: Path) -> dict[str, Row]:
         return {
             "import_s": side.run("-c", "import gridslam")["wall_s"] - empty,
             "help_s": side.run("-c", command, "--help")["wall_s"],
+            "first_scan_s": side.run("-c", _FIRST_SCAN, str(log))["wall_s"],
         }
 
     return {
@@ -109,7 +124,7 @@ def rows(log: Path) -> dict[str, Row]:
         "map-size": Row(lambda side: side.part("map_size"), {}, {"ratio": 1.1}, 1),
         "mcl": Row(lambda side: side.part("mcl"), {"ms": 1 / 3}, {}),
         "fastslam2": Row(lambda side: side.part("fastslam2"), {"ms": 1 / 4}, {}),
-        "start": Row(start, {}, {"import_s": 0.03, "help_s": 0.10}),
+        "start": Row(start, {}, {"import_s": 0.03, "help_s": 0.10, "first_scan_s": 0.30}),
     }
 
 
@@ -120,7 +135,7 @@ def main(arguments: Sequence[str] | None = None) -> Path:
     parser.add_argument("rows", nargs="*", metavar="ROW")
     parser.add_argument("--log", type=Path, default=_HERE.parents[1] / "shared/data/intel.clf.bz2")
     parser.add_argument("--runs", type=int, help="of each row, in place of its own number")
-    parser.add_argument("-o", "--out", type=Path, default=RESULTS / "speed.json")
+    parser.add_argument("-o", "--out", type=Path, default=_RESULT)
     given = parser.parse_args(arguments)
     reference = given.reference.resolve()
     own = dict(os.environ)
@@ -136,6 +151,8 @@ def main(arguments: Sequence[str] | None = None) -> Path:
             figures[name] = _measure(row, sides, given.runs or row.runs)
             print(name, json.dumps(figures[name]), flush=True)
             write_document(given.out, f"alternately with commit {commit.stdout.strip()}, medians", rows=figures)
+    if given.out == _RESULT:
+        _write_table(figures)
     path: Path = given.out
     return path
 
@@ -157,6 +174,21 @@ def _measure(row: Row, sides: dict[str, Side], runs: int) -> dict[str, dict[str,
             is_met = bool(report[figure].get("met")) or this <= row.values[figure]
             report[figure] |= {"target": row.values[figure], "met": is_met}
     return report
+
+
+def _write_table(figures: dict[str, dict[str, dict[str, float | bool]]]) -> None:
+    """Write the figures into the page on performance."""
+    lines = []
+    for row, found in figures.items():
+        for figure, values in found.items():
+            targets = [f"<= {values['ratio_target']:g} x"] if "ratio_target" in values else []
+            targets += [f"<= {values['target']:g}"] if "target" in values else []
+            met = {True: "yes", False: "**no**"}.get(bool(values["met"])) if "met" in values else ""
+            numbers = [f"{values[name]:.3g}" for name in ("this", "reference", "ratio")]
+            lines.append([f"{row}: {figure}", *numbers, " or ".join(targets), met, f"{values['load']:g}"])
+    head = ["row: figure", "now", "before", "ratio", "target", "met", "load"]
+    page = _PAGE.read_text(encoding="utf-8")
+    _PAGE.write_text(_TABLE.sub(lambda _: table(head, lines) + "\n", page), encoding="utf-8")
 
 
 if __name__ == "__main__":
