@@ -177,10 +177,8 @@ class MapResult(Result):
             return None
         *earlier, newest = self.map_piece.drives
         first = int(newest.scans.keys[0])
-        tracked = np.array(state.graph.tracked[first : first + state.joined_after])
-        way_m = float(np.hypot(*np.diff(tracked[:, :2], axis=0).T).sum())
         stamp_ns = int(newest.key_stamps_ns[state.joined_after - 1])
-        return FoundAgain(tuple(drive.name for drive in earlier), stamp_ns, way_m)
+        return FoundAgain(tuple(drive.name for drive in earlier), stamp_ns, state.driven_before_found_m(first))
 
     @property
     def map(self) -> OccupancyGrid:
@@ -530,15 +528,7 @@ def map_log(
 
 def describe_log(log: Log, digest: str) -> DrivenLog:
     """Describe a log that was read, as a session remembers it."""
-    statistics = log.statistics
-    return DrivenLog(
-        find_origin(log.path) or os.fspath(log.path),
-        digest,
-        statistics.scan_count,
-        statistics.first_stamp_ns or 0,
-        statistics.last_stamp_ns or 0,
-        statistics.odometry_length_m,
-    )
+    return DrivenLog.of(find_origin(log.path) or os.fspath(log.path), digest, log.statistics)
 
 
 def finish_mapping(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime, timezone
@@ -436,11 +435,10 @@ class Session:
         """A small picture of the newest map, PNG; empty without a map."""
         if not self._maps:
             return self._saved.thumbnail
+        from gridslam.viz.notebook import encode_png
         from gridslam.viz.picture import draw_thumbnail
 
-        buffer = io.BytesIO()
-        draw_thumbnail(self._maps[0].tiled_map).save(buffer, "PNG")
-        return buffer.getvalue()
+        return encode_png(draw_thumbnail(self._maps[0].tiled_map))
 
 
 def _order(piece: SavedPiece) -> tuple[Any, ...]:

@@ -26,8 +26,8 @@ MOST_TILES = 500_000
 _SPARE_PAGES = 8
 _SPARE_TILES = 64
 """Free ones that are made at a time where scans are drawn. A page is 1 KB, a tile 3."""
-_MOST_SPARE = 8 * _SPARE_TILES
-"""Of tiles for one scan; one that might take more, of a beam of 400 m, is drawn alone."""
+_MOST_SPARE = 64 * _SPARE_TILES
+"""Of tiles for one scan, 100 m x 100 m; one that might take more is drawn alone."""
 
 _ORIGIN = np.zeros(3)
 _PAGE_CELLS = PAGE * TILE
@@ -297,11 +297,12 @@ class TileMaps:
             first += done
             if first == last:
                 return
-            spare = 0 if done else spare
+            spare = 0 if done else 2 * spare
             if spare > _MOST_SPARE:  # for a single scan; or it takes more than there may be
                 self.update(np.zeros(1, np.int32), poses[first : first + 1], batch.scan(first))
                 first += 1
-            spare += max(_SPARE_TILES, len(arena.tile_refs) // 16)
+                spare = 0
+            spare = max(spare, _SPARE_TILES, len(arena.tile_refs) // 16)
             arena.reserve(_SPARE_PAGES, spare)
 
     def match_scans(

@@ -197,8 +197,7 @@ class MappingMonitor:
         at = first + closure_state.joined_after
         if not 0 < first < at <= len(closure_state.graph):
             return {"searches": False}
-        tracked = np.array(closure_state.graph.tracked[first:at])[:, :2]
-        way_m = float(np.hypot(*np.diff(tracked, axis=0).T).sum())
+        way_m = closure_state.driven_before_found_m(first)
         return {"searches": False, "found": {"pose": closure_state.graph.poses[at - 1].tolist(), "way_m": way_m}}
 
     def find_changes(self, state: GridFastSlamState, rows: dict[int, int]) -> dict[int, TileChanges]:

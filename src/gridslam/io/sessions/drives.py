@@ -8,6 +8,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.io.log_statistics import LogStatistics
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.full_slam.full_trajectory import TrackedScans
 from gridslam.slam.full_slam.thinning import thin_piece
@@ -42,6 +43,12 @@ class DrivenLog:
     first_stamp_ns: int
     last_stamp_ns: int
     length_m: float
+
+    @classmethod
+    def of(cls, path: str, digest: str, log: LogStatistics) -> DrivenLog:
+        """Describe what was read of a log."""
+        stamps_ns = log.first_stamp_ns or 0, log.last_stamp_ns or 0
+        return cls(path, digest, log.scan_count, *stamps_ns, log.odometry_length_m)
 
 
 @final

@@ -9,7 +9,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from importlib import import_module
-from io import BytesIO
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final
@@ -320,7 +319,7 @@ def _make_session(
 def _describe_log(log: LogStatistics, record: Path | None) -> DrivenLog:
     """Describe the scans of a session as a file remembers them."""
     source = ", ".join(log.scans) if record is None else str(record)
-    return DrivenLog(source, "", log.scan_count, log.first_stamp_ns or 0, log.last_stamp_ns or 0, log.odometry_length_m)
+    return DrivenLog.of(source, "", log)
 
 
 def _find(begun: Beginning, state: GridFastSlamState) -> FoundAgainHere | None:
@@ -329,9 +328,7 @@ def _find(begun: Beginning, state: GridFastSlamState) -> FoundAgainHere | None:
     if closure_state is None or closure_state.joined < 0:
         return None
     piece = begun.pieces[closure_state.joined]
-    first = len(piece.piece)
-    tracked = np.array(closure_state.graph.tracked[first : first + closure_state.joined_after])
-    way_m = float(np.hypot(*np.diff(tracked[:, :2], axis=0).T).sum())
+    way_m = closure_state.driven_before_found_m(len(piece.piece))
     return FoundAgainHere(tuple(drive.name for drive in piece.drives), state.best_pose, way_m)
 
 
@@ -345,8 +342,7 @@ def _describe_found(begun: Beginning, state: GridFastSlamState, found: FoundAgai
 
 def _draw(state: GridFastSlamState) -> bytes:
     """A small picture of the best particle's map, PNG."""
+    from gridslam.viz.notebook import encode_png
     from gridslam.viz.picture import draw_thumbnail
 
-    buffer = BytesIO()
-    draw_thumbnail(state.maps.tiled(state.best)).save(buffer, "PNG")
-    return buffer.getvalue()
+    return encode_png(draw_thumbnail(state.maps.tiled(state.best)))

@@ -217,6 +217,11 @@ class LoopClosureState:
             self._anchors.append(self.online_poses[anchor_of(submap)])
         return self._anchors.array[:submaps]
 
+    def driven_before_found_m(self, first: int) -> float:
+        """Metres driven from key scan `first`, the first one of the drive, until it was found in an earlier piece."""
+        tracked = np.array(self.graph.tracked[first : first + self.joined_after])
+        return float(np.hypot(*np.diff(tracked[:, :2], axis=0).T).sum())
+
     def correct(self, poses: FloatArray) -> None:
         """Set the poses (T, 3) of the key scans and invalidate cached maps."""
         self.graph.correct(poses)
