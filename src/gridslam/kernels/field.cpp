@@ -1,6 +1,8 @@
 // The field at the four cells about each end of a scan.
 #include "field.hpp"
 
+#include <bit>
+
 #if defined(GRIDSLAM_AVX2)
 #include <immintrin.h>
 #endif
@@ -34,13 +36,15 @@ constexpr int64_t kMostGathered = int64_t{1} << 21;  // tiles whose bytes 32 bit
 GRIDSLAM_AVX2 inline __m256i all(int value) { return _mm256_set1_epi32(value); }
 GRIDSLAM_AVX2 inline __m256i load(const int32_t* p) { return _mm256_loadu_si256(reinterpret_cast<const __m256i*>(p)); }
 
-// The same for kLanes ends at once; where the four cells lie in more than one tile they are looked up one by one.
-GRIDSLAM_AVX2 void look_up_avx2(const Maps& m, const int32_t* root, const int32_t* x, const int32_t* y, int n,
-                                uint32_t* out) {
-  const __m256i sign = all(std::numeric_limits<int>::min());
+// Where in the field's bytes the four cells begin, for a multiple of kLanes ends; a bit for each end whose cells lie in
+// more than one tile. Four bytes of a row are read, and none beyond its tile: the last three columns' are those before
+// them.
+GRIDSLAM_AVX2 void addresses(const Maps& m, const int32_t* root, const int32_t* x, const int32_t* y, int n,
+                             uint32_t* out, uint8_t* apart) {
+  const __m256i sign = all(std::numeric_limits<int>::min()), mask = all(kTileMask), page_mask = all(kPageMask);
   const __m256i rows = _mm256_xor_si256(all(m.page_rows), sign), cols = _mm256_xor_si256(all(m.page_cols), sign);
   for (int j = 0; j < n; j += kLanes) {
-    const __m256i cx = load(x + j), cy = load(y + j), mask = all(kTileMask);
+    const __m256i cx = load(x + j), cy = load(y + j);
     const __m256i tx = _mm256_srai_epi32(cx, kTileBits), ty = _mm256_srai_epi32(cy, kTileBits);
     const __m256i pc = _mm256_sub_epi32(_mm256_srai_epi32(tx, kPageBits), all(m.page_col0)),
                   pr = _mm256_sub_epi32(_mm256_srai_epi32(ty, kPageBits), all(m.page_row0));
@@ -48,25 +52,46 @@ GRIDSLAM_AVX2 void look_up_avx2(const Maps& m, const int32_t* root, const int32_
                                             _mm256_cmpgt_epi32(cols, _mm256_xor_si256(pc, sign)));
     const __m256i at = _mm256_add_epi32(_mm256_mullo_epi32(pr, all(m.page_cols)), pc);
     const __m256i page = _mm256_mask_i32gather_epi32(_mm256_setzero_si256(), root, at, inside, 4);
-    const __m256i entry = _mm256_or_si256(_mm256_slli_epi32(_mm256_and_si256(ty, all(kPageMask)), kPageBits),
-                                          _mm256_and_si256(tx, all(kPageMask)));
+    const __m256i entry =
+        _mm256_or_si256(_mm256_slli_epi32(_mm256_and_si256(ty, page_mask), kPageBits), _mm256_and_si256(tx, page_mask));
     const __m256i tile =
         _mm256_i32gather_epi32(m.pages, _mm256_add_epi32(_mm256_slli_epi32(page, 2 * kPageBits), entry), 4);
     const __m256i ix = _mm256_and_si256(cx, mask), iy = _mm256_and_si256(cy, mask);
-    // Four bytes of a row are read, and no byte beyond its tile: the last three columns' are those before them.
-    const __m256i column = _mm256_min_epi32(ix, all(kTile - 4)), below = _mm256_min_epi32(iy, all(kTile - 2));
+    const __m256i column = _mm256_min_epi32(ix, all(kTile - 4)), row = _mm256_min_epi32(iy, all(kTile - 2));
     const __m256i from = _mm256_add_epi32(_mm256_slli_epi32(tile, 2 * kTileBits),
-                                          _mm256_add_epi32(_mm256_slli_epi32(below, kTileBits), column));
-    const __m256i shift = _mm256_slli_epi32(_mm256_sub_epi32(ix, column), 3);
-    const int* bytes = reinterpret_cast<const int*>(m.field);
+                                          _mm256_add_epi32(_mm256_slli_epi32(row, kTileBits), column));
+    _mm256_storeu_si256(reinterpret_cast<__m256i*>(out + j), from);
+    const __m256i at_border = _mm256_or_si256(_mm256_cmpeq_epi32(ix, mask), _mm256_cmpeq_epi32(iy, mask));
+    apart[j / kLanes] = static_cast<uint8_t>(_mm256_movemask_ps(_mm256_castsi256_ps(at_border)));
+  }
+}
+
+// Reads what lies there, in place: nothing here waits for anything but the field, so many reads are under way at once.
+GRIDSLAM_AVX2 void read(const uint8_t* field, const int32_t* x, int n, uint32_t* out) {
+  const int* bytes = reinterpret_cast<const int*>(field);
+  const __m256i mask = all(kTileMask), last = all(kTile - 4), below = all(kTile);
+  for (int j = 0; j < n; j += kLanes) {
+    const __m256i from = load(reinterpret_cast<const int32_t*>(out + j)), ix = _mm256_and_si256(load(x + j), mask);
+    const __m256i shift = _mm256_slli_epi32(_mm256_sub_epi32(ix, _mm256_min_epi32(ix, last)), 3);
     const __m256i low = _mm256_srlv_epi32(_mm256_i32gather_epi32(bytes, from, 1), shift),
-                  high = _mm256_srlv_epi32(_mm256_i32gather_epi32(bytes, _mm256_add_epi32(from, all(kTile)), 1), shift);
+                  high = _mm256_srlv_epi32(_mm256_i32gather_epi32(bytes, _mm256_add_epi32(from, below), 1), shift);
     const __m256i both = _mm256_blend_epi16(low, _mm256_slli_epi32(high, 16), 0xaa);
     _mm256_storeu_si256(reinterpret_cast<__m256i*>(out + j), both);
-    const __m256i apart = _mm256_or_si256(_mm256_cmpeq_epi32(ix, mask), _mm256_cmpeq_epi32(iy, mask));
-    const int left = _mm256_movemask_ps(_mm256_castsi256_ps(apart));
-    for (int l = 0; left >> l != 0; ++l)
-      if (left >> l & 1) out[j + l] = corners_at(m, root, x[j + l], y[j + l]);
+  }
+}
+
+void look_up_avx2(const Maps& m, const int32_t* root, const int32_t* x, const int32_t* y, int n, uint32_t* out) {
+  constexpr int kAtOnce = 1024;
+  std::array<uint8_t, kAtOnce / kLanes> apart;
+  for (int first = 0; first < n; first += kAtOnce) {
+    const int count = std::min(kAtOnce, n - first);
+    addresses(m, root, x + first, y + first, count, out + first, apart.data());
+    read(m.field, x + first, count, out + first);
+    for (int i = 0; i < count / kLanes; ++i)
+      for (unsigned left = apart[i]; left != 0; left &= left - 1) {
+        const int j = first + i * kLanes + std::countr_zero(left);
+        out[j] = corners_at(m, root, x[j], y[j]);
+      }
   }
 }
 #endif
