@@ -23,7 +23,6 @@ from gridslam.api.beginning import (
     restart_at_same_place,
 )
 from gridslam.api.mapping import MapResult, map_log
-from gridslam.api.prior_map import piece_of_map
 from gridslam.arguments import freeze, require_seed, require_threads
 from gridslam.config import Configuration, build, dumps
 from gridslam.doctor.repair import open_repaired
@@ -263,6 +262,8 @@ class Session:
 
         Raises ArgumentError where no cell of it is free or none is occupied.
         """
+        from gridslam.api.prior_map import piece_of_map  # imports what localizes
+
         piece = SavedPiece(piece_of_map(grid, self.configuration.range_max_m).freeze(), ())
         self._maps = None
         self._saved = replace(self._saved, pieces=(*self._saved.pieces, piece))

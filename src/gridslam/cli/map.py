@@ -7,10 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+from gridslam.api.diagnosis import check_log
 from gridslam.api.mapping import MapResult, map_log
 from gridslam.cli import STARTED_S
 from gridslam.cli.live import NOBODY, Viewers, open_viewers
-from gridslam.cli.logs import check_log
 from gridslam.cli.output import mapping_progress, open_output, print_result, warn
 from gridslam.cli.session_options import SessionOptions
 from gridslam.config import Configuration, apply_laser, load, override, preset
@@ -46,7 +46,7 @@ def map_to_folder(
     opened = session.open(configuration, seed, threads)
     if opened is not None:
         configuration = opened.configuration
-    source = check_log(open_log(log, options), options)
+    source = check_log(open_log(log, options), options, warn)
     with open_viewers(live, rerun, source.path.name, configuration.range_max_m, has_history=not no_history) as viewers:
         session.make_room(out)
         if opened is not None and session.continued is not None:

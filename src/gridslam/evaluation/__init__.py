@@ -1,21 +1,27 @@
-"""Measures of accuracy: arrays and trajectories in, frozen results out."""
+"""Measures of accuracy: arrays and trajectories in, frozen results out. Each is imported when it is first used."""
 
-from gridslam.evaluation.closures import closure_errors, false_closures
-from gridslam.evaluation.consistency import Consistency, check_consistency, chi_square_quantile, nees
-from gridslam.evaluation.maps import MapAgreement, compare_maps
-from gridslam.evaluation.self_consistency import SelfConsistency, measure_self_consistency
-from gridslam.evaluation.trajectory import (
-    PoseErrors,
-    RelationErrors,
-    Relations,
-    absolute_errors,
-    align,
-    associate,
-    interpolate,
-    relation_errors,
-    relative_errors_by_distance,
-    relative_errors_by_step,
-)
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gridslam.evaluation.closures import closure_errors, false_closures
+    from gridslam.evaluation.consistency import Consistency, check_consistency, chi_square_quantile, nees
+    from gridslam.evaluation.maps import MapAgreement, compare_maps
+    from gridslam.evaluation.self_consistency import SelfConsistency, measure_self_consistency
+    from gridslam.evaluation.trajectory import (
+        PoseErrors,
+        RelationErrors,
+        Relations,
+        absolute_errors,
+        align,
+        associate,
+        interpolate,
+        relation_errors,
+        relative_errors_by_distance,
+        relative_errors_by_step,
+    )
 
 __all__ = [
     "Consistency",
@@ -39,3 +45,31 @@ __all__ = [
     "relative_errors_by_distance",
     "relative_errors_by_step",
 ]
+
+_HOMES = {
+    **dict.fromkeys(("closure_errors", "false_closures"), "closures"),
+    **dict.fromkeys(("Consistency", "check_consistency", "chi_square_quantile", "nees"), "consistency"),
+    **dict.fromkeys(("MapAgreement", "compare_maps"), "maps"),
+    **dict.fromkeys(("SelfConsistency", "measure_self_consistency"), "self_consistency"),
+    **dict.fromkeys(
+        (
+            "PoseErrors",
+            "RelationErrors",
+            "Relations",
+            "absolute_errors",
+            "align",
+            "associate",
+            "interpolate",
+            "relation_errors",
+            "relative_errors_by_distance",
+            "relative_errors_by_step",
+        ),
+        "trajectory",
+    ),
+}
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gridslam.errors import ArgumentError
-from gridslam.evaluation.trajectory import Relations
 from gridslam.geometry.angles import wrap
 from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.tables import Table, check_rows, format_stamp_ns, read_table, symmetric_of_upper, upper_of_symmetric
 from gridslam.types import FloatArray, Trajectory
+
+if TYPE_CHECKING:
+    from gridslam.evaluation.trajectory import Relations
 
 __all__ = [
     "CSV_HEADER",
@@ -143,6 +146,8 @@ def read_relations(path: str | Path) -> Relations:
     ----------
     Kuemmerle et al., *On measuring the accuracy of SLAM algorithms* (2009).
     """
+    from gridslam.evaluation.trajectory import Relations  # only the evaluation pays for its import
+
     stamps_ns, values, lines = read_table(path, "t1 t2 x y z roll pitch yaw", stamps=2)
     tilt = values[:, 2:5]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from typing import Any, TypeVar, final
+from typing import TYPE_CHECKING, Any, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,12 @@ from gridslam.live.protocol import levels
 from gridslam.live.protocol import pack_tiles as pack_levels
 from gridslam.live.scene import RowBuffer
 from gridslam.live.tiles import compare_maps
-from gridslam.localization import LocalizationReport, MonteCarloState
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, IntArray, LaserScan, Odometry, StepReport
 from gridslam.viz.cloud import select_representatives
+
+if TYPE_CHECKING:
+    from gridslam.localization import LocalizationReport, MonteCarloState
 
 __all__ = ["HistoryRecorder"]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple, TypeAlias, final
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, final
 
 import numpy as np
 
@@ -17,11 +17,13 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.live.ancestry_tree import thin_tree
 from gridslam.live.scene import Frame, RowBuffer
 from gridslam.live.tiles import EMPTY_BOX, Box, TileChangeDetector, TileChanges
-from gridslam.localization import LocalizationReport, MonteCarloState
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.constraints import ConstraintSource, select_shown_closures
 from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan, OccupancyGrid, StepReport
 from gridslam.viz.cloud import select_representatives
+
+if TYPE_CHECKING:
+    from gridslam.localization import LocalizationReport, MonteCarloState
 
 __all__ = [
     "BEST",
