@@ -357,6 +357,7 @@ class _Refinement:
         given = len(archive) - len(poses)
         parameters = self.parameters
         matched = poses.copy()
+        maps.threads = self.closure_state.threads
         beams = np.zeros(len(poses), np.int64)
         prior = parameters.scan_prior_information * np.eye(3)
         for begin in range(first, len(poses), _SCANS_AT_A_TIME):

@@ -83,6 +83,7 @@ class KeyScanMatching:
             anchor = anchor_of(submap)
             keys = key_scans_of(submap, closure_state.graph)
             maps = build_map(mapper, closure_state.scans, keys, between(poses[anchor], poses[keys]))
+            maps.threads = closure_state.threads
             batch = closure_state.scans.batch([closure_state.scans.keys[key] for key in members])
             guesses = between(poses[anchor], poses[members])
             matches = self.matcher.match_scans(maps, guesses, loose, batch)

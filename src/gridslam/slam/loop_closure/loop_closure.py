@@ -130,6 +130,7 @@ class LoopClosure:
         threads: int,
     ) -> StepReport:
         """Process a scan after the filter; may correct `state`, which the report indicates."""
+        closure_state.threads = threads
         closure_state.scans.append(beams, state.tracker.pose, is_key=report.skipped is None)
         pending = closure_state.pending_constraints
         constraints = [] if pending is None else self._solve_pending(closure_state, pending, mapper, threads)

@@ -113,11 +113,11 @@ class ScanArchive:
         kept = [place for place in places if place >= 0]
         stored = [self._ends[place] for place in kept]
         steps_m = np.repeat([self._steps_m[place] for place in kept], [len(ends) for ends in stored])
-        ends = np.concatenate([*stored, np.empty((0, 2), np.int16)]) * steps_m[:, None]
+        whole = np.concatenate([*stored, np.empty((0, 2), np.int16)])
         starts = np.zeros(len(places) + 1, np.int64)
         np.cumsum([len(self._ends[place]) if place >= 0 else 0 for place in places], out=starts[1:])
         origins = [self._origins[place] if place >= 0 else _NOTHING.origin for place in places]
-        return ScanBatch(ends, starts, np.array(origins).reshape(-1, 2))
+        return ScanBatch(np.multiply(whole, steps_m[:, None], dtype=np.float64), starts, np.reshape(origins, (-1, 2)))
 
     @property
     def nbytes(self) -> int:

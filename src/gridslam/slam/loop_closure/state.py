@@ -182,6 +182,8 @@ class LoopClosureState:
         Number of the piece in which it was found; -1 before. Its key scans are then the first ones.
     joined_after : int
         Number of key scans of the drive after which it was found.
+    threads : int
+        Of the kernels that match many scans; never changes a result. As the last step had it.
     """
 
     scans: ScanArchive = field(default_factory=ScanArchive)
@@ -195,6 +197,7 @@ class LoopClosureState:
     earlier: DriveLocator | None = field(default=None, metadata=NOT_SAVED)
     joined: int = -1
     joined_after: int = 0
+    threads: int = field(default=1, metadata=NOT_SAVED)
     submap_cache: SubmapCache = field(default_factory=SubmapCache, metadata=NOT_SAVED)
     _anchors: Rows[np.float64] = field(init=False, default_factory=new_poses, metadata=NOT_SAVED)
     # the list of which `_anchors` are, another one after a correction
