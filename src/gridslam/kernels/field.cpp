@@ -66,7 +66,7 @@ GRIDSLAM_AVX2 void addresses(const Maps& m, const int32_t* root, const int32_t* 
   }
 }
 
-// Reads what lies there, in place: nothing here waits for anything but the field, so many reads are under way at once.
+// Reads what lies there, in place: nothing here waits for anything but the field: many reads are under way at once.
 GRIDSLAM_AVX2 void read(const uint8_t* field, const int32_t* x, int n, uint32_t* out) {
   const int* bytes = reinterpret_cast<const int*>(field);
   const __m256i mask = all(kTileMask), last = all(kTile - 4), below = all(kTile);
