@@ -34,7 +34,7 @@ ROW: Int32Array = np.array([0], np.int32)
 """The one row of a submap."""
 
 _MOST_BYTES = 32_000_000
-"""Of submaps that are kept: 32 of them inside, and few where a laser sees 80 m of open ground."""
+"""Of submaps that are kept: all indoors, and few where a laser sees 80 m of open ground."""
 
 _CHANGED = 0.05
 """Share of the cells of a place that change from one drive to the next: furniture and doors, hardly ever walls."""
@@ -136,8 +136,8 @@ class SubmapCache:
 
     __slots__ = ("_joint", "_kept", "_most")
 
-    def __init__(self, most: int = 32) -> None:
-        """Keep `most` submaps at a time, about 1 MB each, and less where they are larger."""
+    def __init__(self, most: int = 8) -> None:
+        """Keep `most` submaps at a time, about 0.5 MB each, and fewer large ones; more are hardly used again."""
         self._kept: dict[int, TileMaps] = {}
         self._joint: dict[tuple[int, ...], JointMap] = {}
         self._most = most
