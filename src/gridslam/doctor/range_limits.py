@@ -74,9 +74,11 @@ class RangeCounts:
         if self._waiting:
             bins = np.concatenate([_bins(ranges) for ranges, _ in self._waiting])
             sectors = np.concatenate([sectors for _, sectors in self._waiting])
-            self._hits += np.bincount(bins * _SECTORS + sectors, minlength=self._hits.size).reshape(self._hits.shape)
+            places, counts = np.unique(bins * _SECTORS + sectors, return_counts=True)  # few: most of it stays untouched
+            self._hits.reshape(-1)[places] += counts
         if self._waiting_beyond:
-            self._beyond += np.bincount(_bins(np.concatenate(self._waiting_beyond)), minlength=_BINS + 1)
+            places, counts = np.unique(_bins(np.concatenate(self._waiting_beyond)), return_counts=True)
+            self._beyond[places] += counts
         self._waiting.clear()
         self._waiting_beyond.clear()
         self._pending = 0
