@@ -7,6 +7,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntFlag
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, final
 
@@ -87,6 +88,14 @@ _FORMS: dict[str, tuple[type, int]] = {
 }
 
 
+@lru_cache(maxsize=1)
+def _count_up(count: int) -> NDArray[np.int32]:
+    """The parents of particles that were not resampled, shared by all such key scans."""
+    parents = np.arange(count, dtype=np.int32)
+    parents.flags.writeable = False
+    return parents
+
+
 @final
 class RecordWriter:
     """Collects the key scans of a run with a fixed number of particles; other scans are passed over."""
@@ -107,19 +116,20 @@ class RecordWriter:
             raise ArgumentError("report", f"{len(earlier[0])} particles as before", len(report.poses))
         flags = RecordFlag.LOST * report.lost | RecordFlag.RESAMPLED * (report.parents is not None)
         flags |= RecordFlag.UNDETERMINED * (report.degenerate_direction is not None)
-        parents = np.arange(len(report.poses)) if report.parents is None else report.parents
+        count = len(report.poses)
+        parents = _count_up(count) if report.parents is None else np.array(report.parents, np.int32)
         row: dict[str, Any] = {
             "stamps_ns": report.stamp_ns,
-            "poses": report.poses,
-            "log_weights": report.log_weights,
+            "poses": np.array(report.poses, np.float32),
+            "log_weights": np.array(report.log_weights, np.float64),
             "parents": parents,
             "best": report.best,
             "n_eff": report.n_eff,
             "flags": int(flags),
             "latency_s": latency_s,
         }
-        for name, (dtype, _) in _FORMS.items():
-            self._rows[name].append(np.array(row[name], dtype))
+        for name, value in row.items():
+            self._rows[name].append(value)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return what was collected as the arrays of `Record`; of length 0 without any key scan."""
