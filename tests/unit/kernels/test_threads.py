@@ -6,10 +6,12 @@ import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import gridslam
 from gridslam.grid import Evidence, TileMaps
 from gridslam.matching import GaussNewton
 from gridslam.types import LaserScan, ScanGeometry
@@ -70,7 +72,9 @@ def test_threads_of_python_share_those_of_the_kernels(alone):
 def test_an_interpreter_ends_while_threads_wait():
     """At once, and without a word."""
     code = "import test_threads; test_threads.run(4)"
+    environment = {**os.environ, "PYTHONPATH": str(Path(gridslam.__file__).parents[1])}  # this package, not another
+    command = [sys.executable, "-c", code]
     found = subprocess.run(
-        [sys.executable, "-c", code], cwd=os.path.dirname(__file__), capture_output=True, timeout=60, check=False
+        command, cwd=Path(__file__).parent, env=environment, capture_output=True, timeout=60, check=False
     )
     assert (found.returncode, found.stderr) == (0, b"")
