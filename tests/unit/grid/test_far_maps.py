@@ -240,7 +240,7 @@ def test_a_state_with_poses_beyond_any_map_ends_no_process(place):
     for name in ("poses", "key_pose"):
         slam = gridslam.GridFastSlam(particles=3, loop_closure=gridslam.build(gridslam.Configuration()).loop_closure)
         state = gridslam.run(log.measurements[:20], slam, rng=np.random.default_rng(1))
-        getattr(state, name)[...] = place
+        setattr(state, name, np.full_like(state.poses, place) if name == "poses" else (place, place, place))
         error = gridslam.errors.GridslamError
         refused = contextlib.suppress(error) if math.isnan(place) else pytest.raises(error)
         with np.errstate(all="ignore"), refused:
