@@ -28,9 +28,9 @@ __all__ = ["ELSEWHERE", "Call", "Situation", "fork_join_us", "kernel_times", "re
 
 ELSEWHERE = {
     *("draw_scans", "known_cells", "match_scans", "select_beams", "shortest_ways", "parse_numbers"),
-    *("draw_gaussians", "kalman_update", "predict_landmarks"),
+    *("draw_gaussians", "kalman_update", "predict_landmarks", "are_true", "mean_shift"),
 }
-"""Kernels that no particle's map needs: of many scans in one map, of reading, and of landmarks."""
+"""Kernels that no particle's map needs: of many scans in one map, of reading, of landmarks and of beliefs."""
 
 _SEARCH = "gridslam.matching.branch_and_bound.backend"
 _TABLE = "gridslam.localization.known_map.backend"
