@@ -359,7 +359,7 @@ class LaserScan:
         Parameters
         ----------
         stamps_ns : sequence of int, ns
-            K of them.
+            K of them; of these only the first one is checked.
         ranges, status : (K, B) float64 and uint8
             Range in m and `BeamStatus` of each beam.
         geometry : ScanGeometry

@@ -90,7 +90,7 @@ class ReportBuilder:
         pose = np.array(compose(as_pose(state.poses[best]), key_from_base))
         tracked = state.tracker
 
-        def covariance(
+        def covariance(  # of the state as it is now: the filter goes on before somebody asks
             at_key: FloatArray = state.covariance,
             unmatched: UnmatchedMotion = tracked.unmatched,
             heading: float = tracked.pose[2],
