@@ -29,6 +29,9 @@ _PRIOR = 0.5
 """Weight of the odometry's being exact, in squared metres and radians moved."""
 
 _EXACT = np.array([1.0, 0.0, 0.0, 0.0, 1.0, 0.0])
+_EXACT_POSITION = _PRIOR * np.column_stack([np.eye(4), _EXACT[:4]])
+_EXACT_HEADING = _PRIOR * np.column_stack([np.eye(2), _EXACT[4:]])
+"""Normal equations, with the right side as the last column, of odometry that is exact."""
 
 
 @final
@@ -144,16 +147,17 @@ class OdometryCalibration:
         if known:
             moved = between(errors.begin_pose, pose)
             measured = between(errors.begin_odometry, odometry)
-            self._update_trust(errors, moved, measured)
+            left = between(errors.correct_increment(measured), moved)
+            self._update_trust(errors, moved, left)
             if errors.trusted:
-                self._fit(errors, moved, measured)
+                self._fit(errors, moved, measured, left)
         errors.begin_pose = pose
         errors.begin_odometry = odometry
         errors.determined = True
 
-    def _update_trust(self, errors: OdometryErrorModel, moved: Pose, measured: Pose) -> None:
-        """Whether the odometry, as corrected, explains the motion."""
-        left_m, left_rad = motion_of(between(errors.correct_increment(measured), moved))
+    def _update_trust(self, errors: OdometryErrorModel, moved: Pose, left: Pose) -> None:
+        """Whether the odometry, as corrected, explains the motion; `left` is what it does not."""
+        left_m, left_rad = motion_of(left)
         moved_m, turned = motion_of(moved)
         errors.sums = 0.95 * errors.sums + np.array([left_m, moved_m, left_rad, turned])
         left_m, moved_m, left_rad, turned = errors.sums.tolist()
@@ -161,23 +165,28 @@ class OdometryCalibration:
         # 2 m and 1 rad count as explained beside: a stretch or two do not decide
         errors.trusted = left_m < limit * (moved_m + 2) and left_rad < limit * (turned + 1)
 
-    def _fit(self, errors: OdometryErrorModel, moved: Pose, measured: Pose) -> None:
+    def _fit(self, errors: OdometryErrorModel, moved: Pose, measured: Pose, left: Pose) -> None:
         """Recursive least squares with forgetting, by Geman-McClure weights of what the present factors leave."""
         x, y, theta = measured
         mx, my, turned = moved
-        residual = between(errors.correct_increment(measured), moved)
-        squares = np.array([0.5 * (residual[0] ** 2 + residual[1] ** 2), residual[2] ** 2])
-        weights = 1 / np.square(1 + squares / (4 * errors.variances))
+        position_m2 = 0.5 * (left[0] ** 2 + left[1] ** 2)
+        heading_rad2 = left[2] ** 2
+        position_variance, heading_variance = errors.variances.tolist()
         keep = 1 - 1 / self.forgetting_segments
         if errors.determined:
             rows = np.array([[x, -y, theta, 0.0, mx], [y, x, 0.0, theta, my]])
-            errors.position = keep * errors.position + weights[0] * rows[:, :4].T @ rows
+            errors.position = keep * errors.position + _weigh(position_m2, position_variance) * rows[:, :4].T @ rows
         row = np.array([[theta, x, theta + math.remainder(turned - theta, math.tau)]])
-        errors.heading = keep * errors.heading + weights[1] * row[:, :2].T @ row
-        errors.factors = np.concatenate([_solve(errors.position, _EXACT[:4]), _solve(errors.heading, _EXACT[4:])])
+        errors.heading = keep * errors.heading + _weigh(heading_rad2, heading_variance) * row[:, :2].T @ row
+        errors.factors = np.concatenate(
+            [_solve(errors.position + _EXACT_POSITION), _solve(errors.heading + _EXACT_HEADING)]
+        )
         errors.segments = keep * errors.segments + 1
-        change = np.minimum(squares, 9 * errors.variances) - errors.variances
-        errors.variances = errors.variances + change * [errors.determined, True] / (errors.segments + 10)
+        count = errors.segments + 10
+        if errors.determined:
+            position_variance += (min(position_m2, 9 * position_variance) - position_variance) / count
+        heading_variance += (min(heading_rad2, 9 * heading_variance) - heading_variance) / count
+        errors.variances = np.array([position_variance, heading_variance])
 
 
 def _is_long(a: Pose, b: Pose) -> bool:
@@ -185,6 +194,12 @@ def _is_long(a: Pose, b: Pose) -> bool:
     return is_far or abs(math.remainder(b[2] - a[2], math.tau)) >= _SEGMENT_RAD
 
 
-def _solve(equations: FloatArray, exact: FloatArray) -> FloatArray:
-    matrix = equations[:, :-1] + _PRIOR * np.eye(len(exact))
-    return np.asarray(np.linalg.solve(matrix, equations[:, -1] + _PRIOR * exact), np.float64)
+def _weigh(square: float, variance: float) -> float:
+    """Geman-McClure weight."""
+    root = 1 + square / (4 * variance)
+    return 1 / (root * root)
+
+
+def _solve(equations: FloatArray) -> FloatArray:
+    """Solve equations (N, N + 1) with the right side as the last column."""
+    return np.asarray(np.linalg.solve(equations[:, :-1], equations[:, -1]), np.float64)
