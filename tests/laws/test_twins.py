@@ -23,6 +23,7 @@ KERNELS = (
     "make_tiles_writable",
     "update",
     "match",
+    "match_pose",
     "distances",
     "cast_rays",
     "known_cells",
@@ -434,6 +435,27 @@ def test_matches_without_beams_stay_at_the_guess():
             np.testing.assert_allclose(poses, guess, atol=1e-15)
             assert not information.any()
             assert not score.any()
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("passes", [0, 2, 10])
+def test_one_pose_is_matched_as_many_are(seed, passes):
+    rng = np.random.default_rng(seed)
+    maps = random_maps(rng)
+    truth, ends = random_poses(rng), random_ends(rng)
+    maps.update(ROWS, truth, beams_to(ends))
+    prior = (0.1, 0.01, -0.02, 0.2, 0.03, 0.3)
+    xx, xy, xt, yy, yt, tt = prior
+    whole = np.array([[[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]]])
+    *settings, threads = settings_of(maps, passes, 0.02, True)
+    for kernels in (compiled, reference):
+        for row, pose in enumerate(truth.tolist()):
+            guess = np.array([pose])
+            many = kernels.match(*maps._view, ROWS[row : row + 1], guess, whole, ends, CELL, *settings, threads)
+            pose, information, score = kernels.match_pose(*maps._view, row, tuple(pose), prior, ends, CELL, *settings)
+            np.testing.assert_array_equal(pose, many[0][0])
+            np.testing.assert_array_equal(information, many[1][0][np.triu_indices(3)])
+            assert score == many[2][0]
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -14,10 +14,25 @@ from numpy.typing import NDArray
 
 from gridslam.geometry.angles import wrap
 
-__all__ = ["ORIGIN", "UNKNOWN_POSE", "Pose", "as_pose", "between", "compose", "exp", "is_known", "log", "motion_of"]
+__all__ = [
+    "ORIGIN",
+    "UNKNOWN_POSE",
+    "Information",
+    "Pose",
+    "as_pose",
+    "between",
+    "compose",
+    "exp",
+    "is_known",
+    "log",
+    "motion_of",
+]
 
 Pose: TypeAlias = tuple[float, float, float]
 """One pose (x m, y m, theta rad), or a twist, or the increment between two poses."""
+
+Information: TypeAlias = tuple[float, float, float, float, float, float]
+"""Information of one pose, a symmetric matrix by its upper triangle: (xx, xy, xt, yy, yt, tt) over m and rad."""
 
 ORIGIN: Pose = (0.0, 0.0, 0.0)
 

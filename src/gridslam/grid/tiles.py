@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
+from gridslam.geometry.single_pose import Information, Pose
 from gridslam.grid.arena import TILE_BYTES, Int32Array, TileArena, renumber
 from gridslam.grid.cells import LOG_ODDS_UNIT, Evidence, cell_corner
 from gridslam.grid.scan_batch import NOT_WEIGHED, ScanBatch, Weighing
@@ -345,6 +346,15 @@ class TileMaps:
         """Gauss-Newton from guesses (K, 3) with prior information (K, 3, 3); see `gridslam.matching.GaussNewton`."""
         found: tuple[FloatArray, FloatArray, FloatArray] = backend.match(
             *self._view, rows, guesses, priors, ends, self.resolution_m, *settings, self.threads
+        )
+        return found
+
+    def match_pose(
+        self, row: int, guess: Pose, prior: Information, ends: FloatArray, *settings: float | bool
+    ) -> tuple[Pose, Information, float]:
+        """`match` of one guess to map `row`, by numbers: pose, information and score."""
+        found: tuple[Pose, Information, float] = backend.match_pose(
+            *self._view, row, guess, prior, ends, self.resolution_m, *settings
         )
         return found
 

@@ -157,6 +157,27 @@ auto py_match(GRIDSLAM_MAPS, Rows rows, Matrix guesses, Array<const double, 3> p
   return std::make_tuple(poses, information, score);
 }
 
+// One pose, without an array for each of its numbers.
+auto py_match_pose(GRIDSLAM_MAPS, int row, std::array<double, 3> guess, std::array<double, 6> prior, Matrix ends,
+                   double resolution, int max_iterations, double cauchy_cells, double max_step_cells,
+                   double max_step_rad, double stop_cells, double stop_rad, double reach_cells, double min_information,
+                   bool point_to_line) {
+  const Maps m = view(roots, first, pages, log_odds, field);
+  const int32_t rows[1] = {row};
+  const auto& [xx, xy, xt, yy, yt, tt] = prior;
+  const double whole[9] = {xx, xy, xt, xy, yy, yt, xt, yt, tt};
+  double pose[3], h[9], score;
+  {
+    nb::gil_scoped_release release;
+    match(m, rows, guess.data(), whole, 1, ends.data(), static_cast<int>(ends.shape(0)), resolution,
+          {max_iterations, cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells,
+           min_information, point_to_line},
+          1, pose, h, &score);
+  }
+  return std::make_tuple(std::make_tuple(pose[0], pose[1], pose[2]),
+                         std::make_tuple(h[0], h[1], h[2], h[4], h[5], h[8]), score);
+}
+
 auto py_distances(GRIDSLAM_MAPS, Rows rows, Matrix poses, Matrix ends, double resolution, double reach_cells,
                   int threads) {
   const Maps m = view(roots, first, pages, log_odds, field);
@@ -404,6 +425,9 @@ NB_MODULE(_compiled, m) {
   m.def("match", &py_match, GRIDSLAM_MAPS_ARGS, "rows"_a, "guesses"_a, "priors"_a, "ends"_a, "resolution"_a,
         "max_iterations"_a, "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a, "stop_rad"_a,
         "reach_cells"_a, "min_information"_a, "point_to_line"_a, "threads"_a);
+  m.def("match_pose", &py_match_pose, GRIDSLAM_MAPS_ARGS, "row"_a, "guess"_a, "prior"_a, "ends"_a, "resolution"_a,
+        "max_iterations"_a, "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a, "stop_rad"_a,
+        "reach_cells"_a, "min_information"_a, "point_to_line"_a);
   m.def("distances", &py_distances, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "ends"_a, "resolution"_a, "reach_cells"_a,
         "threads"_a);
   m.def("known_cells", &py_known_cells, GRIDSLAM_MAPS_ARGS, "row"_a, "pose"_a, "points"_a, "resolution"_a);

@@ -59,6 +59,7 @@ __all__ = [
     "known_cells",
     "make_tiles_writable",
     "match",
+    "match_pose",
     "match_scans",
     "max_pyramid",
     "mean_shift",
@@ -290,6 +291,43 @@ def match(
     h, _, score = _linearize(_Field(roots, first, pages, field, rows), log_odds, seen_from, *settings)
     pose[:, 2] -= 2 * np.pi * np.floor((pose[:, 2] + np.pi) / (2 * np.pi))
     return pose * unit, h * resolution**2 / (unit[:, None] * unit), score
+
+
+def match_pose(
+    roots: Int32Array,
+    first: tuple[int, int],
+    pages: Int32Array,
+    log_odds: NDArray[np.int16],
+    field: NDArray[np.uint8],
+    row: int,
+    guess: tuple[float, float, float],
+    prior: tuple[float, float, float, float, float, float],
+    ends: FloatArray,
+    resolution: float,
+    max_iterations: int,
+    cauchy_cells: float,
+    max_step_cells: float,
+    max_step_rad: float,
+    stop_cells: float,
+    stop_rad: float,
+    reach_cells: float,
+    min_information: float,
+    point_to_line: bool,
+) -> tuple[tuple[float, ...], tuple[float, ...], float]:
+    """`match` of one `guess` to map `row`, in numbers: pose, information and score.
+
+    Of the symmetric matrices `prior` and information the upper triangle, row by row.
+    """
+    upper = np.triu_indices(3)
+    whole = np.zeros((3, 3))
+    whole[upper] = whole.T[upper] = prior
+    rows = np.array([row], np.int32)
+    settings = max_iterations, cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells
+    poses, information, score = match(
+        *(roots, first, pages, log_odds, field, rows, np.array([guess]), whole[None], ends, resolution),
+        *(*settings, min_information, point_to_line, 1),
+    )
+    return tuple(poses[0].tolist()), tuple(information[0][upper].tolist()), float(score[0])
 
 
 def _linearize(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
+from gridslam.geometry.single_pose import Information, Pose
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.scan_batch import ScanBatch
 from gridslam.grid.tiles import TileMaps
@@ -18,8 +19,10 @@ from gridslam.types import BeamEnds, FloatArray, Match
 __all__ = [
     "EVALUATE_ONLY",
     "MIN_INFORMATION",
+    "NO_INFORMATION",
     "NO_PRIOR",
     "GaussNewton",
+    "PoseMatch",
     "are_degenerate",
     "cauchy_weights",
     "degenerate_direction",
@@ -28,6 +31,19 @@ __all__ = [
 
 MIN_INFORMATION = 0.005
 """Minimum eigenvalue of the position information per inlier beam of a non-degenerate match."""
+
+
+@final
+class PoseMatch(NamedTuple):
+    """Result of matching a scan from one guess: a `Match` of one, in numbers."""
+
+    pose: Pose  # where the scan fits best
+    information: Information  # of the beams' distances to the map, without the prior
+    score: float  # how many beams agree with the map
+
+    def degenerate_direction(self, least: float) -> tuple[float, float] | None:
+        """Unit vector along which the scan did not determine the position; see `GaussNewton.min_information`."""
+        return _degenerate_direction(self.information, self.score, least)
 
 
 @final
@@ -84,6 +100,11 @@ class GaussNewton:
         passes = self.max_iterations if len(beams) >= self.min_beams else 0
         return Match(*maps.match(rows, guesses, priors, beams.ends, passes, *self._settings(maps)))
 
+    def match_pose(self, maps: TileMaps, row: int, guess: Pose, prior: Information, beams: BeamEnds) -> PoseMatch:
+        """Match the scan to map `row` from one guess: as by a call with K = 1, but without an array for each number."""
+        passes = self.max_iterations if len(beams) >= self.min_beams else 0
+        return PoseMatch(*maps.match_pose(row, guess, prior, beams.ends, passes, *self._settings(maps)))
+
     def match_scans(self, maps: TileMaps, guesses: FloatArray, prior: FloatArray, batch: ScanBatch) -> Match:
         """Match each scan of a batch to the one map from its guess, (K, 3), with prior information (3, 3)."""
         return Match(
@@ -111,10 +132,19 @@ EVALUATE_ONLY = GaussNewton(max_iterations=0)
 NO_PRIOR = 1e-9 * np.eye(3)
 """Prior information (3, 3) of a guess that means nothing, and keeps what no beam determines."""
 
+NO_INFORMATION: Information = (1e-9, 0.0, 0.0, 1e-9, 0.0, 1e-9)
+"""The same of one pose, for `match_pose`."""
+
 
 def degenerate_direction(information: FloatArray, score: float, least: float = MIN_INFORMATION) -> FloatArray | None:
     """Degenerate direction (2,) of a match with this information (3, 3) and score; None if there is none."""
     (xx, xy, xt), (_, yy, yt), (_, _, tt) = information.tolist()
+    direction = _degenerate_direction((xx, xy, xt, yy, yt, tt), score, least)
+    return None if direction is None else np.array(direction)
+
+
+def _degenerate_direction(information: Information, score: float, least: float) -> tuple[float, float] | None:
+    xx, xy, xt, yy, yt, tt = information
     turn = 1 / max(tt, 1e-12)
     a = xx - xt * xt * turn
     b = xy - xt * yt * turn
@@ -122,7 +152,7 @@ def degenerate_direction(information: FloatArray, score: float, least: float = M
     if 0.5 * (a + c) - math.hypot(0.5 * (a - c), b) >= least * score:
         return None
     angle = 0.5 * math.atan2(2 * b, a - c)  # of the strongest direction
-    return np.array([-math.sin(angle), math.cos(angle)])
+    return -math.sin(angle), math.cos(angle)
 
 
 def are_degenerate(information: FloatArray, scores: FloatArray, least: float = MIN_INFORMATION) -> NDArray[np.bool_]:

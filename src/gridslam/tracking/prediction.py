@@ -11,7 +11,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry import se2
-from gridslam.geometry.single_pose import Pose, between, compose, exp, log, motion_of
+from gridslam.geometry.single_pose import Information, Pose, compose, exp, log, motion_of
 from gridslam.matching.branch_and_bound import BranchAndBound
 from gridslam.tracking.state import SensorTrack, TrackerState
 from gridslam.types import FloatArray, MotionSampler
@@ -71,13 +71,15 @@ class Prediction(NamedTuple):
     covariance: FloatArray | None = None  # (3, 3) in the tracker's frame; None: by the standard deviations
 
     @property
-    def prior(self) -> FloatArray:
-        """Information (1, 3, 3) of the prediction, beside residuals in m."""
+    def prior(self) -> Information:
+        """Information of the prediction, beside residuals in m."""
         if self.covariance is not None:
-            return np.asarray(self.beam_sigma_m**2 * np.linalg.inv(self.covariance)[None], np.float64)
+            information = self.beam_sigma_m**2 * np.linalg.inv(self.covariance)
+            (xx, xy, xt), (_, yy, yt), (_, _, tt) = information.tolist()
+            return xx, xy, xt, yy, yt, tt
         position = (self.beam_sigma_m / self.sigma_m) ** 2
         heading = (self.beam_sigma_m / self.sigma_rad) ** 2
-        return np.array([[[position, 0.0, 0.0], [0.0, position, 0.0], [0.0, 0.0, heading]]])
+        return position, 0.0, 0.0, position, 0.0, heading
 
 
 @final
@@ -90,7 +92,7 @@ class PoseEstimate(NamedTuple):
     lost: bool  # neither match nor prediction is reliable
     inlier_ratio: float = 0.0  # of the beams that agree with the map; 0 if the match is rejected
     determined: bool = False  # by the scan, in all directions
-    open_direction: FloatArray | None = None  # (2,) unit vector, along which the prediction was kept; None: along none
+    open_direction: tuple[float, float] | None = None  # unit vector along which the prediction was kept; None: no such
 
 
 def predict_by_odometry(
@@ -164,14 +166,14 @@ class ConstantVelocity:
         far = math.hypot(b[0] - a[0], b[1] - a[1]) > margin_m + self.speed_mps * seconds
         return far or abs(math.remainder(b[2] - a[2], math.tau)) > margin_rad + self.turn_rps * seconds
 
-    def update_twist(self, state: TrackerState, pose: Pose, seconds: float) -> Pose:
-        """Velocity once the base is at `pose`, `seconds` after the last scan: a running mean.
+    def update_twist(self, twist: Pose, increment: Pose, seconds: float) -> Pose:
+        """Velocity once the base has moved by `increment`, `seconds` after the last scan: a running mean.
 
         The mean of increments over the time they took, in which the older ones count less, as exp(-age / smoothing) to
         first order; it is safe for any `seconds`, 0 included.
         """
-        dx, dy, turn = log(between(state.pose, pose))
-        vx, vy, omega = state.twist
+        dx, dy, turn = log(increment)
+        vx, vy, omega = twist
         whole = _SMOOTHING_S + seconds
         return (_SMOOTHING_S * vx + dx) / whole, (_SMOOTHING_S * vy + dy) / whole, (_SMOOTHING_S * omega + turn) / whole
 

@@ -12,15 +12,13 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.single_pose import Pose, as_pose
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
-from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, degenerate_direction, weigh_known_beams
+from gridslam.matching.gauss_newton import NO_INFORMATION, GaussNewton, weigh_known_beams
 from gridslam.tracking.odometry_calibration import MIN_SEGMENTS
 from gridslam.tracking.prediction import MAX_INTERVAL_S, PoseEstimate, Prediction
 from gridslam.tracking.state import TrackerState, is_within
 from gridslam.types import BeamEnds, FloatArray
 
 __all__ = ["OdometrySearch", "calibrated", "local_pyramid"]
-
-"""Information (1, 3, 3) of a guess that means nothing."""
 
 _GATES = ((2.0, 0.1), (5.0, 0.1), (12.0, 0.3))
 """Standard deviations of the odometry within which is searched, one gate after the other, and by so much more of the
@@ -93,12 +91,15 @@ class OdometrySearch:
 
     def is_far_from_last(self, state: TrackerState, predicted: Prediction) -> bool:
         """Whether the last scan is too old, or too far away, for a velocity prediction."""
-        driven = predicted.moved_m + predicted.turned_rad > self.blind_step and predicted.seconds >= MAX_INTERVAL_S
-        return self.is_sparse(state) or driven
+        return self._had_gap(predicted) or self.is_sparse(state)
 
     def had_blind_gap(self, state: TrackerState, predicted: Prediction) -> bool:
         """Whether scans come often, but none came while the robot drove on: it may be anywhere that looks alike."""
-        return not self.is_sparse(state) and self.is_far_from_last(state, predicted)
+        return self._had_gap(predicted) and not self.is_sparse(state)
+
+    def _had_gap(self, predicted: Prediction) -> bool:
+        """Whether there is a gap in the laser data, in which the robot drove on."""
+        return predicted.seconds >= MAX_INTERVAL_S and predicted.moved_m + predicted.turned_rad > self.blind_step
 
     def is_sparse(self, state: TrackerState) -> bool:
         """Whether scans are far apart, in time or by the way driven between them."""
@@ -165,16 +166,17 @@ def _refine(
     If the scan is degenerate the odometry constrains it.
     """
     held = calibrated(matcher)
-    match = matcher(state.maps, state.row, np.array([pose]), NO_PRIOR[None], beams)
-    weak = degenerate_direction(match.information[0], float(match.score[0]), held.min_information)
+    match = matcher.match_pose(state.maps, state.matched_map, pose, NO_INFORMATION, beams)
+    weak = match.degenerate_direction(held.min_information)
     if weak is not None:
-        along = match.poses[0].copy()
-        along[:2] -= weak * float(weak @ (along - predicted.pose)[:2])
-        match = held(state.maps, state.row, along[None], NO_PRIOR[None], beams)
-    weights = weigh_known_beams(state.maps, state.row, match.poses[0], beams.ends, matcher.cauchy_m)
+        axis = np.array(weak)
+        along = np.array(match.pose)
+        along[:2] -= axis * float(axis @ (along - predicted.pose)[:2])
+        match = held.match_pose(state.maps, state.matched_map, as_pose(along), NO_INFORMATION, beams)
+    weights = weigh_known_beams(state.maps, state.row, np.array(match.pose), beams.ends, matcher.cauchy_m)
     inlier_ratio = float(weights.sum()) / max(len(weights), _MIN_OVERLAP * len(beams))
     return PoseEstimate(
-        as_pose(match.poses[0]),
+        match.pose,
         predicted,
         matched=True,
         lost=False,

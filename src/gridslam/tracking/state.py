@@ -152,7 +152,8 @@ class TrackerState:
     @property
     def interval_s(self) -> float:
         """Mean time between scans, > 0: their order is the true one, whether stamps run backward or stand still."""
-        return max(abs(self.period_s), _SHORTEST_INTERVAL_S)
+        interval_s = abs(self.period_s)
+        return interval_s if interval_s > _SHORTEST_INTERVAL_S else _SHORTEST_INTERVAL_S
 
     def update_track(self, sensor: str, track: SensorTrack) -> None:
         """Keep the last of a laser; copies that were made before do not change."""
@@ -210,8 +211,7 @@ def pose_of(odometry: Odometry | None) -> Pose:
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
-class TrackedScan:
+class TrackedScan(NamedTuple):
     """Result of tracking one scan.
 
     Attributes

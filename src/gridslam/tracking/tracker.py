@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cached_property
 from typing import Annotated, final
 
 import numpy as np
@@ -18,7 +19,7 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import Pose, as_pose, between, compose, is_known, motion_of
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.gauss_newton import EVALUATE_ONLY, NO_PRIOR, GaussNewton, degenerate_direction
+from gridslam.matching.gauss_newton import EVALUATE_ONLY, NO_INFORMATION, GaussNewton, PoseMatch
 from gridslam.models.parameters import Kind
 from gridslam.tracking.odometry_calibration import OdometryCalibration
 from gridslam.tracking.prediction import (
@@ -36,7 +37,7 @@ from gridslam.tracking.state import (
     is_within,
     pose_of,
 )
-from gridslam.types import BeamEnds, Beams, FloatArray, Match, Odometry
+from gridslam.types import BeamEnds, Beams, FloatArray, Odometry
 
 __all__ = ["OdometryTracker", "TrackedScan", "Tracker", "TrackerState"]
 
@@ -187,11 +188,11 @@ class Tracker:
         """
         track = state.sensors.get(beams.scan.sensor)
         order = 1 if track is None else track.best_order
-        deskewed = beams.deskew(order * np.array(self.velocity.update_twist(state, predicted.pose, predicted.seconds)))
+        deskewed = beams.deskew(order * self._twist_to(state, predicted.pose, predicted.seconds))
         best = self._locate(state, predicted, deskewed)
         if not best.matched or not best.inlier_ratio:
             return best, deskewed
-        twist = np.array(self.velocity.update_twist(state, best.pose, predicted.seconds))
+        twist = self._twist_to(state, best.pose, predicted.seconds)
         for other in (twist, 2 * twist - np.array(state.twist)):
             again = beams.deskew(order * other)
             found = self._locate(state, predicted, again)
@@ -204,6 +205,10 @@ class Tracker:
             )
             state.update_track(beams.scan.sensor, track._replace(beam_order=learned))
         return best, deskewed
+
+    def _twist_to(self, state: TrackerState, pose: Pose, seconds: float) -> FloatArray:
+        """Velocity (3,) once the base is at `pose`, `seconds` after the last scan."""
+        return np.array(self.velocity.update_twist(state.twist, between(state.pose, pose), seconds))
 
     def _locate(self, state: TrackerState, predicted: Prediction, beams: Beams) -> PoseEstimate:
         """Where a scan was taken."""
@@ -245,40 +250,42 @@ class Tracker:
     def _match_from_odometry(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a prediction by odometry; where a match is implausible, only its heading is taken."""
         known = self.calibration is not None and self.calibration.is_known(state.odometry_errors)
-        matcher = calibrated(self.matcher) if known else self.matcher
-        match = matcher(state.maps, state.row, np.array([predicted.pose]), predicted.prior, beams)
-        pose = as_pose(match.poses[0])
-        score = float(match.score[0])
-        if score < self.min_inlier_ratio * len(beams):
+        matcher = self._calibrated_matcher if known else self.matcher
+        match = matcher.match_pose(state.maps, state.matched_map, predicted.pose, predicted.prior, beams)
+        pose = match.pose
+        score = match.score
+        count = len(beams)
+        if score < self.min_inlier_ratio * count:
             return PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
         stayed = (predicted.pose[0], predicted.pose[1], pose[2])
         away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
         if away > max(self.slip_m, 4 * predicted.sigma_m):
             gain = score - _score(state, stayed, beams)
-            pose = pose if gain > self.slip_inlier_gain * len(beams) else stayed
-        determined = pose is not stayed and self._is_determined(match)
-        direction = degenerate_direction(match.information[0], score, matcher.min_information)
-        return PoseEstimate(pose, predicted, True, False, score / len(beams), determined, direction)
+            pose = pose if gain > self.slip_inlier_gain * count else stayed
+        direction = match.degenerate_direction(matcher.min_information)
+        determined = direction is None and pose is not stayed and (known or self._is_determined(match))
+        return PoseEstimate(pose, predicted, True, False, score / count, determined, direction)
 
     def _match_from_velocity(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a prediction by the velocity; where few beams agree, search all around it."""
         count = len(beams)
-        match = self.matcher(state.maps, state.row, np.array([predicted.pose]), predicted.prior, beams)
-        if match.score[0] < self.search_inlier_ratio * count:
+        match = self.matcher.match_pose(state.maps, state.matched_map, predicted.pose, predicted.prior, beams)
+        if match.score < self.search_inlier_ratio * count:
             search = self.velocity.search(state, predicted.seconds)
             place = search.search(local_pyramid(state), np.array(predicted.pose), None, beams.ends)
             if place is not None:
-                other = self.matcher(state.maps, state.row, place.pose[None], NO_PRIOR[None], beams)
-                convinces = other.score[0] - match.score[0] > self.slip_inlier_gain * count
-                match = other if convinces and other.score[0] >= self.search_inlier_ratio * count else match
-        if match.score[0] < self.min_inlier_ratio * count:
+                found = as_pose(place.pose)
+                other = self.matcher.match_pose(state.maps, state.matched_map, found, NO_INFORMATION, beams)
+                convinces = other.score - match.score > self.slip_inlier_gain * count
+                match = other if convinces and other.score >= self.search_inlier_ratio * count else match
+        if match.score < self.min_inlier_ratio * count:
             return PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
-        pose = as_pose(match.poses[0])
+        pose = match.pose
         if is_within(state.pose, pose, self.standstill_m, self.standstill_rad):
             pose = state.pose
-        ratio = float(match.score[0]) / count
-        direction = degenerate_direction(match.information[0], float(match.score[0]), self.matcher.min_information)
-        return PoseEstimate(pose, predicted, True, False, ratio, self._is_determined(match), direction)
+        direction = match.degenerate_direction(self.matcher.min_information)
+        determined = direction is None and self._is_determined(match)
+        return PoseEstimate(pose, predicted, True, False, match.score / count, determined, direction)
 
     def _advance(self, state: TrackerState, found: PoseEstimate) -> None:
         """Move on; where nothing is known of the motion, the robot is thought to come to rest."""
@@ -290,7 +297,8 @@ class Tracker:
                 heading_rad2=state.unmatched.heading_rad2 + predicted.sigma_rad**2,
             )
         self._accumulate_open_variance(state, found)
-        moved, turned = motion_of(between(state.pose, found.pose))
+        increment = between(state.pose, found.pose)
+        moved, turned = motion_of(increment)
         if moved + turned > self.standstill_m + self.standstill_rad:
             state.mean_step += NEWEST_WEIGHT * (min(moved + turned, self.search.blind_step) - state.mean_step)
         blind = found.lost and not predicted.by_odometry
@@ -298,7 +306,7 @@ class Tracker:
             vx, vy, omega = state.twist
             state.twist = 0.5 * vx, 0.5 * vy, 0.5 * omega
         else:
-            state.twist = self.velocity.update_twist(state, found.pose, predicted.seconds)
+            state.twist = self.velocity.update_twist(state.twist, increment, predicted.seconds)
         if found.inlier_ratio and not predicted.by_odometry:
             state.velocity_variances = self.velocity.update_variances(
                 state.velocity_variances, between(predicted.pose, found.pose)
@@ -319,7 +327,8 @@ class Tracker:
         else:
             variance = state.velocity_variances[0]
         state.open_way_m += predicted.moved_m
-        added = variance * np.outer(direction, direction)
+        x, y = direction
+        added = variance * np.array([[x * x, x * y], [x * y, y * y]])
         state.unmatched = replace(state.unmatched, open_covariance=state.unmatched.open_covariance + added)
 
     def _learn(self, state: TrackerState, found: PoseEstimate) -> None:
@@ -328,10 +337,13 @@ class Tracker:
             is_good_match = found.inlier_ratio >= self.search_inlier_ratio
             self.calibration.learn(state.odometry_errors, found.pose, state.odometry, is_good_match, found.determined)
 
-    def _is_determined(self, match: Match) -> bool:
+    @cached_property
+    def _calibrated_matcher(self) -> GaussNewton:
+        return calibrated(self.matcher)
+
+    def _is_determined(self, match: PoseMatch) -> bool:
         """Whether a match is non-degenerate, and better than calibrated odometry."""
-        least = calibrated(self.matcher).min_information
-        return degenerate_direction(match.information[0], float(match.score[0]), least) is None
+        return match.degenerate_direction(self._calibrated_matcher.min_information) is None
 
     def _insert(self, state: TrackerState, found: PoseEstimate, beams: Beams) -> None:
         """Insert the scan if its laser has moved since its last one, and if one knows where it was taken."""
@@ -348,17 +360,18 @@ class Tracker:
             due = state.unlocalized_scans >= _MAX_UNMATCHED_SCANS
         last = track or SensorTrack.first(state.stamp_ns, found.pose)
         ends = beams.ends if len(state.sensors) > 1 else last.ends
-        last = last._replace(
-            stamp_ns=state.stamp_ns, matched_pose=found.pose, inlier_ratio=found.inlier_ratio, ends=ends
+        inserted_pose = found.pose if due else last.inserted_pose
+        state.update_track(
+            beams.scan.sensor,
+            SensorTrack(state.stamp_ns, found.pose, found.inlier_ratio, inserted_pose, last.beam_order, ends),
         )
-        state.update_track(beams.scan.sensor, last._replace(inserted_pose=found.pose) if due else last)
         if due:
             state.insert(beams, self.map_scans)
 
 
 def _score(state: TrackerState, pose: Pose, beams: BeamEnds) -> float:
     """How many beams of a scan from `pose` agree with the local map."""
-    return float(EVALUATE_ONLY(state.maps, state.row, np.array([pose]), NO_PRIOR[None], beams).score[0])
+    return EVALUATE_ONLY.match_pose(state.maps, state.matched_map, pose, NO_INFORMATION, beams).score
 
 
 @final
