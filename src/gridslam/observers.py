@@ -43,12 +43,14 @@ class TrajectoryRecorder:
         self._keys = array("q")
         self._online = array("d")
         self._key_from_base = array("d")
-        self._last = b""
+        self._last: list[float] = []
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Record one scan."""
         self._stamps_ns.append(report.stamp_ns)
-        poses = report.pose.tobytes() + report.key_from_base.tobytes()
+        pose = report.pose.tolist()
+        key_from_base = report.key_from_base.tolist()
+        poses = pose + key_from_base
         if report.skipped is not None and poses == self._last:
             self._repeats[-1] += 1
             return
@@ -56,8 +58,8 @@ class TrajectoryRecorder:
         self._steps += report.skipped is None
         self._repeats.append(1)
         self._keys.append(self._steps - 1)
-        self._online.extend(report.pose.tolist())
-        self._key_from_base.extend(report.key_from_base.tolist())
+        self._online.extend(pose)
+        self._key_from_base.extend(key_from_base)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return plain arrays: `stamps_ns` (N,) of the scans, and the M poses at which they were one after the other.
@@ -92,7 +94,7 @@ class TrajectoryRecorder:
             )
         if self._keys:
             self._steps = self._keys[-1] + 1
-            self._last = self._online[-3:].tobytes() + self._key_from_base[-3:].tobytes()
+            self._last = (self._online[-3:] + self._key_from_base[-3:]).tolist()
         return self
 
     @property
@@ -153,8 +155,10 @@ class _Durations:
         self.max_s = 0.0
 
     def add(self, seconds: float) -> None:
-        self.bins[round(math.log(max(seconds, _SHORTEST_S)) / _LOG_STEP)] += 1
-        self.max_s = max(self.max_s, seconds)
+        shown_s = seconds if seconds > _SHORTEST_S else _SHORTEST_S
+        self.bins[round(math.log(shown_s) / _LOG_STEP)] += 1
+        if seconds > self.max_s:
+            self.max_s = seconds
 
     def summarize(self) -> Latency:
         """Median and 99th percentile within 0.5 %; zeros if there are none."""

@@ -142,8 +142,8 @@ class _Form(NamedTuple):
 
 @cache
 def _form(annotation: Hashable) -> _Form:
-    is_optional = get_origin(annotation) in (Union, UnionType)
-    kind = next(of for of in get_args(annotation) if of is not NoneType) if is_optional else annotation
+    choice = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else ()
+    kind = next((of for of in choice if of is not NoneType), annotation)
     shape: _Shape | None = None
     if get_origin(kind) is Annotated:
         kind, *lengths = get_args(kind)
@@ -156,7 +156,7 @@ def _form(annotation: Hashable) -> _Form:
         shape = (None,) if items[-1] is Ellipsis else (len(items),)
     elif not items:
         shape = ()
-    return _Form(origin, items, shape, is_optional)
+    return _Form(origin, items, shape, NoneType in choice)
 
 
 @cache

@@ -14,8 +14,6 @@ __all__ = ["normalize_weights", "wrap"]
 
 FloatArray = NDArray[np.float64]
 
-_MANY = 500  # of which fmod takes longer than to look at them all
-
 
 @overload
 def wrap(angle: float) -> float: ...
@@ -25,8 +23,8 @@ def wrap(angle: float | NDArray[Any]) -> Any:
     """Bring angles to [-pi, pi).
 
     `fmod` and a subtraction of nearby numbers are all it takes, both exact in floating point: an angle already in the
-    interval comes back bit for bit, +pi becomes -pi, and no rounding can lead out of the interval. Of many angles that
-    are all less than a turn out of it the subtraction is enough, and of many that are all in it a copy.
+    interval comes back bit for bit, +pi becomes -pi, and no rounding can lead out of the interval. Where all angles are
+    less than a turn out of it the subtraction is enough, and where all are in it a copy.
 
     Parameters
     ----------
@@ -45,14 +43,10 @@ def wrap(angle: float | NDArray[Any]) -> Any:
             return float(angle)
         rest = math.fmod(angle, math.tau)
         return rest - math.tau if rest >= math.pi else rest + math.tau if rest < -math.pi else rest
-    near = False
-    if angle.size > _MANY:
-        least = angle.min()
-        most = angle.max()
-        if -math.pi <= least and most < math.pi:
-            return angle.astype(np.float64)
-        near = bool(least > -1.5 * math.tau and most < 1.5 * math.tau)
-    remainder = angle if near else np.fmod(angle, math.tau, dtype=np.float64)
+    greatest = np.abs(angle).max(initial=0.0)
+    if greatest < math.pi:
+        return angle.astype(np.float64)
+    remainder = angle if greatest < 1.5 * math.tau else np.fmod(angle, math.tau, dtype=np.float64)
     turns = np.subtract(remainder >= math.pi, remainder < -math.pi, dtype=np.float64)
     return remainder - math.tau * turns
 

@@ -201,12 +201,27 @@ def rotate_covariances(covariances: FloatArray, angles: ArrayLike) -> FloatArray
     R rotates x and y by `angles` (...), rad: the heading, in the new axes, of the frame that they are given in.
     """
     angle = np.asarray(angles, np.float64)
+    if angle.ndim == 0 and covariances.ndim == 2:
+        return _rotate_covariance(covariances, angle.item())
     rotation = np.zeros((*angle.shape, 3, 3))
     rotation[..., 0, 0] = rotation[..., 1, 1] = np.cos(angle)
     rotation[..., 1, 0] = np.sin(angle)
     rotation[..., 0, 1] = -rotation[..., 1, 0]
     rotation[..., 2, 2] = 1.0
     return np.asarray(rotation @ covariances @ rotation.swapaxes(-1, -2))
+
+
+def _rotate_covariance(covariance: FloatArray, angle: float) -> FloatArray:
+    (xx, xy, xt), (_, yy, yt), (_, _, tt) = covariance.tolist()
+    c = math.cos(angle)
+    s = math.sin(angle)
+    across = 2 * c * s * xy
+    rxy = c * s * (xx - yy) + (c * c - s * s) * xy
+    rxt = c * xt - s * yt
+    ryt = s * xt + c * yt
+    rxx = c * c * xx + s * s * yy - across
+    ryy = s * s * xx + c * c * yy + across
+    return np.array(((rxx, rxy, rxt), (rxy, ryy, ryt), (rxt, ryt, tt)))
 
 
 def lever_arm_jacobian(frames: FloatArray, carried: FloatArray) -> FloatArray:
@@ -314,7 +329,7 @@ def _components(values: ArrayLike, name: str, width: int = 3) -> Component:
     if type(values) is np.ndarray and values.shape == (width,) and values.dtype is _FLOAT64:
         return values.tolist()  # what a filter asks most
     array = _as_poses(values, name, width)
-    return array.tolist() if array.ndim == 1 else tuple(array[..., k] for k in range(width))
+    return array.tolist() if array.ndim == 1 else [array[..., k] for k in range(width)]
 
 
 def _cos_sin(angle: Component) -> tuple[Component, Component]:
@@ -330,7 +345,14 @@ def _sinc(angle: Component) -> Component:
 
 
 def _pose(x: Component, y: Component, theta: Component) -> FloatArray:
-    return np.array((x, y, wrap(theta))) if type(x) is type(theta) is float else _stack(x, y, wrap(theta))
+    """Put components of one shape (...) together."""
+    if type(x) is type(theta) is float:
+        return np.array((x, y, wrap(theta)))
+    pose = np.empty((*theta.shape, 3))
+    pose[..., 0] = x
+    pose[..., 1] = y
+    pose[..., 2] = wrap(theta)
+    return pose
 
 
 def _stack(*parts: Component) -> FloatArray:

@@ -106,7 +106,10 @@ class CauchyEndPoint:
 
     def log_likelihoods(self, distances: NDArray[np.float32]) -> NDArray[np.float32]:
         """Agreement of a beam for the distance (...) in m of its end to the nearest obstacle, before tempering."""
-        return np.asarray(1 / (1 + np.square(distances) * np.float32(1 / self.scale_m**2)), np.float32)
+        agreement = np.square(distances)
+        agreement *= np.float32(1 / self.scale_m**2)
+        agreement += np.float32(1)
+        return np.asarray(np.reciprocal(agreement))
 
     def __call__(self, beams: Beams) -> ScanLikelihood:
         """Condition on the beams of one scan."""

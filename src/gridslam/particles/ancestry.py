@@ -75,8 +75,9 @@ class Ancestry:
         if copy.shape != expected:
             raise ArgumentError("poses", f"shape {expected}", copy.shape)
         self._levels.append(_Level(copy, self._leaves, self._extended and len(self._levels) > 0))
-        self._leaves = np.arange(len(copy), dtype=np.int64)
-        self._extended = True
+        if not self._extended:
+            self._leaves = np.arange(len(copy), dtype=np.int64)
+            self._extended = True
         self._coalesce()
 
     def resample(self, parents: ArrayLike) -> None:
@@ -258,9 +259,10 @@ class Ancestry:
 
     def _coalesce(self) -> None:
         """Move the leading levels of a single node into the trunk."""
-        lone = next((k for k, level in enumerate(self._levels) if len(level.parents) > 1), len(self._levels))
-        for level in self._levels[:lone]:
-            self._trunk.frombytes(level.poses.tobytes())
+        lone = 0
+        while lone < len(self._levels) and len(self._levels[lone].parents) == 1:
+            self._trunk.frombytes(self._levels[lone].poses.tobytes())
+            lone += 1
         del self._levels[:lone]
 
     def _trajectories(self, places: IntArray) -> FloatArray:

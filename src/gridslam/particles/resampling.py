@@ -13,6 +13,7 @@ distribution are put on it. They differ only in how the points depend on each ot
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import final
 
@@ -33,6 +34,10 @@ __all__ = [
     "normalize",
     "relative_to_greatest",
 ]
+
+
+_HUGE = 1e290
+"""Less than this can be subtracted from the least number there is: it is less than half of that one's last digit."""
 
 
 def normalize(log_weights: FloatArray) -> FloatArray:
@@ -92,11 +97,14 @@ def _exponentiate(log_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
     given = np.asarray(log_weights, dtype=np.float64)
     if given.ndim != 1 or len(given) == 0:
         raise ArgumentError("log_weights", "shape (N,) with N >= 1", given.shape)
-    greatest = given.max()
-    if not np.isfinite(greatest):
+    greatest = float(given.max())
+    if not math.isfinite(greatest):
         raise ArgumentError("log_weights", "no NaN, none +inf and not all -inf", f"a greatest value of {greatest}")
-    with np.errstate(over="ignore"):  # a difference beyond the number range is a weight of 0 all the same
+    if greatest < _HUGE:
         shifted = given - greatest
+    else:
+        with np.errstate(over="ignore"):  # a difference beyond the number range is a weight of 0 all the same
+            shifted = given - greatest
     return np.exp(shifted), shifted
 
 

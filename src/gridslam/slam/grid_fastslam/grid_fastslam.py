@@ -28,7 +28,7 @@ from gridslam.scan import Thinning
 from gridslam.slam.grid_fastslam.map_limit import MapLimit
 from gridslam.slam.grid_fastslam.odometry_noise import OdometryNoise, is_worse_than_velocity
 from gridslam.slam.grid_fastslam.proposals import Proposal, ScanMatchedProposal
-from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
+from gridslam.slam.grid_fastslam.report_builder import ReportBuilder, compute_spread
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.tracking.prediction import widen_motion
@@ -156,11 +156,10 @@ class GridFastSlam:
             poses,
             equal,
             np.zeros(len(poses)),
-            np.zeros((3, 3)),
+            compute_spread(poses, equal, 0),
             maps,
             Ancestry.start(poses),
         )
-        state.covariance = self.reports.spread(state)
         if self.loop_closure is not None:
             state.closure_state = self.loop_closure.init(state, beams)
         return state, self.reports.first_scan(state, scan, effective_sample_size(state.log_weights))
@@ -189,9 +188,7 @@ class GridFastSlam:
         state.log_ancestry = relative_to_greatest(state.log_ancestry + proposed.log_weights)
         self.mapper(state.maps, state.poses, beams)  # map
         estimate = self.reports.estimate(state, moved, proposed.match, tracked.merged_beams)
-        state.extend_drift(estimate.drift_covariance)
-        state.covariance = estimate.covariance
-        state.lost = estimate.lost
+        state.accept(estimate)
         n_eff = effective_sample_size(state.log_weights)  # N_eff
         parents = None
         if self.when_to_resample(n_eff, len(state.poses)):  # resample

@@ -16,7 +16,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import rotate_covariances
+from gridslam.geometry.se2 import compose, rotate_covariances
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton
@@ -67,17 +67,23 @@ def _rows(maps: TileMaps) -> Int32Array:
     return np.arange(len(maps), dtype=np.int32)
 
 
-_LEAST_COVARIANCE = np.diag([1e-8, 1e-8, 1e-10])
-"""Added to that of a motion, so that one without noise along some direction stays invertible."""
+_LEAST_M2 = 1e-8
+_LEAST_RAD2 = 1e-10
+"""Variances added to those of a motion, so that one without noise along some direction stays invertible."""
+
+_AT_ORIGIN = np.zeros((1, 3))
 
 
-def _information(covariance: FloatArray, poses: FloatArray) -> FloatArray:
-    """Inverse covariances (N, 3, 3) of the motion from poses (N, 3), world frame, of which the first has `covariance`.
-
-    Motion models speak of increments in the robot's frame: each is the first one's, turned by the headings' difference.
-    """
-    first: FloatArray = np.asarray(np.linalg.inv(covariance + _LEAST_COVARIANCE), np.float64)
-    return rotate_covariances(first, poses[:, 2] - poses[0, 2])
+def _information(covariance: FloatArray, headings: FloatArray) -> FloatArray:
+    """Inverse covariances (N, 3, 3), world frame, of a motion of `covariance` (3, 3), robot frame, at headings (N,)."""
+    (xx, xy, xt), (_, yy, yt), (_, _, tt) = covariance.tolist()
+    if xx == yy and xy == xt == yt == 0:  # the same in any frame
+        information = np.zeros((len(headings), 3, 3))
+        information[:, 0, 0] = information[:, 1, 1] = 1 / (xx + _LEAST_M2)
+        information[:, 2, 2] = 1 / (tt + _LEAST_RAD2)
+        return information
+    least = np.diag([_LEAST_M2, _LEAST_M2, _LEAST_RAD2])
+    return rotate_covariances(np.asarray(np.linalg.inv(covariance + least), np.float64), headings)
 
 
 @final
@@ -147,15 +153,15 @@ class ScanMatchedProposal:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows = _rows(maps)
         drawn = motion(poses, rng)
-        means, covariances = motion.moments(poses[:1])
-        matcher = self.matcher if self._has_moved(poses[0], means[0]) else EVALUATE_ONLY
-        prior = self.beam_sigma_m**2 * _information(covariances[0], poses)
+        (increment,), (covariance,) = motion.moments(_AT_ORIGIN)
+        matcher = self.matcher if self._is_moving(increment) else EVALUATE_ONLY
+        prior = self.beam_sigma_m**2 * _information(covariance, poses[:, 2])
         match = matcher(maps, rows, drawn, prior, beams)
         return ProposedPoses(match.poses, weigh(maps, rows, match.poses), match)
 
-    def _has_moved(self, pose: FloatArray, mean: FloatArray) -> bool:
-        dx, dy, turn = (mean - pose).tolist()
-        return math.hypot(dx, dy) > self.standstill_m or abs(math.remainder(turn, math.tau)) > self.standstill_rad
+    def _is_moving(self, increment: FloatArray) -> bool:
+        dx, dy, turn = increment.tolist()
+        return math.hypot(dx, dy) > self.standstill_m or abs(turn) > self.standstill_rad
 
 
 @final
@@ -194,8 +200,9 @@ class ImprovedProposal:
     ) -> ProposedPoses:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows = _rows(maps)
-        means, covariances = motion.moments(poses)
-        prior = _information(covariances[0], poses)
+        (increment,), (covariance,) = motion.moments(_AT_ORIGIN)
+        means = compose(poses, increment)
+        prior = _information(covariance, poses[:, 2])
         match = self.matcher(maps, rows, means, self.beam_sigma_m**2 * prior, beams)
         information = match.information / self.beam_sigma_m**2 + prior
         factor = np.linalg.cholesky(information)

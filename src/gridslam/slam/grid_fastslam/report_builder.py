@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -13,29 +13,16 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import rotate_covariances
 from gridslam.geometry.single_pose import Pose, as_pose, compose
 from gridslam.matching.gauss_newton import degenerate_direction
-from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.slam.grid_fastslam.state import Estimate, GridFastSlamState
 from gridslam.slam.loop_closure.drift_model import DriftModel, propagate_covariances
 from gridslam.tracking.state import UnmatchedMotion
 from gridslam.types import BeamEnds, FloatArray, IntArray, LaserScan, Match, SkipReason, StepReport
 
-__all__ = ["Estimate", "ReportBuilder"]
+__all__ = ["ReportBuilder", "compute_spread"]
 
 
 _MIN_INFORMATION = 1e-2 * np.eye(3)
 """Information (1/m^2, 1/rad^2) assumed at least: nothing is less certain than 10 m and 10 rad."""
-
-
-@final
-class Estimate(NamedTuple):
-    """Estimate of the weighted particles at a key scan, before resampling, which only loses information."""
-
-    pose: FloatArray  # (3,), of the best particle
-    covariance: FloatArray  # (3, 3), of that pose, given its map
-    drift_covariance: FloatArray  # (3, 3), what the drift grew by since the last key scan, in the frame of that pose
-    degenerate_direction: FloatArray | None  # direction that the match leaves open
-    lost: bool
-    poses: FloatArray  # (N, 3)
-    log_weights: FloatArray  # (N,)
 
 
 @final
@@ -88,17 +75,13 @@ class ReportBuilder:
         """Report of a scan that did not step the particles: the best one's key pose, moved on by the tracker."""
         best = state.best
         pose = np.array(compose(as_pose(state.poses[best]), key_from_base))
-        tracked = state.tracker
+        at_key = state.defer_covariance()  # all as they are now: the filter goes on before somebody asks
+        unmatched, heading = state.tracker.unmatched, state.tracker.pose[2]
+        drift, first_pose = state.drift, state.ancestry.first_pose
 
-        def covariance(  # of the state as it is now: the filter goes on before somebody asks
-            at_key: FloatArray = state.covariance,
-            unmatched: UnmatchedMotion = tracked.unmatched,
-            heading: float = tracked.pose[2],
-            drift: FloatArray = state.drift,
-            first_pose: FloatArray = state.ancestry.first_pose,
-        ) -> FloatArray:
+        def covariance() -> FloatArray:
             moved = self.drift.covariance(key_from_base, unmatched, heading)
-            return at_key + rotate_covariances(moved, pose[2]) + self._drift_at(pose, drift, first_pose)
+            return at_key() + rotate_covariances(moved, pose[2]) + self._drift_at(pose, drift, first_pose)
 
         return StepReport(
             scan.stamp_ns,
@@ -137,31 +120,35 @@ class ReportBuilder:
     def estimate(self, state: GridFastSlamState, increment: Pose, match: Match, beams: BeamEnds) -> Estimate:
         """Estimate the pose from the weighed particles and the `match` of `beams` at them, after an increment."""
         best = state.best
+        poses, log_weights = state.poses, state.log_weights
         information = match.information[best]
         score = float(match.score[best])
-        covariance = self.spread(state) + np.linalg.inv(information / self.sigma_m**2 + _MIN_INFORMATION)
+
+        def covariance() -> FloatArray:
+            open_ = np.linalg.inv(information / self.sigma_m**2 + _MIN_INFORMATION)
+            return compute_spread(poses, log_weights, best) + np.asarray(open_, np.float64)
+
         # the second key scan is not judged: a first scan that saw nothing leaves an empty map
         lost = score < self.lost_below * len(beams) and state.ancestry.steps > 2
         direction = degenerate_direction(information, score)
         drift = self._drift_covariance(state, increment, lost, direction is not None)
-        return Estimate(state.poses[best], covariance, drift, direction, lost, state.poses, state.log_weights)
+        return Estimate(poses[best], covariance, drift, direction, lost, poses, log_weights)
 
     def _drift_covariance(
         self, state: GridFastSlamState, increment: Pose, lost: bool, is_degenerate: bool
     ) -> FloatArray:
         """Where the match to the best particle's map is good, it does not matter what the tracker did not match."""
-        unmatched = state.unmatched
+        unmatched: UnmatchedMotion | None = state.unmatched
         if not lost:
-            unmatched = UnmatchedMotion(open_covariance=unmatched.open_covariance * is_degenerate)
+            unmatched = UnmatchedMotion(open_covariance=state.unmatched.open_covariance) if is_degenerate else None
         first = state.ancestry.steps == 2
         return self.drift.covariance(increment, unmatched, state.key_pose[2], first=first)
 
     def add_drift(self, state: GridFastSlamState, report: StepReport) -> StepReport:
         """Add the drift up to this key scan to the covariance of its report, after a loop closure has shortened it."""
+        drift, first_pose = state.drift, state.ancestry.first_pose
 
-        def covariance(
-            drift: FloatArray = state.drift, first_pose: FloatArray = state.ancestry.first_pose
-        ) -> FloatArray:
+        def covariance() -> FloatArray:
             return report.covariance + self._drift_at(report.pose, drift, first_pose)
 
         return replace(report, computed_covariance=covariance)
@@ -172,10 +159,10 @@ class ReportBuilder:
         drift += self.drift.scale_covariances((pose - first_pose)[None, :2])[0]
         return drift
 
-    @staticmethod
-    def spread(state: GridFastSlamState) -> FloatArray:
-        """Weighted covariance (3, 3) of the particles about the best one."""
-        away = state.poses - state.poses[state.best]
-        away[:, 2] = wrap(away[:, 2])
-        spread: FloatArray = (np.exp(state.log_weights) * away.T) @ away
-        return spread
+
+def compute_spread(poses: FloatArray, log_weights: FloatArray, best: int) -> FloatArray:
+    """Weighted covariance (3, 3) of particles (N, 3), log weights (N,), about the best one."""
+    away = poses - poses[best]
+    away[:, 2] = wrap(away[:, 2])
+    spread: FloatArray = (np.exp(log_weights) * away.T) @ away
+    return spread

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from operator import attrgetter
-from typing import Annotated, Any, ClassVar, final
+from typing import Annotated, Any, ClassVar, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,22 @@ from gridslam.tracking.state import UnmatchedMotion
 from gridslam.tracking.tracker import TrackerState
 from gridslam.types import FloatArray, IntArray, describe_pose
 
-__all__ = ["STATE_SCHEMA", "GridFastSlamState"]
+__all__ = ["STATE_SCHEMA", "Estimate", "GridFastSlamState"]
 
 STATE_SCHEMA = "gridslam.state/11"
+
+
+@final
+class Estimate(NamedTuple):
+    """Estimate of the weighted particles at a key scan, before resampling, which only loses information."""
+
+    pose: FloatArray  # (3,), of the best particle
+    covariance: Callable[[], FloatArray]  # (3, 3), of that pose, given its map: computed when it is asked for
+    drift_covariance: FloatArray  # (3, 3), what the drift grew by since the last key scan, in the frame of that pose
+    degenerate_direction: FloatArray | None  # direction that the match leaves open
+    lost: bool
+    poses: FloatArray  # (N, 3)
+    log_weights: FloatArray  # (N,)
 
 
 @final
@@ -48,8 +61,6 @@ class GridFastSlamState:
         Normalized.
     log_ancestry : (N,) float64, nats
         Log weight of each particle accumulated along its ancestry, relative to the greatest.
-    covariance : (3, 3) float64
-        Of the best particle's pose at the last key scan, given its map.
     drift : (9,) float64
         Moments of what that pose has drifted by since the start (see `gridslam.slam.loop_closure.drift_model`).
     drift_covariance : (3, 3) float64
@@ -76,7 +87,7 @@ class GridFastSlamState:
     poses: Annotated[FloatArray, "N", 3]
     log_weights: Annotated[FloatArray, "N"]
     log_ancestry: Annotated[FloatArray, "N"]
-    covariance: Annotated[FloatArray, 3, 3]
+    _covariance: Annotated[FloatArray, 3, 3] | Callable[[], FloatArray]
     maps: TileMaps
     ancestry: Ancestry
     drift: Annotated[FloatArray, 9] = field(default_factory=lambda: np.zeros(9))
@@ -95,6 +106,16 @@ class GridFastSlamState:
         best = describe_pose(self.poses[self.best])
         lost = ", lost" if self.lost else ""
         return f"GridFastSlamState({len(self.poses)} particles, the best at {best}{lost})"
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (3, 3) of the best particle's pose at the last key scan, given its map; computed each time."""
+        return self.defer_covariance()()
+
+    def defer_covariance(self) -> Callable[[], FloatArray]:
+        """What computes that covariance, though this state goes on: most key scans are over before somebody asks."""
+        covariance = self._covariance
+        return covariance if callable(covariance) else lambda: covariance
 
     @property
     def best(self) -> int:
@@ -144,10 +165,12 @@ class GridFastSlamState:
         self.sensor_key_poses = {**self.sensor_key_poses, sensor: key_pose}
         self.unmatched = self.tracker.take_unmatched()
 
-    def extend_drift(self, covariance: FloatArray) -> None:
-        """Let the drift grow by a covariance (3, 3) in the frame of the best pose."""
-        self.drift_covariance = covariance
-        self.drift = self.drift + compute_step_moments(as_pose(self.best_pose), covariance)
+    def accept(self, estimate: Estimate) -> None:
+        """Take over what is estimated at a key scan, and let the drift grow by its covariance."""
+        self.lost = estimate.lost
+        self._covariance = estimate.covariance
+        self.drift_covariance = estimate.drift_covariance
+        self.drift = self.drift + compute_step_moments(as_pose(estimate.pose), estimate.drift_covariance)
 
     def resample(self, parents: IntArray) -> None:
         """Let particle i continue particle parents[i], all with equal weights."""
@@ -199,7 +222,8 @@ class GridFastSlamState:
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays under the schema `STATE_SCHEMA`; `from_arrays` continues with identical results."""
         self._check()
-        return {"schema": np.array(STATE_SCHEMA), **serialization.to_arrays(self)}
+        computed = replace(self, _covariance=self.covariance)
+        return {"schema": np.array(STATE_SCHEMA), **serialization.to_arrays(computed)}
 
     @classmethod
     def from_arrays(
