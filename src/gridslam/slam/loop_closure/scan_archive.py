@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Annotated, final
 
@@ -27,7 +28,10 @@ _BETWEEN_KEYS = 256
 _MOST_BYTES = 32_000_000
 """45,000 scans of 180 beams."""
 
-_NOTHING = StoredScan(np.empty((0, 2)), np.zeros(2))
+_NOTHING = -1
+"""The place of a scan of which nothing is kept."""
+_BARE = StoredScan(np.empty((0, 2)), np.zeros(2))
+_NO_ENDS = np.empty((0, 2), np.int16)
 
 
 @final
@@ -55,21 +59,24 @@ class ScanArchive:
     _origins: Annotated[list[Annotated[FloatArray, 2]], "E"] = field(default_factory=list)
     _last_stored_pose: Pose = UNKNOWN_POSE
     _storage_interval: int = 1  # every n-th scan between key scans is stored
-    _between_bytes: int = field(init=False, metadata=NOT_SAVED)
+    _between_bytes: int = field(init=False, metadata=NOT_SAVED)  # of the scans between key scans
+    # of each scan its place in `_stored`
+    _places: list[int] = field(init=False, default_factory=list, metadata=NOT_SAVED)
 
     def __post_init__(self) -> None:
-        """Count the bytes of the scans between key scans."""
+        """Check what is given, and index it."""
         stored = np.array([-1, *self._stored, self._count])
         if (np.diff(stored) < 1).any() or not set(self.keys) <= set(self._stored):
             expected = f"ascending scans below {self._count}, the key scans among them"
             raise ArgumentError("stored", expected, f"{len(self._stored)} that are not")
-        self._between_bytes = self._count_between_bytes()
+        self._index()
 
     def append(self, beams: BeamEnds, pose: Pose, *, is_key: bool) -> None:
         """Append a scan from `pose` in a frame that drifts slowly."""
         scan = self._count
         ends = beams.ends
         self._count += 1
+        self._places.append(_NOTHING)
         if is_key:
             self.keys.append(scan)
         elif (
@@ -81,6 +88,7 @@ class ScanArchive:
         else:
             ends = ends[:: max(1, -(-len(ends) // _BETWEEN_KEYS))]
         step_m = (len(ends) and float(np.abs(ends).max()) / _STEPS) or 1.0
+        self._places[scan] = len(self._stored)
         self._stored.append(scan)
         self._ends.append(np.rint(ends / step_m).astype(np.int16))
         self._steps_m.append(step_m)
@@ -98,9 +106,9 @@ class ScanArchive:
 
     def __getitem__(self, scan: int) -> StoredScan:
         """Scan number `scan`, from 0; without beams if nothing is kept of it."""
-        place = self._find(scan)
-        if place < 0:
-            return _NOTHING
+        place = self._places[scan]
+        if place == _NOTHING:
+            return _BARE
         return StoredScan(self._ends[place] * np.float64(self._steps_m[place]), self._origins[place])
 
     def key(self, key: int) -> StoredScan:
@@ -109,14 +117,14 @@ class ScanArchive:
 
     def batch(self, scans: Sequence[int]) -> ScanBatch:
         """Scans by number, side by side; without beams those of which nothing is kept."""
-        places = [self._find(scan) for scan in scans]
-        kept = [place for place in places if place >= 0]
-        stored = [self._ends[place] for place in kept]
-        steps_m = np.repeat([self._steps_m[place] for place in kept], [len(ends) for ends in stored])
-        whole = np.concatenate([*stored, np.empty((0, 2), np.int16)])
+        places = [self._places[scan] for scan in scans]
+        stored = [_NO_ENDS if place == _NOTHING else self._ends[place] for place in places]
+        counts = [len(ends) for ends in stored]
         starts = np.zeros(len(places) + 1, np.int64)
-        np.cumsum([len(self._ends[place]) if place >= 0 else 0 for place in places], out=starts[1:])
-        origins = [self._origins[place] if place >= 0 else _NOTHING.origin for place in places]
+        np.cumsum(counts, out=starts[1:])
+        steps_m = np.repeat([1.0 if place == _NOTHING else self._steps_m[place] for place in places], counts)
+        whole = np.concatenate([*stored, _NO_ENDS])
+        origins = [_BARE.origin if place == _NOTHING else self._origins[place] for place in places]
         return ScanBatch(np.multiply(whole, steps_m[:, None], dtype=np.float64), starts, np.reshape(origins, (-1, 2)))
 
     @property
@@ -127,6 +135,7 @@ class ScanArchive:
     def extend(self, later: ScanArchive) -> None:
         """Append the scans of another archive, which follow those of this one."""
         first = self._count
+        self._places += [place if place == _NOTHING else len(self._stored) + place for place in later._places]
         self.keys += [first + key for key in later.keys]
         self._count += later._count
         self._stored += [first + scan for scan in later._stored]
@@ -161,14 +170,14 @@ class ScanArchive:
 
     def snapshot(self) -> ScanArchive:
         """Keep a copy for later; the scans themselves, which never change, are shared."""
-        return replace(
-            self,
-            _stored=self._stored.copy(),
-            _ends=self._ends.copy(),
-            _steps_m=self._steps_m.copy(),
-            _origins=self._origins.copy(),
-            keys=self.keys.copy(),
-        )
+        twin = copy(self)
+        twin.keys = self.keys.copy()
+        twin._stored = self._stored.copy()
+        twin._ends = self._ends.copy()
+        twin._steps_m = self._steps_m.copy()
+        twin._origins = self._origins.copy()
+        twin._places = self._places.copy()
+        return twin
 
     def _thin_out(self) -> None:
         """Keep half as many of the scans that are no key scans."""
@@ -183,12 +192,11 @@ class ScanArchive:
         self._ends = [self._ends[place] for place in places]
         self._steps_m = [self._steps_m[place] for place in places]
         self._origins = [self._origins[place] for place in places]
-        self._between_bytes = self._count_between_bytes()
+        self._index()
 
-    def _count_between_bytes(self) -> int:
-        return self.nbytes - sum(self._ends[self._find(key)].nbytes for key in self.keys)
-
-    def _find(self, scan: int) -> int:
-        """Place of a scan among those of which anything is kept; -1 if nothing is."""
-        place = bisect_left(self._stored, scan)
-        return place if place < len(self._stored) and self._stored[place] == scan else -1
+    def _index(self) -> None:
+        """Find the place of each scan, and count the bytes of those between key scans."""
+        places = np.full(self._count, _NOTHING)
+        places[np.array(self._stored, np.int64)] = np.arange(len(self._stored))
+        self._places = places.tolist()
+        self._between_bytes = self.nbytes - sum(self._ends[self._places[key]].nbytes for key in self.keys)
