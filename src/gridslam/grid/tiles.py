@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, final
 
 import numpy as np
@@ -27,6 +28,9 @@ MOST_TILES = 500_000
 _SPARE_PAGES = 8
 _SPARE_TILES = 64
 """Free ones that are made at a time where scans are drawn. A page is 1 KB, a tile 3."""
+_TILES_PER_SCAN = 8
+_MOST_RESERVED = 256
+"""Made at once for many scans: whenever the free ones run out, the field follows and a scan begins anew."""
 _MOST_SPARE = 64 * _SPARE_TILES
 """Of tiles for one scan, 100 m x 100 m; one that might take more is drawn alone."""
 
@@ -93,6 +97,15 @@ class TiledGrid:
         return self._maps.tile_ids_within(0, (row + first, row + last), (column, column + self.shape[1] // TILE))
 
 
+@lru_cache(8)
+def _make_cone(reach_cells: float) -> NDArray[np.uint8]:
+    """The field about one obstacle, (2 r + 1, 2 r + 1) cells with r the whole part of its reach."""
+    r = int(reach_cells)
+    apart = np.hypot(*np.mgrid[-r : r + 1, -r : r + 1])
+    cone: NDArray[np.uint8] = np.rint(255 * np.maximum(0, 1 - apart / reach_cells)).astype(np.uint8)
+    return cone
+
+
 @final
 class TileMaps:
     """`rows` maps over one arena of tiles. Reading is for all; writing is for the one owner.
@@ -157,9 +170,7 @@ class TileMaps:
         self._arena = TileArena()
         self._roots: Int32Array = np.zeros((rows, 1, 1), np.int32)
         self._first = (0, 0)
-        r = int(reach_cells)
-        apart = np.hypot(*np.mgrid[-r : r + 1, -r : r + 1])
-        self._cone: NDArray[np.uint8] = np.rint(255 * np.maximum(0, 1 - apart / reach_cells)).astype(np.uint8)
+        self._cone = _make_cone(reach_cells)
 
     def __del__(self) -> None:
         """Give the tiles back, so that other maps over the same arena stop copying them."""
@@ -286,6 +297,7 @@ class TileMaps:
             return
         arena.take_back()
         self._cover(poses[first:last], batch)
+        arena.reserve(_SPARE_PAGES, min(_TILES_PER_SCAN * (last - first), _MOST_RESERVED))
         spare = 0
         while True:
             pages, tiles, done = backend.draw_scans(

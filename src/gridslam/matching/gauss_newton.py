@@ -23,7 +23,6 @@ __all__ = [
     "NO_PRIOR",
     "GaussNewton",
     "PoseMatch",
-    "are_degenerate",
     "cauchy_weights",
     "degenerate_direction",
     "weigh_known_beams",
@@ -153,17 +152,6 @@ def _degenerate_direction(information: Information, score: float, least: float) 
         return None
     angle = 0.5 * math.atan2(2 * b, a - c)  # of the strongest direction
     return -math.sin(angle), math.cos(angle)
-
-
-def are_degenerate(information: FloatArray, scores: FloatArray, least: float = MIN_INFORMATION) -> NDArray[np.bool_]:
-    """Whether each of matches with information (K, 3, 3) and scores (K,) has a degenerate direction."""
-    (xx, xy, xt), (_, yy, yt), (_, _, tt) = information.transpose(1, 2, 0)
-    turn = 1 / np.maximum(tt, 1e-12)
-    a = xx - xt * xt * turn
-    b = xy - xt * yt * turn
-    c = yy - yt * yt * turn
-    degenerate: NDArray[np.bool_] = 0.5 * (a + c) - np.hypot(0.5 * (a - c), b) < least * scores
-    return degenerate
 
 
 def cauchy_weights(distances: NDArray[np.float32], scale_m: float) -> NDArray[np.float32]:

@@ -9,8 +9,8 @@ from typing import Annotated, NamedTuple, final
 
 import numpy as np
 
-from gridslam.geometry.se2 import between, compose_jacobians
-from gridslam.matching.gauss_newton import are_degenerate, degenerate_direction
+from gridslam.geometry.se2 import between, rotate_covariances
+from gridslam.matching.gauss_newton import degenerate_direction
 from gridslam.types import FloatArray, IntArray, Match
 
 __all__ = [
@@ -85,15 +85,8 @@ class Constraint(NamedTuple):
         least : float
             Minimum eigenvalue of the position information per inlier beam of a non-degenerate match.
         """
-        pose = match.poses[0].copy()
-        information = match.information[0] / sigma_m**2
-        weak = degenerate_direction(match.information[0], float(match.score[0]), least)
-        if weak is not None:
-            pose[:2] -= weak * float(weak @ (pose - guess)[:2])
-            across = np.eye(3)
-            across[:2, :2] -= np.outer(weak, weak)
-            information = across @ information @ across
-        return cls(from_, to, pose, _rotate(information, pose) + _FLOOR, source, weak is None)
+        (constraint,) = constraints_from_matches(from_, [to], guess[None], match, sigma_m, least, source)
+        return constraint
 
 
 def constraints_from_matches(
@@ -106,16 +99,19 @@ def constraints_from_matches(
     source: ConstraintSource,
 ) -> list[Constraint]:
     """Give `Constraint.from_match` for key scans `keys` (K,), each matched from its guess (K, 3)."""
-    information = matches.information / sigma_m**2
-    rotated = _rotate(information, matches.poses) + _FLOOR
-    weak = are_degenerate(matches.information, matches.score, least)
-    found = []
-    for k, key in enumerate(keys):
-        if weak[k]:
-            found.append(Constraint.from_match(from_, key, guesses[k], matches.only(k), sigma_m, least, source))
-        else:
-            found.append(Constraint(from_, key, matches.poses[k], rotated[k], source, True))
-    return found
+    scores = matches.score.tolist()
+    weak = [degenerate_direction(*of_match, least) for of_match in zip(matches.information, scores, strict=True)]
+    along = np.zeros((len(weak), 3, 1))
+    for k, direction in enumerate(weak):
+        if direction is not None:
+            along[k, :2, 0] = direction
+    across = np.eye(3) - along * along.swapaxes(1, 2)
+    poses = matches.poses - (along * (along.swapaxes(1, 2) @ (matches.poses - guesses)[:, :, None]))[:, :, 0]
+    information = _rotate(across @ (matches.information / sigma_m**2) @ across, poses) + _FLOOR
+    return [
+        Constraint(from_, key, pose, weight, source, direction is None)
+        for key, pose, weight, direction in zip(keys, poses, information, weak, strict=True)
+    ]
 
 
 def transform_match(frame: FloatArray, match: Match) -> Match:
@@ -140,6 +136,4 @@ def select_shown_closures(recognized: IntArray, tracked: IntArray) -> IntArray:
 
 def _rotate(information: FloatArray, frame: FloatArray) -> FloatArray:
     """Information (..., 3, 3) in the axes of frames at poses (3,) or (..., 3)."""
-    _, rotation = compose_jacobians(frame, frame)
-    rotated: FloatArray = np.swapaxes(rotation, -1, -2) @ information @ rotation
-    return rotated
+    return rotate_covariances(information, -frame[..., 2])

@@ -13,7 +13,9 @@ from typing import Annotated, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.geometry.se2 import between, compose, inverse
+from gridslam.geometry import single_pose
+from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.single_pose import ORIGIN, Pose, as_pose
 from gridslam.kernels import backend
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
@@ -436,13 +438,16 @@ class KeyGraph:
         place = self._link_places.get((a, b))
         known = None if place is None else self._links.array[place]
         if known is None or total[0] + total[3] < known[3] + known[6]:
-            to_anchor = between(self.tracked[first_key_scan(a)], self.tracked[constraint.from_])
-            from_key = between(self.tracked[constraint.to], self.tracked[first_key_scan(b)])
-            there = compose(to_anchor, compose(constraint.measurement, from_key))
-            self._set_link(a, b, inverse(there), total)
+            anchor, from_, to, there = (
+                as_pose(self.tracked[key])
+                for key in (first_key_scan(a), constraint.from_, constraint.to, first_key_scan(b))
+            )
+            measured = single_pose.compose(as_pose(constraint.measurement), single_pose.between(to, there))
+            there = single_pose.compose(single_pose.between(anchor, from_), measured)
+            self._set_link(a, b, single_pose.between(there, ORIGIN), total)
             self._set_link(b, a, there, total)
 
-    def _set_link(self, a: int, b: int, there: FloatArray, moments: FloatArray) -> None:
+    def _set_link(self, a: int, b: int, there: Pose, moments: FloatArray) -> None:
         """Let a link lead from submap `a` to submap `b`, from which the first key scan of `a` lies at `there`."""
         place = self._link_places.setdefault((a, b), len(self._links))
         if place == len(self._links):
