@@ -30,7 +30,7 @@ _SPARE_TILES = 64
 """Free ones that are made at a time where scans are drawn. A page is 1 KB, a tile 3."""
 _TILES_PER_SCAN = 8
 _MOST_RESERVED = 256
-"""Made at once for many scans: whenever the free ones run out, the field follows and a scan begins anew."""
+"""Made at once for many scans: where the free ones run out, a scan is looked at twice."""
 _MOST_SPARE = 64 * _SPARE_TILES
 """Of tiles for one scan, 100 m x 100 m; one that might take more is drawn alone."""
 
