@@ -2,7 +2,8 @@
 
 A step consumes its state, so one that raises an exception in its midst leaves none. The loop therefore keeps a snapshot
 and the measurements since; to go on without the scan that failed, it takes the snapshot and steps through them again.
-Where that fails, too, as when memory is short, the state is revived as the step has left it.
+Where that fails, too, as when memory is short, or where the state is so large that no snapshot of it is kept, the state
+is revived as the step has left it.
 """
 
 from __future__ import annotations
@@ -51,6 +52,11 @@ class FilterState(Protocol):
     """
 
     scans_per_snapshot: ClassVar[int]
+
+    @property
+    def is_large(self) -> bool:
+        """Whether a snapshot that is kept while the filter goes on takes more memory than it is worth."""
+        ...
 
     def snapshot(self: State) -> State:
         """Keep a copy for later; raises ConsumedStateError if a step has consumed the state."""
@@ -294,7 +300,9 @@ def run(
         "observe".
     on_failure : callable, optional
         Called with each step that raises an exception: its scan is skipped, without a report, and the next one is
-        processed as if there had been no such scan. If not given, the exception passes.
+        processed as if there had been no such scan. Of that one, what the step wrote before it failed may stay where
+        memory is short, and where maps take more than 200 MB: of them no copy is kept to go back to, as it would come
+        to take hundreds of MB, too. If not given, the exception passes.
 
     Returns
     -------
@@ -347,7 +355,7 @@ def run(
 
 @final
 class _Checkpoint(Generic[State]):
-    """A snapshot of a filter's state, and the measurements since."""
+    """A snapshot of a filter's state, and the measurements since; nothing of a large state."""
 
     def __init__(self, algorithm: Filter[State, Any], rng: np.random.Generator) -> None:
         self._algorithm = algorithm
@@ -364,12 +372,12 @@ class _Checkpoint(Generic[State]):
         self._since.append((odometry, scan))
         self._beams += len(scan.ranges)
         due = len(self._since) >= state.scans_per_snapshot and len(self._since) * _CHECKPOINT_RATIO >= self._total
-        if self._state is None or due or self._beams > _CHECKPOINT_BEAMS:
+        if self._total == 1 or due or self._beams > _CHECKPOINT_BEAMS:
             self.keep(state)
 
     def keep(self, state: State) -> None:
-        """Take a snapshot."""
-        self._state = state.snapshot()
+        """Take a snapshot, unless the state is large."""
+        self._state = None if state.is_large else state.snapshot()
         self._rng_state = self._rng.bit_generator.state
         self._since.clear()
         self._beams = 0
@@ -377,20 +385,28 @@ class _Checkpoint(Generic[State]):
     def restore(self, consumed: State) -> State:
         """Return the state before the step that failed and `consumed` it, exactly, and set back the random generator.
 
-        Where a measurement fails now that did not before, `consumed` is revived instead.
+        Where a measurement fails now that did not before, and where there is no snapshot, `consumed` is revived.
         """
-        assert self._state is not None
-        state = self._state.snapshot()
+        state = self._repeat()
+        if state is None:
+            state = consumed
+            state.revive()
+        self.keep(state)  # so that of many failures in a row only the first one takes time
+        return state
+
+    def _repeat(self) -> State | None:
+        """Step through the measurements since the snapshot again; None where that cannot be done."""
+        if self._state is None:
+            return None
         now = self._rng.bit_generator.state
         self._rng.bit_generator.state = self._rng_state
         try:
+            state = self._state.snapshot()
             for odometry, scan in self._since:
                 state, _ = self._algorithm.step(state, odometry, scan, self._rng)
         except Exception:
             self._rng.bit_generator.state = now
-            state = consumed
-            state.revive()
-        self.keep(state)  # so that of many failures in a row only the first one takes time
+            return None
         return state
 
 

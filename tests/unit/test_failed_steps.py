@@ -38,6 +38,8 @@ PARTS = [
     (LoopClosure, "__call__"),
 ]
 
+FAILING = np.random.default_rng(5).permutation(np.arange(1, 300))[:120].tolist()  # scans; many are no key scan
+
 
 @pytest.fixture(scope="module")
 def measurements():
@@ -86,8 +88,7 @@ def map_all(source, failures=None):
 
 @pytest.mark.parametrize(("owner", "name"), PARTS, ids=[f"{owner.__name__}.{name}" for owner, name in PARTS])
 def test_a_step_that_fails_anywhere_leaves_the_state_before_it(measurements, monkeypatch, owner, name):
-    scans = np.random.default_rng(5).permutation(np.arange(1, 300))[:120].tolist()  # many are no key scan
-    faults = Faults(monkeypatch, owner, name, scans)
+    faults = Faults(monkeypatch, owner, name, FAILING)
     monkeypatch.setattr(GridFastSlamState, "scans_per_snapshot", 40)
     failures = []
     found = map_all(faults.watch(measurements), failures)
@@ -180,6 +181,26 @@ def test_localization_goes_on_after_a_step_that_failed(monkeypatch):
     monkeypatch.undo()
     assert len(failures) == len(faults.hit) > 3
     assert found == localize([m for k, m in enumerate(drive) if k not in faults.hit])
+
+
+@pytest.mark.parametrize(("owner", "name"), PARTS, ids=[f"{owner.__name__}.{name}" for owner, name in PARTS])
+def test_of_large_maps_no_snapshot_is_kept(measurements, monkeypatch, owner, name):
+    """A scan that fails is skipped as ever, and the rest goes on, twice alike: from what the step has left."""
+    monkeypatch.setattr("gridslam.slam.grid_fastslam.state._LARGE_BYTES", 0)
+    kept = []
+    real = GridFastSlamState.snapshot
+    monkeypatch.setattr(GridFastSlamState, "snapshot", lambda state: kept.append(state) or real(state))
+    found = []
+    for _ in range(2):
+        with monkeypatch.context() as patched:
+            faults = Faults(patched, owner, name, FAILING)
+            failures = []
+            found.append(map_all(faults.watch(measurements), failures))
+        assert faults.hit
+        assert [failure.scan for failure in failures] == [measurements[k].scan for k in faults.hit]
+    assert not kept
+    assert found[0] == found[1]
+    assert len(found[0][1]["stamps_ns"]) == 8 * (300 - len(faults.hit))
 
 
 @pytest.mark.parametrize("after", [False, True], ids=["before", "after"])

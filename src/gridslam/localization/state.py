@@ -125,6 +125,7 @@ class MonteCarloState:
     """
 
     scans_per_snapshot: ClassVar[int] = 1
+    is_large: ClassVar[bool] = False
 
     poses: Annotated[FloatArray, "N", 3]
     log_weights: Annotated[FloatArray, "N"]

@@ -28,6 +28,10 @@ __all__ = ["STATE_SCHEMA", "Estimate", "GridFastSlamState"]
 
 STATE_SCHEMA = "gridslam.state/11"
 
+_LARGE_BYTES = 200_000_000
+"""Of maps; by its default limit those of thirty particles take 157 MB at most. Of a thousand, what was written since a
+snapshot came to a third of all maps."""
+
 
 @final
 class Estimate(NamedTuple):
@@ -106,6 +110,11 @@ class GridFastSlamState:
         best = describe_pose(self.poses[self.best])
         lost = ", lost" if self.lost else ""
         return f"GridFastSlamState({len(self.poses)} particles, the best at {best}{lost})"
+
+    @property
+    def is_large(self) -> bool:
+        """Whether a snapshot that is kept while the filter goes on takes too much memory: up to as much as the maps."""
+        return self.maps.nbytes > _LARGE_BYTES
 
     @property
     def covariance(self) -> FloatArray:
