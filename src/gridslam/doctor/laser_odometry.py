@@ -149,7 +149,7 @@ class LaserOdometry:
 
     def _match(self, matcher: GaussNewton, guesses: FloatArray, ends: FloatArray) -> Match:
         rows = np.full(len(guesses), self._active, np.int32)
-        priors = np.broadcast_to(NO_PRIOR, (len(guesses), 3, 3)).copy()
+        priors = np.repeat(NO_PRIOR[None], len(guesses), axis=0)
         return matcher(self._maps, rows, guesses, priors, StoredScan(ends, _ORIGIN))
 
     def _search(self, predicted: FloatArray, first: Match, ends: FloatArray) -> Match:

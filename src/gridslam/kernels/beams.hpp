@@ -2,11 +2,11 @@
 #pragma once
 #include <cstddef>
 #include <cstdint>
-#include <vector>
 
 namespace gridslam {
 
-void select_beams(const double* ranges, const uint8_t* status, int n, const double* directions, const double* origin,
-                  double min_m, double max_m, std::vector<int64_t>& indices, std::vector<double>& ends);
+// Returns their number k; of `indices` (n) and `ends` (n, 2) the first k are those of the beams that are used.
+size_t select_beams(const double* ranges, const uint8_t* status, size_t n, const double* directions,
+                    const double* origin, double min_m, double max_m, int64_t* indices, double* ends);
 
 }  // namespace gridslam

@@ -6,6 +6,9 @@
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/tuple.h>
 
+#include <memory>
+#include <vector>
+
 #include "beams.hpp"
 #include "clusters.hpp"
 #include "correlate.hpp"
@@ -24,26 +27,24 @@ namespace {
 template <class T, int N>
 using Array = nb::ndarray<T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
 
+// An array of values that `new[]` has made: its owner from here on.
+template <class T, int N>
+nb::ndarray<nb::numpy, T> owning(T* data, std::array<size_t, N> shape) {
+  nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<T*>(p); });
+  return nb::ndarray<nb::numpy, T>(data, N, shape.data(), owner);
+}
+
 template <class T, int N>
 nb::ndarray<nb::numpy, T> fresh(std::array<size_t, N> shape) {
   size_t size = 1;
   for (size_t s : shape) size *= s;
-  T* data = new T[size];
-  nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<T*>(p); });
-  return nb::ndarray<nb::numpy, T>(data, N, shape.data(), owner);
+  return owning<T, N>(new T[size], shape);
 }
 
 template <class T>
 nb::ndarray<nb::numpy, int32_t> as_rows(const T* data, size_t n, size_t width) {
   auto out = fresh<int32_t, 2>({n, width});
   std::copy_n(reinterpret_cast<const int32_t*>(data), n * width, out.data());
-  return out;
-}
-
-template <class T>
-nb::ndarray<nb::numpy, T> copied(const std::vector<T>& values) {
-  auto out = fresh<T, 1>({values.size()});
-  std::copy(values.begin(), values.end(), out.data());
   return out;
 }
 
@@ -75,13 +76,12 @@ Maps view(const Roots& roots, nb::tuple first, const Pages& pages, const LogOdds
 // Short enough to keep the GIL: a scan takes microseconds.
 auto py_select_beams(Vector ranges, Array<const uint8_t, 1> status, Matrix directions, Vector origin, double min_m,
                      double max_m) {
-  std::vector<int64_t> indices;
-  std::vector<double> ends;
-  select_beams(ranges.data(), status.data(), static_cast<int>(ranges.shape(0)), directions.data(), origin.data(), min_m,
-               max_m, indices, ends);
-  auto points = fresh<double, 2>({indices.size(), 2});
-  std::copy(ends.begin(), ends.end(), points.data());
-  return std::make_tuple(copied(indices), points);
+  const size_t n = ranges.shape(0);
+  auto* const indices = new int64_t[n];
+  auto* const ends = new double[2 * n];
+  const size_t k =
+      select_beams(ranges.data(), status.data(), n, directions.data(), origin.data(), min_m, max_m, indices, ends);
+  return std::make_tuple(owning<int64_t, 1>(indices, {k}), owning<double, 2>(ends, {k, 2}));
 }
 
 Arena arena_of(const Array<int32_t, 1>& page_refs, const Array<int32_t, 1>& tile_refs, const Rows& free_pages,
@@ -368,16 +368,17 @@ auto py_shortest_ways(Matrix firsts, Matrix steps, Array<const int32_t, 2> link_
 }
 
 auto py_parse_numbers(nb::bytes text, size_t rows) {
-  std::vector<double> values;
+  auto values = std::make_unique<std::vector<double>>();
   bool is_plain;
   {
     nb::gil_scoped_release release;
-    is_plain = parse_numbers(text.c_str(), text.size(), rows, values);
+    is_plain = parse_numbers(text.c_str(), text.size(), rows, *values);
   }
   if (!is_plain) return fresh<double, 2>({0, 0});
-  auto out = fresh<double, 2>({rows, values.size() / rows});
-  std::copy(values.begin(), values.end(), out.data());
-  return out;
+  const size_t shape[2] = {rows, values->size() / rows};
+  double* const data = values->data();
+  nb::capsule owner(values.release(), [](void* p) noexcept { delete static_cast<std::vector<double>*>(p); });
+  return nb::ndarray<nb::numpy, double>(data, 2, shape, owner);
 }
 
 auto py_max_pyramid(Array<const uint8_t, 2> likelihood, int levels) {
