@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple, final
 
@@ -121,7 +122,7 @@ class _Parser:
         self._lasers = CarmenLasers(path)
         self._has_poses: dict[str, bool] = {}
         self._odometry_line: tuple[str, int] | None = None
-        self._waiting = defaultdict[tuple[str, int], list[_ScanLine]](list)  # by tag and number of blanks
+        self._waiting = defaultdict[tuple[str, str | int], list[_ScanLine]](list)  # by tag and form
 
     def parse(self, lines: Sequence[str]) -> Iterator[Measurement]:
         """Yield the measurements in the next lines; raises InputError with the number of a malformed one."""
@@ -163,8 +164,8 @@ class _Parser:
             stamp_ns = parse_stamp_ns(parts[1])
         except ValueError as error:
             raise InputError(self._path, f"{error}, three words before the line's end", number) from None
-        waiting = self._waiting[tag, text.count(" ")]
-        waiting.append(_ScanLine(number, text, stamp_ns, self._odometry_line))
+        form = text.count(" ") if tag == "ROBOTLASER1" else text.partition(" ")[0]  # the others begin with a count
+        self._waiting[tag, form].append(_ScanLine(number, text, stamp_ns, self._odometry_line))
 
     def _flush(self) -> Iterator[Measurement]:
         """Convert what waits and yield it in file order."""
@@ -178,7 +179,7 @@ class _Parser:
                 raise InputError(self._path, str(error), lines[error.row].number) from None
             self.statistics.scans[tag] += len(lines)
         self._waiting.clear()
-        scans.sort(key=lambda scan: scan[0])
+        scans.sort(key=itemgetter(0))
         measurements = [measurement for _, measurement in scans]
         poses = [odometry.pose for odometry, _ in measurements if odometry is not None]
         self.statistics.without_odometry += len(measurements) - len(poses)
@@ -196,7 +197,7 @@ class _Parser:
             raise InputError(self._path, problem, number)
 
     def _measurements(self, tag: str, rows: ScanRows, lines: list[_ScanLine]) -> Iterator[tuple[int, Measurement]]:
-        """Yield the scans of one form, each with the number of its line."""
+        """The scans of one form, each with the number of its line."""
         sensor = SCAN_TAGS[tag]
         geometry = self._lasers.geometry(tag, sensor, rows)
         self.statistics.mountings[sensor] = self._lasers.mountings[sensor]
@@ -215,8 +216,7 @@ class _Parser:
             readings = [self._odometry(line.odometry_line) for line in lines]
         else:
             readings = Odometry.from_rows(stamps_ns, poses)
-        for line, odometry, scan in zip(lines, readings, scans, strict=True):
-            yield line.number, Measurement(odometry, scan)
+        return zip([line.number for line in lines], map(Measurement, readings, scans), strict=True)
 
     def _status(self, ranges: FloatArray, limit: float) -> NDArray[np.uint8]:
         """Decide each beam's status (K, B) and count."""
