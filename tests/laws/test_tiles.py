@@ -71,7 +71,7 @@ def assert_counts(owners):
     assert arena.tiles_used == np.count_nonzero(tile_uses)
     assert not arena.pages[0].any()
     assert not arena.field[0].any()
-    assert (arena.log_odds[0] == -(2**15)).all()
+    assert (arena.log_odds[0] == np.iinfo(arena.log_odds.dtype).min).all()
 
 
 # Cells in reach of a beam cross borders of tiles (every 32 cells) and the corner of four pages at the origin.

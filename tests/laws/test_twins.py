@@ -57,6 +57,7 @@ EVIDENCES = (
     Evidence(2.4, -0.4, -16, 32, 2.0),
     Evidence(0.06, -0.05, -0.1, 0.13, 0.05),  # clamps are met within three scans
     Evidence(1.0, -1.0, -2.0, 2.0, 0.0),
+    Evidence(2.4, -0.37, -1.6, 3.2, 2.0),  # more than a byte holds
 )
 
 
@@ -187,7 +188,7 @@ def arguments_of_update(maps, poses, ends, *, pending=NOTHING, room=-1, threads=
     """Arguments of the kernel but for the maps: free ids are all that are left."""
     arena = maps._arena
     ids = arena.page_refs, arena.tile_refs, *arena.free_ids
-    scan = ROWS[: len(poses)], poses, ends, ORIGIN, CELL, *maps.evidence.steps
+    scan = ROWS[: len(poses)], poses, ends, ORIGIN, CELL, *maps._steps
     return (*ids, pending, room, *scan, maps._cone, 2 * maps.reach_m, threads)
 
 
@@ -292,7 +293,7 @@ def test_updates_meet_every_case():
         poses, ends = random_poses(rng), random_ends(rng)
         maps._cover(poses, beams_to(ends))
         maps._make_writable(reference.tiles_on_rays(ROWS, poses, ends, ORIGIN, CELL, 1))
-        steps = maps.evidence.steps
+        steps = maps._steps
         changed = reference_update.update_log_odds(*maps._view, ROWS, poses, ends, ORIGIN, CELL, *steps, 1)
         kinds |= set(changed[:, 3].tolist())
         least.add(bool((maps._arena.log_odds == steps[2]).any()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TypeVar, final
+from typing import Any, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +11,12 @@ from numpy.typing import NDArray
 from gridslam.arguments import require_array
 from gridslam.errors import ArgumentError
 from gridslam.kernels import PAGE, TILE, UNKNOWN
-from gridslam.kernels.reference_update import Int32Array
+from gridslam.kernels.reference_update import Int32Array, LogOdds, unknown_of
 from gridslam.types import IntArray
 
-__all__ = ["TILE_BYTES", "Int32Array", "TileArena", "renumber"]
+__all__ = ["Int32Array", "TileArena", "renumber"]
 
-_Number = TypeVar("_Number", np.int32, np.int16, np.uint8)
-
-TILE_BYTES = 3 * TILE * TILE
-"""Of a tile's log-odds and field."""
+_Number = TypeVar("_Number", bound=np.integer[Any])
 
 _MOVED = 1024
 """Tiles that are copied at a time."""
@@ -34,24 +31,34 @@ class TileArena:
 
     It belongs to one thread; others may read what `freeze` lends them.
 
+    Parameters
+    ----------
+    byte_unit : int or None
+        Unit, in steps of `gridslam.grid.LOG_ODDS_UNIT`, of which every log-odds is a multiple that fits in a byte; None
+        where there is none.
+
     Attributes
     ----------
     pages : (K, 16, 16) int32
         Tile ids.
-    log_odds : (T, 32, 32) int16
-        In units of `gridslam.grid.LOG_ODDS_UNIT` nats; -32768 is unknown.
+    log_odds : (T, 32, 32) int8 or int16
+        In units of `unit`; the least value of the type is unknown.
+    unit : int
+        In steps of `gridslam.grid.LOG_ODDS_UNIT` nats; 1 where log-odds are int16.
     field : (T, 32, 32) uint8
         255 at an occupied cell, falling linearly with the distance to 0 at the field's reach.
     """
 
     __slots__ = (
         *("_free_pages", "_free_tiles", "_lender", "_lent", "_readers", "_returned"),
-        *("field", "log_odds", "page_refs", "pages", "tile_refs"),
+        *("field", "log_odds", "page_refs", "pages", "tile_refs", "unit"),
     )
 
-    def __init__(self) -> None:
+    def __init__(self, byte_unit: int | None = None) -> None:
         self.pages = np.zeros((8, PAGE, PAGE), np.int32)
-        self.log_odds = np.full((64, TILE, TILE), UNKNOWN, np.int16)
+        stored = np.int16 if byte_unit is None else np.int8
+        self.log_odds: LogOdds = np.full((64, TILE, TILE), np.iinfo(stored).min, stored)
+        self.unit = byte_unit or 1
         self.field = np.zeros((64, TILE, TILE), np.uint8)
         self.page_refs = np.zeros(8, np.int32)
         self.tile_refs = np.zeros(64, np.int32)
@@ -74,8 +81,12 @@ class TileArena:
         pages: Int32Array,
         log_odds: NDArray[np.int16],
         field: NDArray[np.uint8],
+        byte_unit: int | None = None,
     ) -> TileArena:
         """Build the arena whose pages and tiles are all in use by the one table `roots`; copies.
+
+        Log-odds (T, 32, 32) are in steps of `gridslam.grid.LOG_ODDS_UNIT`, `UNKNOWN` where nothing is known. They are
+        stored as bytes if these hold them exactly.
 
         Raises
         ------
@@ -90,9 +101,10 @@ class TileArena:
             raise ArgumentError("roots", "at least one map", "none")
         if pages[:1].any() or (log_odds[:1] != UNKNOWN).any() or field[:1].any() or not (len(pages) and len(log_odds)):
             raise ArgumentError("pages, log_odds, field", "an empty page and an empty tile first", "something in them")
-        arena = cls()
+        packed = None if byte_unit is None else _pack(log_odds, byte_unit)
+        arena = cls(None if packed is None else byte_unit)
         arena.pages = pages.copy()
-        arena.log_odds = log_odds.copy()
+        arena.log_odds = log_odds.copy() if packed is None else packed
         arena.field = field.copy()
         arena.page_refs = _count_uses("roots", roots, len(pages))
         arena.tile_refs = _count_uses("pages", pages, len(log_odds))
@@ -110,7 +122,7 @@ class TileArena:
             self.reserve(len(self.page_refs) // _SPARE_RATIO, len(self.tile_refs) // _SPARE_RATIO)
         self.retain(roots)
         twin = object.__new__(TileArena)
-        twin.pages, twin.log_odds, twin.field = self.pages, self.log_odds, self.field
+        twin.pages, twin.log_odds, twin.field, twin.unit = self.pages, self.log_odds, self.field, self.unit
         twin.page_refs = twin.tile_refs = twin._free_pages = twin._free_tiles = np.zeros(0, np.int32)
         twin._readers = 0
         twin._returned = deque()
@@ -150,6 +162,11 @@ class TileArena:
         if self._lender is not None:
             return self.tiles_of(self._lent)
         return len(self.tile_refs) - 1 - len(self._free_tiles)
+
+    @property
+    def tile_bytes(self) -> int:
+        """Of a tile's log-odds and field."""
+        return (self.log_odds.itemsize + self.field.itemsize) * TILE * TILE
 
     @property
     def nbytes(self) -> int:
@@ -224,6 +241,15 @@ class TileArena:
         tiles[self.pages[pages]] = True
         return int(np.count_nonzero(tiles[1:]))
 
+    def steps_of(self, tiles: IntArray | Int32Array) -> NDArray[np.int16]:
+        """Log-odds (K, 32, 32) of tiles (K,) in steps of `gridslam.grid.LOG_ODDS_UNIT`; `UNKNOWN` is unknown."""
+        return _unpack(self.log_odds[tiles], self.unit)
+
+    def widen(self) -> None:
+        """Store log-odds in two bytes each, which hold every number of steps."""
+        self.log_odds = _unpack(self.log_odds, self.unit)
+        self.unit = 1
+
     def compact(self) -> None:
         """Move the tiles in use to the front, in their order, and give the memory behind them back."""
         self.take_back()
@@ -241,6 +267,23 @@ class TileArena:
         self.field.resize((len(used), TILE, TILE), refcheck=False)
         self.tile_refs = self.tile_refs[used]
         self._free_tiles = np.zeros(0, np.int32)
+
+
+def _unpack(stored: LogOdds, unit: int) -> NDArray[np.int16]:
+    """Steps, of which a `unit` has so many."""
+    if stored.dtype == np.int16:
+        return np.asarray(stored, np.int16)
+    steps = np.multiply(stored, unit, dtype=np.int16)
+    np.copyto(steps, UNKNOWN, where=stored == unknown_of(stored))
+    return steps
+
+
+def _pack(steps: NDArray[np.int16], unit: int) -> NDArray[np.int8] | None:
+    """Multiples of `unit` in a byte each; None where they are not exact."""
+    limits = np.iinfo(np.int8)
+    stored: NDArray[np.int8] = np.clip(steps // unit, limits.min + 1, limits.max).astype(np.int8)
+    np.copyto(stored, limits.min, where=steps == UNKNOWN)
+    return stored if np.array_equal(_unpack(stored, unit), steps) else None
 
 
 def _count_down(first: int, end: int) -> Int32Array:

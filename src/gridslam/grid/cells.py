@@ -6,6 +6,7 @@ direction. This is the only place in Python where world coordinates become indic
 
 from __future__ import annotations
 
+import math
 from typing import final
 
 import numpy as np
@@ -38,7 +39,9 @@ def cell_corner(row: int, column: int, resolution_m: float) -> tuple[float, floa
 
 
 LOG_ODDS_UNIT = 0.01
-"""Nats in one step of a stored log-odds."""
+"""Nats in one step of evidence."""
+
+_BYTE = 127
 
 
 @final
@@ -49,9 +52,19 @@ class Evidence:
     ----------
     hit, miss, minimum, maximum, occupied_above : float, nats
         `occupied_above` is the log-odds above which a cell counts as occupied for the distance field.
+
+    Attributes
+    ----------
+    steps : tuple of five int
+        The parameters, in units of `LOG_ODDS_UNIT`.
+    occupied_above : int
+        The last of them.
+    byte_unit : int or None
+        The greatest unit, in steps, of which all five are whole multiples: what a cell holds is one, too. None where a
+        byte cannot hold it.
     """
 
-    __slots__ = ("occupied_above", "steps")
+    __slots__ = ("byte_unit", "occupied_above", "steps")
 
     def __init__(self, hit: float, miss: float, minimum: float, maximum: float, occupied_above: float) -> None:
         steps = tuple(round(v / LOG_ODDS_UNIT) for v in (hit, miss, minimum, maximum, occupied_above))
@@ -62,3 +75,6 @@ class Evidence:
             raise ArgumentError("Evidence", expected, got)
         self.steps: tuple[int, ...] = steps
         self.occupied_above: int = steps[4]
+        unit = math.gcd(*steps)
+        fits = max(map(abs, steps)) <= _BYTE * unit and widest <= (2 * _BYTE + 1) * unit
+        self.byte_unit: int | None = unit if fits else None

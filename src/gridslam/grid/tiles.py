@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import Information, Pose
-from gridslam.grid.arena import TILE_BYTES, Int32Array, TileArena, renumber
+from gridslam.grid.arena import Int32Array, TileArena, renumber
 from gridslam.grid.cells import LOG_ODDS_UNIT, Evidence, cell_corner
 from gridslam.grid.scan_batch import NOT_WEIGHED, ScanBatch, Weighing
 from gridslam.kernels import FARTHEST, MOST_BEAM_CELLS, NO_ROOM, OUTSIDE, PAGE, TILE, UNKNOWN, backend
+from gridslam.kernels.reference_update import unknown_of
 from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid, Rows
 
 __all__ = ["MOST_BEAM_CELLS", "MOST_CELLS", "MOST_TILES", "TileMaps", "TiledGrid"]
@@ -23,11 +24,11 @@ MOST_CELLS = 2**31
 """Cells of the rectangle that all maps of a table may span, 2.3 km x 2.3 km in cells of 5 cm: an image of 2.1 GB."""
 
 MOST_TILES = 500_000
-"""Tiles of all maps together where nothing else is asked for: 1.5 GB."""
+"""Tiles of all maps together where nothing else is asked for: 1 GB, or 1.5 (`Evidence.byte_unit`)."""
 
 _SPARE_PAGES = 8
 _SPARE_TILES = 64
-"""Free ones that are made at a time where scans are drawn. A page is 1 KB, a tile 3."""
+"""Free ones that are made at a time where scans are drawn. A page is 1 KB, a tile 2 or 3."""
 _TILES_PER_SCAN = 8
 _MOST_RESERVED = 256
 """Made at once for many scans: where the free ones run out, a scan is looked at twice."""
@@ -44,8 +45,8 @@ _MOST_ENTRIES = 2**24  # of the tables of all maps together: 67 MB
 class TiledGrid:
     """One map of `TileMaps`, cut to the tiles that hold something; a single unknown cell if there are none.
 
-    What is written to the map later does not change it. Tiles take 3 bytes a cell, and only where something is known;
-    unfolded as an `OccupancyGrid` the whole rectangle takes 5: 210 MB for 460 m x 230 m in cells of 5 cm.
+    What is written to the map later does not change it. Tiles take 2 or 3 bytes a cell, and only where something is
+    known; unfolded as an `OccupancyGrid` the whole rectangle takes 5: 210 MB for 460 m x 230 m in cells of 5 cm.
 
     Attributes
     ----------
@@ -123,8 +124,8 @@ class TileMaps:
     threads : int
         Threads of the kernels; never changes a result.
     most_tiles : int
-        Tiles, of 3 KB each, beyond which all maps over the arena together do not grow, but for those about the ends of
-        the last scan.
+        Tiles, of 2 or 3 KB each, beyond which all maps over the arena together do not grow, but for those about the
+        ends of the last scan.
 
     Raises
     ------
@@ -167,7 +168,7 @@ class TileMaps:
         self.evidence = evidence
         self.threads = threads
         self.most_tiles = most_tiles
-        self._arena = TileArena()
+        self._arena = TileArena(evidence.byte_unit)
         self._roots: Int32Array = np.zeros((rows, 1, 1), np.int32)
         self._first = (0, 0)
         self._cone = _make_cone(reach_cells)
@@ -204,6 +205,11 @@ class TileMaps:
     def _view(self) -> tuple[Any, ...]:
         arena = self._arena
         return self._roots, self._first, arena.pages, arena.log_odds, arena.field
+
+    @property
+    def _steps(self) -> tuple[int, ...]:
+        """The evidence in the arena's unit."""
+        return tuple(step // self._arena.unit for step in self.evidence.steps)
 
     def snapshot(self, rows: IntArray | None = None) -> TileMaps:
         """Another owner of all maps or of maps `rows` (K,), at the cost of their tables.
@@ -266,7 +272,7 @@ class TileMaps:
         while done < len(rows) or len(pending):
             status, pages, tiles, pending = backend.update(
                 *(*self._view, arena.page_refs, arena.tile_refs, *arena.free_ids, pending, room),
-                *(rows[done:], poses[done:], beams.ends, beams.origin, self.resolution_m, *self.evidence.steps),
+                *(rows[done:], poses[done:], beams.ends, beams.origin, self.resolution_m, *self._steps),
                 *(self._cone, 2 * self.reach_m, self.threads),
             )
             arena.allocate(pages, tiles)
@@ -303,7 +309,7 @@ class TileMaps:
             pages, tiles, done = backend.draw_scans(
                 *self._view,
                 *(arena.page_refs, arena.tile_refs, *arena.free_ids, poses, *batch, first, last, self.resolution_m),
-                *(self.evidence.steps, self._cone, self.most_tiles - self.tiles_used),
+                *(self._steps, self._cone, self.most_tiles - self.tiles_used),
                 *(weighing.after, weighing.weights, self.reach_cells, weighing.scale_m),
             )
             arena.allocate(pages, tiles)
@@ -337,11 +343,15 @@ class TileMaps:
         if steps <= self.evidence.occupied_above:
             expected = f"more than {self.evidence.occupied_above * LOG_ODDS_UNIT:g} nats, of an obstacle"
             raise ArgumentError("log_odds", expected, log_odds)
+        if steps % self._arena.unit:
+            self._arena.widen()
+        steps //= self._arena.unit
+        unknown = unknown_of(self._arena.log_odds)
         for row in range(len(self)):
             ids, (tile_row, tile_column) = self.tile_ids(row)
             places = np.argwhere(ids)
             cells = self._arena.log_odds[ids[tuple(places.T)]]
-            places = places[((np.abs(cells) > steps) & (cells != UNKNOWN)).any(axis=(1, 2))]
+            places = places[((np.abs(cells) > steps) & (cells != unknown)).any(axis=(1, 2))]
             if not len(places):
                 continue
             whole = np.insert(places + np.array([tile_row, tile_column]), 0, row, axis=1).astype(np.int32)
@@ -350,7 +360,7 @@ class TileMaps:
             own = self.tile_ids(row)[0][tuple(places.T)]
             cells = self._arena.log_odds[own]
             limited = np.clip(cells, -steps, steps)
-            self._arena.log_odds[own] = np.where(cells == UNKNOWN, cells, limited)
+            self._arena.log_odds[own] = np.where(cells == unknown, cells, limited)
 
     def match(
         self, rows: Int32Array, guesses: FloatArray, priors: FloatArray, ends: FloatArray, *settings: float | bool
@@ -457,8 +467,7 @@ class TileMaps:
 
     def tiles(self, ids: Int32Array) -> NDArray[np.int16]:
         """Copies (K, 32, 32) of tiles by id (K,): log-odds in units of `LOG_ODDS_UNIT`; `UNKNOWN` where nothing is."""
-        copies: NDArray[np.int16] = self._arena.log_odds[ids]
-        return copies
+        return self._arena.steps_of(ids)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays that hold the maps, each shared tile once; equal maps that share alike give equal arrays.
@@ -476,7 +485,7 @@ class TileMaps:
             "roots": roots,
             "first": np.array(self._first, np.int64),
             "pages": tables,
-            "log_odds": self._arena.log_odds[tiles],
+            "log_odds": self._arena.steps_of(tiles),
             "field": self._arena.field[tiles],
         }
 
@@ -507,7 +516,7 @@ class TileMaps:
         if first.shape != (2,) or first.dtype.kind != "i":
             raise ArgumentError("first", "two integers", f"{first.dtype} of shape {first.shape}")
         roots, pages, log_odds, field = (np.asarray(arrays[name]) for name in names)
-        arena = TileArena.from_arrays(roots, pages, log_odds, field)
+        arena = TileArena.from_arrays(roots, pages, log_odds, field, evidence.byte_unit)
         corners = [int(first[0]), int(first[1])]
         ends = [corner + side for corner, side in zip(corners, roots.shape[1:], strict=True)]
         farthest = FARTHEST // _PAGE_CELLS
@@ -538,7 +547,7 @@ class TileMaps:
         is_new = (tile == 0) | (arena.tile_refs[tile] > 1) | (arena.page_refs[page] > 1)
         needed = self.tiles_used + int(np.count_nonzero(is_new))
         if needed > self.most_tiles:
-            size = f"{self.most_tiles} tiles, {1e-9 * self.most_tiles * TILE_BYTES:.2g} GB"
+            size = f"{self.most_tiles} tiles, {1e-9 * self.most_tiles * arena.tile_bytes:.2g} GB"
             expected = (
                 f"at most {size} for all particles (mapper.max_tiles; larger cells and fewer particles need less)"
             )

@@ -50,25 +50,25 @@ nb::ndarray<nb::numpy, int32_t> as_rows(const T* data, size_t n, size_t width) {
 
 using Roots = Array<int32_t, 3>;
 using Pages = Array<int32_t, 3>;
-using LogOdds = Array<int16_t, 3>;
+using StoredLogOdds = nb::ndarray<nb::ndim<3>, nb::c_contig, nb::device::cpu>;  // int8 or int16
 using Field = Array<uint8_t, 3>;
 using Rows = Array<const int32_t, 1>;
 using Matrix = Array<const double, 2>;
 using Vector = Array<const double, 1>;
 
-Maps view(const Roots& roots, nb::tuple first, const Pages& pages, const LogOdds& log_odds, const Field& field) {
+Maps view(const Roots& roots, nb::tuple first, const Pages& pages, const StoredLogOdds& log_odds, const Field& field) {
   return Maps{roots.data(),
               static_cast<int>(roots.shape(1)),
               static_cast<int>(roots.shape(2)),
               nb::cast<int>(first[0]),
               nb::cast<int>(first[1]),
               pages.data(),
-              log_odds.data(),
+              {log_odds.data(), static_cast<int>(log_odds.itemsize())},
               field.data(),
               static_cast<int64_t>(field.shape(0))};
 }
 
-#define GRIDSLAM_MAPS Roots roots, nb::tuple first, Pages pages, LogOdds log_odds, Field field
+#define GRIDSLAM_MAPS Roots roots, nb::tuple first, Pages pages, StoredLogOdds log_odds, Field field
 #define GRIDSLAM_MAPS_ARGS                                                                                \
   nb::arg("roots").noconvert(), "first"_a, nb::arg("pages").noconvert(), nb::arg("log_odds").noconvert(), \
       nb::arg("field").noconvert()

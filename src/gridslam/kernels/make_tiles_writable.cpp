@@ -26,8 +26,7 @@ bool Arena::own(const Maps& m, int row, int tile_y, int tile_x) {
   if (tile == 0 || tile_refs[tile] > 1) {
     if (n_free_tiles == 0) return false;
     const int64_t fresh = free_tiles[--n_free_tiles];
-    std::memcpy(m.log_odds + fresh * kTileCells, m.log_odds + static_cast<int64_t>(tile) * kTileCells,
-                kTileCells * sizeof(int16_t));
+    m.log_odds.copy_tile(tile, fresh);
     std::memcpy(m.field + fresh * kTileCells, m.field + static_cast<int64_t>(tile) * kTileCells, kTileCells);
     if (tile != 0) --tile_refs[tile];
     tile_refs[fresh] = 1;

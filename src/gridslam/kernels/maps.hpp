@@ -10,6 +10,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>
+#include <cstring>
 #include <limits>
 #include <numbers>
 #include <vector>
@@ -59,17 +60,38 @@ constexpr int kPageBits = 4;
 constexpr int kPage = 1 << kPageBits;
 constexpr int kPageMask = kPage - 1;
 constexpr int kPageTiles = kPage * kPage;
-constexpr int16_t kUnknown = std::numeric_limits<int16_t>::min();
 constexpr uint8_t kOccupiedField = 255;
 constexpr int kFarthest = 1 << 30;  // cells from the world's origin: nothing is mapped beyond, and indices fit 32 bits
 constexpr int kFreeCells = 1664;    // that a beam frees, from the laser on: 83.2 m in cells of 5 cm
+
+// Stored log-odds, in steps whose size the maps' owner knows: int8_t where all that a cell can hold fits in a byte,
+// int16_t otherwise.
+template <class Stored>
+constexpr Stored kUnknown = std::numeric_limits<Stored>::min();
+
+struct LogOdds {
+  void* cells;
+  int cell_bytes;  // 1 or 2
+
+  bool in_bytes() const { return cell_bytes == 1; }
+  template <class Stored>
+  Stored* as() const {
+    return static_cast<Stored*>(cells);
+  }
+  int at(int64_t cell) const { return in_bytes() ? as<int8_t>()[cell] : as<int16_t>()[cell]; }
+  bool is_unknown(int64_t cell) const { return at(cell) == (in_bytes() ? kUnknown<int8_t> : kUnknown<int16_t>); }
+  void copy_tile(int64_t from, int64_t to) const {
+    const int64_t size = static_cast<int64_t>(kTileCells) * cell_bytes;
+    std::memcpy(as<std::byte>() + to * size, as<std::byte>() + from * size, static_cast<size_t>(size));
+  }
+};
 
 struct Maps {
   int32_t* roots;  // (rows, page_rows, page_cols)
   int page_rows, page_cols;
   int page_row0, page_col0;  // page coordinates of roots[.][0][0]
   int32_t* pages;            // (capacity, 16, 16)
-  int16_t* log_odds;         // (capacity, 32, 32)
+  LogOdds log_odds;          // (capacity, 32, 32)
   uint8_t* field;            // (capacity, 32, 32)
   int64_t tiles;             // the capacity
 
@@ -89,14 +111,14 @@ struct Maps {
   int32_t tile(const int32_t* root, int tile_y, int tile_x) const { return tile_at(*this, root, tile_y, tile_x); }
 
   static int inside(int cell_y, int cell_x) { return ((cell_y & kTileMask) << kTileBits) + (cell_x & kTileMask); }
+  int64_t address(const int32_t* root, int cell_y, int cell_x) const {
+    return static_cast<int64_t>(tile(root, cell_y >> kTileBits, cell_x >> kTileBits)) * kTileCells +
+           inside(cell_y, cell_x);
+  }
   bool is_unknown(const int32_t* root, int cell_y, int cell_x) const {
-    return log_odds[static_cast<int64_t>(tile(root, cell_y >> kTileBits, cell_x >> kTileBits)) * kTileCells +
-                    inside(cell_y, cell_x)] == kUnknown;
+    return log_odds.is_unknown(address(root, cell_y, cell_x));
   }
-  uint8_t field_at(const int32_t* root, int cell_y, int cell_x) const {
-    return field[static_cast<int64_t>(tile(root, cell_y >> kTileBits, cell_x >> kTileBits)) * kTileCells +
-                 inside(cell_y, cell_x)];
-  }
+  uint8_t field_at(const int32_t* root, int cell_y, int cell_x) const { return field[address(root, cell_y, cell_x)]; }
 };
 
 struct Pose {

@@ -9,8 +9,8 @@ first : (int, int)
     Page row and page column of the table's corner; signed.
 pages : (K, 16, 16) int32
     Tile ids; page 0 is empty.
-log_odds : (T, 32, 32) int16
-    In units of `gridslam.grid.LOG_ODDS_UNIT` nats, `UNKNOWN` where nothing is known; tile 0 is unknown all over.
+log_odds : (T, 32, 32) int8 or int16
+    In units that the caller chooses; the least value of the type is unknown. Tile 0 is unknown all over.
 field : (T, 32, 32) uint8
     255 at an occupied cell, falling with the distance to 0 at the field's reach; tile 0 is 0 all over.
 
@@ -36,15 +36,16 @@ from gridslam.kernels.reference_numbers import parse_numbers
 from gridslam.kernels.reference_update import (
     FARTHEST,
     OCCUPIED,
-    UNKNOWN,
     FloatArray,
     Int32Array,
     IntArray,
+    LogOdds,
     cell_addresses,
     cells_within,
     make_tiles_writable,
     tiles_on_rays,
     transform_to_world,
+    unknown_of,
 )
 from gridslam.kernels.reference_ways import shortest_ways
 
@@ -141,7 +142,7 @@ def distances(
     roots: Int32Array,
     first: tuple[int, int],
     pages: Int32Array,
-    log_odds: NDArray[np.int16],
+    log_odds: LogOdds,
     field: NDArray[np.uint8],
     rows: Int32Array,
     poses: FloatArray,
@@ -165,7 +166,7 @@ def known_cells(
     roots: Int32Array,
     first: tuple[int, int],
     pages: Int32Array,
-    log_odds: NDArray[np.int16],
+    log_odds: LogOdds,
     field: NDArray[np.uint8],
     row: int,
     pose: FloatArray,
@@ -175,7 +176,7 @@ def known_cells(
     """Whether something is known of the cells (B,) of map `row` in which points (B, 2) lie, seen from a pose (3,)."""
     x, y = (cells_within(np.floor(at[0] * (1.0 / resolution))) for at in transform_to_world(pose[None], points))
     addresses = cell_addresses(roots, first, pages, row, y.astype(np.int64), x.astype(np.int64))
-    known: NDArray[np.bool_] = log_odds.reshape(-1)[addresses] != UNKNOWN
+    known: NDArray[np.bool_] = log_odds.reshape(-1)[addresses] != unknown_of(log_odds)
     return known
 
 
@@ -183,7 +184,7 @@ def cast_rays(
     roots: Int32Array,
     first: tuple[int, int],
     pages: Int32Array,
-    log_odds: NDArray[np.int16],
+    log_odds: LogOdds,
     field: NDArray[np.uint8],
     rows: Int32Array,
     poses: FloatArray,
@@ -229,7 +230,7 @@ def match(
     roots: Int32Array,
     first: tuple[int, int],
     pages: Int32Array,
-    log_odds: NDArray[np.int16],
+    log_odds: LogOdds,
     field: NDArray[np.uint8],
     rows: Int32Array,
     guesses: FloatArray,
@@ -332,7 +333,7 @@ def match_pose(
 
 def _linearize(
     lookup: _Field,
-    log_odds: NDArray[np.int16],
+    log_odds: LogOdds,
     poses: FloatArray,
     ends: FloatArray,
     walls: FloatMap,
@@ -351,7 +352,7 @@ def _linearize(
     slope = (gradient * normals).sum(axis=-1, keepdims=True)
     beyond = (normals**2).sum(axis=-1) * (gradient**2).sum(axis=-1) > _BEYOND * slope[..., 0] ** 2
     cells = np.floor(cells_within(np.array([v, u]))).astype(np.int64)
-    beyond &= log_odds.reshape(-1)[lookup.cell_addresses(*cells)] == UNKNOWN
+    beyond &= log_odds.reshape(-1)[lookup.cell_addresses(*cells)] == unknown_of(log_odds)
     constraining = np.where((normals**2).sum(axis=-1, keepdims=True) > 0, slope * normals, gradient)
     ju, jv = np.moveaxis(np.where(beyond[..., None], 0.0, constraining), -1, 0)
     jacobian = np.stack([ju, jv, jv * (u - poses[:, :1]) - ju * (v - poses[:, 1:2])], axis=-1)

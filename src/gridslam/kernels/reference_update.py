@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ __all__ = [
     "PAGE",
     "TILE",
     "UNKNOWN",
+    "LogOdds",
     "cell_addresses",
     "cells_within",
     "make_tiles_writable",
@@ -21,6 +23,7 @@ __all__ = [
     "tiles_near_cells",
     "tiles_on_rays",
     "transform_to_world",
+    "unknown_of",
     "update_field",
     "update_log_odds",
 ]
@@ -32,7 +35,7 @@ PAGE = 16
 """Rows and columns of tiles in a page."""
 
 UNKNOWN = -(2**15)
-"""Stored log-odds of a cell of which nothing is known."""
+"""Log-odds of a cell of which nothing is known, as int16; see `unknown_of`."""
 
 OCCUPIED = 255
 """Value of the distance field at an occupied cell."""
@@ -46,11 +49,17 @@ FREE_CELLS = 1664
 FloatArray = NDArray[np.float64]
 Int32Array = NDArray[np.int32]
 IntArray = NDArray[np.int64]
+LogOdds = NDArray[np.signedinteger[Any]]  # int8 or int16
 
 # Shifts and masks: NumPy's floor division of signed integers takes several times as long.
 _TILE_BITS = TILE.bit_length() - 1
 _PAGE_BITS = PAGE.bit_length() - 1
 _BLOCK = 512  # changed cells whose windows are in memory at once
+
+
+def unknown_of(log_odds: LogOdds) -> int:
+    """Stored log-odds of a cell of which nothing is known: the least value of their type."""
+    return int(np.iinfo(log_odds.dtype).min)
 
 
 def transform_to_world(poses: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -165,7 +174,7 @@ def make_tiles_writable(
     roots: Int32Array,
     first: tuple[int, int],
     pages: Int32Array,
-    log_odds: NDArray[np.int16],
+    log_odds: LogOdds,
     field: NDArray[np.uint8],
     page_refs: Int32Array,
     tile_refs: Int32Array,
@@ -233,7 +242,7 @@ def update_log_odds(
     roots: Int32Array,
     first: tuple[int, int],
     pages: Int32Array,
-    log_odds: NDArray[np.int16],
+    log_odds: LogOdds,
     field: NDArray[np.uint8],
     rows: Int32Array,
     poses: FloatArray,
@@ -273,7 +282,7 @@ def update_log_odds(
         cells = np.concatenate([free_cells[free], end_cells])
         evidence = np.concatenate([misses[free] * miss, hits * hit])
         at = cell_addresses(roots, first, pages, row, cells[:, 0], cells[:, 1])
-        before = np.where(stored[at] == UNKNOWN, 0, stored[at]).astype(np.int64)
+        before = np.where(stored[at] == unknown_of(log_odds), 0, stored[at]).astype(np.int64)
         after = before + evidence
         after = np.where(evidence < 0, np.maximum(after, min), np.minimum(after, max))
         stored[at] = after
@@ -288,7 +297,7 @@ def update_field(
     roots: Int32Array,
     first: tuple[int, int],
     pages: Int32Array,
-    log_odds: NDArray[np.int16],
+    log_odds: LogOdds,
     field: NDArray[np.uint8],
     cells: Int32Array,
     cone: NDArray[np.uint8],

@@ -42,10 +42,8 @@ class Drawing {
     std::sort(pending_.begin(), pending_.end(), before);
     pending_.erase(std::unique(pending_.begin(), pending_.end(), same), pending_.end());
     std::erase_if(pending_, [&](Cell& cell) {
-      const int64_t at =
-          static_cast<int64_t>(m_.tile(m_.root(0), cell.y >> kTileBits, cell.x >> kTileBits)) * kTileCells +
-          Maps::inside(cell.y, cell.x);
-      cell.occupied = m_.log_odds[at] > e_.occupied_above;
+      const int64_t at = m_.address(m_.root(0), cell.y, cell.x);
+      cell.occupied = m_.log_odds.at(at) > e_.occupied_above;
       return (m_.field[at] == kOccupiedField) == (cell.occupied != 0);
     });
     follow(m_, m_.root(0), pending_.data(), static_cast<int>(pending_.size()), cone_);

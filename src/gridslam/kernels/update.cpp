@@ -9,47 +9,57 @@
 namespace gridslam {
 namespace {
 
-inline int value_or_zero(int16_t v) { return v == kUnknown ? 0 : v; }
+template <class Stored>
+inline int value_or_zero(Stored v) {
+  return v == kUnknown<Stored> ? 0 : v;
+}
 
-// Frees the passed cells of a tile; returns a bit for each two rows in which some stop being occupied. All in 16 bits
-// and without a branch inside a row, for many cells at once.
-template <class Count>
-inline uint16_t free_tile(int16_t* cells, const Count* passes, int stride, const Evidence& e) {
-  const int16_t least = static_cast<int16_t>(e.min), occupied = static_cast<int16_t>(e.occupied_above),
-                miss = static_cast<int16_t>(-e.miss);
+// Rows of a tile that one bit of what `free_tile` returns stands for.
+template <class Stored>
+constexpr int kRowsABit = kTile / std::numeric_limits<std::make_unsigned_t<Stored>>::digits;
+
+// Frees the passed cells of a tile; returns a bit for each few rows in which some stop being occupied. All in as many
+// bits as a cell has and without a branch inside a row, for many cells at once.
+template <class Stored, class Count>
+GRIDSLAM_INLINE unsigned free_cells(Stored* cells, const Count* passes, int stride, const Evidence& e) {
+  using Whole = std::make_unsigned_t<Stored>;  // holds what the clamps and a miss are apart
+  const Stored least = static_cast<Stored>(e.min), occupied = static_cast<Stored>(e.occupied_above);
+  const Whole miss = static_cast<Whole>(-e.miss);
   constexpr int kGreatest = std::min<int64_t>(std::numeric_limits<Count>::max(), std::numeric_limits<int>::max());
   const Count most = static_cast<Count>(std::min((e.max - e.min) / miss + 1, kGreatest));  // passes that free any cell
-  int16_t left[kTile] = {};
+  Whole left[kTile] = {};
   for (int y = 0; y < kTile; ++y, cells += kTile, passes += stride) {
     uint64_t words[kTile * sizeof(Count) / sizeof(uint64_t)], any = 0;
     std::memcpy(words, passes, sizeof(words));
     for (uint64_t w : words) any |= w;
     if (any == 0) continue;
-    const int16_t pair = static_cast<int16_t>(1 << (y >> 1));
+    const Whole bit = static_cast<Whole>(1 << (y / kRowsABit<Stored>));
     for (int i = 0; i < kTile; ++i) {
-      const int16_t count = static_cast<int16_t>(std::min(passes[i], most));
-      const int16_t before = cells[i] == kUnknown ? int16_t{0} : cells[i];
-      const int16_t above = static_cast<int16_t>(before - least), loss = static_cast<int16_t>(count * miss);
-      const int16_t after =
-          static_cast<int16_t>((above > loss ? static_cast<int16_t>(above - loss) : int16_t{0}) + least);
-      left[i] = static_cast<int16_t>(left[i] | (-((before > occupied) & (after <= occupied)) & pair));
+      const Whole count = static_cast<Whole>(std::min(passes[i], most));
+      const Stored before = cells[i] == kUnknown<Stored> ? Stored{0} : cells[i];
+      const Whole above = static_cast<Whole>(std::max(before, least) - least), loss = static_cast<Whole>(count * miss);
+      const Whole kept = above > loss ? static_cast<Whole>(above - loss) : Whole{0};
+      const Stored after = static_cast<Stored>(kept + least);
+      left[i] = static_cast<Whole>(left[i] | (-((before > occupied) & (after <= occupied)) & bit));
       cells[i] = count ? after : cells[i];
     }
   }
-  int16_t some = 0;
-  for (int i = 0; i < kTile; ++i) some = static_cast<int16_t>(some | left[i]);
-  return static_cast<uint16_t>(some);
+  unsigned some = 0;
+  for (int i = 0; i < kTile; ++i) some |= left[i];
+  return some;
 }
 
-GRIDSLAM_VERSIONS uint16_t free_tile(int16_t* cells, const uint8_t* passes, int stride, const Evidence& e) {
-  return free_tile<uint8_t>(cells, passes, stride, e);
-}
-GRIDSLAM_VERSIONS uint16_t free_tile(int16_t* cells, const uint16_t* passes, int stride, const Evidence& e) {
-  return free_tile<uint16_t>(cells, passes, stride, e);
-}
-GRIDSLAM_VERSIONS uint16_t free_tile(int16_t* cells, const uint32_t* passes, int stride, const Evidence& e) {
-  return free_tile<uint32_t>(cells, passes, stride, e);
-}
+#define GRIDSLAM_FREE_TILE(Stored, Count)                                                                   \
+  GRIDSLAM_VERSIONS unsigned free_tile(Stored* cells, const Count* passes, int stride, const Evidence& e) { \
+    return free_cells(cells, passes, stride, e);                                                            \
+  }
+GRIDSLAM_FREE_TILE(int8_t, uint8_t)
+GRIDSLAM_FREE_TILE(int8_t, uint16_t)
+GRIDSLAM_FREE_TILE(int8_t, uint32_t)
+GRIDSLAM_FREE_TILE(int16_t, uint8_t)
+GRIDSLAM_FREE_TILE(int16_t, uint16_t)
+GRIDSLAM_FREE_TILE(int16_t, uint32_t)
+#undef GRIDSLAM_FREE_TILE
 
 // How often the rays of one scan pass each cell: a square of counters about the laser, of which only the tiles that the
 // rays cross are used. Tiles beyond hold ends alone. It is kept from pose to pose: most lines of a scan lead from the
@@ -95,24 +105,27 @@ class PassCounts {
 
   // Frees the cells that were passed; those that stop being occupied, while their field is still that of occupied
   // cells, go to `changed`.
+  template <class Stored>
   void apply(const Maps& m, const int32_t* root, const Evidence& e, int row, std::vector<Cell>& changed) {
+    Stored* const log_odds = m.log_odds.as<Stored>();
     int64_t tile = 0;
     int y = 0, x = 0;
     const auto pass = [&] {
       if (tile == 0) return;
-      for (unsigned pairs = free_tile(m.log_odds + tile, at(y, x), width_, e); pairs != 0; pairs &= pairs - 1)
-        for (int down = 2 * std::countr_zero(pairs), last = down + 1; down <= last; ++down) {
+      for (unsigned some = free_tile(log_odds + tile, at(y, x), width_, e); some != 0; some &= some - 1)
+        for (int down = kRowsABit<Stored> * std::countr_zero(some), end = down + kRowsABit<Stored>; down < end;
+             ++down) {
           const int64_t first = tile + down * kTile;
           for (uint32_t left = occupied_bits(m.field + first); left != 0; left &= left - 1) {
             const int across = std::countr_zero(left);
-            if (m.log_odds[first + across] <= e.occupied_above) changed.push_back({row, y + down, x + across, 0});
+            if (log_odds[first + across] <= e.occupied_above) changed.push_back({row, y + down, x + across, 0});
           }
         }
     };
     tiles_.each([&](int ty, int tx) {  // a tile comes from memory while the one before it is freed
       if (!covers(ty * kTile, tx * kTile)) return;
       const int64_t next = m.tile(root, ty, tx) * static_cast<int64_t>(kTileCells);
-      for (int i = 0; i < kTileCells; i += 64 / sizeof(int16_t)) prefetch(m.log_odds + next + i);
+      for (int i = 0; i < kTileCells; i += 64 / sizeof(Stored)) prefetch(log_odds + next + i);
       pass();
       tile = next, y = ty * kTile, x = tx * kTile;
     });
@@ -169,7 +182,7 @@ class PassCounts {
   std::vector<int32_t> others_;
 };
 
-template <class Count>
+template <class Stored, class Count>
 void add_counted(const Maps& m, int row, const Fan& fan, const TileSet& tiles, const Evidence& e,
                  std::vector<Cell>& changed) {
   thread_local PassCounts<Count> kept;
@@ -182,27 +195,31 @@ void add_counted(const Maps& m, int row, const Fan& fan, const TileSet& tiles, c
   at_ends.resize(b);
   for (size_t j = 0; j < b; ++j)  // no end of the scan is freed by it
     if (passes.covers(fan.ys[j], fan.xs[j])) at_ends[j] = std::exchange(*passes.at(fan.ys[j], fan.xs[j]), Count{0});
-  passes.apply(m, root, e, row, changed);
+  passes.template apply<Stored>(m, root, e, row, changed);
   for (size_t j = b; j-- > 0;)
     if (passes.covers(fan.ys[j], fan.xs[j])) *passes.at(fan.ys[j], fan.xs[j]) = at_ends[j];
   for (size_t j = 0; j < b; ++j) {
     const int y = fan.ys[j], x = fan.xs[j];
-    int16_t& cell = m.log_odds[static_cast<int64_t>(m.tile(root, y >> kTileBits, x >> kTileBits)) * kTileCells +
-                               Maps::inside(y, x)];
+    Stored& cell = m.log_odds.as<Stored>()[m.address(root, y, x)];
     const int before = value_or_zero(cell), after = std::min(before + e.hit, e.max);
-    cell = static_cast<int16_t>(after);
+    cell = static_cast<Stored>(after);
     if (before <= e.occupied_above && after > e.occupied_above) changed.push_back({row, y, x, 1});
   }
+}
+
+// That whose counts hold b passes.
+template <class Stored>
+auto counter(size_t b) {
+  return b <= std::numeric_limits<uint8_t>::max()    ? add_counted<Stored, uint8_t>
+         : b <= std::numeric_limits<uint16_t>::max() ? add_counted<Stored, uint16_t>
+                                                     : add_counted<Stored, uint32_t>;
 }
 
 }  // namespace
 
 void add_evidence(const Maps& m, int row, const Fan& fan, const TileSet& tiles, const Evidence& e,
                   std::vector<Cell>& changed) {
-  const size_t b = fan.xs.size();
-  const auto add = b <= std::numeric_limits<uint8_t>::max()    ? add_counted<uint8_t>
-                   : b <= std::numeric_limits<uint16_t>::max() ? add_counted<uint16_t>
-                                                               : add_counted<uint32_t>;
+  const auto add = m.log_odds.in_bytes() ? counter<int8_t>(fan.xs.size()) : counter<int16_t>(fan.xs.size());
   add(m, row, fan, tiles, e, changed);
 }
 

@@ -92,8 +92,7 @@ void follow(const Maps& m, const int32_t* root, const Cell* cells, int n, const 
     if (c.occupied)
       raise_cone(m, root, c.y, c.x, cone);
     else  // no cell's nearest obstacle is found at it from now on
-      m.field[static_cast<int64_t>(m.tile(root, c.y >> kTileBits, c.x >> kTileBits)) * kTileCells +
-              Maps::inside(c.y, c.x)] = 0;
+      m.field[m.address(root, c.y, c.x)] = 0;
   }
   for (int i = 0; i < n; ++i)
     if (!cells[i].occupied) rebuild_field(m, root, cells[i].y, cells[i].x, cone);

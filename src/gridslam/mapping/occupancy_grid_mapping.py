@@ -34,8 +34,9 @@ class OccupancyGridMapping:
         Evidence of a beam for the cells along it: for the first 1664, 83 m in cells of 5 cm, and for its end at any
         range.
     max_tiles : int
-        Tiles, of 32 x 32 cells and 3 KB, that the maps of all particles take together at most, 1.5 GB by default. A
-        scan for which more would be needed raises ArgumentError, before anything is allocated for it.
+        Tiles, of 32 x 32 cells and 2 KB, that the maps of all particles take together at most, 1 GB by default; of 3 KB
+        with an `inverse_sensor` whose evidence takes more than a byte (`gridslam.grid.Evidence`). A scan for which more
+        would be needed raises ArgumentError, before anything is allocated for it.
 
     References
     ----------

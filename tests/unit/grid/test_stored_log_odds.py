@@ -1,0 +1,150 @@
+"""Log-odds in a byte, where one holds all that a cell can, are those that two bytes hold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gridslam.errors import ArgumentError
+from gridslam.grid.arena import TileArena
+from gridslam.grid.cells import Evidence
+from gridslam.grid.scan_batch import ScanBatch
+from gridslam.grid.tiles import TileMaps
+from gridslam.kernels import UNKNOWN, backend, reference
+from gridslam.models.inverse_sensor import InverseSensorModel
+from gridslam.types import StoredScan
+
+MODEL = InverseSensorModel()
+DEFAULT = (MODEL.log_odds_hit, MODEL.log_odds_miss, MODEL.log_odds_min, MODEL.log_odds_max, MODEL.log_odds_occupied)
+FULL = (1.27, -0.01, -1.27, 1.27, -1.27)
+"""All that a byte holds is met."""
+ROWS = np.arange(2, dtype=np.int32)
+BACKENDS = pytest.mark.parametrize("kernels", [backend, reference], ids=["backend", "twins"])
+
+
+def make(values, wide=False):
+    maps = TileMaps(2, resolution_m=0.1, reach_cells=4.0, evidence=Evidence(*values))
+    if wide:
+        maps._arena = TileArena()
+    return maps
+
+
+def random_scan(rng, beams=300):
+    """Around the robot, the nearest ends in the same few cells, so that cells are passed and hit many times."""
+    bearing, reach = rng.uniform(-np.pi, np.pi, beams), rng.choice([0.3, 2.0, 6.0], beams)
+    return StoredScan(reach[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1), np.zeros(2))
+
+
+def draw(maps, seed, scans=6):
+    rng = np.random.default_rng(seed)
+    for count in range(scans):
+        maps.update(ROWS, rng.normal(scale=0.3, size=(2, 3)), random_scan(rng, 30 if count % 2 else 300))
+
+
+def contents(maps):
+    return [array.tobytes() for array in maps.to_arrays().values()]
+
+
+@pytest.mark.parametrize(
+    ("values", "unit"),
+    [
+        (DEFAULT, 40),
+        (FULL, 1),
+        ((1.0, -1.0, -2.0, 2.0, 0.0), 100),
+        ((1.27, -1.0, -1.27, 1.28, 0.0), None),
+        ((1.27, -0.02, -1.27, 1.27, 0.0), None),  # the clamps and a miss are 256 apart
+        ((2.2, -0.4, -16.0, 32.0, 2.0), None),
+        ((2.4, -0.4, -163.0, 163.0, 2.0), None),
+    ],
+)
+def test_a_byte_holds_whole_multiples_of_a_unit(values, unit):
+    maps = make(values)
+    assert maps.evidence.byte_unit == unit
+    assert maps._arena.tile_bytes == (2 if unit else 3) * 1024
+
+
+@BACKENDS
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("values", [DEFAULT, FULL, (0.2, -0.1, -0.3, 0.5, 0.1)])
+def test_maps_are_the_same_in_a_byte_and_in_two(values, seed, kernels, monkeypatch):
+    monkeypatch.setattr("gridslam.grid.tiles.backend", kernels)
+    ours, wide = make(values), make(values, wide=True)
+    for maps in ours, wide:
+        draw(maps, seed)
+    assert (ours._arena.log_odds.dtype, wide._arena.log_odds.dtype) == (np.int8, np.int16)
+    assert contents(ours) == contents(wide)
+    points = np.random.default_rng(seed).uniform(-8, 8, (2000, 2))
+    for row in range(2):
+        assert ours.occupancy(row).log_odds.tobytes() == wide.occupancy(row).log_odds.tobytes()
+        known = ours.is_known(row, points)
+        assert 0 < known.mean() < 1
+        np.testing.assert_array_equal(known, wide.is_known(row, points))
+
+
+@BACKENDS
+def test_scans_that_are_drawn_in_one_call_are_the_same_in_a_byte_and_in_two(kernels, monkeypatch):
+    monkeypatch.setattr("gridslam.grid.tiles.backend", kernels)
+    rng = np.random.default_rng(5)
+    batch, poses = ScanBatch.of([random_scan(rng, 60) for _ in range(5)]), rng.normal(scale=0.4, size=(5, 3))
+    found = []
+    for wide in False, True:
+        maps = TileMaps(1, resolution_m=0.1, reach_cells=4.0, evidence=Evidence(*DEFAULT))
+        if wide:
+            maps._arena = TileArena()
+        maps.draw(poses, batch, 0, 5)
+        found.append(contents(maps))
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("values", [DEFAULT, FULL])
+def test_what_is_written_of_maps_does_not_depend_on_how_they_are_stored(values):
+    """Steps of 0.01 nats in 16 bits; read again, they go on alike."""
+    maps = make(values)
+    draw(maps, 1)
+    arrays = maps.to_arrays()
+    assert arrays["log_odds"].dtype == np.int16
+    cells = arrays["log_odds"][arrays["log_odds"] != UNKNOWN]
+    assert cells.min() == maps.evidence.steps[2]
+    assert cells.max() > maps.evidence.occupied_above
+    again = TileMaps.from_arrays(arrays, resolution_m=0.1, reach_cells=4.0, evidence=maps.evidence)
+    assert again._arena.log_odds.dtype == np.int8
+    for both in maps, again:
+        draw(both, 2)
+    assert contents(maps) == contents(again)
+
+
+@pytest.mark.parametrize("odd", [41, 128 * 40, -(2**15) + 1, 2**15 - 1])
+def test_log_odds_that_no_byte_holds_are_read_as_they_are(odd):
+    maps = make(DEFAULT)
+    draw(maps, 1)
+    arrays = maps.to_arrays()
+    tile, y, x = np.argwhere(arrays["log_odds"] != UNKNOWN)[7]
+    arrays["log_odds"][tile, y, x] = odd
+    again = TileMaps.from_arrays(arrays, resolution_m=0.1, reach_cells=4.0, evidence=maps.evidence)
+    assert again._arena.tile_bytes == 3 * 1024
+    assert contents(again) == [array.tobytes() for array in arrays.values()]
+
+
+@pytest.mark.parametrize("limit", [2.8, 2.94, 51.0])
+def test_a_limit_is_exact_whether_or_not_it_is_a_multiple(limit):
+    ours, wide = make(DEFAULT), make(DEFAULT, wide=True)
+    for maps in ours, wide:
+        draw(maps, 3)
+    other, frozen = ours.snapshot(), ours.freeze()
+    before = contents(ours)
+    for maps in ours, wide:
+        maps.limit(limit)
+    assert contents(ours) == contents(wide)
+    assert contents(other) == contents(frozen) == before
+    assert (ours._arena.log_odds.dtype == np.int8) == (limit == 2.8)
+    for maps in ours, wide, other:
+        draw(maps, 4)
+    assert contents(ours) == contents(wide)
+    assert contents(frozen) == before
+
+
+def test_maps_that_need_too_much_memory_are_told_with_its_size():
+    for values, size in ((DEFAULT, "2 tiles, 4.1e-06 GB"), ((2.2, -0.4, -16.0, 32.0, 2.0), "2 tiles, 6.1e-06 GB")):
+        maps = TileMaps(1, resolution_m=0.1, reach_cells=4.0, evidence=Evidence(*values), most_tiles=2)
+        with pytest.raises(ArgumentError, match=size):
+            maps.update(ROWS[:1], np.zeros((1, 3)), random_scan(np.random.default_rng(0)))
