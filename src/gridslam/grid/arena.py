@@ -270,7 +270,7 @@ class TileArena:
 
 
 def _unpack(stored: LogOdds, unit: int) -> NDArray[np.int16]:
-    """Steps, of which a `unit` has so many."""
+    """Log-odds in steps of `gridslam.grid.LOG_ODDS_UNIT`, `unit` of them in what is stored."""
     if stored.dtype == np.int16:
         return np.asarray(stored, np.int16)
     steps = np.multiply(stored, unit, dtype=np.int16)

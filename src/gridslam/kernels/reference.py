@@ -298,7 +298,7 @@ def match_pose(
     roots: Int32Array,
     first: tuple[int, int],
     pages: Int32Array,
-    log_odds: NDArray[np.int16],
+    log_odds: LogOdds,
     field: NDArray[np.uint8],
     row: int,
     guess: tuple[float, float, float],
