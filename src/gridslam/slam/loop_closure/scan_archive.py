@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose
 from gridslam.grid.scan_batch import ScanBatch
+from gridslam.kernels import backend
 from gridslam.serialization import NOT_SAVED
 from gridslam.tracking.state import is_within
 from gridslam.types import BeamEnds, FloatArray, IntArray, StoredScan
@@ -87,10 +88,11 @@ class ScanArchive:
             return
         else:
             ends = ends[:: max(1, -(-len(ends) // _BETWEEN_KEYS))]
-        step_m = (len(ends) and float(np.abs(ends).max()) / _STEPS) or 1.0
+        steps = np.empty(ends.shape, np.int16)
+        step_m = backend.round_to_steps(ends, _STEPS, steps)
         self._places[scan] = len(self._stored)
         self._stored.append(scan)
-        self._ends.append(np.rint(ends / step_m).astype(np.int16))
+        self._ends.append(steps)
         self._steps_m.append(step_m)
         self._origins.append(beams.origin)
         if len(ends):
