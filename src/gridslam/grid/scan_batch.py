@@ -49,7 +49,8 @@ class ScanBatch(NamedTuple):
         """Distance of the farthest end or laser from its base."""
         if not self.size:
             return 0.0
-        return float(np.sqrt(max(np.einsum("ij,ij->i", some, some).max(initial=0.0) for some in self[::2])))
+        squared = np.square(self.ends), np.square(self.origins)
+        return float(np.sqrt(max((xy[:, 0] + xy[:, 1]).max(initial=0.0) for xy in squared)))
 
     def scan(self, k: int) -> StoredScan:
         """Scan k alone."""

@@ -271,9 +271,10 @@ class KeyGraph:
 
     def tracked_poses_in_map(self, anchors: IntArray, keys: IntArray) -> FloatArray:
         """Poses (K, 3) of key scans, each as tracked about the pose of the one of `anchors` (K,) near it in the map."""
+        frames = np.array([self.poses[anchor] for anchor in anchors.tolist()]).reshape(-1, 3)
+        tracked_frames = np.array([self.tracked[anchor] for anchor in anchors.tolist()]).reshape(-1, 3)
         tracked = np.array([self.tracked[key] for key in keys.tolist()]).reshape(-1, 3)
-        frames = np.array([(*self.tracked[anchor], *self.poses[anchor]) for anchor in anchors.tolist()]).reshape(-1, 6)
-        return compose(frames[:, 3:], between(frames[:, :3], tracked))
+        return compose(frames, between(tracked_frames, tracked))
 
     def tracked_poses_from(self, anchor: int, keys: IntArray) -> FloatArray:
         """Poses (K, 3) of key scans seen from `anchor`, as tracked."""

@@ -136,9 +136,9 @@ class PlaceMatching:
         """
         away = maps.distances(ROW, pose[None], points)[0]
         known = maps.is_known(0, points, pose) | (away < self.matcher.cauchy_m)
-        if np.mean(known) < self.min_overlap:
+        if known.mean() < self.min_overlap:
             return False
-        return float(np.mean(cauchy_weights(away[known], self.matcher.cauchy_m))) >= self.inlier_ratio
+        return float(cauchy_weights(away[known], self.matcher.cauchy_m).mean()) >= self.inlier_ratio
 
     def is_within_gate(self, covariance: FloatArray, innovation: FloatArray) -> bool:
         """Whether the drift explains the innovation (3,) of a match, map frame."""
