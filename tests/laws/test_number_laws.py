@@ -1,4 +1,4 @@
-"""Numbers in text are what Python reads, to the last bit, in the kernel and in its twin."""
+"""Numbers in text are what Python reads and writes, to the last bit, in the kernel and in its twin."""
 
 from __future__ import annotations
 
@@ -67,3 +67,21 @@ def test_kernel_and_twin_agree_on_anything(text, rows):
     one, other = (module.parse_numbers(text.encode(), rows) for module in (backend, reference))
     assert one.shape == other.shape
     assert one.tobytes() == other.tobytes()
+
+
+@given(
+    st.lists(st.tuples(st.integers(-(2**63), 2**63 - 1), st.floats(), st.floats()), max_size=5),
+    st.tuples(st.booleans(), st.booleans()),
+    st.sampled_from(" ,"),
+)
+def test_rows_are_what_python_writes(rows, is_fixed, separator):
+    stamps_ns = np.array([row[0] for row in rows], np.int64)
+    values = np.array([row[1:] for row in rows], np.float64).reshape(-1, 2)
+    kernel, twin = (
+        module.format_rows(stamps_ns, values, np.array(is_fixed), separator) for module in (backend, reference)
+    )
+    assert kernel == twin
+    for line, (stamp_ns, *numbers) in zip(kernel.decode().splitlines(), rows, strict=True):
+        stamp, *words = line.split(separator)
+        assert int(stamp.replace(".", "")) == stamp_ns
+        assert words == [f"{x:.9f}" if fixed else f"{x:.9g}" for x, fixed in zip(numbers, is_fixed, strict=True)]

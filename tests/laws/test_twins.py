@@ -40,6 +40,7 @@ KERNELS = (
     "kalman_update",
     "predict_landmarks",
     "parse_numbers",
+    "format_rows",
 )
 """Those from `max_pyramid` on in `test_branch_and_bound_laws.py`, `test_weighing_laws.py`, `test_many_scans_laws.py`,
 `test_shortest_ways_laws.py`, `test_landmark_kernels.py` and `test_number_laws.py`."""

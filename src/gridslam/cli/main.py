@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 import traceback
@@ -16,13 +17,20 @@ from gridslam.errors import ConfigurationError, GridslamError, InputError
 
 __all__ = ["main"]
 
-_BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+_ENVIRONMENT = {
+    "OPENBLAS_NUM_THREADS": "1",  # matrices are 3 x 3 here, its threads would only wait
+    "OMP_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "PYDANTIC_DISABLE_PLUGINS": "__all__",  # else all installed packages are searched for some
+}
+_GARBAGE_OBJECTS = 100_000  # new ones before cycles are looked for; imports alone make half as many, and no cycles
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status: 0 done, 1 failed, 2 bad usage or input, 130 interrupted."""
-    for name in _BLAS_THREADS:  # before NumPy is imported: its matrices are 3 x 3 here, its threads would only wait
-        os.environ.setdefault(name, "1")
+    for name, value in _ENVIRONMENT.items():  # before NumPy and pydantic are imported
+        os.environ.setdefault(name, value)
+    gc.set_threshold(_GARBAGE_OBJECTS, *gc.get_threshold()[1:])
     with handle_signals(until_exit=arguments is None):
         try:
             status = gridslam.main(arguments, prog_name="gridslam", standalone_mode=False)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +12,8 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.tables import Table, check_rows, read_table, symmetric_of_upper, upper_of_symmetric
-from gridslam.types import FloatArray, IntArray, Trajectory
+from gridslam.kernels import backend
+from gridslam.types import FloatArray, Trajectory
 
 if TYPE_CHECKING:
     from gridslam.evaluation.trajectory import Relations
@@ -33,7 +33,8 @@ CSV_HEADER = (
 )
 """First line of a trajectory in CSV: the columns with their units."""
 
-_STAMP = "%s%d.%09d"  # exact to the nanosecond
+_OF_TUM = np.array([True, True, False, False, False, True, True])  # x, y and two of the quaternion vary: nine decimals
+_OF_CSV = np.arange(9) < 3
 _PLANAR = (1e-3, 1e-3, 1e-3)  # m, rad, rad
 
 
@@ -49,10 +50,12 @@ def write_tum(path: str | Path, trajectory: Trajectory) -> None:
     trajectory : Trajectory
         Stamps in ns and planar poses in the map frame.
     """
-    x, y, theta = trajectory.poses.T.tolist()
-    half = [angle / 2 for angle in theta]
-    columns = *_columns_of_stamps(trajectory.stamps_ns), x, y, map(math.sin, half), map(math.cos, half)
-    _write_lines(path, _STAMP + " %.9f %.9f 0 0 0 %.9f %.9f\n", columns)
+    half = [angle / 2 for angle in trajectory.poses[:, 2].tolist()]
+    values = np.zeros((len(half), 7))
+    values[:, :2] = trajectory.poses[:, :2]
+    values[:, 5] = list(map(math.sin, half))
+    values[:, 6] = list(map(math.cos, half))
+    Path(path).write_bytes(backend.format_rows(trajectory.stamps_ns, values, _OF_TUM, " "))
 
 
 def read_tum(path: str | Path) -> Trajectory:
@@ -95,23 +98,11 @@ def write_trajectory_csv(path: str | Path, trajectory: Trajectory, covariances: 
     """
     if covariances.shape != (len(trajectory), 3, 3):
         raise ArgumentError("covariances", f"shape ({len(trajectory)}, 3, 3)", covariances.shape)
-    values = np.concatenate([trajectory.poses, upper_of_symmetric(covariances)], axis=1).T.tolist()
-    columns = *_columns_of_stamps(trajectory.stamps_ns), *values
-    _write_lines(path, _STAMP + ",%.9f,%.9f,%.9f,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g\n", columns, CSV_HEADER + "\n")
-
-
-def _columns_of_stamps(stamps_ns: IntArray) -> tuple[Iterable[Any], ...]:
-    """Sign, seconds and nanoseconds of stamps (N,), for `_STAMP`."""
-    sizes = np.abs(stamps_ns).view(np.uint64)  # that of the least int64 fits no int64
-    seconds, nanoseconds = np.divmod(sizes, np.uint64(10**9))
-    return np.where(stamps_ns < 0, "-", "").tolist(), seconds.tolist(), nanoseconds.tolist()
-
-
-def _write_lines(path: str | Path, form: str, columns: Iterable[Iterable[Any]], head: str = "") -> None:
-    """Write a line of this form for each row of the columns; nothing in Python takes part in it row by row."""
-    with Path(path).open("w", encoding="ascii", newline="\n") as file:
-        file.write(head)
-        file.writelines(map(form.__mod__, zip(*columns, strict=True)))
+    values = np.concatenate([trajectory.poses, upper_of_symmetric(covariances)], axis=1)
+    lines = backend.format_rows(trajectory.stamps_ns, values, _OF_CSV, ",")
+    with Path(path).open("wb") as file:
+        file.write(f"{CSV_HEADER}\n".encode())
+        file.write(lines)
 
 
 def columns_of_trajectory(poses: FloatArray, covariances: FloatArray | None = None) -> dict[str, FloatArray]:

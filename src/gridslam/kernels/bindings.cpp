@@ -385,6 +385,16 @@ auto py_parse_numbers(nb::bytes text, size_t rows) {
   return nb::ndarray<nb::numpy, double>(data, 2, shape, owner);
 }
 
+nb::bytes py_format_rows(Array<const int64_t, 1> stamps_ns, Array<const double, 2> values, Array<const bool, 1> is_fixed,
+                         const char* separator) {
+  std::string text;
+  {
+    nb::gil_scoped_release release;
+    text = format_rows(stamps_ns.data(), values.data(), is_fixed.data(), values.shape(0), values.shape(1), *separator);
+  }
+  return nb::bytes(text.data(), text.size());
+}
+
 auto py_max_pyramid(Array<const uint8_t, 2> likelihood, int levels) {
   const size_t rows = likelihood.shape(0), cols = likelihood.shape(1), side = size_t{1} << levels;
   auto fine = fresh<uint8_t, 3>({static_cast<size_t>(levels), rows + 2 * side, cols + 2 * side});
@@ -458,6 +468,7 @@ NB_MODULE(_compiled, m) {
   m.def("shortest_ways", &py_shortest_ways, "firsts"_a, "steps"_a, "link_submaps"_a, "links"_a, "submap"_a, "moments"_a,
         "pose"_a, "x"_a, "y"_a, "limit"_a, "most"_a, "last"_a);
   m.def("parse_numbers", &py_parse_numbers, "text"_a, "rows"_a);
+  m.def("format_rows", &py_format_rows, "stamps_ns"_a, "values"_a, "is_fixed"_a, "separator"_a);
   m.def("max_pyramid", &py_max_pyramid, "likelihood"_a, "levels"_a);
   m.def("correlate", &py_correlate, "fine"_a, "top"_a, "ends"_a, "headings"_a, "window"_a, "centre"_a, "information"_a,
         "distance"_a, "count"_a, "min_sum"_a, "min_runner_up_ratio"_a, "min_distance_cells"_a, "min_distance_rad"_a);

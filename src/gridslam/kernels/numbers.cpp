@@ -1,10 +1,13 @@
-// Decimal numbers of many lines of the same form, as a log has them: rounded as every correct parser rounds them.
+// Decimal numbers of many lines of the same form, as a log has them and results get them: rounded as every correct
+// program rounds them.
 
 #include "numbers.hpp"
 
 #include <array>
 #include <charconv>
+#include <cmath>
 #include <cstdint>
+#include <cstdio>
 
 namespace gridslam {
 namespace {
@@ -53,7 +56,52 @@ const char* parse_word(const char* at, const char* end, double& value) {
 #endif
 }
 
+constexpr uint64_t kSecond = 1'000'000'000;  // ns
+constexpr size_t kLongestWord = 330;         // 309 digits before the point, nine after it
+
+char* format_stamp(char* at, int64_t stamp_ns) {
+  uint64_t size = static_cast<uint64_t>(stamp_ns);
+  if (stamp_ns < 0) {
+    *at++ = '-';
+    size = -size;
+  }
+  at = std::to_chars(at, at + kLongestWord, size / kSecond).ptr;
+  *at = '.';
+  size %= kSecond;
+  for (char* digit = at + 9; digit > at; --digit, size /= 10) *digit = static_cast<char>('0' + size % 10);
+  return at + 10;
+}
+
+char* format_number(char* at, double value, bool is_fixed) {
+  if (std::isnan(value)) value = NAN;  // its sign is not written
+#if defined(__cpp_lib_to_chars) && __cpp_lib_to_chars >= 201611L
+  const auto format = is_fixed ? std::chars_format::fixed : std::chars_format::general;
+  return std::to_chars(at, at + kLongestWord, value, format, 9).ptr;
+#else
+  char* const end = at + std::snprintf(at, kLongestWord, is_fixed ? "%.9f" : "%.9g", value);
+  for (; at < end; ++at)
+    if (*at == ',') *at = '.';  // of the locale
+  return end;
+#endif
+}
+
 }  // namespace
+
+std::string format_rows(const int64_t* stamps_ns, const double* values, const bool* is_fixed, size_t rows, size_t columns,
+                        char separator) {
+  std::string text;
+  text.reserve(rows * (columns + 2) * 12);
+  std::array<char, kLongestWord> word;
+  for (size_t row = 0; row < rows; ++row) {
+    text.append(word.data(), format_stamp(word.data(), stamps_ns[row]));
+    for (size_t column = 0; column < columns; ++column) {
+      text += separator;
+      text.append(word.data(), format_number(word.data(), values[row * columns + column], is_fixed[column]));
+    }
+    text += '\n';
+  }
+  return text;
+}
 
 bool parse_numbers(const char* text, size_t size, size_t rows, std::vector<double>& out) {
   const char* at = text;

@@ -1,7 +1,7 @@
 """The NumPy twins of the compiled kernels: what each computes, readable; the oracle of their tests, and the fallback.
 
-All functions but `max_pyramid`, `correlate` and `sum_at_ends`, which work on one plain array, `parse_numbers` and those
-of landmarks work on maps of one layout, five arguments that always come first:
+All functions but `max_pyramid`, `correlate` and `sum_at_ends`, which work on one plain array, `parse_numbers`,
+`format_rows` and those of landmarks work on maps of one layout, five arguments that always come first:
 
 roots : (R, P, Q) int32
     For each map (row) a table of page ids; ``roots[r, 0, 0]`` is the page at page coordinates `first`.
@@ -32,7 +32,7 @@ from gridslam.kernels import reference_scans
 from gridslam.kernels.reference_clusters import are_true, mean_shift
 from gridslam.kernels.reference_landmarks import draw_gaussians, kalman_update, predict_landmarks
 from gridslam.kernels.reference_maps import update
-from gridslam.kernels.reference_numbers import parse_numbers
+from gridslam.kernels.reference_numbers import format_rows, parse_numbers
 from gridslam.kernels.reference_update import (
     FARTHEST,
     OCCUPIED,
@@ -56,6 +56,7 @@ __all__ = [
     "distances",
     "draw_gaussians",
     "draw_scans",
+    "format_rows",
     "kalman_update",
     "known_cells",
     "make_tiles_writable",

@@ -8,7 +8,7 @@ from itertools import cycle
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageChops
 
 from gridslam.types import FloatArray, GridRows, OccupancyGrid, Trajectory
 from gridslam.viz.canvas import (
@@ -68,6 +68,7 @@ def _ramp(first: int, last: int) -> list[int]:
 _OCCUPIED_LEVELS = _ramp(_EVEN, _EVEN + 40)  # fully dark from a probability of 0.78 on
 _FREE_LEVELS = [max(a, b) for a, b in zip(_ramp(_EVEN, _EVEN - 24), _ramp(_EVEN, _EVEN + 8), strict=True)]
 _CRISP = _ramp(52, 204)  # sharpens an enlarged edge to about half a cell
+_SHADES = 16  # of how free and how occupied a pixel is, both in one byte
 
 
 # Of several drives, each in one colour, mostly after Okabe and Ito, so that they differ for every eye; no blue, which
@@ -314,20 +315,34 @@ def _extent(known: NDArray[np.bool_]) -> slice:
 
 
 def _paint_cells(grid: GridRows, layout: Layout) -> Image.Image:
-    """Blend FREE and then OCCUPIED into a page, each through a mask of how much a cell is so."""
+    """Blend FREE and then OCCUPIED into a page, by how much a pixel is so; a palette has all blends."""
     page = Image.new("RGB", layout.size, UNKNOWN)
     rows, columns = known_part(grid)
     shown = (rows.stop - rows.start) * (columns.stop - columns.start)
     block = max(math.ceil(math.sqrt(shown / _MOST_LEVELS)), 1)
-    for colour, table in ((FREE, _FREE_LEVELS), (OCCUPIED, _OCCUPIED_LEVELS)):
+    shades = []
+    for table, place in ((_FREE_LEVELS, _SHADES), (_OCCUPIED_LEVELS, 1)):
         cells = _levels(grid, rows, columns, np.array(table, np.uint8), block)
-        if cells.size:
-            left, top, right, bottom = layout.map_box
-            larger = right - left > cells.shape[1]
-            resample = Image.Resampling.BICUBIC if larger else Image.Resampling.BOX
-            mask = Image.fromarray(cells).resize((right - left, bottom - top), resample)
-            page.paste(colour, layout.map_box, mask.point(_CRISP) if larger else mask)
+        if not cells.size:
+            return page
+        left, top, right, bottom = layout.map_box
+        larger = right - left > cells.shape[1]
+        resample = Image.Resampling.BICUBIC if larger else Image.Resampling.BOX
+        mask = Image.fromarray(cells).resize((right - left, bottom - top), resample)
+        shades.append(mask.point([round(x * (_SHADES - 1) / 255) * place for x in (_CRISP if larger else range(256))]))
+    free, occupied = shades
+    blends = ImageChops.add(free, occupied)
+    blends.putpalette(_palette())
+    page.paste(blends.convert("RGB"), layout.map_box)
     return page
+
+
+def _palette() -> bytes:
+    """Colours (r, g, b) by how free and how occupied a pixel is."""
+    share = np.linspace(0.0, 1.0, _SHADES)[:, None]
+    ground = UNKNOWN + share * np.subtract(FREE, UNKNOWN)
+    colours = ground[:, None] + share * (np.array(OCCUPIED) - ground[:, None])
+    return np.rint(colours).astype(np.uint8).tobytes()
 
 
 def _levels(grid: GridRows, rows: slice, columns: slice, table: NDArray[np.uint8], block: int) -> NDArray[np.uint8]:
