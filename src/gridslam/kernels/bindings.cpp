@@ -385,8 +385,8 @@ auto py_parse_numbers(nb::bytes text, size_t rows) {
   return nb::ndarray<nb::numpy, double>(data, 2, shape, owner);
 }
 
-nb::bytes py_format_rows(Array<const int64_t, 1> stamps_ns, Array<const double, 2> values, Array<const bool, 1> is_fixed,
-                         const char* separator) {
+nb::bytes py_format_rows(Array<const int64_t, 1> stamps_ns, Array<const double, 2> values,
+                         Array<const bool, 1> is_fixed, const char* separator) {
   std::string text;
   {
     nb::gil_scoped_release release;

@@ -87,8 +87,8 @@ char* format_number(char* at, double value, bool is_fixed) {
 
 }  // namespace
 
-std::string format_rows(const int64_t* stamps_ns, const double* values, const bool* is_fixed, size_t rows, size_t columns,
-                        char separator) {
+std::string format_rows(const int64_t* stamps_ns, const double* values, const bool* is_fixed, size_t rows,
+                        size_t columns, char separator) {
   std::string text;
   text.reserve(rows * (columns + 2) * 12);
   std::array<char, kLongestWord> word;
