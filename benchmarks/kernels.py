@@ -122,6 +122,7 @@ def _work(calls: dict[str, Call], poses: FloatArray, beams: Beams, resolution_m:
     x0, x1, y0, y1 = searched[4]
     return {
         "match": (looked_up, "beam"),
+        "match_pose": (len(beams), "beam"),
         "distances": (looked_up, "beam"),
         "sum_at_ends": (looked_up, "beam"),
         "cast_rays": (calls["cast_rays"].result.size, "beam"),
