@@ -125,7 +125,6 @@ class MonteCarloState:
     """
 
     scans_per_snapshot: ClassVar[int] = 1
-    is_large: ClassVar[bool] = False
 
     poses: Annotated[FloatArray, "N", 3]
     log_weights: Annotated[FloatArray, "N"]
@@ -148,6 +147,11 @@ class MonteCarloState:
             return "MonteCarloState(consumed)"
         at = f"the robot at {describe_pose(self.estimate.pose)}" if len(self.poses) else "nothing known"
         return f"MonteCarloState({len(self.poses)} particles, {at}, {self.updates} updates)"
+
+    @property
+    def is_large(self) -> bool:
+        """Whether a snapshot of it counts: never, as it shares the arrays."""
+        return False
 
     @property
     def odometry_rejected(self) -> bool:
