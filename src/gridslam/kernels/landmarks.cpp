@@ -5,8 +5,10 @@
 #include "maps.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
+#include <type_traits>
 #include <vector>
 
 namespace gridslam {
@@ -46,6 +48,29 @@ void add_transformed(const double (&jacobian)[2][N], const double* covariance, d
     for (int j = 0; j < 2; ++j)
       for (int l = 0; l < N; ++l) sum[2 * i + j] += row[l] * jacobian[j][l];
   }
+}
+
+// Room for numbers whose count is part of the type where kCount > 0: then loops over them are unrolled.
+template <int64_t kCount>
+using Numbers = std::conditional_t<(kCount > 0), std::array<double, kCount>, std::vector<double>>;
+
+template <int64_t kCount>
+Numbers<kCount> room(int64_t count) {
+  if constexpr (kCount > 0)
+    return {};
+  else
+    return Numbers<kCount>(count);
+}
+
+// Calls work<D>() for Gaussians of `size` variables: D is the size of a landmark or of a pose, and 0 for any other.
+template <class Work>
+void with_size(int64_t size, const Work& work) {
+  if (size == 2)
+    work.template operator()<2>();
+  else if (size == 3)
+    work.template operator()<3>();
+  else
+    work.template operator()<0>();
 }
 
 }  // namespace
@@ -90,45 +115,51 @@ void predict_landmarks(LandmarkSensor sensor, const Landmarks& all, const int64_
 
 void kalman_update(const Gaussians& all, const int64_t* rows, int64_t r, const double* jacobians,
                    const double* innovations, const double* residuals, double* shifts, double* gains) {
-  const int64_t size = all.size;
-  std::vector<double> shared(2 * size);  // P H' (size, 2)
-  for (int64_t i = 0; i < r; ++i) {
-    const double *H = jacobians + 2 * size * i, *S = innovations + 4 * i, *z = residuals + 2 * i;
-    double *P = all.covariances + size * size * rows[i], *mean = all.means + all.width * rows[i];
-    double *gain = gains + 2 * size * i, *shift = shifts + size * i;
-    const double determinant = S[0] * S[3] - S[1] * S[2];
-    for (int64_t k = 0; k < size; ++k) {
-      double a = 0, b = 0;
-      for (int64_t l = 0; l < size; ++l) a += P[size * k + l] * H[l], b += P[size * k + l] * H[size + l];
-      shared[2 * k] = a, shared[2 * k + 1] = b;
-      gain[2 * k] = (a * S[3] - b * S[2]) / determinant;
-      gain[2 * k + 1] = (b * S[0] - a * S[1]) / determinant;
-      shift[k] = gain[2 * k] * z[0] + gain[2 * k + 1] * z[1];
+  with_size(all.size, [&]<int64_t kSize>() {
+    const int64_t size = kSize > 0 ? kSize : all.size;
+    auto shared = room<2 * kSize>(2 * size);  // P H' (size, 2)
+    for (int64_t i = 0; i < r; ++i) {
+      const double *H = jacobians + 2 * size * i, *S = innovations + 4 * i, *z = residuals + 2 * i;
+      double *GRIDSLAM_RESTRICT P = all.covariances + size * size * rows[i], *mean = all.means + all.width * rows[i];
+      double *GRIDSLAM_RESTRICT gain = gains + 2 * size * i, *GRIDSLAM_RESTRICT shift = shifts + size * i;
+      const double determinant = S[0] * S[3] - S[1] * S[2];
+      for (int64_t k = 0; k < size; ++k) {
+        double a = 0, b = 0;
+        for (int64_t l = 0; l < size; ++l) a += P[size * k + l] * H[l], b += P[size * k + l] * H[size + l];
+        shared[2 * k] = a, shared[2 * k + 1] = b;
+        gain[2 * k] = (a * S[3] - b * S[2]) / determinant;
+        gain[2 * k + 1] = (b * S[0] - a * S[1]) / determinant;
+        shift[k] = gain[2 * k] * z[0] + gain[2 * k + 1] * z[1];
+      }
+      for (int64_t k = 0; k < size; ++k)
+        for (int64_t l = 0; l < size; ++l)
+          P[size * k + l] -= gain[2 * k] * shared[2 * l] + gain[2 * k + 1] * shared[2 * l + 1];
+      for (int64_t k = 0; k < all.width; ++k) mean[k] += shift[k];
     }
-    for (int64_t k = 0; k < size; ++k)
-      for (int64_t l = 0; l < size; ++l)
-        P[size * k + l] -= gain[2 * k] * shared[2 * l] + gain[2 * k + 1] * shared[2 * l + 1];
-    for (int64_t k = 0; k < all.width; ++k) mean[k] += shift[k];
-  }
+  });
 }
 
 // Cholesky's factor comes column by column, and each takes away what it explains; variances may be 0.
-void draw_gaussians(const double* means, const double* covariances, const double* numbers, int64_t n, int64_t size,
+void draw_gaussians(const double* means, const double* covariances, const double* numbers, int64_t n, int64_t any_size,
                     double* drawn) {
-  std::vector<double> left(size * size), column(size);
-  std::copy_n(means, n * size, drawn);
-  for (int64_t i = 0; i < n; ++i) {
-    std::copy_n(covariances + size * size * i, size * size, left.data());
-    for (int64_t k = 0; k < size; ++k) {
-      const double sigma = std::sqrt(std::max(left[size * k + k], 0.0)), number = numbers[size * i + k];
-      for (int64_t l = 0; l < size; ++l) {
-        column[l] = sigma > 0 ? left[size * k + l] / sigma : 0.0;  // no variance, no covariance
-        drawn[size * i + l] += number * column[l];
+  std::copy_n(means, n * any_size, drawn);
+  with_size(any_size, [&]<int64_t kSize>() {
+    const int64_t size = kSize > 0 ? kSize : any_size;
+    auto left = room<kSize * kSize>(size * size);
+    auto column = room<kSize>(size);
+    for (int64_t i = 0; i < n; ++i) {
+      std::copy_n(covariances + size * size * i, size * size, left.data());
+      for (int64_t k = 0; k < size; ++k) {
+        const double sigma = std::sqrt(std::max(left[size * k + k], 0.0)), number = numbers[size * i + k];
+        for (int64_t l = 0; l < size; ++l) {
+          column[l] = sigma > 0 ? left[size * k + l] / sigma : 0.0;  // no variance, no covariance
+          drawn[size * i + l] += number * column[l];
+        }
+        for (int64_t a = 0; a < size; ++a)
+          for (int64_t b = 0; b < size; ++b) left[size * a + b] -= column[a] * column[b];
       }
-      for (int64_t a = 0; a < size; ++a)
-        for (int64_t b = 0; b < size; ++b) left[size * a + b] -= column[a] * column[b];
     }
-  }
+  });
 }
 
 }  // namespace gridslam
