@@ -29,24 +29,28 @@ class Ancestry:
     """Who descends from whom, so that the full trajectory of any particle can be had.
 
     All particles step together, so the tree is kept level by level: the nodes of step t and, for each, its parent's
-    place among those of step t - 1. Every node has a living descendant: `resample` goes back from the newest level and
-    drops what has none, until it meets a level that loses nothing. Steps where a single node is left, hence the past
-    that all particles share, move into the trunk, a plain array. Memory is the trunk's 24 bytes a step plus 32 bytes
-    for each node since the last common ancestor of all; that lies of the order of N resamplings back, however long
-    the run. Where nothing is ever resampled nothing can be forgotten.
+    place among those of step t - 1. Nodes without a living descendant are dropped, from the newest level back to one
+    that loses nothing: at the resampling before which the nodes are twice those that the last such pass left, so that a
+    resampling costs little however long the past, and before the arrays are given away. Steps where a single node is
+    left, hence the past that all particles share, move into the trunk, a plain array. Memory is the trunk's 24 bytes a
+    step plus 32 bytes for each node since the last common ancestor of all, up to twice that before such a pass; the
+    ancestor lies of the order of N resamplings back, however long the run. Where nothing is ever resampled nothing can
+    be forgotten.
 
     What else belongs to a pose for good may stand behind it: then there are W > 3 numbers where 3 are spoken of.
 
     A state has one owner: `extend` and `resample` change the object; `snapshot` keeps a copy for later.
     """
 
-    __slots__ = ("_extended", "_leaves", "_levels", "_trunk", "_width")
+    __slots__ = ("_extended", "_kept", "_leaves", "_levels", "_pruned", "_trunk", "_width")
 
     def __init__(self, leaves: IntArray, levels: list[_Level], trunk: FloatArray) -> None:
-        """Take the parts as they are; use `start` or `from_arrays`."""
+        """Take the parts as they are, without dead nodes; use `start` or `from_arrays`."""
         self._leaves = leaves  # (N,) each particle's place in the newest level
         self._extended = False  # whether that is its number: nothing was resampled since the newest level
         self._levels = levels
+        self._pruned = len(levels)  # the levels that were there when dead nodes were last dropped
+        self._kept = self._nodes  # and their nodes
         self._trunk = array("d", trunk.tobytes())
         self._width: int = trunk.shape[1]
 
@@ -100,20 +104,18 @@ class Ancestry:
             raise ArgumentError("parents", f"indices in [0, {len(self)})", f"{chosen.min()} to {chosen.max()}")
         self._leaves = self._leaves[chosen]
         self._extended = False
-        self._prune()
-        self._coalesce()
+        if self._nodes >= 2 * self._kept:
+            self._prune()
 
     def retract(self) -> FloatArray:
         """Take back the newest of at least two steps, also after a resampling; poses (N, 3) of the step before it."""
         self._extended = False
+        self._prune()
         if self._levels:
-            places = self._levels.pop().parents[self._leaves]
+            self._leaves = self._levels.pop().parents[self._leaves]
+            self._pruned = len(self._levels)
             if self._levels:
-                alive, self._leaves = np.unique(places, return_inverse=True)
-                poses, parents, _ = self._levels[-1]
-                self._levels[-1] = _Level(poses[alive], parents[alive])
                 return self._levels[-1].poses[self._leaves]
-            self._leaves = np.zeros_like(places)
         else:
             del self._trunk[-self._width :]
         last = np.array(self._trunk[-self._width :])
@@ -168,6 +170,7 @@ class Ancestry:
 
     def snapshot(self) -> Ancestry:
         """Return an independent copy; it shares the levels, which are never written to, and copies the trunk."""
+        self._prune()
         return Ancestry(self._leaves, list(self._levels), self._trunk_poses)
 
     def __len__(self) -> int:
@@ -200,6 +203,7 @@ class Ancestry:
             being a place among the nodes of the step before (0 for the trunk's end, and where there is none);
             `leaves` (N,) int64: each particle's place among the nodes of the last step.
         """
+        self._prune()
         return {
             "trunk": self._trunk_poses,
             "counts": np.array([len(level.parents) for level in self._levels], dtype=np.int64),
@@ -234,28 +238,38 @@ class Ancestry:
         ancestry._coalesce()
         return ancestry
 
+    @property
+    def _nodes(self) -> int:
+        """Number of nodes after the trunk."""
+        return sum(len(level.parents) for level in self._levels)
+
     def _prune(self) -> None:
-        used, kept = self._leaves, np.empty(0, np.int64)
-        direct = False
+        """Drop nodes without a living descendant."""
+        used, direct = self._leaves, False
+        kept = numbers = used
         for k in range(len(self._levels) - 1, -1, -1):
             poses, parents, direct_here = self._levels[k]
-            if direct:  # each node has one descendant in the level after it: the same ones are kept
-                places = np.arange(len(kept))
-            else:
+            places = numbers
+            if not direct:  # else each node has one descendant in the level after it: the same ones are kept
                 alive = np.zeros(len(parents), dtype=np.bool_)
                 alive[used] = True
                 kept = alive.nonzero()[0]
-                if len(kept) == len(alive):
-                    return
+                if len(kept) == len(alive) and k < self._pruned:
+                    break
+                numbers = np.arange(len(kept))
                 place = np.empty(len(alive), np.int64)
-                place[kept] = np.arange(len(kept))
+                place[kept] = numbers
                 places = place[used]
             if k + 1 < len(self._levels):
-                self._levels[k + 1] = self._levels[k + 1]._replace(parents=places)
+                after = self._levels[k + 1]
+                self._levels[k + 1] = _Level(after.poses, places, after.direct)
             else:
                 self._leaves = places
             used, direct = kept if direct_here else parents[kept], direct_here
             self._levels[k] = _Level(poses.take(kept, axis=0), used, direct)
+        self._coalesce()
+        self._pruned = len(self._levels)
+        self._kept = self._nodes
 
     def _coalesce(self) -> None:
         """Move the leading levels of a single node into the trunk."""
@@ -264,6 +278,7 @@ class Ancestry:
             self._trunk.frombytes(self._levels[lone].poses.tobytes())
             lone += 1
         del self._levels[:lone]
+        self._pruned -= min(lone, self._pruned)
 
     def _trajectories(self, places: IntArray) -> FloatArray:
         """Poses (len(places), T, 3) along the pasts of nodes of the newest level."""
