@@ -118,11 +118,10 @@ def test_what_has_no_variance_is_drawn_as_it_is(kernels):
     np.testing.assert_array_equal(drawn, reference.draw_gaussians(means, C, numbers))
 
 
-def test_many_poses_have_the_covariances_of_each_alone():
+@pytest.mark.parametrize("is_isotropic", [False, True])
+def test_many_poses_have_the_covariances_of_each_alone(is_isotropic):
     rng = np.random.default_rng(4)
-    motion, poses = (
-        GaussianIncrement.with_covariance(rng.normal(size=3), covariances(rng, 3)),
-        rng.normal(size=(150, 3)),
-    )
+    covariance = np.diag([0.3, 0.3, 0.1]) if is_isotropic else covariances(rng, 3)
+    motion, poses = GaussianIncrement.with_covariance(rng.normal(size=3), covariance), rng.normal(size=(150, 3))
     alone = np.concatenate([motion.moments(pose[None])[1] for pose in poses])
     np.testing.assert_allclose(motion.moments(poses)[1], alone, atol=1e-12)

@@ -100,6 +100,8 @@ class GaussianIncrement:
 def _rotate_covariance_often(covariance: FloatArray, angles: FloatArray) -> FloatArray:
     """Rotate one covariance (3, 3) by angles (N,), as `rotate_covariances` does: written out, as loops along them."""
     (xx, xy, xt), (_, yy, yt), (_, _, tt) = covariance.tolist()
+    if xx == yy and xy == xt == yt == 0:  # the same in any frame
+        return np.repeat(covariance[None], len(angles), axis=0)
     c, s = np.cos(angles), np.sin(angles)
     cc, cs, ss = c * c, c * s, s * s
     rotated = np.empty((len(angles), 3, 3))

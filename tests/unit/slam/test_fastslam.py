@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.evaluation import align
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import compose, transform_points
+from gridslam.geometry.se2 import compose, transform_points, weighted_covariance
 from gridslam.models.association import NEW, LandmarkExistence, MaximumLikelihood
 from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RangeBearing, RelativePosition
 from gridslam.models.motion import DiffusionMotion, GaussianIncrement
@@ -215,6 +215,16 @@ def test_a_landmark_that_was_confirmed_is_held_for_real_until_it_is_dropped(kind
         held.append((hidden >= ALL_AROUND.log_odds_confirmed, len(slam.landmark_map(state))))
     assert (False, 2) in held
     assert held[-1] == (False, 1)
+
+
+def test_the_reported_covariance_is_that_of_the_weighted_particles():
+    """About their mean, also where headings lie on both sides of pi."""
+    rng, state = np.random.default_rng(3), FastSlam2(FILTERS).init(50, [1.0, 2.0, -np.pi])
+    poses = compose(state.poses, rng.normal(size=(50, 3)) * 0.1)
+    state.advance(poses, state.state_covariances, rng.normal(size=50))
+    report, weights = state.report(np.empty((50, 0), np.int64)), np.exp(state.log_weights)
+    np.testing.assert_allclose(report.covariance, weighted_covariance(state.poses, weights), rtol=1e-2, atol=1e-5)
+    np.testing.assert_allclose(report.n_eff, 1 / (weights @ weights))
 
 
 def test_nothing_is_drawn_while_nothing_is_seen():

@@ -58,7 +58,7 @@ class PoseProposal:
 
     def covariance_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray:
         """Covariance (R, 3, 3) of the poses as seen from landmarks (rows, columns)."""
-        return self.covariance[rows]
+        return self.covariance.take(rows, axis=0)
 
     def bound_covariance(self) -> FloatArray:
         """Upper bound (N, 3, 3) of the pose covariance relative to any landmark."""

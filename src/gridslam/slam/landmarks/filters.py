@@ -300,12 +300,12 @@ class LandmarkFilters:
 
         Source: Probabilistic Robotics, Table 13.2 (the counters i), as log odds.
         """
-        rows, k = np.nonzero(columns >= 0)
-        of = rows, columns[rows, k]
-        state.observations[of] += 1
+        count, width = state.observations.shape
+        places = (columns + width * np.arange(count)[:, None])[columns >= 0]
+        state.observations.reshape(-1)[places] += 1
         if columns.shape[1] and not self.association.uses_signatures:  # a sensor that sees nothing may not have looked
             seen = np.zeros(state.evidence.shape, np.bool_)
-            seen[of] = True
+            seen.reshape(-1)[places] = True
             evidence = self.existence(state.evidence, seen, state.poses[:, None], state.positions)
             state.evidence = np.where(evidence < 0, -math.inf, evidence)
             state.confirmed = (state.confirmed | (evidence >= self.existence.log_odds_confirmed)) & (evidence >= 0)

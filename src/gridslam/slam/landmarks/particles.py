@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import final
@@ -11,12 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ConsumedStateError
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between, compose, lever_arm_jacobian, weighted_covariance
+from gridslam.geometry.se2 import between, compose, lever_arm_jacobian
+from gridslam.kernels import backend
 from gridslam.models.association import NEW
 from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose
-from gridslam.particles.resampling import effective_sample_size, normalize
+from gridslam.particles.resampling import normalize
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import transform_covariances
 from gridslam.types import FloatArray, IntArray, MotionSampler
@@ -192,14 +194,19 @@ class LandmarkParticles:
         """
         self.state_means = known
         self.state_covariances = spread
-        frames = self.replaced_local_frames
-        past = [self.poses, self._describe_local_frames() if frames is None else frames]
-        past.append(np.full(len(self), log_weights is not None))
+        past = np.zeros((len(self), 9))  # the pose, its local frame, and whether it was drawn
+        past[:, :3] = self.poses
+        if self.replaced_local_frames is not None:
+            past[:, 3:8] = self.replaced_local_frames
+        elif self.local_frame_step.any():
+            past[:, 3:8] = self._describe_local_frames()
+        past[:, 8] = log_weights is not None
         self.replaced_local_frames = None
         if self.pose_by_bias.size:
             self.pose_by_bias = spread[:, :3, 3:] @ np.linalg.inv(spread[:, 3:, 3:])
-            past += [known[:, 3:], *(part.reshape(len(self), -1) for part in (self.pose_by_bias, self.bias_before))]
-        self.ancestry.extend(np.column_stack(past))
+            of_bias = known[:, 3:], *(part.reshape(len(self), -1) for part in (self.pose_by_bias, self.bias_before))
+            past = np.column_stack([past, *of_bias])
+        self.ancestry.extend(past)
         if log_weights is not None:
             self.log_weights = normalize(self.log_weights + log_weights)
             accumulated = self.log_ancestry + log_weights
@@ -240,14 +247,17 @@ class LandmarkParticles:
         """Report of the last step; places (N, K) are the columns of the observed landmarks."""
         best = self.best
         weights = np.exp(self.log_weights)
-        covariance = weighted_covariance(self.poses, weights)
+        all_of_them = np.ones(len(self), np.bool_)
+        _, _, total, squares, covariance = backend.mean_shift(
+            self.poses, weights, all_of_them, self.poses[best], math.inf, math.inf, 1
+        )
         spread = self._pose_covariances()
         if spread.any():  # not where all are drawn
             covariance += np.einsum("n,nij->ij", weights, spread)
         columns = places[best]
         names = self.names[columns]  # below 0 where columns have no signatures
         reported = np.where((columns >= 0) & (names >= 0), names, columns)
-        return LandmarkReport(self.poses[best].copy(), covariance, reported, effective_sample_size(self.log_weights))
+        return LandmarkReport(self.poses[best].copy(), covariance, reported, total**2 / squares)
 
     def take(self) -> LandmarkParticles:
         """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
