@@ -240,7 +240,7 @@ class Ancestry:
 
     @property
     def _nodes(self) -> int:
-        """Number of nodes after the trunk."""
+        """Number of nodes of all levels."""
         return sum(len(level.parents) for level in self._levels)
 
     def _prune(self) -> None:
