@@ -27,7 +27,7 @@ from report import table
 __all__ = ["ELSEWHERE", "Call", "Situation", "fork_join_us", "kernel_times", "record"]
 
 ELSEWHERE = {
-    *("draw_scans", "known_cells", "match_scans", "round_to_steps", "select_beams", "shortest_ways"),
+    *("draw_scans", "known_cells", "match_scans", "select_beams", "shortest_ways"),
     *("parse_numbers", "format_rows"),
     *("draw_gaussians", "kalman_update", "predict_landmarks", "are_true", "mean_shift"),
 }

@@ -18,7 +18,6 @@ from gridslam.types import LaserScan, ScanGeometry
 compiled = pytest.importorskip("gridslam.kernels._compiled")
 
 KERNELS = (
-    "round_to_steps",
     "select_beams",
     "tiles_on_rays",
     "make_tiles_writable",
@@ -76,18 +75,6 @@ def test_select_beams(seed):
     for a, b in zip(one, other, strict=True):
         assert (a.dtype, a.shape) == (b.dtype, b.shape)
         np.testing.assert_array_equal(a, b)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_round_to_steps(seed):
-    """Halves of steps are met, and no end lies farther than a half step from where it was."""
-    rng = np.random.default_rng(seed)
-    ends = rng.integers(-2000, 2000, (int(rng.integers(0, 200)), 2)) * rng.choice([0.0, 1e-3, 5e-324, 1 / 64])
-    steps = np.zeros((2, *ends.shape), np.int16)
-    lengths = [k.round_to_steps(ends, 1000, own) for k, own in zip((compiled, reference), steps, strict=True)]
-    assert lengths[0] == lengths[1] > 0
-    np.testing.assert_array_equal(*steps)
-    assert np.abs(steps[0] * lengths[0] - ends).max(initial=0.0) <= 0.5 * lengths[0]
 
 
 def random_ends(rng, beams=60):

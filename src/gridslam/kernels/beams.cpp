@@ -1,8 +1,5 @@
-// Which beams of a scan are used, where they end, and their ends in few bytes.
+// Which beams of a scan are used, and where they end.
 #include "beams.hpp"
-
-#include <algorithm>
-#include <cmath>
 
 namespace gridslam {
 
@@ -18,14 +15,6 @@ size_t select_beams(const double* ranges, const uint8_t* status, size_t n, const
              static_cast<size_t>(range < max_m);
   }
   return count;
-}
-
-double round_to_steps(const double* values, size_t n, int16_t most, int16_t* steps) {
-  double farthest = 0.0;
-  for (size_t i = 0; i < n; ++i) farthest = std::max(farthest, std::abs(values[i]));
-  const double step = farthest / most, step_m = step > 0.0 ? step : 1.0;
-  for (size_t i = 0; i < n; ++i) steps[i] = static_cast<int16_t>(std::nearbyint(values[i] / step_m));
-  return step_m;
 }
 
 }  // namespace gridslam

@@ -84,10 +84,6 @@ auto py_select_beams(Vector ranges, Array<const uint8_t, 1> status, Matrix direc
   return std::make_tuple(owning<int64_t, 1>(indices, {k}), owning<double, 2>(ends, {k, 2}));
 }
 
-double py_round_to_steps(Matrix ends, int most, Array<int16_t, 2> steps) {
-  return round_to_steps(ends.data(), ends.size(), static_cast<int16_t>(most), steps.data());
-}
-
 Arena arena_of(const Array<int32_t, 1>& page_refs, const Array<int32_t, 1>& tile_refs, const Rows& free_pages,
                const Rows& free_tiles) {
   return {page_refs.data(),
@@ -430,7 +426,6 @@ auto py_correlate(Array<const uint8_t, 3> fine, Array<const uint8_t, 4> top, Mat
 
 NB_MODULE(_compiled, m) {
   using namespace gridslam;
-  m.def("round_to_steps", &py_round_to_steps, "ends"_a, "most"_a, nb::arg("steps").noconvert());
   m.def("select_beams", &py_select_beams, "ranges"_a, "status"_a, "directions"_a, "origin"_a, "min_m"_a, "max_m"_a);
   m.def("tiles_on_rays", &py_tiles_on_rays, "rows"_a, "poses"_a, "ends"_a, "origin"_a, "resolution"_a, "threads"_a);
   m.def("make_tiles_writable", &py_make_tiles_writable, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(),

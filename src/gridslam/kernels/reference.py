@@ -67,7 +67,6 @@ __all__ = [
     "mean_shift",
     "parse_numbers",
     "predict_landmarks",
-    "round_to_steps",
     "select_beams",
     "shortest_ways",
     "sum_at_ends",
@@ -99,16 +98,6 @@ def select_beams(
     """
     usable = ((status == 0) & (ranges >= min_m) & (ranges < max_m)).nonzero()[0]
     return usable, directions[usable] * ranges[usable, None] + origin
-
-
-def round_to_steps(ends: FloatArray, most: int, steps: NDArray[np.int16]) -> float:
-    """Round ends (B, 2), in m, to whole `steps` (B, 2) of the length returned, m: the farthest coordinate has `most`.
-
-    1 m where all are 0.
-    """
-    step_m = float(np.abs(ends).max(initial=0.0)) / most or 1.0
-    steps[:] = np.rint(ends / step_m)
-    return step_m
 
 
 @final

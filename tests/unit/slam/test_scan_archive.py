@@ -46,6 +46,15 @@ def test_what_goes_in_comes_out(archive):
     assert archive.nbytes == 4 * sum(len(scan.ends) for scan in scans())
 
 
+@pytest.mark.parametrize("length_m", [0.0, 5e-324, 1e-3])
+def test_ends_near_the_origin_move_by_half_a_step_at_most(length_m):
+    """Those at the origin, and those nearer to it than any step that can be represented, have steps of 1 m."""
+    ends = length_m * np.arange(-20.0, 20).reshape(-1, 2)
+    kept = ScanArchive()
+    kept.append(StoredScan(ends, np.zeros(2)), np.zeros(3), is_key=True)
+    np.testing.assert_allclose(kept[0].ends, ends, rtol=1e-12, atol=0.5 * np.abs(ends).max() / 32767 or 1e-300)
+
+
 @pytest.mark.parametrize("count", range(10))
 def test_what_is_truncated_is_as_if_no_more_had_come(count):
     """Some scans are not kept, as they have no beam; none but the first `count` may be left of the others."""

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose
 from gridslam.grid.scan_batch import ScanBatch
-from gridslam.kernels import backend
 from gridslam.serialization import NOT_SAVED
 from gridslam.tracking.state import is_within
 from gridslam.types import BeamEnds, FloatArray, IntArray, StoredScan
@@ -88,11 +87,10 @@ class ScanArchive:
             return
         else:
             ends = ends[:: max(1, -(-len(ends) // _BETWEEN_KEYS))]
-        steps = np.empty(ends.shape, np.int16)
-        step_m = backend.round_to_steps(ends, _STEPS, steps)
+        step_m = float(np.abs(ends).max(initial=0.0)) / _STEPS or 1.0
         self._places[scan] = len(self._stored)
         self._stored.append(scan)
-        self._ends.append(steps)
+        self._ends.append(np.rint(ends / step_m).astype(np.int16))
         self._steps_m.append(step_m)
         self._origins.append(beams.origin)
         if len(ends):
