@@ -157,13 +157,8 @@ class RecordWriter:
         """Write what was collected, compressed, and tracked revisits (R, 2); arrays of length 0 without a key scan."""
         arrays: dict[str, Any] = self.to_arrays()
         arrays["revisits"] = np.zeros((0, 2), np.int32) if revisits is None else revisits.astype(np.int32)
-        with zipfile.ZipFile(path, "w") as archive:
-            for name, array in {"schema": np.array(_SCHEMA), **arrays}.items():
-                member = zipfile.ZipInfo(f"{name}.npy")
-                # digits of poses and weights are random: it takes long to find that they cannot be compressed
-                member.compress_type = zipfile.ZIP_STORED if array.dtype.kind == "f" else zipfile.ZIP_DEFLATED
-                with archive.open(member, "w", force_zip64=True) as file:
-                    np.lib.format.write_array(file, array, allow_pickle=False)
+        with Path(path).open("wb") as file:
+            np.savez_compressed(file, schema=np.array(_SCHEMA), **arrays)
 
 
 def read_record(path: str | Path) -> Record:
