@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -305,30 +305,18 @@ def match_pose(
     guess: tuple[float, float, float],
     prior: tuple[float, float, float, float, float, float],
     ends: FloatArray,
-    resolution: float,
-    max_iterations: int,
-    cauchy_cells: float,
-    max_step_cells: float,
-    max_step_rad: float,
-    stop_cells: float,
-    stop_rad: float,
-    reach_cells: float,
-    min_information: float,
-    point_to_line: bool,
+    *settings: Any,  # noqa: ANN401 those of `match`
 ) -> tuple[tuple[float, ...], tuple[float, ...], float]:
     """`match` of one `guess` to map `row`, in numbers: pose, information and score.
 
-    Of the symmetric matrices `prior` and information the upper triangle, row by row.
+    The `settings` are those of `match`, from the resolution to `point_to_line`. Of the symmetric matrices `prior` and
+    information the upper triangle, row by row.
     """
     upper = np.triu_indices(3)
     whole = np.zeros((3, 3))
     whole[upper] = whole.T[upper] = prior
-    rows = np.array([row], np.int32)
-    settings = max_iterations, cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells
-    poses, information, score = match(
-        *(roots, first, pages, log_odds, field, rows, np.array([guess]), whole[None], ends, resolution),
-        *(*settings, min_information, point_to_line, 1),
-    )
+    maps = roots, first, pages, log_odds, field, np.array([row], np.int32)
+    poses, information, score = match(*maps, np.array([guess]), whole[None], ends, *(*settings, 1))
     return tuple(poses[0].tolist()), tuple(information[0][upper].tolist()), float(score[0])
 
 
