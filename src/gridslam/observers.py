@@ -23,7 +23,6 @@ __all__ = ["Latency", "RunStatistics", "StatisticsRecorder", "TrajectoryRecorder
 _LOG_STEP = math.log(1.01)
 _SHORTEST_S = 1e-7
 _MOST_BINS = 4000  # 1e17 s
-_COUNTED_TOGETHER = 1024
 
 
 @final
@@ -149,44 +148,22 @@ class Latency:
 class _Durations:
     """Histogram of durations in steps of 1 %, and their maximum: a day of scans takes no more memory than a minute."""
 
-    __slots__ = ("_bins", "_max_s", "_newest")
+    __slots__ = ("bins", "max_s")
 
     def __init__(self) -> None:
-        self._bins: Counter[int] = Counter()
-        self._max_s = 0.0
-        self._newest = array("d")  # counted together, which takes a tenth of the time
+        self.bins: Counter[int] = Counter()
+        self.max_s = 0.0
 
     def add(self, seconds: float) -> None:
-        self._newest.append(seconds)
-        if len(self._newest) >= _COUNTED_TOGETHER:
-            self._count_newest()
-
-    @property
-    def bins(self) -> Counter[int]:
-        """Number of durations by bin."""
-        self._count_newest()
-        return self._bins
-
-    @property
-    def max_s(self) -> float:
-        """The longest."""
-        self._count_newest()
-        return self._max_s
-
-    def _count_newest(self) -> None:
-        if self._newest:
-            seconds = np.array(self._newest)
-            self._max_s = max(self._max_s, float(seconds.max()))
-            self._bins.update(np.rint(np.log(np.maximum(seconds, _SHORTEST_S)) / _LOG_STEP).astype(int).tolist())
-            del self._newest[:]
+        self.bins[round(math.log(max(seconds, _SHORTEST_S)) / _LOG_STEP)] += 1
+        self.max_s = max(self.max_s, seconds)
 
     def summarize(self) -> Latency:
         """Median and 99th percentile within 0.5 %; zeros if there are none."""
-        counts = self.bins
-        if not counts:
+        if not self.bins:
             return Latency(0.0, 0.0, 0.0)
-        bins = np.array(sorted(counts))
-        reached = np.cumsum([counts[each] for each in bins.tolist()])
+        bins = np.array(sorted(self.bins))
+        reached = np.cumsum([self.bins[each] for each in bins.tolist()])
         median, p99 = np.exp(_LOG_STEP * bins[np.searchsorted(reached, np.array([0.5, 0.99]) * reached[-1])]).tolist()
         return Latency(min(median, self.max_s), min(p99, self.max_s), self.max_s)
 
@@ -200,8 +177,8 @@ class _Durations:
         bins = read_array(arrays, "bins", np.int64, (None, 2))
         if (np.diff(bins[:, 0]) < 1).any() or (np.abs(bins[:, 0]) > _MOST_BINS).any() or (bins[:, 1] < 1).any():
             raise ArgumentError("bins", f"ascending numbers up to {_MOST_BINS}, each with a count of 1 or more", bins)
-        self._bins = Counter(dict(bins.tolist()))
-        self._max_s = float(read_array(arrays, "max_s", np.float64, ()))
+        self.bins = Counter(dict(bins.tolist()))
+        self.max_s = float(read_array(arrays, "max_s", np.float64, ()))
         return self
 
 
