@@ -39,6 +39,7 @@ __all__ = [
 
 
 FloatArray = NDArray[np.float64]
+_MANY = 100  # angles, for which small products of matrices take longer than sums along them
 _FLOAT64 = np.dtype(np.float64)  # NumPy's one and only, so that it need not be compared
 Component: TypeAlias = Any  # a float for a single pose, else an array over the leading dimensions
 
@@ -201,8 +202,8 @@ def rotate_covariances(covariances: FloatArray, angles: ArrayLike) -> FloatArray
     R rotates x and y by `angles` (...), rad: the heading, in the new axes, of the frame that they are given in.
     """
     angle = np.asarray(angles, np.float64)
-    if angle.ndim == 0 and covariances.ndim == 2:
-        return _rotate_covariance(covariances, angle.item())
+    if covariances.ndim == 2 and (angle.ndim == 0 or angle.size > _MANY):
+        return _rotate_covariance(covariances, angle if angle.ndim else angle.item())
     rotation = np.zeros((*angle.shape, 3, 3))
     rotation[..., 0, 0] = rotation[..., 1, 1] = np.cos(angle)
     rotation[..., 1, 0] = np.sin(angle)
@@ -211,17 +212,18 @@ def rotate_covariances(covariances: FloatArray, angles: ArrayLike) -> FloatArray
     return np.asarray(rotation @ covariances @ rotation.swapaxes(-1, -2))
 
 
-def _rotate_covariance(covariance: FloatArray, angle: float) -> FloatArray:
+def _rotate_covariance(covariance: FloatArray, angle: Component) -> FloatArray:
     (xx, xy, xt), (_, yy, yt), (_, _, tt) = covariance.tolist()
-    c = math.cos(angle)
-    s = math.sin(angle)
-    across = 2 * c * s * xy
-    rxy = c * s * (xx - yy) + (c * c - s * s) * xy
+    if type(angle) is not float and xx == yy and xy == xt == yt == 0:  # the same in any axes
+        return np.tile(covariance, (*angle.shape, 1, 1))
+    c, s = _cos_sin(angle)
+    cc, cs, ss = c * c, c * s, s * s
+    rxx = cc * xx - cs * (2 * xy) + ss * yy
+    ryy = ss * xx + cs * (2 * xy) + cc * yy
+    rxy = cs * (xx - yy) + (cc - ss) * xy
     rxt = c * xt - s * yt
     ryt = s * xt + c * yt
-    rxx = c * c * xx + s * s * yy - across
-    ryy = s * s * xx + c * c * yy + across
-    return np.array(((rxx, rxy, rxt), (rxy, ryy, ryt), (rxt, ryt, tt)))
+    return _matrix(rxx, rxy, rxt, rxy, ryy, ryt, rxt, ryt, tt)
 
 
 def lever_arm_jacobian(frames: FloatArray, carried: FloatArray) -> FloatArray:

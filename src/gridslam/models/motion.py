@@ -31,7 +31,6 @@ __all__ = [
     "_finite_triple",
 ]
 
-_MANY = 100  # of which small products of matrices take longer than sums along the poses
 _IDENTITY = np.eye(3)
 _IDENTITY.flags.writeable = False
 
@@ -93,25 +92,7 @@ class GaussianIncrement:
         if len(poses) == 1:
             (pose,) = poses
             return compose(pose, self.increment)[None], rotate_covariances(covariance, pose[2])[None]
-        rotate = _rotate_covariance_often if len(poses) > _MANY else rotate_covariances
-        return compose(poses, self.increment), rotate(covariance, poses[:, 2])
-
-
-def _rotate_covariance_often(covariance: FloatArray, angles: FloatArray) -> FloatArray:
-    """Rotate one covariance (3, 3) by angles (N,), as `rotate_covariances` does: written out, as loops along them."""
-    (xx, xy, xt), (_, yy, yt), (_, _, tt) = covariance.tolist()
-    if xx == yy and xy == xt == yt == 0:  # the same in any frame
-        return np.repeat(covariance[None], len(angles), axis=0)
-    c, s = np.cos(angles), np.sin(angles)
-    cc, cs, ss = c * c, c * s, s * s
-    rotated = np.empty((len(angles), 3, 3))
-    rotated[:, 0, 0] = cc * xx - cs * (2 * xy) + ss * yy
-    rotated[:, 1, 1] = ss * xx + cs * (2 * xy) + cc * yy
-    rotated[:, 0, 1] = rotated[:, 1, 0] = cs * (xx - yy) + (cc - ss) * xy
-    rotated[:, 0, 2] = rotated[:, 2, 0] = c * xt - s * yt
-    rotated[:, 1, 2] = rotated[:, 2, 1] = s * xt + c * yt
-    rotated[:, 2, 2] = tt
-    return rotated
+        return compose(poses, self.increment), rotate_covariances(covariance, poses[:, 2])
 
 
 def _rotate_translate_rotate(values: FloatArray) -> FloatArray:
