@@ -271,14 +271,12 @@ class KeyGraph:
 
     def tracked_poses_in_map(self, anchors: IntArray, keys: IntArray) -> FloatArray:
         """Poses (K, 3) of key scans, each as tracked about the pose of the one of `anchors` (K,) near it in the map."""
-        frames = np.array([self.poses[anchor] for anchor in anchors.tolist()]).reshape(-1, 3)
-        tracked_frames = np.array([self.tracked[anchor] for anchor in anchors.tolist()]).reshape(-1, 3)
-        tracked = np.array([self.tracked[key] for key in keys.tolist()]).reshape(-1, 3)
-        return compose(frames, between(tracked_frames, tracked))
+        tracked = between(_select_poses(self.tracked, anchors), _select_poses(self.tracked, keys))
+        return compose(_select_poses(self.poses, anchors), tracked)
 
     def tracked_poses_from(self, anchor: int, keys: IntArray) -> FloatArray:
         """Poses (K, 3) of key scans seen from `anchor`, as tracked."""
-        return between(self.tracked[anchor], np.array([self.tracked[k] for k in keys.tolist()]).reshape(-1, 3))
+        return between(self.tracked[anchor], _select_poses(self.tracked, keys))
 
     def relative_pose(self, anchor: int, key: int) -> FloatArray:
         """Pose (3,) of a key scan seen from another: as tracked where they are near in time, else as the map has it."""
@@ -439,11 +437,11 @@ class KeyGraph:
         place = self._link_places.get((a, b))
         known = None if place is None else self._links.array[place]
         if known is None or total[0] + total[3] < known[3] + known[6]:
-            anchor, from_, to, there = (
+            anchor, from_, to, end = (
                 as_pose(self.tracked[key])
                 for key in (first_key_scan(a), constraint.from_, constraint.to, first_key_scan(b))
             )
-            measured = single_pose.compose(as_pose(constraint.measurement), single_pose.between(to, there))
+            measured = single_pose.compose(as_pose(constraint.measurement), single_pose.between(to, end))
             there = single_pose.compose(single_pose.between(anchor, from_), measured)
             self._set_link(a, b, single_pose.between(there, ORIGIN), total)
             self._set_link(b, a, there, total)
@@ -457,6 +455,11 @@ class KeyGraph:
         link = self._links.array[place]
         link[:3] = there
         link[3:] = moments
+
+
+def _select_poses(poses: Sequence[FloatArray], keys: IntArray) -> FloatArray:
+    """Those (K, 3) of some key scans (K,)."""
+    return np.array([poses[key] for key in keys.tolist()]).reshape(-1, 3)
 
 
 def _moments(place: tuple[float, float], xx: float, xy: float, yy: float, heading: float) -> FloatArray:
