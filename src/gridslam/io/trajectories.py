@@ -33,8 +33,9 @@ CSV_HEADER = (
 )
 """First line of a trajectory in CSV: the columns with their units."""
 
-_OF_TUM = np.array([True, True, False, False, False, True, True])  # x, y and two of the quaternion vary: nine decimals
-_OF_CSV = np.arange(9) < 3
+_FIXED_IN_TUM = np.array([True, True, False, False, False, True, True])
+_FIXED_IN_CSV = np.arange(9) < 3
+"""Columns of nine decimals, the poses; others have nine significant digits, or are 0."""
 _PLANAR = (1e-3, 1e-3, 1e-3)  # m, rad, rad
 
 
@@ -55,7 +56,7 @@ def write_tum(path: str | Path, trajectory: Trajectory) -> None:
     values[:, :2] = trajectory.poses[:, :2]
     values[:, 5] = list(map(math.sin, half))
     values[:, 6] = list(map(math.cos, half))
-    Path(path).write_bytes(backend.format_rows(trajectory.stamps_ns, values, _OF_TUM, " "))
+    Path(path).write_bytes(backend.format_rows(trajectory.stamps_ns, values, _FIXED_IN_TUM, " "))
 
 
 def read_tum(path: str | Path) -> Trajectory:
@@ -99,7 +100,7 @@ def write_trajectory_csv(path: str | Path, trajectory: Trajectory, covariances: 
     if covariances.shape != (len(trajectory), 3, 3):
         raise ArgumentError("covariances", f"shape ({len(trajectory)}, 3, 3)", covariances.shape)
     values = np.concatenate([trajectory.poses, upper_of_symmetric(covariances)], axis=1)
-    lines = backend.format_rows(trajectory.stamps_ns, values, _OF_CSV, ",")
+    lines = backend.format_rows(trajectory.stamps_ns, values, _FIXED_IN_CSV, ",")
     with Path(path).open("wb") as file:
         file.write(f"{CSV_HEADER}\n".encode())
         file.write(lines)

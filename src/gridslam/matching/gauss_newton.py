@@ -128,10 +128,11 @@ class GaussNewton:
 EVALUATE_ONLY = GaussNewton(max_iterations=0)
 """Evaluates the score at the guess without iterating."""
 
-NO_PRIOR = 1e-9 * np.eye(3)
+_NOTHING_KNOWN = 1e-9
+NO_PRIOR = _NOTHING_KNOWN * np.eye(3)
 """Prior information (3, 3) of a guess that means nothing, and keeps what no beam determines."""
 
-NO_INFORMATION: Information = (1e-9, 0.0, 0.0, 1e-9, 0.0, 1e-9)
+NO_INFORMATION: Information = (_NOTHING_KNOWN, 0.0, 0.0, _NOTHING_KNOWN, 0.0, _NOTHING_KNOWN)
 """The same of one pose, for `match_pose`."""
 
 
