@@ -300,9 +300,9 @@ def run(
         "observe".
     on_failure : callable, optional
         Called with each step that raises an exception: its scan is skipped, without a report, and the next one is
-        processed as if there had been no such scan. Of that one, what the step wrote before it failed may stay where
-        memory is short, and where maps take more than 200 MB: of them no copy is kept to go back to, as it would come
-        to take hundreds of MB, too. If not given, the exception passes.
+        processed as if there had been no such scan. Where maps take more than 200 MB no copy of the state is kept to
+        go back to: what the failed step has written stays, and the state is revived with it. So it is where memory is
+        too short to go back. If not given, the exception passes.
 
     Returns
     -------
