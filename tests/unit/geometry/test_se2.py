@@ -88,3 +88,17 @@ def test_mean_refuses_weights_that_do_not_fit() -> None:
             se2.weighted_mean(np.zeros((2, 3)), weights)
     with pytest.raises(ArgumentError, match="weights"):
         se2.weighted_mean(np.zeros(3), [1.0])
+
+
+@pytest.mark.parametrize("covariance", [[4, 1, 0.5, 1, 2, -0.3, 0.5, -0.3, 1], [2, 0, 0, 0, 2, 0, 0, 0, 3]])
+def test_covariances_rotate_alike_by_one_angle_and_by_many(covariance) -> None:
+    """As the product of matrices: by one angle, by few, by more than a hundred, and with a covariance for each."""
+    own = np.reshape(np.array(covariance, float), (3, 3))
+    angles = np.linspace(-3, 3, 120).reshape(8, 15)
+    c, s, zero, one = np.cos(angles), np.sin(angles), np.zeros((8, 15)), np.ones((8, 15))
+    rotation = np.moveaxis(np.array([[c, -s, zero], [s, c, zero], [zero, zero, one]]), (0, 1), (-2, -1))
+    want = np.einsum("...ij,jk,...lk->...il", rotation, own, rotation)
+    np.testing.assert_allclose(se2.rotate_covariances(own, angles), want, atol=1e-14)
+    np.testing.assert_allclose(se2.rotate_covariances(own, angles[0]), want[0], atol=1e-14)
+    np.testing.assert_allclose(se2.rotate_covariances(np.tile(own, (8, 15, 1, 1)), angles), want, atol=1e-14)
+    np.testing.assert_allclose(se2.rotate_covariances(own, angles[1, 2]), want[1, 2], atol=1e-14)
