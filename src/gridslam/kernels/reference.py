@@ -315,8 +315,9 @@ def match_pose(
     upper = np.triu_indices(3)
     whole = np.zeros((3, 3))
     whole[upper] = whole.T[upper] = prior
-    maps = roots, first, pages, log_odds, field, np.array([row], np.int32)
-    poses, information, score = match(*maps, np.array([guess]), whole[None], ends, *(*settings, 1))
+    rows, guesses, priors = np.array([row], np.int32), np.array([guess]), whole[None]
+    given: list[Any] = [roots, first, pages, log_odds, field, rows, guesses, priors, ends, *settings, 1]
+    poses, information, score = match(*given)
     return tuple(poses[0].tolist()), tuple(information[0][upper].tolist()), float(score[0])
 
 
