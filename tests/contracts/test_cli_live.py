@@ -21,6 +21,7 @@ from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.maps import read_map, write_map
 from support.localization_world import drive, flat_map
 from support.page_client import PageClient
+from support.ports import free_port
 
 SAME = "map.yaml", "map.pgm", "trajectory.tum", "trajectory.csv", "trajectory_online.tum", "graph.g2o"
 FEW = "--particles", "4"
@@ -45,11 +46,6 @@ def look(url, client, out):
                     return
     except ConnectionClosed:
         pass
-
-
-def free_port():
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        return taken.getsockname()[1]
 
 
 def test_the_results_are_the_same_with_and_without(call, log, mapped, tmp_path):

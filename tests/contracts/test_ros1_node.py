@@ -6,7 +6,6 @@ import json
 import math
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -24,6 +23,7 @@ from gridslam.io.log import LogOptions, open_log
 from gridslam.io.maps import write_map
 from support.localization_world import drive as flat_drive
 from support.localization_world import flat_map
+from support.ports import free_port
 
 SYSTEM_PYTHON, PACKAGES = "/usr/bin/python3", "/usr/lib/python3/dist-packages"
 SUPPORT = Path(__file__).resolve().parents[1] / "support"
@@ -56,9 +56,7 @@ class Ros:
     """A master of its own, on a free port, with the time of what is played."""
 
     def __init__(self, folder: Path) -> None:
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            port = free.getsockname()[1]
+        port = free_port()
         self.folder, self.uri = folder, f"http://127.0.0.1:{port}"
         kept = {name: value for name, value in os.environ.items() if not name.startswith(("ROS", "PYTHON"))}
         self.environment = {
@@ -266,9 +264,7 @@ def test_a_node_that_was_killed_is_started_again(ros, data_dir, tmp_path):
 
 def test_a_node_that_is_there_before_the_master_waits_for_it(ros):
     ros.master("close")()
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     ros.environment["ROS_MASTER_URI"] = uri = f"http://127.0.0.1:{port}"
     node = ros.start([sys.executable, "-c", NODE], "early")
     assert ros.until(lambda: f"waiting for a master at {uri}" in ros.log("early"))

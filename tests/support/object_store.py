@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from support.ports import free_port
+
 SECRET = "not-to-be-seen-in-any-file"
 PATIENCE_S = 60.0
 
@@ -17,8 +19,7 @@ PATIENCE_S = 60.0
 @contextmanager
 def object_store() -> Iterator[dict[str, str]]:
     """Start a server; gives the environment in which s3:// is that server, with a bucket named fleet."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
     environment = {
         "AWS_ENDPOINT_URL": f"http://127.0.0.1:{port}",
