@@ -10,25 +10,33 @@ import pytest
 
 import gridslam
 from doubled_walls import Walls, judge_folder
+from gridslam.evaluation import relation_errors
 from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.trajectories import read_relations
 from support.far_apart import SPARSE, THINNED, every_half_metre, gmapping_path, off_from
 
 CLEAN: dict[str, np.ndarray] = {}
 
 
 def clean(data: Path, name: str) -> np.ndarray:
-    """Poses (N, 3) of all scans of a log, mapped at full rate; to a few centimetres the same for every seed."""
+    """Poses (N, 3) of all scans of a log, mapped at full rate; two seeds differ by up to 0.12 m (rms) on ACES."""
     if name not in CLEAN:
         CLEAN[name] = gridslam.map_log(data / f"{name}.clf.bz2").trajectory.poses
     return CLEAN[name]
 
 
-def both(log: Path, seed: int, reference: np.ndarray, **options) -> tuple[float, float]:
-    """How far off (m, rms) the answer is, and that of the filter alone."""
+def map_both(log: Path, seed: int, **options) -> tuple[gridslam.Trajectory, gridslam.Trajectory]:
+    """The answer, and that of the filter alone."""
     filter_alone = gridslam.Configuration(loop_closure=None)
     full = gridslam.map_log(log, seed=seed, **options)
     alone = gridslam.map_log(log, configuration=filter_alone, seed=seed, **options)
-    return off_from(full.trajectory.poses, reference), off_from(alone.trajectory.poses, reference)
+    return full.trajectory, alone.trajectory
+
+
+def both(log: Path, seed: int, reference: np.ndarray) -> tuple[float, float]:
+    """How far off (m, rms) the answer is, and that of the filter alone."""
+    full, alone = map_both(log, seed)
+    return off_from(full.poses, reference), off_from(alone.poses, reference)
 
 
 @pytest.mark.parametrize("name", SPARSE)
@@ -44,10 +52,13 @@ def test_logs_of_key_scans(data_dir, name):
 @pytest.mark.parametrize(("name", "every"), THINNED)
 def test_logs_thinned_by_number(data_dir, name, every):
     reference = clean(data_dir, name)[::every]
-    options = gridslam.LogOptions(every=every)
-    full, alone = both(data_dir / f"{name}.clf.bz2", 0, reference, options=options)
+    answers = map_both(data_dir / f"{name}.clf.bz2", 0, options=gridslam.LogOptions(every=every))
+    full, alone = (off_from(answer.poses, reference) for answer in answers)
     assert full < THINNED[name, every]
-    assert full < max(1.15 * alone, 0.05)
+    truth = data_dir / f"{name}.relations"
+    if truth.exists():  # it decides between two answers that are closer to each other than two references are
+        full, alone = (relation_errors(answer, read_relations(truth)).trans_mean_m for answer in answers)
+    assert full < max(1.05 * alone, 0.05)
 
 
 @pytest.mark.parametrize(("name", "most_m"), [("aces", 0.156), ("mit-csail", 0.325)])
