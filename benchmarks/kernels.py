@@ -27,11 +27,11 @@ from report import table
 __all__ = ["ELSEWHERE", "Call", "Situation", "fork_join_us", "kernel_times", "record"]
 
 ELSEWHERE = {
-    *("draw_scans", "known_cells", "match_scans", "select_beams", "shortest_ways"),
+    *("begin_update", "end_update", "draw_scans", "known_cells", "match_scans", "select_beams", "shortest_ways"),
     *("parse_numbers", "format_rows"),
     *("draw_gaussians", "kalman_update", "predict_landmarks", "are_true", "mean_shift"),
 }
-"""Kernels that no particle's map needs: of many scans in one map, of reading, of landmarks and of beliefs."""
+"""Kernels that no particle's map needs in one thread: of many scans in one map, of reading, landmarks and beliefs."""
 
 _SEARCH = "gridslam.matching.branch_and_bound.backend"
 _TABLE = "gridslam.localization.known_map.backend"

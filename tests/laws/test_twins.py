@@ -22,6 +22,8 @@ KERNELS = (
     "tiles_on_rays",
     "make_tiles_writable",
     "update",
+    "begin_update",
+    "end_update",
     "match",
     "match_pose",
     "distances",
@@ -213,8 +215,9 @@ def test_updates(seed, threads):
         results = []
         for kernels in (compiled, reference):
             view, arguments = copies(maps._view), copies(arguments_of_update(maps, poses, ends, threads=threads))
-            done, pages, tiles, pending = kernels.update(*view, *arguments)
-            assert done == 3
+            status, pages, tiles, left, pending = kernels.update(*view, *arguments)
+            assert status == 0
+            assert left.shape == (0,)
             assert pending.shape == (0, 4)
             assert not view[4][0].any()
             results.append((with_numbers_in_order(view), (pages, tiles), np.bincount(arguments[1])))
@@ -237,7 +240,7 @@ def test_updates_where_ids_are_scarce(seed, monkeypatch):
 
         def update(*arguments, kernels=kernels):
             found = kernels.update(*arguments)
-            stops.add((found[0] >= 0, len(found[3]) > 0))
+            stops.add((found[0] == 0, len(found[4]) > 0))
             return found
 
         monkeypatch.undo()
@@ -282,7 +285,47 @@ def test_no_more_tiles_are_crossed_than_there_is_room_for():
         assert kernels.update(*view, *arguments)[:3] == (kernels_module.NO_ROOM, 0, 0)
         assert_same_maps(view, maps._view)
         arguments = copies(arguments_of_update(maps, poses, ends, room=crossed))
-        assert kernels.update(*view, *arguments)[0] == 3
+        assert kernels.update(*view, *arguments)[0] == 0
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_updates_in_the_background(seed, threads):
+    """They do what `update` does, but for the numbers of tiles."""
+    rng = np.random.default_rng(seed)
+    maps = random_maps(rng)
+    poses, ends = random_poses(rng), random_ends(rng)
+    maps._cover(poses, beams_to(ends))
+    maps._arena.reserve(100, 4000)
+    arguments = arguments_of_update(maps, poses, ends, threads=threads)
+    results = []
+    for kernels in (compiled, reference):
+        for update in (
+            kernels.update,
+            lambda *given, kernels=kernels: kernels.end_update(kernels.begin_update(*given)),
+        ):
+            view, given = copies(maps._view), copies(arguments)
+            status, pages, tiles, left, pending = update(*view, *given)
+            assert (status, left.shape, pending.shape) == (0, (0,), (0, 4))
+            results.append((*with_numbers_in_order(view), np.bincount(given[1]), [pages, tiles]))
+    for found in results[1:]:
+        for one, other in zip(results[0], found, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_what_might_be_refused_is_not_begun():
+    maps = random_maps(np.random.default_rng(0))
+    poses, ends = np.zeros((3, 3)), np.array([[3.0, 0.0], [0.0, -4.0]])
+    maps._cover(poses, beams_to(ends))
+    for kernels in (compiled, reference):
+        for others in ({"room": 1}, {"poses": np.full((3, 3), 1e6)}):
+            given = {"poses": poses, **others}
+            view, arguments = copies(maps._view), copies(arguments_of_update(maps, ends=ends, threads=2, **given))
+            assert kernels.begin_update(*view, *arguments) is None
+            assert_same_maps(view, maps._view)
+        begun = kernels.begin_update(*copies(maps._view), *copies(arguments_of_update(maps, poses, ends, threads=2)))
+        assert begun is not None
+        del begun  # waits for it
 
 
 def test_updates_meet_every_case():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import Any, TypeVar, final
 
 import numpy as np
@@ -50,7 +51,7 @@ class TileArena:
     """
 
     __slots__ = (
-        *("_free_pages", "_free_tiles", "_lender", "_lent", "_readers", "_returned"),
+        *("_end_update", "_free_pages", "_free_tiles", "_lender", "_lent", "_readers", "_returned"),
         *("field", "log_odds", "page_refs", "pages", "tile_refs", "unit"),
     )
 
@@ -64,6 +65,7 @@ class TileArena:
         self.tile_refs = np.zeros(64, np.int32)
         self._free_pages: Int32Array = np.arange(7, 0, -1, dtype=np.int32)
         self._free_tiles: Int32Array = np.arange(63, 0, -1, dtype=np.int32)
+        self._end_update: Callable[[TileArena], object] | None = None
         self._readers = 0
         self._returned: deque[Int32Array] = deque()
         self._lender: TileArena | None = None
@@ -124,11 +126,22 @@ class TileArena:
         twin = object.__new__(TileArena)
         twin.pages, twin.log_odds, twin.field, twin.unit = self.pages, self.log_odds, self.field, self.unit
         twin.page_refs = twin.tile_refs = twin._free_pages = twin._free_tiles = np.zeros(0, np.int32)
+        twin._end_update = None
         twin._readers = 0
         twin._returned = deque()
         twin._lender, twin._lent = self, roots
         self._readers += 1
         return twin
+
+    def end_later(self, end: Callable[[TileArena], object]) -> None:
+        """Leave an update to the kernels' threads: until it is ended, nothing here may be read or written."""
+        self._end_update = end
+
+    def end_update(self) -> None:
+        """Wait until the update that is under way, if any, has ended."""
+        if self._end_update is not None:
+            end, self._end_update = self._end_update, None
+            end(self)
 
     def reserve(self, pages: int, tiles: int) -> None:
         """Have this number of pages and tiles that nothing uses, in memory that grows in place."""

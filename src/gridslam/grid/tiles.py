@@ -15,6 +15,7 @@ from gridslam.grid.arena import Int32Array, TileArena, renumber
 from gridslam.grid.cells import LOG_ODDS_UNIT, Evidence, cell_corner
 from gridslam.grid.scan_batch import NOT_WEIGHED, ScanBatch, Weighing
 from gridslam.kernels import FARTHEST, MOST_BEAM_CELLS, NO_ROOM, OUTSIDE, PAGE, TILE, UNKNOWN, backend
+from gridslam.kernels.reference_maps import Updated
 from gridslam.kernels.reference_update import unknown_of
 from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid, Rows
 
@@ -34,6 +35,8 @@ _MOST_RESERVED = 256
 """Made at once for many scans: where the free ones run out, a scan is looked at twice."""
 _MOST_SPARE = 64 * _SPARE_TILES
 """Of tiles for one scan, 100 m x 100 m; one that might take more is drawn alone."""
+
+_Table = tuple[Int32Array, tuple[int, int]]
 
 _ORIGIN = np.zeros(3)
 _PAGE_CELLS = PAGE * TILE
@@ -108,6 +111,53 @@ def _make_cone(reach_cells: float) -> NDArray[np.uint8]:
 
 
 @final
+class _ScanUpdate:
+    """A scan that is inserted into maps `rows` (K,) at poses (K, 3), at once or in the background.
+
+    `scan` is what the kernel is given from the ends of the beams on; a table is that of `TileMaps`, and its corner.
+    """
+
+    __slots__ = ("_begun", "_poses", "_rows", "_scan", "_table")
+
+    def __init__(self, rows: Int32Array, poses: FloatArray, scan: tuple[Any, ...]) -> None:
+        self._rows = rows
+        self._poses = poses
+        self._scan = scan
+
+    def run(self, arena: TileArena, table: _Table, room: int) -> int:
+        """Insert the scan; OUTSIDE or NO_ROOM where that was refused, and nothing was written."""
+        return self._go_on(arena, table, backend.update(*self._arguments(arena, table, _NOTHING_PENDING, room)))
+
+    def begin(self, arena: TileArena, table: _Table, room: int) -> bool:
+        """Begin in the background, unless it might be refused; then the arena is left alone until `end`."""
+        self._table = table
+        self._begun = backend.begin_update(*self._arguments(arena, table, _NOTHING_PENDING, room))
+        return self._begun is not None
+
+    def end(self, arena: TileArena) -> None:
+        """Wait until what was begun has ended."""
+        updated = backend.end_update(self._begun)
+        self._begun = None
+        self._go_on(arena, self._table, updated)
+
+    def _go_on(self, arena: TileArena, table: _Table, updated: Updated) -> int:
+        """Make more ids as long as they do not suffice."""
+        while True:
+            status, pages, tiles, left, pending = updated
+            arena.allocate(pages, tiles)
+            if status or not (len(left) or len(pending)):
+                return status
+            self._rows, self._poses = self._rows[left], self._poses[left]
+            arena.grow()
+            updated = backend.update(*self._arguments(arena, table, pending, -1))
+
+    def _arguments(self, arena: TileArena, table: _Table, pending: Int32Array, room: int) -> tuple[Any, ...]:
+        ids = arena.page_refs, arena.tile_refs, *arena.free_ids
+        tiles = arena.pages, arena.log_odds, arena.field
+        return (*table, *tiles, *ids, pending, room, self._rows, self._poses, *self._scan)
+
+
+@final
 class TileMaps:
     """`rows` maps over one arena of tiles. Reading is for all; writing is for the one owner.
 
@@ -136,10 +186,10 @@ class TileMaps:
     """
 
     __slots__ = (
-        "_arena",
         "_cone",
         "_first",
         "_roots",
+        "_shared_arena",
         "evidence",
         "most_tiles",
         "reach_cells",
@@ -168,14 +218,14 @@ class TileMaps:
         self.evidence = evidence
         self.threads = threads
         self.most_tiles = most_tiles
-        self._arena = TileArena(evidence.byte_unit)
+        self._shared_arena = TileArena(evidence.byte_unit)
         self._roots: Int32Array = np.zeros((rows, 1, 1), np.int32)
         self._first = (0, 0)
         self._cone = _make_cone(reach_cells)
 
     def __del__(self) -> None:
         """Give the tiles back, so that other maps over the same arena stop copying them."""
-        if hasattr(self, "_arena") and hasattr(self, "_roots"):
+        if hasattr(self, "_shared_arena") and hasattr(self, "_roots"):
             self._arena.release(self._roots)
 
     def __len__(self) -> int:
@@ -199,7 +249,14 @@ class TileMaps:
     @property
     def nbytes(self) -> int:
         """Bytes held by the arena and this table."""
-        return self._arena.nbytes + self._roots.nbytes
+        return self._shared_arena.nbytes + self._roots.nbytes  # which no update changes that is under way
+
+    @property
+    def _arena(self) -> TileArena:
+        """The arena when no update is under way: then the table holds what the maps are, too."""
+        arena = self._shared_arena
+        arena.end_update()
+        return arena
 
     @property
     def _view(self) -> tuple[Any, ...]:
@@ -216,8 +273,9 @@ class TileMaps:
 
         Tiles are copied when either side writes.
         """
+        arena = self._arena
         roots = self._roots.copy() if rows is None else self._roots[rows]
-        self._arena.retain(roots)  # before there is an owner who gives them back, should this fail
+        arena.retain(roots)  # before there is an owner who gives them back, should this fail
         twin = object.__new__(TileMaps)
         for name in TileMaps.__slots__:
             setattr(twin, name, getattr(self, name))
@@ -226,20 +284,21 @@ class TileMaps:
 
     def shares_tiles(self, other: TileMaps) -> bool:
         """Whether ids of tiles mean the same in both."""
-        return self._arena is other._arena
+        return self._shared_arena is other._shared_arena
 
     def freeze(self) -> TileMaps:
         """All maps as they are now, to be read by another thread while the owner goes on; they are never written to."""
         twin = self.snapshot()
         twin._arena.release(twin._roots)
-        twin._arena = self._arena.freeze(twin._roots)
+        twin._shared_arena = self._arena.freeze(twin._roots)
         return twin
 
     def select(self, parents: IntArray) -> None:
         """Let map i become what map parents[i] was; parents (rows,) int64."""
+        arena = self._arena
         roots = self._roots[parents]
-        self._arena.retain(roots)
-        self._arena.release(self._roots)
+        arena.retain(roots)
+        arena.release(self._roots)
         self._roots = roots
 
     def compact(self) -> None:
@@ -266,28 +325,21 @@ class TileMaps:
         if arena.is_frozen:
             raise ArgumentError("maps", "maps that may change", "frozen ones")
         arena.take_back()
-        room = self.most_tiles - self.tiles_used
-        pending = _NOTHING_PENDING
-        done = 0
-        while done < len(rows) or len(pending):
-            status, pages, tiles, pending = backend.update(
-                *(*self._view, arena.page_refs, arena.tile_refs, *arena.free_ids, pending, room),
-                *(rows[done:], poses[done:], beams.ends, beams.origin, self.resolution_m, *self._steps),
-                *(self._cone, 2 * self.reach_m, self.threads),
+        room = self.most_tiles - arena.tiles_used
+        scan = beams.ends, beams.origin, self.resolution_m, *self._steps, self._cone, 2 * self.reach_m, self.threads
+        update = _ScanUpdate(rows, poses, scan)
+        if self.threads > 1 and update.begin(arena, (self._roots, self._first), room):
+            arena.end_later(update.end)
+            return
+        status = update.run(arena, (self._roots, self._first), room)
+        if status == OUTSIDE:
+            self._cover(poses, beams)
+            status = update.run(arena, (self._roots, self._first), room)
+        if status == NO_ROOM:
+            self._require_room(
+                backend.tiles_on_rays(rows, poses, beams.ends, beams.origin, self.resolution_m, self.threads)
             )
-            arena.allocate(pages, tiles)
-            if status == OUTSIDE:
-                self._cover(poses, beams)
-            elif status == NO_ROOM:
-                self._require_room(
-                    backend.tiles_on_rays(rows, poses, beams.ends, beams.origin, self.resolution_m, self.threads)
-                )
-                room = -1
-            else:
-                done += status
-                if done < len(rows) or len(pending):
-                    arena.grow()
-                    room = -1
+            update.run(arena, (self._roots, self._first), -1)
 
     def draw(
         self, poses: FloatArray, batch: ScanBatch, first: int, last: int, weighing: Weighing = NOT_WEIGHED
@@ -479,14 +531,15 @@ class TileMaps:
             (K, 16, 16) int32: tile ids; "log_odds" (T, 32, 32) int16; "field" (T, 32, 32) uint8. Ids count from 1 in
             order of appearance; page 0 and tile 0 are the empty ones.
         """
+        arena = self._arena
         roots, pages = renumber(self._roots)
-        tables, tiles = renumber(self._arena.pages[pages])
+        tables, tiles = renumber(arena.pages[pages])
         return {
             "roots": roots,
             "first": np.array(self._first, np.int64),
             "pages": tables,
-            "log_odds": self._arena.steps_of(tiles),
-            "field": self._arena.field[tiles],
+            "log_odds": arena.steps_of(tiles),
+            "field": arena.field[tiles],
         }
 
     @classmethod
@@ -530,7 +583,7 @@ class TileMaps:
             threads=threads,
             most_tiles=most_tiles,
         )
-        maps._arena = arena
+        maps._shared_arena = arena
         maps._roots = roots.copy()
         maps._first = (corners[0], corners[1])
         return maps

@@ -7,6 +7,7 @@
 #include <nanobind/stl/tuple.h>
 
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "beams.hpp"
@@ -14,9 +15,9 @@
 #include "correlate.hpp"
 #include "landmarks.hpp"
 #include "numbers.hpp"
-#include "rays.hpp"
 #include "several_scans.hpp"
 #include "shortest_ways.hpp"
+#include "update.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -117,25 +118,85 @@ auto py_make_tiles_writable(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<in
                          static_cast<int64_t>(free_tiles.shape(0)) - arena.n_free_tiles, done);
 }
 
-auto py_update(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1> tile_refs, Rows free_pages,
-               Rows free_tiles, Array<const int32_t, 2> pending, int64_t room, Rows rows, Matrix poses, Matrix ends,
-               Vector origin, double resolution, int hit, int miss, int min, int max, int occupied_above,
-               Array<const uint8_t, 2> cone, double margin_m, int threads) {
-  const Maps m = view(roots, first, pages, log_odds, field);
-  Arena arena = arena_of(page_refs, tile_refs, free_pages, free_tiles);
+#define GRIDSLAM_UPDATE                                                                                         \
+  Array<int32_t, 1> page_refs, Array<int32_t, 1> tile_refs, Rows free_pages, Rows free_tiles,                   \
+      Array<const int32_t, 2> pending, int64_t room, Rows rows, Matrix poses, Matrix ends, Vector origin,       \
+      double resolution, int hit, int miss, int min, int max, int occupied_above, Array<const uint8_t, 2> cone, \
+      double margin_m, int threads
+#define GRIDSLAM_UPDATE_ARGS                                                                                       \
+  nb::arg("page_refs").noconvert(), nb::arg("tile_refs").noconvert(), "free_pages"_a, "free_tiles"_a, "pending"_a, \
+      "room"_a, "rows"_a, "poses"_a, "ends"_a, "origin"_a, "resolution"_a, "hit"_a, "miss"_a, "min"_a, "max"_a,    \
+      "occupied_above"_a, "cone"_a, "margin_m"_a, "threads"_a
+#define GRIDSLAM_INSERTION                                                                                         \
+  view(roots, first, pages, log_odds, field), arena_of(page_refs, tile_refs, free_pages, free_tiles), rows.data(), \
+      poses.data(), static_cast<int>(poses.shape(0)),                                                              \
+      Scan{ends.data(), origin.data(), static_cast<int>(ends.shape(0)), resolution},                               \
+      Evidence{hit, miss, min, max, occupied_above}, cone.data(), static_cast<int>(cone.shape(0) / 2)
+
+// What an update returns that had these free ids.
+auto result_of(int status, const Insertion& insertion, const Rows& free_pages, const Rows& free_tiles) {
+  const std::vector<int32_t> left = insertion.left();
+  auto places = fresh<int32_t, 1>({left.size()});
+  std::copy(left.begin(), left.end(), places.data());
+  return std::make_tuple(status, static_cast<int64_t>(free_pages.shape(0)) - insertion.arena.n_free_pages,
+                         static_cast<int64_t>(free_tiles.shape(0)) - insertion.arena.n_free_tiles, std::move(places),
+                         as_rows(insertion.pending.data(), insertion.pending.size(), 4));
+}
+
+auto py_update(GRIDSLAM_MAPS, GRIDSLAM_UPDATE) {
   const auto* cells = reinterpret_cast<const Cell*>(pending.data());
-  std::vector<Cell> left(cells, cells + pending.shape(0));
-  int done;
+  const std::vector<Cell> earlier(cells, cells + pending.shape(0));
+  Insertion insertion(GRIDSLAM_INSERTION);
+  int status;
   {
     nb::gil_scoped_release release;
-    done = update(m, arena, rows.data(), poses.data(), static_cast<int>(poses.shape(0)),
-                  {ends.data(), origin.data(), static_cast<int>(ends.shape(0)), resolution},
-                  {hit, miss, min, max, occupied_above}, cone.data(), static_cast<int>(cone.shape(0) / 2), margin_m,
-                  room, threads, left);
+    status = update(insertion, earlier, margin_m, room, threads);
   }
-  return std::make_tuple(done, static_cast<int64_t>(free_pages.shape(0)) - arena.n_free_pages,
-                         static_cast<int64_t>(free_tiles.shape(0)) - arena.n_free_tiles,
-                         as_rows(left.data(), left.size(), 4));
+  return result_of(status, insertion, free_pages, free_tiles);
+}
+
+// An insertion that goes on in the background, and the arrays that it reads and writes.
+struct BackgroundUpdate {
+  std::tuple<Roots, Pages, StoredLogOdds, Field, Array<int32_t, 1>, Array<int32_t, 1>, Matrix, Vector> kept;
+  Rows free_pages, free_tiles;
+  int threads;
+  Insertion insertion;
+  std::optional<BackgroundWork> work;  // ends before what it works at
+
+  void begin() {
+    work.emplace([](void* self) { static_cast<BackgroundUpdate*>(self)->work_at(); }, this);
+  }
+  void work_at() { insertion.work_in_threads(threads - 1); }
+  void end() {
+    insertion.work();
+    work.reset();
+  }
+};
+
+// None where it cannot be known at once that the maps hold the scan.
+nb::object py_begin_update(GRIDSLAM_MAPS, GRIDSLAM_UPDATE) {
+  auto begun = std::unique_ptr<BackgroundUpdate>(
+      new BackgroundUpdate{{roots, pages, log_odds, field, page_refs, tile_refs, ends, origin},
+                           free_pages,
+                           free_tiles,
+                           threads,
+                           Insertion(GRIDSLAM_INSERTION),
+                           std::nullopt});
+  if (pending.shape(0) != 0 || !begun->insertion.is_covered(margin_m) || !begun->insertion.fits(room, false, threads))
+    return nb::none();
+  begun->begin();
+  nb::capsule handle(begun.get(), [](void* p) noexcept { delete static_cast<BackgroundUpdate*>(p); });
+  begun.release();
+  return handle;
+}
+
+auto py_end_update(nb::capsule begun) {
+  auto& update = *static_cast<BackgroundUpdate*>(begun.data());
+  {
+    nb::gil_scoped_release release;
+    update.end();
+  }
+  return result_of(0, update.insertion, update.free_pages, update.free_tiles);
 }
 
 auto py_match(GRIDSLAM_MAPS, Rows rows, Matrix guesses, Array<const double, 3> priors, Matrix ends, double resolution,
@@ -430,9 +491,9 @@ NB_MODULE(_compiled, m) {
   m.def("tiles_on_rays", &py_tiles_on_rays, "rows"_a, "poses"_a, "ends"_a, "origin"_a, "resolution"_a, "threads"_a);
   m.def("make_tiles_writable", &py_make_tiles_writable, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(),
         nb::arg("tile_refs").noconvert(), "free_pages"_a, "free_tiles"_a, "tiles_to_write"_a);
-  m.def("update", &py_update, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(), nb::arg("tile_refs").noconvert(),
-        "free_pages"_a, "free_tiles"_a, "pending"_a, "room"_a, "rows"_a, "poses"_a, "ends"_a, "origin"_a,
-        "resolution"_a, "hit"_a, "miss"_a, "min"_a, "max"_a, "occupied_above"_a, "cone"_a, "margin_m"_a, "threads"_a);
+  m.def("update", &py_update, GRIDSLAM_MAPS_ARGS, GRIDSLAM_UPDATE_ARGS);
+  m.def("begin_update", &py_begin_update, GRIDSLAM_MAPS_ARGS, GRIDSLAM_UPDATE_ARGS);
+  m.def("end_update", &py_end_update, "begun"_a);
   m.def("match", &py_match, GRIDSLAM_MAPS_ARGS, "rows"_a, "guesses"_a, "priors"_a, "ends"_a, "resolution"_a,
         "max_iterations"_a, "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a, "stop_rad"_a,
         "reach_cells"_a, "min_information"_a, "point_to_line"_a, "threads"_a);

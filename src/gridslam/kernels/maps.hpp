@@ -191,9 +191,6 @@ struct Scan {
   double resolution;
 };
 constexpr int kOutside = -1, kNoRoom = -2;
-int update(const Maps& m, Arena& arena, const int32_t* rows, const double* poses, int k, const Scan& scan,
-           const Evidence& e, const uint8_t* cone, int reach, double margin_m, int64_t room, int threads,
-           std::vector<Cell>& pending);
 
 struct MatchSettings {
   int max_iterations;

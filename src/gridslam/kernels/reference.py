@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from gridslam.kernels import reference_scans
 from gridslam.kernels.reference_clusters import are_true, mean_shift
 from gridslam.kernels.reference_landmarks import draw_gaussians, kalman_update, predict_landmarks
-from gridslam.kernels.reference_maps import update
+from gridslam.kernels.reference_maps import begin_update, end_update, update
 from gridslam.kernels.reference_numbers import format_rows, parse_numbers
 from gridslam.kernels.reference_update import (
     FARTHEST,
@@ -51,11 +51,13 @@ from gridslam.kernels.reference_ways import shortest_ways
 
 __all__ = [
     "are_true",
+    "begin_update",
     "cast_rays",
     "correlate",
     "distances",
     "draw_gaussians",
     "draw_scans",
+    "end_update",
     "format_rows",
     "kalman_update",
     "known_cells",

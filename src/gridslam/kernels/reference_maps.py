@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from gridslam.kernels.reference_update import (
     update_log_odds,
 )
 
-__all__ = ["MOST_BEAM_CELLS", "NO_ROOM", "OUTSIDE", "update"]
+__all__ = ["MOST_BEAM_CELLS", "NO_ROOM", "OUTSIDE", "Updated", "begin_update", "end_update", "update"]
 
 MOST_BEAM_CELLS = 21_000
 """Cells from the robot to the end of a beam, 1050 m in cells of 5 cm: with them all around, a scan spans 2^31 cells."""
@@ -31,6 +32,9 @@ OUTSIDE = -1
 
 NO_ROOM = -2
 """A scan crosses more tiles than there is room for."""
+
+Updated: TypeAlias = tuple[int, int, int, Int32Array, Int32Array]
+"""What `update` returns."""
 
 
 def update(
@@ -58,7 +62,7 @@ def update(
     cone: NDArray[np.uint8],
     margin_m: float,
     threads: int,
-) -> tuple[int, int, int, Int32Array]:
+) -> Updated:
     """Insert a scan into maps `rows` (K,), each once, and let their distance fields follow: see `update_log_odds`.
 
     What is written to becomes its map's own first. Where free ids do not suffice the caller makes more and goes on with
@@ -75,9 +79,9 @@ def update(
 
     Returns
     -------
-    (int, int, int, (M, 4) int32)
-        How many maps were written, or `OUTSIDE` or `NO_ROOM`, and then none was; how many free pages and tiles were
-        taken; what is pending.
+    (int, int, int, (L,) int32, (M, 4) int32)
+        0, or `OUTSIDE` or `NO_ROOM`, and then no map was written; how many free pages and tiles were taken; places in
+        `rows` of the maps that were not written; what is pending.
     """
     view = roots, first, pages, log_odds, field
     taken = [0, 0]
@@ -89,28 +93,45 @@ def update(
         taken[1] += used[1]
         return done == len(tiles_to_write)
 
+    def result(status: int, left: Int32Array, pending: Int32Array) -> Updated:
+        return status, taken[0], taken[1], left, pending
+
     reach = len(cone) // 2
+    none, everything = pending[:0], np.arange(len(rows), dtype=np.int32)
     if len(pending):
         if not own(tiles_near_cells(pending, reach)):
-            return 0, *taken, pending  # type: ignore[return-value]
+            return result(0, everything, pending)
         update_field(*view, pending, cone, threads)
-    changed = pending[:0]
     if not len(rows):
-        return 0, *taken, changed  # type: ignore[return-value]
+        return result(0, everything, none)
     if not _covers(roots.shape, first, poses, ends, origin, resolution, margin_m):
-        return OUTSIDE, *taken, changed  # type: ignore[return-value]
+        return result(OUTSIDE, everything, none)
     crossed = tiles_on_rays(rows, poses, ends, origin, resolution, threads)
     if 0 <= room < len(crossed):
-        return NO_ROOM, *taken, changed  # type: ignore[return-value]
+        return result(NO_ROOM, everything, none)
     if not own(crossed):
-        return 0, *taken, changed  # type: ignore[return-value]
+        return result(0, everything, none)
     changed = update_log_odds(
         *view, rows, poses, ends, origin, resolution, hit, miss, min, max, occupied_above, threads
     )
     if not len(changed) or own(tiles_near_cells(changed, reach)):
         update_field(*view, changed, cone, threads)
-        changed = changed[:0]
-    return len(rows), *taken, changed  # type: ignore[return-value]
+        changed = none
+    return result(0, everything[:0], changed)
+
+
+def begin_update(*arguments: Any) -> Updated | None:  # noqa: ANN401 (those of `update`)
+    """Begin what `update` does, in the background; None where it cannot be known at once that the maps hold the scan.
+
+    Here it is done at once. What it reads and writes must be left alone until `end_update`.
+    """
+    updated = update(*arguments)
+    return None if updated[0] < 0 else updated
+
+
+def end_update(begun: Updated) -> Updated:
+    """Help to do what was begun, wait for it, and give what `update` returns."""
+    return begun
 
 
 def _covers(

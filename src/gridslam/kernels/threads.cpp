@@ -5,6 +5,7 @@
 #include <chrono>
 #include <condition_variable>
 #include <cstdint>
+#include <deque>
 #include <mutex>
 #include <system_error>
 #include <thread>
@@ -86,24 +87,95 @@ class Pool {
   std::condition_variable wake_;
 };
 
-// Never destroyed: its threads end with the process.
-std::atomic<Pool*> the_pool{nullptr};
+}  // namespace
 
-Pool& pool() {
-  Pool* present = the_pool.load(std::memory_order_acquire);
-  if (present != nullptr) return *present;
+class BackgroundThread {
+ public:
+  void add(BackgroundWork* work) {
+    const std::lock_guard lock(mutex_);
+    try {
+      if (!is_started_) std::thread([this] { serve(); }).detach();
+    } catch (const std::system_error&) {
+      return;
+    }
+    is_started_ = true;
+    waiting_.push_back(work);
+    wake_.notify_one();
+  }
+
+  void end(BackgroundWork* work) {
+    std::unique_lock lock(mutex_);
+    std::erase(waiting_, work);
+    ended_.wait(lock, [&] { return running_ != work; });
+  }
+
+  void end_all() {
+    std::unique_lock lock(mutex_);
+    ended_.wait(lock, [&] { return waiting_.empty() && running_ == nullptr; });
+  }
+
+ private:
+  void serve() {
+    std::unique_lock lock(mutex_);
+    while (true) {
+      wake_.wait(lock, [&] { return !waiting_.empty(); });
+      running_ = waiting_.front();
+      waiting_.pop_front();
+      lock.unlock();
+      running_->work_(running_->context_);
+      lock.lock();
+      running_ = nullptr;
+      ended_.notify_all();
+    }
+  }
+
+  std::mutex mutex_;
+  std::condition_variable wake_, ended_;
+  std::deque<BackgroundWork*> waiting_;
+  BackgroundWork* running_ = nullptr;
+  bool is_started_ = false;
+};
+
+namespace {
+
+// Never destroyed: their threads end with the process.
+std::atomic<Pool*> the_pool{nullptr};
+std::atomic<BackgroundThread*> the_background{nullptr};
+
+// What a fork leaves behind: the work has ended, and the threads are gone.
+void watch_forks() {
 #if defined(__unix__) || defined(__APPLE__)
-  static const int forked = pthread_atfork(nullptr, nullptr, [] { the_pool.store(nullptr); });  // its threads are gone
-  static_cast<void>(forked);
+  const auto before = [] {
+    if (BackgroundThread* background = the_background.load()) background->end_all();
+  };
+  const auto in_child = [] { the_pool.store(nullptr), the_background.store(nullptr); };
+  static const int watched = pthread_atfork(before, nullptr, in_child);
+  static_cast<void>(watched);
 #endif
-  Pool* fresh = new Pool;
-  if (the_pool.compare_exchange_strong(present, fresh, std::memory_order_acq_rel)) return *fresh;
+}
+
+// The present one of its kind, made where there is none.
+template <class Kind>
+Kind& of_this_process(std::atomic<Kind*>& one) {
+  Kind* present = one.load(std::memory_order_acquire);
+  if (present != nullptr) return *present;
+  watch_forks();
+  Kind* fresh = new Kind;
+  if (one.compare_exchange_strong(present, fresh, std::memory_order_acq_rel)) return *fresh;
   delete fresh;
   return *present;
 }
 
 }  // namespace
 
-void run_in_threads(int others, void (*work)(void*), void* context) { pool().run(others, work, context); }
+void run_in_threads(int others, void (*work)(void*), void* context) {
+  of_this_process(the_pool).run(others, work, context);
+}
+
+BackgroundWork::BackgroundWork(void (*work)(void*), void* context) : work_(work), context_(context) {
+  of_this_process(the_background).add(this);
+}
+
+void BackgroundWork::end() { of_this_process(the_background).end(this); }
 
 }  // namespace gridslam

@@ -40,4 +40,22 @@ void parallel_for(int n, int threads, const Body& body) {
   if (shared.failed) std::rethrow_exception(shared.failure);
 }
 
+// Work that goes on in another thread while the one that asks for it does something else. That thread is kept, and
+// takes one piece of work after the other.
+class BackgroundWork {
+ public:
+  // Has work(context) run once, before `end` returns or never.
+  BackgroundWork(void (*work)(void*), void* context);
+  ~BackgroundWork() { end(); }
+  BackgroundWork(const BackgroundWork&) = delete;
+  BackgroundWork& operator=(const BackgroundWork&) = delete;
+  // Waits until the work has ended; what has not begun never does.
+  void end();
+
+ private:
+  friend class BackgroundThread;
+  void (*work_)(void*);
+  void* context_;
+};
+
 }  // namespace gridslam

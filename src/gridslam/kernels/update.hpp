@@ -1,5 +1,7 @@
 // The parts of an update: evidence for one map, and the field that follows the cells that changed.
 #pragma once
+#include <mutex>
+
 #include "rays.hpp"
 
 namespace gridslam {
@@ -32,5 +34,55 @@ void add_evidence(const Maps& m, int row, const Fan& fan, const TileSet& tiles, 
                   std::vector<Cell>& changed);
 // Lets the field of one map follow n changed cells.
 void follow(const Maps& m, const int32_t* root, const Cell* cells, int n, const Cone& cone);
+
+// A scan that is inserted into maps `rows`, each at most once, by any number of threads together: one that takes a map
+// does all of it. The tables must hold whatever may be written, and the scan must be kept.
+class Insertion {
+ public:
+  Arena arena;                // with the ids that are left
+  std::vector<Cell> pending;  // changed cells, grouped by row, whose field is still the old one for want of ids
+
+  Insertion(const Maps& m, const Arena& ids, const int32_t* rows, const double* poses, int k, const Scan& scan,
+            const Evidence& e, const uint8_t* cone, int reach);
+  int maps() const { return static_cast<int>(rows_.size()); }
+  // Lets the field follow what was pending before. False, with what is still pending, where the ids do not suffice.
+  bool follow_earlier(const std::vector<Cell>& earlier);
+  // Whether the tables hold whatever may be written.
+  bool is_covered(double margin_m) const;
+  // Whether the tiles that the rays cross are not more than `room`, any number where that is negative; unless counted
+  // exactly some are taken to be crossed that are not.
+  bool fits(int64_t room, bool exactly, int threads) const;
+  // Inserts the scan into maps that no other thread has taken, until none is left.
+  void work();
+  void work_in_threads(int threads) {
+    threads = std::min(threads, maps());
+    if (threads <= 1) return work();
+    run_in_threads(threads - 1, [](void* self) { static_cast<Insertion*>(self)->work(); }, this);
+  }
+  // Places of the maps that were not written for want of ids, when all work has ended.
+  std::vector<int32_t> left() const;
+
+ private:
+  void insert(int i);
+  void see(int i, Fan& fan) const;
+  bool own_all(int row, const TileSet& tiles);
+  template <class Count>
+  int64_t sum(int threads, const Count& count) const;
+
+  const Maps m_;
+  const std::vector<int32_t> rows_;
+  const std::vector<double> poses_;
+  const Scan scan_;
+  const Evidence e_;
+  const Cone cone_;
+  std::vector<uint8_t> is_written_;
+  std::mutex ids_;
+  std::atomic<int> next_{0};
+  std::atomic<bool> has_failed_{false};
+  std::exception_ptr failure_{};
+};
+// Lets fields follow what is pending from a call before, then inserts the scan. Returns 0; or kOutside if the tables do
+// not hold what may be written, kNoRoom if more tiles than `room` are crossed: nothing was inserted then.
+int update(Insertion& insertion, const std::vector<Cell>& earlier, double margin_m, int64_t room, int threads);
 
 }  // namespace gridslam

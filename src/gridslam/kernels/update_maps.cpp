@@ -1,19 +1,10 @@
 // One scan into many maps: the tiles that it touches become their map's own, then they are written.
-#include <memory>
-
 #include "update.hpp"
 
 namespace gridslam {
 namespace {
 
 constexpr int kMostBeamCells = 21000;  // from the base to a beam's end: as `MOST_BEAM_CELLS` in reference_maps.py
-constexpr int kChunk = 8;              // maps a thread that are written before the next ones are looked at
-
-struct Slot {
-  Fan fan;
-  TileSet crossed, near;
-  std::vector<Cell> changed;
-};
 
 // Whether the tables hold whatever the scan can write to, with the pages that `TileMaps._cover` lays out. What is not
 // finite is held by none.
@@ -43,76 +34,117 @@ double reach_of(const Scan& scan) {
   return std::sqrt(most);
 }
 
-bool own_all(const Maps& m, Arena& arena, int row, const TileSet& set) {
+}  // namespace
+
+Insertion::Insertion(const Maps& m, const Arena& ids, const int32_t* rows, const double* poses, int k, const Scan& scan,
+                     const Evidence& e, const uint8_t* cone, int reach)
+    : arena(ids),
+      m_(m),
+      rows_(rows, rows + k),
+      poses_(poses, poses + 3 * static_cast<ptrdiff_t>(k)),
+      scan_(scan),
+      e_(e),
+      cone_(cone, reach),
+      is_written_(k) {}
+
+bool Insertion::follow_earlier(const std::vector<Cell>& earlier) {
+  TileSet near;
+  for (size_t first = 0, last; first < earlier.size(); first = last) {
+    for (last = first; last < earlier.size() && earlier[last].row == earlier[first].row;) ++last;
+    const int n = static_cast<int>(last - first), row = earlier[first].row;
+    tiles_near_cells(&earlier[first], n, cone_.reach, near);
+    if (!own_all(row, near)) {
+      pending.assign(earlier.begin() + static_cast<ptrdiff_t>(first), earlier.end());
+      return false;
+    }
+    follow(m_, m_.root(row), &earlier[first], n, cone_);
+  }
+  return true;
+}
+
+bool Insertion::is_covered(double margin_m) const {
+  return covers(m_, poses_.data(), maps(), reach_of(scan_), margin_m, scan_.resolution);
+}
+
+template <class Count>
+int64_t Insertion::sum(int threads, const Count& count) const {
+  std::atomic<int64_t> tiles{0};
+  parallel_for(maps(), threads, [&](int i) {
+    thread_local Fan fan;
+    see(i, fan);
+    tiles.fetch_add(count(fan), std::memory_order_relaxed);
+  });
+  return tiles;
+}
+
+bool Insertion::fits(int64_t room, bool exactly, int threads) const {
+  const double side = 2 * reach_of(scan_) / (scan_.resolution * kTile) + 2;
+  if (room < 0 || maps() * side * side <= static_cast<double>(room)) return true;
+  if (sum(threads, [](const Fan& fan) { return fan.box().tiles(); }) <= room) return true;
+  return exactly && sum(threads, [](const Fan& fan) {
+                      thread_local TileSet crossed;
+                      fan.tiles(crossed);
+                      return crossed.count();
+                    }) <= room;
+}
+
+void Insertion::work() {
+  try {
+    for (int i; (i = next_.fetch_add(1, std::memory_order_relaxed)) < maps();) insert(i);
+  } catch (...) {
+    next_.store(maps());
+    if (!has_failed_.exchange(true)) failure_ = std::current_exception();
+  }
+}
+
+void Insertion::insert(int i) {
+  thread_local Fan fan;
+  thread_local TileSet tiles;
+  thread_local std::vector<Cell> changed;
+  const int row = rows_[i];
+  see(i, fan);
+  fan.tiles(tiles);
+  if (!own_all(row, tiles)) return;
+  is_written_[i] = true;
+  changed.clear();
+  add_evidence(m_, row, fan, tiles, e_, changed);
+  if (changed.empty()) return;
+  const int n = static_cast<int>(changed.size());
+  tiles_near_cells(changed.data(), n, cone_.reach, tiles);
+  if (own_all(row, tiles)) {
+    follow(m_, m_.root(row), changed.data(), n, cone_);
+  } else {
+    const std::lock_guard lock(ids_);
+    pending.insert(pending.end(), changed.begin(), changed.end());
+  }
+}
+
+void Insertion::see(int i, Fan& fan) const {
+  fan.see(Pose(&poses_[3 * static_cast<size_t>(i)]), scan_.ends, scan_.b, scan_.origin, 1.0 / scan_.resolution);
+}
+
+// What a map reads and writes afterwards is its own, or read alone: so only this is done by one thread at a time.
+bool Insertion::own_all(int row, const TileSet& tiles) {
+  const std::lock_guard lock(ids_);
   bool all = true;
-  set.each([&](int ty, int tx) { all = all && arena.own(m, row, ty, tx); });
+  tiles.each([&](int y, int x) { all = all && arena.own(m_, row, y, x); });
   return all;
 }
 
-}  // namespace
+std::vector<int32_t> Insertion::left() const {
+  if (has_failed_) std::rethrow_exception(failure_);
+  std::vector<int32_t> found;
+  for (int i = 0; i < maps(); ++i)
+    if (!is_written_[i]) found.push_back(i);
+  return found;
+}
 
-// Inserts the scan into maps `rows`, in order, and lets their fields follow; `pending` are changed cells, grouped by
-// row, whose field is still the old one: of the call before when it comes, and of this one when it returns for want of
-// free ids. Returns how many of the maps were written; kOutside if the tables do not hold what may be written, kNoRoom
-// if more tiles than `room` are crossed: nothing was done then. A negative `room` is not looked at.
-int update(const Maps& m, Arena& arena, const int32_t* rows, const double* poses, int k, const Scan& scan,
-           const Evidence& e, const uint8_t* cone_cells, int reach, double margin_m, int64_t room, int threads,
-           std::vector<Cell>& pending) {
-  const double scale = 1.0 / scan.resolution, reach_m = reach_of(scan);
-  const Cone cone(cone_cells, reach);
-  thread_local std::vector<std::unique_ptr<Slot>> slots;
-  const int chunk = std::max(1, std::min(k, threads <= 1 ? 1 : kChunk * threads));
-  while (static_cast<int>(slots.size()) < chunk) slots.push_back(std::make_unique<Slot>());
-  const auto* slot = slots.data();  // that of this thread, also in others
-  const auto find = [&](int i, Slot& s) {
-    s.fan.see(Pose(poses + 3 * i), scan.ends, scan.b, scan.origin, scale);
-    s.fan.tiles(s.crossed);
-  };
-  TileSet near;
-  for (size_t first = 0, last; first < pending.size(); first = last) {
-    for (last = first; last < pending.size() && pending[last].row == pending[first].row;) ++last;
-    const int n = static_cast<int>(last - first), row = pending[first].row;
-    tiles_near_cells(&pending[first], n, reach, near);
-    if (!own_all(m, arena, row, near)) {
-      pending.erase(pending.begin(), pending.begin() + static_cast<std::ptrdiff_t>(first));
-      return 0;
-    }
-    follow(m, m.root(row), &pending[first], n, cone);
-  }
-  pending.clear();
-  if (!covers(m, poses, k, reach_m, margin_m, scan.resolution)) return kOutside;
-  const double side = 2 * reach_m * scale / kTile + 2;
-  if (room >= 0 && k * side * side > static_cast<double>(room)) {
-    std::atomic<int64_t> tiles{0};
-    parallel_for(k, threads, [&](int i) {
-      thread_local Slot s;
-      find(i, s);
-      tiles.fetch_add(s.crossed.count(), std::memory_order_relaxed);
-    });
-    if (tiles > room) return kNoRoom;
-  }
-  for (int first = 0; first < k; first += chunk) {
-    const int n = std::min(chunk, k - first);
-    parallel_for(n, threads, [&](int i) { find(first + i, *slot[i]); });
-    for (int i = 0; i < n; ++i)
-      if (!own_all(m, arena, rows[first + i], slot[i]->crossed)) return first;
-    parallel_for(n, threads, [&](int i) {
-      Slot& s = *slot[i];
-      s.changed.clear();
-      add_evidence(m, rows[first + i], s.fan, s.crossed, e, s.changed);
-      if (!s.changed.empty()) tiles_near_cells(s.changed.data(), static_cast<int>(s.changed.size()), reach, s.near);
-    });
-    int owned = 0;
-    while (owned < n && (slot[owned]->changed.empty() || own_all(m, arena, rows[first + owned], slot[owned]->near)))
-      ++owned;
-    parallel_for(owned, threads, [&](int i) {
-      const auto& cells = slot[i]->changed;
-      follow(m, m.root(rows[first + i]), cells.data(), static_cast<int>(cells.size()), cone);
-    });
-    for (int i = owned; i < n; ++i) pending.insert(pending.end(), slot[i]->changed.begin(), slot[i]->changed.end());
-    if (owned < n) return first + n;
-  }
-  return k;
+int update(Insertion& insertion, const std::vector<Cell>& earlier, double margin_m, int64_t room, int threads) {
+  if (!insertion.follow_earlier(earlier)) return 0;
+  if (!insertion.is_covered(margin_m)) return kOutside;
+  if (!insertion.fits(room, true, threads)) return kNoRoom;
+  insertion.work_in_threads(threads);
+  return 0;
 }
 
 }  // namespace gridslam

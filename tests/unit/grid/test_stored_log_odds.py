@@ -25,7 +25,7 @@ BACKENDS = pytest.mark.parametrize("kernels", [backend, reference], ids=["backen
 def make(values, wide=False):
     maps = TileMaps(2, resolution_m=0.1, reach_cells=4.0, evidence=Evidence(*values))
     if wide:
-        maps._arena = TileArena()
+        maps._shared_arena = TileArena()
     return maps
 
 
@@ -90,7 +90,7 @@ def test_scans_that_are_drawn_in_one_call_are_the_same_in_a_byte_and_in_two(kern
     for wide in False, True:
         maps = TileMaps(1, resolution_m=0.1, reach_cells=4.0, evidence=Evidence(*DEFAULT))
         if wide:
-            maps._arena = TileArena()
+            maps._shared_arena = TileArena()
         maps.draw(poses, batch, 0, 5)
         found.append(contents(maps))
     assert found[0] == found[1]

@@ -13,19 +13,25 @@ import pytest
 
 import gridslam
 from gridslam.grid import Evidence, TileMaps
+from gridslam.grid.arena import TileArena
 from gridslam.matching import GaussNewton
 from gridslam.types import LaserScan, ScanGeometry
 
 PARTICLES = 23
+ROWS = np.arange(PARTICLES, dtype=np.int32)
+
+
+def empty(threads):
+    evidence = Evidence(2.4, -0.4, -3, 6, 2.0)
+    return TileMaps(PARTICLES, resolution_m=0.05, reach_cells=10.5, evidence=evidence, threads=threads)
 
 
 def run(threads):
     """Bytes of all maps and of all that was read from them, after scans at scattered poses and resampling."""
     rng = np.random.default_rng(11)
-    evidence = Evidence(2.4, -0.4, -3, 6, 2.0)
-    maps = TileMaps(PARTICLES, resolution_m=0.05, reach_cells=10.5, evidence=evidence, threads=threads)
+    maps = empty(threads)
     geometry = ScanGeometry(np.linspace(-np.pi, np.pi, 120))
-    rows, read = np.arange(PARTICLES, dtype=np.int32), []
+    rows, read = ROWS, []
     priors = np.repeat(np.diag([1.0, 1.0, 10.0])[None], PARTICLES, axis=0)
     for step in range(5):
         poses = rng.normal(scale=[0.3, 0.3, 0.2], size=(PARTICLES, 3))
@@ -78,3 +84,141 @@ def test_an_interpreter_ends_while_threads_wait():
         command, cwd=Path(__file__).parent, env=environment, capture_output=True, timeout=60, check=False
     )
     assert (found.returncode, found.stderr) == (0, b"")
+
+
+def poses_and_beams(step):
+    """A scan of a room at scattered poses."""
+    rng = np.random.default_rng(step)
+    scan = LaserScan.from_ranges(step, rng.uniform(4, 5, 120), ScanGeometry(np.linspace(-np.pi, np.pi, 120)))
+    return rng.normal(scale=[0.3, 0.3, 0.2], size=(PARTICLES, 3)), scan.beams(0.05, 30.0)
+
+
+def frozen(maps):
+    return maps.freeze().to_arrays()
+
+
+def selected(maps):
+    maps.select(np.arange(PARTICLES)[::-1])
+    return maps.to_arrays()
+
+
+def cleared(maps):
+    maps.clear(3)
+    return maps.to_arrays()
+
+
+def compacted(maps):
+    maps.compact()
+    return maps.to_arrays()
+
+
+def limited(maps):
+    maps.limit(3.0)
+    return maps.to_arrays()
+
+
+def updated(maps):
+    poses, beams = poses_and_beams(5)
+    maps.update(ROWS[::2], poses[::2], beams)
+    return maps.to_arrays()
+
+
+READERS = {
+    "arrays": TileMaps.to_arrays,
+    "snapshot": lambda maps: maps.snapshot().to_arrays(),
+    "freeze": frozen,
+    "select": selected,
+    "clear": cleared,
+    "compact": compacted,
+    "limit": limited,
+    "update": updated,
+    "tiles used": lambda maps: {"": np.array(maps.tiles_used)},
+    "tiles of": lambda maps: {"": np.array(maps.tiles_of(np.array([1, 4])))},
+    "tiles": lambda maps: {"": maps.tile_ids(2)[0] > 0},
+    "tiles within": lambda maps: {"": maps.tile_ids_within(2, (-2, 2), (-3, 1)) > 0},
+    "grid": lambda maps: {"": maps.occupancy(1).log_odds},
+    "field": lambda maps: {"": maps.field(1)[0]},
+    "known": lambda maps: {"": maps.is_known(2, np.random.default_rng(0).uniform(-5, 5, (100, 2)))},
+}
+
+
+@pytest.mark.parametrize("read", READERS.values(), ids=READERS.keys())
+def test_whoever_reads_maps_waits_for_their_update(read):
+    """With threads it goes on in the background."""
+    found = []
+    for threads in (1, 2, 3):
+        maps = empty(threads)
+        for step in range(4):
+            maps.update(ROWS, *poses_and_beams(step))
+        found.append(read(maps))
+    for others in found[1:]:
+        for name, array in found[0].items():
+            np.testing.assert_array_equal(others[name], array)
+
+
+def few_ids(refs):
+    return np.arange(len(refs) + 2, len(refs) - 1, -1, dtype=np.int32), len(refs) + 3
+
+
+@pytest.mark.parametrize("threads", [1, 2, 4])
+def test_ids_may_be_scarce(threads, monkeypatch):
+    plenty, scarce = empty(1), empty(threads)
+    monkeypatch.setattr(TileArena, "_extend_ids", staticmethod(few_ids))
+    for step in range(4):
+        scarce.update(ROWS, *poses_and_beams(step))
+        scarce.select(ROWS // 2)
+    monkeypatch.undo()
+    for step in range(4):
+        plenty.update(ROWS, *poses_and_beams(step))
+        plenty.select(ROWS // 2)
+    for name, array in plenty.to_arrays().items():
+        np.testing.assert_array_equal(scarce.to_arrays()[name], array)
+    assert scarce.tiles_used == plenty.tiles_used
+
+
+def update_often(maps):
+    for step in range(1, 100):
+        maps.update(ROWS, *poses_and_beams(step))
+        maps.select(ROWS)
+
+
+def test_memory_that_runs_out_in_the_background_is_told_once(monkeypatch):
+    def refuse(_):
+        raise MemoryError
+
+    maps = empty(2)
+    maps.update(ROWS, *poses_and_beams(0))
+    assert maps.tiles_used
+    kept = maps.snapshot()
+    before = kept.to_arrays()
+    monkeypatch.setattr(TileArena, "grow", refuse)
+    with pytest.raises(MemoryError):
+        update_often(maps)
+    monkeypatch.undo()
+    assert maps.tiles_used
+    for name, array in kept.to_arrays().items():
+        np.testing.assert_array_equal(before[name], array)
+
+
+def test_maps_are_dropped_while_they_are_written():
+    shared = empty(2)
+    for step in range(20):
+        maps = shared.snapshot()
+        maps.update(ROWS, *poses_and_beams(step))
+        del maps
+    assert shared.tiles_used == 0
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")
+def test_a_process_is_forked_while_maps_are_written():
+    maps, alone = empty(2), empty(1)
+    for step in range(3):
+        maps.update(ROWS, *poses_and_beams(step))
+        alone.update(ROWS, *poses_and_beams(step))
+        child = os.fork()
+        if not child:
+            same = all(np.array_equal(maps.to_arrays()[name], array) for name, array in alone.to_arrays().items())
+            os._exit(0 if same else 1)
+        assert os.waitpid(child, 0)[1] == 0
+    for name, array in alone.to_arrays().items():
+        np.testing.assert_array_equal(maps.to_arrays()[name], array)
