@@ -75,6 +75,7 @@ class Insertion {
   const Scan scan_;
   const Evidence e_;
   const Cone cone_;
+  std::vector<int> order_;  // by heading: the rays of poses that follow each other are often the same
   std::vector<uint8_t> is_written_;
   std::mutex ids_;
   std::atomic<int> next_{0};

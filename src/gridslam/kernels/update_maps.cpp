@@ -1,6 +1,8 @@
 // One scan into many maps: the tiles that it touches become their map's own, then they are written.
 #include "update.hpp"
 
+#include <numeric>
+
 namespace gridslam {
 namespace {
 
@@ -45,7 +47,11 @@ Insertion::Insertion(const Maps& m, const Arena& ids, const int32_t* rows, const
       scan_(scan),
       e_(e),
       cone_(cone, reach),
-      is_written_(k) {}
+      order_(k),
+      is_written_(k) {
+  std::iota(order_.begin(), order_.end(), 0);
+  std::sort(order_.begin(), order_.end(), [&](int a, int b) { return poses_[3 * a + 2] < poses_[3 * b + 2]; });
+}
 
 bool Insertion::follow_earlier(const std::vector<Cell>& earlier) {
   TileSet near;
@@ -90,7 +96,7 @@ bool Insertion::fits(int64_t room, bool exactly, int threads) const {
 
 void Insertion::work() {
   try {
-    for (int i; (i = next_.fetch_add(1, std::memory_order_relaxed)) < maps();) insert(i);
+    for (int i; (i = next_.fetch_add(1, std::memory_order_relaxed)) < maps();) insert(order_[i]);
   } catch (...) {
     next_.store(maps());
     if (!has_failed_.exchange(true)) failure_ = std::current_exception();
