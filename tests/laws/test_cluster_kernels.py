@@ -1,4 +1,4 @@
-"""The kernels of beliefs about a pose: their NumPy twins, and closed forms."""
+"""The kernels for many particles: their NumPy twins, and closed forms."""
 
 from __future__ import annotations
 
@@ -70,3 +70,16 @@ def test_what_is_no_number_or_beyond_all_numbers_is_on_no_cell(kernels):
     with np.errstate(invalid="ignore", over="ignore"):
         marked = kernels.are_true(np.ones((4, 4), bool), np.zeros(2), 20.0, nowhere)
     assert marked.tolist() == [False] * 4
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_slots_are_those_of_the_twin(seed):
+    """Also where points lie on ends, before all and beyond them, and in slots that are empty."""
+    rng = np.random.default_rng(seed)
+    ends = np.cumsum(rng.integers(0, 3, 50)).astype(np.float64)
+    points = np.sort(np.append(rng.uniform(-1, ends[-1] + 1, 200), rng.choice(ends, 30)))
+    slots = [kernels.slots_of(ends, points) for kernels in (compiled, reference)]
+    assert slots[0].dtype == slots[1].dtype == np.int64
+    np.testing.assert_array_equal(slots[0], slots[1])
+    assert slots[0].tolist() == [int((ends <= point).sum()) for point in points]
+    assert compiled.slots_of(ends, points[:0]).shape == (0,)

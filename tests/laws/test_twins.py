@@ -37,6 +37,7 @@ KERNELS = (
     "shortest_ways",
     "mean_shift",
     "are_true",
+    "slots_of",
     "draw_gaussians",
     "kalman_update",
     "predict_landmarks",

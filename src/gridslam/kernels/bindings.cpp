@@ -332,6 +332,16 @@ auto py_are_true(Array<const bool, 2> mask, Vector corner, double inverse_resolu
   return out;
 }
 
+auto py_slots_of(Vector ends, Vector points) {
+  auto out = fresh<int64_t, 1>({points.shape(0)});
+  {
+    nb::gil_scoped_release release;
+    slots_of(ends.data(), static_cast<int64_t>(ends.shape(0)), points.data(), static_cast<int64_t>(points.shape(0)),
+             out.data());
+  }
+  return out;
+}
+
 auto py_draw_gaussians(Matrix means, Matrices covariances, Matrix numbers) {
   auto drawn = fresh<double, 2>({means.shape(0), means.shape(1)});
   {
@@ -510,6 +520,7 @@ NB_MODULE(_compiled, m) {
   m.def("mean_shift", &py_mean_shift, "poses"_a, "weights"_a, "first"_a, "centre"_a, "radius_m"_a, "radius_rad"_a,
         "shifts"_a);
   m.def("are_true", &py_are_true, "mask"_a, "corner"_a, "inverse_resolution"_a, "poses"_a);
+  m.def("slots_of", &py_slots_of, "ends"_a, "points"_a);
   m.def("draw_gaussians", &py_draw_gaussians, "means"_a, "covariances"_a, "numbers"_a);
   m.def("kalman_update", &py_kalman_update, nb::arg("means").noconvert(), nb::arg("covariances").noconvert(), "rows"_a,
         "jacobians"_a, "innovations"_a, "residuals"_a);

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.kernels import reference_scans
-from gridslam.kernels.reference_clusters import are_true, mean_shift
+from gridslam.kernels.reference_clusters import are_true, mean_shift, slots_of
 from gridslam.kernels.reference_landmarks import draw_gaussians, kalman_update, predict_landmarks
 from gridslam.kernels.reference_maps import begin_update, end_update, update
 from gridslam.kernels.reference_numbers import format_rows, parse_numbers
@@ -71,6 +71,7 @@ __all__ = [
     "predict_landmarks",
     "select_beams",
     "shortest_ways",
+    "slots_of",
     "sum_at_ends",
     "tiles_on_rays",
     "update",

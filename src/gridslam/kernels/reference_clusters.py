@@ -1,4 +1,4 @@
-"""NumPy twins of the kernels of Monte Carlo localization: the densest cluster of poses, and poses on marked cells."""
+"""NumPy twins of the kernels for many particles: resampled, on marked cells or not, and their densest cluster."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["are_true", "mean_shift"]
+__all__ = ["are_true", "mean_shift", "slots_of"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
 
 
 def mean_shift(
@@ -56,6 +57,14 @@ def mean_shift(
     if mass > 0.5:
         away, weights = away[:, near], weights[near]
     return centre, mass, float(weights.sum()), float(weights @ weights), (weights * away) @ away.T
+
+
+def slots_of(ends: FloatArray, points: FloatArray) -> IntArray:
+    """Slots (M,) in which ascending points (M,) lie; slot k of N ends before ends[k], which ascend.
+
+    What lies beyond the last one is in slot N.
+    """
+    return np.asarray(ends.searchsorted(points, side="right"), np.int64)
 
 
 def are_true(mask: BoolArray, corner: FloatArray, inverse_resolution: float, poses: FloatArray) -> BoolArray:

@@ -86,9 +86,12 @@ def estimate_pose(poses: FloatArray, weights: FloatArray) -> PoseEstimate:
 
 def cluster_bins(x: FloatArray, y: FloatArray, theta: FloatArray) -> IntArray:
     """Number (N,) of the bin that each pose is in; bins are as wide as a cluster, and numbered in order."""
+    sides = (2 * CLUSTER_RADIUS_M, 2 * CLUSTER_RADIUS_M, 2 * CLUSTER_RADIUS_RAD)
+    if all(np.ptp(values) < side for values, side in zip((x, y, theta), sides, strict=True)):
+        return np.zeros(len(x), np.int64)
     column, row, turn = (
-        np.floor((values - values.min()) * (0.5 / width)).astype(np.int64)
-        for values, width in ((x, CLUSTER_RADIUS_M), (y, CLUSTER_RADIUS_M), (theta, CLUSTER_RADIUS_RAD))
+        np.floor((values - values.min()) * (1 / side)).astype(np.int64)
+        for values, side in zip((x, y, theta), sides, strict=True)
     )
     if float(column.max()) * float(row.max()) >= _MOST_BINS:  # far apart: only places that hold some are numbered
         column, row = (np.unique(places, return_inverse=True)[1] for places in (column, row))

@@ -165,7 +165,8 @@ class KnownMap:
 
         Capped at `reach_m`, which also holds beyond the map; `rows` (K,) are all one map.
         """
-        places = np.pad(transform_points(poses[:, None], points), ((0, 0), (0, 0), (0, 1)))
+        places = np.zeros((len(poses), len(points), 3))
+        places[..., :2] = transform_points(poses[:, None], points)
         found = self._distance_table.sums(places.reshape(-1, 3), np.zeros((1, 2)), self.threads)
         return found.reshape(places.shape[:2]).astype(np.float32)
 
@@ -179,12 +180,13 @@ class KnownMap:
         shifted = poses - [*self._corner, 0.0]
         return self._tiles.cast_rays(np.zeros(len(poses), np.int32), shifted, origin, directions, max_m)
 
-    def match(self, matcher: GaussNewton, guesses: FloatArray, prior: FloatArray, beams: Beams) -> Match:
-        """Match a scan near guesses (K, 3), all with the prior information (3, 3), as `GaussNewton` does."""
+    def match(self, matcher: GaussNewton, guesses: FloatArray, priors: FloatArray, beams: Beams) -> Match:
+        """Match a scan near guesses (K, 3) as `GaussNewton` does, with one prior information (3, 3) or with K."""
         shift = np.array([*self._corner, 0.0])
         rows = np.zeros(len(guesses), np.int32)
-        found = matcher(self._tiles, rows, guesses - shift, np.repeat(prior[None], len(guesses), axis=0), beams)
-        return replace(found, poses=found.poses + shift)
+        each = np.ascontiguousarray(np.broadcast_to(priors, (len(guesses), 3, 3)))
+        found = matcher(self._tiles, rows, guesses - shift, each, beams)
+        return Match(found.poses + shift, found.information, found.score)
 
     @cached_property
     def _distance_table(self) -> FieldTable:

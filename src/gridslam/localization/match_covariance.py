@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import transform_points
 from gridslam.localization.known_map import KnownMap
-from gridslam.matching.gauss_newton import GaussNewton, cauchy_weights, degenerate_direction
+from gridslam.matching.gauss_newton import GaussNewton, cauchy_weights, degenerate_direction, evaluating
 from gridslam.models.parameters import STRICT
 from gridslam.types import Beams, FloatArray
 
@@ -51,7 +51,7 @@ class MatchCovariance:
     ) -> FloatArray:
         """Covariance (3, 3) of a pose (3,) that `matcher` found, where the belief about it has a covariance (3, 3)."""
         one_each = self._thin(pose, beams)
-        match = known_map.match(replace(matcher, max_iterations=0), pose[None], np.zeros((3, 3)), one_each)
+        match = known_map.match(evaluating(matcher), pose[None], np.zeros((3, 3)), one_each)
         information = match.information[0]
         direction = degenerate_direction(information, float(match.score[0]), matcher.min_information)
         if direction is not None:

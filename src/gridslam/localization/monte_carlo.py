@@ -41,7 +41,7 @@ from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMoti
 from gridslam.models.parameters import STRICT, Kind
 from gridslam.particles.initial import sample_gaussian
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold
-from gridslam.particles.resampling import Systematic, effective_sample_size, normalize
+from gridslam.particles.resampling import Systematic, normalize
 from gridslam.scan import Thinning
 from gridslam.types import (
     Beams,
@@ -240,9 +240,10 @@ class MonteCarloLocalization:
         if share := self._injection_ratio(state, poses, beams):  # w_slow, w_fast; max(0, 1 - w_fast / w_slow) of all
             poses, log_weights = self._inject_particles(poses, log_weights, share, beams, log_likelihood, rng)
         state.advance(poses, normalize(log_weights), odometry)
-        report = self._refine_pose(self._report_update(state, scan, moved, beams, share, rng), beams)
+        weights = np.exp(state.log_weights)
+        report = self._refine_pose(self._report_update(state, weights, scan, moved, beams, share, rng), beams)
         if self._should_resample(state, report):  # draw with probability w_t, as many as KLD-sampling asks for
-            parents = self.configuration.kld(poses, np.exp(state.log_weights), self.resampler, rng)
+            parents = self.configuration.kld(poses, weights, self.resampler, rng)
             state.resample(parents)
             report = replace(report, parents=parents, particles=len(parents))
         return state, report
@@ -336,21 +337,19 @@ class MonteCarloLocalization:
         are compared with it afterwards, where they are determined by the scan.
         """
         matcher = self.configuration.matcher
-        near = self._match(pose, covariance, beams)
         variances, axes = np.linalg.eigh(covariance[:2, :2])
-        beside = np.repeat(pose[None], 4, axis=0)
-        beside[:, :2] += np.concatenate([axes.T, -axes.T]) * np.sqrt(np.tile(np.maximum(variances, 0), 2))[:, None]
-        others = self.map.match(matcher, beside, NO_PRIOR, beams)
-        first = self.map.match(replace(matcher, max_iterations=0), near[None], NO_PRIOR, beams)
-        kept = [
-            degenerate_direction(information, float(score), matcher.min_information) is None
-            for information, score in zip(others.information, others.score, strict=True)
-        ]
-        poses = np.concatenate([near[None], others.poses[kept]])
+        guesses = np.repeat(pose[None], 5, axis=0)
+        guesses[1:, :2] += np.concatenate([axes.T, -axes.T]) * np.sqrt(np.tile(np.maximum(variances, 0), 2))[:, None]
+        prior = self._prior(covariance + _ROUNDING)
+        found = self.map.match(matcher, guesses, np.stack([prior, *[NO_PRIOR] * 4]), beams)
+        others = zip(found.information[1:], found.score[1:].tolist(), strict=True)
+        kept = [True, *(degenerate_direction(*other, matcher.min_information) is None for other in others)]
+        poses = found.poses[kept]
         away = poses - pose
         away[:, 2] = wrap(away[:, 2])
-        cost = np.einsum("ki,ij,kj->k", away, self._prior(covariance + _ROUNDING), away)
-        cost -= matcher.cauchy_m**2 * np.concatenate([first.score, others.score[kept]])  # sum of w d^2, to a constant
+        cost = ((away @ prior) * away).sum(axis=1) - matcher.cauchy_m**2 * found.score[
+            kept
+        ]  # sum of w d^2, to a constant
         return np.asarray(poses[cost.argmin()])
 
     def _likelihood(self, beams: Beams) -> PoseLikelihood:
@@ -398,6 +397,7 @@ class MonteCarloLocalization:
     def _report_update(
         self,
         state: MonteCarloState,
+        weights: FloatArray,
         scan: LaserScan,
         moved: FloatArray,
         beams: Beams,
@@ -405,7 +405,6 @@ class MonteCarloLocalization:
         rng: np.random.Generator,
     ) -> LocalizationReport:
         """Report of an update, before resampling; stores the estimate and the pose hypotheses in the state."""
-        weights = np.exp(state.log_weights)
         agree = self._inlier_ratio(beams)
         estimate = estimate_pose(state.poses, weights)
         state.inlier_ratio = float(agree(estimate.pose[None])[0])
@@ -420,7 +419,7 @@ class MonteCarloLocalization:
             *self._with_lost_probability(state, estimate.pose, estimate.covariance),
             state.inlier_ratio,
             len(state.poses),
-            effective_sample_size(state.log_weights),
+            float(1 / np.square(weights).sum()),
             odometry_rejected=state.odometry_rejected,
             injection_ratio=share,
             poses=state.poses,

@@ -205,7 +205,7 @@ class MonteCarloState:
 
     def resample(self, parents: IntArray) -> None:
         """Let particle i continue particle parents[i] of parents (M,), all with equal weights."""
-        self.poses = self.poses[parents]
+        self.poses = self.poses.take(parents, axis=0)
         self.log_weights = np.full(len(parents), -np.log(len(parents)))
 
     def take(self) -> MonteCarloState:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from functools import cache
 from typing import NamedTuple, final
 
 import numpy as np
@@ -25,6 +27,7 @@ __all__ = [
     "PoseMatch",
     "cauchy_weights",
     "degenerate_direction",
+    "evaluating",
     "weigh_known_beams",
 ]
 
@@ -127,6 +130,13 @@ class GaussNewton:
 
 EVALUATE_ONLY = GaussNewton(max_iterations=0)
 """Evaluates the score at the guess without iterating."""
+
+
+@cache
+def evaluating(matcher: GaussNewton) -> GaussNewton:
+    """The same that evaluates the score at the guess without iterating."""
+    return replace(matcher, max_iterations=0)
+
 
 _NOTHING_KNOWN = 1e-9
 NO_PRIOR = _NOTHING_KNOWN * np.eye(3)

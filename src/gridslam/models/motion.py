@@ -82,8 +82,11 @@ class GaussianIncrement:
 
     def __call__(self, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Draw one successor (N, 3) for each pose (N, 3)."""
-        noise = rng.standard_normal((len(poses), len(self.mean)))
-        return compose(poses, self.to_increment(self.mean + self.std * noise))
+        values = rng.standard_normal((len(poses), len(self.mean)))
+        for column, mean, std in zip(values.T, self.mean, self.std, strict=True):  # loops along the poses are long
+            column *= std
+            column += mean
+        return compose(poses, self.to_increment(values))
 
     def moments(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean successors (N, 3) and covariances (N, 3, 3) in the world frame, to first order in the noise."""

@@ -21,6 +21,7 @@ import numpy as np
 
 from gridslam.arguments import require_generator
 from gridslam.errors import ArgumentError
+from gridslam.kernels import backend
 from gridslam.types import FloatArray, IntArray
 
 __all__ = [
@@ -220,4 +221,5 @@ def _slots(ends: FloatArray, points: FloatArray) -> IntArray:
     Slots [end of the one before, end) are half open, so an empty one (weight 0) holds no point.
     """
     below_the_end = np.minimum(points, np.nextafter(ends[-1], 0.0))  # rounding may put the last point onto the end
-    return np.asarray(ends.searchsorted(below_the_end, side="right"), dtype=np.int64)
+    slots: IntArray = backend.slots_of(ends, below_the_end)
+    return slots

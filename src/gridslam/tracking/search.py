@@ -61,8 +61,10 @@ _LOCAL_CELLS = 2**12
 
 
 def local_pyramid(state: TrackerState) -> Pyramid:
-    """Build the pyramid of the local map in use, for one search."""
-    return Pyramid.of(state.maps, state.matched_map, most_cells=_LOCAL_CELLS)
+    """Pyramid of the local map in use, built once for all searches until a scan is inserted."""
+    if state.pyramid is None:
+        state.pyramid = Pyramid.of(state.maps, state.matched_map, most_cells=_LOCAL_CELLS)
+    return state.pyramid
 
 
 @final

@@ -13,6 +13,8 @@ from gridslam.geometry.se2 import transform_points
 from gridslam.geometry.single_pose import ORIGIN, UNKNOWN_POSE, Pose, as_pose, between
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.beam_order import BeamOrder
+from gridslam.matching.branch_and_bound import Pyramid
+from gridslam.serialization import NOT_SAVED
 from gridslam.tracking.odometry_calibration import OdometryErrorModel
 from gridslam.types import BeamEnds, Beams, FloatArray, Odometry, StoredScan
 
@@ -115,6 +117,8 @@ class TrackerState:
         Uncertainty of what no match has measured since the last key scan.
     open_way_m : float
         Way since the last match that left no direction open.
+    pyramid : Pyramid or None
+        Of the local map that is matched against, where it was searched since a scan was inserted.
     """
 
     maps: TileMaps
@@ -136,6 +140,7 @@ class TrackerState:
     rejected_odometry: int = 0
     unmatched: UnmatchedMotion = field(default_factory=UnmatchedMotion)
     open_way_m: float = 0.0
+    pyramid: Pyramid | None = field(default=None, metadata=NOT_SAVED)
 
     @classmethod
     def start(cls, maps: TileMaps, odometry: Odometry | None, stamp_ns: int, sensor: str) -> TrackerState:
@@ -175,6 +180,7 @@ class TrackerState:
 
     def insert(self, beams: Beams, most: int) -> None:
         """Insert a scan at the current pose; the local maps alternate after `most` scans of each laser."""
+        self.pyramid = None
         scans = list(self.scans)
         active = self.matched_map
         full = most * len(self.sensors)
