@@ -12,6 +12,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.matching import GaussNewton
+from gridslam.matching.branch_and_bound import Pyramid
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.slam import Tracker
 from gridslam.tracking import search
@@ -306,3 +307,23 @@ def test_after_a_short_gap_the_scan_is_found_again_and_the_odometry_overruled(ha
     told, ahead, _, off = after_a_gap(halls, 13, Tracker())
     assert off[0] < CELL_M
     assert away(told.pose, ahead)[0, 0] > 0.01
+
+
+def test_searches_share_a_pyramid_until_a_scan_is_inserted():
+    measurements = simulate(
+        make_world("demo", np.random.default_rng(0)),
+        RobotConfig(),
+        PERFECT,
+        LidarConfig(beams=60),
+        np.random.default_rng(0),
+    ).measurements
+    state = start(Tracker(), measurements)
+    first = search.local_pyramid(state)
+    assert search.local_pyramid(state) is first
+    assert search.local_pyramid(state.snapshot()) is first
+    scan = measurements[-1][1]
+    state.insert(scan.beams(0.05, 30.0), 20)
+    second = search.local_pyramid(state)
+    expected = Pyramid.of(state.maps, state.matched_map)
+    np.testing.assert_array_equal(second.fine, expected.fine)
+    assert second.fine.tobytes() != first.fine.tobytes()
