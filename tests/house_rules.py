@@ -19,7 +19,7 @@ ONLY_IN = {
     "tomli": {"config"},
     "tomli_w": {"config"},
     "pydantic": set(RANKS),
-    "pydantic_core": {"models", "config"},
+    "pydantic_core": {"parameters", "config"},
     "numpy": set(RANKS),
     "scipy": {"slam", "localization", "evaluation", "tuning"},
     "cmaes": {"tuning"},

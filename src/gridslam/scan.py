@@ -10,14 +10,13 @@ from typing import Any, TypeAlias, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.arguments import freeze, require_array, require_instance
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se3 import from_planar
 from gridslam.kernels import backend
+from gridslam.parameters import bounded, parameters
 
 __all__ = [
     "LONGEST_SCAN_S",
@@ -200,7 +199,7 @@ _TINY = float(np.finfo(np.float64).tiny)
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class Thinning:
     """Takes of a dense scan only one beam for each bit of arc about the laser.
 
@@ -215,8 +214,8 @@ class Thinning:
         one of half degrees, has no more, and is used as it is.
     """
 
-    spacing_m: float = Field(default=0.025, ge=0, le=1e4)
-    dense_beams: int = Field(default=400, ge=1, le=1_000_000)
+    spacing_m: float = bounded(0.025, ge=0, le=1e4)
+    dense_beams: int = bounded(400, ge=1, le=1_000_000)
 
     def __call__(self, ranges: FloatArray, widths: FloatArray) -> NDArray[np.bool_] | None:
         """Which beams to take: the first ones in equal parts of the arc that they sweep; None for all.

@@ -14,6 +14,7 @@ PACKAGE = ROOT / "src" / "gridslam"
 RANKS = {
     "errors": 0,
     "arguments": 1,
+    "parameters": 1,
     "serialization": 1,
     "geometry": 1,
     "scan": 2,

@@ -20,14 +20,13 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import numpy as np
-from pydantic import TypeAdapter
 
 import gridslam
 from gridslam.config.configuration import Configuration
 from gridslam.config.tables import nest, replace_parameters
 from gridslam.errors import ConfigurationError, GridslamError
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.models.parameters import Kind
+from gridslam.parameters import Kind, adapter
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 
 MOST_S = 20
@@ -75,7 +74,7 @@ def numbers(part: type = Configuration, name: str = "", kinds: tuple[tuple[str, 
 
 
 def _properties(part: type) -> dict[str, Any]:
-    schema = TypeAdapter(part).json_schema()
+    schema = adapter(part).json_schema()
     found: dict[str, Any] = schema["properties"]
     return found
 
@@ -85,7 +84,7 @@ def _classes(hint: Any) -> list[type]:
     inner = get_args(hint)
     if inner:
         return [part for each in inner for part in _classes(each)]
-    return [hint] if isinstance(hint, type) and hasattr(hint, "__pydantic_fields__") else []
+    return [hint] if isinstance(hint, type) and hasattr(hint, "__pydantic_config__") else []
 
 
 def cases() -> list[tuple[Number, float]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -135,7 +136,7 @@ def build_configuration(
     if particles is not None:
         config = override(config, f"particles={particles}")
     config = override(config, *assignments)
-    return override(config, "loop_closure=false") if no_loop_closure else config
+    return replace(config, loop_closure=None) if no_loop_closure else config
 
 
 def _summarize_loop_closure(loops: dict[str, Any] | Literal[False]) -> Iterator[str]:

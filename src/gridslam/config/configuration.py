@@ -6,9 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Final, Literal, NamedTuple, final
 
-from pydantic import ConfigDict, Field, model_validator
-from pydantic.dataclasses import dataclass as parameters
-
 from gridslam.config.tables import nest, parse_toml, read_assignments, replace_parameters, to_table
 from gridslam.errors import ConfigurationError
 from gridslam.grid.tiles import MOST_BEAM_CELLS
@@ -16,7 +13,7 @@ from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.endpoint import CauchyEndPoint, GMappingEndPoint, LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
-from gridslam.models.parameters import Kind
+from gridslam.parameters import Kind, bounded, parameters
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold, NeverResample
 from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
 from gridslam.scan import Thinning
@@ -108,7 +105,7 @@ _RESAMPLERS: Final[Mapping[str, type[Resampler]]] = {
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class Configuration:
     """All parameters of a run; those of a part are explained at its class.
 
@@ -131,9 +128,9 @@ class Configuration:
         How the trajectory is refined at the end of the log; without loop closure it is not.
     """
 
-    particles: int = Field(default=30, ge=1, le=100_000)
-    range_min_m: float = Field(default=0.05, ge=0, le=1e4)
-    range_max_m: float = Field(default=30.0, ge=1e-6, le=1e4)
+    particles: int = bounded(30, ge=1, le=100_000)
+    range_min_m: float = bounded(0.05, ge=0, le=1e4)
+    range_max_m: float = bounded(30.0, ge=1e-6, le=1e4)
     thinning: Thinning = Thinning()
     resampler: Literal["systematic", "stratified", "residual", "multinomial", "wheel"] = "systematic"
     tracker: Annotated[Tracker | OdometryTracker, Kind()] = Tracker()
@@ -150,13 +147,12 @@ class Configuration:
     loop_closure: Annotated[LoopClosure | None, Kind()] = LoopClosure()
     final_refinement: GlobalScanRefinement = GlobalScanRefinement()
 
-    @model_validator(mode="after")
-    def _fits_cells(self) -> Configuration:
+    def __post_init__(self) -> None:
+        """Refuse parameters that do not go together."""
         cell_m = self.mapper.resolution_m
         if not self.range_max_m <= MOST_BEAM_CELLS * cell_m:
             expected = f"at most {MOST_BEAM_CELLS * cell_m:g} m, {MOST_BEAM_CELLS} cells of {cell_m:g} m"
             raise ValueError(f"range_max_m: expected {expected}, got {self.range_max_m:g}")
-        return self
 
 
 def build(config: Configuration, threads: int = 1) -> GridFastSlam:

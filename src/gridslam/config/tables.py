@@ -1,6 +1,6 @@
 """Trees of parameters as nested tables, and changes to them with errors that name the parameter.
 
-Works on any pydantic dataclass. Fields of several classes are annotated with `gridslam.models.parameters.Kind`.
+Works on the classes of `gridslam.parameters`. Fields of several classes are annotated with its `Kind`.
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import is_dataclass
-from typing import Any, TypeVar
-
-from pydantic import TypeAdapter, ValidationError
-from pydantic_core import ErrorDetails, to_json
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from gridslam.errors import ConfigurationError
+from gridslam.parameters import Table, adapter, to_table
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -36,16 +37,9 @@ __all__ = [
     "value_of",
 ]
 
-Table = dict[str, Any]
 _Part = TypeVar("_Part")
 _BOOLEANS = {"True": True, "False": False}
 _DECIMAL = re.compile(r"[-+]?(\d+\.\d*|\.\d+)([eE][-+]?\d+)?")  # TOML wants digits on both sides of the point
-
-
-def to_table(part: object) -> Table:
-    """Parameters of a part; those of its own parts are tables in it."""
-    table: Table = TypeAdapter(type(part)).dump_python(part)
-    return table
 
 
 def value_of(part: object, name: str) -> object:
@@ -117,7 +111,7 @@ def replace_parameters(part: _Part, changes: Mapping[str, Any], also: Iterable[s
 
     Parameters
     ----------
-    part : pydantic dataclass
+    part : object of a class of parameters
         Values of parameters that `changes` do not contain. A change of kind starts from that kind's defaults.
     changes : mapping
         Nested as `to_table` gives it.
@@ -129,13 +123,19 @@ def replace_parameters(part: _Part, changes: Mapping[str, Any], also: Iterable[s
     ConfigurationError
         A parameter is unknown, of a wrong type or out of range.
     """
+    if not changes:
+        return part
+    from pydantic import ValidationError
+    from pydantic_core import to_json
+
     table = _merge(to_table(part), changes)
     try:
         # as JSON, which strictly has tables for parts, but no number for a text; infinities are no numbers there
         text = to_json(table, inf_nan_mode="null", fallback=repr)
-        return TypeAdapter(type(part)).validate_json(text, strict=True)
+        changed: _Part = adapter(type(part)).validate_json(text, strict=True)
     except ValidationError as error:
         raise ConfigurationError(describe_error(error.errors()[0], table, [*also, *names(part)])) from None
+    return changed
 
 
 def describe_error(error: ErrorDetails, table: Mapping[str, Any], known: Iterable[str] = ()) -> str:

@@ -7,14 +7,12 @@ from typing import Annotated, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, lever_arm_jacobian
 from gridslam.kernels import backend
 from gridslam.localization.known_map import PoseLikelihood
-from gridslam.models.parameters import STRICT
+from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, IntArray
 
 __all__ = [
@@ -151,7 +149,7 @@ _REFUTED = 6.0  # nats against a hypothesis; evidence for it is limited to half 
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class HypothesisTracker:
     """Tracks pose hypotheses that the particles no longer cover, until the scans refute them.
 
@@ -182,13 +180,13 @@ class HypothesisTracker:
     filtering (AAAI 2002), which keeps a filter for each cluster.
     """
 
-    max_hypotheses: int = Field(default=32, ge=0, le=10_000)
-    min_mass: float = Field(default=0.005, ge=1e-6, le=1)
-    margin: float = Field(default=0.05, ge=0, le=1)
-    log_odds_per_scan: float = Field(default=6.0, ge=0)
-    jitter_samples: int = Field(default=64, ge=1, le=100_000)
-    jitter_m: float = Field(default=0.05, ge=0, le=1e6)
-    jitter_rad: float = Field(default=0.03, ge=0, le=100)
+    max_hypotheses: int = bounded(32, ge=0, le=10_000)
+    min_mass: float = bounded(0.005, ge=1e-6, le=1)
+    margin: float = bounded(0.05, ge=0, le=1)
+    log_odds_per_scan: float = bounded(6.0, ge=0)
+    jitter_samples: int = bounded(64, ge=1, le=100_000)
+    jitter_m: float = bounded(0.05, ge=0, le=1e6)
+    jitter_rad: float = bounded(0.03, ge=0, le=100)
 
     def __call__(
         self,

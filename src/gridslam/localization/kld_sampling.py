@@ -6,17 +6,15 @@ import math
 from typing import final
 
 import numpy as np
-from pydantic import Field, model_validator
-from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.models.parameters import STRICT
+from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, IntArray, Resampler
 
 __all__ = ["KldSampling"]
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class KldSampling:
     """Resamples to the number of particles that keeps the error of the sample in bounds.
 
@@ -42,18 +40,17 @@ class KldSampling:
     KLD-sampling, IJRR 22 (2003).
     """
 
-    particles_min: int = Field(default=2000, ge=1, le=1_000_000)
-    particles_max: int = Field(default=20_000, ge=1, le=1_000_000)
-    error: float = Field(default=0.05, ge=1e-6, le=1e6)
-    z: float = Field(default=2.33, le=1e6)
-    bin_m: float = Field(default=0.5, ge=1e-6, le=1e6)
-    bin_rad: float = Field(default=math.radians(10), gt=0, le=math.tau)
+    particles_min: int = bounded(2000, ge=1, le=1_000_000)
+    particles_max: int = bounded(20_000, ge=1, le=1_000_000)
+    error: float = bounded(0.05, ge=1e-6, le=1e6)
+    z: float = bounded(2.33, le=1e6)
+    bin_m: float = bounded(0.5, ge=1e-6, le=1e6)
+    bin_rad: float = bounded(math.radians(10), gt=0, le=math.tau)
 
-    @model_validator(mode="after")
-    def _bounds_in_order(self) -> KldSampling:
+    def __post_init__(self) -> None:
+        """Refuse parameters that do not go together."""
         if self.particles_min > self.particles_max:
             raise ValueError("particles_min must not exceed particles_max")
-        return self
 
     def bound(self, bins: IntArray) -> FloatArray:
         """Required number of particles (...) for numbers of occupied `bins` (...); 0 for a single bin."""

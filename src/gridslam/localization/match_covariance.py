@@ -7,20 +7,18 @@ from dataclasses import replace
 from typing import final
 
 import numpy as np
-from pydantic import Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import transform_points
 from gridslam.localization.known_map import KnownMap
 from gridslam.matching.gauss_newton import GaussNewton, cauchy_weights, degenerate_direction, evaluating
-from gridslam.models.parameters import STRICT
+from gridslam.parameters import bounded, parameters
 from gridslam.types import Beams, FloatArray
 
 __all__ = ["MatchCovariance"]
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class MatchCovariance:
     """Covariance of a pose by the belief and the scan that was matched: (Sigma^-1 + H / s^2)^-1.
 
@@ -43,8 +41,8 @@ class MatchCovariance:
     P. Huber, Robust Statistics (1981), Section 7.6 (covariance of M-estimates).
     """
 
-    patch_m: float = Field(default=0.5, ge=1e-6, le=1e6)
-    residual_factor: float = Field(default=3.0, ge=0, le=1e6)
+    patch_m: float = bounded(0.5, ge=1e-6, le=1e6)
+    residual_factor: float = bounded(3.0, ge=0, le=1e6)
 
     def __call__(
         self, known_map: KnownMap, matcher: GaussNewton, pose: FloatArray, belief: FloatArray, beams: Beams

@@ -13,8 +13,6 @@ from typing import Annotated, final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, model_validator
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose, log
@@ -38,7 +36,7 @@ from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, degenerate_dir
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.endpoint import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
-from gridslam.models.parameters import STRICT, Kind
+from gridslam.parameters import Kind, bounded, parameters
 from gridslam.particles.initial import sample_gaussian
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold
 from gridslam.particles.resampling import Systematic, normalize
@@ -63,7 +61,7 @@ _MAX_EVALUATED = 500  # particles whose agreement with a scan stands for that of
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class MonteCarloConfiguration:
     """Parts and parameters of the filter; each part is explained at its class.
 
@@ -128,40 +126,39 @@ class MonteCarloConfiguration:
         A parameter is out of range, no beam could be used, or distances would saturate within a beam's noise.
     """
 
-    odometry_check: Annotated[OdometryCheck | None, Kind()] = Field(default_factory=OdometryCheck)
-    motion: Annotated[GMappingMotion | OdometryMotion | DiffusionMotion, Kind()] = Field(default_factory=GMappingMotion)
-    sensor: Annotated[LikelihoodField | BeamRangeFinder, Kind()] = Field(
+    odometry_check: Annotated[OdometryCheck | None, Kind()] = field(default_factory=OdometryCheck)
+    motion: Annotated[GMappingMotion | OdometryMotion | DiffusionMotion, Kind()] = field(default_factory=GMappingMotion)
+    sensor: Annotated[LikelihoodField | BeamRangeFinder, Kind()] = field(
         default_factory=lambda: LikelihoodField(tempering=0.05)
     )
-    recovery: AugmentedRecovery = Field(default_factory=AugmentedRecovery)
-    proposal: MeasurementProposal = Field(default_factory=MeasurementProposal)
-    hypotheses: HypothesisTracker = Field(default_factory=HypothesisTracker)
-    verification: PlaceVerification = Field(default_factory=PlaceVerification)
-    matcher: GaussNewton = Field(default_factory=lambda: GaussNewton(point_to_line=False, min_information=0.02))
-    match_covariance: MatchCovariance = Field(default_factory=MatchCovariance)
-    beam_order_margin: float = Field(default=0.05, ge=0, le=1)
-    kld: KldSampling = Field(default_factory=KldSampling)
-    when_to_update: MotionThreshold = Field(default_factory=lambda: MotionThreshold(0.2, 0.2))
-    when_to_resample: Annotated[EffectiveSampleSizeBelow | AlwaysResample, Kind()] = Field(
+    recovery: AugmentedRecovery = field(default_factory=AugmentedRecovery)
+    proposal: MeasurementProposal = field(default_factory=MeasurementProposal)
+    hypotheses: HypothesisTracker = field(default_factory=HypothesisTracker)
+    verification: PlaceVerification = field(default_factory=PlaceVerification)
+    matcher: GaussNewton = field(default_factory=lambda: GaussNewton(point_to_line=False, min_information=0.02))
+    match_covariance: MatchCovariance = field(default_factory=MatchCovariance)
+    beam_order_margin: float = bounded(0.05, ge=0, le=1)
+    kld: KldSampling = field(default_factory=KldSampling)
+    when_to_update: MotionThreshold = field(default_factory=lambda: MotionThreshold(0.2, 0.2))
+    when_to_resample: Annotated[EffectiveSampleSizeBelow | AlwaysResample, Kind()] = field(
         default_factory=EffectiveSampleSizeBelow
     )
-    resample_interval: int = Field(default=1, ge=1, le=1_000_000)
-    max_beams: int = Field(default=120, ge=1, le=100_000)
-    range_min_m: float = Field(default=0.05, ge=0, le=1e4)
-    range_max_m: float = Field(default=30.0, ge=1e-6, le=1e4)
-    reach_m: float = Field(default=1.0, ge=1e-6, le=1e6)
-    off_free_factor: float = Field(default=0.01, ge=1e-6, le=1)
-    lost_below: float = Field(default=0.3, ge=1e-6, le=1)
-    lost_above: float = Field(default=0.2, ge=1e-6, lt=1)
-    confirm_distance_m: float = Field(default=1.0, ge=1e-6, le=1e6)
+    resample_interval: int = bounded(1, ge=1, le=1_000_000)
+    max_beams: int = bounded(120, ge=1, le=100_000)
+    range_min_m: float = bounded(0.05, ge=0, le=1e4)
+    range_max_m: float = bounded(30.0, ge=1e-6, le=1e4)
+    reach_m: float = bounded(1.0, ge=1e-6, le=1e6)
+    off_free_factor: float = bounded(0.01, ge=1e-6, le=1)
+    lost_below: float = bounded(0.3, ge=1e-6, le=1)
+    lost_above: float = bounded(0.2, ge=1e-6, lt=1)
+    confirm_distance_m: float = bounded(1.0, ge=1e-6, le=1e6)
 
-    @model_validator(mode="after")
-    def _check_ranges(self) -> MonteCarloConfiguration:
+    def __post_init__(self) -> None:
+        """Refuse parameters that do not go together."""
         if self.range_min_m >= self.range_max_m:
             raise ValueError("range_min_m must be less than range_max_m")
         if self.reach_m < self.sensor.sigma_hit_m:
             raise ValueError("reach_m must not be less than sensor.sigma_hit_m")
-        return self
 
 
 @final

@@ -6,13 +6,11 @@ from collections.abc import Callable
 from typing import NamedTuple, final
 
 import numpy as np
-from pydantic import Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.single_pose import Pose, between
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.models.parameters import STRICT
+from gridslam.parameters import bounded, parameters
 from gridslam.tracking.search import OdometrySearch
 from gridslam.tracking.tracker import Tracker, TrackerState
 from gridslam.types import Beams, FloatArray, MotionSampler, Odometry
@@ -50,7 +48,7 @@ class TrackedMotion(NamedTuple):
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class OdometryCheck:
     """Compares the odometry with the motion from scan to scan, and replaces it where they contradict each other.
 
@@ -71,7 +69,7 @@ class OdometryCheck:
     """
 
     tracker: Tracker = Tracker(search=OdometrySearch(sparse_period_s=0.6))
-    gate: float = Field(default=16.27, gt=0)
+    gate: float = bounded(16.27, gt=0)
 
     def track(self, tracked: TrackedMotion | None, odometry: Odometry | None, beams: Beams) -> TrackedMotion:
         """Track one scan; updates the tracker in place."""

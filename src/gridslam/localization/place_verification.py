@@ -10,14 +10,12 @@ from collections.abc import Callable
 from typing import Annotated, NamedTuple, final
 
 import numpy as np
-from pydantic import Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.localization.belief import HypothesisTracker, PoseHypotheses, cluster_bins
 from gridslam.localization.known_map import KnownMap
 from gridslam.models.endpoint import CauchyEndPoint
-from gridslam.models.parameters import STRICT
+from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray
 
 __all__ = ["NO_SCANS", "PlaceVerification", "RecentScans"]
@@ -51,7 +49,7 @@ NO_SCANS = RecentScans(np.empty((0, 3)), np.empty((0, _BEAMS, 2)))
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class PlaceVerification:
     """Searches the whole map for places that fit the last scans as well as the reported one.
 
@@ -79,11 +77,11 @@ class PlaceVerification:
     filtering (AAAI 2002): places are compared until all but one are refuted.
     """
 
-    scans: int = Field(default=48, ge=0, le=10_000)
-    samples_per_m2: float = Field(default=500.0, ge=1e-9, le=1e4)
-    samples_max: int = Field(default=1_000_000, ge=1, le=10_000_000)
-    scale_m: float = Field(default=0.2, ge=1e-6, le=1e6)
-    places_max: int = Field(default=256, ge=1, le=100_000)
+    scans: int = bounded(48, ge=0, le=10_000)
+    samples_per_m2: float = bounded(500.0, ge=1e-9, le=1e4)
+    samples_max: int = bounded(1_000_000, ge=1, le=10_000_000)
+    scale_m: float = bounded(0.2, ge=1e-6, le=1e6)
+    places_max: int = bounded(256, ge=1, le=100_000)
 
     def __call__(
         self,

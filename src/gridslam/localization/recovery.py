@@ -6,13 +6,11 @@ import math
 from typing import NamedTuple, final
 
 import numpy as np
-from pydantic import Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
 from gridslam.localization.known_map import KnownMap, PoseLikelihood
 from gridslam.models.endpoint import CauchyEndPoint
-from gridslam.models.parameters import STRICT
+from gridslam.parameters import bounded, parameters
 from gridslam.types import Beams, FloatArray
 
 __all__ = ["AugmentedRecovery", "InlierRatioAverages", "MeasurementProposal"]
@@ -26,7 +24,7 @@ class InlierRatioAverages(NamedTuple):
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class AugmentedRecovery:
     """Probability that the robot is somewhere else: 1 - w_fast / w_slow, where that is positive.
 
@@ -50,9 +48,9 @@ class AugmentedRecovery:
     Probabilistic Robotics, Table 8.3 (`Augmented_MCL`).
     """
 
-    alpha_slow: float = Field(default=0.001, ge=0, le=1)
-    alpha_fast: float = Field(default=0.1, ge=0, le=1)
-    expected: float = Field(default=0.6, ge=0, le=1)
+    alpha_slow: float = bounded(0.001, ge=0, le=1)
+    alpha_fast: float = bounded(0.1, ge=0, le=1)
+    expected: float = bounded(0.6, ge=0, le=1)
 
     def begin(self) -> InlierRatioAverages:
         """Averages before the first scan."""
@@ -66,7 +64,7 @@ class AugmentedRecovery:
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class MeasurementProposal:
     """Draws poses from all over the map, more of them where the scan fits, and weighs them so that they stand for all.
 
@@ -95,13 +93,13 @@ class MeasurementProposal:
     Sensor resetting localization for poorly modelled mobile robots, ICRA 2000.
     """
 
-    samples_per_m2: float = Field(default=500.0, ge=1e-9, le=1e4)
-    samples_max: int = Field(default=1_000_000, ge=1, le=10_000_000)
-    draws: int = Field(default=50_000, ge=1, le=10_000_000)
-    scale_m: float = Field(default=0.2, ge=1e-6, le=1e6)
-    concentration: float = Field(default=25.0, ge=0, le=1e6)
-    jitter_m: float = Field(default=0.05, ge=0, le=1e6)
-    jitter_rad: float = Field(default=0.03, ge=0, le=100)
+    samples_per_m2: float = bounded(500.0, ge=1e-9, le=1e4)
+    samples_max: int = bounded(1_000_000, ge=1, le=10_000_000)
+    draws: int = bounded(50_000, ge=1, le=10_000_000)
+    scale_m: float = bounded(0.2, ge=1e-6, le=1e6)
+    concentration: float = bounded(25.0, ge=0, le=1e6)
+    jitter_m: float = bounded(0.05, ge=0, le=1e6)
+    jitter_rad: float = bounded(0.03, ge=0, le=100)
 
     def __call__(
         self, known_map: KnownMap, beams: Beams, log_likelihood: PoseLikelihood, share: float, rng: np.random.Generator

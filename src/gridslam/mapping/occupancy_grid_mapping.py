@@ -7,20 +7,19 @@ from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.cells import Evidence
 from gridslam.grid.tiles import MOST_TILES, TileMaps
 from gridslam.models.inverse_sensor import InverseSensorModel
+from gridslam.parameters import bounded, parameters
 from gridslam.types import Beams, FloatArray
 
 __all__ = ["OccupancyGridMapping"]
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class OccupancyGridMapping:
     """Makes empty maps and inserts scans into them.
 
@@ -43,10 +42,10 @@ class OccupancyGridMapping:
     Probabilistic Robotics, Table 9.1 (`occupancy_grid_mapping`).
     """
 
-    resolution_m: float = Field(default=0.05, ge=0.01, le=1)
-    reach_cells: float = Field(default=10.5, ge=1, le=15.5)
+    resolution_m: float = bounded(0.05, ge=0.01, le=1)
+    reach_cells: float = bounded(10.5, ge=1, le=15.5)
     inverse_sensor: InverseSensorModel = InverseSensorModel()
-    max_tiles: int = Field(default=MOST_TILES, ge=1000, le=500_000_000)
+    max_tiles: int = bounded(MOST_TILES, ge=1000, le=500_000_000)
 
     def empty(self, rows: int, threads: int = 1) -> TileMaps:
         """Make `rows` maps in which nothing is known."""

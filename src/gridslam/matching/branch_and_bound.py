@@ -10,14 +10,13 @@ from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.grid.cells import cell_centres, cells_of
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import backend
+from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["BranchAndBound", "LatticeMatch", "Pyramid", "thin_points"]
@@ -88,7 +87,7 @@ class LatticeMatch:
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class BranchAndBound:
     """Finds the best pose of a lattice by branch and bound, and the best pose elsewhere.
 
@@ -116,14 +115,14 @@ class BranchAndBound:
     scan matching (ICRA 2009).
     """
 
-    window_m: float = Field(default=15.0, gt=0, le=100)
-    window_rad: float = Field(default=0.5, gt=0, le=math.pi)
-    gate_sigmas: float = Field(default=3.0, ge=0.01, le=1000)
-    max_points: int = Field(default=200, ge=8, le=_MOST_POINTS)
-    min_score: float = Field(default=0.5, ge=1e-6, le=1)
-    min_runner_up_ratio: float = Field(default=0.6, ge=1e-6, le=1)
-    runner_up_distance_m: float = Field(default=1.0, ge=1e-6, le=1e6)
-    runner_up_distance_rad: float = Field(default=0.3, ge=1e-6, le=100)
+    window_m: float = bounded(15.0, gt=0, le=100)
+    window_rad: float = bounded(0.5, gt=0, le=math.pi)
+    gate_sigmas: float = bounded(3.0, ge=0.01, le=1000)
+    max_points: int = bounded(200, ge=8, le=_MOST_POINTS)
+    min_score: float = bounded(0.5, ge=1e-6, le=1)
+    min_runner_up_ratio: float = bounded(0.6, ge=1e-6, le=1)
+    runner_up_distance_m: float = bounded(1.0, ge=1e-6, le=1e6)
+    runner_up_distance_rad: float = bounded(0.3, ge=1e-6, le=100)
 
     def search(
         self, pyramid: Pyramid, guess: FloatArray, covariance: FloatArray | None, points: FloatArray

@@ -6,19 +6,18 @@ import math
 from typing import final
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import GaussNewton, cauchy_weights
+from gridslam.parameters import bounded, parameters
 from gridslam.types import Beams, FloatArray, Match
 
 __all__ = ["Correlative"]
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class Correlative:
     """Scores every pose of a window around each guess, then refines the best by Gauss-Newton.
 
@@ -39,11 +38,11 @@ class Correlative:
     windows are small).
     """
 
-    window_m: float = Field(default=0.5, ge=1e-6, le=1e6)
-    window_rad: float = Field(default=0.5, ge=1e-6, le=100)
-    step_m: float = Field(default=0.1, ge=1e-6, le=1e6)
-    step_rad: float = Field(default=0.05, ge=1e-6, le=100)
-    beams: int = Field(default=60, ge=8, le=100_000)
+    window_m: float = bounded(0.5, ge=1e-6, le=1e6)
+    window_rad: float = bounded(0.5, ge=1e-6, le=100)
+    step_m: float = bounded(0.1, ge=1e-6, le=1e6)
+    step_rad: float = bounded(0.05, ge=1e-6, le=100)
+    beams: int = bounded(60, ge=8, le=100_000)
     refine: GaussNewton = GaussNewton()
 
     def __call__(

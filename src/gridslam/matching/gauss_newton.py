@@ -9,13 +9,12 @@ from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.single_pose import Information, Pose
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.scan_batch import ScanBatch
 from gridslam.grid.tiles import TileMaps
+from gridslam.parameters import bounded, parameters
 from gridslam.types import BeamEnds, FloatArray, Match
 
 __all__ = [
@@ -49,7 +48,7 @@ class PoseMatch(NamedTuple):
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class GaussNewton:
     """Minimize sum_b w_b d_b^2 + (x - g)^T P (x - g) over poses x, by iteratively reweighted Gauss-Newton.
 
@@ -85,14 +84,14 @@ class GaussNewton:
     line).
     """
 
-    max_iterations: int = Field(default=10, ge=0, le=1000)
-    cauchy_m: float = Field(default=0.1, ge=1e-6, le=1e6)
-    max_step_m: float = Field(default=0.1, ge=1e-6, le=1e6)
-    max_step_rad: float = Field(default=0.1, ge=1e-6, le=100)
-    stop_m: float = Field(default=0.001, ge=1e-6, le=1e6)
-    stop_rad: float = Field(default=2e-4, ge=1e-6, le=100)
-    min_information: float = Field(default=MIN_INFORMATION, ge=0, le=1e6)
-    min_beams: int = Field(default=10, ge=0, le=1_000_000)
+    max_iterations: int = bounded(10, ge=0, le=1000)
+    cauchy_m: float = bounded(0.1, ge=1e-6, le=1e6)
+    max_step_m: float = bounded(0.1, ge=1e-6, le=1e6)
+    max_step_rad: float = bounded(0.1, ge=1e-6, le=100)
+    stop_m: float = bounded(0.001, ge=1e-6, le=1e6)
+    stop_rad: float = bounded(2e-4, ge=1e-6, le=100)
+    min_information: float = bounded(MIN_INFORMATION, ge=0, le=1e6)
+    min_beams: int = bounded(10, ge=0, le=1_000_000)
     point_to_line: bool = True
 
     def __call__(

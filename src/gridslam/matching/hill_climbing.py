@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import final
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import compose
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import EVALUATE_ONLY
+from gridslam.parameters import bounded, parameters
 from gridslam.types import BeamEnds, FloatArray, Match
 
 __all__ = ["HillClimbing"]
@@ -20,7 +19,7 @@ _MOVES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class HillClimbing:
     """Moves forth and back, sideways and around by a step; where none scores better, the step is halved.
 
@@ -46,12 +45,12 @@ class HillClimbing:
     G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `ScanMatcher::optimize`.
     """
 
-    step_m: float = Field(default=0.05, ge=1e-3, le=100)
-    step_rad: float = Field(default=0.05, ge=1e-3, le=10)
-    halvings: int = Field(default=5, ge=0, le=60)
-    scale_m2: float = Field(default=0.05, ge=1e-9, le=1e4)
-    kernel_m: float = Field(default=0.075, ge=1e-6, le=100)
-    minimum_score: float = Field(default=0.0, ge=0, le=1e6)
+    step_m: float = bounded(0.05, ge=1e-3, le=100)
+    step_rad: float = bounded(0.05, ge=1e-3, le=10)
+    halvings: int = bounded(5, ge=0, le=60)
+    scale_m2: float = bounded(0.05, ge=1e-9, le=1e4)
+    kernel_m: float = bounded(0.075, ge=1e-6, le=100)
+    minimum_score: float = bounded(0.0, ge=0, le=1e6)
 
     def __call__(
         self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: BeamEnds

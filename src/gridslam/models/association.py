@@ -7,13 +7,11 @@ from typing import ClassVar, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.models.landmark import LandmarkObservations, offset
-from gridslam.models.parameters import STRICT
+from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, IntArray
 
 __all__ = [
@@ -35,7 +33,7 @@ AMBIGUOUS = -2
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class KnownCorrespondence:
     """Known correspondences, with an outlier gate.
 
@@ -48,7 +46,7 @@ class KnownCorrespondence:
         model knows, and when the EKF closes Victoria Park's first loop it is 13 off. A misread barcode is off by 50.
     """
 
-    gate: float = Field(default=400.0, gt=0)
+    gate: float = bounded(400.0, gt=0)
     uses_signatures: ClassVar[bool] = True
 
     @property
@@ -82,7 +80,7 @@ class KnownCorrespondence:
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class MaximumLikelihood:
     """Maximum likelihood correspondence with a gate; each landmark is matched at most once per step.
 
@@ -101,15 +99,14 @@ class MaximumLikelihood:
     Probabilistic Robotics, Table 10.2, lines 9 to 16, and 10.3.3.
     """
 
-    match_gate: float = Field(default=9.2, gt=0)
-    new_gate: float = Field(default=25.0, gt=0)
+    match_gate: float = bounded(9.2, gt=0)
+    new_gate: float = bounded(25.0, gt=0)
     uses_signatures: ClassVar[bool] = False
 
-    @model_validator(mode="after")
-    def _ordered(self) -> MaximumLikelihood:
+    def __post_init__(self) -> None:
+        """Refuse parameters that do not go together."""
         if self.match_gate > self.new_gate:
             raise ValueError("expected match_gate <= new_gate")
-        return self
 
     @property
     def outlier_distance(self) -> float:
@@ -144,7 +141,7 @@ def signatures(observations: LandmarkObservations) -> IntArray:
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class LandmarkExistence:
     """Log odds that a landmark exists, by a binary Bayes filter.
 
@@ -174,19 +171,18 @@ class LandmarkExistence:
     Montemerlo et al., FastSLAM 2.0 (IJCAI 2003), section 4; Probabilistic Robotics, 13.6 and Table 13.2.
     """
 
-    detection: float = Field(default=0.3, gt=0, lt=1)
-    false_alarm: float = Field(default=0.03, gt=0, lt=1)
-    log_odds_confirmed: float = Field(default=6.0, gt=0)
-    log_odds_max: float = Field(default=12.0, gt=0)
-    range_min_m: float = Field(default=1.0, ge=0)
-    range_max_m: float = Field(default=5.0, gt=0)
-    half_angle_rad: float = Field(default=0.4, gt=0, le=math.pi)
+    detection: float = bounded(0.3, gt=0, lt=1)
+    false_alarm: float = bounded(0.03, gt=0, lt=1)
+    log_odds_confirmed: float = bounded(6.0, gt=0)
+    log_odds_max: float = bounded(12.0, gt=0)
+    range_min_m: float = bounded(1.0, ge=0)
+    range_max_m: float = bounded(5.0, gt=0)
+    half_angle_rad: float = bounded(0.4, gt=0, le=math.pi)
 
-    @model_validator(mode="after")
-    def _ordered(self) -> LandmarkExistence:
+    def __post_init__(self) -> None:
+        """Refuse parameters that do not go together."""
         if not (self.false_alarm < self.detection and self.log_odds_confirmed <= self.log_odds_max):
             raise ValueError("expected false_alarm < detection and log_odds_confirmed <= log_odds_max")
-        return self
 
     @property
     def log_odds_detected(self) -> float:

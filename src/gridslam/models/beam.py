@@ -6,11 +6,9 @@ import math
 from typing import final
 
 import numpy as np
-from pydantic import Field, model_validator
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import transform_points
-from gridslam.models.parameters import STRICT
+from gridslam.parameters import bounded, parameters
 from gridslam.types import Beams, BeamStatus, DistanceMaps, FloatArray, Rows, ScanLikelihood
 
 __all__ = ["BeamRangeFinder"]
@@ -26,7 +24,7 @@ def _normal_cdf(scores: FloatArray) -> FloatArray:
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class BeamRangeFinder:
     """Beam model: a range is the obstacle on the ray, something before it, no return at all, or random.
 
@@ -63,20 +61,19 @@ class BeamRangeFinder:
     Probabilistic Robotics, Table 6.1 (`beam_range_finder_model`), Equations 6.4 to 6.12.
     """
 
-    z_hit: float = Field(default=0.8, ge=0, le=1)
-    z_short: float = Field(default=0.1, ge=0, le=1)
-    z_max: float = Field(default=0.05, ge=1e-6, le=1)
-    z_rand: float = Field(default=0.05, ge=1e-6, le=1)
-    sigma_hit_m: float = Field(default=0.1, ge=1e-6, le=100)
-    lambda_short_per_m: float = Field(default=1.0, ge=1e-6, le=1e6)
-    range_max_m: float = Field(default=30.0, ge=1e-6, le=1000)
-    tempering: float = Field(default=1.0, ge=1e-6, le=1)
+    z_hit: float = bounded(0.8, ge=0, le=1)
+    z_short: float = bounded(0.1, ge=0, le=1)
+    z_max: float = bounded(0.05, ge=1e-6, le=1)
+    z_rand: float = bounded(0.05, ge=1e-6, le=1)
+    sigma_hit_m: float = bounded(0.1, ge=1e-6, le=100)
+    lambda_short_per_m: float = bounded(1.0, ge=1e-6, le=1e6)
+    range_max_m: float = bounded(30.0, ge=1e-6, le=1000)
+    tempering: float = bounded(1.0, ge=1e-6, le=1)
 
-    @model_validator(mode="after")
-    def _shares_sum_to_one(self) -> BeamRangeFinder:
+    def __post_init__(self) -> None:
+        """Refuse parameters that do not go together."""
         if abs(self.z_hit + self.z_short + self.z_max + self.z_rand - 1) > 1e-9:
             raise ValueError("z_hit, z_short, z_max and z_rand must sum to 1")
-        return self
 
     def likelihoods(self, ranges: FloatArray, expected: FloatArray) -> FloatArray:
         """Evaluate p(z | expected range), broadcast.

@@ -8,17 +8,15 @@ from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
-from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.models.parameters import STRICT
+from gridslam.parameters import bounded, parameters
 from gridslam.types import Beams, DistanceMaps, FloatArray, Rows, ScanLikelihood
 
 __all__ = ["CauchyEndPoint", "GMappingEndPoint", "LikelihoodField"]
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class LikelihoodField:
     """Likelihood field model: p(z) = z_hit N(d; 0, sigma_hit^2) + z_rand / range_max for each beam that hit something.
 
@@ -48,18 +46,17 @@ class LikelihoodField:
     Probabilistic Robotics, Table 6.3 (`likelihood_field_range_finder_model`).
     """
 
-    z_hit: float = Field(default=0.95, ge=0, le=1)
-    z_rand: float = Field(default=0.05, ge=1e-6, le=1)
-    z_max: float = Field(default=0.0, ge=0, le=1)
-    sigma_hit_m: float = Field(default=0.1, ge=1e-6, le=100)
-    range_max_m: float = Field(default=30.0, ge=1e-6, le=1e4)
-    tempering: float = Field(default=1.0, ge=1e-6, le=1)
+    z_hit: float = bounded(0.95, ge=0, le=1)
+    z_rand: float = bounded(0.05, ge=1e-6, le=1)
+    z_max: float = bounded(0.0, ge=0, le=1)
+    sigma_hit_m: float = bounded(0.1, ge=1e-6, le=100)
+    range_max_m: float = bounded(30.0, ge=1e-6, le=1e4)
+    tempering: float = bounded(1.0, ge=1e-6, le=1)
 
-    @model_validator(mode="after")
-    def _shares_sum_to_one(self) -> LikelihoodField:
+    def __post_init__(self) -> None:
+        """Refuse parameters that do not go together."""
         if abs(self.z_hit + self.z_rand + self.z_max - 1) > 1e-9:
             raise ValueError("z_hit, z_rand and z_max must sum to 1")
-        return self
 
     def log_likelihoods(self, distances: NDArray[np.float32]) -> NDArray[np.float32]:
         """Log likelihood of a beam for the distance (...) in m of its end to the nearest obstacle, before tempering."""
@@ -74,7 +71,7 @@ class LikelihoodField:
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class CauchyEndPoint:
     """How many beams agree with the map: log weight = tempering * sum over beams of 1 / (1 + (d / scale)^2).
 
@@ -101,8 +98,8 @@ class CauchyEndPoint:
     application to conic fitting, Image and Vision Computing 15 (1997), Table 1.
     """
 
-    scale_m: float = Field(default=0.1, ge=1e-6, le=1e6)
-    tempering: float = Field(default=0.03, ge=1e-6, le=1)
+    scale_m: float = bounded(0.1, ge=1e-6, le=1e6)
+    tempering: float = bounded(0.03, ge=1e-6, le=1)
 
     def log_likelihoods(self, distances: NDArray[np.float32]) -> NDArray[np.float32]:
         """Agreement of a beam for the distance (...) in m of its end to the nearest obstacle, before tempering."""
@@ -117,7 +114,7 @@ class CauchyEndPoint:
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class GMappingEndPoint:
     """GMapping's likelihood: minus the squared distance to the map within a small window, a fixed penalty outside.
 
@@ -146,11 +143,11 @@ class GMappingEndPoint:
     G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `ScanMatcher::likelihoodAndScore`.
     """
 
-    scale_m2: float = Field(default=0.075, ge=1e-9, le=1e4)
-    miss_penalty_m2: float = Field(default=0.5, ge=0, le=1e4)
-    kernel_m: float = Field(default=0.075, ge=1e-6, le=100)
-    skip: int = Field(default=0, ge=0, le=1000)
-    likelihood_gain: float = Field(default=3.0, ge=1e-6, le=1e6)
+    scale_m2: float = bounded(0.075, ge=1e-9, le=1e4)
+    miss_penalty_m2: float = bounded(0.5, ge=0, le=1e4)
+    kernel_m: float = bounded(0.075, ge=1e-6, le=100)
+    skip: int = bounded(0, ge=0, le=1000)
+    likelihood_gain: float = bounded(3.0, ge=1e-6, le=1e6)
 
     def _charges_m2(self, distances: NDArray[np.float32]) -> NDArray[np.float32]:
         """Squared distance charged to a beam for the distance (...) in m of its end to the nearest obstacle."""

@@ -5,11 +5,8 @@ from __future__ import annotations
 import math
 from typing import final
 
-from pydantic import Field, model_validator
-from pydantic.dataclasses import dataclass as parameters
-
 from gridslam.errors import ArgumentError
-from gridslam.models.parameters import STRICT
+from gridslam.parameters import bounded, parameters
 
 __all__ = ["InverseSensorModel"]
 
@@ -31,7 +28,7 @@ _DEFAULT = _four_probabilities(2.4, -0.4)
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class InverseSensorModel:
     """The four probabilities of a binary sensor, and the log-odds by which a cell's belief moves.
 
@@ -64,16 +61,16 @@ class InverseSensorModel:
     Probabilistic Robotics, Table 4.2 (`binary_bayes_filter`) and Table 9.1 (`occupancy_grid_mapping`).
     """
 
-    true_occupied: float = Field(default=_DEFAULT[0], gt=0, lt=1)
-    false_free: float = Field(default=_DEFAULT[1], gt=0, lt=1)
-    false_occupied: float = Field(default=_DEFAULT[2], gt=0, lt=1)
-    true_free: float = Field(default=_DEFAULT[3], gt=0, lt=1)
-    log_odds_min: float = Field(default=-16.0, ge=-150, lt=0)
-    log_odds_max: float = Field(default=32.0, gt=0, le=150)
-    log_odds_occupied: float = Field(default=2.0, ge=-150, le=150)
+    true_occupied: float = bounded(_DEFAULT[0], gt=0, lt=1)
+    false_free: float = bounded(_DEFAULT[1], gt=0, lt=1)
+    false_occupied: float = bounded(_DEFAULT[2], gt=0, lt=1)
+    true_free: float = bounded(_DEFAULT[3], gt=0, lt=1)
+    log_odds_min: float = bounded(-16.0, ge=-150, lt=0)
+    log_odds_max: float = bounded(32.0, gt=0, le=150)
+    log_odds_occupied: float = bounded(2.0, ge=-150, le=150)
 
-    @model_validator(mode="after")
-    def _consistent(self) -> InverseSensorModel:
+    def __post_init__(self) -> None:
+        """Refuse parameters that do not go together."""
         if abs(self.true_occupied + self.false_free - 1) > 1e-9:
             raise ValueError("true_occupied and false_free must sum to 1")
         if abs(self.false_occupied + self.true_free - 1) > 1e-9:
@@ -85,7 +82,6 @@ class InverseSensorModel:
         evidence = self.log_odds_hit, -self.log_odds_miss
         if not (min(evidence) > 0.999 * _LEAST and max(evidence) < 1.001 * _CERTAIN):  # but for rounding
             raise ValueError(f"hit and miss must be evidence of {_LEAST} to {_CERTAIN:g} nats")
-        return self
 
     @classmethod
     def from_log_odds(

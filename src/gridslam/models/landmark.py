@@ -13,15 +13,13 @@ from typing import Protocol, TypeAlias, final, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.arguments import freeze
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import transform_points
 from gridslam.models.motion import GaussianIncrement
-from gridslam.models.parameters import STRICT
+from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, IntArray, MotionModel, MotionSampler
 
 __all__ = [
@@ -166,7 +164,7 @@ class LandmarkModel(Protocol):
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class RangeBearing:
     """Range and bearing to a landmark, each with Gaussian noise.
 
@@ -184,10 +182,10 @@ class RangeBearing:
     Probabilistic Robotics, equations 6.40 and 7.14 (without the signature), and 10.23.
     """
 
-    sigma_range_m: float = Field(default=0.15, gt=0)
-    sigma_bearing_rad: float = Field(default=0.02, gt=0)
-    correlated_share: float = Field(default=0.0, ge=0, lt=1)
-    correlation_s: float = Field(default=1.0, gt=0)
+    sigma_range_m: float = bounded(0.15, gt=0)
+    sigma_bearing_rad: float = bounded(0.02, gt=0)
+    correlated_share: float = bounded(0.0, ge=0, lt=1)
+    correlation_s: float = bounded(1.0, gt=0)
 
     def linearize(self, poses: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """[range m, bearing rad] and its Jacobians; a landmark must not lie where the robot is."""
@@ -214,7 +212,7 @@ class RangeBearing:
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class DepthBearing:
     """Depth and bearing to a landmark, as a camera measures them: the depth is taken along the optical axis.
 
@@ -240,11 +238,11 @@ class DepthBearing:
         mark falls from 0.5 at 1 s to 0.3 at 7 s and 0.1 at 20 s: measured against the truth, as are the sigmas.
     """
 
-    sigma_depth_m: float = Field(default=0.05, gt=0)
-    sigma_depth_per_m: float = Field(default=0.002, ge=0)
-    sigma_bearing_rad: float = Field(default=0.01, gt=0)
-    correlated_share: float = Field(default=0.5, ge=0, lt=1)
-    correlation_s: float = Field(default=15.0, gt=0)
+    sigma_depth_m: float = bounded(0.05, gt=0)
+    sigma_depth_per_m: float = bounded(0.002, ge=0)
+    sigma_bearing_rad: float = bounded(0.01, gt=0)
+    correlated_share: float = bounded(0.5, ge=0, lt=1)
+    correlation_s: float = bounded(15.0, gt=0)
 
     def linearize(self, poses: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """[depth m, bearing rad] and its Jacobians; a landmark must not lie where the robot is."""
@@ -274,7 +272,7 @@ class DepthBearing:
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class RelativePosition:
     """Position of a landmark in the robot's frame (x forward, y left), each coordinate with Gaussian noise.
 
@@ -288,10 +286,10 @@ class RelativePosition:
         As for `DepthBearing`; by default all errors are independent.
     """
 
-    sigma_x_m: float = Field(default=0.6, gt=0)
-    sigma_y_m: float = Field(default=0.6, gt=0)
-    correlated_share: float = Field(default=0.0, ge=0, lt=1)
-    correlation_s: float = Field(default=1.0, gt=0)
+    sigma_x_m: float = bounded(0.6, gt=0)
+    sigma_y_m: float = bounded(0.6, gt=0)
+    correlated_share: float = bounded(0.0, ge=0, lt=1)
+    correlation_s: float = bounded(1.0, gt=0)
 
     def linearize(self, poses: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """[x m, y m] in the robot's frame and its Jacobians."""

@@ -14,12 +14,10 @@ from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import compose, exp, rotate_covariances
-from gridslam.models.parameters import STRICT
+from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray
 
 __all__ = [
@@ -104,7 +102,7 @@ def _rotate_translate_rotate(values: FloatArray) -> FloatArray:
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class OdometryMotion:
     """Odometry motion model: an increment is a rotation, a translation and a second rotation, each with its own noise.
 
@@ -135,11 +133,11 @@ class OdometryMotion:
     Probabilistic Robotics, Table 5.6 (`sample_motion_model_odometry`).
     """
 
-    alpha1: float = Field(default=0.01, ge=0, le=100)
-    alpha2: float = Field(default=0.01, ge=0, le=100)
-    alpha3: float = Field(default=0.01, ge=0, le=100)
-    alpha4: float = Field(default=0.01, ge=0, le=100)
-    still_m: float = Field(default=0.01, ge=0, le=1e6)
+    alpha1: float = bounded(0.01, ge=0, le=100)
+    alpha2: float = bounded(0.01, ge=0, le=100)
+    alpha3: float = bounded(0.01, ge=0, le=100)
+    alpha4: float = bounded(0.01, ge=0, le=100)
+    still_m: float = bounded(0.01, ge=0, le=1e6)
 
     def __call__(self, increment: FloatArray) -> GaussianIncrement:
         """Condition on the increment (3,) [x m, y m, theta rad]; raises ArgumentError for other shapes or NaN."""
@@ -162,7 +160,7 @@ class OdometryMotion:
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class GMappingMotion:
     """GMapping's motion model: noise on x, y and theta of the increment, standard deviations linear in the motion.
 
@@ -189,10 +187,10 @@ class GMappingMotion:
     G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `MotionModel::drawFromMotion`.
     """
 
-    srr: float = Field(default=0.1, ge=0, le=100)
-    srt: float = Field(default=0.2, ge=0, le=100)
-    str: float = Field(default=0.1, ge=0, le=100)
-    stt: float = Field(default=0.2, ge=0, le=100)
+    srr: float = bounded(0.1, ge=0, le=100)
+    srt: float = bounded(0.2, ge=0, le=100)
+    str: float = bounded(0.1, ge=0, le=100)
+    stt: float = bounded(0.2, ge=0, le=100)
 
     def __call__(self, increment: FloatArray) -> GaussianIncrement:
         """Condition on the increment (3,) [x m, y m, theta rad]; raises ArgumentError for other shapes or NaN."""
@@ -208,7 +206,7 @@ class GMappingMotion:
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class DiffusionMotion:
     """Motion whose increment scan matching has already refined: a random walk with the same noise in every direction.
 
@@ -231,10 +229,10 @@ class DiffusionMotion:
     cyclic environments from raw laser range measurements, IROS 2003 (its learned noise, here two constants).
     """
 
-    sigma_xy_m: float = Field(default=0.02, ge=0, le=100)
-    sigma_theta_rad: float = Field(default=0.01, ge=0, le=10)
-    floor_xy_m: float = Field(default=0.001, ge=0, le=100)
-    floor_theta_rad: float = Field(default=0.0002, ge=0, le=10)
+    sigma_xy_m: float = bounded(0.02, ge=0, le=100)
+    sigma_theta_rad: float = bounded(0.01, ge=0, le=10)
+    floor_xy_m: float = bounded(0.001, ge=0, le=100)
+    floor_theta_rad: float = bounded(0.0002, ge=0, le=10)
 
     def __call__(self, increment: FloatArray) -> GaussianIncrement:
         """Condition on the increment (3,) [x m, y m, theta rad]; raises ArgumentError for other shapes or NaN."""
@@ -255,7 +253,7 @@ def _chord(angle: float) -> tuple[complex, complex]:
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class VelocityMotion:
     """Velocity motion model: the robot drives an arc at noisy v and omega, and turns at its end by a noisy gamma dt.
 
@@ -284,12 +282,12 @@ class VelocityMotion:
     Probabilistic Robotics, Table 5.3 (`sample_motion_model_velocity`).
     """
 
-    alpha1: float = Field(default=0.01, ge=0, le=100)
-    alpha2: float = Field(default=0.01, ge=0, le=100)
-    alpha3: float = Field(default=0.01, ge=0, le=100)
-    alpha4: float = Field(default=0.01, ge=0, le=100)
-    alpha5: float = Field(default=0.001, ge=0, le=100)
-    alpha6: float = Field(default=0.001, ge=0, le=100)
+    alpha1: float = bounded(0.01, ge=0, le=100)
+    alpha2: float = bounded(0.01, ge=0, le=100)
+    alpha3: float = bounded(0.01, ge=0, le=100)
+    alpha4: float = bounded(0.01, ge=0, le=100)
+    alpha5: float = bounded(0.001, ge=0, le=100)
+    alpha6: float = bounded(0.001, ge=0, le=100)
 
     def __call__(self, control: FloatArray) -> GaussianIncrement:
         """Condition on a control (3,) [v m/s, omega rad/s, dt s].

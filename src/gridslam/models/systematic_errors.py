@@ -7,19 +7,17 @@ from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose, lever_arm_jacobian
-from gridslam.models.parameters import STRICT
+from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, MotionSampler
 
 __all__ = ["NO_ERRORS", "SystematicErrors"]
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class SystematicErrors:
     """Errors b that have a memory: how odometry turns too little and drives too short, and the scale of ranges.
 
@@ -54,12 +52,12 @@ class SystematicErrors:
     (the augmented filter); A. Gelb, Applied Optimal Estimation, 1974, 3.8 (the Gauss-Markov process).
     """
 
-    sigma_per_m: float = Field(default=0.0025, ge=0)
-    sigma_per_rad: float = Field(default=0.02, ge=0)
-    sigma_odometry_scale: float = Field(default=0.0, ge=0)
-    sigma_mounting_m: float = Field(default=0.0, ge=0)
-    sigma_range_scale: float = Field(default=0.0, ge=0)
-    memory_m: float = Field(default=3000.0, gt=0)
+    sigma_per_m: float = bounded(0.0025, ge=0)
+    sigma_per_rad: float = bounded(0.02, ge=0)
+    sigma_odometry_scale: float = bounded(0.0, ge=0)
+    sigma_mounting_m: float = bounded(0.0, ge=0)
+    sigma_range_scale: float = bounded(0.0, ge=0)
+    memory_m: float = bounded(3000.0, gt=0)
 
     def __len__(self) -> int:
         """Return how many errors B are sought."""

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Protocol, final, runtime_checkable
+from typing import Protocol, final, runtime_checkable
 
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass
+from gridslam.parameters import bounded, parameters
 
 __all__ = [
     "AlwaysResample",
@@ -37,7 +36,7 @@ class UpdatePolicy(Protocol):
 
 
 @final
-@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class EffectiveSampleSizeBelow:
     """Resample when the effective sample size falls below a part of the number of particles.
 
@@ -49,7 +48,7 @@ class EffectiveSampleSizeBelow:
         0.5 is the value of that paper and of GMapping: half the particles carry next to nothing by then.
     """
 
-    fraction: Annotated[float, Field(ge=1e-12, le=1)] = 0.5
+    fraction: float = bounded(0.5, ge=1e-12, le=1)
 
     def __call__(self, effective_sample_size: float, count: int) -> bool:
         """Whether the effective sample size is below `fraction` * `count`."""
@@ -57,7 +56,7 @@ class EffectiveSampleSizeBelow:
 
 
 @final
-@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class AlwaysResample:
     """Resample at every key scan, as in the textbook's particle filter (Probabilistic Robotics, Table 4.3)."""
 
@@ -67,7 +66,7 @@ class AlwaysResample:
 
 
 @final
-@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class NeverResample:
     """Never resample: sequential importance sampling, whose weights degenerate; for study and for tests."""
 
@@ -77,7 +76,7 @@ class NeverResample:
 
 
 @final
-@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class MotionThreshold:
     """A scan is a key scan once the robot has moved or turned enough since the last one.
 
@@ -92,8 +91,8 @@ class MotionThreshold:
         0.25 (14 degrees): a laser that sees half the plane still keeps nine tenths of its view.
     """
 
-    translation_m: Annotated[float, Field(ge=1e-12, le=math.inf)] = 0.5
-    rotation_rad: Annotated[float, Field(ge=1e-12, le=math.inf)] = 0.25
+    translation_m: float = bounded(0.5, ge=1e-12, le=math.inf, allow_inf_nan=True)
+    rotation_rad: float = bounded(0.25, ge=1e-12, le=math.inf, allow_inf_nan=True)
 
     def __call__(self, translation_m: float, rotation_rad: float) -> bool:
         """Whether the translation (m) or the magnitude of the rotation (rad) has reached its threshold."""

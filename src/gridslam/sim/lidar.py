@@ -6,10 +6,8 @@ import math
 from typing import Literal, final
 
 import numpy as np
-from pydantic import Field, model_validator
-from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.models.parameters import STRICT
+from gridslam.parameters import bounded, parameters
 from gridslam.sim.floor_plan import near
 from gridslam.types import FloatArray, IntArray
 
@@ -20,7 +18,7 @@ _EDGE_RAD = 1e-9  # beams this close to a wall's end still hit it, so that none 
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class LidarConfig:
     """A planar lidar, level on the robot. The defaults are those of the laser that recorded the Intel log.
 
@@ -60,29 +58,28 @@ class LidarConfig:
         Name of the laser and of its frame.
     """
 
-    beams: int = Field(default=180, ge=1)
-    fewest_beams: int = Field(default=0, ge=0)
-    field_of_view_rad: float = Field(default=math.pi, gt=0, le=math.tau)
+    beams: int = bounded(180, ge=1)
+    fewest_beams: int = bounded(0, ge=0)
+    field_of_view_rad: float = bounded(math.pi, gt=0, le=math.tau)
     clockwise: bool = False
-    range_max_m: float = Field(default=30.0, gt=0)
+    range_max_m: float = bounded(30.0, gt=0)
     no_return: Literal["max", "inf", "nan", "zero"] = "max"
-    sigma_range_m: float = Field(default=0.01, ge=0)
-    sigma_range_share: float = Field(default=0.0, ge=0)
-    no_return_probability: float = Field(default=0.005, ge=0, le=1)
+    sigma_range_m: float = bounded(0.01, ge=0)
+    sigma_range_share: float = bounded(0.0, ge=0)
+    no_return_probability: float = bounded(0.005, ge=0, le=1)
     x_m: float = 0.1
     y_m: float = 0.0
     heading_rad: float = 0.0
-    rate_hz: float = Field(default=5.0, gt=0)
-    begin_s: float = Field(default=0.0, ge=0)
-    scan_time_s: float = Field(default=0.0, ge=0)
+    rate_hz: float = bounded(5.0, gt=0)
+    begin_s: float = bounded(0.0, ge=0)
+    scan_time_s: float = bounded(0.0, ge=0)
     reports_beam_times: bool = True
     sensor: str = "laser"
 
-    @model_validator(mode="after")
-    def _some_number_of_beams(self) -> LidarConfig:
+    def __post_init__(self) -> None:
+        """Refuse parameters that do not go together."""
         if self.fewest_beams > self.beams:
             raise ValueError("fewest_beams must not exceed beams")
-        return self
 
     @property
     def bearings(self) -> FloatArray:

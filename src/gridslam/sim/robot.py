@@ -6,12 +6,10 @@ import math
 from typing import NamedTuple, final
 
 import numpy as np
-from pydantic import Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry import se2
 from gridslam.geometry.angles import wrap
-from gridslam.models.parameters import STRICT
+from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["Drive", "OdometryNoise", "RobotConfig", "simulate_odometry"]
@@ -21,7 +19,7 @@ _SPOT_TURN_RAD = 2.2  # a sharper corner is turned on the spot
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class RobotConfig:
     """Limits of a differential-drive robot; the defaults are a calm indoor robot.
 
@@ -41,16 +39,16 @@ class RobotConfig:
         Whether it leaves a dead end backward, and drives so until the next one, instead of turning on the spot.
     """
 
-    v_max_m_s: float = Field(default=0.6, gt=0)
-    omega_max_rad_s: float = Field(default=1.0, gt=0)
-    acceleration_m_s2: float = Field(default=0.6, gt=0)
-    turning_radius_m: float = Field(default=0.5, gt=0)
-    radius_m: float = Field(default=0.22, ge=0)
+    v_max_m_s: float = bounded(0.6, gt=0)
+    omega_max_rad_s: float = bounded(1.0, gt=0)
+    acceleration_m_s2: float = bounded(0.6, gt=0)
+    turning_radius_m: float = bounded(0.5, gt=0)
+    radius_m: float = bounded(0.22, ge=0)
     backs_out: bool = False
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class OdometryNoise:
     """Systematic and random error of wheel odometry.
 
@@ -81,10 +79,10 @@ class OdometryNoise:
     distance_scale: float = 1.01
     turn_scale: float = 0.99
     bias_rad_per_m: float = 0.0015
-    alpha1: float = Field(default=2e-4, ge=0)
-    alpha2: float = Field(default=1e-4, ge=0)
-    alpha3: float = Field(default=2e-4, ge=0)
-    alpha4: float = Field(default=1e-4, ge=0)
+    alpha1: float = bounded(2e-4, ge=0)
+    alpha2: float = bounded(1e-4, ge=0)
+    alpha3: float = bounded(2e-4, ge=0)
+    alpha4: float = bounded(1e-4, ge=0)
 
 
 class _Piece(NamedTuple):

@@ -9,14 +9,12 @@ from functools import cache
 from typing import final
 
 import numpy as np
-from pydantic import Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.arguments import require_generator
 from gridslam.errors import ArgumentError
 from gridslam.geometry import se2
 from gridslam.io.measurement import Measurement
-from gridslam.models.parameters import STRICT
+from gridslam.parameters import bounded, parameters
 from gridslam.sim.floor_plan import clearance, near
 from gridslam.sim.lidar import LidarConfig, cast_rays, cast_single_rays, disc_ranges, measure
 from gridslam.sim.robot import Drive, OdometryNoise, RobotConfig, simulate_odometry
@@ -31,7 +29,7 @@ _Crowd = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray]
 
 
 @final
-@parameters(frozen=True, config=STRICT)
+@parameters(frozen=True)
 class PeopleConfig:
     """People who walk up and down the robot's route, each at a pace of their own; they make way for the robot.
 
@@ -46,10 +44,10 @@ class PeopleConfig:
         Least distance kept from the robot's centre.
     """
 
-    count: int = Field(default=0, ge=0)
-    radius_m: float = Field(default=0.2, gt=0)
-    speed_m_s: float = Field(default=1.0, gt=0)
-    distance_m: float = Field(default=0.8, gt=0)
+    count: int = bounded(0, ge=0)
+    radius_m: float = bounded(0.2, gt=0)
+    speed_m_s: float = bounded(1.0, gt=0)
+    distance_m: float = bounded(0.8, gt=0)
 
 
 @final

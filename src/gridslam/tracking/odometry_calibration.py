@@ -7,10 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, final
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose, between, is_known, motion_of
+from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray
 
 __all__ = ["MIN_SEGMENTS", "OdometryCalibration", "OdometryErrorModel"]
@@ -94,7 +93,7 @@ class OdometryErrorModel:
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class OdometryCalibration:
     """Estimates the odometry model from the tracked motion, segment by segment.
 
@@ -112,8 +111,8 @@ class OdometryCalibration:
         leaves half of that.
     """
 
-    forgetting_segments: float = Field(default=200.0, ge=1, le=1e6)
-    max_unexplained_ratio: float = Field(default=0.6, ge=1e-6, le=1e6)
+    forgetting_segments: float = bounded(200.0, ge=1, le=1e6)
+    max_unexplained_ratio: float = bounded(0.6, ge=1e-6, le=1e6)
 
     def is_known(self, errors: OdometryErrorModel) -> bool:
         """Whether the estimate has converged and the odometry is consistent with it."""

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import NamedTuple, final
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry import se2
 from gridslam.geometry.single_pose import Information, Pose, compose, exp, log, motion_of
 from gridslam.matching.branch_and_bound import BranchAndBound
+from gridslam.parameters import bounded, parameters
 from gridslam.tracking.state import SensorTrack, TrackerState
 from gridslam.types import FloatArray, MotionSampler
 
@@ -117,7 +116,7 @@ def predict_by_odometry(
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class ConstantVelocity:
     """Keeps the robot's velocity, and predicts by it where there is no odometry.
 
@@ -130,10 +129,10 @@ class ConstantVelocity:
         of 100 predictions are within 6 cm and 0.1 rad.
     """
 
-    speed_mps: float = Field(default=3.0, ge=0, le=1000)
-    turn_rps: float = Field(default=3.0, ge=0, le=1000)
-    sigma_mps: float = Field(default=0.2, ge=0, le=100)
-    sigma_rps: float = Field(default=1.5, ge=0, le=100)
+    speed_mps: float = bounded(3.0, ge=0, le=1000)
+    turn_rps: float = bounded(3.0, ge=0, le=1000)
+    sigma_mps: float = bounded(0.2, ge=0, le=100)
+    sigma_rps: float = bounded(1.5, ge=0, le=100)
 
     def seconds(self, state: TrackerState, stamp_ns: int) -> float:
         """Time from the last scan to one at `stamp_ns`, >= 0, as far as stamps are to be trusted."""

@@ -7,12 +7,11 @@ from functools import cache
 from typing import final
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.single_pose import Pose, as_pose
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
 from gridslam.matching.gauss_newton import NO_INFORMATION, GaussNewton, weigh_known_beams
+from gridslam.parameters import bounded, parameters
 from gridslam.tracking.odometry_calibration import MIN_SEGMENTS
 from gridslam.tracking.prediction import MAX_INTERVAL_S, PoseEstimate, Prediction
 from gridslam.tracking.state import TrackerState, is_within
@@ -68,7 +67,7 @@ def local_pyramid(state: TrackerState) -> Pyramid:
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class OdometrySearch:
     """Correlative search around the odometry's prediction, for logs whose scans are far apart.
 
@@ -87,9 +86,9 @@ class OdometrySearch:
         Odometry path between two scans above which there is a gap in the laser data.
     """
 
-    sparse_period_s: float = Field(default=0.3, ge=1e-6, le=1e6)
-    sparse_step: float = Field(default=0.4, ge=1e-6, le=1e6)
-    blind_step: float = Field(default=1.0, ge=1e-6, le=1e6)
+    sparse_period_s: float = bounded(0.3, ge=1e-6, le=1e6)
+    sparse_step: float = bounded(0.4, ge=1e-6, le=1e6)
+    blind_step: float = bounded(1.0, ge=1e-6, le=1e6)
 
     def is_far_from_last(self, state: TrackerState, predicted: Prediction) -> bool:
         """Whether the last scan is too old, or too far away, for a velocity prediction."""

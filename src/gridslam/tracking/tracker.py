@@ -13,14 +13,12 @@ from functools import cached_property
 from typing import Annotated, final
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import Pose, as_pose, between, compose, is_known, motion_of
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, NO_INFORMATION, GaussNewton, PoseMatch
-from gridslam.models.parameters import Kind
+from gridslam.parameters import Kind, bounded, parameters
 from gridslam.tracking.odometry_calibration import OdometryCalibration
 from gridslam.tracking.prediction import (
     NEWEST_WEIGHT,
@@ -56,7 +54,7 @@ _MAX_UNMATCHED_SCANS = 3
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class Tracker:
     """Matches every scan to the older of two alternating local maps.
 
@@ -100,16 +98,16 @@ class Tracker:
         Online calibration of the odometry; None: disabled.
     """
 
-    standstill_m: float = Field(default=0.005, ge=0, le=1e6)
-    standstill_rad: float = Field(default=0.005, ge=0, le=100)
-    insert_m: float = Field(default=0.2, ge=1e-6, le=1e6)
-    insert_rad: float = Field(default=0.1, ge=1e-6, le=100)
-    map_scans: int = Field(default=20, ge=1, le=1_000_000)
-    beam_sigma_m: float = Field(default=0.0016, ge=1e-6, le=100)
-    min_inlier_ratio: float = Field(default=0.5, ge=0, le=1)
-    search_inlier_ratio: float = Field(default=0.7, ge=0, le=1)
-    slip_m: float = Field(default=0.08, ge=1e-6, le=1e6)
-    slip_inlier_gain: float = Field(default=0.1, ge=0, le=1)
+    standstill_m: float = bounded(0.005, ge=0, le=1e6)
+    standstill_rad: float = bounded(0.005, ge=0, le=100)
+    insert_m: float = bounded(0.2, ge=1e-6, le=1e6)
+    insert_rad: float = bounded(0.1, ge=1e-6, le=100)
+    map_scans: int = bounded(20, ge=1, le=1_000_000)
+    beam_sigma_m: float = bounded(0.0016, ge=1e-6, le=100)
+    min_inlier_ratio: float = bounded(0.5, ge=0, le=1)
+    search_inlier_ratio: float = bounded(0.7, ge=0, le=1)
+    slip_m: float = bounded(0.08, ge=1e-6, le=1e6)
+    slip_inlier_gain: float = bounded(0.1, ge=0, le=1)
     deskew: bool = True
     matcher: GaussNewton = GaussNewton()
     velocity: ConstantVelocity = ConstantVelocity()
@@ -375,7 +373,7 @@ def _score(state: TrackerState, pose: Pose, beams: BeamEnds) -> float:
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class OdometryTracker:
     """The tracker of GMapping: takes the odometry as it is, and so needs it with every scan."""
 

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid, thin_points
 from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.parameters import bounded, parameters
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import (
@@ -46,7 +45,7 @@ _MIN_OVERLAP = 0.4
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class ComponentAlignment:
     """Aligns a rigid component of the trajectory with the map of another one, using all its key scans.
 
@@ -90,18 +89,18 @@ class ComponentAlignment:
         How a component is tracked through the map.
     """
 
-    search_interval: int = Field(default=3, ge=1, le=1_000_000)
-    max_searches: int = Field(default=400, ge=1, le=100_000)
-    max_sigma_m: float = Field(default=24.0, ge=1e-6, le=100)
-    max_hypotheses: int = Field(default=8, ge=1, le=10_000)
-    tracking_gate_sigmas: float = Field(default=2.5, ge=0.01, le=1000)
-    min_log_likelihood: float = Field(default=12.0, ge=1e-6, le=1e6)
-    ambiguity_ratio: float = Field(default=0.15, ge=0, lt=1)
-    distinct_ambiguity_ratio: float = Field(default=0.5, ge=0, lt=1)
-    merge_m: float = Field(default=0.3, ge=1e-6, le=1e6)
-    self_similarity_ratio: float = Field(default=0.85, ge=1e-6, le=1)
-    inlier_ratio: float = Field(default=0.5, ge=1e-6, le=1)
-    min_constraints: int = Field(default=3, ge=1, le=1_000_000)
+    search_interval: int = bounded(3, ge=1, le=1_000_000)
+    max_searches: int = bounded(400, ge=1, le=100_000)
+    max_sigma_m: float = bounded(24.0, ge=1e-6, le=100)
+    max_hypotheses: int = bounded(8, ge=1, le=10_000)
+    tracking_gate_sigmas: float = bounded(2.5, ge=0.01, le=1000)
+    min_log_likelihood: float = bounded(12.0, ge=1e-6, le=1e6)
+    ambiguity_ratio: float = bounded(0.15, ge=0, lt=1)
+    distinct_ambiguity_ratio: float = bounded(0.5, ge=0, lt=1)
+    merge_m: float = bounded(0.3, ge=1e-6, le=1e6)
+    self_similarity_ratio: float = bounded(0.85, ge=1e-6, le=1)
+    inlier_ratio: float = bounded(0.5, ge=1e-6, le=1)
+    min_constraints: int = bounded(3, ge=1, le=1_000_000)
     search: BranchAndBound = BranchAndBound(window_m=30.0, window_rad=1.6, gate_sigmas=2.5, min_score=0.45)
     matcher: GaussNewton = GaussNewton()
 

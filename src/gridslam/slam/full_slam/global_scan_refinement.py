@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.parameters import bounded, parameters
 from gridslam.slam.full_slam.component_alignment import ComponentAlignment
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
 from gridslam.slam.full_slam.key_scan_matching import KeyScanMatching
@@ -121,7 +120,7 @@ class RefinementResult:
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class GlobalScanRefinement:
     """Alternates scan matching and graph optimization, selects the best candidate, and matches every scan to its map.
 
@@ -162,17 +161,17 @@ class GlobalScanRefinement:
         How candidates are compared.
     """
 
-    max_rounds: int = Field(default=2, ge=1, le=100)
-    stop_m: float = Field(default=0.1, ge=1e-6, le=1e6)
+    max_rounds: int = bounded(2, ge=1, le=100)
+    stop_m: float = bounded(0.1, ge=1e-6, le=1e6)
     key_scans: KeyScanMatching = KeyScanMatching()
-    scan_inlier_ratio: float = Field(default=0.6, ge=1e-6, le=1)
-    scan_max_correction_m: float = Field(default=0.15, ge=1e-6, le=1e6)
-    scan_prior_information: float = Field(default=5.0, ge=1e-6, le=1e6)
+    scan_inlier_ratio: float = bounded(0.6, ge=1e-6, le=1)
+    scan_max_correction_m: float = bounded(0.15, ge=1e-6, le=1e6)
+    scan_prior_information: float = bounded(5.0, ge=1e-6, le=1e6)
     matcher: GaussNewton = GaussNewton()
-    distinct_candidate_m: float = Field(default=0.3, ge=1e-6, le=1e6)
-    max_searches: int = Field(default=3, ge=0, le=100_000)
-    ambiguity_ratio: float = Field(default=0.85, ge=1e-6, le=1)
-    min_confirmations: int = Field(default=3, ge=1, le=1_000_000)
+    distinct_candidate_m: float = bounded(0.3, ge=1e-6, le=1e6)
+    max_searches: int = bounded(3, ge=0, le=100_000)
+    ambiguity_ratio: float = bounded(0.85, ge=1e-6, le=1)
+    min_confirmations: int = bounded(3, ge=1, le=1_000_000)
     component_alignment: ComponentAlignment = ComponentAlignment()
     robust: CauchyEstimator = CauchyEstimator()
     score: TrajectoryScorer = TrajectoryScorer()

@@ -6,13 +6,12 @@ from collections.abc import Callable, Iterator
 from typing import final
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.parameters import bounded, parameters
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, constraints_from_matches
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph, anchor_of, first_key_scan
 from gridslam.slam.loop_closure.state import LoopClosureState
@@ -32,7 +31,7 @@ VISIT_GAP = 3
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class KeyScanMatching:
     """Matches key scans to overlapping submaps that are rebuilt from a trajectory.
 
@@ -58,12 +57,12 @@ class KeyScanMatching:
         How a key scan is matched.
     """
 
-    max_distance_m: float = Field(default=3.0, ge=1e-6, le=1e6)
-    max_submaps: int = Field(default=3, ge=1, le=1000)
-    inlier_ratio: float = Field(default=0.7, ge=1e-6, le=1)
-    min_information: float = Field(default=0.1, ge=0, le=1e6)
-    max_correction_m: float = Field(default=0.4, ge=1e-6, le=1e6)
-    beam_sigma_m: float = Field(default=0.05, ge=1e-6, le=100)
+    max_distance_m: float = bounded(3.0, ge=1e-6, le=1e6)
+    max_submaps: int = bounded(3, ge=1, le=1000)
+    inlier_ratio: float = bounded(0.7, ge=1e-6, le=1)
+    min_information: float = bounded(0.1, ge=0, le=1e6)
+    max_correction_m: float = bounded(0.4, ge=1e-6, le=1e6)
+    beam_sigma_m: float = bounded(0.05, ge=1e-6, le=100)
     matcher: GaussNewton = GaussNewton()
 
     def __call__(

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, rotate_covariances
@@ -16,6 +14,7 @@ from gridslam.grid.scan_batch import Weighing
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import weigh_known_beams
+from gridslam.parameters import bounded, parameters
 from gridslam.slam.loop_closure.drift_model import compute_moments, diagonal_covariances, propagate_covariances
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
@@ -49,7 +48,7 @@ class TrajectoryScore:
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class TrajectoryScorer:
     """Scores trajectories: log p(z_1:t | x_1:t) + log p(x_1:t | u_1:t), tempered, up to a constant.
 
@@ -82,12 +81,12 @@ class TrajectoryScorer:
     The weights of Grisetti et al. 2007, accumulated along one trajectory, here over other visits only.
     """
 
-    same_visit_distance: float = Field(default=15.0, ge=1e-6, le=1e6)
-    scale_m: float = Field(default=0.1, ge=1e-6, le=1e6)
-    tempering: float = Field(default=0.03, ge=1e-6, le=1)
-    neutral: float = Field(default=0.7, ge=1e-6, lt=1)
-    motion_sigma: float = Field(default=1.0, ge=1e-6, le=100)
-    motion_tempering: float = Field(default=0.5, ge=0, le=1)
+    same_visit_distance: float = bounded(15.0, ge=1e-6, le=1e6)
+    scale_m: float = bounded(0.1, ge=1e-6, le=1e6)
+    tempering: float = bounded(0.03, ge=1e-6, le=1)
+    neutral: float = bounded(0.7, ge=1e-6, lt=1)
+    motion_sigma: float = bounded(1.0, ge=1e-6, le=100)
+    motion_tempering: float = bounded(0.5, ge=0, le=1)
 
     def __call__(
         self,

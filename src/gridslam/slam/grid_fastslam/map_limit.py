@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import final
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
+from gridslam.parameters import bounded, parameters
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, IntArray
 
@@ -21,7 +20,7 @@ _KEPT_RATIO = 0.75
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class MapLimit:
     """Where the particles' maps differ too much, particles of least weight give way to the others.
 
@@ -39,7 +38,7 @@ class MapLimit:
         open, in cells of 5 cm.
     """
 
-    tiles_per_particle: int = Field(default=1700, ge=1, le=500_000_000)
+    tiles_per_particle: int = bounded(1700, ge=1, le=500_000_000)
 
     def __call__(self, state: GridFastSlamState) -> IntArray | None:
         """Index of the particle that each continues, (N,); None if maps are within the limit, or not counted now."""

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from typing import Annotated, Protocol, final
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, rotate_covariances
@@ -21,7 +19,7 @@ from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton
 from gridslam.matching.hill_climbing import HillClimbing
-from gridslam.models.parameters import Kind
+from gridslam.parameters import Kind, bounded, parameters
 from gridslam.types import BeamEnds, FloatArray, Match, MotionSampler, ScanLikelihood
 
 __all__ = ["ImprovedProposal", "Matcher", "MotionModelProposal", "Proposal", "ProposedPoses", "ScanMatchedProposal"]
@@ -87,7 +85,7 @@ def _information(covariance: FloatArray, headings: FloatArray) -> FloatArray:
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class MotionModelProposal:
     """Plain FastSLAM: draw from the motion model, weigh by the measurement model.
 
@@ -113,7 +111,7 @@ class MotionModelProposal:
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class ScanMatchedProposal:
     """Draw from the motion model, climb to the nearest peak of the posterior, weigh there. The default.
 
@@ -137,9 +135,9 @@ class ScanMatchedProposal:
     """
 
     matcher: Annotated[GaussNewton | HillClimbing, Kind()] = GaussNewton()
-    beam_sigma_m: float = Field(default=1.6e-4, ge=1e-6, le=100)
-    standstill_m: float = Field(default=0.02, ge=0, le=1e6)
-    standstill_rad: float = Field(default=0.02, ge=0, le=100)
+    beam_sigma_m: float = bounded(1.6e-4, ge=1e-6, le=100)
+    standstill_m: float = bounded(0.02, ge=0, le=1e6)
+    standstill_rad: float = bounded(0.02, ge=0, le=100)
 
     def __call__(
         self,
@@ -165,7 +163,7 @@ class ScanMatchedProposal:
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class ImprovedProposal:
     """The improved proposal: draw from a Gaussian about the peak of p(z | x, m) p(x | u, x'), weigh by its normalizer.
 
@@ -187,7 +185,7 @@ class ImprovedProposal:
     """
 
     matcher: GaussNewton = GaussNewton()
-    beam_sigma_m: float = Field(default=0.02, ge=1e-6, le=100)
+    beam_sigma_m: float = bounded(0.02, ge=1e-6, le=100)
 
     def __call__(
         self,

@@ -6,13 +6,12 @@ from dataclasses import replace
 from typing import final
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import rotate_covariances
 from gridslam.geometry.single_pose import Pose, as_pose, compose
 from gridslam.matching.gauss_newton import degenerate_direction
+from gridslam.parameters import bounded, parameters
 from gridslam.slam.grid_fastslam.state import Estimate, GridFastSlamState
 from gridslam.slam.loop_closure.drift_model import DriftModel, propagate_covariances
 from gridslam.tracking.state import UnmatchedMotion
@@ -26,7 +25,7 @@ _MIN_INFORMATION = 1e-2 * np.eye(3)
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class ReportBuilder:
     """Estimates how reliable the filter's pose is, and builds its reports; reads the state and never writes to it.
 
@@ -46,8 +45,8 @@ class ReportBuilder:
         tracker's local ones: on simulated drives headings drift by less than half as much.
     """
 
-    sigma_m: float = Field(default=0.05, ge=1e-6, le=100)
-    lost_below: float = Field(default=0.15, ge=0, le=1)
+    sigma_m: float = bounded(0.05, ge=1e-6, le=100)
+    lost_below: float = bounded(0.15, ge=0, le=1)
     drift: DriftModel = DriftModel(
         standstill_sigma_rad=0.0002,
         sigma_rad_per_sqrt_rad=0.0016,

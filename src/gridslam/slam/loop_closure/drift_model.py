@@ -6,11 +6,10 @@ import math
 from typing import final
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import rotate_covariances
 from gridslam.geometry.single_pose import Pose
+from gridslam.parameters import bounded, parameters
 from gridslam.tracking.state import UnmatchedMotion
 from gridslam.types import FloatArray
 
@@ -18,7 +17,7 @@ __all__ = ["DriftModel", "compute_moments", "compute_step_moments", "diagonal_co
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class DriftModel:
     """Uncertainty of a tracked increment: a random walk, plus extra variance where the tracker rejected its scan match.
 
@@ -51,18 +50,18 @@ class DriftModel:
         noise and the rounding to cells turn the whole map against the first pose.
     """
 
-    standstill_sigma_m: float = Field(default=0.002, ge=1e-6, le=100)
-    standstill_sigma_rad: float = Field(default=0.0005, ge=1e-6, le=10)
-    sigma_m_per_sqrt_m: float = Field(default=0.025, ge=0, le=100)
-    sigma_rad_per_sqrt_rad: float = Field(default=0.004, ge=0, le=10)
-    sigma_m_per_sqrt_rad: float = Field(default=0.02, ge=0, le=10)
-    sigma_rad_per_sqrt_m: float = Field(default=0.002, ge=0, le=10)
+    standstill_sigma_m: float = bounded(0.002, ge=1e-6, le=100)
+    standstill_sigma_rad: float = bounded(0.0005, ge=1e-6, le=10)
+    sigma_m_per_sqrt_m: float = bounded(0.025, ge=0, le=100)
+    sigma_rad_per_sqrt_rad: float = bounded(0.004, ge=0, le=10)
+    sigma_m_per_sqrt_rad: float = bounded(0.02, ge=0, le=10)
+    sigma_rad_per_sqrt_m: float = bounded(0.002, ge=0, le=10)
 
-    rejected_match_sigmas: float = Field(default=1.5, ge=0, le=1000)
-    position_ratio: float = Field(default=0.4, ge=1e-3, le=1)
-    open_heading_ratio: float = Field(default=3.0, ge=1, le=1e6)
-    scale_sigma: float = Field(default=0.002, ge=0, le=10)
-    first_sigma_rad: float = Field(default=0.004, ge=0, le=10)
+    rejected_match_sigmas: float = bounded(1.5, ge=0, le=1000)
+    position_ratio: float = bounded(0.4, ge=1e-3, le=1)
+    open_heading_ratio: float = bounded(3.0, ge=1, le=1e6)
+    scale_sigma: float = bounded(0.002, ge=0, le=10)
+    first_sigma_rad: float = bounded(0.004, ge=0, le=10)
 
     def variances(self, moved_m: float, turned_rad: float) -> tuple[float, float]:
         """Variances (m^2, rad^2) of an increment."""

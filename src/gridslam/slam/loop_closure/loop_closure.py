@@ -6,13 +6,12 @@ from dataclasses import replace
 from typing import Protocol, final
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.geometry.single_pose import Pose, as_pose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.parameters import bounded, parameters
 from gridslam.slam.loop_closure.constraints import Constraint, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.place_recognition import PlaceRecognition
@@ -73,7 +72,7 @@ class FilterState(Protocol):
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class LoopClosure:
     """Store, recognize, optimize, rebuild the map, merge.
 
@@ -107,10 +106,10 @@ class LoopClosure:
     recognition: PlaceRecognition = PlaceRecognition()
     solver: GraphSlam = GraphSlam(first_guess="given", robust=GraduatedNonConvexity())
     drift: DriftModel = DriftModel()
-    disagree_m: float = Field(default=0.3, ge=1e-6, le=1e6)
-    disagree_rad: float = Field(default=0.05, ge=1e-6, le=100)
-    scans_per_step: int = Field(default=60, ge=2, le=1_000_000)
-    poses_per_scan: int = Field(default=8000, ge=1, le=10_000_000)
+    disagree_m: float = bounded(0.3, ge=1e-6, le=1e6)
+    disagree_rad: float = bounded(0.05, ge=1e-6, le=100)
+    scans_per_step: int = bounded(60, ge=2, le=1_000_000)
+    poses_per_scan: int = bounded(8000, ge=1, le=10_000_000)
 
     def init(self, state: FilterState, beams: BeamEnds) -> LoopClosureState:
         """Begin with the filter's first scan."""

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import BranchAndBound
 from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, cauchy_weights
+from gridslam.parameters import bounded, parameters
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, transform_match
 from gridslam.slam.loop_closure.key_graph import (
     KeyGraph,
@@ -31,7 +30,7 @@ _MATCH_COVARIANCE = np.diag([0.05, 0.05, 0.02]) ** 2
 """Variances of what two matches of one scan differ by (m^2, m^2, rad^2)."""
 
 
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class PlaceMatching:
     """Matches key scans to submaps, and judges the matches.
 
@@ -80,25 +79,25 @@ class PlaceMatching:
         How a match is refined.
     """
 
-    recent_submaps: int = Field(default=3, ge=1, le=1_000_000)
-    max_distance_m: float = Field(default=4.0, ge=1e-6, le=1e6)
-    min_overlap: float = Field(default=0.6, ge=1e-6, le=1)
-    inlier_ratio: float = Field(default=0.67, ge=1e-6, le=1)
-    certain_sigma_m: float = Field(default=0.15, ge=1e-6, le=100)
-    tracked_key_scans: int = Field(default=12, ge=1, le=1_000_000)
-    tracked_max_correction_m: float = Field(default=0.2, ge=1e-6, le=1e6)
-    filter_max_correction_m: float = Field(default=1.2, ge=1e-6, le=1e6)
-    search_interval: int = Field(default=3, ge=1, le=1_000_000)
-    query_key_scans: int = Field(default=8, ge=1, le=1000)
-    ambiguity_ratio: float = Field(default=0.85, ge=1e-6, le=1)
-    ambiguity_window_m: float = Field(default=10.0, ge=0, le=1e6)
-    ambiguity_window_rad: float = Field(default=0.2, ge=0, le=100)
-    max_through_walls_ratio: float = Field(default=0.2, ge=0, le=1)
-    min_confirmations: int = Field(default=4, ge=1, le=1_000_000)
-    consistency_m: float = Field(default=0.25, ge=1e-6, le=1e6)
-    consistency_rad: float = Field(default=0.05, ge=1e-6, le=100)
-    min_information: float = Field(default=0.06, ge=0, le=1e6)
-    beam_sigma_m: float = Field(default=0.3, ge=1e-6, le=100)
+    recent_submaps: int = bounded(3, ge=1, le=1_000_000)
+    max_distance_m: float = bounded(4.0, ge=1e-6, le=1e6)
+    min_overlap: float = bounded(0.6, ge=1e-6, le=1)
+    inlier_ratio: float = bounded(0.67, ge=1e-6, le=1)
+    certain_sigma_m: float = bounded(0.15, ge=1e-6, le=100)
+    tracked_key_scans: int = bounded(12, ge=1, le=1_000_000)
+    tracked_max_correction_m: float = bounded(0.2, ge=1e-6, le=1e6)
+    filter_max_correction_m: float = bounded(1.2, ge=1e-6, le=1e6)
+    search_interval: int = bounded(3, ge=1, le=1_000_000)
+    query_key_scans: int = bounded(8, ge=1, le=1000)
+    ambiguity_ratio: float = bounded(0.85, ge=1e-6, le=1)
+    ambiguity_window_m: float = bounded(10.0, ge=0, le=1e6)
+    ambiguity_window_rad: float = bounded(0.2, ge=0, le=100)
+    max_through_walls_ratio: float = bounded(0.2, ge=0, le=1)
+    min_confirmations: int = bounded(4, ge=1, le=1_000_000)
+    consistency_m: float = bounded(0.25, ge=1e-6, le=1e6)
+    consistency_rad: float = bounded(0.05, ge=1e-6, le=100)
+    min_information: float = bounded(0.06, ge=0, le=1e6)
+    beam_sigma_m: float = bounded(0.3, ge=1e-6, le=100)
     search: BranchAndBound = BranchAndBound(window_m=30.0, window_rad=1.6, gate_sigmas=2.5, min_score=0.45)
     matcher: GaussNewton = GaussNewton()
 

@@ -7,13 +7,12 @@ from collections.abc import Callable, Sequence
 from typing import final
 
 import numpy as np
-from pydantic import ConfigDict
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import thin_points
+from gridslam.parameters import parameters
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import (
     KEY_SCANS_PER_SUBMAP,
@@ -39,7 +38,7 @@ _WALL_M = 0.3
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class PlaceRecognition(PlaceMatching):
     """Adds constraints from key scans to older submaps: tracked revisits and recognized places.
 

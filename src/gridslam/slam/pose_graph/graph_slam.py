@@ -8,12 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal, final
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
-from gridslam.models.parameters import Kind
+from gridslam.parameters import Kind, bounded, parameters
 from gridslam.slam.pose_graph.descent import Computation, DescentResult, descend, run_to_completion, squared_mahalanobis
 from gridslam.slam.pose_graph.linear import BlockSystem, initial_guess, require_connected
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -64,7 +62,7 @@ class GraphSolution:
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class GraphSlam:
     """Least squares over a pose graph: the poses of the least chi2, the first ones held.
 
@@ -90,8 +88,8 @@ class GraphSlam:
 
     first_guess: Literal["given", "computed", "either"] = "either"
     robust: Annotated[GraduatedNonConvexity | CauchyEstimator | None, Kind()] = None
-    max_iterations: int = Field(default=100, ge=1, le=1000)
-    tolerance: float = Field(default=1e-6, ge=1e-15, lt=1)
+    max_iterations: int = bounded(100, ge=1, le=1000)
+    tolerance: float = bounded(1e-6, ge=1e-15, lt=1)
 
     def solve(self, graph: PoseGraph) -> GraphSolution:
         """Find the poses of least chi2.

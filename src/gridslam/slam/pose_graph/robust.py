@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from pydantic import ConfigDict, Field
-from pydantic.dataclasses import dataclass as parameters
 
+from gridslam.parameters import bounded, parameters
 from gridslam.slam.pose_graph.descent import Computation, DescentResult, descend, squared_mahalanobis
 from gridslam.slam.pose_graph.linear import BlockSystem, initial_guess, is_connected
 from gridslam.slam.pose_graph.marginals import Marginals
@@ -49,7 +48,7 @@ class RobustEstimate:
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class CauchyEstimator:
     """Cauchy's M-estimator, by iteratively reweighted least squares from the graph's poses.
 
@@ -71,9 +70,9 @@ class CauchyEstimator:
     Holland and Welsch, Robust regression using iteratively reweighted least squares (1977).
     """
 
-    scale: float = Field(default=2.0, ge=1e-6, le=1e6)
-    passes: int = Field(default=8, ge=1, le=1000)
-    stop_m: float = Field(default=1e-3, ge=1e-6, le=1e6)
+    scale: float = bounded(2.0, ge=1e-6, le=1e6)
+    passes: int = bounded(8, ge=1, le=1000)
+    stop_m: float = bounded(1e-3, ge=1e-6, le=1e6)
 
     def estimate(
         self, graph: PoseGraph, starts: Iterable[FloatArray], max_iterations: int, tolerance: float
@@ -102,7 +101,7 @@ class CauchyEstimator:
 
 
 @final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+@parameters(frozen=True)
 class GraduatedNonConvexity:
     """Truncated least squares: a squared error counts at most c^2, which a true measurement hardly exceeds.
 
@@ -126,8 +125,8 @@ class GraduatedNonConvexity:
     with the truncated least squares of proposition 4 and remark 5.
     """
 
-    probability: float = Field(default=0.999, ge=0.01, lt=1)
-    growth: float = Field(default=4.0, gt=1, le=1e6)
+    probability: float = bounded(0.999, ge=0.01, lt=1)
+    growth: float = bounded(4.0, gt=1, le=1e6)
 
     @property
     def bound(self) -> float:
