@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from gridslam.api.diagnosis import check_log
 from gridslam.api.mapping import MapResult, map_log
+from gridslam.api.peak_memory import return_large_blocks
 from gridslam.cli import STARTED_S
 from gridslam.cli.live import NOBODY, Viewers, open_viewers
 from gridslam.cli.output import mapping_progress, open_output, print_result, warn
@@ -42,6 +43,7 @@ def map_to_folder(
     as_json: bool,
 ) -> None:
     """Map a log, write the results to a folder and print a summary."""
+    return_large_blocks()
     watch = Stopwatch(STARTED_S, 0.0)
     configuration = build_configuration(preset, particles, laser, config, assignments, no_loop_closure)
     opened = session.open(configuration, seed, threads)

@@ -47,6 +47,7 @@ _MAP_SIDE_PX = (1300, 3200)  # the map's long side; with margins and footer the 
 _MAP_AREA_PX = 7_000_000  # Pillow keeps 4 bytes a pixel: a page of 30 MB
 _CELL_PX = 64  # cells are not enlarged further
 _ROWS = 64  # rows of cells looked at, or turned to bytes, at a time
+_STRIPE_PX = 256  # rows of pixels turned to colours at a time
 _MOST_LEVELS = 2**26  # bytes to be scaled to the page; those of a larger map are averaged before
 _LEVELS_PER_NAT = 32  # of log-odds as a byte
 _EVEN = 128  # even odds, also for an unknown cell
@@ -316,7 +317,6 @@ def _extent(known: NDArray[np.bool_]) -> slice:
 
 def _paint_cells(grid: GridRows, layout: Layout) -> Image.Image:
     """Blend FREE and then OCCUPIED into a page, by how much a pixel is so; a palette has all blends."""
-    page = Image.new("RGB", layout.size, UNKNOWN)
     rows, columns = known_part(grid)
     shown = (rows.stop - rows.start) * (columns.stop - columns.start)
     block = max(math.ceil(math.sqrt(shown / _MOST_LEVELS)), 1)
@@ -324,16 +324,18 @@ def _paint_cells(grid: GridRows, layout: Layout) -> Image.Image:
     for table, place in ((_FREE_LEVELS, _SHADES), (_OCCUPIED_LEVELS, 1)):
         cells = _levels(grid, rows, columns, np.array(table, np.uint8), block)
         if not cells.size:
-            return page
+            return Image.new("RGB", layout.size, UNKNOWN)
         left, top, right, bottom = layout.map_box
         larger = right - left > cells.shape[1]
         resample = Image.Resampling.BICUBIC if larger else Image.Resampling.BOX
         mask = Image.fromarray(cells).resize((right - left, bottom - top), resample)
         shades.append(mask.point([round(x * (_SHADES - 1) / 255) * place for x in (_CRISP if larger else range(256))]))
-    free, occupied = shades
-    blends = ImageChops.add(free, occupied)
+    blends = ImageChops.add(shades.pop(), shades.pop())
     blends.putpalette(_palette())
-    page.paste(blends.convert("RGB"), layout.map_box)
+    page = Image.new("RGB", layout.size, UNKNOWN)
+    for upper in range(0, blends.height, _STRIPE_PX):
+        stripe = blends.crop((0, upper, blends.width, min(upper + _STRIPE_PX, blends.height)))
+        page.paste(stripe.convert("RGB"), (left, top + upper))
     return page
 
 
