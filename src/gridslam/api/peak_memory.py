@@ -34,7 +34,7 @@ def return_large_blocks() -> None:
     """Let the C library give blocks of 1 MB and more back to the system as soon as they are freed, where it can.
 
     Of itself glibc gives back those alone that are larger than all freed before: after one unpacked block of a log the
-    maps and all else up to 4 MB share one heap, of which 10 MB lie idle in the midst of what is in use.
+    maps and all else up to 4 MB share one heap, of which 10 MB lie idle between what is in use.
     """
     if sys.platform == "linux":
         with suppress(AttributeError):  # another C library

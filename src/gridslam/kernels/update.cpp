@@ -172,7 +172,7 @@ class PassCounts {
   void lay_out(int reach) {
     half_ = ((reach + kTile - 1) & ~kTileMask) + 2 * kTile, width_ = 2 * half_;
     const size_t size = static_cast<size_t>(width_) * width_;
-    if (memory_.size() < size) memory_.resize(size);
+    if (memory_.size() < size || memory_.size() > 2 * size) memory_ = std::vector<Count>(size);
   }
 
   int half_ = 0, width_ = 0, y_ = 0, x_ = 0;

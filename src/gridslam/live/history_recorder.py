@@ -131,6 +131,7 @@ class HistoryRecorder:
 
 
 _NOWHERE: NDArray[np.int32] = np.zeros((0, 2), np.int32)
+_READ = 128  # tiles turned to levels at a time: all at once would take 6 MB
 _UNKNOWN_TILE: NDArray[np.int16] = np.full((1, TILE, TILE), UNKNOWN, np.int16)
 
 
@@ -158,7 +159,8 @@ class _ShownMap:
         if self._owned is None:
             at, ids = self._with_gone(at, ids)
         self._owned = maps.snapshot(np.array([row]))
-        packed = pack_levels(levels(maps.tiles(ids)))
+        parts = [ids[first : first + _READ] for first in range(0, max(len(ids), 1), _READ)]
+        packed = np.concatenate([pack_levels(levels(maps.tiles(part))) for part in parts])
         places = [self._places.setdefault(place, len(self._places)) for place in map(tuple, at.tolist())]
         if len(self._places) > len(self._packed):
             room = np.zeros((len(self._places), TILE_BYTES), np.uint8)

@@ -328,8 +328,8 @@ def _paint_cells(grid: GridRows, layout: Layout) -> Image.Image:
         left, top, right, bottom = layout.map_box
         larger = right - left > cells.shape[1]
         resample = Image.Resampling.BICUBIC if larger else Image.Resampling.BOX
-        mask = Image.fromarray(cells).resize((right - left, bottom - top), resample)
-        shades.append(mask.point([round(x * (_SHADES - 1) / 255) * place for x in (_CRISP if larger else range(256))]))
+        curve = [round(x * (_SHADES - 1) / 255) * place for x in (_CRISP if larger else range(256))]
+        shades.append(Image.fromarray(cells).resize((right - left, bottom - top), resample).point(curve))
     blends = ImageChops.add(shades.pop(), shades.pop())
     blends.putpalette(_palette())
     page = Image.new("RGB", layout.size, UNKNOWN)

@@ -1,0 +1,64 @@
+"""Classes of parameters: what is taken as it is, what is converted, and what is refused."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+from pydantic import ValidationError
+
+from gridslam.config import Configuration
+from gridslam.models import BeamRangeFinder
+from gridslam.parameters import adapter, to_table
+from gridslam.particles.policies import MotionThreshold
+from gridslam.scan import Thinning
+
+
+def test_tables_are_those_that_pydantic_would_write_but_for_kinds():
+    def without_kinds(table):
+        return (
+            {name: without_kinds(value) for name, value in table.items() if name != "kind"}
+            if isinstance(table, dict)
+            else table
+        )
+
+    config = Configuration()
+    assert without_kinds(to_table(config)) == adapter(Configuration).dump_python(config)
+    assert to_table(replace(config, loop_closure=None))["loop_closure"] == {"kind": "none"}
+
+
+def test_values_are_converted_as_pydantic_converts_them():
+    threshold = MotionThreshold(1, rotation_rad="0.5")
+    assert threshold == MotionThreshold(1.0, 0.5)
+    assert [type(value) for value in vars(threshold).values()] == [float, float]
+    assert MotionThreshold(math.inf).translation_m == math.inf
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: MotionThreshold(translation_m=0.0), "translation_m"),
+        (lambda: MotionThreshold(translation_m=math.nan), "translation_m"),
+        (lambda: MotionThreshold(0.5, 0.5, 0.5), "unexpected_positional"),
+        (lambda: Thinning(spacing=0.1), "spacing"),
+        (lambda: Thinning(dense_beams=10.5), "dense_beams"),
+        (lambda: Configuration(particles=True, range_max_m=math.inf), "range_max_m"),
+        (lambda: Configuration(resampler="none"), "resampler"),
+        (lambda: BeamRangeFinder(z_hit=0.1), "must sum to 1"),
+    ],
+)
+def test_what_is_wrong_is_named(make, name):
+    with pytest.raises(ValidationError, match=name):
+        make()
+
+
+def test_right_values_need_no_pydantic():
+    code = (
+        "import sys; from dataclasses import replace; from gridslam import Configuration; "
+        "replace(Configuration(particles=15, range_max_m=20.0, resampler='wheel'), loop_closure=None); "
+        "sys.exit('pydantic' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
