@@ -71,9 +71,14 @@ def bounded(default: _Number, **bounds: float) -> _Number:
     return field(default=default, metadata=bounds)
 
 
-@functools.cache
-def adapter(part: Callable[..., _Part]) -> TypeAdapter[_Part]:
+def adapter(part: type[_Part]) -> TypeAdapter[_Part]:
     """What pydantic checks objects of a class of parameters with."""
+    kind: Any = part
+    return cast("TypeAdapter[_Part]", _adapter(kind))
+
+
+@functools.cache
+def _adapter(part: type) -> object:
     from pydantic import TypeAdapter
 
     return TypeAdapter(part)
@@ -81,7 +86,8 @@ def adapter(part: Callable[..., _Part]) -> TypeAdapter[_Part]:
 
 def to_table(part: Any) -> Table:  # noqa: ANN401
     """Parameters of a part; those of its own parts are tables in it."""
-    return {name: rule.write(getattr(part, name)) for name, rule in _rules(type(part)).items()}
+    kind: Any = type(part)
+    return {name: rule.write(getattr(part, name)) for name, rule in _rules(kind).items()}
 
 
 class _Rule(NamedTuple):
