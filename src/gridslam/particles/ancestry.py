@@ -254,12 +254,12 @@ class Ancestry:
                 alive = np.zeros(len(parents), dtype=np.bool_)
                 alive[used] = True
                 kept = alive.nonzero()[0]
-                if len(kept) == len(alive) and k < self._pruned:
-                    break
                 numbers = np.arange(len(kept))
                 place = np.empty(len(alive), np.int64)
                 place[kept] = numbers
                 places = place[used]
+            if len(kept) == len(parents) and k < self._pruned:
+                break
             if k + 1 < len(self._levels):
                 after = self._levels[k + 1]
                 self._levels[k + 1] = _Level(after.poses, places, after.direct)
