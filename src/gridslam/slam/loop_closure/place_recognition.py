@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import final
 
 import numpy as np
@@ -184,7 +185,9 @@ class PlaceRecognition(PlaceMatching):
         submaps = closure_state.search.ambiguity_submaps
         joint = closure_state.joint_map(submaps, mapper)
         widened = covariance + self.ambiguity_covariance(self.search.gate_sigmas)
-        found = self.search.search(joint.pyramid, guess, widened, points)
+        least = max(self.search.min_runner_up_ratio, self.ambiguity_ratio)  # a lower runner-up changes nothing
+        search = replace(self.search, min_runner_up_ratio=least)
+        found = search.search(joint.pyramid, guess, widened, points)
         if found is None:
             return RejectionReason.LOW_INLIER_RATIO
         if not self.is_within_gate(covariance, np.append((found.pose - guess)[:2], between(guess, found.pose)[2])):
