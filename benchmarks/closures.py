@@ -43,7 +43,7 @@ class _Run(NamedTuple):
     refined_m: float
 
 
-def closures(report: Report, seeds: Sequence[int]) -> None:
+def closures(report: Report, seeds: Sequence[int], config: Configuration) -> None:
     """Drive every world with each seed; the error is the mean over relations, as in Kuemmerle et al. (2009).
 
     A relation is four key scans long, or leads back to a place seen before.
@@ -52,7 +52,7 @@ def closures(report: Report, seeds: Sequence[int]) -> None:
         ("Worlds made to deceive", [deceptive(kind, seed) for kind in DECEPTIVE for seed in seeds]),
         ("Campus, 2 km", [campus(seed) for seed in seeds]),
     ):
-        runs = [_driven(drive) for drive in drives]
+        runs = [_driven(drive, config) for drive in drives]
         report.add(title, table(_HEAD, [[drive.name, *run] for drive, run in zip(drives, runs, strict=True)]))
         report.targets.append(Target(f"{title}: recognized falsely", sum(run.recognized_false for run in runs), 0))
         if title.startswith("Campus"):
@@ -60,9 +60,9 @@ def closures(report: Report, seeds: Sequence[int]) -> None:
             report.targets.append(Target(f"{title}: mean error of the worst seed", worst, 0.05, unit="m"))
 
 
-def _driven(drive: Drive) -> _Run:
-    config, recorder, began = Configuration(), TrajectoryRecorder(), time.process_time()
-    stream, slam = drive.stream(), build(Configuration())
+def _driven(drive: Drive, config: Configuration) -> _Run:
+    recorder, began = TrajectoryRecorder(), time.process_time()
+    stream, slam = drive.stream(), build(config)
     state = run(stream.measurements, slam, rng=np.random.default_rng(0), observers=[recorder])
     said = full_slam(state, [recorder.tracked_scans()], config.mapper, config.loop_closure, config.final_refinement)
     cpu_s, truth = time.process_time() - began, np.asarray(stream.truth.poses)

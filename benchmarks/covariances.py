@@ -1,7 +1,7 @@
 """Do covariances mean something? Average NEES against simulated truth, online and final, in eight kinds of worlds.
 
     python benchmarks/covariances.py [KIND|LOG ...] [--seeds 20] [--first 101]
-        [--out benchmarks/results/covariances.json]
+        [--set NAME=VALUE ...] [--out benchmarks/results/covariances.json]
 
 Each drive is mapped with the defaults. NEES is taken of every pose after the first tenth of the drive, in the frame of
 the first pose, which is given; its expectation is 3, and 95 of 100 should lie below 7.81. The parameters of the
@@ -25,7 +25,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 from closure_worlds import campus
-from gridslam.config import Configuration
+from gridslam.config import Configuration, override
 from gridslam.evaluation import nees
 from gridslam.geometry.se2 import between
 from gridslam.io.log import open_log
@@ -182,7 +182,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=20, help="drives of each kind [20]")
     parser.add_argument("--first", type=int, default=101, help="first seed [101]")
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="of the simulated drives")
     given = parser.parse_args(arguments)
+    configuration = override(Configuration(), *given.set)
     columns = "online_nees", "online_inside", "final_nees", "final_inside", "rmse_m"
     columns += "left_out_increments", "left_out_constraints"
     table = ["| kind | " + " | ".join(columns) + " |", "| --- " * (len(columns) + 1) + "|"]
@@ -190,7 +192,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     drives = []
     for kind in given.kinds or WORLDS:
         seeds = range(given.first, given.first + given.seeds)
-        of_kind = [judge_log(kind, seed) if Path(kind).exists() else judge(kind, seed) for seed in seeds]
+        of_kind = [judge_log(kind, seed) if Path(kind).exists() else judge(kind, seed, configuration) for seed in seeds]
         drives += of_kind
         values = [[drive[name] for drive in of_kind if name in drive] for name in columns]
         means = [np.mean(of_column) if of_column else np.nan for of_column in values]
@@ -198,6 +200,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(table[-1], flush=True)
     if given.out is not None:
         how = f"simulated drives, seeds {given.first} to {given.first + given.seeds - 1}"
+        how += "".join(f", {assignment}" for assignment in given.set)
         write_document(given.out, how, table=table, drives=drives)
 
 

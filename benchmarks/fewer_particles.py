@@ -1,43 +1,82 @@
-"""How few particles do: python benchmarks/fewer_particles.py [--seeds 3]; the whole command on logs with relations."""
+"""How few particles do, fixed or adapted: the whole command, and the filter alone, at equal seeds.
+
+    python benchmarks/fewer_particles.py [--seeds 5] [--log NAME ...] [--number 30 --number kld] [--out FILE]
+
+The error is the mean translation error of the relations where there are any, on sparse logs the root mean square
+distance from GMapping's path; of the others there is the cost alone. Rows of earlier runs stay where they are not
+measured again.
+"""
 
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from gridslam.evaluation import relation_errors
-from gridslam.io.trajectories import read_relations
-from logs import find
+import numpy as np
+
+from gridslam import Trajectory
+from gridslam.evaluation import absolute_errors, relation_errors
+from gridslam.io.trajectories import read_relations, read_tum
+from logs import Log, find
 from measure import RESULTS, map_timed, write_document
 
 __all__ = ["main"]
 
-_COUNTS = (4, 8, 30)
+_NUMBERS = ("8", "30", "kld")
+_MODES = {"alone": ("--no-loop-closure",), "full": ()}
+_HOW = "gridslam map, seeds from 0 on; errors in m, user and system seconds, particles on average over the key scans"
 
 
 def main(arguments: Sequence[str] | None = None) -> Path:
     """Measure, print, and write the file; returns its path."""
-    parser = argparse.ArgumentParser(description="Errors of relations by the number of particles.")
-    parser.add_argument("--seeds", type=int, default=3)
+    parser = argparse.ArgumentParser(description="Errors and costs by the number of particles.")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--log", action="append", help="name of a log; may be given several times [all]")
+    parser.add_argument("--number", action="append", help="of particles, or kld [8, 30 and kld]")
     parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[2] / "shared" / "data")
+    parser.add_argument("--out", type=Path, default=RESULTS / "fewer_particles.json")
     given = parser.parse_args(arguments)
-    path = RESULTS / "fewer_particles.json"
-    rows = []
-    for log in find(given.data):
-        if log.relations is None:
+    path: Path = given.out
+    rows: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["rows"] if path.exists() else []
+    logs = [*find(given.data), *find(given.data / "sparse"), *find(given.data / "loops")]
+    for log in logs:
+        if given.log and log.name not in given.log:
             continue
-        relations = read_relations(log.relations)
-        for count in _COUNTS:
-            runs = [map_timed(log.path, "--particles", count, "--seed", seed) for seed in range(given.seeds)]
-            errors = [relation_errors(run.trajectory, relations).trans_mean_m for run in runs]
-            cpu_s = [round(run.cost.cpu_s, 2) for run in runs]
-            rows.append(
-                {"log": log.name, "particles": count, "errors_m": [round(e, 5) for e in errors], "cpu_s": cpu_s}
-            )
-            print(rows[-1], flush=True)
-            write_document(path, "gridslam map, seeds from 0 on; mean translation error of the relations", rows=rows)
+        for mode, options in _MODES.items():
+            for number in given.number or _NUMBERS:
+                row = {"log": log.name, "mode": mode, "number": number} | _measure(log, number, options, given.seeds)
+                rows = [old for old in rows if [*old.values()][:3] != [log.name, mode, number]] + [row]
+                print({name: value for name, value in row.items() if name != "cpu_s"}, flush=True)
+                write_document(path, _HOW, rows=rows)
     return path
+
+
+def _measure(log: Log, number: str, options: Sequence[str], seeds: int) -> dict[str, Any]:
+    """Errors, costs and numbers of particles, one for each seed."""
+    chosen = ("--set", "particle_number.kind=KldNumber") if number == "kld" else ("--particles", number)
+    runs = [map_timed(log.path, *chosen, *options, "--seed", seed) for seed in range(seeds)]
+    errors = [_error(log, run.trajectory) for run in runs]
+    return {
+        "errors_m": [round(error, 5) for error in errors if error is not None],
+        "cpu_s": [round(run.cost.cpu_s, 2) for run in runs],
+        "cpu_mean_s": round(float(np.mean([run.cost.cpu_s for run in runs])), 2),
+        "particles_mean": [round(run.document["filter"]["particles_mean"], 2) for run in runs],
+        "resamplings": [run.document["filter"]["resamplings"] for run in runs],
+        "peak_mb": round(max(run.peak_mb for run in runs), 1),
+    }
+
+
+def _error(log: Log, trajectory: Trajectory) -> float | None:
+    """What is known of the error of a trajectory."""
+    if log.relations is not None:
+        return relation_errors(trajectory, read_relations(log.relations)).trans_mean_m
+    reference = log.path.with_name(f"{log.name}.ref.tum.gz")
+    if not reference.exists():
+        return None
+    return absolute_errors(trajectory, read_tum(reference)).trans_rmse_m
 
 
 if __name__ == "__main__":

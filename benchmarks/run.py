@@ -1,6 +1,7 @@
 """Run the logs there are and simulated ones; print accuracy, cost and scaling, and write a dated report.
 
 python benchmarks/run.py [--quick] [--data ../shared/data] [--seeds 10] [--only SECTION ...] [-o reports]
+    [--set NAME=VALUE ...]
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from accuracy import accuracy, starts
 from closures import closures
 from graphs import graphs
 from gridslam import preset
-from gridslam.config import dumps
+from gridslam.config import Configuration, dumps, override
 from kernels import kernel_times, record
 from landmarks import landmarks
 from localization import localization
@@ -96,7 +97,7 @@ def _run(sections: Sequence[str], given: argparse.Namespace, folder: Path, repor
         "kernels": kernels_section,
         "places": lambda: place_search(report),
         "graphs": lambda: graphs(given.data, report, 3 if quick else 7),
-        "closures": lambda: closures(report, seeds),
+        "closures": lambda: closures(report, seeds, override(Configuration(), *given.set)),
         "reading": lambda: reading(report, 2000 if quick else 10_000),
         "localization": lambda: localization(report, given.data, seeds, folder, 20 if quick else 100),
         "landmarks": lambda: landmarks(report, given.data, seeds, 10 if quick else 100),
@@ -112,6 +113,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--data", type=Path, default=_ROOT.parent / "shared" / "data", help="folder of real logs")
     parser.add_argument("--seeds", type=int, help="seeds 0, 1, ... of each log [10; 1 with --quick]")
     parser.add_argument("--only", choices=_SECTIONS, action="append", help="a section; may be given several times")
+    parser.add_argument("--set", action="append", default=[], help="NAME=VALUE of the section closures")
     parser.add_argument("-o", "--out", type=Path, default=_ROOT / "reports", help="folder of the report")
     return parser
 

@@ -376,6 +376,7 @@ class MapResult(Result):
         height, width = (side * self.tiled_map.resolution_m for side in self.tiled_map.shape)
         return {
             "particles": self.configuration.particles,
+            "particles_mean": self.record.particles_mean,
             "resamplings": statistics.resamplings,
             "n_eff_mean": statistics.n_eff_mean,
             "n_eff_min": statistics.n_eff_min,

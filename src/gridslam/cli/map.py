@@ -112,7 +112,7 @@ def summarize(document: dict[str, Any], result: MapResult, out: Path) -> list[st
         f"{result.source.name}: {scans['read']} scans, {log.duration_s:.0f} s, {result.driven}",
         f"mapped in {seconds:.1f} s: {log.duration_s / seconds:.0f} x real time, "
         f"{scans['read'] / seconds:.0f} scans/s, {document['peak_memory_bytes'] / 1e6:.0f} MB",
-        f"{scans['used']} key scans, N_eff {filter_['n_eff_mean']:.1f} of {filter_['particles']} on average, "
+        f"{scans['used']} key scans, N_eff {filter_['n_eff_mean']:.1f} of {filter_['particles_mean']:.3g} on average, "
         f"resampled {filter_['resamplings']} times{lost}",
         f"a scan took {1e3 * latency['median_s']:.2f} ms (median), {1e3 * latency['p99_s']:.1f} ms (99 of 100), "
         f"{1e3 * latency['max_s']:.1f} ms (longest)",

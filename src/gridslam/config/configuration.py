@@ -14,6 +14,7 @@ from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.endpoint import CauchyEndPoint, GMappingEndPoint, LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
 from gridslam.parameters import Kind, bounded, parameters
+from gridslam.particles.kld_sampling import FixedNumber, KldNumber
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold, NeverResample
 from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
 from gridslam.scan import Thinning
@@ -120,7 +121,7 @@ class Configuration:
         How many beams of a dense scan are used.
     resampler : str
         "systematic" (the least variance), "stratified", "residual", "multinomial" or "wheel".
-    tracker, motion, sensor, proposal, mapper, when_to_update, when_to_resample, map_limit, reports
+    tracker, motion, sensor, proposal, mapper, when_to_update, when_to_resample, particle_number, map_limit, reports
         The parts of `GridFastSlam`.
     loop_closure : LoopClosure or None
         How loop closures are detected and the trajectory is corrected while the robot drives; None for the filter only.
@@ -142,6 +143,7 @@ class Configuration:
     when_to_resample: Annotated[EffectiveSampleSizeBelow | AlwaysResample | NeverResample, Kind()] = (
         EffectiveSampleSizeBelow()
     )
+    particle_number: Annotated[FixedNumber | KldNumber, Kind()] = FixedNumber()
     map_limit: MapLimit = MapLimit()
     reports: ReportBuilder = ReportBuilder()
     loop_closure: Annotated[LoopClosure | None, Kind()] = LoopClosure()
@@ -166,6 +168,7 @@ def build(config: Configuration, threads: int = 1) -> GridFastSlam:
         resampler=_RESAMPLERS[config.resampler](),
         when_to_update=config.when_to_update,
         when_to_resample=config.when_to_resample,
+        particle_number=config.particle_number,
         map_limit=config.map_limit,
         reports=config.reports,
         loop_closure=config.loop_closure,

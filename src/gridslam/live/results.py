@@ -118,7 +118,7 @@ class MappedRun:
         self.times_s = _elapsed(record.stamps_ns, record.stamps_ns[0])
         self.path: Float32Array = key_poses[:, :2].astype(np.float32)
         columns = (self.times_s, record.n_eff, 1e3 * record.latency_s, record.flags)
-        counts = np.full(len(record), self.particles)
+        counts = record.counts
         self.series: Float32Array = np.column_stack([*columns, counts]).astype(np.float32)
         self._record = record
         self.trajectory = trajectory
@@ -162,7 +162,7 @@ class MappedRun:
             "lost": bool(record.flags[at] & RecordFlag.LOST),
             "best": int(record.parents[at, record.best[at]]),
             "closures": self._count_closures(at),
-            "particles": self.particles,
+            "particles": int(record.counts[at]),
         }
 
     def _count_closures(self, at: int) -> int:

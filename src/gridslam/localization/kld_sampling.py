@@ -8,6 +8,7 @@ from typing import final
 import numpy as np
 
 from gridslam.parameters import bounded, parameters
+from gridslam.particles.kld_sampling import kld_bound
 from gridslam.types import FloatArray, IntArray, Resampler
 
 __all__ = ["KldSampling"]
@@ -54,9 +55,7 @@ class KldSampling:
 
     def bound(self, bins: IntArray) -> FloatArray:
         """Required number of particles (...) for numbers of occupied `bins` (...); 0 for a single bin."""
-        freedom = np.maximum(np.asarray(bins, dtype=np.float64) - 1, 0)
-        ninth = 2 / (9 * np.maximum(freedom, 1))
-        return np.asarray(np.ceil(freedom / (2 * self.error) * np.maximum(1 - ninth + np.sqrt(ninth) * self.z, 0) ** 3))
+        return kld_bound(bins, self.error, self.z)
 
     def bins(self, poses: FloatArray) -> IntArray:
         """Name (N,) of the bin of each pose (N, 3); poses in one bin have the same name."""

@@ -2,6 +2,7 @@
 
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose, sample_gaussian
+from gridslam.particles.kld_sampling import FixedNumber, KldNumber, ParticleNumber, kld_bound
 from gridslam.particles.policies import (
     AlwaysResample,
     EffectiveSampleSizeBelow,
@@ -25,9 +26,12 @@ __all__ = [
     "AlwaysResample",
     "Ancestry",
     "EffectiveSampleSizeBelow",
+    "FixedNumber",
+    "KldNumber",
     "MotionThreshold",
     "Multinomial",
     "NeverResample",
+    "ParticleNumber",
     "ResamplingPolicy",
     "ResamplingWheel",
     "Residual",
@@ -36,6 +40,7 @@ __all__ = [
     "UpdatePolicy",
     "effective_sample_size",
     "entropy",
+    "kld_bound",
     "normalize",
     "repeat_pose",
     "sample_gaussian",

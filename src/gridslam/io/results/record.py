@@ -14,7 +14,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.errors import ArgumentError, InputError
+from gridslam.errors import InputError
 from gridslam.io.limits import UnpackingLimit, require_memory
 from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.text import open_for_reading
@@ -38,6 +38,8 @@ class RecordFlag(IntFlag):
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
     """T key scans of N particles, in the order in which they were taken.
+
+    Where there were fewer, copies of the last one stand for the others, of weight 0.
 
     Attributes
     ----------
@@ -75,6 +77,13 @@ class Record:
         """Return the number of key scans T."""
         return len(self.stamps_ns)
 
+    @property
+    def counts(self) -> IntArray:
+        """Numbers (T,) of particles at the key scans, without those at the end of a row of weight 0."""
+        there = np.isfinite(self.log_weights[:, ::-1])
+        behind: IntArray = there.argmax(axis=1)
+        return self.log_weights.shape[1] - behind
+
 
 _FORMS: dict[str, tuple[type, int]] = {
     "stamps_ns": (np.int64, 1),
@@ -88,6 +97,15 @@ _FORMS: dict[str, tuple[type, int]] = {
 }
 
 
+def _fill(name: str, row: Any, most: int) -> Any:  # noqa: ANN401
+    """Fill up what a key scan has of each particle with copies of the last one, of weight 0, to those of `most`."""
+    missing = 0 if _FORMS[name][1] == 1 else most - len(row)
+    if not missing:
+        return row
+    last = np.full(1, -np.inf) if name == "log_weights" else row[-1:]
+    return np.concatenate([row, np.repeat(last, missing, axis=0)])
+
+
 @lru_cache(maxsize=1)
 def _count_up(count: int) -> NDArray[np.int32]:
     """The parents of particles that were not resampled, shared by all such key scans."""
@@ -98,22 +116,16 @@ def _count_up(count: int) -> NDArray[np.int32]:
 
 @final
 class RecordWriter:
-    """Collects the key scans of a run with a fixed number of particles; other scans are passed over."""
+    """Collects the key scans of a run; other scans are passed over."""
 
     def __init__(self) -> None:
         """Begin without any key scan."""
         self._rows: dict[str, list[Any]] = {name: [] for name in _FORMS}
 
     def add(self, report: StepReport, latency_s: float) -> None:
-        """Keep a step's particles, if it was a key scan.
-
-        Raises ArgumentError where the number of particles is not that of the steps before.
-        """
+        """Keep a step's particles, if it was a key scan."""
         if report.skipped is not None or report.poses is None or report.log_weights is None:
             return
-        earlier = self._rows["poses"]
-        if earlier and len(earlier[0]) != len(report.poses):
-            raise ArgumentError("report", f"{len(earlier[0])} particles as before", len(report.poses))
         flags = RecordFlag.LOST * report.lost | RecordFlag.RESAMPLED * (report.parents is not None)
         flags |= RecordFlag.UNDETERMINED * (report.degenerate_direction is not None)
         count = len(report.poses)
@@ -131,11 +143,19 @@ class RecordWriter:
         for name, value in row.items():
             self._rows[name].append(value)
 
+    @property
+    def particles_mean(self) -> float:
+        """Number of particles on average; 0 without any key scan."""
+        rows = self._rows["log_weights"]
+        return sum(np.count_nonzero(row > -np.inf) for row in rows) / max(len(rows), 1)
+
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return what was collected as the arrays of `Record`; of length 0 without any key scan."""
         shape = (0, 0, 3)  # of the poses, where there are none
+        most = max((len(row) for name in ("poses", "parents") for row in self._rows[name]), default=0)
         return {
-            name: np.array(self._rows[name] or np.zeros(shape[:ndim]), dtype) for name, (dtype, ndim) in _FORMS.items()
+            name: np.array([_fill(name, row, most) for row in self._rows[name]] or np.zeros(shape[:ndim]), dtype)
+            for name, (dtype, ndim) in _FORMS.items()
         }
 
     @classmethod

@@ -22,6 +22,7 @@ from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.models.motion import DiffusionMotion
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose
+from gridslam.particles.kld_sampling import FixedNumber, ParticleNumber
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold, ResamplingPolicy, UpdatePolicy
 from gridslam.particles.resampling import Systematic, effective_sample_size, normalize, relative_to_greatest
 from gridslam.scan import Thinning
@@ -75,6 +76,8 @@ class GridFastSlam:
         Which scans are key scans, at which the particles are stepped: by what moved since the last one of its laser.
     when_to_resample : ResamplingPolicy
         When resampling is worth its loss of diversity.
+    particle_number : ParticleNumber
+        How many particles there are after a key scan.
     map_limit : MapLimit
         How much the particles' maps may take.
     reports : ReportBuilder
@@ -87,7 +90,7 @@ class GridFastSlam:
     thinning : Thinning
         How many beams of a dense scan are used.
     particles : int, >= 1
-        Default number of particles of `init`.
+        Default number of particles of `init`, and the most that `particle_number` may choose.
     threads : int
         Threads of the kernels; never changes a result.
 
@@ -104,6 +107,7 @@ class GridFastSlam:
     resampler: Resampler = Systematic()
     when_to_update: UpdatePolicy = MotionThreshold()
     when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
+    particle_number: ParticleNumber = FixedNumber()
     map_limit: MapLimit = MapLimit()
     reports: ReportBuilder = ReportBuilder()
     loop_closure: LoopClosure | None = None
@@ -191,8 +195,9 @@ class GridFastSlam:
         state.accept(estimate)
         n_eff = effective_sample_size(state.log_weights)  # N_eff
         parents = None
-        if self.when_to_resample(n_eff, len(state.poses)):  # resample
-            parents = self.resampler(np.exp(state.log_weights), len(state.poses), rng)
+        count = self.particle_number(state.poses, state.log_weights, self.particles)
+        if count != len(state.poses) or self.when_to_resample(n_eff, count):  # resample
+            parents = self.resampler(np.exp(state.log_weights), count, rng)
             state.resample(parents)
         parents = self._bound(state, parents)
         report = self.reports.key_scan(state, scan, moved, estimate, n_eff, parents)  # report
