@@ -81,8 +81,8 @@ class Record:
     def counts(self) -> IntArray:
         """Numbers (T,) of particles at the key scans, without those at the end of a row of weight 0."""
         there = np.isfinite(self.log_weights[:, ::-1])
-        behind: IntArray = there.argmax(axis=1)
-        return self.log_weights.shape[1] - behind
+        counts: IntArray = self.log_weights.shape[1] - there.argmax(axis=1)
+        return counts
 
 
 _FORMS: dict[str, tuple[type, int]] = {
