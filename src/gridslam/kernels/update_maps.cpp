@@ -50,7 +50,11 @@ Insertion::Insertion(const Maps& m, const Arena& ids, const int32_t* rows, const
       order_(k),
       is_written_(k) {
   std::iota(order_.begin(), order_.end(), 0);
-  std::sort(order_.begin(), order_.end(), [&](int a, int b) { return poses_[3 * a + 2] < poses_[3 * b + 2]; });
+  const auto heading = [&](int i) {  // a NaN, which is refused later, has no order
+    const double theta = poses_[3 * static_cast<size_t>(i) + 2];
+    return std::isnan(theta) ? 0.0 : theta;
+  };
+  std::sort(order_.begin(), order_.end(), [&](int a, int b) { return heading(a) < heading(b); });
 }
 
 bool Insertion::follow_earlier(const std::vector<Cell>& earlier) {
