@@ -344,9 +344,8 @@ class MonteCarloLocalization:
         poses = found.poses[kept]
         away = poses - pose
         away[:, 2] = wrap(away[:, 2])
-        cost = ((away @ prior) * away).sum(axis=1) - matcher.cauchy_m**2 * found.score[
-            kept
-        ]  # sum of w d^2, to a constant
+        agreement = matcher.cauchy_m**2 * found.score[kept]  # minus the sum of w d^2, to a constant
+        cost = ((away @ prior) * away).sum(axis=1) - agreement
         return np.asarray(poses[cost.argmin()])
 
     def _likelihood(self, beams: Beams) -> PoseLikelihood:
