@@ -11,6 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from gridslam.config import Configuration
+from gridslam.localization.odometry_check import OdometryCheck
 from gridslam.models import BeamRangeFinder
 from gridslam.parameters import adapter, to_table
 from gridslam.particles.policies import MotionThreshold
@@ -46,6 +47,7 @@ def test_values_are_converted_as_pydantic_converts_them():
         (lambda: Thinning(spacing=0.1), "spacing"),
         (lambda: Thinning(dense_beams=10.5), "dense_beams"),
         (lambda: Configuration(particles=True, range_max_m=math.inf), "range_max_m"),
+        (lambda: OdometryCheck(gate=math.inf), "gate"),  # which has no upper bound
         (lambda: Configuration(resampler="none"), "resampler"),
         (lambda: BeamRangeFinder(z_hit=0.1), "must sum to 1"),
     ],
