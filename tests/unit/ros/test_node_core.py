@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,9 +20,11 @@ from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.geometry.se2 import compose
 from gridslam.io.maps import read_map
 from gridslam.io.measurement import Measurement
+from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.ros import NodeCore, NodeSettings
-from gridslam.ros.node.messages import Level
-from gridslam.ros.node.rendering import map_cells
+from gridslam.ros.node import rendering
+from gridslam.ros.node.messages import GridMessage, Level
+from gridslam.ros.node.rendering import make_grid_message, map_cells
 from gridslam.ros.node.transport import save_results
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support.ros_node import BASE, ODOM, RecordedOutputs, mounting, odometry_message, play, scan_message, until
@@ -155,6 +158,42 @@ def test_with_an_interval_of_0_a_map_comes_after_each_scan(drive):
     for k, one in enumerate(drive[:10]):
         drive_all(core, outputs, [one])
         assert until(lambda k=k: len(outputs.maps) == k + 1 and core._renderer.is_idle)
+    core.close()
+
+
+def test_no_map_of_the_mapping_session_comes_after_the_one_to_localize_in(drive, monkeypatch):
+    outputs = RecordedOutputs()
+    published = []
+    outputs.map = outputs.map_update = published.append
+    core = node(outputs, map_updates=True)
+    drive_all(core, outputs, drive[:30])
+    known = KnownMap(core.copy_session().beginning.run.state.maps.occupancy(0))
+    begun = threading.Event()
+
+    def render_late(*arguments):
+        begun.set()
+        time.sleep(0.3)
+        return make_grid_message(*arguments)
+
+    monkeypatch.setattr(rendering, "make_grid_message", render_late)
+    drive_all(core, outputs, drive[30:60])
+    assert begun.wait(10)
+    drive_all(core, outputs, drive[60:65])
+
+    def switch():
+        core.localize_in(known, MonteCarloConfiguration(), None)
+        core._publish_map()  # one that was due when the session ended
+
+    core.ask(switch)
+    assert until(lambda: core._session is not core.mapped_session)
+    core._renderer.finish()
+    assert core.localizes
+    assert published[-1] is core.dynamic_map()
+    count = len(published)
+    core.ask(core.resume_mapping)
+    drive_all(core, outputs, drive[65:70])
+    assert until(lambda: len(published) > count)
+    assert isinstance(published[count], GridMessage)  # no update changes the known map to the mapped one
     core.close()
 
 

@@ -365,6 +365,8 @@ class NodeCore:
         if isinstance(self._session, Session) and self._session.state is not None:
             self._suspended = self._session
         self.configuration = Localization(known, configuration, pose)
+        if self._renderer is not None:
+            self._renderer.finish()
         self._known_map = make_grid_message(known.grid, self.settings, self._outputs.now_ns())
         self._outputs.map(self._known_map)
         self._queue.end_session(SessionEnd.SWITCH)
@@ -519,7 +521,7 @@ class NodeCore:
             self._warn("checks failed", describe_error(error))
 
     def _publish_map(self) -> None:
-        if self._session.state is not None:
+        if self._session.state is not None and not self.localizes:
             self._publisher.publish_map(self._session.state)
 
     def _publish_diagnostics(self) -> None:

@@ -109,6 +109,11 @@ class MapRenderer:
         self._rendered = self._executor.submit(self._render, arrays, stamp_ns)
         return state.maps.nbytes
 
+    def finish(self) -> None:
+        """Publish the pending map, before another map takes its place; the next one is published whole."""
+        self._wait()
+        self._full_due_s = 0.0
+
     def reset(self) -> None:
         """Discard the map at the start of a new session."""
         self._wait()
