@@ -105,6 +105,29 @@ def test_a_reader_that_goes_away_is_no_traceback(log, tmp_path):
     run.stderr.close()
 
 
+def test_an_interrupt_right_after_the_folder_aside_is_made_leaves_nothing(log, tmp_path):
+    code = """
+import os, signal, sys
+from gridslam.cli.main import main
+from gridslam.io import output
+
+make = output.StagingFolder
+
+def make_and_interrupt(*arguments):
+    folder = make(*arguments)
+    os.kill(os.getpid(), signal.SIGINT)
+    return folder
+
+output.StagingFolder = make_and_interrupt
+sys.exit(main(sys.argv[1:]))
+"""
+    (tmp_path / "out").mkdir()
+    arguments = ["map", str(log), "-o", str(tmp_path / "out"), "--particles", "2"]
+    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr.strip()) == (130, "", "gridslam: interrupted")
+    assert not list((tmp_path / "out").iterdir())
+
+
 @pytest.mark.parametrize("pause_s", [0.0, 0.02, 0.2])
 def test_further_interrupts_print_no_traceback(log, tmp_path, pause_s):
     out = tmp_path / "out"

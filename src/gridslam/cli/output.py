@@ -43,6 +43,7 @@ _LINE_EVERY_S = 5.0
 _SIGNALS = "SIGINT", "SIGTERM", "SIGHUP"
 
 _interrupted = False
+_held = False
 
 
 @contextmanager
@@ -52,7 +53,8 @@ def open_output(path: Path, names: Sequence[str] = ()) -> Iterator[OutputFolder]
 
     with ExitStack() as stack:
         try:
-            out = stack.enter_context(OutputFolder(path, names))
+            with hold_interrupts():  # from when there is a folder aside to when it is certain to be removed
+                out = stack.enter_context(OutputFolder(path, names))
         except OutputError as error:
             raise click.ClickException(str(error)) from None
         yield out
@@ -113,7 +115,20 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     global _interrupted
     if not _interrupted:
         _interrupted = True
-        raise KeyboardInterrupt
+        if not _held:
+            raise KeyboardInterrupt
+
+
+@contextmanager
+def hold_interrupts() -> Iterator[None]:
+    """Let an interrupt wait until the context ends."""
+    global _held
+    _held = True
+    try:
+        yield
+    finally:
+        _held = False
+    stop_if_interrupted()
 
 
 def stop_if_interrupted() -> None:
