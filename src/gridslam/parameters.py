@@ -10,7 +10,7 @@ import functools
 import math
 import operator
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar, Union, cast, final, get_args, get_origin
 from typing import get_type_hints as evaluate_hints
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, TypeAdapter
     from pydantic_core import CoreSchema
 
-__all__ = ["Kind", "Table", "adapter", "bounded", "parameters", "to_table"]
+__all__ = ["Kind", "Table", "adapter", "bounded", "parameters", "replace_plainly", "to_table"]
 
 Table = dict[str, Any]
 _Part = TypeVar("_Part")
@@ -88,6 +88,27 @@ def to_table(part: Any) -> Table:  # noqa: ANN401
     """Parameters of a part; those of its own parts are tables in it."""
     kind: Any = type(part)
     return {name: rule.write(getattr(part, name)) for name, rule in _rules(kind).items()}
+
+
+def replace_plainly(part: _Part, changes: Mapping[str, Any]) -> _Part | None:
+    """Part with other parameters, nested as `to_table` gives them; None where pydantic has to convert or refuse one."""
+    kind: Any = type(part)
+    values = {}
+    for name, change in changes.items():
+        rule = _rules(kind).get(name)
+        below = getattr(part, name, None)
+        if isinstance(change, Mapping) and is_dataclass(below) and "kind" not in change:
+            change = replace_plainly(below, change)
+            if change is None:
+                return None
+        elif rule is None or not rule.accepts(change):
+            return None
+        values[name] = change
+    try:
+        replaced: _Part = replace(cast("Any", part), **values)
+    except ValueError:  # by a check of several parameters together
+        return None
+    return replaced
 
 
 class _Rule(NamedTuple):

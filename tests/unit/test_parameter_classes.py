@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from gridslam.config import Configuration
 from gridslam.localization.odometry_check import OdometryCheck
 from gridslam.models import BeamRangeFinder
-from gridslam.parameters import adapter, to_table
+from gridslam.parameters import adapter, replace_plainly, to_table
 from gridslam.particles.policies import MotionThreshold
 from gridslam.scan import Thinning
 
@@ -57,9 +57,37 @@ def test_what_is_wrong_is_named(make, name):
         make()
 
 
+def test_parameters_are_replaced_plainly_where_none_needs_to_be_converted_or_refused():
+    config = Configuration()
+    changes = {"particles": 7, "tracker": {"insert_m": 0.3, "matcher": {"max_iterations": 9}}, "resampler": "wheel"}
+    matcher = replace(config.tracker.matcher, max_iterations=9)
+    tracker = replace(config.tracker, insert_m=0.3, matcher=matcher)
+    assert replace_plainly(config, changes) == replace(config, particles=7, tracker=tracker, resampler="wheel")
+    assert replace_plainly(config, {}) == config
+    assert replace_plainly(BeamRangeFinder(), {"z_hit": 0.1}) is None
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"particles": 7.0},
+        {"particles": True},
+        {"particles": 0},
+        {"tracker": {"insert_m": 1}},
+        {"tracker": {"insert": 0.3}},
+        {"tracker": {"kind": "OdometryTracker"}},
+        {"particles": {"insert_m": 0.3}},
+        {"loop_closure": False},
+    ],
+)
+def test_all_else_is_left_to_pydantic(changes):
+    assert replace_plainly(Configuration(), changes) is None
+
+
 def test_right_values_need_no_pydantic():
     code = (
-        "import sys; from dataclasses import replace; from gridslam import Configuration; "
+        "import sys; from dataclasses import replace; from gridslam import Configuration, preset; "
+        "preset('gmapping', 8); "
         "replace(Configuration(particles=15, range_max_m=20.0, resampler='wheel'), loop_closure=None); "
         "sys.exit('pydantic' in sys.modules)"
     )

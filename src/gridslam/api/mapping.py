@@ -125,7 +125,8 @@ class MapResult(Result):
     truth : Trajectory or None
         The true trajectory in the map's frame, where it is known; it is drawn into the picture.
     map_piece : SavedPiece or None
-        The map as a piece of a session, with the drives that have left it; None without loop closure.
+        The map as a piece of a session, with the drives that have left it; None without loop closure, and if only the
+        best particle was kept.
     run : SavedRun or None
         The filter and its observers after the last scan; None if only the best particle was kept.
     pieces : tuple of SavedPiece
@@ -459,7 +460,7 @@ def map_log(
         To go on with.
     keep_particles : bool
         False: after the last scan the best particle alone is kept, so that the final refinement can use the memory of
-        the others' maps. The result is the same.
+        the others' maps, and in the end no scan. The map and its trajectory are the same; no session can be saved.
     digest : str, optional
         SHA-256 of the log, where it is known (see `gridslam.io.text.compute_digest`).
     beginning : Beginning, optional
@@ -574,6 +575,8 @@ def finish_mapping(
         problem = f"the final refinement failed: {describe_error(error)}; the trajectory is that of the best particle"
         failures = (*failures, problem)
         full = refine(replace(state, closure_state=None))
+    if not keep_particles:
+        state.closure_state = None
     stopwatch.lap("final refinement")
     key_stamps_ns = np.zeros(state.ancestry.steps, np.int64)  # of a map that was given key scans have no stamps
     for drive in drives:
@@ -601,7 +604,7 @@ def finish_mapping(
         record=run.record,
         stopwatch=stopwatch,
         failures=failures,
-        map_piece=None if full.piece is None else SavedPiece(full.piece, drives),
+        map_piece=SavedPiece(full.piece, drives) if full.piece is not None and keep_particles else None,
         run=run if keep_particles else None,
         pieces=pieces,
     )

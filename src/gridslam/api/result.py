@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from numpy.typing import NDArray
 
 from gridslam import __version__
+from gridslam.api.peak_memory import return_freed_memory
 from gridslam.doctor.repair import Repair, RepairedLog
 from gridslam.errors import MissingDependencyError
 from gridslam.io.cache import find_origin
@@ -105,6 +106,7 @@ class Result(ABC):
         """Write all results into an open output folder; returns the content of run.json."""
         self.stopwatch.resume()
         self._write_files(out)
+        return_freed_memory()  # that of the other files' tables, before the picture needs its own
         self.stopwatch.lap("write")
         failures = [*self.failures]
         try:

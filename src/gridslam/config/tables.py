@@ -14,7 +14,7 @@ from dataclasses import is_dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from gridslam.errors import ConfigurationError
-from gridslam.parameters import Table, adapter, to_table
+from gridslam.parameters import Table, adapter, replace_plainly, to_table
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -123,8 +123,9 @@ def replace_parameters(part: _Part, changes: Mapping[str, Any], also: Iterable[s
     ConfigurationError
         A parameter is unknown, of a wrong type or out of range.
     """
-    if not changes:
-        return part
+    plain = replace_plainly(part, changes)
+    if plain is not None:
+        return plain
     from pydantic import ValidationError
     from pydantic_core import to_json
 

@@ -193,7 +193,7 @@ class TileArena:
         return self._free_pages, self._free_tiles
 
     def grow(self) -> None:
-        """Make more pages or tiles, or both, where none is free: a sixteenth of what there is.
+        """Make more pages or tiles, or both, where none is free: a 32nd of what there is.
 
         Ids are free only once their memory is there: after a MemoryError all is as it was.
         """
@@ -222,7 +222,7 @@ class TileArena:
     @staticmethod
     def _extend_ids(refs: Int32Array) -> tuple[Int32Array, int]:
         """Ids to be added to those that `refs` counts, and how many there are then."""
-        size = min(len(refs) + max(len(refs) // 16, 64), np.iinfo(np.int32).max)
+        size = min(len(refs) + max(len(refs) // 32, 64), np.iinfo(np.int32).max)
         return _count_down(len(refs), size), size
 
     def allocate(self, pages: int, tiles: int) -> None:

@@ -210,7 +210,7 @@ def test_an_arena_has_no_limit_of_its_own():
     arena.tile_refs = np.ones(full, np.int32)
     arena.allocate(0, 63)
     arena.grow()
-    assert len(arena.free_ids[1]) == full // 16
+    assert len(arena.free_ids[1]) == full // 32
 
 
 @pytest.mark.parametrize("count", [255, 256, 32_767, 32_768, 40_000, 65_535, 65_536, 70_000])
