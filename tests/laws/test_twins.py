@@ -171,6 +171,7 @@ def test_owned_tiles(seed, few):
     keep = maps.snapshot()
     maps._cover(poses, beams_to(ends))
     touched = compiled.tiles_on_rays(ROWS, poses, ends, ORIGIN, CELL, 1)
+    maps._arena.reserve(8, 64)
     pages, tiles = maps._arena.free_ids
     results = []
     for kernels in (compiled, reference):

@@ -10,6 +10,32 @@ namespace gridslam {
 // process has them at work, or no more can be had, fewer take part.
 void run_in_threads(int others, void (*work)(void*), void* context);
 
+// The numbers from 0 to n - 1, which threads take one by one until none is left. An exception ends the loop.
+class SharedLoop {
+ public:
+  explicit SharedLoop(int n) : n_(n) {}
+  // Runs body(i) for numbers that no other thread has taken.
+  template <class Body>
+  void work(const Body& body) noexcept {
+    try {
+      for (int i; (i = next_.fetch_add(1, std::memory_order_relaxed)) < n_;) body(i);
+    } catch (...) {
+      next_.store(n_);
+      if (!has_failed_.exchange(true)) failure_ = std::current_exception();
+    }
+  }
+  // Throws again what a body has thrown first; call it when all threads have ended.
+  void rethrow() const {
+    if (has_failed_) std::rethrow_exception(failure_);
+  }
+
+ private:
+  const int n_;
+  std::atomic<int> next_{0};
+  std::atomic<bool> has_failed_{false};
+  std::exception_ptr failure_{};
+};
+
 // Runs body(i) for i in [0, n). Each i writes only what belongs to it, so the number of threads cannot change a result.
 template <class Body>
 void parallel_for(int n, int threads, const Body& body) {
@@ -20,24 +46,16 @@ void parallel_for(int n, int threads, const Body& body) {
   }
   struct Shared {
     const Body& body;
-    const int n;
-    std::atomic<int> next{0};
-    std::atomic<bool> failed{false};
-    std::exception_ptr failure{};
-  } shared{body, n};
+    SharedLoop loop;
+  } shared{body, SharedLoop(n)};
   run_in_threads(
       threads - 1,
       [](void* context) {
         Shared& s = *static_cast<Shared*>(context);
-        try {
-          for (int i; (i = s.next.fetch_add(1, std::memory_order_relaxed)) < s.n;) s.body(i);
-        } catch (...) {
-          s.next.store(s.n);
-          if (!s.failed.exchange(true)) s.failure = std::current_exception();
-        }
+        s.loop.work(s.body);
       },
       &shared);
-  if (shared.failed) std::rethrow_exception(shared.failure);
+  shared.loop.rethrow();
 }
 
 // Work that goes on in another thread while the one that asks for it does something else. That thread is kept, and

@@ -3,6 +3,7 @@
 #include <mutex>
 
 #include "rays.hpp"
+#include "threads.hpp"
 
 namespace gridslam {
 
@@ -78,9 +79,7 @@ class Insertion {
   std::vector<int> order_;  // by heading: the rays of poses that follow each other are often the same
   std::vector<uint8_t> is_written_;
   std::mutex ids_;
-  std::atomic<int> next_{0};
-  std::atomic<bool> has_failed_{false};
-  std::exception_ptr failure_{};
+  SharedLoop loop_;
 };
 // Lets fields follow what is pending from a call before, then inserts the scan. Returns 0; or kOutside if the tables do
 // not hold what may be written, kNoRoom if more tiles than `room` are crossed: nothing was inserted then.

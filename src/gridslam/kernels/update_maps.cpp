@@ -48,7 +48,8 @@ Insertion::Insertion(const Maps& m, const Arena& ids, const int32_t* rows, const
       e_(e),
       cone_(cone, reach),
       order_(k),
-      is_written_(k) {
+      is_written_(k),
+      loop_(k) {
   std::iota(order_.begin(), order_.end(), 0);
   const auto heading = [&](int i) {  // a NaN, which is refused later, has no order
     const double theta = poses_[3 * static_cast<size_t>(i) + 2];
@@ -99,12 +100,7 @@ bool Insertion::fits(int64_t room, bool exactly, int threads) const {
 }
 
 void Insertion::work() {
-  try {
-    for (int i; (i = next_.fetch_add(1, std::memory_order_relaxed)) < maps();) insert(order_[i]);
-  } catch (...) {
-    next_.store(maps());
-    if (!has_failed_.exchange(true)) failure_ = std::current_exception();
-  }
+  loop_.work([this](int i) { insert(order_[i]); });
 }
 
 void Insertion::insert(int i) {
@@ -142,7 +138,7 @@ bool Insertion::own_all(int row, const TileSet& tiles) {
 }
 
 std::vector<int32_t> Insertion::left() const {
-  if (has_failed_) std::rethrow_exception(failure_);
+  loop_.rethrow();
   std::vector<int32_t> found;
   for (int i = 0; i < maps(); ++i)
     if (!is_written_[i]) found.push_back(i);
