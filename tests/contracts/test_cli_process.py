@@ -105,7 +105,7 @@ def test_a_reader_that_goes_away_is_no_traceback(log, tmp_path):
     run.stderr.close()
 
 
-def test_an_interrupt_right_after_the_folder_aside_is_made_leaves_nothing(log, tmp_path):
+def test_an_interrupt_right_after_the_temporary_folder_is_made_leaves_nothing(log, tmp_path):
     code = """
 import os, signal, sys
 from gridslam.cli.main import main

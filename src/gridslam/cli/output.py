@@ -53,7 +53,7 @@ def open_output(path: Path, names: Sequence[str] = ()) -> Iterator[OutputFolder]
 
     with ExitStack() as stack:
         try:
-            with hold_interrupts():  # from when there is a folder aside to when it is certain to be removed
+            with hold_interrupts():  # until the temporary folder is certain to be removed
                 out = stack.enter_context(OutputFolder(path, names))
         except OutputError as error:
             raise click.ClickException(str(error)) from None
