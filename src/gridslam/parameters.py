@@ -90,18 +90,22 @@ def to_table(part: Any) -> Table:  # noqa: ANN401
     return {name: rule.write(getattr(part, name)) for name, rule in _rules(kind).items()}
 
 
-def replace_plainly(part: _Part, changes: Mapping[str, Any]) -> _Part | None:
+def replace_plainly(part: _Part, changes: object) -> _Part | None:
     """Part with other parameters, nested as `to_table` gives them; None where pydantic has to convert or refuse one."""
+    if not isinstance(changes, Mapping):
+        return None
     kind: Any = type(part)
     values = {}
     for name, change in changes.items():
         rule = _rules(kind).get(name)
-        below = getattr(part, name, None)
+        if rule is None:
+            return None
+        below = getattr(part, name)
         if isinstance(change, Mapping) and is_dataclass(below) and "kind" not in change:
             change = replace_plainly(below, change)
             if change is None:
                 return None
-        elif rule is None or not rule.accepts(change):
+        elif not rule.accepts(change):
             return None
         values[name] = change
     try:

@@ -78,6 +78,9 @@ def test_parameters_are_replaced_plainly_where_none_needs_to_be_converted_or_ref
         {"tracker": {"kind": "OdometryTracker"}},
         {"particles": {"insert_m": 0.3}},
         {"loop_closure": False},
+        ["particles"],  # as a damaged file may have it
+        {1: 2},
+        None,
     ],
 )
 def test_all_else_is_left_to_pydantic(changes):
