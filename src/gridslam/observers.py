@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
-from gridslam.median import median
 from gridslam.serialization import read_array, select_part
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectory
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
@@ -142,7 +141,7 @@ class Latency:
         """Summarize times (N,); zeros if there are none."""
         if not len(seconds):
             return cls(0.0, 0.0, 0.0)
-        return cls(median(seconds), float(np.percentile(seconds, 99)), float(seconds.max()))
+        return cls(float(np.median(seconds)), float(np.percentile(seconds, 99)), float(seconds.max()))
 
 
 @final

@@ -20,7 +20,6 @@ RANKS = {
     "scan": 2,
     "types": 3,
     "kernels": 1,
-    "median": 4,
     "grid": 4,
     "particles": 4,
     "models": 5,

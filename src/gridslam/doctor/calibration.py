@@ -24,7 +24,6 @@ import numpy as np
 from gridslam.doctor.intervals import Intervals, cumulative_headings, differences, interpolate_odometry, intervals
 from gridslam.doctor.laser_motion import LaserMotion
 from gridslam.geometry.angles import wrap
-from gridslam.median import median
 from gridslam.types import FloatArray
 
 __all__ = ["Fit", "MotionCalibration", "ParameterEstimate", "calibrate", "robust_fit"]
@@ -82,7 +81,7 @@ def robust_fit(design: FloatArray, response: FloatArray, least_spread: float = 1
         parameters = np.linalg.solve(regular, np.einsum("n,ndp,nd->p", weights, design, response))
         residuals = response - design @ parameters
         norms = np.sqrt(np.square(residuals).sum(axis=1))
-        spread = max(median(norms) / _MEDIAN_NORM[width - 1], least_spread)
+        spread = max(float(np.median(norms)) / _MEDIAN_NORM[width - 1], least_spread)
         scores = norms / spread
         weights = 1 / (1 + np.square(scores / _CAUCHY))
     pulls = np.einsum("n,ndp,nd->np", weights, design, residuals)
@@ -217,7 +216,7 @@ def _chords(ways: Intervals, laser: FloatArray) -> FloatArray:
 
 
 def _spread(sizes: FloatArray, of_unit: float) -> float:
-    return median(sizes) / of_unit if len(sizes) else math.nan
+    return float(np.median(sizes)) / of_unit if len(sizes) else math.nan
 
 
 def _ways(
@@ -355,7 +354,7 @@ def _rates(motion: LaserMotion) -> FloatArray:
     """Turn rates (K,) of the laser, rad/s, by differences over about 0.3 s; NaN where stamps are uneven."""
     apart, passed, turned = differences(motion)
     rates = np.full(len(motion), np.nan)
-    even = np.abs(passed / max(median(passed), 1e-9) - 1) < _UNEVEN if len(passed) else passed > 0
+    even = np.abs(passed / max(float(np.median(passed)), 1e-9) - 1) < _UNEVEN if len(passed) else passed > 0
     rates[apart:-apart] = np.where(even, turned / np.maximum(passed, 1e-3), np.nan)
     return rates
 

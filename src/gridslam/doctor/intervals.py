@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from gridslam.doctor.laser_motion import LaserMotion
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import adjoint, between
-from gridslam.median import median
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["Intervals", "cumulative_headings", "differences", "interpolate_odometry", "intervals", "turn_rates"]
@@ -102,7 +101,7 @@ def differences(motion: LaserMotion) -> tuple[int, FloatArray, FloatArray]:
     """Number of scans in half of 0.3 s; and the seconds and turns from as many before each scan to as many after."""
     times = np.maximum.accumulate(motion.seconds)
     headings = cumulative_headings(motion.poses)
-    apart = max(1, round(_RATE_OVER_S / 2 / max(median(np.diff(times)), 1e-3)))
+    apart = max(1, round(_RATE_OVER_S / 2 / max(float(np.median(np.diff(times))), 1e-3)))
     return apart, times[2 * apart :] - times[: -2 * apart], headings[2 * apart :] - headings[: -2 * apart]
 
 

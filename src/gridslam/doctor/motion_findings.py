@@ -18,7 +18,6 @@ from gridslam.doctor.intervals import turn_rates
 from gridslam.doctor.laser_motion import LaserMotion, LaserMotionEstimator
 from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
-from gridslam.median import median
 from gridslam.types import FloatArray, IntArray, ScanGeometry
 
 __all__ = ["MotionExaminer", "Slip", "motion_findings", "wheel_slips"]
@@ -307,7 +306,7 @@ def _slip_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Fi
         f"The wheels slipped {times}, {sizes.sum():.2f} m and {turns.sum():.2f} rad in all; most after "
         f"{(largest.stamp_ns - first_ns) * 1e-9:.0f} s: {largest.metres:.2f} m and {largest.radians:.2f} rad in "
         f"{largest.duration_s:.1f} s.",
-        *((median(sizes[ways]), "m") if ways.any() else (median(turns), "rad")),
+        *((np.median(sizes[ways]), "m") if ways.any() else (np.median(turns), "rad")),
         "Drive more gently there; scan matching compensates where walls constrain the motion.",
         motion.sensor,
         Figure("Wheel slip", "time, s", "m", (course,), marks),

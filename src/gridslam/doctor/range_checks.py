@@ -15,7 +15,6 @@ from gridslam.doctor.range_units import UNITS, PairComparison, RangeSizes, measu
 from gridslam.doctor.scan_prediction import disagreement_as_reported, move_laser
 from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
-from gridslam.median import median, medians
 from gridslam.types import FloatArray, LaserScan
 
 __all__ = ["RangeExaminer"]
@@ -145,13 +144,13 @@ class _Relations:
         unrelated = np.abs(np.concatenate([now - np.roll(now, count // 3), now - np.roll(now, count // 5)]))
         near = np.abs(np.diff(now))
         then = np.abs(now - np.log(before.ranges[both]))
-        self._medians.append((median(unrelated), median(near), median(then)))
+        self._medians.append((float(np.median(unrelated)), float(np.median(near)), float(np.median(then))))
 
     def find_random(self) -> tuple[float, float] | None:
         """Spreads of neighbours and of successive ranges as shares of that of unrelated ones, if these are no less."""
         if len(self._medians) < _FEWEST_SCANS:
             return None
-        unrelated, near, then = medians(self._medians).tolist()
+        unrelated, near, then = np.median(np.array(self._medians), axis=0).tolist()
         if unrelated < _SPREAD or min(near, then) < _UNRELATED * unrelated:
             return None
         return near / unrelated, then / unrelated

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import adjoint
-from gridslam.median import median
 from gridslam.types import FloatArray, LaserScan
 
 __all__ = ["FEWEST_BEAMS", "PolarScan", "disagreement_as_reported", "disagreements", "move_laser"]
@@ -69,7 +68,7 @@ class PolarScan:
         bearings[0] -= math.tau
         bearings[-1] += math.tau
         widths = np.diff(bearings)
-        gaps = np.flatnonzero(widths > max(_WIDEST_RAD, _WIDEST * median(widths)))
+        gaps = np.flatnonzero(widths > max(_WIDEST_RAD, _WIDEST * float(np.median(widths))))
         edges = np.concatenate([np.nextafter(bearings[gaps], np.inf), np.nextafter(bearings[gaps + 1], -np.inf)])
         places = np.tile(gaps + 1, 2)
         self._bearings: FloatArray = np.insert(bearings, places, edges)

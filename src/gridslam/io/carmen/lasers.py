@@ -16,7 +16,6 @@ from gridslam.io.carmen.lines import BeamLayout, LineError, ScanRows, parse_pose
 from gridslam.io.log_statistics import Mounting
 from gridslam.io.measurement import FARTHEST_LASER_M
 from gridslam.io.text import TextSource
-from gridslam.median import medians
 from gridslam.types import FloatArray, ScanGeometry
 
 __all__ = ["LASER_PARAMETERS", "SICK_NO_RETURN_M", "USED_PARAMETERS", "CarmenLasers"]
@@ -154,7 +153,7 @@ class CarmenLasers:
         offsets = se2.between(poses[:, 1], poses[:, 0])
         from_first = offsets - offsets[0]
         from_first[:, 2] = wrap(from_first[:, 2])  # a laser that looks backwards must not straddle the cut at pi
-        middle = medians(from_first)
+        middle = np.median(from_first, axis=0)
         mounting: FloatArray = offsets[0] + middle
         if (np.abs(from_first - middle) > _SAME_PLACE).any() or np.hypot(mounting[0], mounting[1]) >= _FARTHEST_M:
             return None
