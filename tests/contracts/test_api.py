@@ -79,6 +79,10 @@ def test_the_best_particle_alone_may_be_kept_and_the_answer_is_the_same(log):
     assert best.state.poses.tobytes() == every.state.poses[every.state.best].tobytes()
     assert best.trajectory.poses.tobytes() == every.trajectory.poses.tobytes()
     assert best.map.log_odds.tobytes() == every.map.log_odds.tobytes()
+    assert [*best.trajectories] == [*every.trajectories] == [drive.name for drive in every.map_piece.drives]
+    assert (best.state.closure_state, best.map_piece) == (None, None)  # so that no scan is held
+    with pytest.raises(errors.ArgumentError, match="one of all particles"):
+        best.to_session()
     run = partial(gridslam.map_log, particles=3)
     assert len(map_with_progress(gridslam.CarmenLog(log), run, Stopwatch(), shown=False).state.poses) == 1
 

@@ -31,7 +31,7 @@ from gridslam.io.maps import write_map
 from gridslam.io.measurement import Measurement
 from gridslam.io.output import OutputFolder
 from gridslam.io.results.record import RecordWriter
-from gridslam.io.sessions.drives import DrivenLog, SavedPiece
+from gridslam.io.sessions.drives import Drive, DrivenLog, SavedPiece
 from gridslam.io.sessions.session_file import SavedRun, SavedSession
 from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import write_tum
@@ -127,6 +127,8 @@ class MapResult(Result):
     map_piece : SavedPiece or None
         The map as a piece of a session, with the drives that have left it; None without loop closure, and if only the
         best particle was kept.
+    drives : tuple of Drive
+        The drives that have left the map, in the order of their key scans; none without loop closure.
     run : SavedRun or None
         The filter and its observers after the last scan; None if only the best particle was kept.
     pieces : tuple of SavedPiece
@@ -162,6 +164,7 @@ class MapResult(Result):
     failures: tuple[str, ...] = ()
     truth: Trajectory | None = None
     map_piece: SavedPiece | None = None
+    drives: tuple[Drive, ...] = ()
     run: SavedRun | None = None
     pieces: tuple[SavedPiece, ...] = ()
 
@@ -174,9 +177,9 @@ class MapResult(Result):
     def found_again(self) -> FoundAgain | None:
         """Where the robot was found in what earlier drives have left; None if it was not looked for, or not found."""
         state = None if self.run is None or self.run.state is None else self.run.state.closure_state
-        if state is None or state.joined < 0 or self.map_piece is None:
+        if state is None or state.joined < 0 or not self.drives:
             return None
-        *earlier, newest = self.map_piece.drives
+        *earlier, newest = self.drives
         first = int(newest.scans.keys[0])
         stamp_ns = int(newest.key_stamps_ns[state.joined_after - 1])
         return FoundAgain(tuple(drive.name for drive in earlier), stamp_ns, state.driven_before_found_m(first))
@@ -195,10 +198,10 @@ class MapResult(Result):
     @property
     def poses_by_drive(self) -> FloatArray:
         """The poses of `trajectory` (N, 3), one drive after the other."""
-        if self.map_piece is None or len(self.map_piece.drives) < 2:
+        if len(self.drives) < 2:
             return self.trajectory.poses
         poses = np.empty_like(self.trajectory.poses)
-        poses[np.argsort(self.map_piece.stamps_ns, kind="stable")] = self.trajectory.poses
+        poses[_sort_scans(self.drives)] = self.trajectory.poses
         return poses
 
     def to_session(self) -> SavedSession:
@@ -214,12 +217,10 @@ class MapResult(Result):
 
     def _by_drive(self, trajectory: Trajectory) -> dict[str, Trajectory]:
         """Split the trajectory of all drives by their names."""
-        drives = () if self.map_piece is None else self.map_piece.drives
+        drives = self.drives
         if len(drives) < 2:
             return {(drives[0].name if drives else self.source.stem): trajectory}
-        assert self.map_piece is not None
-        order = np.argsort(self.map_piece.stamps_ns, kind="stable")
-        own = np.repeat(np.arange(len(drives)), [len(drive.stamps_ns) for drive in drives])[order]
+        own = np.repeat(np.arange(len(drives)), [len(drive.stamps_ns) for drive in drives])[_sort_scans(drives)]
         return {
             drive.name: Trajectory(trajectory.stamps_ns[own == number], trajectory.poses[own == number])
             for number, drive in enumerate(drives)
@@ -336,7 +337,7 @@ class MapResult(Result):
 
     def _describe_session(self) -> dict[str, Any] | None:
         """What the map goes on from; None for a single log."""
-        drives = () if self.map_piece is None else self.map_piece.drives
+        drives = self.drives
         logs = [log for drive in drives for log in drive.logs]
         if len(logs) < 2 and not self.pieces and self.found_again is None:
             return None
@@ -582,7 +583,7 @@ def finish_mapping(
     for drive in drives:
         key_stamps_ns[np.unique(drive.scans.keys)] = drive.key_stamps_ns
     stamps_ns = np.concatenate([drive.stamps_ns for drive in drives])
-    order = np.argsort(stamps_ns, kind="stable") if len(drives) > 1 else np.arange(len(stamps_ns))
+    order = _sort_scans(drives) if len(drives) > 1 else np.arange(len(stamps_ns))
     return MapResult(
         trajectory=Trajectory(stamps_ns[order], full.poses[order]),
         covariances=full.covariances[order],
@@ -605,9 +606,15 @@ def finish_mapping(
         stopwatch=stopwatch,
         failures=failures,
         map_piece=SavedPiece(full.piece, drives) if full.piece is not None and keep_particles else None,
+        drives=() if full.piece is None else drives,
         run=run if keep_particles else None,
         pieces=pieces,
     )
+
+
+def _sort_scans(drives: Sequence[Drive]) -> IntArray:
+    """Order (N,) of the scans of all drives, one drive after the other, by their stamps."""
+    return np.argsort(np.concatenate([drive.stamps_ns for drive in drives]), kind="stable")
 
 
 def _describe_odometry_errors(state: TrackerState) -> dict[str, Any]:
