@@ -106,7 +106,7 @@ class Result(ABC):
         """Write all results into an open output folder; returns the content of run.json."""
         self.stopwatch.resume()
         self._write_files(out)
-        return_freed_memory()  # that of the other files' tables, before the picture needs its own
+        return_freed_memory()  # of scans, maps and tables, before the picture needs its own
         self.stopwatch.lap("write")
         failures = [*self.failures]
         try:

@@ -83,7 +83,7 @@ class GridFastSlamState:
         Reported noise of the odometry since its last accepted pose (see `OdometryNoise`).
     """
 
-    scans_per_snapshot: ClassVar[int] = 256  # maps are copied where they are written, 0.8 % of the time of these scans
+    scans_per_snapshot: ClassVar[int] = 256  # after each, maps are copied where they are written
 
     tracker: TrackerState
     key_pose: Pose
