@@ -613,7 +613,7 @@ def finish_mapping(
 
 
 def _sort_scans(drives: Sequence[Drive]) -> IntArray:
-    """Order (N,) of the scans of all drives, one drive after the other, by their stamps."""
+    """Indices (N,) that sort the scans of all drives, concatenated drive by drive, by their stamps."""
     return np.argsort(np.concatenate([drive.stamps_ns for drive in drives]), kind="stable")
 
 
