@@ -129,7 +129,7 @@ def _work(calls: dict[str, Call], poses: FloatArray, beams: Beams, resolution_m:
         "tiles_on_rays": (len(calls["tiles_on_rays"].result), "tile"),
         "make_tiles_writable": (len(calls["make_tiles_writable"].arguments[-1]), "tile"),
         "update": (round(float(cells.sum())), "cell on a ray"),
-        "max_pyramid": (calls["max_pyramid"].arguments[0].size, "cell"),
+        "max_pyramid": (calls["max_pyramid"].result[0].size, "cell"),
         "correlate": ((x1 - x0) * (y1 - y0) * len(searched[3]), "pose of the lattice"),
     }
 

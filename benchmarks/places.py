@@ -98,7 +98,7 @@ def _mapped(world: str, queries: int, rng: np.random.Generator) -> tuple[Pyramid
 
 
 def _cells(pyramid: Pyramid) -> str:
-    height, width = (side - 2 * 2 ** len(pyramid.fine) for side in pyramid.fine.shape[1:])
+    height, width = pyramid.shape
     return f"{width} x {height}"
 
 

@@ -24,25 +24,43 @@ def square(likelihood, y, x, side):
     return int(inside.max()) if inside.size else 0
 
 
+def pyramid_of(kernels, likelihood):
+    """That of a map of such likelihoods (H, W), in whole tiles."""
+    whole = np.pad(likelihood, [(0, -side % 32) for side in likelihood.shape])
+    tiles = whole.reshape(whole.shape[0] // 32, 32, whole.shape[1] // 32, 32).swapaxes(1, 2)
+    ids = np.arange(1, 1 + tiles.shape[0] * tiles.shape[1], dtype=np.int32).reshape(tiles.shape[:2])
+    field = np.concatenate([np.zeros((1, 32, 32), np.uint8), tiles.reshape(-1, 32, 32)])
+    return kernels.max_pyramid(field, ids, np.arange(256, dtype=np.uint8))
+
+
 @BOTH
-@pytest.mark.parametrize("levels", [1, 2, 3, 4])
 @pytest.mark.parametrize("shape", [(1, 1), (7, 3), (16, 33), (1, 90)])
-def test_the_pyramid_holds_the_maxima(kernels, levels, shape):
-    likelihood = np.random.default_rng(levels).integers(0, 256, shape, dtype=np.uint8)
+def test_the_pyramid_holds_the_maxima(kernels, shape):
+    likelihood = np.random.default_rng(1).integers(0, 256, shape, dtype=np.uint8)
     likelihood[likelihood < 200] //= 4
-    fine, top = kernels.max_pyramid(likelihood, levels)
-    side = 2**levels
-    rows, cols = shape[0] + 2 * side, shape[1] + 2 * side
-    assert fine.shape == (levels, rows, cols)
-    for y in range(-side, shape[0] + side):
-        for x in range(-side, shape[1] + side):
-            framed = y + side, x + side
-            assert [square(likelihood, y, x, 2**h) for h in range(levels)] == fine[:, framed[0], framed[1]].tolist()
-            at = framed[0] % side, framed[1] % side, framed[0] // side, 64 + framed[1] // side
-            assert top[at] == square(likelihood, y, x, side)
+    cells, nodes, top = pyramid_of(kernels, likelihood)
+    rows, cols = (side + -side % 32 + 32 for side in shape)
+    assert cells.shape == nodes.shape == (rows, cols)
+    for y in range(-16, rows - 16):
+        for x in range(-16, cols - 16):
+            framed = y + 16, x + 16
+            assert cells[framed] == square(likelihood, y, x, 1)
+            assert nodes[framed] == square(likelihood, y, x, 8)
+            at = framed[0] % 16, framed[1] % 16, framed[0] // 16, 32 + framed[1] // 16
+            assert top[at] == square(likelihood, y, x, 16)
     assert not top[:, :, -1].any()
-    assert not top[..., :64].any()
-    assert top.shape == (side, side, -(-rows // side) + 1, 64 - (-cols // side))
+    assert not top[..., :32].any()
+    assert top.shape == (16, 16, rows // 16 + 1, 32 + cols // 16)
+
+
+@BOTH
+def test_likelihoods_come_from_the_tiles_by_the_table(kernels):
+    rng = np.random.default_rng(2)
+    field = rng.integers(0, 256, (4, 32, 32), dtype=np.uint8)
+    table = rng.integers(0, 256, 256, dtype=np.uint8)
+    cells, *_ = kernels.max_pyramid(field, np.array([[2, 0, 2], [3, 1, 0]], np.int32), table)
+    expected = table[np.block([[field[2], field[0], field[2]], [field[3], field[1], field[0]]])]
+    np.testing.assert_array_equal(cells[16:-16, 16:-16], expected)
 
 
 def exhaustive(likelihood, ends, headings, window, centre, information, distance, places, floor, rival, apart):
@@ -94,16 +112,16 @@ def searches(draw):
     gate = centre, root @ root.T, draw(st.sampled_from([0.5, 1.0, 3.0]))
     wanted = draw(st.integers(1, 4)), draw(st.sampled_from([0, 1, 200, 500])), draw(st.sampled_from([0.0, 0.6, 1.0]))
     apart = draw(st.sampled_from([0.5, 3.0, 7.5])), draw(st.sampled_from([0.05, 0.35, 4.0]))
-    return likelihood, draw(st.integers(1, 4)), ends, headings, window, *gate, *wanted, apart
+    return likelihood, ends, headings, window, *gate, *wanted, apart
 
 
 @given(searches())
 @QUICK
 def test_the_search_equals_trying_every_pose(search):
-    likelihood, levels, ends, headings, window, *gate, places, floor, rival, apart = search
+    likelihood, ends, headings, window, *gate, places, floor, rival, apart = search
     expected = exhaustive(likelihood, ends, headings, window, *gate, places, floor, rival, apart)
     for kernels in (compiled, reference):
-        pyramid = kernels.max_pyramid(likelihood, levels)
+        pyramid = pyramid_of(kernels, likelihood)
         found = kernels.correlate(*pyramid, ends, headings, window, *gate, places, floor, rival, *apart)
         assert found.dtype == np.int32
         assert [tuple(place) for place in found.tolist()] == expected
@@ -128,7 +146,7 @@ def walls(rng, size=220):
 @pytest.mark.parametrize("gated", [False, True], ids=["box", "ellipse"])
 @pytest.mark.parametrize("seed", range(6))
 def test_both_agree_on_walls(seed, gated):
-    """Windows of many strips and levels, up to 256 points, several places; the first is where the points were seen."""
+    """Windows of many strips and rows, up to 256 points, several places; the first is where the points were seen."""
     rng = np.random.default_rng(seed)
     likelihood, points = walls(rng)
     truth = np.array([*(rng.integers(60, 160, 2) + 0.5), rng.uniform(-3, 3)])
@@ -142,7 +160,7 @@ def test_both_agree_on_walls(seed, gated):
     gate = truth + np.array([4.0, -3.0, 0.05]), np.linalg.inv(spread), 2.0
     if not gated:
         gate = truth, *ANYWHERE
-    pyramid = compiled.max_pyramid(likelihood, 3)
+    pyramid = pyramid_of(compiled, likelihood)
     args = *pyramid, ends, headings, window, *gate, 4, 40 * 256, 0.3, 12.0, 0.1
     found = compiled.correlate(*args)
     np.testing.assert_array_equal(found, reference.correlate(*args))
@@ -153,7 +171,7 @@ def test_both_agree_on_walls(seed, gated):
 
 @BOTH
 def test_nothing_is_found_below_the_floor_or_without_places(kernels):
-    pyramid = kernels.max_pyramid(np.full((20, 20), 100, np.uint8), 3)
+    pyramid = pyramid_of(kernels, np.full((20, 20), 100, np.uint8))
     for places, floor, expected in ((1, 201, 0), (1, 200, 1), (0, 0, 0)):
         window, headings = (5, 9, 5, 9), np.zeros(1)
         found = kernels.correlate(

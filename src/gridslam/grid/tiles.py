@@ -476,9 +476,17 @@ class TileMaps:
         square of `most_cells` a side, 410 m in cells of 5 cm, is cut to such a square, about the median of the tiles
         that hold something.
         """
-        ids, (tile_row, tile_column) = self.tile_ids(row)
+        tiles, ids, corner = self.field_tiles(row, most_cells)
         if not ids.any():
             return np.zeros((1, 1), np.uint8), (0, 0)
+        return tiles[ids].swapaxes(1, 2).reshape(len(ids) * TILE, -1), corner
+
+    def field_tiles(self, row: int, most_cells: int = 2**13) -> tuple[NDArray[np.uint8], Int32Array, tuple[int, int]]:
+        """The same unfolded: all maps' tiles (T, 32, 32) of it, the ids (R, C) of the rectangle's, and its corner.
+
+        The tiles are those that the maps go on with.
+        """
+        ids, (tile_row, tile_column) = self.tile_ids(row)
         side = most_cells // TILE
         if ids.size > side**2:
             middle = np.median(np.argwhere(ids), axis=0).astype(np.int64)
@@ -486,8 +494,7 @@ class TileMaps:
             ids = ids[top : top + side, left : left + side]
             tile_row += top
             tile_column += left
-        blocks = self._arena.field[ids]
-        return blocks.swapaxes(1, 2).reshape(len(blocks) * TILE, -1), (tile_row * TILE, tile_column * TILE)
+        return self._arena.field, np.ascontiguousarray(ids), (tile_row * TILE, tile_column * TILE)
 
     def tile_ids(self, row: int) -> tuple[Int32Array, tuple[int, int]]:
         """Ids (R, C) of the tiles of one map, 0 where there is none, and of their corner the (row, column) in tiles.

@@ -462,25 +462,26 @@ nb::bytes py_format_rows(Array<const int64_t, 1> stamps_ns, Array<const double, 
   return nb::bytes(text.data(), text.size());
 }
 
-auto py_max_pyramid(Array<const uint8_t, 2> likelihood, int levels) {
-  const size_t rows = likelihood.shape(0), cols = likelihood.shape(1), side = size_t{1} << levels;
-  auto fine = fresh<uint8_t, 3>({static_cast<size_t>(levels), rows + 2 * side, cols + 2 * side});
-  Pyramid<uint8_t> p{fine.data(), levels, static_cast<int>(rows + 2 * side), static_cast<int>(cols + 2 * side),
-                     nullptr};
-  auto top = fresh<uint8_t, 4>({side, side, static_cast<size_t>(p.top_rows()) + 1, static_cast<size_t>(p.stride())});
+auto py_max_pyramid(Field field, Array<const int32_t, 2> ids, Array<const uint8_t, 1> likelihood) {
+  const size_t rows = ids.shape(0) * kTile + 2 * kTop, cols = ids.shape(1) * kTile + 2 * kTop;
+  auto cells = fresh<uint8_t, 2>({rows, cols}), nodes = fresh<uint8_t, 2>({rows, cols});
+  Pyramid<uint8_t> p{cells.data(), nodes.data(), static_cast<int>(rows), static_cast<int>(cols), nullptr};
+  auto top = fresh<uint8_t, 4>({kTop, kTop, static_cast<size_t>(p.top_rows()) + 1, static_cast<size_t>(p.stride())});
   p.top = top.data();
   {
     nb::gil_scoped_release release;
-    max_pyramid(likelihood.data(), static_cast<int>(rows), static_cast<int>(cols), p);
+    max_pyramid(field.data(), ids.data(), static_cast<int>(ids.shape(0)), static_cast<int>(ids.shape(1)),
+                likelihood.data(), p);
   }
-  return std::make_tuple(fine, top);
+  return std::make_tuple(cells, nodes, top);
 }
 
-auto py_correlate(Array<const uint8_t, 3> fine, Array<const uint8_t, 4> top, Matrix ends, Vector headings,
-                  std::array<int, 4> window, Vector centre, Matrix information, double distance, int count, int min_sum,
-                  double min_runner_up_ratio, double min_distance_cells, double min_distance_rad) {
-  const Pyramid<const uint8_t> p{fine.data(), static_cast<int>(fine.shape(0)), static_cast<int>(fine.shape(1)),
-                                 static_cast<int>(fine.shape(2)), top.data()};
+auto py_correlate(Array<const uint8_t, 2> cells, Array<const uint8_t, 2> nodes, Array<const uint8_t, 4> top,
+                  Matrix ends, Vector headings, std::array<int, 4> window, Vector centre, Matrix information,
+                  double distance, int count, int min_sum, double min_runner_up_ratio, double min_distance_cells,
+                  double min_distance_rad) {
+  const Pyramid<const uint8_t> p{cells.data(), nodes.data(), static_cast<int>(cells.shape(0)),
+                                 static_cast<int>(cells.shape(1)), top.data()};
   const Lattice lattice{window[0], window[1],       window[2],
                         window[3], headings.data(), static_cast<int>(headings.shape(0))};
   std::vector<ScoredPose> found;
@@ -536,7 +537,8 @@ NB_MODULE(_compiled, m) {
         "pose"_a, "x"_a, "y"_a, "limit"_a, "most"_a, "last"_a);
   m.def("parse_numbers", &py_parse_numbers, "text"_a, "rows"_a);
   m.def("format_rows", &py_format_rows, "stamps_ns"_a, "values"_a, "is_fixed"_a, "separator"_a);
-  m.def("max_pyramid", &py_max_pyramid, "likelihood"_a, "levels"_a);
-  m.def("correlate", &py_correlate, "fine"_a, "top"_a, "ends"_a, "headings"_a, "window"_a, "centre"_a, "information"_a,
-        "distance"_a, "count"_a, "min_sum"_a, "min_runner_up_ratio"_a, "min_distance_cells"_a, "min_distance_rad"_a);
+  m.def("max_pyramid", &py_max_pyramid, "field"_a, "ids"_a, "likelihood"_a);
+  m.def("correlate", &py_correlate, "cells"_a, "nodes"_a, "top"_a, "ends"_a, "headings"_a, "window"_a, "centre"_a,
+        "information"_a, "distance"_a, "count"_a, "min_sum"_a, "min_runner_up_ratio"_a, "min_distance_cells"_a,
+        "min_distance_rad"_a);
 }

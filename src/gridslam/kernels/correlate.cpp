@@ -3,20 +3,12 @@
 
 #include <bit>
 #include <cstring>
-#include <memory>
 
 #include "correlate.hpp"
 
 namespace gridslam {
 
-GRIDSLAM_VERSIONS static void maxima(const uint8_t* in, int rows, int cols, int step, uint8_t* out) {
-  std::copy_n(in, static_cast<int64_t>(rows) * cols, out);  // at the far border there are zeros alone
-  for (int y = 0; y + step < rows; ++y) {
-    const uint8_t *a = in + static_cast<int64_t>(y) * cols, *b = a + static_cast<int64_t>(step) * cols;
-    uint8_t* o = out + static_cast<int64_t>(y) * cols;
-    for (int x = 0; x < cols - step; ++x) o[x] = std::max(std::max(a[x], a[x + step]), std::max(b[x], b[x + step]));
-  }
-}
+constexpr int kTopBits = std::countr_zero(static_cast<unsigned>(kTop));
 
 // Cell x of a row goes to place x / 8 of row x % 8 of those that begin `apart` from each other, 64 cells at a time;
 // returns how many places of each are filled.
@@ -38,30 +30,107 @@ static int split_by_eight(const uint8_t* in, int n, uint8_t* out, int64_t apart)
   return done;
 }
 
-void max_pyramid(const uint8_t* likelihood, int rows, int cols, const Pyramid<uint8_t>& out) {
-  const int64_t cells = static_cast<int64_t>(out.rows) * out.cols;
-  const int side = out.side(), levels = out.levels, across = out.cols, stride = out.stride();
-  std::fill_n(out.fine, cells, uint8_t{0});
-  for (int y = 0; y < rows; ++y)
-    std::copy_n(likelihood + static_cast<int64_t>(y) * cols, cols,
-                out.fine + static_cast<int64_t>(y + side) * across + side);
-  for (int h = 1; h < levels; ++h) maxima(out.level(h - 1), out.rows, across, 1 << (h - 1), out.level(h));
-  const std::unique_ptr<uint8_t[]> coarsest(new uint8_t[cells]);
-  maxima(out.level(levels - 1), out.rows, across, side / 2, coarsest.get());
-  std::fill_n(out.top, static_cast<int64_t>(side) * side * (out.top_rows() + 1) * stride, uint8_t{0});
-  for (int y = 0; y < out.rows; ++y) {
-    const uint8_t* in = coarsest.get() + static_cast<int64_t>(y) * across;
-    uint8_t* first = out.phase(y, 0) + static_cast<int64_t>(y >> levels) * stride;
-    const int64_t apart = out.phase(y, 1) - out.phase(y, 0);
-    const int done = side == 8 ? split_by_eight(in, across, first, apart) : 0;
-    for (int x = done << levels; x < across; ++x) first[(x & (side - 1)) * apart + (x >> levels)] = in[x];
+GRIDSLAM_VERSIONS static void halve(const uint8_t* GRIDSLAM_RESTRICT in, int n, uint8_t* GRIDSLAM_RESTRICT even,
+                                    uint8_t* GRIDSLAM_RESTRICT odd) {
+  for (int x = 0; x < n; ++x) even[x] = in[2 * x], odd[x] = in[2 * x + 1];
+}
+
+// The same by sixteen: cell x goes to place x / 16 of row x % 16. `halves` takes n values, n even.
+static void split_by_sixteen(const uint8_t* in, int n, uint8_t* halves, uint8_t* out, int64_t apart) {
+  static_assert(kTop == 16);
+  halve(in, n / 2, halves, halves + n / 2);
+  for (int odd : {0, 1}) {
+    const uint8_t* half = halves + odd * (n / 2);
+    uint8_t* first = out + odd * apart;
+    for (int x = 8 * split_by_eight(half, n / 2, first, 2 * apart); x < n / 2; ++x)
+      first[(x % 8) * 2 * apart + x / 8] = half[x];
+  }
+}
+
+GRIDSLAM_VERSIONS static void maxima(const uint8_t* GRIDSLAM_RESTRICT a, const uint8_t* GRIDSLAM_RESTRICT b, int n,
+                                     uint8_t* GRIDSLAM_RESTRICT out) {
+  for (int x = 0; x < n; ++x) out[x] = std::max(a[x], b[x]);
+}
+
+// Each of the first n values becomes the greatest of the kNode that begin with it; as many more can be read.
+GRIDSLAM_VERSIONS static void widen(uint8_t* values, int n) {
+  static_assert(kNode == 8);
+  for (int x = 0; x < n; ++x) values[x] = std::max(values[x], values[x + 1]);
+  for (int x = 0; x < n; ++x) values[x] = std::max(values[x], values[x + 2]);
+  for (int x = 0; x < n; ++x) values[x] = std::max(values[x], values[x + 4]);
+}
+
+namespace {
+
+// The greatest value of each square of kNode cells, and of kTop, for rows that are given from the last to the first:
+// each time rows that came before double the squares' height. Past the last row and column all is 0.
+class SquareMaxima {
+ public:
+  explicit SquareMaxima(int cols) : cols_(cols), rows_(kRows * static_cast<size_t>(cols + kTop)) {}
+
+  void add(int y, const uint8_t* cells) {
+    uint8_t* wide = row(0, y);
+    std::copy_n(cells, cols_, wide);
+    widen(wide, cols_);
+    for (int doubled = 0; doubled < 3; ++doubled)
+      maxima(row(doubled, y), row(doubled, y + (1 << doubled)), cols_, row(doubled + 1, y));
+    maxima(nodes(y), row(3, y + kNode), cols_, high_.data());
+    maxima(high_.data(), high_.data() + kNode, cols_, top_.data());
+  }
+  const uint8_t* nodes(int y) { return row(3, y); }
+  const uint8_t* top() const { return top_.data(); }
+
+ private:
+  static constexpr int kRows = 2 + 4 + 8 + 16;  // of squares 1, 2, 4 and 8 cells high
+  uint8_t* row(int doubled, int y) {
+    const int kept = 2 << doubled;
+    return rows_.data() + (kept - 2 + (y & (kept - 1))) * static_cast<size_t>(cols_ + kTop);
+  }
+  const int cols_;
+  std::vector<uint8_t> rows_, high_ = std::vector<uint8_t>(cols_ + kTop), top_ = std::vector<uint8_t>(cols_);
+};
+
+// A row of a map's likelihoods; of eight that are far from all, as most are, at once.
+void look_up_row(const uint8_t* field, const int32_t* ids, int tile_cols, int inside, const uint8_t* likelihood,
+                 uint8_t* out) {
+  for (int t = 0; t < tile_cols; ++t) {
+    const uint8_t* cells = field + static_cast<int64_t>(ids[t]) * kTileCells + inside * kTile;
+    for (int x0 = 0; x0 < kTile; x0 += 8, cells += 8, out += 8) {
+      uint64_t eight;
+      std::memcpy(&eight, cells, sizeof(eight));
+      if (!eight)
+        std::fill_n(out, 8, likelihood[0]);
+      else
+        for (int x = 0; x < 8; ++x) out[x] = likelihood[cells[x]];
+    }
+  }
+}
+
+}  // namespace
+
+void max_pyramid(const uint8_t* field, const int32_t* ids, int tile_rows, int tile_cols, const uint8_t* likelihood,
+                 const Pyramid<uint8_t>& out) {
+  std::fill_n(out.top, kTop * kTop * out.phase_size(), uint8_t{0});
+  SquareMaxima squares(out.cols);
+  std::vector<uint8_t> halves(out.cols);
+  for (int y = out.rows - 1; y >= 0; --y) {
+    uint8_t* cells = out.cells + out.index(y, 0);
+    std::fill_n(cells, out.cols, uint8_t{0});
+    const int in_map = y - kTop;
+    if (in_map >= 0 && in_map < tile_rows * kTile)
+      look_up_row(field, ids + static_cast<int64_t>(in_map >> kTileBits) * tile_cols, tile_cols, in_map & kTileMask,
+                  likelihood, cells + kTop);
+    squares.add(y, cells);
+    std::copy_n(squares.nodes(y), out.cols, out.nodes + out.index(y, 0));
+    uint8_t* first = out.phase(y, 0) + static_cast<int64_t>(y / kTop) * out.stride();
+    split_by_sixteen(squares.top(), out.cols, halves.data(), first, out.phase_size());
   }
 }
 
 namespace {
 
 struct Node {
-  int32_t bound, heading, y, x, level;  // poses [x, x + 2^level) x [y, y + 2^level) of one heading
+  int32_t bound, heading, y, x, side;  // poses [x, x + side) x [y, y + side) of one heading; side 1: a pose, its sum
   // Which of two comes later: of equal bounds the greater (heading, y, x), and so of equal poses the smallest comes
   // first.
   bool operator<(const Node& o) const {
@@ -86,7 +155,7 @@ struct Turned {
   }
 };
 
-// A row of nodes of the top level: for each beam where its first node looks.
+// A row of the largest nodes: for each beam where its first one looks.
 struct TopRow {
   std::vector<const uint8_t*> phase;
   std::vector<int> x, y;
@@ -94,7 +163,7 @@ struct TopRow {
   void aim(const Pyramid<const uint8_t>& p, const Turned& ends, int x0, int y0) {
     for (size_t j = 0; j < x.size(); ++j) {
       const int u = x0 + ends.x[j], v = y0 + ends.y[j];
-      phase[j] = p.phase(v, u), x[j] = u >> p.levels, y[j] = v >> p.levels;
+      phase[j] = p.phase(v, u), x[j] = u >> kTopBits, y[j] = v >> kTopBits;
     }
   }
 };
@@ -116,39 +185,44 @@ GRIDSLAM_INLINE void sum_strip(const Pyramid<const uint8_t>& p, const TopRow& ro
 GRIDSLAM_VERSIONS void bound_row(const Pyramid<const uint8_t>& p, const TopRow& row, int i0, int i1, int j,
                                  uint16_t* bounds) {
   for (int i = i0; i < i1;) {
-    const int left = i1 - i;
-    if (left > 48)
-      sum_strip<64>(p, row, i, j, bounds + i), i += 64;
-    else if (left > 32)
-      sum_strip<48>(p, row, i, j, bounds + i), i += 48;
-    else if (left > 16)
+    if (i1 - i > 16)
       sum_strip<32>(p, row, i, j, bounds + i), i += 32;
     else
       sum_strip<16>(p, row, i, j, bounds + i), i += 16;
   }
 }
 
-// Bounds of the four children of a node, by y and x.
-GRIDSLAM_VERSIONS void bound_children(const Pyramid<const uint8_t>& p, const Turned& ends, const Node& node,
-                                      int bounds[4]) {
-  const int step = 1 << (node.level - 1), side = p.side();
-  const uint8_t* values = p.level(node.level - 1);
-  const int64_t down = static_cast<int64_t>(step) * p.cols;
+// Bounds of the four nodes of a largest one, by y and x.
+GRIDSLAM_VERSIONS void bound_nodes(const Pyramid<const uint8_t>& p, const Turned& ends, int y0, int x0, int bounds[4]) {
+  const int64_t down = static_cast<int64_t>(kNode) * p.cols;
   int s0 = 0, s1 = 0, s2 = 0, s3 = 0;
-  for (size_t j = 0; j < ends.x.size(); ++j) {
-    const int x = std::clamp(node.x + ends.x[j], 0, p.cols - side),
-              y = std::clamp(node.y + ends.y[j], 0, p.rows - side);
-    const uint8_t* v = values + static_cast<int64_t>(y) * p.cols + x;
-    s0 += v[0], s1 += v[step], s2 += v[down], s3 += v[down + step];
+  for (size_t b = 0; b < ends.x.size(); ++b) {
+    const int y = std::clamp(y0 + ends.y[b], 0, p.rows - kTop), x = std::clamp(x0 + ends.x[b], 0, p.cols - kTop);
+    const uint8_t* v = p.nodes + p.index(y, x);
+    s0 += v[0], s1 += v[kNode], s2 += v[down], s3 += v[down + kNode];
   }
   bounds[0] = s0, bounds[1] = s1, bounds[2] = s2, bounds[3] = s3;
 }
 
-// The gate's quadratic form along a row of nodes of one level, y and heading.
+// Sums (kNode, kNode) of all poses of a node.
+GRIDSLAM_VERSIONS void sum_poses(const Pyramid<const uint8_t>& p, const Turned& ends, const Node& node,
+                                 uint16_t* sums) {
+  uint16_t added[kNode * kNode] = {};
+  for (size_t b = 0; b < ends.x.size(); ++b) {
+    const int y0 = std::clamp(node.y + ends.y[b], 0, p.rows - kTop),
+              x0 = std::clamp(node.x + ends.x[b], 0, p.cols - kTop);
+    const uint8_t* cells = p.cells + p.index(y0, x0);
+    for (int y = 0; y < kNode; ++y, cells += p.cols)
+      for (int x = 0; x < kNode; ++x) added[y * kNode + x] = static_cast<uint16_t>(added[y * kNode + x] + cells[x]);
+  }
+  std::copy_n(added, kNode * kNode, sums);
+}
+
+// The gate's quadratic form along a row of nodes of one side, y and heading.
 class Form {
  public:
   Form(const Gate& gate, const Node& node, double heading)
-      : x0_(gate.centre[0]), xx_(gate.information[0]), half_(0.5 * ((1 << node.level) - 1)), is_pose_(node.level == 0) {
+      : x0_(gate.centre[0]), xx_(gate.information[0]), half_(0.5 * (node.side - 1)), is_pose_(node.side == 1) {
     const double *c = gate.centre, *m = gate.information, y = node.y + half_ + 0.5 - c[1], t = heading - c[2];
     across_ = 2 * (m[1] * y + m[2] * t), aside_ = y * (m[4] * y + 2 * m[5] * t), turned_ = m[8] * t * t;
     const double reach = gate.distance + half_ * std::sqrt(m[0] + m[4] + 2 * std::abs(m[1]));
@@ -173,7 +247,7 @@ class Search {
          const SearchLimits& limits)
       : p_(p), lattice_(lattice), gate_(gate), limits_(limits), least_(limits.min_sum) {
     turned_.reserve(lattice.turns);
-    for (int a = 0; a < lattice.turns; ++a) turned_.emplace_back(ends, b, lattice.headings[a], p.side());
+    for (int a = 0; a < lattice.turns; ++a) turned_.emplace_back(ends, b, lattice.headings[a], kTop);
   }
 
   void run(std::vector<ScoredPose>& found) {
@@ -184,25 +258,27 @@ class Search {
       queue_.pop_back();
       if (node.bound < least_) return;
       if (is_near_found_pose(node, found)) continue;
-      if (node.level > 0) {
-        branch(node);
+      if (node.side > 1) {
+        push_poses(node);
       } else {
         found.push_back({node.bound, node.heading, node.y, node.x});
-        least_ = std::max<double>(least_, limits_.min_runner_up_ratio * found.front().sum);
+        const double least = std::ceil(limits_.min_runner_up_ratio * found.front().sum);
+        least_ = std::max(least_, static_cast<int>(least));
       }
     }
   }
 
  private:
+  // The largest nodes side by side, and at once those in what is left of them.
   void bound_all() {
-    const int side = p_.side(), nx = (lattice_.x1 - lattice_.x0 + side - 1) >> p_.levels,
-              ny = (lattice_.y1 - lattice_.y0 + side - 1) >> p_.levels;
+    const int nx = (lattice_.x1 - lattice_.x0 + kTop - 1) >> kTopBits,
+              ny = (lattice_.y1 - lattice_.y0 + kTop - 1) >> kTopBits;
     std::vector<uint16_t> bounds(nx + kStrip);
     for (int a = 0; a < lattice_.turns; ++a) {
       TopRow row(turned_[a].x.size());
       row.aim(p_, turned_[a], lattice_.x0, lattice_.y0);
       for (int j = 0; j < ny; ++j) {
-        const auto node = [&](int i) { return Node{0, a, lattice_.y0 + j * side, lattice_.x0 + i * side, p_.levels}; };
+        const auto node = [&](int i) { return Node{0, a, lattice_.y0 + j * kTop, lattice_.x0 + i * kTop, kTop}; };
         const Form form(gate_, node(0), lattice_.headings[a]);
         int first = 0, last = nx;
         while (first < last && !form.may_pass(node(first).x)) ++first;
@@ -210,29 +286,41 @@ class Search {
         if (first == last) continue;
         bound_row(p_, row, first, last, j, bounds.data());
         for (int i = first; i < last; ++i)
-          if (bounds[i] >= least_) queue_.push_back(node(i)), queue_.back().bound = bounds[i];
+          if (bounds[i] >= least_) push_nodes(node(i));
       }
     }
     std::make_heap(queue_.begin(), queue_.end());
   }
 
-  void branch(const Node& node) {
+  void push_nodes(const Node& largest) {
     int bounds[4];
-    bound_children(p_, turned_[node.heading], node, bounds);
-    const int step = 1 << (node.level - 1);
+    bound_nodes(p_, turned_[largest.heading], largest.y, largest.x, bounds);
     for (int k = 0; k < 4; ++k) {
-      const Node child{bounds[k], node.heading, node.y + (k >> 1) * step, node.x + (k & 1) * step, node.level - 1};
-      if (child.bound < least_ || child.x >= lattice_.x1 || child.y >= lattice_.y1 || !may_pass(child)) continue;
-      queue_.push_back(child);
-      std::push_heap(queue_.begin(), queue_.end());
+      const Node node{bounds[k], largest.heading, largest.y + (k >> 1) * kNode, largest.x + (k & 1) * kNode, kNode};
+      if (node.bound >= least_ && may_pass(node)) queue_.push_back(node);
     }
   }
 
-  bool may_pass(const Node& node) const { return Form(gate_, node, lattice_.headings[node.heading]).may_pass(node.x); }
+  void push_poses(const Node& node) {
+    uint16_t sums[kNode * kNode];
+    sum_poses(p_, turned_[node.heading], node, sums);
+    for (int y = 0; y < kNode; ++y)
+      for (int x = 0; x < kNode; ++x) {
+        const Node pose{sums[y * kNode + x], node.heading, node.y + y, node.x + x, 1};
+        if (pose.bound < least_ || !may_pass(pose)) continue;
+        queue_.push_back(pose);
+        std::push_heap(queue_.begin(), queue_.end());
+      }
+  }
+
+  bool may_pass(const Node& node) const {
+    const bool begins_inside = node.x < lattice_.x1 && node.y < lattice_.y1;
+    return begins_inside && Form(gate_, node, lattice_.headings[node.heading]).may_pass(node.x);
+  }
 
   // Whether all poses of the node are at one of the places found.
   bool is_near_found_pose(const Node& node, const std::vector<ScoredPose>& found) const {
-    const int more = (1 << node.level) - 1;
+    const int more = node.side - 1;
     for (const ScoredPose& place : found) {
       const double turn = std::remainder(lattice_.headings[node.heading] - lattice_.headings[place.heading], 2 * kPi);
       const double x = std::max(std::abs(node.x - place.x), std::abs(node.x + more - place.x));
@@ -247,7 +335,7 @@ class Search {
   const Lattice& lattice_;
   const Gate& gate_;
   const SearchLimits& limits_;
-  double least_;
+  int least_;  // that a pose needs now
   std::vector<Turned> turned_;
   std::vector<Node> queue_;
 };

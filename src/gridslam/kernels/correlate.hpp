@@ -1,32 +1,35 @@
-// Searching a whole window of a map for a scan: the pyramid of maxima, and branch and bound over it.
+// Searching a whole window of a map for a scan: maxima of its squares, and branch and bound over them.
 #pragma once
 #include "maps.hpp"
 
 namespace gridslam {
 
-constexpr int kStrip = 64;  // nodes of a row that are bounded at once, and the zeros before each row of `top`
+constexpr int kNode = 8;    // cells a side of a node
+constexpr int kTop = 16;    // and of the largest one, four nodes
+constexpr int kStrip = 32;  // largest nodes of a row that are bounded at once, and the zeros before each row of `top`
 
-// For each level h the greatest value of the square of 2^h cells that begins at a cell. Levels below the top lie as the
-// map does, in a frame of `side` zeros; the top is split by the cells' remainders modulo its side, so that neighbouring
-// nodes are neighbouring bytes.
+// A map's likelihoods in a frame of kTop zeros, and the greatest of each square of cells, by the cell at which it
+// begins. Those of the largest squares are split by the cells' remainders modulo kTop, so that neighbouring nodes are
+// neighbouring bytes.
 template <class Byte>
 struct Pyramid {
-  Byte* fine;  // (levels, rows, cols): cell (y, x) of the map at [y + side, x + side]
-  int levels, rows, cols;
-  Byte* top;  // (side, side, top_rows + 1, kStrip + top_cols): zeros before each row and in the last
+  Byte *cells, *nodes;  // (rows, cols): cell (y, x) of the map at [y + kTop, x + kTop]
+  int rows, cols;
+  Byte* top;  // (kTop, kTop, top_rows + 1, kStrip + top_cols): zeros before each row and in the last
 
-  int side() const { return 1 << levels; }
-  int top_rows() const { return (rows + side() - 1) >> levels; }
-  int top_cols() const { return (cols + side() - 1) >> levels; }
+  int top_rows() const { return (rows + kTop - 1) / kTop; }
+  int top_cols() const { return (cols + kTop - 1) / kTop; }
   int stride() const { return kStrip + top_cols(); }
-  Byte* level(int h) const { return fine + static_cast<int64_t>(h) * rows * cols; }
-  Byte* phase(int y, int x) const {  // of the node that begins at frame cell (y, x); its first row's first node
-    const int mask = side() - 1;
-    return top + static_cast<int64_t>(((y & mask) << levels) + (x & mask)) * (top_rows() + 1) * stride() + kStrip;
+  int64_t index(int y, int x) const { return static_cast<int64_t>(y) * cols + x; }
+  int64_t phase_size() const { return static_cast<int64_t>(top_rows() + 1) * stride(); }
+  Byte* phase(int y, int x) const {  // of the square that begins at frame cell (y, x); its first row's first
+    return top + ((y & (kTop - 1)) * kTop + (x & (kTop - 1))) * phase_size() + kStrip;
   }
 };
 
-void max_pyramid(const uint8_t* likelihood, int rows, int cols, const Pyramid<uint8_t>& out);
+// The likelihoods are those of the distances in tiles `ids` (tile_rows, tile_cols) of `field`, by a table of 256.
+void max_pyramid(const uint8_t* field, const int32_t* ids, int tile_rows, int tile_cols, const uint8_t* likelihood,
+                 const Pyramid<uint8_t>& out);
 
 // Lattice poses: the scan's origin at the centre of a cell [x0, x1) x [y0, y1) of the map, and one of the headings.
 struct Lattice {

@@ -1,6 +1,6 @@
 """The NumPy twins of the compiled kernels: what each computes, readable; the oracle of their tests, and the fallback.
 
-All functions but `max_pyramid`, `correlate` and `sum_at_ends`, which work on one plain array, `parse_numbers`,
+All functions but `max_pyramid`, `correlate` and `sum_at_ends`, which work on what they are given, `parse_numbers`,
 `format_rows` and those of landmarks work on maps of one layout, five arguments that always come first:
 
 roots : (R, P, Q) int32
@@ -450,39 +450,50 @@ def _sum_some(
 
 Bytes = NDArray[np.uint8]
 
-_STRIP = 64  # zeros before each row of the top level
+_TOP = 16  # cells a side of the largest squares whose greatest value is known
+_STRIP = 32  # zeros before each row of these
 
 
-def max_pyramid(likelihood: Bytes, levels: int) -> tuple[Bytes, Bytes]:
-    """For each level h the greatest value of the square of 2^h cells that begins at each cell of `likelihood` (H, W).
+def max_pyramid(field: Bytes, ids: Int32Array, likelihood: Bytes) -> tuple[Bytes, Bytes, Bytes]:
+    """A map's likelihoods, and the greatest of each square of 8 x 8 and of 16 x 16 cells.
+
+    Parameters
+    ----------
+    field : (T, 32, 32) uint8
+        Tiles of distances.
+    ids : (R, C) int32
+        Of the tiles of the map.
+    likelihood : (256,) uint8
+        Of each distance.
 
     Returns
     -------
-    fine : (levels, H + 2 s, W + 2 s) uint8
-        Levels 0 to `levels` - 1 in a frame of s = 2^levels cells; outside the map all is 0.
-    top : (s, s, Q + 1, 64 + P) uint8
-        Level `levels`, every s-th cell together: [y mod s, x mod s, y / s, 64 + x / s] of the framed cell (y, x). The
-        last row and the first 64 columns are 0.
+    cells, nodes : (H, W) uint8
+        The likelihoods in a frame of 16 zeros, H = 32 R + 32, W = 32 C + 32; and the greatest of each 8 x 8 cells that
+        begin at a framed cell.
+    top : (16, 16, H / 16 + 1, 32 + W / 16) uint8
+        [y mod 16, x mod 16, y / 16, 32 + x / 16] is the greatest of the 16 x 16 that begin at framed cell (y, x). The
+        last row and the first 32 columns are 0.
 
     References
     ----------
     Hess et al., Real-time loop closure in 2D lidar SLAM (ICRA 2016), precomputed grids.
     """
-    side = 2**levels
-    fine = [np.pad(likelihood, side)]
-    for h in range(levels):
-        below = np.pad(fine[h], (0, 2**h))
-        step = 2**h
-        halves = np.maximum(below[:, :-step], below[:, step:])
-        fine.append(np.maximum(halves[:-step], halves[step:]))
-    rows, cols = fine[0].shape
-    whole = np.pad(fine.pop(), ((0, -rows % side), (0, -cols % side)))
-    split = whole.reshape(whole.shape[0] // side, side, whole.shape[1] // side, side).transpose(1, 3, 0, 2)
-    return np.stack(fine), np.ascontiguousarray(np.pad(split, ((0, 0), (0, 0), (0, 1), (_STRIP, 0))))
+    tiles = likelihood[field[ids]].swapaxes(1, 2)
+    cells = np.pad(tiles.reshape(tiles.shape[0] * tiles.shape[1], -1), _TOP)
+    height, width = cells.shape
+    squares = [np.pad(cells, ((0, _TOP), (0, _TOP)))]
+    for step in (1, 2, 4, 8):
+        wide = np.maximum(squares[-1][:, :-step], squares[-1][:, step:])
+        squares.append(np.maximum(wide[:-step], wide[step:]))
+    nodes, largest = (np.ascontiguousarray(squares[k][:height, :width]) for k in (3, 4))
+    split = largest.reshape(height // _TOP, _TOP, width // _TOP, _TOP).transpose(1, 3, 0, 2)
+    return cells, nodes, np.ascontiguousarray(np.pad(split, ((0, 0), (0, 0), (0, 1), (_STRIP, 0))))
 
 
 def correlate(
-    fine: Bytes,
+    cells: Bytes,
+    nodes: Bytes,
     top: Bytes,
     ends: FloatArray,
     headings: FloatArray,
@@ -504,7 +515,7 @@ def correlate(
 
     Parameters
     ----------
-    fine, top : arrays of `max_pyramid`
+    cells, nodes, top : arrays of `max_pyramid`
     ends : (B, 2) float64, cells
         From the scan's origin, B <= 256.
     window : (int, int, int, int)
@@ -530,7 +541,9 @@ def correlate(
     """
     poses = [np.zeros((0, 4), np.int64)]
     for index, heading in enumerate(headings.tolist()):
-        sums = np.where(_within(window, heading, centre, information, distance), _sums(fine, ends, heading, window), -1)
+        sums = np.where(
+            _within(window, heading, centre, information, distance), _sums(cells, ends, heading, window), -1
+        )
         y, x = np.nonzero(sums >= max(min_sum, 0))
         poses.append(np.column_stack([sums[y, x], np.full(len(y), index), y + window[2], x + window[0]]))
     left = np.concatenate(poses)
@@ -546,11 +559,10 @@ def correlate(
     return np.array(found, dtype=np.int32).reshape(-1, 4)
 
 
-def _sums(fine: Bytes, ends: FloatArray, heading: float, window: tuple[int, int, int, int]) -> IntArray:
+def _sums(cells: Bytes, ends: FloatArray, heading: float, window: tuple[int, int, int, int]) -> IntArray:
     """Sums (y1 - y0, x1 - x0) of the window's poses with one heading."""
     (x0, x1, y0, y1) = window
-    border = 2 ** len(fine)
-    likelihood = fine[0, border:-border, border:-border]
+    likelihood = cells[_TOP:-_TOP, _TOP:-_TOP]
     height, width = likelihood.shape
     c = math.cos(heading)
     s = math.sin(heading)

@@ -21,8 +21,8 @@ from gridslam.types import FloatArray, IntArray
 
 __all__ = ["BranchAndBound", "LatticeMatch", "Pyramid", "thin_points"]
 
-_LEVELS = 3
-"""Nodes of 8 x 8 cells are bounded side by side, all of them; larger ones bound too little to be worth their time."""
+_FRAME = 16
+"""Cells without a likelihood all around those of a pyramid's map."""
 
 _MOST_POINTS = 256
 """So many sums of a byte fit in two."""
@@ -35,7 +35,7 @@ class Pyramid:
 
     Attributes
     ----------
-    fine, top : uint8 arrays
+    cells, nodes, top : uint8 arrays
         See `gridslam.kernels.reference.max_pyramid`.
     corner : (int, int)
         The cell (row, column) of the world that is the map's first.
@@ -43,10 +43,17 @@ class Pyramid:
         Side of a cell.
     """
 
-    fine: NDArray[np.uint8]
+    cells: NDArray[np.uint8]
+    nodes: NDArray[np.uint8]
     top: NDArray[np.uint8]
     corner: tuple[int, int]
     resolution_m: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the map's cells."""
+        height, width = self.cells.shape
+        return height - 2 * _FRAME, width - 2 * _FRAME
 
     @classmethod
     def of(cls, maps: TileMaps, row: int, cauchy_m: float = 0.1, most_cells: int = 2**13) -> Pyramid:
@@ -54,13 +61,12 @@ class Pyramid:
 
         Of a map of more cells than a square of `most_cells` a side only such a square (see `TileMaps.field`).
         """
-        field, corner = maps.field(row, most_cells)
+        field, ids, corner = maps.field_tiles(row, most_cells)
         distance_m = maps.reach_m * (1 - np.arange(256) / 255)
         likelihood = np.rint(255 / (1 + np.square(distance_m / cauchy_m))).astype(np.uint8)
         likelihood[0] = 0
-        values = field.tobytes().translate(likelihood.tobytes())  # take() would make an index of 8 bytes for each
-        fine, top = backend.max_pyramid(np.frombuffer(values, np.uint8).reshape(field.shape), _LEVELS)
-        return cls(fine, top, corner, maps.resolution_m)
+        cells, nodes, top = backend.max_pyramid(field, ids, likelihood)
+        return cls(cells, nodes, top, corner, maps.resolution_m)
 
 
 @final
@@ -167,7 +173,8 @@ class BranchAndBound:
         across, up = np.ceil(sides[:2] / cell).astype(int).tolist()
         unit = np.array([cell, cell, 1.0])
         places = backend.correlate(
-            pyramid.fine,
+            pyramid.cells,
+            pyramid.nodes,
             pyramid.top,
             few / cell,
             headings,

@@ -218,8 +218,7 @@ def test_a_map_far_from_the_origin_is_searched_alike():
 def test_likelihoods_are_the_weights_of_the_distances(room, pyramid):
     field, corner = room.field(0)
     assert pyramid.corner == corner
-    border = 2 ** len(pyramid.fine)
-    likelihood = pyramid.fine[0, border:-border, border:-border]
+    likelihood = pyramid.cells[16:-16, 16:-16]
     assert likelihood.shape == field.shape
     distance_m = room.reach_m * (1 - field / 255)
     expected = np.where(field > 0, 255 / (1 + (distance_m / 0.1) ** 2), 0)

@@ -221,7 +221,7 @@ class EarlierPieces:
         """Poses (3,) in the middle of the squares that cover a piece's map."""
         pyramid = self._pyramids[number]
         low = np.array(pyramid.corner)[::-1] * pyramid.resolution_m
-        sides = np.array(pyramid.fine.shape[:0:-1]) * pyramid.resolution_m
+        sides = np.array(pyramid.shape[::-1]) * pyramid.resolution_m
         across, up = np.ceil(sides / (2 * _WINDOW_M)).astype(int).tolist()
         for column in range(across):
             for row in range(up):
