@@ -325,5 +325,5 @@ def test_searches_share_a_pyramid_until_a_scan_is_inserted():
     state.insert(scan.beams(0.05, 30.0), 20)
     second = search.local_pyramid(state)
     expected = Pyramid.of(state.maps, state.matched_map)
-    np.testing.assert_array_equal(second.fine, expected.fine)
-    assert second.fine.tobytes() != first.fine.tobytes()
+    np.testing.assert_array_equal(second.cells, expected.cells)
+    assert second.cells.tobytes() != first.cells.tobytes()
