@@ -6,6 +6,7 @@ python benchmarks/kernels.py [--particles 30] [--scans 400] [--repeats 20]
 from __future__ import annotations
 
 import argparse
+import inspect
 import statistics
 import time
 from collections.abc import Callable
@@ -118,8 +119,8 @@ def _work(calls: dict[str, Call], poses: FloatArray, beams: Beams, resolution_m:
     angles = poses[:, 2:] + bearing
     cells = reach * np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles))) / resolution_m
     looked_up = len(poses) * len(beams)
-    searched = calls["correlate"].arguments
-    x0, x1, y0, y1 = searched[4]
+    searched = inspect.signature(reference.correlate).bind(*calls["correlate"].arguments).arguments
+    x0, x1, y0, y1 = searched["window"]
     return {
         "match": (looked_up, "beam"),
         "match_pose": (len(beams), "beam"),
@@ -130,7 +131,7 @@ def _work(calls: dict[str, Call], poses: FloatArray, beams: Beams, resolution_m:
         "make_tiles_writable": (len(calls["make_tiles_writable"].arguments[-1]), "tile"),
         "update": (round(float(cells.sum())), "cell on a ray"),
         "max_pyramid": (calls["max_pyramid"].result[0].size, "cell"),
-        "correlate": ((x1 - x0) * (y1 - y0) * len(searched[3]), "pose of the lattice"),
+        "correlate": ((x1 - x0) * (y1 - y0) * len(searched["headings"]), "pose of the lattice"),
     }
 
 
