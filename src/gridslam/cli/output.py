@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import signal
 import sys
@@ -62,6 +61,8 @@ def open_output(path: Path, names: Sequence[str] = ()) -> Iterator[OutputFolder]
 
 def print_json(document: Mapping[str, Any]) -> None:
     """Print the one object that --json promises."""
+    import json  # only who asks for it pays for its import
+
     click.echo(json.dumps(document, indent=2, allow_nan=False))
 
 

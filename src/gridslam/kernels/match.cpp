@@ -1,5 +1,7 @@
 // Gauss-Newton of a scan on the distance field, robustified by Cauchy weights; one independent problem for each guess.
 
+#include <bit>
+
 #include "field.hpp"
 
 namespace gridslam {
@@ -68,10 +70,11 @@ struct Residuals {
   View view;
   std::vector<float> value, ju, jv, beyond;
   std::vector<int32_t> asked;
+  std::vector<uint32_t> kept;  // bits of theirs: all where the cell is known, or none
   void resize(size_t n) {
     if (value.size() >= n) return;
     for (auto* part : {&value, &ju, &jv, &beyond}) part->resize(n);
-    asked.resize(n);
+    asked.resize(n), kept.resize(n);
   }
 };
 
@@ -101,11 +104,12 @@ void ignore_beyond(const Maps& m, const int32_t* root, int n, Residuals& r) {
   const float* beyond = r.beyond.data();
   int count = 0;
   for (int j = 0; j < n; ++j) asked[count] = j, count += beyond[j] > 0;  // without a branch: they are scattered
-  for (int i = 0; i < count; ++i) {
-    const int j = asked[i];
-    const bool unknown = m.is_unknown(root, r.view.end_y(j), r.view.end_x(j));
-    r.ju[j] = unknown ? 0.0f : r.ju[j], r.jv[j] = unknown ? 0.0f : r.jv[j];
-  }
+  for (int i = 0; i < count; ++i)  // no branch waits for a cell, so that many are on their way from memory at once
+    r.kept[i] = static_cast<uint32_t>(m.is_unknown(root, r.view.end_y(asked[i]), r.view.end_x(asked[i]))) - 1;
+  const auto keep = [](float& value, uint32_t bits) {
+    value = std::bit_cast<float>(std::bit_cast<uint32_t>(value) & bits);
+  };
+  for (int i = 0; i < count; ++i) keep(r.ju[asked[i]], r.kept[i]), keep(r.jv[asked[i]], r.kept[i]);
 }
 
 GRIDSLAM_VERSIONS Normal add_up(const Residuals& r, int n, int filled, float reach, float to_cells,

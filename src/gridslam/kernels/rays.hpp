@@ -12,7 +12,10 @@ class TileSet {
     y0 = y_min, x0 = x_min, rows = y_max - y_min + 1, cols = x_max - x_min + 1;
     marks_.assign(static_cast<size_t>(rows) * cols, 0);
   }
-  void mark(int ty, int tx) { marks_[static_cast<size_t>(ty - y0) * cols + (tx - x0)] = 1; }
+  // A tile's place in the bitmap; of tiles beside it, `cols` or 1 before and after.
+  ptrdiff_t index(int ty, int tx) const { return static_cast<ptrdiff_t>(ty - y0) * cols + (tx - x0); }
+  void mark_at(ptrdiff_t index) { marks_[static_cast<size_t>(index)] = 1; }
+  void mark(int ty, int tx) { mark_at(index(ty, tx)); }
   // Calls visit(tile y, tile x) for those that are marked, ascending.
   template <class Visit>
   void each(const Visit& visit) const {

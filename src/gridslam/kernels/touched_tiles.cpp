@@ -16,22 +16,31 @@ GRIDSLAM_VERSIONS void lines(const Pose& pose, const double* GRIDSLAM_RESTRICT e
   }
 }
 
+// Marks the tiles in which a line frees cells, and that of its end. The minor axis is monotone, and within a tile's
+// width it crosses one border at most: so the first and the last cell there tell all.
 void mark(const Line& line, TileSet& set) {
   const int most = line.n <= kFreeCells ? line.n : kFreeCells - 1;
   if (most < line.n) {
     const int end = line.major(line.n) >> kTileBits, aside = line.minor(line.n) >> kTileBits;
     line.along_x ? set.mark(aside, end) : set.mark(end, aside);
   }
-  for (int i = 0; i <= most;) {
-    const int major = line.major(i), inside = major & kTileMask, tile = major >> kTileBits;
-    const int last = std::min(most, i + (line.major_step > 0 ? kTileMask - inside : inside));
-    for (const int end :
-         {i, last}) {  // the minor axis is monotone, and within a tile's width it crosses one border at most
-      const int aside = line.minor(end) >> kTileBits;
-      line.along_x ? set.mark(aside, tile) : set.mark(tile, aside);
-    }
-    i = last + 1;
+  const int major = line.major(0), minor = line.minor(0), inside = major & kTileMask;
+  const ptrdiff_t across = line.along_x ? set.cols : 1, along = line.major_step * (line.along_x ? 1 : set.cols);
+  ptrdiff_t first =
+      line.along_x ? set.index(0, major >> kTileBits) : set.index(major >> kTileBits, 0);  // by minor tile
+  const auto touch = [&](uint64_t aside) {
+    set.mark_at(first + ((minor + static_cast<int>(aside >> 32) * line.minor_step) >> kTileBits) * across);
+  };
+  uint64_t aside = line.start;
+  int left = most, steps = line.major_step > 0 ? kTileMask - inside : inside;  // to the last cell in the tile
+  for (; left > steps; left -= steps + 1, steps = kTileMask, first += along) {
+    touch(aside);
+    aside += static_cast<uint64_t>(steps) * line.slope;
+    touch(aside);
+    aside += line.slope;
   }
+  touch(aside);
+  touch(aside + static_cast<uint64_t>(left) * line.slope);
 }
 
 }  // namespace
@@ -54,7 +63,8 @@ TileBox Fan::box() const {
 void Fan::tiles(TileSet& set) const {
   const TileBox about = box();
   set.reset(about.y0, about.y1, about.x0, about.x1);
-  for (size_t j = 0; j < xs.size(); ++j) mark(line(j), set);
+  for (size_t j = 0; j < xs.size(); ++j)
+    if (j == 0 || xs[j] != xs[j - 1] || ys[j] != ys[j - 1]) mark(line(j), set);
 }
 
 void tiles_on_rays(const int32_t* rows, const double* poses, int k, const double* ends, int b, const double* origin,

@@ -1,6 +1,9 @@
 // The binary Bayes filter along the rays of a scan.
 
+#include <cstdlib>
 #include <cstring>
+#include <memory>
+#include <new>
 #include <utility>
 
 #include "row_bits.hpp"
@@ -19,8 +22,9 @@ template <class Stored>
 constexpr int kRowsABit = kTile / std::numeric_limits<std::make_unsigned_t<Stored>>::digits;
 
 // Frees the passed cells of a tile; returns a bit for each few rows in which some stop being occupied. All in as many
-// bits as a cell has and without a branch inside a row, for many cells at once.
-template <class Stored, class Count>
+// bits as a cell has and without a branch inside a row, for many cells at once. Vectors have no product of bytes, so
+// that a miss of one unit has a loop of its own.
+template <bool kOfOneUnit, class Stored, class Count>
 GRIDSLAM_INLINE unsigned free_cells(Stored* cells, const Count* passes, int stride, const Evidence& e) {
   using Whole = std::make_unsigned_t<Stored>;  // holds what the clamps and a miss are apart
   const Stored least = static_cast<Stored>(e.min), occupied = static_cast<Stored>(e.occupied_above);
@@ -37,7 +41,8 @@ GRIDSLAM_INLINE unsigned free_cells(Stored* cells, const Count* passes, int stri
     for (int i = 0; i < kTile; ++i) {
       const Whole count = static_cast<Whole>(std::min(passes[i], most));
       const Stored before = cells[i] == kUnknown<Stored> ? Stored{0} : cells[i];
-      const Whole above = static_cast<Whole>(std::max(before, least) - least), loss = static_cast<Whole>(count * miss);
+      const Whole above = static_cast<Whole>(std::max(before, least) - least);
+      const Whole loss = kOfOneUnit ? count : static_cast<Whole>(count * miss);
       const Whole kept = above > loss ? static_cast<Whole>(above - loss) : Whole{0};
       const Stored after = static_cast<Stored>(kept + least);
       left[i] = static_cast<Whole>(left[i] | (-((before > occupied) & (after <= occupied)) & bit));
@@ -49,9 +54,9 @@ GRIDSLAM_INLINE unsigned free_cells(Stored* cells, const Count* passes, int stri
   return some;
 }
 
-#define GRIDSLAM_FREE_TILE(Stored, Count)                                                                   \
-  GRIDSLAM_VERSIONS unsigned free_tile(Stored* cells, const Count* passes, int stride, const Evidence& e) { \
-    return free_cells(cells, passes, stride, e);                                                            \
+#define GRIDSLAM_FREE_TILE(Stored, Count)                                                                           \
+  GRIDSLAM_VERSIONS unsigned free_tile(Stored* cells, const Count* passes, int stride, const Evidence& e) {         \
+    return e.miss == -1 ? free_cells<true>(cells, passes, stride, e) : free_cells<false>(cells, passes, stride, e); \
   }
 GRIDSLAM_FREE_TILE(int8_t, uint8_t)
 GRIDSLAM_FREE_TILE(int8_t, uint16_t)
@@ -96,7 +101,7 @@ class PassCounts {
   }
 
   // Where a cell of the map is counted; it must be covered.
-  Count* at(int y, int x) { return memory_.data() + static_cast<int64_t>(y - y_ + half_) * width_ + (x - x_ + half_); }
+  Count* at(int y, int x) { return memory_.get() + static_cast<int64_t>(y - y_ + half_) * width_ + (x - x_ + half_); }
   // Whether the tile's cells are counted that holds this cell.
   bool covers(int y, int x) const {
     const int first_y = (y & ~kTileMask) - y_, first_x = (x & ~kTileMask) - x_;
@@ -133,6 +138,9 @@ class PassCounts {
   }
 
  private:
+  struct Freed {
+    void operator()(Count* memory) const { std::free(memory); }
+  };
   struct Ray {
     int dx, dy;
     double slope;
@@ -152,7 +160,7 @@ class PassCounts {
     const int n = line.freed();
     const auto change = static_cast<Count>(by);
     uint64_t aside = line.start;
-    Count* cell = memory_.data() + static_cast<int64_t>(half_) * width_ + half_;
+    Count* cell = memory_.get() + static_cast<int64_t>(half_) * width_ + half_;
     for (int i = 0; i < n; ++i, cell += major, aside += slope) {
       Count& passes = cell[static_cast<int64_t>(aside >> 32) * minor];
       passes = static_cast<Count>(passes + change);
@@ -172,12 +180,19 @@ class PassCounts {
   void lay_out(int reach) {
     half_ = ((reach + kTile - 1) & ~kTileMask) + 2 * kTile, width_ = 2 * half_;
     const size_t size = static_cast<size_t>(width_) * width_;
-    if (memory_.size() < size || memory_.size() > 2 * size) memory_ = std::vector<Count>(size);
+    if (size <= size_ && size_ <= 2 * size) return;
+    memory_.reset();
+    size_ = 0;
+    memory_.reset(static_cast<Count*>(std::calloc(size, sizeof(Count))));
+    if (memory_ == nullptr) throw std::bad_alloc();
+    size_ = size;
   }
 
   int half_ = 0, width_ = 0, y_ = 0, x_ = 0;
   TileSet tiles_;
-  std::vector<Count> memory_;  // 0 but for what the lines pass
+  // 0 but for what the lines pass; pages that no line passes take no memory, as `calloc` does not write to them.
+  std::unique_ptr<Count[], Freed> memory_;
+  size_t size_ = 0;
   std::vector<Ray> before_;
   std::vector<int32_t> others_;
 };

@@ -8,7 +8,8 @@ namespace {
 // Calls visit(offset of a tile's row, y, x of its first cell) for the tiles' rows that a window crosses; the empty tile
 // is left out.
 template <class Visit>
-void window_rows(const Maps& m, const int32_t* root, int y0, int y1, int x0, int x1, const Visit& visit) {
+GRIDSLAM_INLINE void window_rows(const Maps& m, const int32_t* root, int y0, int y1, int x0, int x1,
+                                 const Visit& visit) {
   for (int x = x0 & ~kTileMask; x <= x1; x += kTile)
     for (int ys = y0; ys <= y1; ys = (ys | kTileMask) + 1) {
       const int64_t tile = m.tile(root, ys >> kTileBits, x >> kTileBits);
@@ -18,7 +19,7 @@ void window_rows(const Maps& m, const int32_t* root, int y0, int y1, int x0, int
 }
 
 // A newly occupied cell's cone, as a maximum over what is there.
-void raise_cone(const Maps& m, const int32_t* root, int cy, int cx, const Cone& cone) {
+GRIDSLAM_VERSIONS void raise_cone(const Maps& m, const int32_t* root, int cy, int cx, const Cone& cone) {
   const int r = cone.reach;
   window_rows(m, root, cy - r, cy + r, cx - r, cx + r, [&](int64_t first, int y, int x) {
     uint8_t* to = m.field + first;
