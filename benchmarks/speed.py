@@ -122,6 +122,7 @@ def rows(log: Path) -> dict[str, Row]:
             lambda side: side.part("dense"), {"p99_ms": 0.74, "longest_ms": 0.2}, {"p99_ms": 10, "longest_ms": 40}
         ),
         "map-size": Row(lambda side: side.part("map_size"), {}, {"ratio": 1.1}, 1),
+        "2-km": Row(lambda side: side.part("campus"), {}, {"peak_mb": 250}, 1),
         "mcl": Row(lambda side: side.part("mcl"), {"ms": 1 / 3}, {}),
         "fastslam2": Row(lambda side: side.part("fastslam2"), {"ms": 1 / 4}, {}),
         "start": Row(start, {}, {"import_s": 0.03, "help_s": 0.10, "first_scan_s": 0.30}),

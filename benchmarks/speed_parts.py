@@ -52,13 +52,13 @@ def dense(scans: int = 2000) -> dict[str, float]:
 
 
 def map_size(last: int = 300) -> dict[str, float]:
-    """CPU of a scan at the end of a drive about a building of 300 m over that about one of 50 m."""
+    """CPU of a scan at the end of a drive about a building of 1 km over that about one of 50 m."""
     import gridslam
     from logs import ring, simulated
 
     means = []
     with tempfile.TemporaryDirectory() as folder:
-        for side in (50.0, 300.0):
+        for side in (50.0, 1000.0):
             log = simulated(ring(side, np.random.default_rng(0)), Path(folder), v_max_m_s=1.2)
             clock = [time.process_time()]
             observe = lambda report, state, seconds: clock.append(time.process_time())  # noqa: B023, E731
@@ -67,7 +67,19 @@ def map_size(last: int = 300) -> dict[str, float]:
     return {"ratio": means[1] / means[0]}
 
 
-PARTS = {part.__name__: part for part in (mcl, fastslam2, dense, map_size)}
+def campus() -> dict[str, float]:
+    """Peak memory (MB) of `gridslam map` on a simulated drive of 2 km."""
+    import closure_worlds
+    import logs
+    import measure
+
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "campus.clf"
+        vars(logs)["write_carmen"](log, closure_worlds.campus(0).stream().measurements)  # wherever that commit has it
+        return {"peak_mb": measure.map_timed(log).peak_mb}
+
+
+PARTS = {part.__name__: part for part in (mcl, fastslam2, dense, map_size, campus)}
 
 if __name__ == "__main__":
     sys.path.insert(0, sys.argv[2])
