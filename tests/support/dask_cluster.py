@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+from gridslam.errors import InputError
 from gridslam.io.text import read_json
 
 SETTINGS = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "10s", "DASK_DISTRIBUTED__WORKER__MEMORY__TERMINATE": "False"}
@@ -26,12 +27,19 @@ class DaskCluster:
             "dask_scheduler", *where, "--port", 0, "--dashboard-address", "127.0.0.1:0", "--no-show"
         )
         end = time.monotonic() + 60
-        while not self.file.exists():
+        while (address := self._find_address()) is None:
             assert time.monotonic() < end
             assert self._scheduler.poll() is None, (folder / "dask.txt").read_text()
             time.sleep(0.05)
-        self.address = read_json(self.file)["address"]
+        self.address = address
         self.workers = [self.start_worker(k) for k in range(workers)]
+
+    def _find_address(self):
+        """The scheduler's address; None as long as its file is absent or written in part."""
+        try:
+            return read_json(self.file)["address"]
+        except InputError:
+            return None
 
     def start_worker(self, number):
         options = "--nthreads", 1, "--no-nanny", "--no-dashboard", "--name", number

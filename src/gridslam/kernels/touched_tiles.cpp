@@ -17,7 +17,7 @@ GRIDSLAM_VERSIONS void lines(const Pose& pose, const double* GRIDSLAM_RESTRICT e
 }
 
 // Marks the tiles in which a line frees cells, and that of its end. The minor axis is monotone, and within a tile's
-// width it crosses one border at most: so the first and the last cell there tell all.
+// width it crosses one border at most: the first and the last cell there are enough.
 void mark(const Line& line, TileSet& set) {
   const int most = line.n <= kFreeCells ? line.n : kFreeCells - 1;
   if (most < line.n) {
