@@ -178,14 +178,17 @@ class PassCounts {
   }
 
   void lay_out(int reach) {
-    half_ = ((reach + kTile - 1) & ~kTileMask) + 2 * kTile, width_ = 2 * half_;
-    const size_t size = static_cast<size_t>(width_) * width_;
-    if (size <= size_ && size_ <= 2 * size) return;
-    memory_.reset();
-    size_ = 0;
-    memory_.reset(static_cast<Count*>(std::calloc(size, sizeof(Count))));
-    if (memory_ == nullptr) throw std::bad_alloc();
-    size_ = size;
+    const int half = ((reach + kTile - 1) & ~kTileMask) + 2 * kTile;
+    const size_t size = static_cast<size_t>(2 * half) * (2 * half);
+    if (size_ < size || size_ > 2 * size) {
+      half_ = 0;  // where memory runs out the next scan is laid out again
+      size_ = 0;
+      memory_.reset();
+      memory_.reset(static_cast<Count*>(std::calloc(size, sizeof(Count))));
+      if (memory_ == nullptr) throw std::bad_alloc();
+      size_ = size;
+    }
+    half_ = half, width_ = 2 * half;
   }
 
   int half_ = 0, width_ = 0, y_ = 0, x_ = 0;
