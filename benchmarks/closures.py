@@ -19,7 +19,7 @@ from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.types import FloatArray
 from report import Report, Target, table
 
-__all__ = ["closures"]
+__all__ = ["ClosureRun", "closures", "judge_closures"]
 
 _HEAD = [
     "drive",
@@ -33,7 +33,9 @@ _HEAD = [
 ]
 
 
-class _Run(NamedTuple):
+class ClosureRun(NamedTuple):
+    """What was closed on a drive, and the mean errors over relations of the filter and of the final trajectory."""
+
     cpu_s: float
     recognized: int
     recognized_false: int
@@ -52,7 +54,7 @@ def closures(report: Report, seeds: Sequence[int], config: Configuration) -> Non
         ("Worlds made to deceive", [deceptive(kind, seed) for kind in DECEPTIVE for seed in seeds]),
         ("Campus, 2 km", [campus(seed) for seed in seeds]),
     ):
-        runs = [_driven(drive, config) for drive in drives]
+        runs = [judge_closures(drive, config) for drive in drives]
         report.add(title, table(_HEAD, [[drive.name, *run] for drive, run in zip(drives, runs, strict=True)]))
         report.targets.append(Target(f"{title}: recognized falsely", sum(run.recognized_false for run in runs), 0))
         if title.startswith("Campus"):
@@ -60,7 +62,8 @@ def closures(report: Report, seeds: Sequence[int], config: Configuration) -> Non
             report.targets.append(Target(f"{title}: mean error of the worst seed", worst, 0.05, unit="m"))
 
 
-def _driven(drive: Drive, config: Configuration) -> _Run:
+def judge_closures(drive: Drive, config: Configuration) -> ClosureRun:
+    """Map a drive, and compare what was closed with the truth."""
     recorder, began = TrajectoryRecorder(), time.process_time()
     stream, slam = drive.stream(), build(config)
     state = run(stream.measurements, slam, rng=np.random.default_rng(0), observers=[recorder])
@@ -82,7 +85,7 @@ def _driven(drive: Drive, config: Configuration) -> _Run:
     tied = false_closures(truth[keys], graph.edges[joint], graph.measurements[joint], graph.information[joint])
     filtered = _relation_error(truth[keys], state.ancestry.trajectory(state.best))
     refined = _relation_error(truth[keys], said.poses[keys])
-    return _Run(cpu_s, len(constraints), int(found.sum()), int(joint.sum()), int(tied.sum()), filtered, refined)
+    return ClosureRun(cpu_s, len(constraints), int(found.sum()), int(joint.sum()), int(tied.sum()), filtered, refined)
 
 
 def _relation_error(truth: FloatArray, poses: FloatArray) -> float:

@@ -1,10 +1,12 @@
 """How few particles do, fixed or adapted: the whole command, and the filter alone, at equal seeds.
 
     python benchmarks/fewer_particles.py [--seeds 5] [--log NAME ...] [--number 30 --number kld] [--out FILE]
+    python benchmarks/fewer_particles.py --simulated [--seeds 10] [--number 30 --number kld] [--out FILE]
 
-The error is the mean translation error of the relations where there are any, on sparse logs the root mean square
-distance from GMapping's path; of the others there is the cost alone. Rows of earlier runs stay where they are not
-measured again.
+Simulated are the worlds of `closures.py`, with what is closed falsely, and those of `covariances.py`, with the NEES.
+The error of a log is the mean translation error of the relations where there are any, on sparse logs the root mean
+square distance from GMapping's path; of the others there is the cost alone. Rows of earlier runs stay where they are
+not measured again.
 """
 
 from __future__ import annotations
@@ -17,7 +19,11 @@ from typing import Any
 
 import numpy as np
 
+from closure_worlds import DECEPTIVE, campus, deceptive
+from closures import judge_closures
+from covariances import WORLDS, judge
 from gridslam import Trajectory
+from gridslam.config import Configuration, override
 from gridslam.evaluation import absolute_errors, relation_errors
 from gridslam.io.trajectories import read_relations, read_tum
 from logs import Log, find
@@ -27,6 +33,7 @@ __all__ = ["main"]
 
 _NUMBERS = ("8", "30", "kld")
 _MODES = {"alone": ("--no-loop-closure",), "full": ()}
+_FIRST_SEED = 101  # that of covariances.py: its parameters were set on earlier ones
 _HOW = "gridslam map, seeds from 0 on; errors in m, user and system seconds, particles on average over the key scans"
 
 
@@ -36,11 +43,17 @@ def main(arguments: Sequence[str] | None = None) -> Path:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--log", action="append", help="name of a log; may be given several times [all]")
     parser.add_argument("--number", action="append", help="of particles, or kld [8, 30 and kld]")
+    parser.add_argument("--simulated", action="store_true", help="worlds whose truth is known, and no logs")
     parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[2] / "shared" / "data")
     parser.add_argument("--out", type=Path, default=RESULTS / "fewer_particles.json")
     given = parser.parse_args(arguments)
     path: Path = given.out
-    rows: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["rows"] if path.exists() else []
+    document = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"rows": []}
+    rows: list[dict[str, Any]] = document["rows"]
+    if given.simulated:
+        found = [_measure_simulated(number, given.seeds) for number in given.number or _NUMBERS]
+        write_document(path, _HOW, rows=rows, simulated=found)
+        return path
     logs = [*find(given.data), *find(given.data / "sparse"), *find(given.data / "loops")]
     for log in logs:
         if given.log and log.name not in given.log:
@@ -50,8 +63,38 @@ def main(arguments: Sequence[str] | None = None) -> Path:
                 row = {"log": log.name, "mode": mode, "number": number} | _measure(log, number, options, given.seeds)
                 rows = [old for old in rows if [*old.values()][:3] != [log.name, mode, number]] + [row]
                 print({name: value for name, value in row.items() if name != "cpu_s"}, flush=True)
-                write_document(path, _HOW, rows=rows)
+                write_document(path, _HOW, rows=rows, simulated=document.get("simulated", []))
     return path
+
+
+def _measure_simulated(number: str, seeds: int) -> dict[str, Any]:
+    """What is found in worlds whose truth is known."""
+    chosen = "particle_number.kind=KldNumber" if number == "kld" else f"particles={number}"
+    configuration = override(Configuration(), chosen)
+    return {
+        "number": number,
+        "seeds": seeds,
+        "closures": {kind: _measure_closures(kind, seeds, configuration) for kind in (*DECEPTIVE, "campus")},
+        "covariances": {kind: _measure_covariances(kind, seeds, configuration) for kind in WORLDS},
+    }
+
+
+def _measure_closures(kind: str, seeds: int, configuration: Configuration) -> dict[str, list[float]]:
+    """What is closed, rightly and falsely, and errors, of each drive in a kind of world."""
+    drives = [campus(seed) if kind == "campus" else deceptive(kind, seed) for seed in range(seeds)]
+    runs = [judge_closures(drive, configuration) for drive in drives]
+    found = {name: [round(getattr(run, name), 5) for run in runs] for name in runs[0]._fields if name != "cpu_s"}
+    print(kind, found, flush=True)
+    return found
+
+
+def _measure_covariances(kind: str, seeds: int, configuration: Configuration) -> dict[str, float]:
+    """Means of the NEES, and of what else is judged, over drives in a kind of world."""
+    drives = [judge(kind, seed, configuration) for seed in range(_FIRST_SEED, _FIRST_SEED + seeds)]
+    names = [name for name in drives[0] if name not in ("kind", "seed")]
+    found = {name: round(float(np.mean([drive[name] for drive in drives if name in drive])), 4) for name in names}
+    print(kind, found, flush=True)
+    return found
 
 
 def _measure(log: Log, number: str, options: Sequence[str], seeds: int) -> dict[str, Any]:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import copy
+import inspect
 import math
+import pickle
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, dataclass, field, fields, replace
+from functools import cached_property
 
 import pytest
 from pydantic import ValidationError
@@ -13,7 +17,7 @@ from pydantic import ValidationError
 from gridslam.config import Configuration
 from gridslam.localization.odometry_check import OdometryCheck
 from gridslam.models import BeamRangeFinder
-from gridslam.parameters import adapter, replace_plainly, to_table
+from gridslam.parameters import adapter, parameters, replace_plainly, to_table
 from gridslam.particles.policies import MotionThreshold
 from gridslam.scan import Thinning
 
@@ -95,3 +99,54 @@ def test_right_values_need_no_pydantic():
         "sys.exit('pydantic' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def _declare(decorate):
+    @decorate
+    class Laser:
+        reach_m: float
+        name: str = "laser"
+        inner: Thinning = Thinning()
+        counts: tuple[int, ...] = field(default_factory=lambda: (1, 2))
+
+        @cached_property
+        def doubled_m(self):
+            return 2 * self.reach_m
+
+    return Laser
+
+
+_Plain = _declare(dataclass(frozen=True))
+_Checked = _declare(parameters(frozen=True))
+
+
+def test_classes_of_parameters_behave_as_frozen_dataclasses():
+    plain, checked = (kind(2.0, inner=Thinning(dense_beams=7)) for kind in (_Plain, _Checked))
+    assert repr(checked) == repr(plain)
+    assert hash(checked) == hash(plain)
+    assert checked == _Checked(2.0, "laser", Thinning(dense_beams=7), (1, 2)) != _Checked(3.0)
+    assert checked != plain
+    assert checked.doubled_m == 4.0  # which does not count as a field
+    assert checked == replace(_Checked(5.0, inner=Thinning(dense_beams=7)), reach_m=2.0)
+    signatures = [list(inspect.signature(kind).parameters.values()) for kind in (_Checked, _Plain)]
+    assert signatures[0][:3] == signatures[1][:3]
+    assert str(signatures[0][3]) == "counts: 'tuple[int, ...]' = (1, 2)"  # `dataclass` names no default of a factory
+    assert [each.name for each in fields(_Checked)] == [each.name for each in fields(_Plain)]
+    assert _Checked.__match_args__ == _Plain.__match_args__
+
+
+def test_parameters_cannot_be_changed_and_can_be_copied():
+    threshold = MotionThreshold(0.4, 0.3)
+    with pytest.raises(FrozenInstanceError, match="translation_m"):
+        threshold.translation_m = 1.0
+    with pytest.raises(FrozenInstanceError, match="rotation_rad"):
+        del threshold.rotation_rad
+    assert pickle.loads(pickle.dumps(threshold)) == copy.deepcopy(threshold) == threshold
+    assert list(inspect.signature(MotionThreshold).parameters) == ["translation_m", "rotation_rad"]
+
+
+@pytest.mark.parametrize("arguments", [((), {}), ((1.0, "a", "b", (1,), 5), {}), ((1.0,), {"reach_m": 1.0})])
+def test_arguments_that_are_not_those_of_the_class_are_refused(arguments):
+    args, kwargs = arguments
+    with pytest.raises(ValidationError):
+        _Checked(*args, **kwargs)

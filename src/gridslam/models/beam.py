@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import final
 
 import numpy as np
@@ -14,13 +15,17 @@ from gridslam.types import Beams, BeamStatus, DistanceMaps, FloatArray, Rows, Sc
 __all__ = ["BeamRangeFinder"]
 
 _REACH = 6.0  # standard deviations beyond which a Gaussian's tail, 1e-9, counts as nothing
-_SCORES = np.linspace(-_REACH, _REACH, 4801)
-_CUMULATIVE = np.array([0.5 * math.erfc(-z / math.sqrt(2)) for z in _SCORES])
 
 
 def _normal_cdf(scores: FloatArray) -> FloatArray:
     """Standard normal distribution function, by linear interpolation in a table: within 2e-7."""
-    return np.asarray(np.interp(scores, _SCORES, _CUMULATIVE))
+    return np.asarray(np.interp(scores, *_tabulate_normal_cdf()))
+
+
+@cache
+def _tabulate_normal_cdf() -> tuple[FloatArray, FloatArray]:
+    scores = np.linspace(-_REACH, _REACH, 4801)
+    return scores, np.array([0.5 * math.erfc(-score / math.sqrt(2)) for score in scores])
 
 
 @final

@@ -14,7 +14,6 @@ distribution are put on it. They differ only in how the points depend on each ot
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -22,6 +21,7 @@ import numpy as np
 from gridslam.arguments import require_generator
 from gridslam.errors import ArgumentError
 from gridslam.kernels import backend
+from gridslam.parameters import parameters
 from gridslam.types import FloatArray, IntArray
 
 __all__ = [
@@ -110,7 +110,7 @@ def _exponentiate(log_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@parameters(frozen=True)
 class Systematic:
     """Low variance resampling: one random number, then points at equal distances.
 
@@ -126,7 +126,7 @@ class Systematic:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@parameters(frozen=True)
 class Stratified:
     """One point, uniform and independent, in each of `size` equal sections of the line.
 
@@ -140,7 +140,7 @@ class Stratified:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@parameters(frozen=True)
 class Multinomial:
     """Independent points: counts have the multinomial distribution, the yardstick for the others' variance.
 
@@ -154,7 +154,7 @@ class Multinomial:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@parameters(frozen=True)
 class Residual:
     """Each particle floor(size * weight) times for certain, the rest multinomially from what the floors cut off.
 
@@ -174,7 +174,7 @@ class Residual:
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@parameters(frozen=True)
 class ResamplingWheel:
     """The wheel of weights, turned by uniform steps of up to twice the greatest weight; each stop draws a particle.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -185,8 +185,7 @@ class ComponentAlignment:
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class SearchHit:
+class SearchHit(NamedTuple):
     """Pose (3,) at which a search found a key scan in the map of another component.
 
     `score` is that of the search, `plausible` whether the drift permits the pose, `distinct` whether no other pose
@@ -201,8 +200,7 @@ class SearchHit:
 
 
 @final
-@dataclass(frozen=True, slots=True)
-class Hypothesis:
+class Hypothesis(NamedTuple):
     """A component tracked through the map of another one from the best of the hits that agree.
 
     `poses` (K, 3) are those of all its key scans, `log_likelihood` is theirs; `distinct_hits` had no other place that
