@@ -112,6 +112,7 @@ def rows(log: Path) -> dict[str, Row]:
         "threads-30": Row(share_of_one_thread(30), {}, {"two_threads": 0.75}, 3),
         "threads-300": Row(share_of_one_thread(300, "--duration", "600"), {}, {"two_threads": 0.60}, 3),
         "threads-3000": Row(share_of_one_thread(3000, "--duration", "100"), {}, {"two_threads": 0.60}, 1),
+        "kernels": Row(lambda side: side.part("kernels"), {}, {"two_threads": 0.588}),
         "1000": Row(
             lambda side: side.map(log, "--particles", "1000", "--threads", "2", "--duration", "600"),
             {"user_s": 0.42},

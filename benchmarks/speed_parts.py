@@ -51,6 +51,31 @@ def dense(scans: int = 2000) -> dict[str, float]:
     return {"p99_ms": 1e3 * float(np.percentile(seconds, 99)), "longest_ms": 1e3 * max(seconds)}
 
 
+def kernels(particles: int = 300, scans: int = 120) -> dict[str, float]:
+    """Wall time of matches and updates of many maps with two threads over that with one."""
+    from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+    from gridslam.matching.gauss_newton import GaussNewton
+    from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+
+    rng = np.random.default_rng(0)
+    lidar = LidarConfig(beams=180, field_of_view_rad=math.pi, range_max_m=30.0)
+    drive = simulate(make_world("demo", rng), RobotConfig(), OdometryNoise(), lidar, rng)
+    mapper, matcher = OccupancyGridMapping(), GaussNewton()
+    maps = {threads: mapper.empty(particles, threads) for threads in (1, 2)}
+    rows, priors = np.arange(particles, dtype=np.int32), np.tile(1e-4 * np.eye(3), (particles, 1, 1))
+    seconds = {1: 0.0, 2: 0.0}
+    for number, (odometry, scan) in enumerate(islice(drive.measurements, 0, 8 * scans, 8)):
+        beams = scan.beams(0.05, 30.0)
+        poses = odometry.pose + rng.normal(size=(particles, 3)) * [0.05, 0.05, 0.01]
+        for threads in (1, 2) if number % 2 else (2, 1):
+            begin = time.perf_counter()
+            matcher(maps[threads], rows, poses, priors, beams)
+            maps[threads].update(rows, poses, beams)
+            maps[threads].tile_ids(0)  # waits for an update in the background
+            seconds[threads] += time.perf_counter() - begin if number >= scans // 6 else 0.0
+    return {"two_threads": seconds[2] / seconds[1]}
+
+
 def map_size(last: int = 300) -> dict[str, float]:
     """CPU of a scan at the end of a drive about a building of 1 km over that about one of 50 m."""
     import gridslam
@@ -79,7 +104,7 @@ def campus() -> dict[str, float]:
         return {"peak_mb": measure.map_timed(log).peak_mb}
 
 
-PARTS = {part.__name__: part for part in (mcl, fastslam2, dense, map_size, campus)}
+PARTS = {part.__name__: part for part in (mcl, fastslam2, dense, kernels, map_size, campus)}
 
 if __name__ == "__main__":
     sys.path.insert(0, sys.argv[2])
