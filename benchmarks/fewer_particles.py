@@ -1,7 +1,7 @@
 """How few particles do, fixed or adapted: the whole command, and the filter alone, at equal seeds.
 
     python benchmarks/fewer_particles.py [--seeds 5] [--log NAME ...] [--number 30 --number kld] [--out FILE]
-    python benchmarks/fewer_particles.py --simulated [--seeds 10] [--number 30 --number kld] [--out FILE]
+    python benchmarks/fewer_particles.py --simulated --seeds 10 [--number 30 --number kld] [--out FILE]
 
 Simulated are the worlds of `closures.py`, with what is closed falsely, and those of `covariances.py`, with the NEES.
 The error of a log is the mean translation error of the relations where there are any, on sparse logs the root mean
@@ -34,7 +34,10 @@ __all__ = ["main"]
 _NUMBERS = ("8", "30", "kld")
 _MODES = {"alone": ("--no-loop-closure",), "full": ()}
 _FIRST_SEED = 101  # that of covariances.py: its parameters were set on earlier ones
-_HOW = "gridslam map, seeds from 0 on; errors in m, user and system seconds, particles on average over the key scans"
+_HOW = (
+    "gridslam map, seeds from 0 on, of simulated covariances from 101 on; errors in m, user and system seconds, "
+    "particles on average over the key scans"
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> Path:
@@ -50,9 +53,12 @@ def main(arguments: Sequence[str] | None = None) -> Path:
     path: Path = given.out
     document = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"rows": []}
     rows: list[dict[str, Any]] = document["rows"]
+    simulated: list[dict[str, Any]] = document.get("simulated", [])
     if given.simulated:
-        found = [_measure_simulated(number, given.seeds) for number in given.number or _NUMBERS]
-        write_document(path, _HOW, rows=rows, simulated=found)
+        for number in given.number or _NUMBERS:
+            found = _measure_simulated(number, given.seeds)
+            simulated = [*(old for old in simulated if old["number"] != number), found]
+            write_document(path, _HOW, rows=rows, simulated=simulated)
         return path
     logs = [*find(given.data), *find(given.data / "sparse"), *find(given.data / "loops")]
     for log in logs:
@@ -63,14 +69,18 @@ def main(arguments: Sequence[str] | None = None) -> Path:
                 row = {"log": log.name, "mode": mode, "number": number} | _measure(log, number, options, given.seeds)
                 rows = [old for old in rows if [*old.values()][:3] != [log.name, mode, number]] + [row]
                 print({name: value for name, value in row.items() if name != "cpu_s"}, flush=True)
-                write_document(path, _HOW, rows=rows, simulated=document.get("simulated", []))
+                write_document(path, _HOW, rows=rows, simulated=simulated)
     return path
+
+
+def _assignment(number: str) -> str:
+    """The parameter that asks for this number of particles."""
+    return "particle_number.kind=KldNumber" if number == "kld" else f"particles={number}"
 
 
 def _measure_simulated(number: str, seeds: int) -> dict[str, Any]:
     """What is found in worlds whose truth is known."""
-    chosen = "particle_number.kind=KldNumber" if number == "kld" else f"particles={number}"
-    configuration = override(Configuration(), chosen)
+    configuration = override(Configuration(), _assignment(number))
     return {
         "number": number,
         "seeds": seeds,
@@ -99,8 +109,7 @@ def _measure_covariances(kind: str, seeds: int, configuration: Configuration) ->
 
 def _measure(log: Log, number: str, options: Sequence[str], seeds: int) -> dict[str, Any]:
     """Errors, costs and numbers of particles, one for each seed."""
-    chosen = ("--set", "particle_number.kind=KldNumber") if number == "kld" else ("--particles", number)
-    runs = [map_timed(log.path, *chosen, *options, "--seed", seed) for seed in range(seeds)]
+    runs = [map_timed(log.path, "--set", _assignment(number), *options, "--seed", seed) for seed in range(seeds)]
     errors = [_error(log, run.trajectory) for run in runs]
     return {
         "errors_m": [round(error, 5) for error in errors if error is not None],

@@ -108,6 +108,7 @@ def rows(log: Path) -> dict[str, Row]:
 
     return {
         "alone": Row(lambda side: side.map(log, "--no-loop-closure"), {"user_s": 0.42}, {"peak_mb": 90}),
+        "one-particle": Row(lambda side: side.map(log, "--no-loop-closure", "--particles", "1"), {}, {}),
         "full": Row(lambda side: side.map(log), {"user_s": 0.42}, {"peak_mb": 120}),
         "threads-30": Row(share_of_one_thread(30), {}, {"two_threads": 0.75}, 3),
         "threads-300": Row(share_of_one_thread(300, "--duration", "600"), {}, {"two_threads": 0.60}, 3),

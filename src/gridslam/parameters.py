@@ -108,7 +108,10 @@ class _Methods:
 
 
 def _assign(made: Any, args: tuple[object, ...], kwargs: Mapping[str, object]) -> None:  # noqa: ANN401
-    """Set all fields of an object; raises TypeError where the arguments are not those of its class."""
+    """Set all fields of an object; raises TypeError where an argument is given twice, or lacking.
+
+    The names of `kwargs` are those of fields, as `_fit` has found.
+    """
     given = dict(zip([each.name for each in fields(made)], args, strict=False))
     if len(given) < len(args) or given.keys() & kwargs.keys():
         raise TypeError("too many arguments, or one given twice")
@@ -116,15 +119,13 @@ def _assign(made: Any, args: tuple[object, ...], kwargs: Mapping[str, object]) -
     values = vars(made)
     for each in fields(made):
         if each.name in given:
-            values[each.name] = given.pop(each.name)
+            values[each.name] = given[each.name]
         elif each.default is not MISSING:
             values[each.name] = each.default
         elif each.default_factory is not MISSING:
             values[each.name] = each.default_factory()
         else:
             raise TypeError(f"{each.name} is missing")
-    if given:
-        raise TypeError(f"unknown: {', '.join(given)}")
     if hasattr(made, "__post_init__"):
         made.__post_init__()
 
