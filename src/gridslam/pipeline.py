@@ -1,19 +1,17 @@
 """The one loop that drives the filter, offline and live: source -> algorithm -> observers.
 
-A step consumes its state, so one that raises an exception in its midst leaves none. The loop therefore keeps a snapshot
-and the measurements since; to go on without the scan that failed, it takes the snapshot and steps through them again.
-Where that fails, too, as when memory is short, or where the state is so large that no snapshot of it is kept, the state
-is revived as the step has left it.
+A step consumes its state. Where it raises an exception in its midst, the loop revives the state that it was given, and
+goes on without the scan that failed. No copy is kept to go back to: maps that are written after one was taken are held
+twice, which was a quarter of their memory.
 """
 
 from __future__ import annotations
 
 import time
 import traceback
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar, final, overload
+from typing import Any, NamedTuple, Protocol, TypeVar, final, overload
 
 import numpy as np
 
@@ -36,34 +34,15 @@ __all__ = [
     "run",
 ]
 
-_CHECKPOINT_RATIO = 128
-"""A snapshot is taken after a 128th of all scans, as its tables grow with them, and after the state's own number."""
-_CHECKPOINT_BEAMS = 1 << 20
-"""Beams of the measurements that are kept since a snapshot, 9 bytes each."""
-
 
 class FilterState(Protocol):
-    """State of a filter.
-
-    Attributes
-    ----------
-    scans_per_snapshot : int, >= 1
-        Number of scans beside which the cost of a snapshot does not count.
-    """
-
-    scans_per_snapshot: ClassVar[int]
-
-    @property
-    def is_large(self) -> bool:
-        """Whether a snapshot that is kept while the filter goes on takes more memory than it is worth."""
-        ...
-
-    def snapshot(self: State) -> State:
-        """Keep a copy for later; raises ConsumedStateError if a step has consumed the state."""
-        ...
+    """State of a filter."""
 
     def revive(self) -> None:
-        """Make a state whole again that was consumed by a step that failed, and is in part changed by it."""
+        """Make a state that a failed step has consumed that of before the step, but for what it has written in place.
+
+        Of `GridFastSlam`: the tracker may have followed the scan, and maps may hold it where it was matched.
+        """
 
 
 State = TypeVar("State", bound="FilterState")
@@ -123,7 +102,7 @@ class FailedStep(NamedTuple):
     problem : str
         Description of the exception.
     state : GridFastSlamState, or the algorithm's own, or None
-        The filter's state, which is that before the step; None before the first scan that succeeds.
+        The filter's state, revived; None before the first scan that succeeds.
     """
 
     scan: LaserScan
@@ -300,9 +279,7 @@ def run(
         "observe".
     on_failure : callable, optional
         Called with each step that raises an exception: its scan is skipped, without a report, and the next one is
-        processed as if there had been no such scan. Where maps take more than 200 MB no copy of the state is kept to
-        go back to: what the failed step has written stays, and the state is revived with it. So it is where memory is
-        too short to go back. If not given, the exception passes.
+        processed with the state before the step (see `FilterState.revive`). If not given, the exception passes.
 
     Returns
     -------
@@ -319,10 +296,7 @@ def run(
     """
     require_generator(rng)
     watch = stopwatch or Stopwatch()
-    checkpoint = None if on_failure is None else _Checkpoint(algorithm, rng)
     first_error: Exception | None = None
-    if checkpoint is not None and state is not None:
-        checkpoint.keep(state)
     for odometry, scan in _check_measurements(source):
         watch.split("read")
         try:
@@ -331,7 +305,7 @@ def run(
             else:
                 state, report = algorithm.step(state, odometry, scan, rng)
         except Exception as error:
-            if checkpoint is None or on_failure is None:
+            if on_failure is None:
                 raise
             problem = describe_error(error)
             failure = _without_frames(error)
@@ -339,75 +313,17 @@ def run(
             seconds = watch.split("track" if report.skipped else "step")
             for observe in observers:
                 observe(report, state, seconds)
-            if checkpoint is not None:
-                checkpoint.add(state, odometry, scan)
             watch.lap("observe")
             continue
         first_error = first_error or failure
-        state = None if state is None else checkpoint.restore(state)
+        if state is not None:
+            state.revive()
         on_failure(FailedStep(scan, failure, problem, state))
         watch.lap("step")
     watch.lap("read")
     if state is None:
         raise first_error or ArgumentError("source", "at least one measurement", "none")
     return state
-
-
-@final
-class _Checkpoint(Generic[State]):
-    """A snapshot of a filter's state, and the measurements since; nothing of a large state."""
-
-    def __init__(self, algorithm: Filter[State, Any], rng: np.random.Generator) -> None:
-        self._algorithm = algorithm
-        self._rng = rng
-        self._total = 0
-        self._state: State | None = None
-        self._rng_state: Any = None
-        self._since: deque[tuple[Odometry | None, LaserScan]] = deque()
-        self._beams = 0
-
-    def add(self, state: State, odometry: Odometry | None, scan: LaserScan) -> None:
-        """Keep a measurement that led to this state."""
-        self._total += 1
-        self._since.append((odometry, scan))
-        self._beams += len(scan.ranges)
-        due = len(self._since) >= state.scans_per_snapshot and len(self._since) * _CHECKPOINT_RATIO >= self._total
-        if self._total == 1 or due or self._beams > _CHECKPOINT_BEAMS:
-            self.keep(state)
-
-    def keep(self, state: State) -> None:
-        """Take a snapshot, unless the state is large."""
-        self._state = None if state.is_large else state.snapshot()
-        self._rng_state = self._rng.bit_generator.state
-        self._since.clear()
-        self._beams = 0
-
-    def restore(self, consumed: State) -> State:
-        """Return the state before the step that failed and `consumed` it, exactly, and set back the random generator.
-
-        Where a measurement fails now that did not before, and where there is no snapshot, `consumed` is revived.
-        """
-        state = self._repeat()
-        if state is None:
-            state = consumed
-            state.revive()
-        self.keep(state)  # so that of many failures in a row only the first one takes time
-        return state
-
-    def _repeat(self) -> State | None:
-        """Step through the measurements since the snapshot again; None where that cannot be done."""
-        if self._state is None:
-            return None
-        now = self._rng.bit_generator.state
-        self._rng.bit_generator.state = self._rng_state
-        try:
-            state = self._state.snapshot()
-            for odometry, scan in self._since:
-                state, _ = self._algorithm.step(state, odometry, scan, self._rng)
-        except Exception:
-            self._rng.bit_generator.state = now
-            return None
-        return state
 
 
 def _check_measurements(source: object) -> Iterator[tuple[Odometry | None, LaserScan]]:

@@ -206,7 +206,10 @@ def _load_state(kind: type, prefix: str, arrays: _Arrays, restore: Mapping[type,
         if form.is_optional and not any(other == name or other.startswith(name + ".") for other in arrays):
             fields[field] = None
         elif own_restore is not None:
-            fields[field] = own_restore(select_part(arrays, name))
+            try:
+                fields[field] = own_restore(select_part(arrays, name))
+            except ArgumentError as error:
+                raise error.of_part(name) from None
         elif form.is_state:
             fields[field] = _load_state(form.kind, name + ".", arrays, restore)
         elif form.kind in (dict, Counter):

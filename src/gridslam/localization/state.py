@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Annotated, Any, ClassVar, Protocol, final
+from typing import Annotated, Any, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,8 +124,6 @@ class MonteCarloState:
         Motion from scan to scan, by which the odometry is checked; None before the first scan, and without a check.
     """
 
-    scans_per_snapshot: ClassVar[int] = 1
-
     poses: Annotated[FloatArray, "N", 3]
     log_weights: Annotated[FloatArray, "N"]
     averages: InlierRatioAverages
@@ -147,11 +145,6 @@ class MonteCarloState:
             return "MonteCarloState(consumed)"
         at = f"the robot at {describe_pose(self.estimate.pose)}" if len(self.poses) else "nothing known"
         return f"MonteCarloState({len(self.poses)} particles, {at}, {self.updates} updates)"
-
-    @property
-    def is_large(self) -> bool:
-        """Whether a snapshot of it counts: never, as it shares the arrays."""
-        return False
 
     @property
     def odometry_rejected(self) -> bool:
@@ -216,7 +209,7 @@ class MonteCarloState:
         return owner
 
     def revive(self) -> None:
-        """Make a state whole again that a step has consumed: nothing in it has changed."""
+        """Make a state that a failed step has consumed that of before the step, but that its tracker may have moved."""
         self.consumed = False
 
     def snapshot(self) -> MonteCarloState:

@@ -94,13 +94,20 @@ def test_rejections_are_counted_by_reason(seen, poses):
     assert closure_state.rejected[RejectionReason.LOW_INLIER_RATIO] == 3
 
 
-@pytest.mark.parametrize(
-    "name", ["search.failures", "online_poses", "rejected", "graph.covariances", "graph.tracked", "scans.ends"]
-)
+@pytest.mark.parametrize("name", ["search.failures", "online_poses", "rejected", "graph.covariances", "graph.tracked"])
 def test_a_missing_array_is_told(seen, poses, name):
     closure_state = LoopClosureState()
     hall.remember(closure_state, seen, poses, until=5)
     arrays = to_arrays(closure_state)
     assert isinstance(arrays.pop(name), np.ndarray)
     with pytest.raises(ArgumentError, match=f"an array named {name}"):
+        restored(arrays)
+
+
+def test_a_missing_array_of_the_archive_is_told(seen, poses):
+    closure_state = LoopClosureState()
+    hall.remember(closure_state, seen, poses, until=5)
+    arrays = to_arrays(closure_state)
+    del arrays["scans.ends"]
+    with pytest.raises(ArgumentError, match=r"scans\.arrays: expected an array named ends"):
         restored(arrays)

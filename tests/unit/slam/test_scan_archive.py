@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError
-from gridslam.serialization import from_arrays, to_arrays
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.types import StoredScan
 
@@ -26,7 +25,7 @@ def archive():
 
 
 def contents(archive):
-    return {name: (array.dtype, array.shape, array.tobytes()) for name, array in to_arrays(archive).items()}
+    return {name: (array.dtype, array.shape, array.tobytes()) for name, array in archive.to_arrays().items()}
 
 
 def test_what_goes_in_comes_out(archive):
@@ -107,7 +106,7 @@ def test_a_robot_that_stands_for_hours_takes_no_memory():
         kept = ScanArchive()
         for k in range(count):
             kept.append(scan, np.zeros(3), is_key=k == 0)
-        sizes.append(sum(values.nbytes for values in to_arrays(kept).values()))
+        sizes.append(sum(values.nbytes for values in kept.to_arrays().values()))
     assert sizes[0] == sizes[1]
 
 
@@ -121,10 +120,10 @@ def test_a_robot_that_stands_for_hours_takes_no_memory():
     ],
 )
 def test_arrays_that_contradict_each_other_are_refused(archive, change):
-    arrays = to_arrays(archive)
+    arrays = archive.to_arrays()
     assert arrays["stored"].tolist() == [0, 1, 2, 3, 5, 6, 7]
     with pytest.raises(ArgumentError, match="stored: expected ascending scans below 9, the key scans among them"):
-        from_arrays(ScanArchive, arrays | change)
+        ScanArchive.from_arrays(arrays | change)
 
 
 def test_between_key_scans_no_more_beams_are_kept_than_fix_a_pose():
@@ -148,7 +147,7 @@ def test_a_robot_that_drives_for_hours_fills_no_memory(monkeypatch):
     between = np.setdiff1d(there, kept.keys)
     assert len(between) >= 20
     assert (between % 32 == 0).all()
-    read = from_arrays(ScanArchive, to_arrays(kept))
+    read = ScanArchive.from_arrays(kept.to_arrays())
     for one in (kept, kept.snapshot(), read):
         for k in range(1000, 2000):
             one.append(scan, np.array([0.1 * k, 0.0, 0.0]), is_key=k % 10 == 0)
@@ -173,20 +172,77 @@ def test_a_snapshot_goes_its_own_way(archive):
     assert (len(twin), twin.keys) == (10, [0, 3, 5, 9])
 
 
+@pytest.mark.parametrize(
+    "others",
+    [
+        ScanArchive.snapshot,
+        lambda archive: followed_by(ScanArchive(), archive),
+        lambda archive: followed_by(of_one_scan(), archive),
+    ],
+)
+def test_archives_that_share_scans_go_on_apart(archive, others):
+    """None writes where the other does."""
+    other = others(archive)
+    before = [[kept[k].ends for k in range(len(kept))] for kept in (archive, other)]
+    near, far = scans()[1], StoredScan(-scans()[1].ends, np.ones(2))
+    for _ in range(2):
+        archive.append(near, np.zeros(3), is_key=True)
+        other.append(far, np.zeros(3), is_key=True)
+    for kept, scan, shared in zip((archive, other), (near, far), before, strict=True):
+        assert all(np.array_equal(kept[k].ends, ends) for k, ends in enumerate(shared))
+        for key in (-2, -1):
+            np.testing.assert_allclose(kept.key(key).ends, scan.ends, atol=0.01)
+        assert contents(ScanArchive.from_arrays(kept.to_arrays())) == contents(kept)
+
+
+def of_one_scan():
+    kept = ScanArchive()
+    kept.append(scans()[3], np.zeros(3), is_key=True)
+    return kept
+
+
+def followed_by(first, later):
+    first.extend(later)
+    return first
+
+
+def test_what_follows_counts_for_the_bound(monkeypatch):
+    """Of two archives that fill half of it each every second scan is left once there is one more."""
+    monkeypatch.setattr("gridslam.slam.loop_closure.scan_archive._MOST_BYTES", 40 * 7 * 4)
+    first, later = ScanArchive(), ScanArchive()
+    for kept in (first, later):
+        for k in range(20):
+            kept.append(scans()[1], np.array([0.1 * k, 0.0, 0.0]), is_key=False)
+    first.extend(later)
+    assert first.nbytes == 40 * 7 * 4
+    first.append(scans()[1], np.array([9.0, 0.0, 0.0]), is_key=False)
+    assert [len(first[k]) > 0 for k in range(41)] == [k % 2 == 0 for k in range(41)]
+
+
+def test_after_a_cut_the_next_scan_is_kept():
+    """Though it was taken where the last one was that is left: where those were that were cut off is not known."""
+    kept = ScanArchive()
+    for _ in range(2):
+        kept.append(scans()[1], np.zeros(3), is_key=True)
+    kept.truncate(1, 1)
+    kept.append(scans()[1], np.zeros(3), is_key=False)
+    assert len(kept[1]) == 7
+
+
 def test_arrays_go_on_as_the_archive_does(archive):
-    read = from_arrays(ScanArchive, to_arrays(archive))
+    read = ScanArchive.from_arrays(archive.to_arrays())
     assert contents(read) == contents(archive)
     for one in (read, archive):
         one.append(scans()[3], np.zeros(3), is_key=False)
     assert contents(read) == contents(archive)
-    assert contents(from_arrays(ScanArchive, to_arrays(ScanArchive()))) == contents(ScanArchive())
+    assert contents(ScanArchive.from_arrays(ScanArchive().to_arrays())) == contents(ScanArchive())
 
 
 @pytest.mark.parametrize("name", ["ends", "steps_m", "origins", "ends.counts"])
 def test_arrays_that_do_not_fit_are_refused(archive, name):
-    arrays = to_arrays(archive)
+    arrays = archive.to_arrays()
     with pytest.raises(ArgumentError, match=r"ends|steps_m|origins"):
-        from_arrays(ScanArchive, arrays | {name: arrays[name][:-1]})
+        ScanArchive.from_arrays(arrays | {name: arrays[name][:-1]})
     del arrays[name]
     with pytest.raises(ArgumentError, match=f"an array named {name}"):
-        from_arrays(ScanArchive, arrays)
+        ScanArchive.from_arrays(arrays)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from operator import attrgetter
-from typing import Annotated, Any, ClassVar, NamedTuple, final
+from typing import Annotated, Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +27,6 @@ from gridslam.types import FloatArray, IntArray, describe_pose
 __all__ = ["STATE_SCHEMA", "Estimate", "GridFastSlamState"]
 
 STATE_SCHEMA = "gridslam.state/11"
-
-_LARGE_BYTES = 200_000_000
-"""Of maps; by its default limit those of thirty particles take 104 MB at most, with two bytes a cell 157 MB. Of a
-thousand, what was written since a snapshot came to a third of all maps."""
 
 
 @final
@@ -83,8 +79,6 @@ class GridFastSlamState:
         Reported noise of the odometry since its last accepted pose (see `OdometryNoise`).
     """
 
-    scans_per_snapshot: ClassVar[int] = 256  # after each, maps are copied where they are written
-
     tracker: TrackerState
     key_pose: Pose
     sensor_key_poses: dict[str, Pose]
@@ -110,11 +104,6 @@ class GridFastSlamState:
         best = describe_pose(self.poses[self.best])
         lost = ", lost" if self.lost else ""
         return f"GridFastSlamState({len(self.poses)} particles, the best at {best}{lost})"
-
-    @property
-    def is_large(self) -> bool:
-        """Whether a snapshot that is kept while the filter goes on takes too much memory: up to as much as the maps."""
-        return self.maps.nbytes > _LARGE_BYTES
 
     @property
     def covariance(self) -> FloatArray:
@@ -150,11 +139,13 @@ class GridFastSlamState:
         return owner
 
     def revive(self) -> None:
-        """Make a state whole again that was consumed by a step that failed: as before it, as far as that can be undone.
+        """Make a state that a failed step has consumed that of before the step, but for what it has written in place.
 
-        The tracker may have followed the scan, and maps may hold some of it. If the particles were resampled already,
-        they are those that survived, with equal weights.
+        The tracker may have followed the scan, and maps may hold it where it was matched. If the particles were
+        resampled already, they are those that survived, with equal weights.
         """
+        if not self.consumed:
+            return
         key_scans, scans = self.steps_taken
         if self.ancestry.steps > key_scans:
             poses = self.ancestry.retract()

@@ -40,6 +40,15 @@ class Rows(Generic[_Number]):
         self._table[self._count] = row
         self._count += 1
 
+    def extend(self, rows: NDArray[_Number]) -> None:
+        """Append rows (K, width)."""
+        self._table = np.concatenate([self.array, rows, np.empty_like(self._table[:16])])
+        self._count += len(rows)
+
+    def truncate(self, count: int) -> None:
+        """Forget all but the first rows."""
+        self._count = min(self._count, count)
+
     def copy(self) -> Rows[_Number]:
         """Return a table of its own."""
         twin: Rows[_Number] = object.__new__(Rows)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Sequence
-from copy import copy
-from dataclasses import dataclass, field, replace
-from typing import Annotated, final
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam import serialization
 from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose
 from gridslam.grid.scan_batch import ScanBatch
-from gridslam.serialization import NOT_SAVED
+from gridslam.slam.loop_closure.rows import Rows
 from gridslam.tracking.state import is_within
 from gridslam.types import BeamEnds, FloatArray, IntArray, StoredScan
 
@@ -27,15 +26,32 @@ _BETWEEN_KEYS = 256
 """Of a laser with 1080 beams over 270 degrees 128, 256 and all of them gave the same trajectory, to 3 mm at worst."""
 _MOST_BYTES = 32_000_000
 """45,000 scans of 180 beams."""
+_BLOCK_ENDS = 1 << 18
+"""A block has room for 1 MB of end points; what is not written yet takes no memory."""
 
-_NOTHING = -1
+_NOTHING: Final = -1
 """The place of a scan of which nothing is kept."""
 _BARE = StoredScan(np.empty((0, 2)), np.zeros(2))
 _NO_ENDS = np.empty((0, 2), np.int16)
+_END_BYTES = 4
 
 
 @final
-@dataclass(slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
+class _SavedScans:
+    """An archive as it is saved; `E` scans are stored."""
+
+    keys: list[int]
+    count: int
+    stored: Annotated[IntArray, "E"]
+    ends: Annotated[list[Annotated[NDArray[np.int16], None, 2]], "E"]
+    steps_m: Annotated[FloatArray, "E"]
+    origins: Annotated[FloatArray, "E", 2]
+    last_stored_pose: Pose
+    storage_interval: int
+
+
+@final
 class ScanArchive:
     """End points of the usable beams of each scan, 4 bytes a beam: in steps of the farthest one's 32,767th part.
 
@@ -45,38 +61,34 @@ class ScanArchive:
     hours would fill the memory. So would one that drives for hours: when all these come to more than 32 MB, only every
     second scan is kept from then on and from the beginning, later only every fourth.
 
+    End points of many scans share a block of memory, which the system takes back as a whole.
+
     Attributes
     ----------
     keys : list of int
         Which scans are key scans.
     """
 
-    keys: list[int] = field(default_factory=list)
-    _count: int = 0
-    _stored: Annotated[list[int], "E"] = field(default_factory=list)  # scans of which anything is kept, in their order
-    _ends: Annotated[list[Annotated[NDArray[np.int16], None, 2]], "E"] = field(default_factory=list)
-    _steps_m: Annotated[list[float], "E"] = field(default_factory=list)
-    _origins: Annotated[list[Annotated[FloatArray, 2]], "E"] = field(default_factory=list)
-    _last_stored_pose: Pose = UNKNOWN_POSE
-    _storage_interval: int = 1  # every n-th scan between key scans is stored
-    _between_bytes: int = field(init=False, metadata=NOT_SAVED)  # of the scans between key scans
-    # of each scan its place in `_stored`
-    _places: list[int] = field(init=False, default_factory=list, metadata=NOT_SAVED)
+    __slots__ = (
+        *("_between_bytes", "_blocks", "_extents", "_frames", "_last_stored_pose", "_places", "_room"),
+        *("_storage_interval", "keys"),
+    )
 
-    def __post_init__(self) -> None:
-        """Check what is given, and index it."""
-        stored = np.array([-1, *self._stored, self._count])
-        if (np.diff(stored) < 1).any() or not set(self.keys) <= set(self._stored):
-            expected = f"ascending scans below {self._count}, the key scans among them"
-            raise ArgumentError("stored", expected, f"{len(self._stored)} that are not")
-        self._index()
+    def __init__(self) -> None:
+        self.keys: list[int] = []
+        self._places = Rows[np.int32](1, np.int32)  # of each scan in the tables of those that are stored
+        self._extents = Rows[np.int32](3, np.int32)  # block, first end in it, number of ends
+        self._frames = Rows[np.float64](3, np.float64)  # length of a step (m), the laser's x and y in the base frame
+        self._blocks: list[NDArray[np.int16]] = [_NO_ENDS]
+        self._room = 0  # ends for which the last block has room
+        self._last_stored_pose = UNKNOWN_POSE
+        self._storage_interval = 1  # every n-th scan between key scans is stored
+        self._between_bytes = 0  # of the scans between key scans
 
     def append(self, beams: BeamEnds, pose: Pose, *, is_key: bool) -> None:
         """Append a scan from `pose` in a frame that drifts slowly."""
-        scan = self._count
+        scan = len(self._places)
         ends = beams.ends
-        self._count += 1
-        self._places.append(_NOTHING)
         if is_key:
             self.keys.append(scan)
         elif (
@@ -84,32 +96,33 @@ class ScanArchive:
             or scan % self._storage_interval
             or is_within(pose, self._last_stored_pose, _NEAR_M, _NEAR_RAD)
         ):
+            self._places.append(_NOTHING)
             return
         else:
             ends = ends[:: max(1, -(-len(ends) // _BETWEEN_KEYS))]
+        self._places.append(len(self._extents))
         step_m = float(np.abs(ends).max(initial=0.0)) / _STEPS or 1.0
-        self._places[scan] = len(self._stored)
-        self._stored.append(scan)
-        self._ends.append(np.rint(ends / step_m).astype(np.int16))
-        self._steps_m.append(step_m)
-        self._origins.append(beams.origin)
+        self._frames.append((step_m, *beams.origin))
+        self._write(ends / step_m)
         if len(ends):
             self._last_stored_pose = pose
         if not is_key:
-            self._between_bytes += self._ends[-1].nbytes
+            self._between_bytes += _END_BYTES * len(ends)
         if self._between_bytes > _MOST_BYTES:
             self._thin_out()
 
     def __len__(self) -> int:
         """Return the number of scans."""
-        return self._count
+        return len(self._places)
 
     def __getitem__(self, scan: int) -> StoredScan:
         """Scan number `scan`, from 0; without beams if nothing is kept of it."""
-        place = self._places[scan]
+        place = int(self._places.array[scan, 0])
         if place == _NOTHING:
             return _BARE
-        return StoredScan(self._ends[place] * np.float64(self._steps_m[place]), self._origins[place])
+        block, first, count = self._extents.array[place].tolist()
+        frame = self._frames.array[place]
+        return StoredScan(self._blocks[block][first : first + count] * frame[0], frame[1:].copy())
 
     def key(self, key: int) -> StoredScan:
         """Key scan number `key`, from 0."""
@@ -117,31 +130,33 @@ class ScanArchive:
 
     def batch(self, scans: Sequence[int]) -> ScanBatch:
         """Scans by number, side by side; without beams those of which nothing is kept."""
-        places = [self._places[scan] for scan in scans]
-        stored = [_NO_ENDS if place == _NOTHING else self._ends[place] for place in places]
-        counts = [len(ends) for ends in stored]
+        places = self._places.array[np.array(scans, np.int64), 0]
+        is_kept = places != _NOTHING
+        kept = places[is_kept]
+        frames = np.zeros((len(places), 3))
+        frames[is_kept] = self._frames.array[kept]
+        counts = np.zeros(len(places), np.int64)
+        counts[is_kept] = self._extents.array[kept, 2]
         starts = np.zeros(len(places) + 1, np.int64)
         np.cumsum(counts, out=starts[1:])
-        steps_m = np.repeat([1.0 if place == _NOTHING else self._steps_m[place] for place in places], counts)
-        whole = np.concatenate([*stored, _NO_ENDS])
-        origins = [_BARE.origin if place == _NOTHING else self._origins[place] for place in places]
-        return ScanBatch(np.multiply(whole, steps_m[:, None], dtype=np.float64), starts, np.reshape(origins, (-1, 2)))
+        whole = np.concatenate([*self._steps_at(kept), _NO_ENDS])
+        steps_m = np.repeat(frames[:, 0], counts)
+        return ScanBatch(np.multiply(whole, steps_m[:, None], dtype=np.float64), starts, frames[:, 1:].copy())
 
     @property
     def nbytes(self) -> int:
         """Bytes of the end points."""
-        return sum(ends.nbytes for ends in self._ends)
+        return _END_BYTES * int(self._extents.array[:, 2].sum())
 
     def extend(self, later: ScanArchive) -> None:
         """Append the scans of another archive, which follow those of this one."""
-        first = self._count
-        self._places += [place if place == _NOTHING else len(self._stored) + place for place in later._places]
-        self.keys += [first + key for key in later.keys]
-        self._count += later._count
-        self._stored += [first + scan for scan in later._stored]
-        self._ends += later._ends
-        self._steps_m += later._steps_m
-        self._origins += later._origins
+        places = later._places.array
+        self.keys += [len(self) + key for key in later.keys]
+        self._places.extend(np.where(places == _NOTHING, places, places + np.int32(len(self._extents))))
+        self._extents.extend(later._extents.array + np.array([len(self._blocks), 0, 0], np.int32))
+        self._frames.extend(later._frames.array)
+        self._blocks += later._blocks
+        self._room = 0  # it is the other archive that writes there
         self._last_stored_pose = later._last_stored_pose
         self._storage_interval = max(self._storage_interval, later._storage_interval)
         self._between_bytes += later._between_bytes
@@ -149,54 +164,123 @@ class ScanArchive:
     def select(self, scans: IntArray, bare: IntArray) -> ScanArchive:
         """Another archive of some scans (N,), ascending, numbered from 0; of those in `bare` (M,) nothing is kept."""
         number = {scan: place for place, scan in enumerate(scans.tolist())}
-        kept = number.keys() - set(bare.tolist())
-        stored = [place for place, scan in enumerate(self._stored) if scan in kept]
-        return replace(
-            self,
-            keys=[number[key] for key in self.keys if key in number],
-            _count=len(number),
-            _stored=[number[self._stored[place]] for place in stored],
-            _ends=[self._ends[place] for place in stored],
-            _steps_m=[self._steps_m[place] for place in stored],
-            _origins=[self._origins[place] for place in stored],
-        )
+        selected = self.snapshot()
+        selected.keys = [number[key] for key in self.keys if key in number]
+        places = self._places.array[scans, 0]
+        selected._keep(np.where(np.isin(scans, bare), _NOTHING, places))
+        return selected
 
     def truncate(self, scans: int, key_scans: int) -> None:
         """Forget all but the first scans, of which `key_scans` are key scans."""
+        if scans == len(self):
+            return
         del self.keys[key_scans:]
-        self._count = scans
+        self._places.truncate(scans)
+        stored = int(self._places.array.max(initial=_NOTHING)) + 1
+        self._extents.truncate(stored)
+        self._frames.truncate(stored)
         self._last_stored_pose = UNKNOWN_POSE  # so the next scan is kept
-        self._keep(range(bisect_left(self._stored, scans)))
+        self._between_bytes = self._count_between()
 
     def snapshot(self) -> ScanArchive:
-        """Keep a copy for later; the scans themselves, which never change, are shared."""
-        twin = copy(self)
+        """Keep a copy for later; the end points themselves, which never change, are shared."""
+        twin = ScanArchive()
         twin.keys = self.keys.copy()
-        twin._stored = self._stored.copy()
-        twin._ends = self._ends.copy()
-        twin._steps_m = self._steps_m.copy()
-        twin._origins = self._origins.copy()
         twin._places = self._places.copy()
+        twin._extents = self._extents.copy()
+        twin._frames = self._frames.copy()
+        twin._blocks = self._blocks.copy()  # it begins a block of its own: this archive goes on in the last one
+        twin._last_stored_pose = self._last_stored_pose
+        twin._storage_interval = self._storage_interval
+        twin._between_bytes = self._between_bytes
         return twin
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays, from which `from_arrays` makes an archive that goes on alike."""
+        stored = np.flatnonzero(self._places.array[:, 0] != _NOTHING)
+        frames = self._frames.array
+        saved = _SavedScans(
+            self.keys,
+            len(self),
+            stored,
+            self._steps_at(self._places.array[stored, 0]),
+            frames[:, 0],
+            frames[:, 1:],
+            self._last_stored_pose,
+            self._storage_interval,
+        )
+        return serialization.to_arrays(saved)
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> ScanArchive:
+        """Rebuild an archive; ArgumentError if an array is missing, of a wrong shape, or contradicts another."""
+        saved = serialization.from_arrays(_SavedScans, arrays)
+        in_order = np.diff(np.concatenate([[-1], saved.stored, [saved.count]]))
+        if (in_order < 1).any() or not set(saved.keys) <= set(saved.stored.tolist()):
+            expected = f"ascending scans below {saved.count}, the key scans among them"
+            raise ArgumentError("stored", expected, f"{len(saved.stored)} that are not")
+        archive = cls()
+        archive.keys = saved.keys
+        places = np.full((saved.count, 1), _NOTHING, np.int32)
+        places[saved.stored, 0] = np.arange(len(saved.stored), dtype=np.int32)
+        archive._places.extend(places)
+        archive._frames.extend(np.column_stack([saved.steps_m, saved.origins]))
+        archive._gather(saved.ends)
+        archive._last_stored_pose = saved.last_stored_pose
+        archive._storage_interval = saved.storage_interval
+        archive._between_bytes = archive._count_between()
+        return archive
+
+    def _write(self, steps: FloatArray) -> None:
+        """Store end points (B, 2) of one more scan, rounded."""
+        count = len(steps)
+        if self._room < count:
+            self._room = max(count, _BLOCK_ENDS)
+            self._blocks.append(np.empty((self._room, 2), np.int16))
+        block = self._blocks[-1]
+        first = len(block) - self._room
+        np.rint(steps, out=block[first : first + count], casting="unsafe")
+        self._room -= count
+        self._extents.append((len(self._blocks) - 1, first, count))
+
+    def _steps_at(self, places: NDArray[np.int32] | IntArray) -> list[NDArray[np.int16]]:
+        """End points (B, 2), in steps, of the stored scans at some places."""
+        extents = self._extents.array[places].tolist()
+        return [self._blocks[block][first : first + count] for block, first, count in extents]
 
     def _thin_out(self) -> None:
         """Keep half as many of the scans that are no key scans."""
         self._storage_interval *= 2
-        keys = set(self.keys)
-        interval = self._storage_interval
-        self._keep([place for place, scan in enumerate(self._stored) if not scan % interval or scan in keys])
+        scans = np.arange(len(self))
+        is_kept = scans % self._storage_interval == 0
+        is_kept[self.keys] = True
+        self._keep(np.where(is_kept, self._places.array[:, 0], _NOTHING))
 
-    def _keep(self, places: Sequence[int]) -> None:
-        """Forget all stored scans but those at these places."""
-        self._stored = [self._stored[place] for place in places]
-        self._ends = [self._ends[place] for place in places]
-        self._steps_m = [self._steps_m[place] for place in places]
-        self._origins = [self._origins[place] for place in places]
-        self._index()
+    def _keep(self, places: NDArray[np.int32]) -> None:
+        """Let the scans be those at some places (S,), ascending; the others give their memory back."""
+        is_kept = places != _NOTHING
+        kept = places[is_kept]
+        ends = self._steps_at(kept)
+        frames = self._frames.array[kept]
+        numbers = np.full((len(places), 1), _NOTHING, np.int32)
+        numbers[is_kept, 0] = np.arange(len(kept), dtype=np.int32)
+        self._places.clear()
+        self._places.extend(numbers)
+        self._frames.clear()
+        self._frames.extend(frames)
+        self._gather(ends)
+        self._between_bytes = self._count_between()
 
-    def _index(self) -> None:
-        """Find the place of each scan, and count the bytes of those between key scans."""
-        places = np.full(self._count, _NOTHING)
-        places[np.array(self._stored, np.int64)] = np.arange(len(self._stored))
-        self._places = places.tolist()
-        self._between_bytes = self.nbytes - sum(self._ends[self._places[key]].nbytes for key in self.keys)
+    def _gather(self, ends: Sequence[NDArray[np.int16]]) -> None:
+        """Let all stored scans be these, copied into one block."""
+        counts = np.array([len(own) for own in ends], np.int32)
+        first = np.cumsum(counts, dtype=np.int32) - counts
+        self._blocks = [np.concatenate([_NO_ENDS, *ends])]
+        self._room = 0
+        self._extents.clear()
+        self._extents.extend(np.column_stack([np.zeros_like(counts), first, counts]))
+
+    def _count_between(self) -> int:
+        """Bytes of the scans between key scans."""
+        keys = self._places.array[self.keys, 0]
+        return self.nbytes - _END_BYTES * int(self._extents.array[keys, 2].sum())

@@ -248,6 +248,8 @@ class LoopClosureState:
 
     def truncate(self, scans: int, key_scans: int) -> None:
         """Forget all but the first scans and key scans, wherever a step that added others has ended."""
+        if (scans, key_scans) == (len(self.scans), len(self.graph)):
+            return
         self.scans.truncate(scans, key_scans)
         self.graph.truncate(key_scans)
         self.online_poses = self.online_poses[:key_scans]
