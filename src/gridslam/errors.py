@@ -25,12 +25,6 @@ class ArgumentError(GridslamError, ValueError):
     def __init__(self, argument: str, expected: str, got: object) -> None:
         super().__init__(f"{argument}: expected {expected}, got {' '.join(str(got).split())}")
         self.argument = argument
-        self._expected = expected
-        self._got = got
-
-    def of_part(self, part: str) -> ArgumentError:
-        """The same error, of an argument of which this one is a part."""
-        return ArgumentError(f"{part}.{self.argument}", self._expected, self._got)
 
 
 class ConfigurationError(GridslamError, ValueError):

@@ -1,8 +1,8 @@
 """The one loop that drives the filter, offline and live: source -> algorithm -> observers.
 
 A step consumes its state. Where it raises an exception in its midst, the loop revives the state that it was given, and
-goes on without the scan that failed. No copy is kept to go back to: maps that are written after one was taken are held
-twice, which was a quarter of their memory.
+goes on without the scan that failed. No copy is kept to go back to: it would keep every tile that is written after it,
+a quarter of all tiles on the Intel log.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class FilterState(Protocol):
     """State of a filter."""
 
     def revive(self) -> None:
-        """Make a state that a failed step has consumed that of before the step, but for what it has written in place.
+        """Undo a step that failed: the state is as before it, except for what the step wrote in place.
 
-        Of `GridFastSlam`: the tracker may have followed the scan, and maps may hold it where it was matched.
+        What that is: see the class of the state. The random generator is not set back.
         """
 
 
@@ -279,7 +279,7 @@ def run(
         "observe".
     on_failure : callable, optional
         Called with each step that raises an exception: its scan is skipped, without a report, and the next one is
-        processed with the state before the step (see `FilterState.revive`). If not given, the exception passes.
+        processed with the state as `FilterState.revive` leaves it. If not given, the exception passes.
 
     Returns
     -------

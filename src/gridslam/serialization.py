@@ -206,10 +206,7 @@ def _load_state(kind: type, prefix: str, arrays: _Arrays, restore: Mapping[type,
         if form.is_optional and not any(other == name or other.startswith(name + ".") for other in arrays):
             fields[field] = None
         elif own_restore is not None:
-            try:
-                fields[field] = own_restore(select_part(arrays, name))
-            except ArgumentError as error:
-                raise error.of_part(name) from None
+            fields[field] = own_restore(select_part(arrays, name))
         elif form.is_state:
             fields[field] = _load_state(form.kind, name + ".", arrays, restore)
         elif form.kind in (dict, Counter):
@@ -235,7 +232,7 @@ def _load_column(name: str, form: _Form, arrays: _Arrays, rows: int | str | None
         counts = read_array(arrays, f"{name}.counts", np.int64, (rows,), sizes)
         if (counts < 0).any():
             raise ArgumentError(f"{name}.counts", "numbers >= 0", counts.min())
-        whole = read_array(arrays, name, form.dtype, (int(counts.sum()), *shape[1:]))
+        whole = read_array(arrays, name, form.dtype, (sum(counts.tolist()), *shape[1:]))
         values = np.split(whole, np.cumsum(counts))[:-1]
     else:
         values = list(read_array(arrays, name, form.dtype, (rows, *shape), sizes))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -100,9 +102,10 @@ def farthest_m(trajectory, log):
 
 @pytest.mark.parametrize(("owner", "name"), PARTS, ids=[f"{owner.__name__}.{name}" for owner, name in PARTS])
 def test_a_step_that_fails_anywhere_is_left_out(log, measurements, monkeypatch, owner, name):
-    """Twice alike; all other scans have poses, by half a cell no farther off than those of a log without the scans.
+    """All other scans have poses, as exact as those of a log without the failed scans, and two runs give the same.
 
-    (They are nearer, as tracker and maps keep what the step had written: 0.14 to 0.24 m beside 0.16 to 0.25 m.)
+    Half a cell is allowed. Most are more exact, as tracker and maps keep what the step had written: 0.14 to 0.24 m
+    beside 0.16 to 0.25 m.
     """
     found = []
     for _ in range(2):
@@ -175,6 +178,23 @@ def test_a_copy_that_fails_gives_back_nothing(measurements, monkeypatch):
         with pytest.raises(MemoryError):
             maps.snapshot()
     assert np.array_equal(maps._arena.page_refs, before)
+
+
+def test_a_key_scan_that_fails_keeps_what_no_match_has_measured(measurements, monkeypatch):
+    """The next one covers the way since the last that succeeded, and all that is uncertain about it."""
+    slam = build(Configuration(particles=5))
+    state = run(measurements[:40], slam, rng=np.random.default_rng(0))
+    state.tracker.unmatched = replace(state.tracker.unmatched, position_m2=3.0)
+    with monkeypatch.context() as patched:
+        faults = Faults(patched, ReportBuilder, "estimate", [0])
+        faults.current = 0
+        failures = []
+        for measurement in measurements[40:]:
+            if failures:
+                break
+            state = run([measurement], slam, rng=np.random.default_rng(0), state=state, on_failure=failures.append)
+    assert len(failures) == 1
+    assert state.tracker.unmatched.position_m2 >= 3.0
 
 
 def test_without_a_scan_that_succeeds_the_first_failure_is_raised(measurements):

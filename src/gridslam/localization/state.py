@@ -209,7 +209,7 @@ class MonteCarloState:
         return owner
 
     def revive(self) -> None:
-        """Make a state that a failed step has consumed that of before the step, but that its tracker may have moved."""
+        """Undo a step that failed: the state is as before it, except that the tracker may have followed the scan."""
         self.consumed = False
 
     def snapshot(self) -> MonteCarloState:

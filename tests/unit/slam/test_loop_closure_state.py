@@ -109,5 +109,5 @@ def test_a_missing_array_of_the_archive_is_told(seen, poses):
     hall.remember(closure_state, seen, poses, until=5)
     arrays = to_arrays(closure_state)
     del arrays["scans.ends"]
-    with pytest.raises(ArgumentError, match=r"scans\.arrays: expected an array named ends"):
+    with pytest.raises(ArgumentError, match="expected an array named ends"):
         restored(arrays)

@@ -13,11 +13,13 @@ from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.slam.full_slam.full_slam import full_slam
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories, full_trajectory
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.slam.loop_closure import loop_closure as loop_closure_module
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
-from gridslam.slam.loop_closure.state import FoundPiece
+from gridslam.slam.loop_closure.state import FoundPiece, RejectionReason
 from gridslam.types import StoredScan
 from support.loops import loop_drive
 
@@ -154,6 +156,61 @@ def test_a_drive_goes_on_in_the_map_of_an_earlier_one(halves):
     assert off.max() < off_alone.max() + 0.05  # the later drive adds no error of its own
     sigmas = np.sqrt(np.trace(answer.covariances[:, :2, :2], axis1=1, axis2=2))
     assert sigmas.max() < 1.0
+
+
+class LocatedAfterTenKeyScans:
+    """Finds a drive in a piece at once: it begins at `pose` there."""
+
+    def __init__(self, piece, pose, mapper):
+        self.piece, self.pose, self.mapper = piece, pose, mapper
+
+    def locate(self, closure_state):
+        poses = np.array(closure_state.graph.poses)
+        if len(poses) < 10:
+            return None
+        match = PieceMatch(compose(self.pose, between(poses[0], poses)), [])
+        return FoundPiece(0, self.piece, self.piece.build_map(self.mapper), match)
+
+
+@pytest.mark.parametrize("owner", ["insert_key_scans", "MapPiece.append", "replace_trajectory"])
+def test_where_a_drive_cannot_be_joined_it_goes_on_and_is_joined_later(halves, monkeypatch, owner):
+    """Nothing of the piece is in the state that is revived, and nothing of the drive is lost."""
+    (first, _), (second, _) = halves
+    before, recorder = drive(first)
+    piece = MapPiece(before.closure_state.scans, before.closure_state.graph)
+    begin = recorder.best_trajectory(before).poses[len(first) - 40]
+    slam = build(CONFIG)
+    state, recorder = drive(second[:1])
+    state.closure_state.earlier = LocatedAfterTenKeyScans(piece, begin, slam.mapper)
+    state.closure_state.rejected[RejectionReason.THROUGH_WALLS] = 1000
+    holder, name = {
+        "insert_key_scans": (loop_closure_module, "insert_key_scans"),
+        "MapPiece.append": (MapPiece, "append"),
+        "replace_trajectory": (GridFastSlamState, "replace_trajectory"),
+    }[owner]
+    real = getattr(holder, name)
+    tries = []
+
+    def fail_thrice(*arguments):
+        result = real(*arguments)
+        tries.append(len(tries))
+        if len(tries) <= 3:
+            raise MemoryError
+        return result
+
+    failures = []
+    with monkeypatch.context() as patched:
+        patched.setattr(holder, name, fail_thrice)
+        options = {"observers": [recorder], "state": state, "on_failure": failures.append}
+        state = run(second[1:120], slam, rng=np.random.default_rng(1), **options)
+    assert [type(failed.error) for failed in failures] == [MemoryError] * 3
+    closure_state = state.closure_state
+    assert closure_state.joined == 0
+    assert closure_state.joined_after == 10
+    assert closure_state.rejected[RejectionReason.THROUGH_WALLS] >= 1000
+    keys = len(piece) + recorder.keys[-1] + 1
+    assert len(closure_state.graph) == len(closure_state.scans.keys) == len(state.best_trajectory()) == keys
+    assert len(closure_state.scans) == len(first) + 120 - 3
 
 
 def test_scans_of_a_drive_are_not_bent_toward_the_next_one():

@@ -116,6 +116,7 @@ def test_a_robot_that_stands_for_hours_takes_no_memory():
         {"stored": np.array([0, 0, 2, 3, 5, 6, 7])},
         {"stored": np.array([0, 1, 2, 3, 6, 5, 7])},
         {"stored": np.array([0, 1, 2, 3, 5, 6, 9])},
+        {"stored": np.array([-(2**63), 1, 2, 3, 5, 6, 7])},
         {"keys": np.array([0, 4, 5])},
     ],
 )
@@ -124,6 +125,21 @@ def test_arrays_that_contradict_each_other_are_refused(archive, change):
     assert arrays["stored"].tolist() == [0, 1, 2, 3, 5, 6, 7]
     with pytest.raises(ArgumentError, match="stored: expected ascending scans below 9, the key scans among them"):
         ScanArchive.from_arrays(arrays | change)
+
+
+@pytest.mark.parametrize("count", [-1, 10**15])
+def test_a_number_of_scans_that_cannot_be_is_refused(archive, count):
+    with pytest.raises(ArgumentError, match="count: expected 0 to 100000000 scans"):
+        ScanArchive.from_arrays(archive.to_arrays() | {"count": np.array(count)})
+
+
+def test_numbers_of_ends_that_wrap_around_are_refused(archive):
+    """Their sum is that of the ends, in 64 bits."""
+    arrays = archive.to_arrays()
+    counts = np.zeros_like(arrays["ends.counts"])
+    counts[:4] = len(arrays["ends"]), 2**63 - 1, 2**63 - 1, 2
+    with pytest.raises(ArgumentError, match="ends: expected int16"):
+        ScanArchive.from_arrays(arrays | {"ends.counts": counts})
 
 
 def test_between_key_scans_no_more_beams_are_kept_than_fix_a_pose():
@@ -227,6 +243,45 @@ def test_after_a_cut_the_next_scan_is_kept():
     kept.truncate(1, 1)
     kept.append(scans()[1], np.zeros(3), is_key=False)
     assert len(kept[1]) == 7
+
+
+def test_where_memory_for_a_block_cannot_be_had_no_scan_is_lost(archive, monkeypatch):
+    """It goes on, with the same scans, once there is memory."""
+    first = ScanArchive()
+    for kept in (archive, first):
+        before = [kept[k].ends for k in range(len(kept))]
+        size = len(kept), len(kept.keys)
+        with monkeypatch.context() as patched:
+            patched.setattr("gridslam.slam.loop_closure.scan_archive._BLOCK_ENDS", 1 << 50)
+            kept._room = 0
+            with pytest.raises(MemoryError):
+                kept.append(scans()[1], np.zeros(3), is_key=True)
+        kept.truncate(*size)
+        kept.append(scans()[2], np.zeros(3), is_key=True)
+        assert all(np.array_equal(kept[k].ends, ends) for k, ends in enumerate(before))
+        np.testing.assert_allclose(kept.key(-1).ends, scans()[2].ends, atol=0.01)
+        assert len(kept.keys) == size[1] + 1
+
+
+def test_where_memory_for_fewer_scans_cannot_be_had_all_are_kept(monkeypatch):
+    monkeypatch.setattr("gridslam.slam.loop_closure.scan_archive._MOST_BYTES", 19 * 7 * 4)
+    kept = ScanArchive()
+    for k in range(20):
+        kept.append(scans()[1], np.array([0.1 * k, 0.0, 0.0]), is_key=k == 0)
+    before = contents(kept)
+
+    def fail(ends):
+        raise MemoryError
+
+    with monkeypatch.context() as patched:
+        patched.setattr("gridslam.slam.loop_closure.scan_archive._gather", fail)
+        for _ in range(3):
+            with pytest.raises(MemoryError):
+                kept.append(scans()[1], np.array([9.0, 0.0, 0.0]), is_key=False)
+            kept.truncate(20, 1)
+    assert [len(kept[k]) for k in range(20)] == [7] * 20
+    assert kept.to_arrays()["storage_interval"] == 1
+    assert before["ends"] == contents(kept)["ends"]
 
 
 def test_arrays_go_on_as_the_archive_does(archive):

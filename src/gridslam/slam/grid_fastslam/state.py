@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from operator import attrgetter
@@ -40,6 +41,15 @@ class Estimate(NamedTuple):
     lost: bool
     poses: FloatArray  # (N, 3)
     log_weights: FloatArray  # (N,)
+
+
+@final
+class BeforeStep(NamedTuple):
+    """What a consumed state needs to be revived: counts, and what a key scan takes from the tracker."""
+
+    key_scans: int = 0
+    scans: int = 0
+    unmatched: UnmatchedMotion = UnmatchedMotion()
 
 
 @final
@@ -95,7 +105,7 @@ class GridFastSlamState:
     closure_state: LoopClosureState | None = None
     odometry_covariance: Annotated[FloatArray, 3, 3] | None = None
     consumed: bool = field(default=False, metadata=NOT_SAVED)
-    steps_taken: tuple[int, int] = field(default=(0, 0), metadata=NOT_SAVED)  # key scans and stored scans when consumed
+    before_step: BeforeStep = field(default=BeforeStep(), metadata=NOT_SAVED)  # when it was consumed
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -135,19 +145,21 @@ class GridFastSlamState:
         self._check()
         owner = GridFastSlamState(*_contents(self))  # several times as fast as `replace`
         self.consumed = True
-        self.steps_taken = self.ancestry.steps, 0 if self.closure_state is None else len(self.closure_state.scans)
+        scans = 0 if self.closure_state is None else len(self.closure_state.scans)
+        self.before_step = BeforeStep(self.ancestry.steps, scans, self.tracker.unmatched)
         return owner
 
     def revive(self) -> None:
-        """Make a state that a failed step has consumed that of before the step, but for what it has written in place.
+        """Undo a step that failed: the state is as before it, except for what the step wrote in place.
 
         The tracker may have followed the scan, and maps may hold it where it was matched. If the particles were
-        resampled already, they are those that survived, with equal weights.
+        resampled already, they are those that survived, with equal weights. The graph may be corrected already.
         """
         if not self.consumed:
             return
-        key_scans, scans = self.steps_taken
+        key_scans, scans, unmatched = self.before_step
         if self.ancestry.steps > key_scans:
+            self.tracker.unmatched = unmatched
             poses = self.ancestry.retract()
             if not np.array_equal(poses, self.poses):
                 self.poses = poses
@@ -155,6 +167,8 @@ class GridFastSlamState:
                 self.log_ancestry = np.zeros(len(poses))
         if self.closure_state is not None:
             self.closure_state.truncate(scans, key_scans)
+        with suppress(MemoryError):  # of an update that goes on in the background
+            self.maps = self.maps.snapshot()  # another object: whoever shows it looks at all of it again
         self.consumed = False
 
     def move(self, poses: FloatArray, key_pose: Pose, sensor: str) -> None:

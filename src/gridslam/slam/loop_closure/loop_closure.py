@@ -63,6 +63,9 @@ class FilterState(Protocol):
     drift: FloatArray
     """Moments (9,) of the drift since the start (see `compute_moments`)."""
 
+    closure_state: LoopClosureState | None
+    """What loop closure remembers."""
+
     def best_trajectory(self) -> FloatArray:
         """Poses (T, 3) of the best particle at all key scans."""
         ...
@@ -149,7 +152,7 @@ class LoopClosure:
         corrected = correction is not None and self._build_corrected_map(closure_state, correction, state)
         located = None if closure_state.earlier is None else closure_state.earlier.locate(closure_state)
         if located is not None:
-            self.join(state, closure_state, located)
+            closure_state = self.join(state, closure_state, located)
             corrected = True
         state.drift = closure_state.graph.drift
         closures = tuple(constraint.pair for constraint in constraints)
@@ -160,19 +163,21 @@ class LoopClosure:
         state: FilterState,
         closure_state: LoopClosureState,
         found: FoundPiece,
-    ) -> None:
-        """Put an earlier piece in front of the drive so far, which was found in it.
+    ) -> LoopClosureState:
+        """Put an earlier piece in front of the drive so far, which was found in it; give the state of both.
 
         As after a loop closure, all particles share one past from then on: the piece's key scans, and the drive's where
         they were found. Their map is that of the piece, with the drive's key scans drawn into it.
         """
         first = len(found.piece)
-        closure_state.join(found)
-        trajectory = np.array(closure_state.graph.poses)
-        joined = found.maps.snapshot()
+        joined = closure_state.join(found)
+        trajectory = np.array(joined.graph.poses)
+        maps = found.maps.snapshot()
         new = range(first, len(trajectory))
-        insert_key_scans(joined, closure_state.scans, new, trajectory[first:], closure_state.graph)
-        state.replace_trajectory(trajectory, joined)
+        insert_key_scans(maps, joined.scans, new, trajectory[first:], joined.graph)
+        state.replace_trajectory(trajectory, maps)
+        state.closure_state = joined
+        return joined
 
     def _add_key_scan(self, closure_state: LoopClosureState, state: FilterState) -> None:
         """Add the newest key scan, where it was tracked to."""

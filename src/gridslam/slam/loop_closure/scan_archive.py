@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Annotated, Any, Final, final
 
 import numpy as np
@@ -28,6 +29,8 @@ _MOST_BYTES = 32_000_000
 """45,000 scans of 180 beams."""
 _BLOCK_ENDS = 1 << 18
 """A block has room for 1 MB of end points; what is not written yet takes no memory."""
+_MOST_SCANS = 100_000_000
+"""Of a saved archive: a month at 40 Hz."""
 
 _NOTHING: Final = -1
 """The place of a scan of which nothing is kept."""
@@ -89,16 +92,14 @@ class ScanArchive:
         """Append a scan from `pose` in a frame that drifts slowly."""
         scan = len(self._places)
         ends = beams.ends
-        if is_key:
-            self.keys.append(scan)
-        elif (
+        if not is_key and (
             not len(ends)
             or scan % self._storage_interval
             or is_within(pose, self._last_stored_pose, _NEAR_M, _NEAR_RAD)
         ):
             self._places.append(_NOTHING)
             return
-        else:
+        if not is_key:
             ends = ends[:: max(1, -(-len(ends) // _BETWEEN_KEYS))]
         self._places.append(len(self._extents))
         step_m = float(np.abs(ends).max(initial=0.0)) / _STEPS or 1.0
@@ -106,7 +107,9 @@ class ScanArchive:
         self._write(ends / step_m)
         if len(ends):
             self._last_stored_pose = pose
-        if not is_key:
+        if is_key:
+            self.keys.append(scan)
+        else:
             self._between_bytes += _END_BYTES * len(ends)
         if self._between_bytes > _MOST_BYTES:
             self._thin_out()
@@ -215,8 +218,10 @@ class ScanArchive:
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> ScanArchive:
         """Rebuild an archive; ArgumentError if an array is missing, of a wrong shape, or contradicts another."""
         saved = serialization.from_arrays(_SavedScans, arrays)
-        in_order = np.diff(np.concatenate([[-1], saved.stored, [saved.count]]))
-        if (in_order < 1).any() or not set(saved.keys) <= set(saved.stored.tolist()):
+        if not 0 <= saved.count <= _MOST_SCANS:
+            raise ArgumentError("count", f"0 to {_MOST_SCANS} scans", saved.count)
+        stored = [-1, *saved.stored.tolist(), saved.count]
+        if any(a >= b for a, b in pairwise(stored)) or not set(saved.keys) <= set(stored[1:-1]):
             expected = f"ascending scans below {saved.count}, the key scans among them"
             raise ArgumentError("stored", expected, f"{len(saved.stored)} that are not")
         archive = cls()
@@ -225,7 +230,7 @@ class ScanArchive:
         places[saved.stored, 0] = np.arange(len(saved.stored), dtype=np.int32)
         archive._places.extend(places)
         archive._frames.extend(np.column_stack([saved.steps_m, saved.origins]))
-        archive._gather(saved.ends)
+        archive._blocks, archive._extents = _gather(saved.ends)
         archive._last_stored_pose = saved.last_stored_pose
         archive._storage_interval = saved.storage_interval
         archive._between_bytes = archive._count_between()
@@ -235,8 +240,8 @@ class ScanArchive:
         """Store end points (B, 2) of one more scan, rounded."""
         count = len(steps)
         if self._room < count:
-            self._room = max(count, _BLOCK_ENDS)
-            self._blocks.append(np.empty((self._room, 2), np.int16))
+            self._blocks.append(np.empty((max(count, _BLOCK_ENDS), 2), np.int16))
+            self._room = len(self._blocks[-1])
         block = self._blocks[-1]
         first = len(block) - self._room
         np.rint(steps, out=block[first : first + count], casting="unsafe")
@@ -250,37 +255,41 @@ class ScanArchive:
 
     def _thin_out(self) -> None:
         """Keep half as many of the scans that are no key scans."""
-        self._storage_interval *= 2
-        scans = np.arange(len(self))
-        is_kept = scans % self._storage_interval == 0
+        interval = 2 * self._storage_interval
+        is_kept = np.arange(len(self)) % interval == 0
         is_kept[self.keys] = True
         self._keep(np.where(is_kept, self._places.array[:, 0], _NOTHING))
+        self._storage_interval = interval
 
     def _keep(self, places: NDArray[np.int32]) -> None:
-        """Let the scans be those at some places (S,), ascending; the others give their memory back."""
+        """Let the scans be those at some places (S,), ascending; the others give their memory back.
+
+        Where memory is short the archive stays as it is.
+        """
         is_kept = places != _NOTHING
         kept = places[is_kept]
-        ends = self._steps_at(kept)
-        frames = self._frames.array[kept]
+        blocks, extents = _gather(self._steps_at(kept))
+        frames = Rows[np.float64](3, np.float64)
+        frames.extend(self._frames.array[kept])
         numbers = np.full((len(places), 1), _NOTHING, np.int32)
         numbers[is_kept, 0] = np.arange(len(kept), dtype=np.int32)
-        self._places.clear()
-        self._places.extend(numbers)
-        self._frames.clear()
-        self._frames.extend(frames)
-        self._gather(ends)
-        self._between_bytes = self._count_between()
-
-    def _gather(self, ends: Sequence[NDArray[np.int16]]) -> None:
-        """Let all stored scans be these, copied into one block."""
-        counts = np.array([len(own) for own in ends], np.int32)
-        first = np.cumsum(counts, dtype=np.int32) - counts
-        self._blocks = [np.concatenate([_NO_ENDS, *ends])]
+        renumbered = Rows[np.int32](1, np.int32)
+        renumbered.extend(numbers)
+        self._places, self._extents, self._frames = renumbered, extents, frames
+        self._blocks = blocks
         self._room = 0
-        self._extents.clear()
-        self._extents.extend(np.column_stack([np.zeros_like(counts), first, counts]))
+        self._between_bytes = self._count_between()
 
     def _count_between(self) -> int:
         """Bytes of the scans between key scans."""
         keys = self._places.array[self.keys, 0]
         return self.nbytes - _END_BYTES * int(self._extents.array[keys, 2].sum())
+
+
+def _gather(ends: Sequence[NDArray[np.int16]]) -> tuple[list[NDArray[np.int16]], Rows[np.int32]]:
+    """Copy the end points of scans into one block; blocks, and where in them each scan is."""
+    counts = np.array([len(own) for own in ends], np.int32)
+    firsts = np.cumsum(counts, dtype=np.int32) - counts
+    extents = Rows[np.int32](3, np.int32)
+    extents.extend(np.column_stack([np.zeros_like(counts), firsts, counts]))
+    return [np.concatenate([_NO_ENDS, *ends])], extents

@@ -231,20 +231,19 @@ class LoopClosureState:
         self.search.forget()
         self.submap_cache.forget()
 
-    def join(self, found: FoundPiece) -> None:
-        """Put an earlier piece, in which the drive so far was found, in front of it."""
-        self.joined_after = len(self.graph)
+    def join(self, found: FoundPiece) -> LoopClosureState:
+        """Another state, in which an earlier piece where the drive so far was found lies in front of it."""
         whole = found.piece.append(MapPiece(self.scans, self.graph), found.match)
-        self.scans = whole.scans
-        self.graph = whole.graph
-        self.online_poses = [*whole.poses]
-        self.joined = found.number
-        self.earlier = None
-        self.unconfirmed = []
-        self.pending_constraints = None
-        self.correction = None
-        self.search = PlaceSearch(next_key_scan=len(whole))
-        self.submap_cache = SubmapCache()
+        return LoopClosureState(
+            scans=whole.scans,
+            graph=whole.graph,
+            online_poses=[*whole.poses],
+            search=PlaceSearch(next_key_scan=len(whole)),
+            rejected=self.rejected.copy(),
+            joined=found.number,
+            joined_after=len(self.graph),
+            threads=self.threads,
+        )
 
     def truncate(self, scans: int, key_scans: int) -> None:
         """Forget all but the first scans and key scans, wherever a step that added others has ended."""
