@@ -2,7 +2,7 @@
 
 A step consumes its state. Where it raises an exception in its midst, the loop revives the state that it was given, and
 goes on without the scan that failed. No copy is kept to go back to: it would keep every tile that is written after it,
-a quarter of all tiles on the Intel log.
+a fifth of all tiles on the Intel log.
 """
 
 from __future__ import annotations

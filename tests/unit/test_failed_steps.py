@@ -126,6 +126,34 @@ def test_a_step_that_fails_anywhere_is_left_out(log, measurements, monkeypatch, 
     assert farthest_m(trajectory, log) < farthest_m(without.online_trajectory(), log) + 0.025
 
 
+CLOSURE = "closure_state"
+IN_PLACE = ("maps.", "tracker.", f"{CLOSURE}.search.", f"{CLOSURE}.rejected", f"{CLOSURE}.scans.last_stored_pose")
+"""What a step writes to before it is sure to end."""
+
+
+@pytest.mark.parametrize(("owner", "name"), [part for part in PARTS if part != (GridFastSlamState, "resample")])
+def test_a_step_that_fails_without_resampling_changes_no_particle(measurements, monkeypatch, owner, name):
+    """Nor a weight, a trajectory, the graph or an archived scan, to the last bit."""
+    resampling = "kind=AlwaysResample" if owner is Systematic else "fraction=1e-12"
+    slam = build(override(Configuration(particles=5), f"when_to_resample.{resampling}"))
+    faults = Faults(monkeypatch, owner, name, FAILING)
+    state = None
+    kept = []
+
+    def pick(state):
+        return {key: array for key, array in arrays_of(state).items() if not key.startswith(IN_PLACE)}
+
+    rng = np.random.default_rng(3)
+    for measurement in faults.watch(measurements):
+        before = None if state is None else pick(state)
+        failures = []
+        state = run([measurement], slam, rng=rng, state=state, on_failure=failures.append)
+        if failures:
+            kept.append(before == pick(state))
+    assert len(kept) == len(faults.hit) > 0
+    assert all(kept)
+
+
 def test_a_measurement_that_is_refused_leaves_the_state_as_it_is(measurements):
     """Nothing of the step has begun, and the last key scan stays."""
     whole = list(measurements)

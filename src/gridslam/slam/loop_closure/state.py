@@ -232,7 +232,7 @@ class LoopClosureState:
         self.submap_cache.forget()
 
     def join(self, found: FoundPiece) -> LoopClosureState:
-        """Another state, in which an earlier piece where the drive so far was found lies in front of it."""
+        """Give the state of both: an earlier piece in which the drive so far was found, and the drive behind it."""
         whole = found.piece.append(MapPiece(self.scans, self.graph), found.match)
         return LoopClosureState(
             scans=whole.scans,
