@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextvars import copy_context
 from typing import Generic, TypeVar
 
 __all__ = ["read_ahead"]
@@ -26,7 +27,8 @@ def read_ahead(items: Callable[[], Iterator[_Item]], most: int = 2) -> Iterator[
         Items that wait, at most.
     """
     line = _Line[_Item](items, most)
-    thread = threading.Thread(target=line.fill, name="gridslam reading ahead", daemon=True)
+    context = copy_context()  # the limits of readers
+    thread = threading.Thread(target=context.run, args=(line.fill,), name="gridslam reading ahead", daemon=True)
     thread.start()
     try:
         yield from line.take()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bz2
+import errno
 import gzip
 import hashlib
 import json
@@ -11,6 +12,8 @@ import re
 import stat
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from itertools import chain
 from pathlib import Path
 from typing import IO, Any, cast, final
@@ -28,36 +31,85 @@ __all__ = [
     "read_json",
     "read_numbered_lines",
     "read_text",
+    "stay_below",
 ]
 
 _BLOCK_BYTES = 1 << 17  # some hundred scans: large enough to parse in one go, small enough to stream
 _LONGEST_LINE_BYTES = 1 << 20
 _LARGEST_TEXT_BYTES = 1 << 26
+_folder: ContextVar[Path | None] = ContextVar("folder", default=None)
 _NOT_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
+
+
+@contextmanager
+def stay_below(folder: str | Path | None) -> Iterator[None]:
+    """Let readers open files below a folder alone, and follow no link there; the folder itself may be one.
+
+    None lets them open any file again.
+    """
+    token = _folder.set(None if folder is None else Path(folder))
+    try:
+        yield
+    finally:
+        _folder.reset(token)
 
 
 def open_for_reading(path: str | Path) -> IO[bytes]:
     """Open a file that must exist, be a regular file and hold something; raises InputError otherwise.
 
     Pipes, devices and sockets are refused: files are read more than once, and what comes of a pipe is there only once.
+    Within `stay_below` links are refused, too, and files elsewhere.
     """
-    where = Path(path)
     try:
-        kind = where.stat().st_mode
-        if stat.S_ISDIR(kind):
-            raise InputError(path, "expected a file, got a directory")
-        if not stat.S_ISREG(kind):
-            what = "a pipe" if stat.S_ISFIFO(kind) else "a socket" if stat.S_ISSOCK(kind) else "a device"
-            raise InputError(path, f"expected a file, got {what}: write what it gives to a file first")
-        file = where.open("rb")
+        file = open(path, "rb", opener=_open_at_once)  # noqa: SIM115 the caller closes it
     except FileNotFoundError:
         raise InputError(path, "no such file") from None
+    except IsADirectoryError:
+        raise InputError(path, "expected a file, got a directory") from None
     except (OSError, ValueError) as error:  # ValueError: a path with a zero byte in it
+        if getattr(error, "errno", None) == errno.ENXIO:
+            raise InputError(path, _describe_stream("a socket")) from None
         raise InputError(path, f"cannot be opened: {getattr(error, 'strerror', None) or error}") from None
-    if os.fstat(file.fileno()).st_size == 0:
-        file.close()
+    found = os.fstat(file.fileno())
+    if stat.S_ISREG(found.st_mode) and found.st_size:
+        return file
+    file.close()
+    if stat.S_ISREG(found.st_mode):
         raise InputError(path, "the file is empty")
-    return file
+    raise InputError(path, _describe_stream("a pipe" if stat.S_ISFIFO(found.st_mode) else "a device"))
+
+
+def _describe_stream(what: str) -> str:
+    return f"expected a file, got {what}: write what it gives to a file first"
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    """Open a file, without waiting for the other end of a pipe; raises InputError where `stay_below` forbids it."""
+    flags |= getattr(os, "O_NONBLOCK", 0)
+    folder = _folder.get()
+    if folder is None:
+        return os.open(path, flags)
+    where = Path(path)
+    if folder not in where.parents or ".." in where.relative_to(folder).parts:
+        raise InputError(path, f"expected a file in {folder}, got one elsewhere")
+    *inner, name = where.relative_to(folder).parts
+    if os.open not in os.supports_dir_fd:  # on Windows
+        if where.resolve() != folder.resolve() / where.relative_to(folder):
+            raise InputError(path, f"expected a file in {folder}, got a link")
+        return os.open(path, flags)
+    opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        for part in inner:
+            above = opened
+            opened = os.open(part, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=above)
+            os.close(above)
+        return os.open(name, flags | os.O_NOFOLLOW, dir_fd=opened)
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise InputError(path, f"expected a file in {folder}, got a link") from None
+        raise
+    finally:
+        os.close(opened)
 
 
 def read_text(path: str | Path, most: int = _LARGEST_TEXT_BYTES) -> str:

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
+import os
 import secrets
 import tempfile
 import zipfile
 from collections.abc import AsyncIterator, Callable
+from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import IO, Protocol
 
 from starlette.requests import HTTPConnection, Request
-from starlette.responses import FileResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.routing import BaseRoute, Route
 
+from gridslam.errors import InputError
 from gridslam.io.maps import write_map
 from gridslam.io.trajectories import write_tum
-from gridslam.live.limits import FileCache
+from gridslam.live.limits import FileCache, PacedThread
 from gridslam.types import OccupancyGrid, Trajectory
 
 __all__ = ["DownloadableContent", "is_authorized", "make_download_routes"]
@@ -26,7 +30,7 @@ _REFUSED = "this needs the token of the page"
 
 
 class DownloadableContent(Protocol):
-    """What there is to save; used by the server's thread only."""
+    """What there is to save; used by the thread of the page's content only."""
 
     def channel_map(self, channel: int) -> OccupancyGrid | None:
         """Return the map of a channel; None if there is none."""
@@ -34,14 +38,16 @@ class DownloadableContent(Protocol):
     def trajectory(self, channel: int) -> Trajectory | None:
         """Return the trajectory of a channel; None if there is none."""
 
-    def session_file(self) -> Path | None:
-        """Return the file from which a later run goes on; None if there is none."""
+    def open_session(self) -> IO[bytes] | None:
+        """Open the file from which a later run goes on; None if there is none; raises InputError if it is gone."""
 
 
-def make_download_routes(content: DownloadableContent, token: str | None, share: float) -> list[BaseRoute]:
+def make_download_routes(
+    content: DownloadableContent, token: str | None, share: float, thread: PacedThread
+) -> list[BaseRoute]:
     """Return the routes of the files, for those who have the token; `share` of the time at most makes each of them."""
-    maps = FileCache(content.channel_map, _zip_map, share)
-    trajectories = FileCache(content.trajectory, _format_trajectory, share)
+    maps = FileCache(partial(thread.call, content.channel_map), _zip_map, share)
+    trajectories = FileCache(partial(thread.call, content.trajectory), _format_trajectory, share)
 
     def make_endpoint(cache: FileCache, media_type: str, missing: str) -> Callable:  # type: ignore[type-arg]
         async def send(request: Request) -> Response:
@@ -58,10 +64,16 @@ def make_download_routes(content: DownloadableContent, token: str | None, share:
     async def send_session(request: Request) -> Response:
         if not is_authorized(request, token):
             return PlainTextResponse(_REFUSED, 403)
-        path = content.session_file()
-        if path is None:
+        try:
+            file = await thread.call(content.open_session)
+        except InputError:
+            file = None
+        if file is None:
             return PlainTextResponse("there is no session", 404)
-        return FileResponse(path, media_type="application/octet-stream")
+        size = os.fstat(file.fileno()).st_size
+        blocks = _read(file, 0 if request.method == "HEAD" else size)
+        headers = {"content-length": str(size)}
+        return StreamingResponse(blocks, media_type="application/octet-stream", headers=headers)
 
     return [
         Route("/map.zip", make_endpoint(maps, "application/zip", "there is no map")),
@@ -80,6 +92,14 @@ async def _split(data: bytes) -> AsyncIterator[bytes]:
     """Yield blocks, each when the one before has been taken: a slow reader holds no copy."""
     for start in range(0, len(data), _BLOCK):
         yield data[start : start + _BLOCK]
+
+
+async def _read(file: IO[bytes], size: int) -> AsyncIterator[bytes]:
+    """Yield this many bytes of a file in blocks, and close it."""
+    with file:
+        while block := await asyncio.to_thread(file.read, min(_BLOCK, size)):
+            yield block
+            size -= len(block)
 
 
 def _zip_map(grid: OccupancyGrid) -> bytes:

@@ -1,63 +1,26 @@
-"""Limits of the page's server: connections, computing time and files, so that no visitor holds a run up."""
+"""Limits of what visitors take: computing time and files, so that none of them holds a run up."""
 
 from __future__ import annotations
 
 import asyncio
-import itertools
 import selectors
-import sys
+import threading
 import time
-from collections.abc import Callable
-from typing import Any, Generic, TypeVar, final
+from collections.abc import Awaitable, Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Generic, TypeVar, final
 
-from uvicorn.protocols.http.auto import AutoHTTPProtocol
+__all__ = ["FileCache", "Pace", "PacedSelector", "PacedThread"]
 
-__all__ = ["FileCache", "LimitedConnection", "PacedSelector", "find_max_connections"]
-
-_MOST_CONNECTIONS = 400
 _LONGEST_SLEEP_S = 0.5
 
-
-def find_max_connections() -> int:
-    """Return how many connections are kept: at most half of the files that this process may open."""
-    if sys.platform == "win32":
-        return _MOST_CONNECTIONS
-    import resource  # not on Windows
-
-    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    return _MOST_CONNECTIONS if limit == resource.RLIM_INFINITY else max(8, min(_MOST_CONNECTIONS, limit // 2))
-
-
-_Connection: Any = AutoHTTPProtocol
+_Source = TypeVar("_Source")
+_Result = TypeVar("_Result")
 
 
 @final
-class LimitedConnection(_Connection):  # type: ignore[misc]
-    """A connection; when there are too many, one without a request gives way, or the oldest that is no viewer's."""
-
-    most = find_max_connections()
-    _numbers = itertools.count()
-
-    def connection_made(self, transport: asyncio.Transport) -> None:
-        """Accept the connection, and make room for it."""
-        super().connection_made(transport)
-        self.number = next(self._numbers)
-        if len(self.connections) <= self.most:
-            return
-        staying = [other for other in self.connections if not other.transport.is_closing()]
-        if len(staying) > self.most:
-            others = [other for other in staying if isinstance(other, LimitedConnection) and other is not self]
-            min(others, key=lambda other: (other.is_busy, other.number), default=self).transport.abort()
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether a request is being answered."""
-        return self.cycle is not None and not self.cycle.response_complete
-
-
-@final
-class PacedSelector(selectors.DefaultSelector):
-    """Selector of an event loop that takes a share of one processor's time at most; who asks for more has to wait.
+class Pace:
+    """A share of one processor's time that some threads take together; who asks for more has to wait.
 
     Parameters
     ----------
@@ -68,31 +31,67 @@ class PacedSelector(selectors.DefaultSelector):
     """
 
     def __init__(self, share: float, burst_s: float = 0.5) -> None:
-        super().__init__()
         self.share = share
         self._burst_s = burst_s
         self._credit_s = burst_s
         self._looked_s = time.monotonic()
-        self._spent_s: float | None = None
+        self._spent_s: dict[int, float] = {}  # by each thread
+        self._lock = threading.Lock()
+
+    def keep(self) -> None:
+        """Wait until the time that was spent is paid for; called by each of the threads again and again."""
+        spent_s = time.thread_time()
+        thread = threading.get_ident()
+        with self._lock:
+            now_s = time.monotonic()
+            earned_s = self.share * (now_s - self._looked_s)
+            self._credit_s = min(self._burst_s, self._credit_s + earned_s) - (
+                spent_s - self._spent_s.get(thread, spent_s)
+            )
+            self._looked_s = now_s
+            self._spent_s[thread] = spent_s
+            owed_s = -self._credit_s
+        if owed_s > 0:
+            time.sleep(min(owed_s / self.share, _LONGEST_SLEEP_S))
+
+
+@final
+class PacedSelector(selectors.DefaultSelector):
+    """Selector of an event loop that keeps a pace."""
+
+    def __init__(self, pace: Pace) -> None:
+        super().__init__()
+        self._pace = pace
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        """Wait for events, and before that until the time that was spent is paid for."""
-        self._account()
-        if self._credit_s < 0:
-            time.sleep(min(-self._credit_s / self.share, _LONGEST_SLEEP_S))
+        """Wait for events, and before that as long as the pace demands."""
+        self._pace.keep()
         return super().select(timeout)
 
-    def _account(self) -> None:
-        now_s = time.monotonic()
-        spent_s = time.thread_time()
-        before_s = spent_s if self._spent_s is None else self._spent_s
-        earned_s = self.share * (now_s - self._looked_s)
-        self._credit_s = min(self._burst_s, self._credit_s + earned_s) - (spent_s - before_s)
-        self._looked_s = now_s
-        self._spent_s = spent_s
 
+@final
+class PacedThread:
+    """A thread that makes calls one after the other, in the order in which they came, and keeps a pace."""
 
-_Source = TypeVar("_Source")
+    def __init__(self, name: str, pace: Pace) -> None:
+        self._executor = ThreadPoolExecutor(1, name)
+        self._pace = pace
+
+    def submit(self, function: Callable[..., _Result], *arguments: object) -> Future[_Result]:
+        """Schedule a call; thread-safe. Raises RuntimeError after `stop`."""
+        return self._executor.submit(self._call, function, *arguments)
+
+    async def call(self, function: Callable[..., _Result], *arguments: object) -> _Result:
+        """Schedule a call, and return its result."""
+        return await asyncio.wrap_future(self.submit(function, *arguments))
+
+    def stop(self) -> None:
+        """Make no further call."""
+        self._executor.shutdown(wait=False, cancel_futures=True)
+
+    def _call(self, function: Callable[..., _Result], *arguments: object) -> _Result:
+        self._pace.keep()
+        return function(*arguments)
 
 
 @final
@@ -101,7 +100,7 @@ class FileCache(Generic[_Source]):
 
     Parameters
     ----------
-    find_source : callable
+    find_source : coroutine function
         Returns what the file of a channel is made of; None if there is nothing.
     make_file : callable
         Makes the file's content; called in another thread.
@@ -111,7 +110,7 @@ class FileCache(Generic[_Source]):
 
     def __init__(
         self,
-        find_source: Callable[[int], _Source | None],
+        find_source: Callable[[int], Awaitable[_Source | None]],
         make_file: Callable[[_Source], bytes],
         share: float,
     ) -> None:
@@ -132,7 +131,7 @@ class FileCache(Generic[_Source]):
                     return self._content
                 await asyncio.sleep(wait_s)
             start_s = time.monotonic()
-            source = self._find_source(channel)
+            source = await self._find_source(channel)
             content = None if source is None else await asyncio.to_thread(self._make_file, source)
             end_s = time.monotonic()
             self._due_s = end_s + self._rest * (end_s - start_s)

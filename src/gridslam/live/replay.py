@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, final
+from typing import IO, Any, final
 
 import numpy as np
 
 from gridslam.errors import ArgumentError
+from gridslam.io.text import open_for_reading, stay_below
 from gridslam.live.ancestry_tree import NO_POINTS
 from gridslam.live.beside import read_beside
 from gridslam.live.control import check_particle, check_speed
@@ -42,24 +44,26 @@ class Replay:
     Raises
     ------
     InputError
-        A file is missing or malformed, the files are not of one run, or another command wrote the folder.
+        A file is missing or malformed, the files are not of one run, or another command wrote the folder; a file is a
+        link, or lies elsewhere: only those in the folder are read and served.
     """
 
     def __init__(self, folder: str | Path, beside: str | Path | None = None, speed: float = 10.0) -> None:
         """Read the folder."""
-        out = Path(folder)
-        results, title = read_results(out)
+        self._out = out = Path(folder)
+        with stay_below(out):
+            results, title = read_results(out)
+            self.history = read_optional_history(out / HISTORY_NAME)
         self.results = results
         mode = "still" if isinstance(results, StaticMap) else "replay"
         self.speed = speed
         self.beside = read_beside(out, None if beside is None else Path(beside), results.trajectory)
-        self._session = max(out.glob("*.gridslam"), key=lambda path: path.stat().st_mtime, default=None)
+        self._session = _find_session(out)
         found = {
             "other": self.beside.grid is not None,
             "truth": len(self.beside.path) > 0,
             "session": self._session is not None,
         }
-        self.history = read_optional_history(out / HISTORY_NAME)
         if self.history is not None:
             found |= dict.fromkeys(("scan", "particles"), True)
         self.past_maps = PastMaps(self.history or History())
@@ -89,9 +93,20 @@ class Replay:
         """Return the trajectory, which all channels share."""
         return self.results.trajectory
 
-    def session_file(self) -> Path | None:
-        """Return the newest file of the folder from which a later run goes on; None if there is none."""
-        return self._session
+    def open_session(self) -> IO[bytes] | None:
+        """Open the newest file of the folder from which a later run goes on; None if there is none."""
+        if self._session is None:
+            return None
+        with stay_below(self._out):
+            return open_for_reading(self._out / self._session)
+
+
+def _find_session(folder: Path) -> str | None:
+    """Return the name of the newest session in a folder, without those that are links."""
+    with os.scandir(folder) as entries:
+        found = [(entry.stat(follow_symlinks=False).st_mtime, entry.name) for entry in entries if
+                 entry.name.endswith(".gridslam") and entry.is_file(follow_symlinks=False)]  # fmt: skip
+    return max(found)[1] if found else None
 
 
 @final

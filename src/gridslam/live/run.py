@@ -6,14 +6,16 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, final
+from typing import IO, Any, final
 
 import numpy as np
 
 from gridslam.errors import ArgumentError
+from gridslam.io.text import open_for_reading
 from gridslam.live.ancestry_tree import NO_POINTS
 from gridslam.live.control import Control, RobotControl, check_particle, check_speed
 from gridslam.live.history import History, PastMaps
+from gridslam.live.holds import Holds
 from gridslam.live.monitor import BEST
 from gridslam.live.observer import UNVIEWED_PERIOD_S, VIEWED_PERIOD_S, LiveObserver, Snapshot
 from gridslam.live.past import PastReader
@@ -60,6 +62,7 @@ class LiveRun:
         self._range_max_m = range_max_m
         self._known = known
         self._viewers: dict[LiveViewer, Callable[[], None]] = {}
+        self.holds = Holds(control)
         self._channels = 0
         self._message = ""
         self._answer = ""
@@ -113,6 +116,7 @@ class LiveRun:
         if snapshot.scan is not None and snapshot.scan is not self._last_scan:
             self._last_scan = snapshot.scan
             self._scan = snapshot.scan.beams(0.05, self._range_max_m).ends.astype(np.float32)
+        self.holds.update()
         self._update_status(snapshot)
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
@@ -146,8 +150,9 @@ class LiveRun:
         return viewer
 
     def remove_viewer(self, viewer: LiveViewer) -> None:
-        """Remove a viewer."""
+        """Remove a viewer; its pause and its speed end with it."""
         self._viewers.pop(viewer, None)
+        self.holds.release(viewer)
         self._count_viewers()
 
     @property
@@ -171,9 +176,9 @@ class LiveRun:
         known = np.isfinite(poses[: len(stamps_ns), 0])
         return Trajectory(stamps_ns[known], poses[: len(stamps_ns)][known]) if known.any() else None
 
-    def session_file(self) -> Path | None:
-        """Return the file from which a later run goes on; None if this one offers none."""
-        return self._session if self._session is not None and self._session.is_file() else None
+    def open_session(self) -> IO[bytes] | None:
+        """Open the file from which a later run goes on; None if this one offers none."""
+        return None if self._session is None else open_for_reading(self._session)
 
     def offer_session(self, path: Path) -> None:
         """Let viewers save the file from which a later run goes on."""
@@ -330,13 +335,13 @@ class LiveViewer:
         run = self._run
         match command["do"]:
             case "pause":
-                run.control.pause()
+                run.holds.pause(self)
             case "resume":
-                run.control.resume()
+                run.holds.resume()
             case "step":
-                run.control.step(to_key_scan=bool(command.get("to_key_scan", True)))
+                run.holds.step(self, to_key_scan=bool(command.get("to_key_scan", True)))
             case "speed":
-                run.control.set_speed(check_speed(command["factor"]))
+                run.holds.set_speed(self, check_speed(command["factor"]))
             case "select":
                 self._select(command["particle"])
             case "seek":

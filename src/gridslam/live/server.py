@@ -1,18 +1,18 @@
-"""The web server of the page: the application, its stream of messages to each viewer, and a thread of its own."""
+"""The web server of the page: the application, and the threads in which it and the page's content live."""
 
 from __future__ import annotations
 
 import asyncio
 import errno
-import json
 import os
+import re
 import secrets
 import socket
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, Protocol, final
-from urllib.parse import urlsplit
 
 import uvicorn
 from starlette.applications import Starlette
@@ -21,22 +21,20 @@ from starlette.responses import PlainTextResponse
 from starlette.routing import Mount, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket
 
-from gridslam.errors import ArgumentError, OutputError
+from gridslam.errors import OutputError
+from gridslam.live.connections import LimitedConnection, LimitedSocket, drop_stalled
 from gridslam.live.downloads import DownloadableContent, is_authorized, make_download_routes
-from gridslam.live.limits import LimitedConnection, PacedSelector
+from gridslam.live.limits import Pace, PacedSelector, PacedThread
 from gridslam.live.options import LiveOptions
-from gridslam.live.protocol import encode
+from gridslam.live.viewing import Viewer, serve_viewer
 
 __all__ = ["PageContent", "PageServer", "Viewer"]
 
-_PERIOD_S = 0.1  # least time between two messages to a viewer
-_BYTES_PER_S = 1e6  # maximum rate for a viewer; a large message is followed by a longer pause
-_HEARTBEAT_S = 3.0  # maximum time between messages to a viewer, so that it does not time out
-_MAX_UNACKNOWLEDGED = 2  # messages that a viewer has not confirmed: a slow line gets fewer messages, not later ones
 _BAD_TOKEN = 4401  # close codes of the socket
-_BAD_COMMAND = 4400
+_TOO_MANY = 4429
+_HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[\w.-]*)(?::\d{1,5})?", re.ASCII)
 _HERE = Path(__file__).parent / "static"
 _HEADERS = {
     "content-security-policy": "default-src 'self'; connect-src 'self' ws: wss:; img-src 'self' blob: data:; "
@@ -51,21 +49,8 @@ _STOP_WITHIN_S = 5.0
 _BACKLOG = 32  # connections that are accepted at once
 
 
-class Viewer(Protocol):
-    """A viewer; used by the server's thread only."""
-
-    def next_message(self) -> bytes | None:
-        """Return the next message for the viewer; None if there is nothing new."""
-
-    def command(self, command: Mapping[str, Any]) -> None:
-        """Execute a command; raises ArgumentError, KeyError, TypeError or ValueError if it is invalid."""
-
-    def close(self) -> None:
-        """Remove the viewer."""
-
-
 class PageContent(DownloadableContent, Protocol):
-    """Content of the page; used by the server's thread only."""
+    """Content of the page; used by one thread of the server only, which is not the one that answers requests."""
 
     def add_viewer(self, notify: Callable[[], None]) -> Viewer:
         """Add a viewer; `notify` is called whenever there may be something new."""
@@ -79,7 +64,7 @@ class PageServer:
     Parameters
     ----------
     content : PageContent
-        Content of the page; from now on only this server's thread may use it, see `call`.
+        Content of the page; from now on only this server's thread for it may use it, see `call`.
     options : LiveOptions
         Address of the page.
     share : float, (0, 1]
@@ -93,12 +78,14 @@ class PageServer:
 
     def __init__(self, content: PageContent, options: LiveOptions, share: float = 1.0) -> None:
         """Create the server without listening."""
-        self._share = share
+        self._pace = Pace(share)
+        self._content_thread = PacedThread("gridslam-live-content", self._pace)
         self._options = options
         self._token = None if options.is_local else os.environ.get(_TOKEN) or secrets.token_urlsafe(12)
         config = uvicorn.Config(
-            _make_application(content, options.host, self._token, share),
+            _make_application(content, options.host, self._token, share, self._content_thread),
             http=LimitedConnection,
+            ws=LimitedSocket,
             backlog=_BACKLOG,
             loop="none",
             log_config=None,
@@ -126,6 +113,7 @@ class PageServer:
         """Close all connections."""
         self._server.should_exit = True
         self._thread.join(_STOP_WITHIN_S)
+        self._content_thread.stop()
 
     @property
     def url(self) -> str:
@@ -139,12 +127,12 @@ class PageServer:
         return f"http://{address}:{port}/" + ("" if self._token is None else f"?token={self._token}")
 
     def call(self, function: Callable[..., None], *arguments: object) -> bool:
-        """Schedule a call in the server's thread; thread-safe. Returns False if the server has stopped."""
-        if self._loop is None:
+        """Schedule a call in the content's thread; thread-safe. Returns False if the server has stopped."""
+        if self._loop is None or self._loop.is_closed():
             return False
         try:
-            self._loop.call_soon_threadsafe(function, *arguments)
-        except RuntimeError:  # its loop is closed
+            self._content_thread.submit(function, *arguments).add_done_callback(_raise_again)
+        except RuntimeError:
             return False
         return True
 
@@ -160,13 +148,15 @@ class PageServer:
             raise OutputError(f"cannot listen at {host}, port {port}: {error.strerror or error}") from None
 
     def _serve(self) -> None:
-        loop = asyncio.SelectorEventLoop(PacedSelector(self._share))
+        loop = asyncio.SelectorEventLoop(PacedSelector(self._pace))
         loop.set_exception_handler(_ignore_connections)
 
         async def serve() -> None:
             self._loop = loop
             self._running.set()
+            dropping = asyncio.create_task(drop_stalled(self._server.server_state.connections))
             await self._server.serve([self._socket] if self._socket else None)
+            dropping.cancel()
 
         try:
             loop.run_until_complete(serve())
@@ -190,22 +180,31 @@ def _ignore_connections(loop: asyncio.AbstractEventLoop, context: dict[str, Any]
         loop.default_exception_handler(context)
 
 
-def _make_application(content: PageContent, host: str, token: str | None, share: float) -> ASGIApp:
+def _raise_again(call: Future[None]) -> None:
+    """Let what failed in the content's thread be reported."""
+    if not call.cancelled():
+        call.result()
+
+
+def _make_application(content: PageContent, host: str, token: str | None, share: float, thread: PacedThread) -> ASGIApp:
     """The page of a show, for everyone who has the token; without one for requests to this very host alone."""
-    turn = asyncio.Lock()
+    viewers = asyncio.BoundedSemaphore(max(LimitedConnection.most // 2, 1))
 
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
         origin = websocket.headers.get("origin")
-        foreign = origin is not None and urlsplit(origin).netloc != websocket.headers.get("host")
+        foreign = origin is not None and origin.partition("://")[2] != websocket.headers.get("host")
         if foreign or not is_authorized(websocket, token):
             await websocket.close(_BAD_TOKEN, "this page needs the address with its token")
-            return
-        await _serve_viewer(websocket, content, turn)
+        elif viewers.locked():
+            await websocket.close(_TOO_MANY, "too many look at this page")
+        else:
+            async with viewers:
+                await serve_viewer(websocket, content.add_viewer, thread)
 
     routes = [
         WebSocketRoute("/socket", socket),
-        *make_download_routes(content, token, share),
+        *make_download_routes(content, token, share, thread),
         Mount("/", StaticFiles(directory=_HERE, html=True)),
     ]
     names = None if token is not None else {"127.0.0.1", "localhost", "::1", host}
@@ -213,7 +212,7 @@ def _make_application(content: PageContent, host: str, token: str | None, share:
 
 
 def _guard(app: ASGIApp, names: set[str] | None) -> ASGIApp:
-    """Reject requests for other host names, against DNS rebinding, and add security headers."""
+    """Reject requests without a host or for another one, against DNS rebinding, and add security headers."""
 
     async def guarded(scope: Scope, receive: Receive, send: Send) -> None:
         async def with_headers(message: Message) -> None:
@@ -221,65 +220,14 @@ def _guard(app: ASGIApp, names: set[str] | None) -> ASGIApp:
                 message["headers"] += [(name.encode(), value.encode()) for name, value in _HEADERS.items()]
             await send(message)
 
-        if names is not None and scope["type"] in ("http", "websocket"):
-            host = HTTPConnection(scope).headers.get("host", "")
-            if urlsplit(f"//{host}").hostname not in names:
+        if scope["type"] in ("http", "websocket"):
+            host = _HOST.fullmatch(HTTPConnection(scope).headers.get("host", ""))
+            if host is None:
+                await PlainTextResponse("the header Host holds no name", 400)(scope, receive, send)
+                return
+            if names is not None and host[1].strip("[]").lower() not in names:
                 await PlainTextResponse("not served under this name", 421)(scope, receive, send)
                 return
         await app(scope, receive, with_headers)
 
     return guarded
-
-
-async def _serve_viewer(websocket: WebSocket, content: PageContent, turn: asyncio.Lock) -> None:
-    """Send messages to one viewer and execute its commands until it disconnects; viewers take `turn` in turn."""
-    notify = asyncio.Event()
-    window = asyncio.BoundedSemaphore(_MAX_UNACKNOWLEDGED)
-    viewer = content.add_viewer(notify.set)
-    sender = asyncio.create_task(_send_all(websocket, viewer, notify, window, turn))
-    try:
-        while True:
-            command = json.loads(await websocket.receive_text())
-            if command["do"] == "ack":
-                window.release()
-            else:
-                viewer.command(command)
-                notify.set()
-    except (ArgumentError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        reason = f"not understood: {error}".encode()[:100].decode(errors="ignore")  # a close frame holds little
-        await websocket.close(_BAD_COMMAND, reason)
-    except (WebSocketDisconnect, RuntimeError):
-        pass
-    finally:
-        viewer.close()
-        sender.cancel()
-        await asyncio.gather(sender, return_exceptions=True)
-
-
-async def _send_all(
-    websocket: WebSocket, viewer: Viewer, notify: asyncio.Event, window: asyncio.Semaphore, turn: asyncio.Lock
-) -> None:
-    clock = asyncio.get_running_loop().time
-    while True:
-        await window.acquire()
-        message = await _next_message(viewer, notify, turn)
-        due = clock() + max(_PERIOD_S, len(message) / _BYTES_PER_S)
-        await websocket.send_bytes(message)
-        await asyncio.sleep(due - clock())
-
-
-async def _next_message(viewer: Viewer, notify: asyncio.Event, turn: asyncio.Lock) -> bytes:
-    """The data that the viewer lacks, or an empty heartbeat."""
-    clock = asyncio.get_running_loop().time
-    due = clock() + _HEARTBEAT_S
-    while True:
-        notify.clear()
-        async with turn:
-            message = viewer.next_message()
-            await asyncio.sleep(0)  # the others wait until the loop has passed its selector, which paces it
-        if message is not None:
-            return message
-        try:
-            await asyncio.wait_for(notify.wait(), due - clock())
-        except asyncio.TimeoutError:
-            return encode({}, {})

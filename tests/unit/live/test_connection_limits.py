@@ -10,10 +10,11 @@ import time
 
 import pytest
 
-from gridslam.live.limits import FileCache, LimitedConnection, PacedSelector, find_max_connections
+from gridslam.live.connections import LimitedConnection, find_max_connections
+from gridslam.live.limits import FileCache, Pace, PacedSelector, PacedThread
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
-from gridslam.live.server import _send_all
+from gridslam.live.viewing import ViewerLine
 
 
 @pytest.fixture
@@ -70,8 +71,11 @@ def test_one_archive_is_made_at_a_time_and_given_to_all():
         time.sleep(0.05)
         return b"archive"
 
+    async def find(channel):
+        return f"map {channel}"
+
     async def ask() -> list[bytes | None]:
-        cache = FileCache(lambda channel: f"map {channel}", make, 0.1)
+        cache = FileCache(find, make, 0.1)
         return await asyncio.gather(*(cache.find(0) for _ in range(20)))
 
     assert asyncio.run(ask()) == [b"archive"] * 20
@@ -79,8 +83,11 @@ def test_one_archive_is_made_at_a_time_and_given_to_all():
 
 
 def test_another_map_waits_until_the_archive_before_is_paid_for():
+    async def find(channel):
+        return str(channel)
+
     async def ask() -> float:
-        cache = FileCache(str, lambda text: time.sleep(0.05) or text.encode(), 0.25)
+        cache = FileCache(find, lambda text: time.sleep(0.05) or text.encode(), 0.25)
         await cache.find(0)
         start = time.monotonic()
         assert await cache.find(1) == b"1"
@@ -96,25 +103,29 @@ def compute(seconds):
 
 
 def assert_leaves_the_rest_of_the_time(work):
-    """By the loop's own processor time, 0.3 s of it, which does not depend on how busy the machine is."""
-    loop = asyncio.SelectorEventLoop(PacedSelector(0.1, burst_s=0.05))
-    spent = [0.0, 0.0]
+    """By the processor time of the loop and of the content's thread, 0.3 s, however busy the machine is."""
+    pace = Pace(0.1, burst_s=0.05)
+    thread = PacedThread("content", pace)
+    loop = asyncio.SelectorEventLoop(PacedSelector(pace))
+    spent = []
 
     def run() -> None:
         start = time.thread_time(), time.monotonic()
-        loop.run_until_complete(work())
-        spent[:] = time.thread_time() - start[0], time.monotonic() - start[1]
+        loop.run_until_complete(work(thread))
+        inner = thread.submit(time.thread_time).result()
+        spent.extend((time.thread_time() - start[0] + inner, time.monotonic() - start[1]))
 
-    thread = threading.Thread(target=run)
-    thread.start()
-    thread.join()
+    runner = threading.Thread(target=run)
+    runner.start()
+    runner.join()
     loop.close()
+    thread.stop()
     assert spent[0] >= 0.3
     assert spent[1] >= (spent[0] - 0.05) / 0.1 * 0.8
 
 
 def test_a_loop_that_is_never_done_leaves_the_rest_of_the_time():
-    async def work() -> None:
+    async def work(thread) -> None:
         for _ in range(300):
             compute(0.001)
             await asyncio.sleep(0)
@@ -137,17 +148,23 @@ class Busy:
 
 
 def test_many_viewers_leave_the_rest_of_the_time():
-    """The loop cannot rest while it goes through what is ready: messages to all of 200 viewers took it for seconds."""
+    """Messages to all of 200 viewers took the loop for seconds, as it did not rest while it went through them."""
 
-    async def work() -> None:
-        turn = asyncio.Lock()
+    async def work(thread) -> None:
         viewers = [Busy() for _ in range(30)]
-        tasks = [
-            asyncio.create_task(_send_all(viewer, viewer, asyncio.Event(), asyncio.BoundedSemaphore(2), turn))
-            for viewer in viewers
-        ]
+        tasks = [asyncio.create_task(ViewerLine(viewer, viewer, asyncio.Event(), thread).send()) for viewer in viewers]
         await asyncio.gather(*(viewer.is_served.wait() for viewer in viewers))
         for task in tasks:
             task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    assert_leaves_the_rest_of_the_time(work)
+
+
+def test_both_threads_keep_one_pace():
+    async def work(thread) -> None:
+        for _ in range(15):
+            compute(0.01)
+            await thread.call(compute, 0.01)
 
     assert_leaves_the_rest_of_the_time(work)

@@ -19,7 +19,7 @@ from websockets.sync.client import connect
 from gridslam.config import build
 from gridslam.errors import ArgumentError, OutputError
 from gridslam.io.maps import read_map
-from gridslam.live import server
+from gridslam.live import viewing as viewing_module
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.pipeline import Stopwatch, run
@@ -258,7 +258,7 @@ def test_a_message_that_is_too_long_ends_the_line_and_nothing_else():
 
 def test_who_does_not_confirm_gets_no_more(drive, monkeypatch):
     """A slow line must not be filled with what is old when it arrives."""
-    monkeypatch.setattr(server, "_PERIOD_S", 0.001)
+    monkeypatch.setattr(viewing_module, "_PERIOD_S", 0.001)
     with LivePage("loop", FREE, range_max_m=30.0) as page, viewing(page.url) as (socket, client):
         page.wait_for_viewer(5)
         page.observer.period_s = 0.0
@@ -276,7 +276,7 @@ def test_who_does_not_confirm_gets_no_more(drive, monkeypatch):
 
 
 def test_a_viewer_hears_something_though_nothing_happens(monkeypatch):
-    monkeypatch.setattr(server, "_HEARTBEAT_S", 0.05)
+    monkeypatch.setattr(viewing_module, "_HEARTBEAT_S", 0.05)
     with LivePage("loop", FREE) as page, viewing(page.url) as (socket, client):
         for _ in range(5):
             receive(socket, client)
@@ -285,7 +285,7 @@ def test_a_viewer_hears_something_though_nothing_happens(monkeypatch):
 
 def test_a_viewer_hears_something_though_nothing_new_happens_again_and_again(monkeypatch):
     """A robot's node that waits says so again and again."""
-    monkeypatch.setattr(server, "_HEARTBEAT_S", 0.2)
+    monkeypatch.setattr(viewing_module, "_HEARTBEAT_S", 0.2)
     ended = threading.Event()
 
     def repeat():

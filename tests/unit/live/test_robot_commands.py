@@ -11,7 +11,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from gridslam.cli.live import node_page
-from gridslam.errors import ArgumentError
+from gridslam.errors import ArgumentError, InputError
 from gridslam.live.control import RobotCommands, RobotControl
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
@@ -161,12 +161,14 @@ def test_the_session_of_a_node_is_offered_once_it_is_saved(monkeypatch, tmp_path
         monkeypatch.setattr(pages[0]._server, "call", lambda function, *given: function(*given))
         diagnostics = type("Diagnostics", (), {"level": 0, "summary": ""})
         callbacks[0](diagnostics)
-        assert run.session_file() is None
+        assert run.open_session() is None
         core.session_file.write_bytes(b"all there is")
         for _ in range(2):
             callbacks[0](diagnostics)
-        assert run.session_file() == core.session_file
+        with run.open_session() as file:
+            assert file.read() == b"all there is"
         run.reset()
         assert run._run_info["layers"].count("session") == 1
         core.session_file.unlink()
-        assert run.session_file() is None
+        with pytest.raises(InputError, match="no such file"):
+            run.open_session()

@@ -1,0 +1,153 @@
+"""The stream of messages to one viewer of the page, and of commands from it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable, Coroutine, Hashable, Iterable, Mapping
+from contextlib import suppress
+from typing import Any, Protocol, final
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from gridslam.errors import ArgumentError
+from gridslam.live.limits import PacedThread
+from gridslam.live.protocol import encode
+
+__all__ = ["Viewer", "ViewerLine", "serve_viewer"]
+
+_PERIOD_S = 0.1  # least time between two messages to a viewer
+_BYTES_PER_S = 1e6  # maximum rate for a viewer; a large message is followed by a longer pause
+_HEARTBEAT_S = 3.0  # maximum time between messages to a viewer, so that it does not time out
+_SILENCE_S = 30.0  # without a confirmation of what was sent: whoever looked on is gone
+_MAX_UNACKNOWLEDGED = 2  # messages that a viewer has not confirmed: a slow line gets fewer messages, not later ones
+_MOST_KINDS = 16  # of commands that wait
+_BAD_COMMAND = 4400  # close codes of the socket
+_SILENT = 4408
+_NOT_UNDERSTOOD = (ArgumentError, KeyError, TypeError, ValueError, OverflowError, RecursionError)
+
+
+class Viewer(Protocol):
+    """A viewer; used by the thread of the page's content only."""
+
+    def next_message(self) -> bytes | None:
+        """Return the next message for the viewer; None if there is nothing new."""
+
+    def command(self, command: Mapping[str, Any]) -> None:
+        """Execute a command; raises ArgumentError, KeyError, TypeError or ValueError if it is invalid."""
+
+    def close(self) -> None:
+        """Remove the viewer, and end what it has asked of all."""
+
+
+async def serve_viewer(
+    websocket: WebSocket, add_viewer: Callable[[Callable[[], None]], Viewer], thread: PacedThread
+) -> None:
+    """Send messages to a viewer and execute its commands until it disconnects, goes silent or is not understood."""
+    loop = asyncio.get_running_loop()
+    changed = asyncio.Event()
+
+    def notify() -> None:
+        with suppress(RuntimeError):  # the loop is closed
+            loop.call_soon_threadsafe(changed.set)
+
+    viewer = await thread.call(add_viewer, notify)
+    line = ViewerLine(websocket, viewer, changed, thread)
+    tasks = [asyncio.create_task(work()) for work in (line.receive, line.execute, line.send)]
+    code, reason = 0, ""
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        await done.pop()
+    except _NOT_UNDERSTOOD as error:
+        code, reason = _BAD_COMMAND, f"not understood: {error}"
+    except TimeoutError:
+        code, reason = _SILENT, "nothing was heard of this page"
+    except (WebSocketDisconnect, RuntimeError):
+        pass
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        with suppress(RuntimeError):  # the server has stopped
+            thread.submit(viewer.close)
+    if code:
+        with suppress(WebSocketDisconnect, RuntimeError):
+            await websocket.close(code, reason.encode()[:100].decode(errors="ignore"))  # a close frame holds little
+
+
+@final
+class ViewerLine:
+    """What goes to and fro between the server and one viewer.
+
+    Of the commands of each kind that come before the last ones are done the newest is executed, and the others never
+    are: who asks for a hundred moments of the past in a second wants to see the last of them.
+    """
+
+    def __init__(self, websocket: WebSocket, viewer: Viewer, changed: asyncio.Event, thread: PacedThread) -> None:
+        self._websocket = websocket
+        self._viewer = viewer
+        self._changed = changed
+        self._thread = thread
+        self._window = asyncio.BoundedSemaphore(_MAX_UNACKNOWLEDGED)
+        self._commands: dict[Hashable, Mapping[str, Any]] = {}  # of each kind the newest
+        self._asked = asyncio.Event()
+
+    async def receive(self) -> None:
+        """Take confirmations and commands, without end."""
+        while True:
+            command = json.loads(await self._websocket.receive_text())
+            if command["do"] == "ack":
+                self._window.release()
+            else:
+                kind = command["do"], command.get("command")
+                self._commands.pop(kind, None)
+                self._commands[kind] = command
+                if len(self._commands) > _MOST_KINDS:
+                    raise ArgumentError("do", f"at most {_MOST_KINDS} kinds of commands at once", "more")
+                self._asked.set()
+            await asyncio.sleep(0)  # the others' turn
+
+    async def execute(self) -> None:
+        """Execute commands, without end."""
+        while True:
+            await self._asked.wait()
+            self._asked.clear()
+            commands, self._commands = self._commands, {}
+            await self._thread.call(self._execute, commands.values())
+            self._changed.set()
+
+    def _execute(self, commands: Iterable[Mapping[str, Any]]) -> None:
+        for command in commands:
+            self._viewer.command(command)
+
+    async def send(self) -> None:
+        """Send messages, without end; raises TimeoutError when none is confirmed any more."""
+        clock = asyncio.get_running_loop().time
+        while True:
+            if not await _comes_within(_SILENCE_S, self._window.acquire()):
+                raise TimeoutError
+            message = await self._next_message()
+            due = clock() + max(_PERIOD_S, len(message) / _BYTES_PER_S)
+            await self._websocket.send_bytes(message)
+            await asyncio.sleep(due - clock())
+
+    async def _next_message(self) -> bytes:
+        """The data that the viewer lacks, or an empty heartbeat."""
+        clock = asyncio.get_running_loop().time
+        due = clock() + _HEARTBEAT_S
+        while True:
+            self._changed.clear()
+            message = await self._thread.call(self._viewer.next_message)
+            if message is not None:
+                return message
+            if not await _comes_within(due - clock(), self._changed.wait()):
+                return encode({}, {})
+
+
+async def _comes_within(timeout_s: float, event: Coroutine[None, None, object]) -> bool:
+    """Return whether something happens in time; `asyncio.wait_for` may swallow a cancellation before Python 3.12."""
+    task = asyncio.ensure_future(event)
+    try:
+        return bool((await asyncio.wait({task}, timeout=timeout_s))[0])
+    finally:
+        task.cancel()

@@ -1,0 +1,131 @@
+"""`view OUT` reads and serves what lies in OUT: no link leads out of it, and nothing that waits is opened."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import shutil
+import urllib.error
+import urllib.request
+
+import numpy as np
+import pytest
+
+from gridslam.api.mapping import map_log
+from gridslam.config import override
+from gridslam.errors import InputError
+from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.text import TextSource, open_for_reading, stay_below
+from gridslam.live.history import History, Moment
+from gridslam.live.history_file import write_history
+from gridslam.live.options import LiveOptions
+from gridslam.live.replay import Replay
+from gridslam.live.server import PageServer
+from support.loops import PROVOKED, loop_drive
+
+SECRET = b"the content of another file"
+READ = "run.json", "record.npz", "graph.g2o", "trajectory.tum", "map.yaml", "map.pgm"
+OPTIONAL = "history.npz", "trajectory_online.tum", "truth.tum"
+
+
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("mapped")
+    write_carmen(folder / "loop.clf", loop_drive().measurements[:40])
+    map_log(folder / "loop.clf", configuration=override(PROVOKED, "particles=3"), repair="none").save(folder / "out")
+    shutil.copy(folder / "out" / "trajectory.tum", folder / "out" / "truth.tum")
+    history = History()
+    nothing = np.zeros((0, 2))
+    history.add(Moment(1, 1, np.zeros(3), 0, np.zeros((1, 2), np.float32), nothing.astype(np.int32), b"",
+                       nothing.astype(np.int16)))  # fmt: skip
+    write_history(folder / "out" / "history.npz", history)
+    return folder / "out"
+
+
+@pytest.fixture
+def out(healthy, tmp_path):
+    return shutil.copytree(healthy, tmp_path / "out")
+
+
+def served(out):
+    """Status and content of the session, as a visitor gets them."""
+    with PageServer(Replay(out), LiveOptions(port=0)) as page:
+        try:
+            with urllib.request.urlopen(page.url + "session.gridslam", timeout=10) as answer:
+                return answer.status, answer.read()
+        except urllib.error.HTTPError as error:
+            return error.code, b""
+
+
+def test_a_session_in_the_folder_is_served(out):
+    (out / "day.gridslam").write_bytes(SECRET)
+    assert served(out) == (200, SECRET)
+
+
+def test_no_link_is_served_as_a_session(out, tmp_path):
+    (tmp_path / "secret").write_bytes(SECRET)
+    (out / "zz.gridslam").symlink_to(tmp_path / "secret")
+    assert served(out) == (404, b"")
+    (out / "a.gridslam").write_bytes(b"a session")
+    os.utime(out / "a.gridslam", (1, 1))
+    assert served(out) == (200, b"a session")
+
+
+def test_a_session_that_turns_into_a_link_later_is_not_served(out, tmp_path):
+    (tmp_path / "secret").write_bytes(SECRET)
+    (out / "day.gridslam").write_bytes(b"a session")
+    with PageServer(Replay(out), LiveOptions(port=0)) as page:
+        (out / "day.gridslam").unlink()
+        (out / "day.gridslam").symlink_to(tmp_path / "secret")
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            urllib.request.urlopen(page.url + "session.gridslam", timeout=10)
+
+
+@pytest.mark.parametrize("name", [*READ, *OPTIONAL])
+def test_whatever_is_read_must_be_no_link(out, tmp_path, name):
+    shutil.move(out / name, tmp_path / name)
+    (out / name).symlink_to(tmp_path / name)
+    with pytest.raises(InputError, match=rf"{name}: expected a file in .*, got a link"):
+        Replay(out)
+
+
+@pytest.mark.parametrize("image", ["../map.pgm", "{}/map.pgm", "maps/map.pgm"])
+def test_the_image_of_the_map_must_lie_in_the_folder(out, tmp_path, image):
+    shutil.copy(out / "map.pgm", tmp_path)
+    (out / "maps").symlink_to(tmp_path)
+    text = (out / "map.yaml").read_text().replace("map.pgm", image.format(tmp_path))
+    (out / "map.yaml").write_text(text)
+    with pytest.raises(InputError, match=r"expected a file in .*, got one elsewhere|Not a directory"):
+        Replay(out)
+
+
+@pytest.mark.parametrize("name", [*READ, *OPTIONAL, "zz.gridslam"])
+def test_a_pipe_in_the_folder_does_not_block(out, name):
+    (out / name).unlink(missing_ok=True)
+    os.mkfifo(out / name)
+    if name in READ:
+        with pytest.raises(InputError, match=name):
+            Replay(out)
+    else:
+        assert served(out)[0] == 404
+
+
+def test_the_limit_holds_in_the_thread_that_reads_ahead(out, tmp_path):
+    """A compressed file is opened there once more, when it may have become a link."""
+    (out / "truth.tum").write_bytes(gzip.compress(b"1 0 0 0 0 0 0 1\n" * 1000))
+    with stay_below(out):
+        source = TextSource(out / "truth.tum")
+        shutil.move(out / "truth.tum", tmp_path)
+        (out / "truth.tum").symlink_to(tmp_path / "truth.tum")
+        with pytest.raises(InputError, match="got a link"):
+            list(source)
+
+
+def test_the_folder_itself_may_be_a_link_and_so_may_files_without_that_limit(out, tmp_path):
+    (tmp_path / "latest").symlink_to(out)
+    assert Replay(tmp_path / "latest").results.grid is not None
+    (out / "link").symlink_to(out / "run.json")
+    with open_for_reading(out / "link") as file:
+        assert file.read(1) == b"{"
+    with stay_below(out), pytest.raises(InputError, match="got a link"):
+        open_for_reading(out / "link")
