@@ -32,6 +32,10 @@ _REFUSED = "this needs the token of the page"
 class DownloadableContent(Protocol):
     """What there is to save; used by the thread of the page's content only."""
 
+    def find_channel(self, channel: int) -> int:
+        """Return the channel whose files are given for this one: of all that there are not the same."""
+        ...
+
     def channel_map(self, channel: int) -> OccupancyGrid | None:
         """Return the map of a channel; None if there is none."""
 
@@ -53,8 +57,9 @@ def make_download_routes(
         async def send(request: Request) -> Response:
             if not is_authorized(request, token):
                 return PlainTextResponse(_REFUSED, 403)
-            channel = request.query_params.get("channel", "0")
-            data = await cache.find(int(channel) if channel.isdecimal() and len(channel) < 10 else 0)
+            given = request.query_params.get("channel", "0")
+            number = int(given) if given.isdecimal() and len(given) < 10 else 0
+            data = await cache.find(await thread.call(content.find_channel, number))
             if data is None:
                 return PlainTextResponse(missing, 404)
             return StreamingResponse(_split(data), media_type=media_type, headers={"content-length": str(len(data))})

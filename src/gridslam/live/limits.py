@@ -119,22 +119,27 @@ class FileCache(Generic[_Source]):
         self._rest = 1 / share - 1
         self._lock = asyncio.Lock()
         self._due_s = 0.0
-        self._channel = -1
-        self._content: bytes | None = None
+        self._makings: dict[int, asyncio.Task[bytes | None]] = {}  # by channel
+        self._last: tuple[int, bytes | None] | None = None  # a channel, and its file
 
     async def find(self, channel: int) -> bytes | None:
         """Return the file of a channel; None if there is none."""
-        async with self._lock:
-            wait_s = self._due_s - time.monotonic()
-            if wait_s > 0:
-                if channel == self._channel:
-                    return self._content
-                await asyncio.sleep(wait_s)
-            start_s = time.monotonic()
-            source = await self._find_source(channel)
-            content = None if source is None else await asyncio.to_thread(self._make_file, source)
-            end_s = time.monotonic()
-            self._due_s = end_s + self._rest * (end_s - start_s)
-            self._channel = channel
-            self._content = content
-            return content
+        if self._last is not None and self._last[0] == channel and time.monotonic() < self._due_s:
+            return self._last[1]
+        if channel not in self._makings:
+            self._makings[channel] = asyncio.create_task(self._make(channel))
+        return await asyncio.shield(self._makings[channel])  # others may wait for it, too
+
+    async def _make(self, channel: int) -> bytes | None:
+        try:
+            async with self._lock:
+                await asyncio.sleep(self._due_s - time.monotonic())
+                start_s = time.monotonic()
+                source = await self._find_source(channel)
+                content = None if source is None else await asyncio.to_thread(self._make_file, source)
+                end_s = time.monotonic()
+                self._due_s = end_s + self._rest * (end_s - start_s)
+                self._last = channel, content
+                return content
+        finally:
+            del self._makings[channel]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar, final
@@ -117,7 +116,7 @@ class LiveObserver:
         self._latest: tuple[Any, Any] | None = None  # report and state
         self._series: list[tuple[float, float, float, int, int]] = []
         self._stamps_ns: list[int] = []
-        self._requests: deque[tuple[int, int, int]] = deque()
+        self._requests: dict[int, tuple[int, int]] = {}  # of each channel the newest
         self._monitor.reset()
         self.history.reset()
 
@@ -167,7 +166,7 @@ class LiveObserver:
 
         `particle` is its index after `keys` key scans; -1 closes the channel.
         """
-        self._requests.append((channel, particle, keys))
+        self._requests[channel] = particle, keys
         self._control.wake()
 
     def _note_scan(self, scan: LaserScan) -> None:
@@ -184,8 +183,11 @@ class LiveObserver:
         self._due = max(self._due + self.period_s, now)
         self._busy = True
         self._is_new = False
-        while self._requests:
-            self._monitor.show_particle(*self._requests.popleft())
+        for channel in list(self._requests):
+            particle, keys = self._requests.pop(channel)
+            self._monitor.show_particle(channel, particle, keys)
+            if particle >= 0:  # its whole map is copied: one at a time, so that no visitor holds the filter up
+                break
         report, state = self._latest
         view = self._monitor.view(report, state)
         series, self._series = self._series, []

@@ -85,6 +85,10 @@ class Replay:
         """Add a viewer at the end of the run; `notify` is never called, as the content does not change."""
         return ReplayViewer(self)
 
+    def find_channel(self, channel: int) -> int:
+        """Return 0, as all channels are one."""
+        return 0
+
     def channel_map(self, channel: int) -> OccupancyGrid | None:
         """Return the map, which all channels share."""
         return self.results.grid

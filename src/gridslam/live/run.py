@@ -160,12 +160,16 @@ class LiveRun:
         """Number of viewers."""
         return len(self._viewers)
 
+    def find_channel(self, channel: int) -> int:
+        """Return the channel, or the best particle's if there is no such channel."""
+        return channel if channel in self._replicas else BEST
+
     def channel_map(self, channel: int) -> OccupancyGrid:
-        """Return the map of a channel; the best particle's if there is no such channel."""
+        """Return the map of a channel."""
         if self._known is not None:
             return self._known
         resolution_m = self._run_info["resolution_m"] or 1.0
-        return self._replicas.get(channel, self._replicas[BEST]).grid(resolution_m)
+        return self._replicas[self.find_channel(channel)].grid(resolution_m)
 
     def trajectory(self, channel: int) -> Trajectory | None:
         """Return the poses at the key scans of the particle that a channel shows, where the robot was not lost."""

@@ -28,7 +28,7 @@ from gridslam.live.connections import LimitedConnection, LimitedSocket, drop_sta
 from gridslam.live.downloads import DownloadableContent, is_authorized, make_download_routes
 from gridslam.live.limits import Pace, PacedSelector, PacedThread
 from gridslam.live.options import LiveOptions
-from gridslam.live.viewing import Viewer, serve_viewer
+from gridslam.live.viewing import Viewer, ViewerLine, serve_viewer
 
 __all__ = ["PageContent", "PageServer", "Viewer"]
 
@@ -188,6 +188,7 @@ def _raise_again(call: Future[None]) -> None:
 
 def _make_application(content: PageContent, host: str, token: str | None, share: float, thread: PacedThread) -> ASGIApp:
     """The page of a show, for everyone who has the token; without one for requests to this very host alone."""
+    joining = asyncio.Lock()
     viewers = asyncio.BoundedSemaphore(max(LimitedConnection.most // 2, 1))
 
     async def socket(websocket: WebSocket) -> None:
@@ -200,7 +201,7 @@ def _make_application(content: PageContent, host: str, token: str | None, share:
             await websocket.close(_TOO_MANY, "too many look at this page")
         else:
             async with viewers:
-                await serve_viewer(websocket, content.add_viewer, thread)
+                await serve_viewer(ViewerLine(websocket, content.add_viewer, thread, joining))
 
     routes = [
         WebSocketRoute("/socket", socket),

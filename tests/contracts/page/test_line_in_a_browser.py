@@ -71,6 +71,24 @@ def test_a_line_that_dies_without_a_word_is_given_up(browser, drive):
         cable.close()
 
 
+def test_a_pause_ends_with_the_line_and_comes_back_with_it(browser):
+    with LivePage("loop.clf", LiveOptions(port=0), range_max_m=30.0) as page:
+        cable = Cable(port_of(page))
+        browser.get(f"http://127.0.0.1:{cable.port}/")
+        wait(lambda: told(browser).get("stage") == "waiting", "the page is connected")
+        for is_paused in (True, False):
+            click(browser, "pause")
+            stage = "paused" if is_paused else "waiting"
+            wait(lambda stage=stage: told(browser)["stage"] == stage, stage)
+            cable.cut()
+            wait(lambda: page.viewers == 0, "the server notices")
+            wait(lambda: not page.control.paused, "the pause ends")
+            cable.mend()
+            wait(lambda stage=stage: told(browser)["stage"] == stage, f"{stage} again")
+            assert page.control.paused == is_paused
+        cable.close()
+
+
 def test_a_page_that_is_open_to_others_wants_its_token(browser, drive, screenshot):
     with LivePage("loop.clf", LiveOptions(host="0.0.0.0", port=0), range_max_m=30.0) as page:
         here, token = f"http://127.0.0.1:{port_of(page)}/", page.url.partition("?")[2]

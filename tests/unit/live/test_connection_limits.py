@@ -82,6 +82,28 @@ def test_one_archive_is_made_at_a_time_and_given_to_all():
     assert made == ["map 0"]
 
 
+def test_who_asks_while_an_archive_is_made_gets_that_one():
+    """Else as many are made as there are visitors, one after the other."""
+    made = []
+
+    async def find(channel):
+        made.append(channel)
+        return str(channel)
+
+    async def ask() -> None:
+        cache = FileCache(find, lambda text: time.sleep(0.05) or text.encode(), 1.0)
+        first = asyncio.create_task(cache.find(0))
+        await asyncio.sleep(0.02)
+        cancelled = asyncio.create_task(cache.find(0))
+        later = [asyncio.create_task(cache.find(channel)) for channel in 10 * (0, 1)]
+        await asyncio.sleep(0)
+        cancelled.cancel()
+        assert await asyncio.gather(first, *later) == [b"0", *10 * (b"0", b"1")]
+
+    asyncio.run(ask())
+    assert made == [0, 1]
+
+
 def test_another_map_waits_until_the_archive_before_is_paid_for():
     async def find(channel):
         return str(channel)
@@ -152,7 +174,9 @@ def test_many_viewers_leave_the_rest_of_the_time():
 
     async def work(thread) -> None:
         viewers = [Busy() for _ in range(30)]
-        tasks = [asyncio.create_task(ViewerLine(viewer, viewer, asyncio.Event(), thread).send()) for viewer in viewers]
+        joining = asyncio.Lock()
+        lines = [ViewerLine(viewer, lambda notify, viewer=viewer: viewer, thread, joining) for viewer in viewers]
+        tasks = [asyncio.create_task(line.send()) for line in lines]
         await asyncio.gather(*(viewer.is_served.wait() for viewer in viewers))
         for task in tasks:
             task.cancel()

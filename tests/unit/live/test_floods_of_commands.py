@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import pytest
 from websockets.exceptions import ConnectionClosed
@@ -27,6 +27,9 @@ class SlowContent:
     def add_viewer(self, notify):
         self.viewers.append(SlowViewer(self))
         return self.viewers[-1]
+
+    def find_channel(self, channel):
+        return 0
 
     def channel_map(self, channel):
         return None
@@ -137,10 +140,34 @@ def test_no_more_look_on_than_half_of_the_connections(monkeypatch, content):
     with PageServer(content, LiveOptions(port=0)) as page:
         with looking(page), looking(page), looking(page) as third:
             assert closing_code(third) == 4429
+            wait_until(lambda: len(content.viewers) == 2)
         wait_until(lambda: content.closed == 2)
         with looking(page) as line:
             send(line, do="seek")
             line.recv(5)
+
+
+def test_those_who_are_there_do_not_wait_for_all_who_come(page, content, monkeypatch):
+    """Whoever comes is sent everything, which would take 4 s for all of these."""
+    with looking(page) as line, ExitStack() as stack:
+        send(line, do="pause")
+        line.recv(5)
+        line.send('{"do": "ack"}')
+        monkeypatch.setattr(content, "add_viewer", add_slowly(content.add_viewer))
+        for _ in range(20):
+            stack.enter_context(looking(page))
+        start = time.monotonic()
+        send(line, do="seek")
+        line.recv(5)
+        assert time.monotonic() - start < 1.0
+
+
+def add_slowly(add_viewer):
+    def add(notify):
+        time.sleep(0.2)
+        return add_viewer(notify)
+
+    return add
 
 
 def test_who_confirms_nothing_is_gone(monkeypatch, page, content):

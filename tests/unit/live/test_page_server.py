@@ -10,6 +10,7 @@ import urllib.error
 import urllib.request
 import zipfile
 from contextlib import contextmanager
+from socket import create_connection
 
 import numpy as np
 import pytest
@@ -179,6 +180,39 @@ def test_pages_of_other_sites_are_not_let_in():
             receive(socket, client)
         with pytest.raises(InvalidStatus), viewing(page.url, additional_headers={"Host": "evil.example"}):
             pass
+
+
+@pytest.mark.parametrize(
+    "host", ["[", "]", "[]", "[::1", "::1", ":x", "a@127.0.0.1", "127.0.0.1/", "\xe4", "127.0.0.1:1:1"]
+)
+def test_a_host_that_is_none_is_refused_by_name(host):
+    """The first of them was answered by 500."""
+    with LivePage("loop", FREE) as page:
+        assert status_of(page.url, Host=host) == 400
+        assert status_of(page.url, Host="[::1]:80") == 200
+        assert status_of(page.url, Host="LocalHost") == 200
+
+
+@pytest.mark.parametrize("origin", ["http://[", "null", "://", "", "http://127.0.0.1", "https://[::1"])
+def test_an_origin_that_is_not_the_page_is_not_let_in(origin):
+    with LivePage("loop", FREE) as page, viewing(page.url, origin=origin) as (socket, _):
+        with pytest.raises(ConnectionClosed) as closed:
+            socket.recv(5)
+        assert closed.value.rcvd.code == 4401
+
+
+@pytest.mark.parametrize("broken", ["X: " + "a" * 9000, "X\xff: x", *["Y: y\r\n" * 300]])
+def test_a_handshake_that_is_none_is_refused_and_closed(broken):
+    """Else its connection is kept without end."""
+    request = "GET /socket HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    with LivePage("loop", FREE) as page:
+        port = int(page.url.rstrip("/").rpartition(":")[2])
+        with create_connection(("127.0.0.1", port), timeout=5) as line:
+            line.sendall(f"{request}{broken}\r\n\r\n".encode("latin-1"))
+            answer = b""
+            while part := line.recv(1 << 16):
+                answer += part
+        assert answer.startswith(b"HTTP/1.1 400 ")
 
 
 def test_other_hosts_need_the_token(monkeypatch):

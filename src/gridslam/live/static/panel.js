@@ -21,10 +21,11 @@ export class Panel {
   // `ask` sends a command to the server.
   constructor(ask) {
     this.ask = ask;
+    this.pauses = false; // whether the run is paused by this page: the server ends the pause with the connection
     for (const factor of SPEEDS) $("#speed").add(new Option(`${factor} ×`, factor));
     $("#speed").onchange = ({ target }) => ask({ do: "speed", factor: target.value === "" ? null : Number(target.value) });
     $("#pause").onclick = () => this.toggle();
-    $("#step").onclick = (event) => ask({ do: "step", to_key_scan: !event.shiftKey });
+    $("#step").onclick = (event) => this.step(event.shiftKey);
     $("#line").oninput = ({ target }) => this.seek(Number(target.value));
     $("#best").onclick = () => ask({ do: "select", particle: null });
     $("#sheet").onclick = () => {
@@ -35,6 +36,9 @@ export class Panel {
   }
 
   setRunInfo(runInfo) {
+    this.pauses &&= runInfo.session === this.run;
+    this.run = runInfo.session;
+    if (this.pauses) this.ask({ do: "pause" }); // the connection was lost
     this.mode = runInfo.mode;
     document.title = `${runInfo.title} · gridslam`;
     $("#title").textContent = runInfo.title;
@@ -50,11 +54,15 @@ export class Panel {
   get held() { return document.body.hasAttribute("data-held"); }
 
   toggle() {
-    if (!$("#pause").disabled) this.ask({ do: this.held ? "resume" : "pause" });
+    if ($("#pause").disabled) return;
+    this.pauses = !this.held;
+    this.ask({ do: this.held ? "resume" : "pause" });
   }
 
   step(shift) {
-    if (!$("#step").disabled) this.ask({ do: "step", to_key_scan: !shift });
+    if ($("#step").disabled) return;
+    this.pauses = true;
+    this.ask({ do: "step", to_key_scan: !shift });
   }
 
   // Whether there is a time line to move on.
@@ -95,6 +103,7 @@ export class Panel {
     document.body.dataset.stage = status.lost && status.stage === "running" ? "lost" : status.stage;
     const stage = document.body.dataset.stage === "lost" ? "running, robot lost" : WORDS[status.stage] ?? status.stage;
     $("#stage").textContent = status.past && this.mode !== "replay" ? `${stage}, seen as it was` : stage;
+    if (this.held && status.stage !== "paused") this.pauses = false; // another has ended the pause
     document.body.toggleAttribute("data-held", status.stage === "paused");
     const going = ["running", "paused", "waiting"].includes(status.stage) && this.mode !== "still";
     document.body.toggleAttribute("data-over", ["final refinement", "writing", "done"].includes(status.stage));
