@@ -35,17 +35,29 @@ def find_max_connections() -> int:
 
 async def drop_stalled(connections: Collection[Any]) -> None:
     """End connections whose other end takes nothing of what waits for it, again and again."""
-    waiting: dict[Any, int] = {}
+    waiting: dict[Any, tuple[int, int]] = {}
     while True:
         await asyncio.sleep(_STALL_S)
-        before, waiting = waiting, {one: one.transport.get_write_buffer_size() for one in connections}
-        for connection, size in waiting.items():
-            if 0 < before.get(connection, 0) <= size:
+        before, waiting = waiting, {one: (one.drained, one.transport.get_write_buffer_size()) for one in connections}
+        for connection, (drained, size) in waiting.items():
+            drained_before, size_before = before.get(connection, (-1, 0))
+            if drained == drained_before and 0 < size_before <= size:
                 connection.transport.abort()
 
 
+class _Drained:
+    """Counts how often all that waited was taken."""
+
+    drained = 0
+
+    def resume_writing(self) -> None:
+        """Go on, when nothing waits any more."""
+        self.drained += 1
+        super().resume_writing()  # type: ignore[misc]
+
+
 @final
-class LimitedConnection(H11Protocol):
+class LimitedConnection(_Drained, H11Protocol):
     """A connection; when there are too many, one without a request gives way, or the oldest that is no viewer's."""
 
     most = find_max_connections()
@@ -55,6 +67,7 @@ class LimitedConnection(H11Protocol):
         """Accept the connection, and make room for it."""
         super().connection_made(transport)
         transport.max_size = _MOST_BYTES_AT_ONCE  # type: ignore[attr-defined]
+        transport.set_write_buffer_limits(0)
         self.number = next(self._numbers)
         if len(self.connections) <= self.most:
             return
@@ -70,7 +83,7 @@ class LimitedConnection(H11Protocol):
 
 
 @final
-class LimitedSocket(WebSocketsSansIOProtocol):
+class LimitedSocket(_Drained, WebSocketsSansIOProtocol):
     """A viewer's socket, which a visitor who sends and never reads cannot make grow."""
 
     def data_received(self, data: bytes) -> None:
