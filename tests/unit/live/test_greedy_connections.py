@@ -50,14 +50,14 @@ def wait_until(condition, at_most_s=10.0):
 
 
 def test_who_never_reads_is_dropped_and_who_reads_slowly_is_not(monkeypatch, tmp_path):
-    monkeypatch.setattr(connections, "_STALL_S", 0.2)
-    (tmp_path / "day.gridslam").write_bytes(bytes(30_000_000))
+    monkeypatch.setattr(connections, "_STALL_S", 0.6)
+    (tmp_path / "day.gridslam").write_bytes(bytes(60_000_000))
     with LivePage("test", LiveOptions(port=0)) as page:
         page.offer_session(tmp_path / "day.gridslam")
         request = b"GET /session.gridslam HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
         with connected(page, request), connected(page, request) as slow:
             wait_until(lambda: len(kept(page)) == 2)
-            until = time.monotonic() + 1.5
+            until = time.monotonic() + 2.5
             while time.monotonic() < until:
                 slow.recv(1 << 14)
                 time.sleep(0.002)
@@ -79,3 +79,17 @@ def test_a_message_in_many_pieces_ends_the_line(page):
         assert line.recv(12) == b"HTTP/1.1 101"
         line.sendall(frame(1, b"{", is_last=False) + frame(0, b"", is_last=False) * 100)
         wait_until(lambda: not kept(page))
+
+
+def test_little_is_taken_of_a_connection_before_it_is_the_turn_of_others(page, monkeypatch):
+    """256 KB of small frames, as many as there were, took the loop for seconds."""
+    sizes = []
+    receive = connections.LimitedSocket.data_received
+    monkeypatch.setattr(
+        connections.LimitedSocket, "data_received", lambda self, data: sizes.append(len(data)) or receive(self, data)
+    )
+    with connected(page, HANDSHAKE) as line:
+        assert line.recv(12) == b"HTTP/1.1 101"
+        line.sendall(frame(10, b"") * 50_000)
+        wait_until(lambda: sum(sizes) >= 300_000)
+    assert max(sizes) <= 1 << 14
