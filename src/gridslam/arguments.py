@@ -17,6 +17,7 @@ __all__ = [
     "require_covariance",
     "require_generator",
     "require_instance",
+    "require_plain",
     "require_seed",
     "require_threads",
 ]
@@ -75,6 +76,28 @@ def require_instance(name: str, value: object, *kinds: type, optional: bool = Fa
         return
     expected = " or ".join([kind.__name__ for kind in kinds] + ["None"] * optional)
     raise ArgumentError(name, expected, describe(value))
+
+
+_DEEPEST = 100
+_MOST = 10**300
+_CONTAINERS = type({}.values()), list, tuple, set
+
+
+def require_plain(tree: object) -> None:
+    """Refuse values of a parser, lists and dicts, that programs cannot go on with.
+
+    These are lists in lists and dicts in dicts of more than 100 levels, and whole numbers beyond 1e300, which neither
+    `float` nor `repr` take.
+    """
+    level = [tree]
+    for _ in range(_DEEPEST):
+        if any(isinstance(value, int) and abs(value) > _MOST for value in level):
+            raise ArgumentError("values", "numbers up to 1e300", "a larger one")
+        parts = (value.values() if isinstance(value, dict) else value for value in level)
+        level = [part for below in parts if isinstance(below, _CONTAINERS) for part in below]
+        if not level:
+            return
+    raise ArgumentError("values", f"at most {_DEEPEST} levels of lists and tables", "more")
 
 
 def require_generator(rng: object) -> None:

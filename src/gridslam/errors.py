@@ -12,6 +12,7 @@ __all__ = [
     "InputError",
     "MissingDependencyError",
     "OutputError",
+    "describe_failure",
 ]
 
 
@@ -57,3 +58,12 @@ class MissingDependencyError(GridslamError, ImportError):
 
 class OutputError(GridslamError):
     """A result cannot be written."""
+
+
+def describe_failure(error: Exception) -> str:
+    """Return in a few words, on one line, what a parser has come across; errors of any type have some."""
+    if isinstance(error, RecursionError):
+        return "values are nested too deeply"
+    if isinstance(error, MemoryError):
+        return "more than fits into memory"
+    return " ".join(str(error).split())[:200] or type(error).__name__

@@ -224,8 +224,8 @@ RECURSIVE = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SEL
 @pytest.mark.parametrize(
     ("sql", "got"),
     [
-        (f"CREATE VIEW messages (id, topic_id, timestamp, data) AS {RECURSIVE}", "got a view"),
-        ("CREATE VIRTUAL TABLE messages USING fts4(id, topic_id, timestamp, data)", "got a virtual table"),
+        (f"CREATE VIEW messages (id, topic_id, timestamp, data) AS {RECURSIVE}", "got .CREATE VIEW"),
+        ("CREATE VIRTUAL TABLE messages USING fts4(id, topic_id, timestamp, data)", "got .CREATE VIRTUAL TABLE"),
         (
             "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
             "data BLOB AS (zeroblob(1000000000)))",
