@@ -53,7 +53,8 @@ class Replay:
         mode = "still" if isinstance(results, StaticMap) else "replay"
         self.speed = speed
         self.beside = read_beside(out, None if beside is None else Path(beside), results.trajectory)
-        self._session = max(out.glob("*.gridslam"), key=lambda path: path.stat().st_mtime, default=None)
+        sessions = (path for path in out.glob("*.gridslam") if path.is_file())  # a link may lead nowhere
+        self._session = max(sessions, key=lambda path: path.stat().st_mtime, default=None)
         found = {
             "other": self.beside.grid is not None,
             "truth": len(self.beside.path) > 0,
