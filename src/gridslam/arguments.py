@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -80,20 +81,24 @@ def require_instance(name: str, value: object, *kinds: type, optional: bool = Fa
 
 _DEEPEST = 100
 _MOST = 10**300
-_CONTAINERS = type({}.values()), list, tuple, set
+_CONTAINERS = list, tuple, set
+_SURROGATE = re.compile("[\ud800-\udfff]")
 
 
 def require_plain(tree: object) -> None:
     """Refuse values of a parser, lists and dicts, that programs cannot go on with.
 
-    These are lists in lists and dicts in dicts of more than 100 levels, and whole numbers beyond 1e300, which neither
-    `float` nor `repr` take.
+    These are lists in lists and dicts in dicts of more than 100 levels, whole numbers beyond 1e300, which neither
+    `float` nor `repr` take, and texts with halves of characters, which no file takes.
     """
     level = [tree]
     for _ in range(_DEEPEST):
-        if any(isinstance(value, int) and abs(value) > _MOST for value in level):
-            raise ArgumentError("values", "numbers up to 1e300", "a larger one")
-        parts = (value.values() if isinstance(value, dict) else value for value in level)
+        for value in level:
+            if isinstance(value, int) and abs(value) > _MOST:
+                raise ArgumentError("values", "numbers up to 1e300", "a larger one")
+            if isinstance(value, str) and not value.isascii() and _SURROGATE.search(value):
+                raise ArgumentError("values", "texts of whole characters", ascii(value)[:60])
+        parts = ((*value, *value.values()) if isinstance(value, dict) else value for value in level)
         level = [part for below in parts if isinstance(below, _CONTAINERS) for part in below]
         if not level:
             return

@@ -156,7 +156,7 @@ def elapsed_progress(what: str, *, shown: bool = True) -> Iterator[Callable[[], 
 
 
 def _show_now_and_then(show: Callable[[int, float], None], every_s: float) -> Callable[[], None]:
-    """Give what is called after each step: it shows their number and the time now and then, and stops if interrupted."""
+    """Give what is called after each step: it shows their number and the time at times, and stops if interrupted."""
     began = time.perf_counter()
     due = began + every_s
     steps = 0

@@ -63,7 +63,7 @@ def open_database(path: Path, tables: Iterable[str], mode: str = AS_IT_LIES) -> 
 def require_tables(connection: sqlite3.Connection, tables: Iterable[str]) -> None:
     """Raise sqlite3.DatabaseError where a schema holds more than tables and indices, or one of `tables` computes.
 
-    What SQLite makes of a row of the schema follows from its statement alone: its type and its name may say something
+    What SQLite makes of a row of the schema follows from its statement alone: its type and its name may state something
     else, and names are the same in capitals.
     """
     for (statement,) in connection.execute("SELECT sql FROM sqlite_master"):

@@ -23,6 +23,8 @@ FORMATS = "PNG", "PPM", "BMP", "TIFF", "JPEG", "GIF"
 LONGEST_SIDE_PX = 1 << 16
 """3.3 km in cells of 5 cm. Images are read some rows at a time, of which there are not 10^8."""
 
+_MOST_SLOW_PX = 10_000_000  # of a decoder that Pillow has in Python: a microsecond each
+
 
 @contextmanager
 def open_image(path: str | Path, bytes_per_pixel: int) -> Iterator[Image]:
@@ -55,6 +57,9 @@ def open_image(path: str | Path, bytes_per_pixel: int) -> Iterator[Image]:
             if max(width, height) > LONGEST_SIDE_PX:
                 problem = f"expected an image of at most {LONGEST_SIDE_PX} pixels a side, got {width} x {height}"
                 raise InputError(path, problem)
+            if width * height > _MOST_SLOW_PX and any(tile[0] in Image.DECODERS for tile in getattr(image, "tile", ())):
+                problem = f"expected at most {_MOST_SLOW_PX} pixels in this encoding, got {width} x {height}"
+                raise InputError(path, f"{problem} (a PNG, or a PGM whose largest value is 255, may have more)")
             depth = bytes_per_pixel + (4 if len(image.getbands()) > 1 or image.mode == "P" else 1)
             depth += 8 * (image.mode == "I" or image.mode.startswith("I;16"))
             require_memory(path, f"the image of {width} x {height} pixels", width * height * depth)

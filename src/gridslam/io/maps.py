@@ -232,9 +232,14 @@ def _read_fields(path: str | Path) -> _Fields:
     fields: dict[str, tuple[Any, int]] = {}
     for key, value in tree.value:
         line = key.start_mark.line + 1
+        items = value.value if value.id == "sequence" else [value]
+        if any(node.id != "scalar" for node in (key, *items)):
+            raise InputError(
+                path, "expected a text, a number or a list of numbers for each key, got another value", line
+            )
         if key.value in fields:
             raise InputError(path, f"expected each key once, got {key.value} again", line)
-        fields[str(key.value)] = [item.value for item in value.value] if value.id == "sequence" else value.value, line
+        fields[key.value] = [item.value for item in items] if value.id == "sequence" else value.value, line
     return fields
 
 

@@ -57,10 +57,10 @@ def parse_yaml(text: str, *, as_nodes: bool = False) -> Any:  # noqa: ANN401
             raise YamlError(describe_failure(error), _find_line(reader)) from None
 
 
-def _find_line(reader: Any) -> int:  # noqa: ANN401
-    """Find the line, from 1, of the value that a reader was at when it raised an error."""
+def _find_line(reader: Any) -> int | None:  # noqa: ANN401
+    """Find the line, from 1, of the value that was made when an error was raised; None where it came before."""
     begun = list(reader.constructor.recursive_objects)  # values around it first
-    return 1 + int(begun[-1].start_mark.line if begun else reader.reader.line)
+    return int(begun[-1].start_mark.line) + 1 if begun else None
 
 
 def _count_values(node: Any, counts: dict[int, int]) -> int:  # noqa: ANN401

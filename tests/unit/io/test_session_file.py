@@ -117,7 +117,7 @@ def file(measurements, tmp_path_factory):
         ("head.seed", -1, "seed: expected a number >= 0"),
         ("head", np.array("[]"), "head: expected dict"),
         ("head", np.array("5"), "head: expected dict"),
-        ("head", np.array("[" * 5000), "values are nested too deeply"),
+        ("head", np.array("[" * 5000), "values nested too deeply"),
         ("run.state.closure_state.scans.steps_m", np.full(29, 1e5), "ends of beams within 1050 m of the robot"),
         ("pieces.0.scans.steps_m", np.full(29, 1e5), "ends of beams within 1050 m of the robot"),
         ("run.state.schema", "gridslam.state/1", f"a state of schema {STATE_SCHEMA}"),

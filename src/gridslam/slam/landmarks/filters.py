@@ -48,7 +48,7 @@ _KINDS: dict[type, int] = {
     RelativePosition: RELATIVE_POSITION,
 }
 _MOST_CANDIDATES = 64
-"""Of an observation in a particle: what may be of any of hundreds of landmarks tells nothing about them.
+"""Of an observation in a particle: one that may be of any of hundreds of landmarks contains nothing about them.
 
 Of Victoria Park's observations the most are 23, of MRCLAM's 17. Where all landmarks are candidates, as in a log of huge
 covariances, the time would grow with the square of the observations.
