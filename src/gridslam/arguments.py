@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ __all__ = [
     "require_covariance",
     "require_generator",
     "require_instance",
+    "require_plain",
     "require_seed",
     "require_threads",
 ]
@@ -75,6 +77,32 @@ def require_instance(name: str, value: object, *kinds: type, optional: bool = Fa
         return
     expected = " or ".join([kind.__name__ for kind in kinds] + ["None"] * optional)
     raise ArgumentError(name, expected, describe(value))
+
+
+_DEEPEST = 100
+_MOST = 10**300
+_CONTAINERS = list, tuple, set
+_SURROGATE = re.compile("[\ud800-\udfff]")
+
+
+def require_plain(tree: object) -> None:
+    """Refuse values of a parser, lists and dicts, that programs cannot go on with.
+
+    These are lists in lists and dicts in dicts of more than 100 levels, whole numbers beyond 1e300, which neither
+    `float` nor `repr` take, and texts with halves of characters, which no file takes.
+    """
+    level = [tree]
+    for _ in range(_DEEPEST):
+        for value in level:
+            if isinstance(value, int) and abs(value) > _MOST:
+                raise ArgumentError("values", "numbers up to 1e300", "a larger one")
+            if isinstance(value, str) and not value.isascii() and _SURROGATE.search(value):
+                raise ArgumentError("values", "texts of whole characters", ascii(value)[:60])
+        parts = ((*value, *value.values()) if isinstance(value, dict) else value for value in level)
+        level = [part for below in parts if isinstance(below, _CONTAINERS) for part in below]
+        if not level:
+            return
+    raise ArgumentError("values", f"at most {_DEEPEST} levels of lists and tables", "more")
 
 
 def require_generator(rng: object) -> None:

@@ -12,6 +12,7 @@ __all__ = [
     "InputError",
     "MissingDependencyError",
     "OutputError",
+    "describe_failure",
 ]
 
 
@@ -28,7 +29,10 @@ class ArgumentError(GridslamError, ValueError):
 
 
 class ConfigurationError(GridslamError, ValueError):
-    """A preset, parameter or configuration file is unknown, malformed or out of range."""
+    """A preset, parameter or configuration file is unknown, malformed or out of range; the message is one line."""
+
+    def __init__(self, problem: str) -> None:
+        super().__init__(" ".join(problem.splitlines()))
 
 
 class ConsumedStateError(GridslamError, RuntimeError):
@@ -43,7 +47,7 @@ class InputError(GridslamError):
 
     def __init__(self, path: str | Path, problem: str, line: int | None = None) -> None:
         where = f"{path}" if line is None else f"{path}, line {line}"
-        super().__init__(f"{where}: {problem}")
+        super().__init__(f"{where}: {' '.join(problem.splitlines())}")
         self.path = Path(path)
         self.line = line
 
@@ -57,3 +61,12 @@ class MissingDependencyError(GridslamError, ImportError):
 
 class OutputError(GridslamError):
     """A result cannot be written."""
+
+
+def describe_failure(error: Exception) -> str:
+    """Return in a few words, on one line, what a parser has come across; errors of any type have some."""
+    if isinstance(error, RecursionError):
+        return "values nested too deeply"
+    if isinstance(error, MemoryError):
+        return "more than fits into memory"
+    return " ".join(str(error).split())[:200] or type(error).__name__

@@ -26,7 +26,7 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, si
 from gridslam.types import BeamStatus, FloatArray, Odometry
 from support.parameter_extremes import cases
 
-__all__ = ["FaultyStep", "commands"]
+__all__ = ["FaultyStep", "Prepare", "Read", "commands", "run_command"]
 
 _FAST = ("--particles", "2", "--set", "loop_closure=false")
 _PARTS = (
@@ -67,9 +67,27 @@ def _write(to: Path, measurements: list[Measurement], *arguments: str) -> None:
 
 
 def _run(where: Path) -> str:
-    """Run a case's command, and return what it has printed as warnings."""
+    """Run a case's command over its log, and return what it has printed as warnings."""
     command, *arguments = json.loads((where / "arguments.json").read_text())
     arguments = [argument.replace("HERE", str(where)) for argument in arguments]
+    text = _run_main(where, [command, str(where / "log.csv"), "-o", str(where / "out"), "--json", *arguments])
+    assert (where / "out" / "map.yaml").exists()
+    return text
+
+
+def run_command(where: Path) -> None:
+    """Run the command whose arguments a case holds; one that is refused must leave nothing behind."""
+    before = {*where.iterdir()}
+    try:
+        _run_main(where, json.loads((where / "arguments.json").read_text()))
+    except InputError:
+        left = {*where.iterdir()} - before - {where / "stderr.txt"}
+        assert not left, f"left behind: {sorted(path.name for path in left)}"
+        raise
+
+
+def _run_main(where: Path, arguments: list[str]) -> str:
+    """Run the command line, and return what it has printed as warnings; raises InputError where it refuses."""
     with (
         open(where / "stderr.txt", "w") as errors,
         open(os.devnull, "w") as nothing,
@@ -77,7 +95,7 @@ def _run(where: Path) -> str:
         redirect_stdout(nothing),
     ):
         os.dup2(errors.fileno(), 2)  # what is not written by way of sys.stderr
-        status = main([command, str(where / "log.csv"), "-o", str(where / "out"), "--json", *arguments])
+        status = main(arguments)
     text = (where / "stderr.txt").read_text().strip()
     lines = text.splitlines() or [""]
     assert status in (0, 2), f"status {status}: {lines[-1]}"
@@ -86,7 +104,6 @@ def _run(where: Path) -> str:
         assert len(lines) == 1, f"{len(lines)} lines: {text[:200]}"
         assert text.startswith("gridslam: "), text
         raise InputError(where, text)
-    assert (where / "out" / "map.yaml").exists()
     return text
 
 

@@ -22,7 +22,7 @@ import warnings
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -37,6 +37,7 @@ import gridslam
 from gridslam.api.landmarks import map_landmarks
 from gridslam.api.mapping import map_log
 from gridslam.api.session import Session
+from gridslam.cli.sessions import show_session
 from gridslam.config import Configuration, load, override, preset
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
 from gridslam.io.g2o import read_g2o, write_g2o
@@ -60,7 +61,10 @@ from support import ros_bags
 from support.broken_logs import OF_BYTES, OF_TEXT, damage, drive_about, whole_logs
 from support.fuzz_bombs import BOMBS, MAP_YAML
 from support.fuzz_commands import commands
+from support.fuzz_images import images
 from support.fuzz_page import page_requests
+from support.fuzz_schemas import schemas
+from support.fuzz_values import values
 
 __all__ = ["Family", "Outcome", "families", "run_cases", "summarize"]
 
@@ -180,7 +184,8 @@ def families(folder: Path) -> list[Family]:
     folder.mkdir(exist_ok=True)
     makers = (_logs, _stamps, _names, _streams, _growth, _tables, _graphs, _landmark_logs, _maps, _states, _results)
     of_files = [family for maker in makers for family in maker(folder)]
-    return [*of_files, *(Family(*family) for family in (*commands(), *page_requests(folder)))]
+    others = (*commands(), *values(folder), *schemas(folder), *images(folder), *page_requests(folder))
+    return [*of_files, *(Family(*family) for family in others)]
 
 
 def _scan(path: Path, *, keep: bool = False) -> None:
@@ -532,11 +537,15 @@ def _states(folder: Path) -> Iterator[Family]:
             (to / name).write_bytes(damage((folder / name).read_bytes(), OF_BYTES, rng)[0])
             return
         changed = dict(arrays[name])
-        for _ in range(rng.choice([1, 1, 2])):
+        if "head" in changed and rng.integers(3) == 0:
+            changed["head"] = np.array(json.dumps(_change_json(json.loads(str(changed["head"])), rng)))
+        for _ in range(rng.choice([0, 1, 1, 2])):
             _change_array(changed, rng)
         write_sealed_arrays(to / name, changed)
 
     def read_run(where: Path) -> None:
+        with redirect_stdout(io.StringIO()):
+            show_session(where / "state.gridslam", None, as_json=False)
         saved = read_session(where / "state.gridslam")
         went_on = saved.run
         recorders = [went_on.trajectory, went_on.statistics]

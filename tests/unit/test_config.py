@@ -227,7 +227,7 @@ def test_file_changes_only_what_it_says(tmp_path):
         (b"particles = 0", "particles: expected a number greater"),
         (b"[traker]\ninsert_m = 1", "traker: no such parameter; did you mean tracker"),
         (b"\xff\xfe\x00", "expected a text file, got binary data"),
-        (b"a = " + b"[" * 9000, "expected TOML: values are nested too deeply"),
+        (b"a = " + b"[" * 9000, "expected TOML: values nested too deeply"),
         (b"#" * (1 << 20) + b"\n", "expected TOML of at most 1048576 characters, got more"),
         (None, "cannot be read: No such file or directory"),
     ],

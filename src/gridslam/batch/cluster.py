@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, cast, final
 
 from gridslam.batch.child import LostWorkerError, run_job
 from gridslam.errors import ConfigurationError, InputError, MissingDependencyError, OutputError
-from gridslam.io.text import read_json, read_text
-from gridslam.io.yaml import YamlError, parse_yaml
+from gridslam.io.text import read_json, read_text, refuse_unreadable
+from gridslam.io.yaml import parse_yaml
 
 if TYPE_CHECKING:
     import distributed
@@ -191,10 +191,8 @@ def _start_cluster(path: Path, workers: int | None) -> Any:  # noqa: ANN401
         import dask_jobqueue.local
     except ImportError:
         raise MissingDependencyError("a cluster of a batch system", "dask-jobqueue", "cluster") from None
-    try:
+    with refuse_unreadable(path, "YAML"):
         content = parse_yaml(read_text(path))
-    except YamlError as error:
-        raise InputError(path, f"expected YAML: {error}", error.line) from None
     content = content.get("jobqueue") if isinstance(content, dict) else None
     kinds = [name for name in _KINDS if isinstance(content, dict) and isinstance(content.get(name), dict)]
     if len(kinds) != 1 or content is None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, final
 
 from gridslam.errors import InputError, OutputError
+from gridslam.io.database import require_tables
 from gridslam.io.text import compute_digest
 
 __all__ = ["COLUMNS", "JOURNAL", "Journal", "describe_file"]
@@ -72,6 +73,7 @@ class Journal:
         with self._translate_errors():
             self._database = sqlite3.connect(self.path, timeout=30, isolation_level=None, check_same_thread=False)
             try:
+                require_tables(self._database, ["runs", "digests"])
                 self._database.execute("PRAGMA journal_mode=WAL")
                 self._database.execute("PRAGMA synchronous=NORMAL")
                 self._database.execute(f"CREATE TABLE IF NOT EXISTS runs ({columns})")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import sqlite3
@@ -14,7 +13,9 @@ from typing import Any, Final, final
 
 from gridslam.batch.journal import COLUMNS, JOURNAL
 from gridslam.errors import InputError, MissingDependencyError
+from gridslam.io.database import AS_IT_LIES, open_database
 from gridslam.io.output import write_atomically
+from gridslam.io.text import parse_json, refuse_unreadable
 
 __all__ = ["DONE", "Run", "read_runs", "write_parquet"]
 
@@ -97,7 +98,7 @@ def read_runs(out: str | Path) -> Iterator[Run]:
     if not path.is_file():
         raise InputError(path, "no such file: expected the journal of gridslam batch")
     try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?{_choose_mode(path)}", uri=True)) as journal:
+        with closing(open_database(path.resolve(), ["runs"], _choose_mode(path))) as journal:
             cursor = journal.execute(f"SELECT {', '.join(COLUMNS)} FROM runs ORDER BY started, log, key")
             for values in cursor:
                 yield _make_run(path, dict(zip(COLUMNS, values, strict=True)))
@@ -109,7 +110,7 @@ def _choose_mode(path: Path) -> str:
     """Open for writing where that is allowed: else SQLite leaves its -wal and -shm files beside the journal."""
     if os.access(path, os.W_OK) and os.access(path.parent, os.W_OK):
         return "mode=rw"
-    return "mode=ro" if path.with_name(f"{path.name}-wal").exists() else "mode=ro&immutable=1"
+    return "mode=ro" if path.with_name(f"{path.name}-wal").exists() else AS_IT_LIES
 
 
 def write_parquet(out: str | Path) -> Path:
@@ -142,10 +143,8 @@ def write_parquet(out: str | Path) -> Path:
 
 def _make_run(path: Path, row: dict[str, Any]) -> Run:
     text = row.pop("document")
-    try:
-        document = json.loads(text) if text else {}
-    except ValueError:
-        raise InputError(path, f"the document of {row['log']} is no JSON") from None
+    with refuse_unreadable(path, f"a document in JSON of {row['log']}"):
+        document = parse_json(text) if text else {}
     document = document if isinstance(document, dict) else {}
     figures = {name: _number(document, keys) for name, keys in (_FIGURES | _of_doctor(document)).items()}
     loops = document.get("loop_closure")

@@ -11,7 +11,7 @@ from gridslam.api.landmark_localization import localize_by_landmarks
 from gridslam.api.landmarks import LandmarkMethod, ResultByLandmarks, map_landmarks
 from gridslam.cli import STARTED_S
 from gridslam.cli.options import name_option
-from gridslam.cli.output import open_output, print_result, stop_if_interrupted
+from gridslam.cli.output import elapsed_progress, open_output, print_result
 from gridslam.errors import InputError
 from gridslam.io.landmark_logs import open_landmark_log
 from gridslam.pipeline import Stopwatch
@@ -44,14 +44,18 @@ def landmarks_to_folder(
         raise click.ClickException("--unknown: GraphSLAM requires known correspondences")
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_landmark_log(log)
-    with open_output(out, ResultByLandmarks.all_names()) as folder, name_option(particles="--particles"):
+    with (
+        open_output(out, ResultByLandmarks.all_names()) as folder,
+        name_option(particles="--particles"),
+        elapsed_progress("mapping", shown=not as_json) as on_progress,
+    ):
         result = map_landmarks(
             source,
             method,
             unknown=unknown,
             particles=particles,
             seed=seed,
-            on_progress=stop_if_interrupted,
+            on_progress=on_progress,
             stopwatch=watch,
         )
         if not source.statistics.observations:
@@ -70,9 +74,13 @@ def _localize_to_folder(
 ) -> None:
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_landmark_log(log)
-    with open_output(out, ResultByLandmarks.all_names()) as folder, name_option(pose="--initial-pose"):
+    with (
+        open_output(out, ResultByLandmarks.all_names()) as folder,
+        name_option(pose="--initial-pose"),
+        elapsed_progress("localizing", shown=not as_json) as on_progress,
+    ):
         result = localize_by_landmarks(
-            source, landmarks, pose=initial_pose, unknown=unknown, on_progress=stop_if_interrupted, stopwatch=watch
+            source, landmarks, pose=initial_pose, unknown=unknown, on_progress=on_progress, stopwatch=watch
         )
         document = result.write(folder)
     print_result(document, _summarize_localization(document, out), as_json)

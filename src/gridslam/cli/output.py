@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Progress",
+    "elapsed_progress",
     "handle_signals",
     "mapping_progress",
     "open_display",
@@ -146,23 +147,39 @@ def mapping_progress(statistics: Callable[[], LogStatistics], *, shown: bool = T
 
 
 @contextmanager
+def elapsed_progress(what: str, *, shown: bool = True) -> Iterator[Callable[[], None]]:
+    """Give what is called now and then while no share is known: it shows for how long, and stops if interrupted."""
+    with open_display(shown) as (show, every_s):
+        yield _show_now_and_then(
+            lambda steps, passed_s: show(0.0, f"{what}, {steps} steps in {passed_s:.0f} s"), every_s
+        )
+
+
+def _show_now_and_then(show: Callable[[int, float], None], every_s: float) -> Callable[[], None]:
+    """Give what is called after each step: it shows their number and the time at times, and stops if interrupted."""
+    began = time.perf_counter()
+    due = began + every_s
+    steps = 0
+
+    def on_progress() -> None:
+        nonlocal steps, due
+        stop_if_interrupted()
+        steps += 1
+        now = time.perf_counter()
+        if now >= due:
+            due = now + every_s
+            show(steps, now - began)
+
+    return on_progress
+
+
+@contextmanager
 def reading_progress(statistics: Callable[[], LogStatistics], *, shown: bool = True) -> Iterator[Callable[[], None]]:
     """Give what is called after each scan: it shows now and then how far the reading is, and stops if interrupted."""
     with open_display(shown) as (show, every_s):
-        began = time.perf_counter()
-        due = began + every_s
-        scans = 0
-
-        def on_progress() -> None:
-            nonlocal scans, due
-            stop_if_interrupted()
-            scans += 1
-            now = time.perf_counter()
-            if now >= due:
-                due = now + every_s
-                show(statistics().share_read, f"{scans} scans, {scans / (now - began):.0f}/s")
-
-        yield on_progress
+        yield _show_now_and_then(
+            lambda scans, passed_s: show(statistics().share_read, f"{scans} scans, {scans / passed_s:.0f}/s"), every_s
+        )
 
 
 @final

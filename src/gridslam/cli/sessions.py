@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import click
 
 from gridslam.api.merging import MergeResult, merge_sessions
 from gridslam.cli.options import name_option
-from gridslam.cli.output import open_display, open_output, print_json, print_result, stop_if_interrupted
+from gridslam.cli.output import elapsed_progress, open_output, print_json, print_result
 from gridslam.errors import InputError
 from gridslam.io.sessions.session_file import read_head
 from gridslam.pipeline import Stopwatch
@@ -75,18 +74,10 @@ def _describe(content: dict[str, Any]) -> Iterator[str]:
 def merge_to_folder(files: tuple[Path, ...], out: Path, save: Path | None, threads: int, as_json: bool) -> None:
     """Merge sessions, write the results to a folder and print a summary."""
     watch = Stopwatch()
-    began_s = time.perf_counter()
-    with open_output(out, MergeResult.all_names()) as folder, open_display(not as_json) as (show, every_s):
-        due_s = every_s
-
-        def on_progress() -> None:
-            nonlocal due_s
-            stop_if_interrupted()
-            passed_s = time.perf_counter() - began_s
-            if passed_s >= due_s:
-                due_s = passed_s + every_s
-                show(0.0, f"merging, {passed_s:.0f} s")
-
+    with (
+        open_output(out, MergeResult.all_names()) as folder,
+        elapsed_progress("merging", shown=not as_json) as on_progress,
+    ):
         with name_option(paths="FILE", others="FILE"):
             result = merge_sessions(files, threads=threads, on_progress=on_progress, stopwatch=watch)
         document = result.write(folder)

@@ -13,7 +13,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import is_dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from gridslam.errors import ConfigurationError
+from gridslam.arguments import require_plain
+from gridslam.errors import ConfigurationError, describe_failure
 from gridslam.parameters import Table, adapter, replace_plainly, to_table
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ __all__ = [
 ]
 
 _Part = TypeVar("_Part")
+_MOST_DOTS = 100  # a parser takes time and memory that grow with the square of the parts of a dotted key
 _BOOLEANS = {"True": True, "False": False}
 _DECIMAL = re.compile(r"[-+]?(\d+\.\d*|\.\d+)([eE][-+]?\d+)?")  # TOML wants digits on both sides of the point
 
@@ -78,27 +80,42 @@ def read_assignments(assignments: Iterable[str]) -> Table:
     values: Table = {}
     for assignment in assignments:
         name, equals, text = (part.strip() for part in assignment.partition("="))
-        if not (name and equals and text):
-            raise ConfigurationError(f"expected name=value, got {assignment!r}")
+        if not (name and equals and text) or name.count(".") > _MOST_DOTS:
+            raise ConfigurationError(f"expected name=value, got {assignment!r:.200}")
         values.pop(name, None)  # the last one counts, by whatever name
-        values[name] = _read_value(text)
+        try:
+            values[name] = _read_value(text)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{name}: {error}") from None
     return values
 
 
 def parse_toml(text: str) -> Table:
-    """Read TOML; raises ConfigurationError where the text is none."""
+    """Read TOML; raises ConfigurationError where the text is none, whatever the parser comes across."""
     try:
-        return tomllib.loads(text)
+        return _parse(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"expected TOML: {error}") from None
-    except RecursionError:
-        raise ConfigurationError("expected TOML: values are nested too deeply") from None
+
+
+def _parse(text: str) -> Table:
+    """Read TOML; raises TOMLDecodeError, and ConfigurationError for what TOML allows but no configuration holds."""
+    if any(line.count(".") > _MOST_DOTS for line in text.split("\n")):
+        raise ConfigurationError(f"expected TOML with at most {_MOST_DOTS} dots in a line, got more")
+    try:
+        table = tomllib.loads(text)
+        require_plain(table)
+    except tomllib.TOMLDecodeError:
+        raise
+    except Exception as error:
+        raise ConfigurationError(f"expected TOML: {describe_failure(error)}") from None
+    return table
 
 
 def _read_value(text: str) -> Any:  # noqa: ANN401
     """Value of TOML, a number as YAML and Python write it (``0.``, ``.5``, ``True``), or the text itself."""
     try:
-        return tomllib.loads(f"value = {text}")["value"]
+        return _parse(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         pass
     if text in _BOOLEANS:

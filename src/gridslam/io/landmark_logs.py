@@ -43,6 +43,7 @@ _PARK_COLUMNS = {
     "LANDMARK": ("pose landmark", "x_m y_m xx xy yy"),
 }
 _SECOND_NS = 10**9
+_FARTHEST_SEEN_M = 1e5  # no sensor of a robot sees farther: such a number is a damaged one
 _LEAST_VARIANCE = 1e-12
 _MOST_VARIANCE = 1e12
 """m^2 and rad^2: of standard deviations from a micrometre to a thousand kilometres."""
@@ -237,8 +238,8 @@ class MrclamLog:
     def _subject(self, row: Row) -> int | None:
         """Return the landmark that a row is of; None where it is of a robot, or misread."""
         barcode, distance, bearing = row.values
-        if not (barcode.is_integer() and 0 < distance <= FARTHEST_M and abs(bearing) <= np.pi):
-            expected = f"a whole barcode, a range above 0 and up to {FARTHEST_M:g} and a bearing within pi"
+        if not (barcode.is_integer() and 0 < distance <= _FARTHEST_SEEN_M and abs(bearing) <= np.pi):
+            expected = f"a whole barcode, a range above 0 and up to {_FARTHEST_SEEN_M:g} and a bearing within pi"
             problem = f"expected {_MEASUREMENT} with {expected}"
             raise InputError(self._measurement, f"{problem}, got {barcode:g} {distance:g} {bearing:g}", row.line)
         subject = self._subject_of.get(int(barcode))
@@ -346,8 +347,9 @@ class VictoriaParkLog:
             size = 3 if tag == "ODOMETRY" else 2
             values = np.array(numbers[:size])
             covariance = _positive_definite(tuple(numbers[size:]))
-            if not (np.abs(values) <= FARTHEST_M).all():
-                problem = f"{tag}: expected numbers up to {FARTHEST_M:g} m and rad, got {text!r:.200}"
+            farthest_m = FARTHEST_M if tag == "ODOMETRY" else _FARTHEST_SEEN_M
+            if not (np.abs(values) <= farthest_m).all():
+                problem = f"{tag}: expected numbers up to {farthest_m:g} m and rad, got {text!r:.200}"
                 raise InputError(self.path, problem, line)
             if covariance is None:
                 problem = "expected a positive definite covariance"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.limits import require_memory
-from gridslam.io.text import open_for_reading, read_text
-from gridslam.io.yaml import YamlError, parse_yaml
+from gridslam.io.images import open_image
+from gridslam.io.text import read_text, refuse_unreadable
+from gridslam.io.yaml import parse_yaml
 from gridslam.types import GridRows, OccupancyGrid
 
 if TYPE_CHECKING:
@@ -226,18 +225,21 @@ def read_map_description(path: str | Path) -> MapDescription:
 
 def _read_fields(path: str | Path) -> _Fields:
     """Text of each key's value as it stands there, or texts of a list; and the line."""
-    try:
+    with refuse_unreadable(path, "'key: value' in YAML"):
         tree = parse_yaml(read_text(path, _LARGEST_YAML_BYTES), as_nodes=True)
-    except YamlError as error:
-        raise InputError(path, f"expected 'key: value' in YAML: {error}", error.line) from None
     if getattr(tree, "id", None) != "mapping":
         raise InputError(path, "expected 'key: value' in each line, got none")
     fields: dict[str, tuple[Any, int]] = {}
     for key, value in tree.value:
         line = key.start_mark.line + 1
+        items = value.value if value.id == "sequence" else [value]
+        if any(node.id != "scalar" for node in (key, *items)):
+            raise InputError(
+                path, "expected a text, a number or a list of numbers for each key, got another value", line
+            )
         if key.value in fields:
             raise InputError(path, f"expected each key once, got {key.value} again", line)
-        fields[str(key.value)] = [item.value for item in value.value] if value.id == "sequence" else value.value, line
+        fields[key.value] = [item.value for item in items] if value.id == "sequence" else value.value, line
     return fields
 
 
@@ -252,28 +254,15 @@ def _finite(path: str | Path, key: str, text: Any, line: int) -> float:  # noqa:
 
 
 def read_map_image(path: str | Path) -> MapImage:
-    """Read an image of any form that Pillow knows, PGM and PNG among them.
+    """Read an image of any of `gridslam.io.images.FORMATS`, PGM and PNG among them.
 
     Raises
     ------
     InputError
-        There is no such file, it is no image, one with colours, or larger than the memory that readers are allowed.
+        There is no such file, it is no image, one with colours, or larger than `open_image` allows.
     """
-    from PIL import Image  # only readers of maps pay for its import
-
-    with open_for_reading(path) as file, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            with Image.open(file) as image:
-                width, height = image.size
-                depth = _BYTES_PER_PIXEL + (4 if len(image.getbands()) > 1 or image.mode == "P" else 1)
-                depth += 8 * (image.mode == "I" or image.mode.startswith("I;16"))
-                require_memory(path, f"the image of {width} x {height} pixels", width * height * depth)
-                return _read_bands(path, image)
-        except InputError:
-            raise
-        except Exception as error:  # whatever a decoder comes across in a damaged image
-            raise InputError(path, f"expected an image, got: {error or type(error).__name__}") from None
+    with open_image(path, _BYTES_PER_PIXEL) as image:
+        return _read_bands(path, image)
 
 
 def _read_bands(path: str | Path, image: Image) -> MapImage:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from gridslam.errors import InputError
-from gridslam.io.text import read_text
-from gridslam.io.yaml import YamlError, parse_yaml
+from gridslam.io.text import read_text, refuse_unreadable
+from gridslam.io.yaml import parse_yaml
 
 __all__ = ["read_parameter_file"]
 
@@ -31,10 +31,8 @@ def read_parameter_file(path: str | Path, *, keeps_qos: bool = False) -> list[tu
     ----------
     ROS 2 Design, ROS Command Line Arguments, section Parameter files.
     """
-    try:
+    with refuse_unreadable(path, "'name: value' in YAML"):
         tree = parse_yaml(read_text(path, _LARGEST_BYTES))
-    except YamlError as error:
-        raise InputError(path, f"expected 'name: value' in YAML: {error}", error.line) from None
     if not isinstance(tree, dict):
         raise InputError(path, f"expected 'name: value' in YAML, got {tree!r:.60}")
     nodes = list(_find_nodes(tree, "")) or [("", tree)]

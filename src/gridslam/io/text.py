@@ -18,7 +18,8 @@ from itertools import chain
 from pathlib import Path
 from typing import IO, Any, cast, final
 
-from gridslam.errors import InputError
+from gridslam.arguments import require_plain
+from gridslam.errors import InputError, describe_failure
 from gridslam.io.limits import UnpackingLimit, describe_bytes
 from gridslam.io.read_ahead import read_ahead
 
@@ -27,10 +28,12 @@ __all__ = [
     "compute_digest",
     "measure_size",
     "open_for_reading",
+    "parse_json",
     "read_head",
     "read_json",
     "read_numbered_lines",
     "read_text",
+    "refuse_unreadable",
     "stay_below",
 ]
 
@@ -112,6 +115,22 @@ def _open_at_once(path: str, flags: int) -> int:
         os.close(opened)
 
 
+@contextmanager
+def refuse_unreadable(path: str | Path, expected: str) -> Iterator[None]:
+    """Raise InputError, which names the file, for whatever a parser comes across within the context.
+
+    Parsers raise errors of any type on damaged or hostile content: by this, all of them become the one line that a user
+    gets. Where an error knows its line as `line` or `lineno`, from 1, the line is named, too.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        line = getattr(error, "line", None) or getattr(error, "lineno", None)
+        raise InputError(path, f"expected {expected}, got: {describe_failure(error)}", line) from None
+
+
 def read_text(path: str | Path, most: int = _LARGEST_TEXT_BYTES) -> str:
     """Read a whole small UTF-8 text file; raises InputError where it is none, or larger than `most` bytes."""
     with open_for_reading(path) as file:
@@ -124,15 +143,18 @@ def read_text(path: str | Path, most: int = _LARGEST_TEXT_BYTES) -> str:
         raise InputError(path, "expected a text file, got binary data") from None
 
 
+def parse_json(text: str) -> Any:  # noqa: ANN401
+    """Read JSON; raises an error of any kind where the text is none, or holds what `require_plain` refuses."""
+    document = json.loads(text)
+    require_plain(document)
+    return document
+
+
 def read_json(path: str | Path) -> dict[str, Any]:
     """Read a JSON object; raises InputError, with the line, where the file holds none."""
-    try:
-        document = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise InputError(path, f"expected JSON, got: {error.msg}", error.lineno) from None
-    except (ValueError, RecursionError) as error:  # ValueError: a whole number of thousands of digits
-        problem = "values nested too deeply" if isinstance(error, RecursionError) else error
-        raise InputError(path, f"expected JSON, got: {problem}") from None
+    text = read_text(path)
+    with refuse_unreadable(path, "JSON"):
+        document = parse_json(text)
     if not isinstance(document, dict):
         raise InputError(path, f"expected a JSON object, got a {type(document).__name__}")
     return document

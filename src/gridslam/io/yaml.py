@@ -5,6 +5,9 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
+from gridslam.arguments import require_plain
+from gridslam.errors import ArgumentError, describe_failure
+
 __all__ = ["YamlError", "parse_yaml"]
 
 _MOST_VALUES = 100_000
@@ -24,10 +27,11 @@ def parse_yaml(text: str, *, as_nodes: bool = False) -> Any:  # noqa: ANN401
 
     Keys of dicts are texts as they stand there, as in ROS: `y` is a coordinate, though the value `y` is true.
 
-    Raises YamlError, also where values are nested too deeply, or refer to others so often that they would not fit.
+    Raises YamlError, whatever the parser comes across: also where a value is not of its kind (`0x_`, `2001-99-99`), and
+    where values are nested too deeply, or refer to others so often that they would not fit.
     """
     from ruamel.yaml import YAML  # slow to import
-    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+    from ruamel.yaml.error import MarkedYAMLError
     from ruamel.yaml.scanner import ScannerError
 
     reader = YAML(typ="safe", pure=True)
@@ -40,15 +44,23 @@ def parse_yaml(text: str, *, as_nodes: bool = False) -> Any:  # noqa: ANN401
             if as_nodes or root is None:
                 return root
             _read_keys_as_texts(root)
-            return reader.constructor.construct_document(root)
+            tree = reader.constructor.construct_document(root)
+            require_plain(tree)
+            return tree
         except MarkedYAMLError as error:
             begun = error.context_mark if isinstance(error, ScannerError) else None  # where what is not ended begins
             mark = begun or error.problem_mark
             raise YamlError(error.problem, mark.line + 1) from None
-        except RecursionError:
-            raise YamlError("values are nested too deeply", None) from None
-        except YAMLError as error:
-            raise YamlError(" ".join(str(error).split()), None) from None
+        except (YamlError, ArgumentError, RecursionError) as error:
+            raise YamlError(describe_failure(error), getattr(error, "line", None)) from None
+        except Exception as error:
+            raise YamlError(describe_failure(error), _find_line(reader)) from None
+
+
+def _find_line(reader: Any) -> int | None:  # noqa: ANN401
+    """Find the line, from 1, of the value that was made when an error was raised; None where it came before."""
+    begun = list(reader.constructor.recursive_objects)  # values around it first
+    return int(begun[-1].start_mark.line) + 1 if begun else None
 
 
 def _count_values(node: Any, counts: dict[int, int]) -> int:  # noqa: ANN401

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
+
+from gridslam.errors import InputError
+from gridslam.io.images import open_image
 
 __all__ = ["write_thumbnail"]
 
 _UNKNOWN = 205  # of map_server
 _MARGIN_PX = 4
 _WALL = 100  # a cell at most this bright is a wall
-_DAMAGED = (OSError, SyntaxError, ValueError, Image.DecompressionBombError, Image.DecompressionBombWarning)
+_BYTES_PER_PIXEL = 10  # copies, and averages of walls
 
 
 def write_thumbnail(picture: Path, thumbnail: Path, side_px: int = 192) -> bool:
@@ -32,11 +34,9 @@ def write_thumbnail(picture: Path, thumbnail: Path, side_px: int = 192) -> bool:
         The copy cannot be written.
     """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(picture) as whole:
-                small = _shrink_map(whole, side_px) if whole.mode == "L" else _shrink(whole.convert("RGB"), side_px)
-    except _DAMAGED:
+        with open_image(picture, _BYTES_PER_PIXEL) as whole:
+            small = _shrink_map(whole, side_px) if whole.mode == "L" else _shrink(whole.convert("RGB"), side_px)
+    except InputError:
         return False
     small.save(thumbnail, "JPEG", quality=82)
     return True

@@ -224,8 +224,9 @@ RECURSIVE = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SEL
 @pytest.mark.parametrize(
     ("sql", "got"),
     [
-        (f"CREATE VIEW messages (id, topic_id, timestamp, data) AS {RECURSIVE}", "got a view"),
-        ("CREATE VIRTUAL TABLE messages USING fts4(id, topic_id, timestamp, data)", "got a virtual table"),
+        (f"CREATE VIEW messages (id, topic_id, timestamp, data) AS {RECURSIVE}", "got .CREATE VIEW"),
+        (f"CREATE VIEW Messages (id, topic_id, timestamp, data) AS {RECURSIVE}", "got .CREATE VIEW"),
+        ("CREATE VIRTUAL TABLE messages USING fts4(id, topic_id, timestamp, data)", "got .CREATE VIRTUAL TABLE"),
         (
             "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
             "data BLOB AS (zeroblob(1000000000)))",
@@ -246,6 +247,41 @@ def test_a_database_that_computes_its_messages_is_refused(tmp_path, sql, got, ke
     else:
         with pytest.raises(InputError, match=got):
             Ros2Bag(path)
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        ("table", "other", "other", 0, f"CREATE VIEW messages (id, topic_id, timestamp, data) AS {RECURSIVE}"),
+        ("table", "messages", "messages", 0, f"CREATE/**/VIEW MESSAGES (id, topic_id, timestamp, data) AS {RECURSIVE}"),
+        ("table", "messages", "messages", 0, f"CREATE VIEW messages (id, timestamp) AS {RECURSIVE}".encode()),
+    ],
+)
+def test_a_row_of_the_schema_is_what_its_statement_says(tmp_path, row):
+    (path,) = ros_bags.write(tmp_path, "db3", ros_bags.drive(1.0)).glob("*.db3")
+    with sqlite3.connect(path) as connection:
+        connection.execute("DROP TABLE messages")
+        connection.execute("PRAGMA writable_schema=ON")
+        connection.execute("INSERT INTO sqlite_master VALUES (?, ?, ?, ?, ?)", row)
+    connection.close()
+    with pytest.raises(InputError, match="expected tables and their indices"):
+        Ros2Bag(path)
+
+
+def test_rows_that_share_bytes_are_not_read_again_and_again(tmp_path):
+    """Each of many short rows ends early, so that its data are the megabyte of the schema."""
+    (path,) = ros_bags.write(tmp_path, "db3", ros_bags.drive(1.0)).glob("*.db3")
+    with sqlite3.connect(path) as connection:
+        connection.execute("CREATE TABLE short (id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER)")
+        connection.executemany("INSERT INTO short VALUES (?, 1, ?)", [(k, k) for k in range(10_000)])
+        connection.execute(f"ALTER TABLE short ADD COLUMN data BLOB DEFAULT x'{'00' * 400_000}'")
+        connection.execute("DROP TABLE messages")
+        connection.execute("ALTER TABLE short RENAME TO messages")
+    connection.close()
+    with pytest.raises(InputError, match="more rows than the file has room for"):
+        Ros2Bag(path)
+    bag = Ros2Bag(path, keep_truncated=True)
+    assert sum(len(data) for _, _, data in bag.messages({*bag.topics})) <= path.stat().st_size
 
 
 def record(content, **fields):

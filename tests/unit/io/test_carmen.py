@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from gridslam.errors import InputError
 from gridslam.io.carmen.reader import CarmenLog
 from gridslam.io.text import compute_digest
 from gridslam.types import BeamStatus, LaserScan
@@ -263,3 +264,14 @@ def test_rear_offset_in_the_lines(read, yaw_in_line):
     geometry = measurements[0].scan.geometry
     np.testing.assert_allclose(geometry.origin, [-0.25, 0], atol=1e-9)
     np.testing.assert_allclose(geometry.directions[1], [-1, 0], atol=1e-9)  # its second beam looks ahead of it
+
+
+@pytest.mark.parametrize(
+    ("start", "step"), [("1e300", "0.01"), ("1e8", "0.01"), ("0", "1e308"), ("nan", "0.01"), ("0", "-1")]
+)
+def test_angles_that_no_laser_has_name_file_and_line(tmp_path, start, step):
+    good = "ROBOTLASER1 0 -1.5 3 1.5 80 0.01 0 3 1 1 1 0 0 0 0 0 0 0 0 0 0 0 0 {} a {}\n"
+    bad = good.replace("0 -1.5 3 1.5", f"0 {start} 3 {step}")
+    (tmp_path / "log.clf").write_text(good.format(1, 1) + bad.format(2, 2))
+    with pytest.raises(InputError, match=r"log\.clf, line 2: expected a start angle and a positive angular resolution"):
+        list(CarmenLog(tmp_path / "log.clf"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import operator
 from dataclasses import replace
 from functools import reduce
@@ -29,6 +30,7 @@ from gridslam.slam.grid_fastslam.state import STATE_SCHEMA
 from support.saved_sessions import make_session
 
 SCANS = 160
+LOG = {"path": "a.clf", "sha256": "", "scans": 1, "first_stamp_ns": 0, "last_stamp_ns": 1, "length_m": 1.0}
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +109,17 @@ def file(measurements, tmp_path_factory):
         ("head.run.generator", {}, "generator: expected the state of PCG64"),
         ("head.run.generator", {"bit_generator": "MT19937"}, "generator: expected the state of PCG64"),
         ("head.run.logs", [{"path": "day.clf"}], "arrays do not belong together"),
+        ("head.run.logs", [{**LOG, "scans": "many"}], "scans: expected int, got 'many'"),
+        ("head.run.logs", [{**LOG, "length_m": 10**400}], "numbers up to 1e300"),
+        ("head.run.earlier", [math.inf], "drives: expected dict, got inf"),
+        ("head.run.name", 5, "name: expected str, got 5"),
+        ("head.pieces", [[None]], "drives: expected dict, got None"),
+        ("head.seed", -1, "seed: expected a number >= 0"),
+        ("head", np.array("[]"), "head: expected dict"),
+        ("head", np.array("5"), "head: expected dict"),
+        ("head", np.array("[" * 5000), "values nested too deeply"),
+        ("run.state.closure_state.scans.steps_m", np.full(29, 1e5), "ends of beams within 1050 m of the robot"),
+        ("pieces.0.scans.steps_m", np.full(29, 1e5), "ends of beams within 1050 m of the robot"),
         ("run.state.schema", "gridslam.state/1", f"a state of schema {STATE_SCHEMA}"),
         ("run.state.poses", None, "an array named poses"),
         ("run.state.maps.pages", None, "the arrays roots"),
@@ -143,6 +156,17 @@ def test_what_is_wrong_with_a_file_is_told(file, tmp_path, name, value, message)
         read_session(tmp_path / "bad.gridslam")
     assert str(tmp_path / "bad.gridslam") in str(caught.value)
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("earlier", [[math.inf], [{"name": "day"}], 5, [{"name": "day", "logs": [{**LOG, "path": 5}]}]])
+def test_a_summary_refuses_a_head_that_describes_no_drives(file, tmp_path, earlier):
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    head = json.loads(str(arrays["head"]))
+    head["run"]["earlier"] = earlier
+    write_sealed_arrays(tmp_path / "bad.gridslam", arrays | {"head": np.array(json.dumps(head))})
+    with pytest.raises(InputError, match=r"bad\.gridslam: expected a session"):
+        read_head(tmp_path / "bad.gridslam")
 
 
 def test_every_changed_byte_is_found(file, tmp_path):

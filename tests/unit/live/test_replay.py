@@ -234,6 +234,12 @@ def test_json_that_is_nested_without_end_and_an_origin_beyond_all_cells_are_refu
         Replay(tmp_path / "out")
 
 
+def test_a_link_that_leads_nowhere_is_no_session(out, tmp_path):
+    shutil.copytree(out, tmp_path / "out")
+    (tmp_path / "out" / "a.gridslam").symlink_to("nowhere.gridslam")
+    assert Replay(tmp_path / "out").session_file() is None
+
+
 def test_a_folder_that_is_none(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         Replay(tmp_path / "nowhere")

@@ -44,3 +44,16 @@ def test_neighbours_are_found_the_surest_first():
             state, _ = slam.step(slam.init(5), STILL, LandmarkObservations.of([[3.0, 0.0]]), rng)
             state, _ = slam.step(state, STILL, LandmarkObservations.of(seen), rng)
             assert np.allclose(np.sort(state.positions[:, :2, 1], axis=1), [0.0, 0.18], atol=1e-6)
+
+
+def test_of_hundreds_of_landmarks_the_nearest_are_candidates():
+    """Where nothing is known of them all are near enough, and the time would grow with the square of their number."""
+    sensor = RelativePosition(sigma_x_m=0.05, sigma_y_m=0.05)
+    slam, rng = FastSlam1(LandmarkFilters(sensor, MaximumLikelihood())), np.random.default_rng(18)
+    places = [[3.0, 1.0 * k] for k in range(200)]
+    state, _ = slam.step(slam.init(3), STILL, LandmarkObservations.of(places), rng)
+    state.covariances[...] = 1e6 * np.eye(2)
+    seen = LandmarkObservations.of([[3.0, 0.1]])
+    candidates = slam.landmarks._may_match(state, seen, 0, SampledPoses(state.poses), 25.0)
+    for positions, chosen in zip(state.positions, candidates, strict=True):
+        assert sorted(positions[chosen, 1].round().tolist()) == list(range(64))

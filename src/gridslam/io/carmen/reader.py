@@ -11,7 +11,7 @@ from typing import NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.errors import InputError
+from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.angles import wrap
 from gridslam.io.carmen.lasers import USED_PARAMETERS, CarmenLasers
 from gridslam.io.carmen.lines import SCAN_TAGS, LineError, ScanRows, parse_pose, parse_rows
@@ -175,8 +175,9 @@ class _Parser:
                 for first, rows in parse_rows(tag, [line.text for line in lines]):
                     self._check_poses(tag, rows, lines[first].number)
                     scans.extend(self._measurements(tag, rows, lines[first : first + len(rows.ranges)]))
-            except LineError as error:
-                raise InputError(self._path, str(error), lines[error.row].number) from None
+            except (LineError, ArgumentError) as error:  # ArgumentError: no scan has such beams
+                row = error.row if isinstance(error, LineError) else 0
+                raise InputError(self._path, str(error), lines[row].number) from None
             self.statistics.scans[tag] += len(lines)
         self._waiting.clear()
         scans.sort(key=itemgetter(0))

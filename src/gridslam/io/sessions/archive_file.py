@@ -13,7 +13,7 @@ from typing import IO, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.errors import ArgumentError, ConfigurationError, InputError
+from gridslam.errors import ArgumentError, ConfigurationError, InputError, describe_failure
 from gridslam.io.output import write_atomically
 from gridslam.io.results.record import read_arrays
 from gridslam.io.text import open_for_reading
@@ -105,10 +105,12 @@ def name_file(path: str | Path, what: str) -> Iterator[None]:
     """Raise InputError where arrays do not make a state; some come from numbers that belong together, and do not."""
     try:
         yield
+    except InputError:
+        raise
     except (ArgumentError, ConfigurationError) as error:
         raise InputError(path, f"expected {what}: {error}") from None
-    except (ValueError, TypeError, KeyError, IndexError, ArithmeticError, RecursionError) as error:
-        problem = f"its arrays do not belong together: {error or type(error).__name__}"
+    except Exception as error:
+        problem = f"its arrays do not belong together: {describe_failure(error)}"
         raise InputError(path, f"expected {what}: {problem}") from None
 
 

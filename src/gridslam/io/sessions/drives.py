@@ -8,6 +8,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.arguments import require_instance
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.full_slam.full_trajectory import TrackedScans
@@ -43,6 +44,14 @@ class DrivenLog:
     first_stamp_ns: int
     last_stamp_ns: int
     length_m: float
+
+    def __post_init__(self) -> None:
+        """Refuse what no log has; raises ArgumentError."""
+        for name in ("path", "sha256"):
+            require_instance(name, getattr(self, name), str)
+        for name in ("scans", "first_stamp_ns", "last_stamp_ns"):
+            require_instance(name, getattr(self, name), int)
+        require_instance("length_m", self.length_m, int, float)
 
     @classmethod
     def of(cls, path: str, digest: str, log: LogStatistics) -> DrivenLog:

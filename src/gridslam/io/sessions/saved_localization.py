@@ -19,6 +19,7 @@ from gridslam.io.sessions.archive_file import (
     write_sealed_arrays,
 )
 from gridslam.io.sessions.state_values import require_plausible
+from gridslam.io.text import parse_json
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.localization.state import MonteCarloState
 from gridslam.serialization import select_part
@@ -82,7 +83,7 @@ def read_localization(path: str | Path) -> SavedLocalization:
     with name_file(path, _WHAT):
         require_plausible(arrays)
         return SavedLocalization(
-            replace_parameters(MonteCarloConfiguration(), json.loads(read_text_array(arrays, "configuration"))),
+            replace_parameters(MonteCarloConfiguration(), parse_json(read_text_array(arrays, "configuration"))),
             MonteCarloState.from_arrays(select_part(arrays, "state")),
-            load_generator(json.loads(read_text_array(arrays, "generator"))),
+            load_generator(parse_json(read_text_array(arrays, "generator"))),
         )

@@ -6,12 +6,14 @@ import copy
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, final
 
 import numpy as np
 
 from gridslam import __version__, serialization
+from gridslam.arguments import require_instance, require_seed
 from gridslam.config import Configuration, dumps, loads
 from gridslam.errors import ArgumentError
 from gridslam.io.results.record import RecordWriter
@@ -25,7 +27,13 @@ from gridslam.io.sessions.archive_file import (
     write_sealed_arrays,
 )
 from gridslam.io.sessions.drives import Drive, DrivenLog, SavedPiece
-from gridslam.io.sessions.state_values import require_near_maps, require_plausible, require_whole_piece
+from gridslam.io.sessions.state_values import (
+    require_near_ends,
+    require_near_maps,
+    require_plausible,
+    require_whole_piece,
+)
+from gridslam.io.text import parse_json
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.serialization import read_array, select_part
 from gridslam.slam.full_slam.full_trajectory import TrackedScans
@@ -225,10 +233,11 @@ def read_session(path: str | Path, threads: int = 1) -> SavedSession:
     """
     arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT)
     with name_file(path, _WHAT):
-        head = json.loads(read_text_array(arrays, "head"))
+        head = _parse_head(arrays)
         configuration = loads(head["configuration"])
         pieces = [
-            _load_piece(select_part(arrays, f"pieces.{number}"), drives) for number, drives in enumerate(head["pieces"])
+            _load_piece(select_part(arrays, f"pieces.{number}"), drives, configuration.mapper.resolution_m)
+            for number, drives in enumerate(head["pieces"])
         ]
         run = None
         if head["run"] is not None:
@@ -249,11 +258,27 @@ def read_head(path: str | Path) -> SessionHead:
     """Read what a session file holds, without restoring it; raises InputError as `read_session`."""
     arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT)
     with name_file(path, _WHAT):
-        head = json.loads(read_text_array(arrays, "head"))
+        head = _parse_head(arrays)
         ends = "graph.poses", "run.state.ancestry.trunk", "run.state.ancestry.counts"
         key_scans = sum(len(values) for name, values in arrays.items() if name.endswith(ends) and "closure" not in name)
         constraints = sum(len(values) for name, values in arrays.items() if name.endswith("graph.constraints.to"))
         return SessionHead(head, arrays["thumbnail"].tobytes(), key_scans, constraints)
+
+
+def _parse_head(arrays: Arrays) -> dict[str, Any]:
+    """Read the head; raises ArgumentError, or another error, where it does not describe drives and their logs."""
+    head = parse_json(read_text_array(arrays, "head"))
+    require_instance("head", head, dict)
+    for name in ("version", "written", "configuration", "job"):
+        require_instance(name, head[name], str)
+    require_seed(head["seed"])
+    run = head["run"]
+    groups = head["pieces"] if run is None else [*head["pieces"], run["earlier"], [run]]
+    for drive in chain.from_iterable(groups):
+        require_instance("drives", drive, dict)
+        require_instance("name", drive["name"], str)
+        _load_logs(drive["logs"])
+    return dict(head)
 
 
 def _prefix(part: str, arrays: Arrays) -> dict[str, Any]:
@@ -301,10 +326,11 @@ def _load_logs(logs: list[dict[str, Any]]) -> tuple[DrivenLog, ...]:
     return tuple(DrivenLog(**log) for log in logs)
 
 
-def _load_piece(arrays: Arrays, heads: list[dict[str, Any]]) -> SavedPiece:
+def _load_piece(arrays: Arrays, heads: list[dict[str, Any]], resolution_m: float) -> SavedPiece:
     require_plausible(arrays)
     require_whole_piece(arrays)
     piece = serialization.from_arrays(MapPiece, arrays)
+    require_near_ends(arrays, resolution_m)
     return SavedPiece(piece, _load_drives(arrays, heads, len(piece)))
 
 
@@ -322,6 +348,7 @@ def _load_run(arrays: Arrays, head: dict[str, Any], configuration: Configuration
         return run
     state = GridFastSlamState.from_arrays(select_part(arrays, "state"), configuration.mapper, threads)
     require_near_maps(arrays, configuration.mapper.resolution_m)
+    require_near_ends(arrays, configuration.mapper.resolution_m)
     own = len(run.trajectory.key_scans)
     earlier = _load_drives(arrays, head["earlier"], state.ancestry.steps - own)
     return replace(run, state=state, earlier=earlier)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
 from gridslam.io.measurement import FARTHEST_M
-from gridslam.kernels import PAGE, TILE
+from gridslam.kernels import MOST_BEAM_CELLS, PAGE, TILE
 
-__all__ = ["require_near_maps", "require_plausible", "require_whole_piece"]
+__all__ = ["require_near_ends", "require_near_maps", "require_plausible", "require_whole_piece"]
 
 _Arrays = Mapping[str, NDArray[Any]]
 
@@ -107,6 +107,24 @@ def require_near_maps(arrays: _Arrays, resolution_m: float) -> None:
         far = places[~((places >= low) & (places <= high)).all(axis=1)]
         if len(far):
             raise ArgumentError(poses, f"poses on the map, from {low.tolist()} to {high.tolist()}", far[0].tolist())
+
+
+def require_near_ends(arrays: _Arrays, resolution_m: float) -> None:
+    """Refuse stored scans, whose arrays belong together, with beams that end where no map can reach.
+
+    Raises
+    ------
+    ArgumentError
+        Names the array.
+    """
+    limit_m = MOST_BEAM_CELLS * resolution_m
+    for name in arrays:
+        if name.endswith("scans.steps_m"):
+            scans = name.removesuffix(".steps_m")
+            steps_m = np.repeat(arrays[name], arrays[f"{scans}.ends.counts"])
+            reach_m = float((steps_m * np.hypot(*arrays[f"{scans}.ends"].T.astype(np.float64))).max(initial=0.0))
+            if not reach_m <= limit_m:
+                raise ArgumentError(name, f"ends of beams within {limit_m:g} m of the robot", f"one at {reach_m:g} m")
 
 
 def _require_floats(name: str, values: NDArray[Any]) -> None:
