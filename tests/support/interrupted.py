@@ -1,12 +1,16 @@
-"""Runs of a session that are interrupted after a given scan, as by a kill when it has just been autosaved, and go on."""
+"""Runs of a session that are interrupted after a given scan, as by a kill right after an autosave, and go on."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +19,23 @@ import pytest
 
 import gridslam
 from gridslam.api.autosave import Autosave
+from gridslam.api.beginning import Place
 from gridslam.config import override
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.csv import write_csv_log
 from gridslam.io.maps import read_map, write_map
 from gridslam.io.measurement import Measurement
-from gridslam.io.sessions.session_file import SavedSession
+from gridslam.io.sessions.session_file import SavedSession, read_session
+from gridslam.ros.node.continued import Continued
+from gridslam.ros.node.live_autosave import LiveAutosave, SessionFiles
+from gridslam.ros.node.mapping_session import Session as NodeSession
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 
-__all__ = ["SCENARIOS", "SCANS", "contents", "drive", "make_building", "moved", "resume_after", "run_whole"]
+__all__ = ["SCANS", "SCENARIOS", "interrupt_amid_an_autosave", "make_building", "resume_after", "run_node", "run_whole"]
 
 CONFIG = override(gridslam.Configuration(), "particles=3", "mapper.resolution_m=0.1")
 SCANS = 260
-"""Of the second day; the robot is found again after about 70 of them, and after less than 20 where its pose is given."""
+"""Of the second day; the robot is found again after about 70 of them, earlier where its pose is given."""
 _BEGINS = 60
 _FILES = ("trajectory.tum", "trajectory.csv", "trajectory_online.tum", "map.pgm", "graph.g2o")
 _DAY_S = 86_400
@@ -104,7 +112,7 @@ SCENARIOS: Mapping[str, Callable[[Path], tuple[gridslam.Session, dict[str, Any]]
 """What the second day goes on from: a session, and the options of `Session.add`."""
 
 
-def run_whole(scenario: str, folder: Path, out: Path, **options: Any) -> tuple[dict[str, Any], int]:  # noqa: ANN401
+def run_whole(scenario: str, folder: Path, out: Path, **options: Any) -> tuple[dict[str, Any], int]:
     """Map the second day; returns what it gives (see `contents`), and after which scan the robot was found."""
     session, own = SCENARIOS[scenario](folder)
     result = session.add(folder / "tuesday.csv", **own, **options)
@@ -138,7 +146,7 @@ def resume_after(scan: int, scenario: str, folder: Path, out: Path) -> dict[str,
     return found
 
 
-def contents(session: gridslam.Session, result: Any, out: Path) -> dict[str, Any]:  # noqa: ANN401
+def contents(session: gridslam.Session, result: Any, out: Path) -> dict[str, Any]:
     """All that a run gives but times: files, what run.json says of drives, scans and closures, and the session."""
     document = result.save(out)
     files = {path.name: path.read_bytes() for path in out.glob("*.tum")} | {
@@ -157,3 +165,64 @@ def describe_session(saved: SavedSession) -> dict[str, Any]:
         for name, values in arrays.items()
         if "latenc" not in name and "seconds" not in name
     }
+
+
+def run_node(folder: Path, out: Path, cuts: Sequence[int] = (), *, autosaved: bool = False) -> dict[str, Any]:
+    """Let nodes map the second day, each going on from the file that the one before has left after `cuts` scans.
+
+    The file is that of the service `serialize_map`, or the autosave. Returns all that the last one leaves but times and
+    the logs, of which each node has one.
+    """
+    out.mkdir()
+    scans = moved(drive(seed=2)[_BEGINS : _BEGINS + SCANS])
+    continued = Continued.read(folder / "days.gridslam", place=Place.ELSEWHERE)
+    for begin, end in pairwise((0, *cuts, SCANS)):
+        node = NodeSession(continued.saved.configuration, continued.saved.seed, 1, continued)
+        node.run(_count(node, scans[begin:end]), [_Waiting(node)], _fail)
+        path = out / f"{end}.gridslam"
+        if autosaved:
+            autosave = LiveAutosave(SessionFiles(autosave=path), lambda level, text: None)
+            autosave.save(node, wait=True)
+            autosave.close()
+        else:
+            node.copy(None).save_session(path)
+        continued = Continued.read(path)
+    told = describe_session(replace(read_session(path), thumbnail=b""))
+    del told["session: head"]
+    document = node.copy(None, is_last=True).save(out / "out")
+    told |= {
+        file.name: file.read_bytes() for file in (out / "out").iterdir() if file.suffix in (".tum", ".pgm", ".g2o")
+    }
+    return told | {"found": document["session"]["found_again"], "apart": document["session"]["apart"]}
+
+
+class _Waiting:
+    """Lets each scan wait until what earlier drives have left is at hand, so that nothing depends on time."""
+
+    def __init__(self, node: NodeSession) -> None:
+        self._node = node
+
+    def __call__(self, report: object, state: object, seconds: float) -> None:
+        if self._node._earlier is not None:
+            self._node._earlier.wait()
+
+
+def _count(node: NodeSession, measurements: Iterable[Measurement]) -> Iterator[Measurement]:
+    for measurement in measurements:
+        node._log.count(measurement)
+        yield measurement
+
+
+def _fail(failed: object) -> None:
+    pytest.fail(str(failed))
+
+
+def interrupt_amid_an_autosave(log: Path, out: Path, number: int, delay_s: float = 0.0) -> bool:
+    """Map a log and send a signal `delay_s` after an autosave has begun; returns whether the run was still going on."""
+    command = [sys.executable, "-m", "gridslam.cli.main", "map", str(log), "--autosave", "0.0001", "--restart", "-o"]
+    process = subprocess.Popen([*command, str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while process.poll() is None and not list(out.glob(".autosave.gridslam.*.partial")):
+        time.sleep(0.001)
+    time.sleep(delay_s)
+    process.send_signal(number)
+    return process.wait() == 130
