@@ -134,8 +134,7 @@ def locate_in(
 ) -> EarlierPieces | None:
     """Give what looks for a robot in pieces: everywhere, or about a pose (3,) at which it begins in the first one.
 
-    None without loop closure, without pieces, and where the robot was found before, as the state with which it begins
-    says.
+    None without loop closure, without pieces, and where the state with which it begins is of a robot that was found.
     """
     closure = configuration.loop_closure
     is_found = state is not None and state.closure_state is not None and state.closure_state.joined >= 0

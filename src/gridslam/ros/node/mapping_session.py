@@ -280,7 +280,7 @@ class SessionCopy:
             begun = self._whole()
         frozen = begun.run.state
         assert frozen is not None
-        begun = begun.go_on(frozen)  # the copy that is refined does not say in which piece the robot was found
+        begun = begun.go_on(frozen)  # the copy that is refined does not know in which piece the robot was found
         state = GridFastSlamState.from_arrays(frozen.to_arrays(), self.configuration.mapper, self.threads)
         if self.is_last:
             begun.attach_to(state)
