@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeVar, final, overload
 
@@ -116,27 +117,32 @@ class FailedStep(NamedTuple):
 
 
 @final
+@dataclass(slots=True)
 class FailureRecorder:
-    """Counts the steps that failed and keeps the first one; to be passed to `run` as `on_failure`."""
+    """Counts the steps that failed and keeps the first one; to be passed to `run` as `on_failure`.
 
-    __slots__ = ("_count", "_first")
+    Attributes
+    ----------
+    count : int
+        Number of them so far.
+    first : str
+        Description of the first one.
+    """
 
-    def __init__(self) -> None:
-        """Start without failures."""
-        self._count = 0
-        self._first = ""
+    count: int = 0
+    first: str = ""
 
     def __call__(self, failed: FailedStep) -> None:
         """Record a step that failed."""
-        self._count += 1
-        self._first = self._first or str(failed)
+        self.count += 1
+        self.first = self.first or str(failed)
 
     def describe(self) -> tuple[str, ...]:
         """Return one sentence on all of them, none without failures."""
-        if not self._count:
+        if not self.count:
             return ()
-        scans = "1 scan" if self._count == 1 else f"{self._count} scans"
-        return (f"{scans} failed and left out: {self._first}",)
+        scans = "1 scan" if self.count == 1 else f"{self.count} scans"
+        return (f"{scans} failed and left out: {self.first}",)
 
 
 def isolate(observer: Callable[..., None], on_failure: Callable[[str], None]) -> Callable[..., None]:

@@ -11,6 +11,9 @@ import time
 import pytest
 
 from gridslam import __version__
+from gridslam.api.mapping import MapResult
+from gridslam.io.sessions.session_file import read_session
+from support.interrupted import interrupt_amid_an_autosave
 
 GRIDSLAM = sys.executable, "-m", "gridslam.cli.main"
 
@@ -165,3 +168,13 @@ def test_a_run_that_ignores_hangups_is_not_ended_by_one(log, tmp_path):
     _, problem = run.communicate(timeout=60)
     assert run.returncode == 0, problem
     assert (out / "map.yaml").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_amid_an_autosave_leaves_a_whole_file_or_none(log, tmp_path, number):
+    for kill in range(3):
+        out = tmp_path / str(kill)
+        interrupt_amid_an_autosave(log, out, number)
+        assert {path.name for path in out.iterdir()} <= {"autosave.gridslam", *MapResult.all_names()}
+        if (out / "autosave.gridslam").exists():
+            read_session(out / "autosave.gridslam")

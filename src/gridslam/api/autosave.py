@@ -9,13 +9,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 from gridslam import __version__
+from gridslam.api.beginning import Beginning
 from gridslam.errors import InputError
 from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.background_writer import BackgroundWriter
 from gridslam.io.sessions.session_file import SavedSession, read_session
+from gridslam.pipeline import FailureRecorder
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import StepReport
 
@@ -51,13 +53,13 @@ class Autosave:
         self.period_s = period_s
         self._on_resume = on_resume
         self._due_s = time.monotonic() + period_s
-        self._session: SavedSession | None = None
+        self._begun: tuple[SavedSession, Beginning] | None = None
         self._job = ""
         self._passed = 0
         self._writer = BackgroundWriter(lambda problem: on_failure(f"the run cannot be saved: {problem}"))
 
-    def find(self, job: Mapping[str, Any], threads: int = 1) -> tuple[SavedSession, int] | None:
-        """Give what an interrupted run of the same job has left, and how many scans of its log it had processed.
+    def find(self, job: Mapping[str, Any], threads: int = 1) -> Beginning | None:
+        """Give what an interrupted run of the same job has left; None if there is nothing.
 
         Parameters
         ----------
@@ -75,17 +77,18 @@ class Autosave:
         if not self.path.exists():
             return None
         saved = read_session(self.path, threads)
-        job_of_file, _, passed = saved.job.partition(" ")
-        if job_of_file != self._job or saved.version != __version__ or saved.run is None or not passed.isdigit():
+        own = _read_progress(saved.job)
+        if own is None or own.job != self._job or saved.version != __version__ or saved.run is None:
             expected = "what an interrupted run of the same log, configuration and seed has left"
             raise InputError(self.path, f"expected {expected}, got that of another run (--restart replaces it)")
-        self._on_resume(int(passed))
-        return replace(saved, job=""), int(passed)
+        self._on_resume(own.passed)
+        failures = FailureRecorder(own.failed, own.first_failure)
+        return Beginning(saved.run, saved.pieces, own.passed, failures=failures)
 
-    def begin(self, session: SavedSession, passed: int) -> None:
-        """Begin with a session whose run goes on, after `passed` scans of the log."""
-        self._session = session
-        self._passed = passed
+    def begin(self, session: SavedSession, beginning: Beginning) -> None:
+        """Begin with a session to which a log is added, and with what the run of that begins with."""
+        self._begun = session, beginning
+        self._passed = beginning.passed
         self._due_s = time.monotonic() + self.period_s
 
     def count(self, measurements: Iterable[Measurement]) -> Iterator[Measurement]:
@@ -99,13 +102,13 @@ class Autosave:
         if time.monotonic() < self._due_s or self._writer.is_busy:
             return
         self._writer.report()
-        session = self._session
-        if session is None or session.run is None:
+        if self._begun is None:
             return
+        session, begun = self._begun
+        so_far = begun.go_on(state)
+        job = json.dumps(_Progress(self._job, self._passed, so_far.failures.count, so_far.failures.first))
         now = datetime.now(timezone.utc).isoformat(timespec="seconds")
-        job = f"{self._job} {self._passed}"
-        run = replace(session.run, state=state)
-        self._writer.write(self.path, replace(session, run=run, job=job, written=now))
+        self._writer.write(self.path, replace(session, run=so_far.run, pieces=so_far.pieces, job=job, written=now))
         self._due_s = time.monotonic() + self.period_s
 
     def close(self) -> None:
@@ -116,3 +119,25 @@ class Autosave:
         """Remove the file: the results are written."""
         self.close()
         self.path.unlink(missing_ok=True)
+
+
+@final
+class _Progress(NamedTuple):
+    """What a run was to do, and how far it has come: the part `job` of its file."""
+
+    job: str
+    """Digest of all that its results depend on."""
+    passed: int
+    """Number of scans of its log that it has processed."""
+    failed: int
+    first_failure: str
+
+
+def _read_progress(text: str) -> _Progress | None:
+    """Read the part `job` of a file; None where it is none of an interrupted run."""
+    try:
+        progress = _Progress(*json.loads(text))
+    except (ValueError, TypeError):
+        return None
+    are_typed = all(type(value) is kind for value, kind in zip(progress, (str, int, int, str), strict=True))
+    return progress if are_typed and min(progress.passed, progress.failed) >= 0 else None

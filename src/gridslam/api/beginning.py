@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import NamedTuple, final
 
@@ -16,7 +16,7 @@ from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.drives import DrivenLog, SavedPiece
 from gridslam.io.sessions.session_file import SavedRun
 from gridslam.matching.gauss_newton import NO_PRIOR
-from gridslam.pipeline import Observer
+from gridslam.pipeline import FailureRecorder, Observer
 from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
@@ -77,6 +77,8 @@ class Beginning:
         Looks for the robot in the pieces, until it is found.
     observers : sequence of Observer
         Called after each scan, when all others have been.
+    failures : FailureRecorder
+        The scans of the log so far at which the filter has failed.
     """
 
     run: SavedRun
@@ -84,6 +86,7 @@ class Beginning:
     passed: int = 0
     locator: EarlierPieces | None = None
     observers: Sequence[Observer] = ()
+    failures: FailureRecorder = field(default_factory=FailureRecorder)
 
     def attach(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Let a filter that has just begun look for the robot in the pieces."""
@@ -104,32 +107,38 @@ class Beginning:
         if found is not None:
             slam.loop_closure.join(state, closure_state, found)
 
-    def go_on(self, state: GridFastSlamState, log: DrivenLog) -> SavedRun:
-        """Give the run after the last scan of a log."""
-        joined = self._find_joined(state)
-        earlier = self.run.earlier if joined is None else joined.drives
-        return replace(self.run, state=state, logs=(*self.run.logs, log), earlier=earlier)
+    def go_on(self, state: GridFastSlamState, *logs: DrivenLog) -> Beginning:
+        """Give what the run is after a scan, to be saved or gone on from; `logs` are those that have ended since.
 
-    def find_apart(self, state: GridFastSlamState) -> tuple[SavedPiece, ...]:
-        """Give the pieces that were not joined with the run."""
-        joined = self._find_joined(state)
-        return tuple(piece for piece in self.pieces if piece is not joined)
+        Whatever saves a run, or computes its result, saves this: the drives of the piece in which the robot was found
+        come before the run's own, and that piece is not among the others any more.
+        """
+        run = replace(self.run, state=state, logs=(*self.run.logs, *logs))
+        joined = self.find_joined(state)
+        if joined is None:
+            return replace(self, run=run)
+        apart = tuple(piece for piece in self.pieces if piece is not joined)
+        return replace(self, run=replace(run, earlier=joined.drives), pieces=apart, locator=None)
 
-    def _find_joined(self, state: GridFastSlamState) -> SavedPiece | None:
-        """The piece that this run was joined with; None if none was, or before the log began."""
-        is_found = self.locator is not None and state.closure_state is not None and state.closure_state.joined >= 0
-        return self.pieces[state.closure_state.joined] if is_found and state.closure_state is not None else None
+    def find_joined(self, state: GridFastSlamState) -> SavedPiece | None:
+        """Find the one of the pieces that the run was joined with; None if none was, or before it began with them."""
+        found_in = None if state.closure_state is None else state.closure_state.found_in
+        return next((piece for piece in self.pieces if piece.piece is found_in), None)
 
 
 def locate_in(
-    pieces: Sequence[SavedPiece], configuration: Configuration, pose: FloatArray | None = None
+    pieces: Sequence[SavedPiece],
+    configuration: Configuration,
+    pose: FloatArray | None = None,
+    state: GridFastSlamState | None = None,
 ) -> EarlierPieces | None:
     """Give what looks for a robot in pieces: everywhere, or about a pose (3,) at which it begins in the first one.
 
-    None without loop closure, and without pieces.
+    None without loop closure, without pieces, and where the state with which it begins is of a robot that was found.
     """
     closure = configuration.loop_closure
-    if closure is None or not pieces:
+    is_found = state is not None and state.closure_state is not None and state.closure_state.joined >= 0
+    if closure is None or not pieces or is_found:
         return None
     refinement = configuration.final_refinement
     return EarlierPieces(

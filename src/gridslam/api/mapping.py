@@ -37,7 +37,7 @@ from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import write_tum
 from gridslam.kernels import compiled
 from gridslam.observers import RunStatistics
-from gridslam.pipeline import FailureRecorder, Observer, Stopwatch, describe_error, run
+from gridslam.pipeline import Observer, Stopwatch, describe_error, run
 from gridslam.slam.full_slam.full_slam import LoopClosureSummary, full_slam
 from gridslam.slam.full_slam.full_trajectory import find_open_directions
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
@@ -490,7 +490,6 @@ def map_log(
     source = open_repaired(log, options, repair)
     begun = beginning or Beginning(SavedRun(np.random.default_rng(seed), name=source.path.name.partition(".")[0]))
     so_far = begun.run
-    failures = FailureRecorder()
     slam = build(configuration, threads)
     watch.lap("start")
 
@@ -505,13 +504,14 @@ def map_log(
         observers=[begun.attach, so_far.trajectory, so_far.statistics, *observers, note, *begun.observers],
         state=begun.attach_to(so_far.state),
         stopwatch=watch,
-        on_failure=failures,
+        on_failure=begun.failures,
     )
     begun.finish(state, slam)
     digest = digest or compute_digest(source.path)
     watch.lap("finish")
+    ended = begun.go_on(state, describe_log(source, digest))
     result = finish_mapping(
-        begun.go_on(state, describe_log(source, digest)),
+        ended.run,
         configuration,
         seed=seed,
         threads=threads,
@@ -522,8 +522,8 @@ def map_log(
         on_progress=on_progress,
         stopwatch=watch,
         keep_particles=keep_particles,
-        failures=failures.describe(),
-        pieces=begun.find_apart(state),
+        failures=ended.failures.describe(),
+        pieces=ended.pieces,
     )
     watch.lap("finish")
     return result

@@ -33,7 +33,6 @@ from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.drives import Drive, SavedPiece, choose_name
 from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session, write_session
 from gridslam.io.text import compute_digest
-from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
 from gridslam.slam.full_slam.full_slam import FullSlam, full_slam, refine_piece
 from gridslam.slam.full_slam.full_trajectory import full_trajectories
 from gridslam.slam.full_slam.merging import merge_pieces
@@ -222,16 +221,15 @@ class Session:
         digest = map_options.pop("digest", None) or compute_digest(source.path)
         gate = map_options.pop("gate", iter)
         map_options.pop("keep_particles", None)
-        self.resumed = 0
-        begun = None
+        name = name or source.path.name.partition(".")[0]
+        self._decide(first, Place.ELSEWHERE if begin is not None or frozen else where)
+        left = None
         if autosave is not None:
-            begun = self._resume(
-                autosave, self._describe_job(source, digest, where, begin, frozen, name, repair), begin
-            )
-        if begun is None:
-            begun = self._begin(first, where, begin, frozen, name or source.path.name.partition(".")[0])
+            left = autosave.find(self._describe_job(source, digest, where, begin, frozen, name, repair), self._threads)
+        begun = self._look_for(left or self._begin(first, begin, frozen, name), begin)
+        self.resumed = begun.passed
         if autosave is not None:
-            autosave.begin(replace(self._saved, run=begun.run, pieces=begun.pieces), begun.passed)
+            autosave.begin(self._saved, begun)
             begun = replace(begun, observers=[autosave])
         count = iter if autosave is None else autosave.count
         result = map_log(
@@ -344,7 +342,7 @@ class Session:
         place: Place,
         pose: FloatArray | None,
         frozen: bool,
-        name: str | None,
+        name: str,
         repair: str,
     ) -> dict[str, Any]:
         """All that the results of a log depend on, as JSON values."""
@@ -356,6 +354,7 @@ class Session:
             "configuration": dumps(saved.configuration),
             "seed": saved.seed,
             "drives": [[drive.name, [asdict(log) for log in drive.logs]] for drive in saved.drives],
+            "pieces": [piece.compute_digest() for piece in saved.pieces],
             "session": saved.written,
             "place": place.value,
             "pose": None if pose is None else pose.tolist(),
@@ -363,54 +362,35 @@ class Session:
             "name": name,
         }
 
-    def _resume(self, autosave: Autosave, job: dict[str, Any], pose: FloatArray | None) -> Beginning | None:
-        """Go on from what an interrupted run has left; None if there is nothing of this job."""
-        left = autosave.find(job, self._threads)
-        if left is None:
-            return None
-        saved, self.resumed = left
-        run = saved.run
-        assert run is not None
-        return Beginning(run, saved.pieces, self.resumed, self._make_locator(run, saved.pieces, pose))
-
-    def _begin(self, first: Measurement, place: Place, pose: FloatArray | None, frozen: bool, name: str) -> Beginning:
-        """Decide where the log begins, and what its run begins with."""
+    def _decide(self, first: Measurement, place: Place) -> None:
+        """Decide whether the log goes on where the last one has ended."""
         saved = self._saved
-        if pose is not None or frozen:
-            place = Place.ELSEWHERE
         self.decision = None
         if saved.run is not None:
             self.decision = decide_place(saved.run, build(saved.configuration, self._threads), first)
         elif place is Place.SAME:
             raise ArgumentError("place", "a session whose last drive can go on", "one without")
-        is_same = self.decision is not None and self.decision.is_same if place is Place.AUTO else place is Place.SAME
-        self.is_same_place = is_same
-        if is_same and saved.run is not None:
-            return self._go_on(saved.run, first)
+        is_same = self.decision is not None and self.decision.is_same
+        self.is_same_place = is_same if place is Place.AUTO else place is Place.SAME
+
+    def _begin(self, first: Measurement, pose: FloatArray | None, frozen: bool, name: str) -> Beginning:
+        """Give what the run of a log begins with."""
+        saved = self._saved
+        if self.is_same_place and saved.run is not None:
+            run = saved.run.snapshot()  # that of the session is kept as it is
+            if run.state is not None and self.decision is not None and not self.decision.is_same:
+                restart_at_same_place(run.state, first)
+            return Beginning(run, saved.pieces)
         pieces = tuple(own.prepare(saved.configuration, frozen=frozen) for own in self._refine())
         if pose is not None and not pieces:
             raise ArgumentError("pose", "a session in whose map the robot can begin", "an empty one")
         drives = [drive.name for drive in saved.drives]
-        run = SavedRun(
-            np.random.default_rng(saved.seed + len(drives)),
-            name=choose_name(name, drives),
-        )
-        return Beginning(run, pieces, locator=locate_in(pieces, saved.configuration, pose))
+        run = SavedRun(np.random.default_rng(saved.seed + len(drives)), name=choose_name(name, drives))
+        return Beginning(run, pieces)
 
-    def _go_on(self, run: SavedRun, first: Measurement) -> Beginning:
-        """Go on where the last log has ended; `run` is kept as it is."""
-        run = run.snapshot()
-        if run.state is not None and self.decision is not None and not self.decision.is_same:
-            restart_at_same_place(run.state, first)
-        return Beginning(run, self._saved.pieces, locator=self._make_locator(run, self._saved.pieces, None))
-
-    def _make_locator(
-        self, run: SavedRun, pieces: Sequence[SavedPiece], pose: FloatArray | None
-    ) -> EarlierPieces | None:
-        """Give what looks for the robot in pieces; None if it was found before."""
-        closure_state = None if run.state is None else run.state.closure_state
-        is_joined = closure_state is not None and closure_state.joined >= 0
-        return None if is_joined else locate_in(pieces, self.configuration, pose)
+    def _look_for(self, begun: Beginning, pose: FloatArray | None) -> Beginning:
+        """Let a run look for the robot in its pieces, unless it was found before."""
+        return replace(begun, locator=locate_in(begun.pieces, self.configuration, pose, begun.run.state))
 
     def _refine(self) -> list[_Map]:
         """Refine the newest drive's piece, and build the maps of all."""

@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import IO, Any, cast, final
 
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.io.staging import REPLACED, StagingFolder, exchange_folders, sync
+from gridslam.io.staging import REPLACED, StagingFolder, exchange_folders, remove_abandoned, sync
 
 __all__ = ["OutputFolder", "open_for_writing", "write_atomically"]
 
@@ -143,6 +143,7 @@ class OutputFolder:
         out = self.path.resolve()
         if any(file.name.endswith(".partial") for file in out.iterdir()):
             StagingFolder(self.path, name, self.path).remove()  # it completes what was interrupted
+            remove_abandoned(out)
         if self._is_exchangeable(out.parent):
             with suppress(OSError):
                 return StagingFolder(out.parent, out.name, out)

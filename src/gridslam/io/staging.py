@@ -5,8 +5,10 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
+import re
 import secrets
 import shutil
+import weakref
 from pathlib import Path
 from typing import Final, final
 
@@ -15,11 +17,12 @@ try:
 except ImportError:  # Windows has no such locks: there nothing is removed
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["REPLACED", "StagingFolder", "exchange_folders", "sync"]
+__all__ = ["REPLACED", "StagingFolder", "exchange_folders", "remove_abandoned", "sync"]
 
 REPLACED: Final = ".replaced"
 """Folder within a staging folder for the files that are being replaced; it shows that publishing had begun."""
 
+_PARTIAL = re.compile(r"\..+\.[0-9a-f]{8}\.partial")
 _EXCHANGE = 2  # RENAME_EXCHANGE of renameat2
 _HERE = -100  # AT_FDCWD
 
@@ -28,8 +31,8 @@ _HERE = -100  # AT_FDCWD
 class StagingFolder:
     """A folder `.NAME.XXXXXXXX.partial` of its own for a file or folder NAME.
 
-    It is locked as long as this process lives. Those that were left by killed processes are removed first; one whose
-    files were being moved into the folder `target` is completed.
+    It is locked as long as this process lives, and removed at its end wherever an interrupt has come. Those that were
+    left by killed processes are removed first; one whose files were being moved into the folder `target` is completed.
 
     Parameters
     ----------
@@ -54,24 +57,34 @@ class StagingFolder:
     def __init__(self, parent: Path, name: str, target: Path | None = None) -> None:
         """Remove what was left, and create the folder."""
         for left in parent.glob(f".{_escape(name)}.????????.partial"):
-            _remove_abandoned(left, target)
+            _remove_unless_locked(left, target)
         while True:
             self.path = parent / f".{name}.{secrets.token_hex(4)}.partial"
+            self._last_removal = weakref.finalize(self, _remove_own, self.path, os.getpid())
             self.path.mkdir()
             self._lock = _lock(self.path)
             if self.path.exists():  # else another process has removed it before it was locked
                 return
+            self._last_removal.detach()
             self._unlock()
 
     def remove(self) -> None:
         """Remove the folder and all in it."""
         shutil.rmtree(self.path, ignore_errors=True)
+        self._last_removal.detach()
         self._unlock()
 
     def _unlock(self) -> None:
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
+
+
+def remove_abandoned(folder: Path) -> None:
+    """Remove from a folder what killed processes have left half written, whatever files it was to become."""
+    for left in folder.iterdir():
+        if _PARTIAL.fullmatch(left.name):
+            _remove_unless_locked(left, None)
 
 
 def sync(*paths: Path) -> None:
@@ -115,7 +128,13 @@ def _lock(path: Path) -> int | None:
     return descriptor
 
 
-def _remove_abandoned(left: Path, target: Path | None) -> None:
+def _remove_own(path: Path, process: int) -> None:
+    """Remove a folder at the end of the process that has created it; a process that was forked from it leaves it."""
+    if os.getpid() == process:
+        shutil.rmtree(path, ignore_errors=True)
+
+
+def _remove_unless_locked(left: Path, target: Path | None) -> None:
     """Remove a staging folder unless its process lives; move its files on if that had begun."""
     lock = _lock(left)
     if lock is None:

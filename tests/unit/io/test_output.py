@@ -239,3 +239,40 @@ def test_a_result_may_be_behind_a_link_and_keeps_its_permissions(tmp_path):
     assert (tmp_path / "real").stat().st_mode & 0o777 == 0o750
     assert json.loads((tmp_path / "real" / "run.json").read_text())["version"] == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "real"]
+
+
+ENDED = """
+import sys, threading
+from pathlib import Path
+from gridslam.io import staging
+from gridslam.io.output import write_atomically
+
+lock = staging._lock
+
+def interrupt(path):
+    lock(path)
+    raise KeyboardInterrupt
+
+staging._lock = interrupt
+with write_atomically(Path(sys.argv[1]) / "file") as path:
+    path.write_text("half")
+"""
+
+
+def test_an_interrupt_while_the_temporary_folder_is_made_leaves_none(tmp_path):
+    done = subprocess.run([sys.executable, "-c", ENDED, str(tmp_path)], capture_output=True, text=True)
+    assert "KeyboardInterrupt" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_whatever_a_killed_process_was_writing_in_out_goes_with_its_next_run(tmp_path):
+    """An autosave that was half written, though the next run may never write one; but no file of anybody else."""
+    for name in (".autosave.gridslam.0123abcd.partial", ".autosave.gridslam.0123abcd.partial~", "mine.partial"):
+        (tmp_path / name).mkdir()
+    with write_atomically(tmp_path / "s.gridslam") as path, OutputFolder(tmp_path):
+        path.write_text("whole")  # it is not taken away while it is being written
+    assert sorted(file.name for file in tmp_path.iterdir()) == [
+        ".autosave.gridslam.0123abcd.partial~",
+        "mine.partial",
+        "s.gridslam",
+    ]

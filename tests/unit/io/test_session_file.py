@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import operator
+import subprocess
+import sys
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
@@ -237,3 +239,27 @@ def test_what_a_session_holds_changes_with_the_number_of_its_schema(tmp_path):
         heads = [json.loads(str(arrays["head"])) for arrays in (archive, kept)]
         assert heads[0].keys() == heads[1].keys()
         assert heads[0]["run"].keys() == heads[1]["run"].keys()
+
+
+ENDS_AT_ONCE = """
+import sys, time
+from pathlib import Path
+from gridslam.config import Configuration
+from gridslam.io.sessions import background_writer
+from gridslam.io.sessions.session_file import SavedSession, write_session
+
+def write_slowly(path, session):
+    time.sleep(0.5)
+    write_session(path, session)
+
+background_writer.write_session = write_slowly
+background_writer.BackgroundWriter().write(Path(sys.argv[1]), SavedSession(Configuration(), seed=7))
+raise KeyboardInterrupt
+"""
+
+
+def test_a_process_that_ends_waits_for_what_is_being_written(tmp_path):
+    path = tmp_path / "s.gridslam"
+    done = subprocess.run([sys.executable, "-c", ENDS_AT_ONCE, str(path)], capture_output=True, text=True)
+    assert "KeyboardInterrupt" in done.stderr
+    assert read_session(path).seed == 7

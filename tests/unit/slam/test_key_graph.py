@@ -13,7 +13,7 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.serialization import from_arrays, to_arrays
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel, propagate_covariances
-from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
+from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, UNKNOWN_VARIANCES, KeyGraph
 from gridslam.tracking.state import UnmatchedMotion
 
 DRIFT = DriftModel()
@@ -370,3 +370,26 @@ def test_arrays_and_snapshots_go_on_to_the_same_bytes(count):
     assert contents(kept) == before  # what was done to the one has not reached the other
     assert go_on(read) == end
     assert go_on(kept) == end
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_graph_that_is_read_knows_the_same_ways_to_the_last_bit(seed):
+    """Whatever was found when: ties of key scans long past, corrections, and a drive that was found in another one."""
+    rng = np.random.default_rng(seed)
+    graph = chain(30, seed)
+    for k, (increment, variances) in enumerate(zip(*steps(60, seed + 100), strict=True)):
+        tracked = compose(graph.tracked[-1], increment)
+        graph.extend(tracked, compose(graph.poses[-1], increment), variances)
+        for to in rng.integers(20, len(graph), rng.integers(0, 3)).tolist():
+            graph.add(constraint(graph, int(rng.integers(0, to - 10)), to, information=10 ** rng.uniform(2, 6)))
+        if k == 20:
+            graph.correct(bent(graph))
+        if k == 40:
+            own, graph = graph, chain(40, seed + 1)
+            first = len(graph)
+            graph.append(own, compose(graph.poses[20], np.array(own.poses)), UNKNOWN_VARIANCES)
+            for to in (9, 25, 60):
+                graph.add(constraint(graph, 12, first + to))
+        read = from_arrays(KeyGraph, to_arrays(graph))
+        assert contents(read) == contents(graph)
+        assert read.drift.tobytes() == graph.drift.tobytes()

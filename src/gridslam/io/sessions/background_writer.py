@@ -31,6 +31,8 @@ def lower_priority() -> None:
 class BackgroundWriter:
     """Writes one session at a time; the filter waits only while its tables are copied.
 
+    A process that ends, be it by a signal, waits until what is being written is whole.
+
     Parameters
     ----------
     on_failure : callable
@@ -51,7 +53,7 @@ class BackgroundWriter:
         """Write a session as it is now, in place of an earlier one; call between two scans, and when it is idle."""
         run = session.run
         frozen = [replace(session, run=None if run is None else run.freeze())]  # dropped by the thread that writes it
-        self._thread = threading.Thread(target=self._write, args=(path, frozen), name="gridslam-autosave", daemon=True)
+        self._thread = threading.Thread(target=self._write, args=(path, frozen), name="gridslam-autosave")
         self._thread.start()
 
     def report(self) -> None:

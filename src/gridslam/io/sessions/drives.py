@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 
+from gridslam import serialization
 from gridslam.arguments import require_instance
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
@@ -114,6 +116,13 @@ class SavedPiece:
     def stamps_ns(self) -> IntArray:
         """Stamps of the scans of all drives, one drive after the other."""
         return np.concatenate([np.zeros(0, np.int64), *(drive.stamps_ns for drive in self.drives)])
+
+    def compute_digest(self) -> str:
+        """SHA-256 of its key scans and its graph, in hexadecimal."""
+        digest = hashlib.sha256()
+        for name, values in sorted(serialization.to_arrays(self.piece).items()):
+            digest.update(f"{name} {values.shape} ".encode() + np.ascontiguousarray(values).data)
+        return digest.hexdigest()
 
     def thin(self, mapper: OccupancyGridMapping) -> SavedPiece:
         """Leave out what newer drives have seen (see `thin_piece`), and drives of which nothing is left.

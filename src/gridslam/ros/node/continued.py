@@ -17,7 +17,7 @@ from gridslam.config import Configuration
 from gridslam.errors import GridslamError
 from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.background_writer import lower_priority
-from gridslam.io.sessions.drives import Drive, SavedPiece, choose_name
+from gridslam.io.sessions.drives import SavedPiece, choose_name
 from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.messages import Level
@@ -122,9 +122,11 @@ class EarlierDrives:
         try:
             saved = self._continued.saved
             pieces = saved.pieces
+            state = None if saved.run is None else saved.run.state
             if self._is_new_drive:
                 pieces = tuple(SavedDrives.of(saved, threads=self._threads).pieces)
-            locator = locate_in(pieces, self._configuration, self._continued.pose)
+                state = None
+            locator = locate_in(pieces, self._configuration, self._continued.pose, state)
             self._found = Earlier(pieces, locator)
         except Exception as error:  # reported by the filter's thread
             self._problem = describe_error(error)
@@ -156,10 +158,9 @@ def begin(
     return Beginning(run), True
 
 
-def describe_drives(drives: Sequence[Drive]) -> str:
-    """Names of the drives that a piece is of."""
-    names = ", ".join(drive.name for drive in drives)
-    return f"the map of {names}" if names else "the given map"
+def describe_drives(names: Sequence[str]) -> str:
+    """What a piece is the map of: the drives of these names, or none."""
+    return f"the map of {', '.join(names)}" if names else "the given map"
 
 
 def prepare(begun: Beginning, earlier: Earlier) -> Beginning:

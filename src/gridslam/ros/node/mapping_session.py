@@ -214,10 +214,11 @@ class Session:
     def _note(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         self.state = state
         self._begun.run.record.add(report, seconds)
-        if self.found is None and self._begun.locator is not None:
-            self.found = _find(self._begun, state)
-            if self.found is not None:
-                self._report(Level.OK, _describe_found(self._begun, state, self.found))
+        joined = self._begun.find_joined(state) if self.found is None else None
+        if joined is not None and state.closure_state is not None:
+            way_m = state.closure_state.driven_before_found_m(len(joined.piece))
+            self.found = FoundAgainHere(tuple(drive.name for drive in joined.drives), state.best_pose, way_m)
+            self._report(Level.OK, _describe_found(self.found))
 
 
 @final
@@ -279,12 +280,14 @@ class SessionCopy:
             begun = self._whole()
         frozen = begun.run.state
         assert frozen is not None
+        begun = begun.go_on(frozen)  # the copy that is refined does not know in which piece the robot was found
         state = GridFastSlamState.from_arrays(frozen.to_arrays(), self.configuration.mapper, self.threads)
         if self.is_last:
             begun.attach_to(state)
             begun.finish(state, build(self.configuration, self.threads))
+        ended = begun.go_on(state, _describe_log(self.log, self.record))
         return finish_mapping(
-            begun.go_on(state, _describe_log(self.log, self.record)),
+            ended.run,
             self.configuration,
             seed=self.seed,
             threads=self.threads,
@@ -294,7 +297,7 @@ class SessionCopy:
             repair=Repair(),
             stopwatch=self.stopwatch,
             failures=self.failures,
-            pieces=begun.find_apart(state),
+            pieces=ended.pieces,
         )
 
 
@@ -307,11 +310,12 @@ def _make_session(
     record: Path | None,
 ) -> SavedSession:
     """Give what a file of a session holds."""
+    so_far = begun.go_on(state, _describe_log(log, record))
     return SavedSession(
         configuration,
         seed,
-        begun.go_on(state, _describe_log(log, record)),
-        begun.find_apart(state),
+        so_far.run,
+        so_far.pieces,
         written=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )
 
@@ -322,22 +326,10 @@ def _describe_log(log: LogStatistics, record: Path | None) -> DrivenLog:
     return DrivenLog.of(source, "", log)
 
 
-def _find(begun: Beginning, state: GridFastSlamState) -> FoundAgainHere | None:
-    """Where the robot was found again; None if it was not."""
-    closure_state = state.closure_state
-    if closure_state is None or closure_state.joined < 0:
-        return None
-    piece = begun.pieces[closure_state.joined]
-    way_m = closure_state.driven_before_found_m(len(piece.piece))
-    return FoundAgainHere(tuple(drive.name for drive in piece.drives), state.best_pose, way_m)
-
-
-def _describe_found(begun: Beginning, state: GridFastSlamState, found: FoundAgainHere) -> str:
-    assert state.closure_state is not None
-    where = describe_drives(begun.pieces[state.closure_state.joined].drives)
+def _describe_found(found: FoundAgainHere) -> str:
     x, y, theta = found.pose.tolist()
     place = f"x {x:.2f} m, y {y:.2f} m, heading {math.degrees(theta):.0f} degrees"
-    return f"found again in {where} after {found.way_m:.1f} m, at {place}"
+    return f"found again in {describe_drives(found.drives)} after {found.way_m:.1f} m, at {place}"
 
 
 def _draw(state: GridFastSlamState) -> bytes:

@@ -99,7 +99,7 @@ class EarlierPieces:
         self._begin = begin
         self._maps = [piece.build_map(mapper) for piece in self.pieces]
         self._pyramids = [Pyramid.of(maps, 0) for maps in self._maps]
-        self._hits: dict[tuple[int, int, bytes], list[SearchHit]] = {}
+        self._hits: dict[tuple[int, int, bytes, bytes], list[SearchHit]] = {}
 
     def locate(self, closure_state: LoopClosureState) -> FoundPiece | None:
         """Search for the newest key scan, and give the first piece in which the drive so far is found."""
@@ -180,13 +180,18 @@ class EarlierPieces:
         """The two best places of a key scan's points in a piece."""
         points = collect_recent_points(closure_state, key, self._places.query_key_scans)
         few = thin_points(points, self._alignment.search.max_points)
-        known = (number, key, few.tobytes())
+        expected = None
+        if self._begin is not None:
+            poses = closure_state.graph.poses
+            expected = compose(self._begin, between(poses[0], poses[key]))
+        known = (number, key, few.tobytes(), b"" if expected is None else expected.tobytes())
         if known not in self._hits:
-            if self._begin is None:
-                self._hits[known] = list(self._search_everywhere(number, key, few))
-            else:
-                expected = compose(self._begin, between(closure_state.graph.poses[0], closure_state.graph.poses[key]))
-                self._hits[known] = list(self._search_near(number, key, few, expected))
+            found = (
+                self._search_everywhere(number, key, few)
+                if expected is None
+                else self._search_near(number, key, few, expected)
+            )
+            self._hits[known] = list(found)
         return self._hits[known]
 
     def _search_near(self, number: int, key: int, points: FloatArray, expected: FloatArray) -> Iterator[SearchHit]:

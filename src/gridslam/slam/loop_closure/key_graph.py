@@ -7,7 +7,6 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
-from operator import attrgetter
 from typing import Annotated, NamedTuple, final
 
 import numpy as np
@@ -19,7 +18,7 @@ from gridslam.geometry.single_pose import ORIGIN, Pose, as_pose
 from gridslam.kernels import backend
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
-from gridslam.slam.loop_closure.drift_model import compute_moments, propagate_covariances
+from gridslam.slam.loop_closure.drift_model import compute_step_moments, propagate_covariances
 from gridslam.slam.loop_closure.rows import Rows, new_poses
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
@@ -163,10 +162,12 @@ class KeyGraph:
     _gap_counts: list[int] = field(init=False, default_factory=list, metadata=NOT_SAVED)
     # (9,) each, moments of the variances up to each key scan
     _sums: list[FloatArray] = field(init=False, default_factory=list, metadata=NOT_SAVED)
-    # (9,) each, moments of the drift along the most certain known way from key scan 0
+    # (9,) each, moments of the drift from key scan 0, as tracked
     _drifts: list[FloatArray] = field(init=False, default_factory=list, metadata=NOT_SAVED)
-    # key scans whose way comes by a constraint
+    # key scans to which the most certain known way comes by a constraint
     _arrivals: list[int] = field(init=False, default_factory=list, metadata=NOT_SAVED)
+    # (9,) each, what those ways change of the drift: before the first arrival, from each one to the next
+    _gains: list[FloatArray] = field(init=False, default_factory=lambda: [np.zeros(9)], metadata=NOT_SAVED)
     # as tracked, the first key scan of each submap
     _firsts: Rows[np.float64] = field(init=False, default_factory=new_poses, metadata=NOT_SAVED)
     # (9,) each, moments from each submap's first key scan to the next one's
@@ -189,7 +190,7 @@ class KeyGraph:
     @property
     def drift(self) -> FloatArray:
         """Moments (9,) of the newest key scan's pose as seen from the first, along the most certain known way."""
-        return self._drifts[-1]
+        return self._drift_at(len(self) - 1)
 
     @property
     def complete_submaps(self) -> int:
@@ -259,8 +260,9 @@ class KeyGraph:
         links = (self._link_places, self._link_submaps, self._links)
         for derived in (self._gap_counts, self._sums, self._firsts, self._steps, *links, self._drifts, self._arrivals):
             derived.clear()
+        del self._gains[1:]
         self._derive()
-        self._use(sorted(self.constraints, key=attrgetter("to")))
+        self._use(self.constraints)
 
     def extend_with_tracked(self, poses: FloatArray) -> FloatArray:
         """Poses (T, 3) of all key scans: the first ones as given, (K, 3), the rest as tracked from there."""
@@ -391,38 +393,36 @@ class KeyGraph:
                     self._steps.append(self._sums[key] - self._sums[key - KEY_SCANS_PER_SUBMAP])
 
     def _use(self, constraints: Sequence[Constraint]) -> None:
-        """Let constraints lead from submap to submap, and shorten the ways from the first key scan."""
+        """Let constraints lead from submap to submap, and shorten the ways from the first key scan.
+
+        In the order in which they were found, one by one: a graph that was saved goes on to the last bit.
+        """
         determined = [constraint for constraint in constraints if constraint.determined]
         if not determined:
             return
         covariances = np.asarray(np.linalg.inv(np.array([c.information for c in determined])), np.float64)
         for constraint, covariance in zip(determined, covariances, strict=True):
             self._add_link(constraint, covariance)
-        poses = np.array([self.poses[constraint.to] for constraint in determined])
-        self._shorten_ways(determined, compute_moments(poses, _MATCH_RATIO**2 * covariances))
+            self._shorten_ways(constraint, covariance)
 
-    def _shorten_ways(self, constraints: Sequence[Constraint], measured: FloatArray) -> None:
-        """Let the way to a key scan and to those after it come by a constraint if it is more certain so.
+    def _drift_at(self, key: int) -> FloatArray:
+        """Moments (9,) of the drift from key scan 0 to another, along the most certain known way."""
+        return self._drifts[key] + self._gains[bisect_right(self._arrivals, key)]
 
-        `measured` (K, 9) are the moments of the constraints.
-        """
-        drifts = np.array(self._drifts) if len(constraints) > 1 else None  # of a few the list is faster
-        for constraint, own in zip(constraints, measured, strict=True):
-            at = constraint.to
-            known = self._drifts if drifts is None else drifts
-            gained = known[constraint.from_] + own - known[at]
-            if _position_variance(self.poses[at], gained) >= 0:
-                continue
-            later = bisect_right(self._arrivals, at)
-            end = self._arrivals[later] if later < len(self._arrivals) else len(self)
-            if drifts is None:
-                self._drifts[at:end] = [moments + gained for moments in self._drifts[at:end]]
-            else:
-                drifts[at:end] += gained
-            if not later or self._arrivals[later - 1] != at:
-                self._arrivals.insert(later, at)
-        if drifts is not None:
-            self._drifts = list(drifts)
+    def _shorten_ways(self, constraint: Constraint, covariance: FloatArray) -> None:
+        """Let the way to a key scan and to those after it come by a constraint if it is more certain so."""
+        at = constraint.to
+        measured = compute_step_moments(as_pose(self.poses[at]), _MATCH_RATIO**2 * covariance)
+        gained = self._drift_at(constraint.from_) + measured - self._drift_at(at)
+        if _position_variance(self.poses[at], gained) >= 0:
+            return
+        later = bisect_right(self._arrivals, at)
+        gain = self._gains[later] + gained
+        if later and self._arrivals[later - 1] == at:
+            self._gains[later] = gain
+        else:
+            self._arrivals.insert(later, at)
+            self._gains.insert(later + 1, gain)
 
     def _add_link(self, constraint: Constraint, covariance: FloatArray) -> None:
         """Add the link of a constraint between two submaps if it is the most certain so far."""

@@ -180,6 +180,8 @@ class LoopClosureState:
         saved with the state: whoever restores it gives it again.
     joined : int
         Number of the piece in which it was found; -1 before. Its key scans are then the first ones.
+    found_in : MapPiece or None
+        That piece; None before. Not saved with the state: who saves it writes down which drives came first.
     joined_after : int
         Number of key scans of the drive after which it was found.
     threads : int
@@ -197,6 +199,7 @@ class LoopClosureState:
     earlier: DriveLocator | None = field(default=None, metadata=NOT_SAVED)
     joined: int = -1
     joined_after: int = 0
+    found_in: MapPiece | None = field(default=None, metadata=NOT_SAVED)
     threads: int = field(default=1, metadata=NOT_SAVED)
     submap_cache: SubmapCache = field(default_factory=SubmapCache, metadata=NOT_SAVED)
     _anchors: Rows[np.float64] = field(init=False, default_factory=new_poses, metadata=NOT_SAVED)
@@ -242,6 +245,7 @@ class LoopClosureState:
             rejected=self.rejected.copy(),
             joined=found.number,
             joined_after=len(self.graph),
+            found_in=found.piece,
             threads=self.threads,
         )
 
