@@ -70,6 +70,7 @@ def convert(log: Path, out: Path, options: LogOptions, to: str | None, as_json: 
         conversion = replace(convert_log(source, folder.file(out.name), to=to, on_progress=on_progress), out=out)
     form = conversion.format.value
     read = conversion.log
+    warn(*(f"{log}: {remark}" for remark in read.remarks))
     if read.truncated:
         warn(f"{log}: the log is truncated after {read.scan_count} scans")
     if conversion.lost:
