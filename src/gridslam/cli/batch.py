@@ -290,14 +290,14 @@ def _make_jobs(
 
 def _measure(path: str) -> int | None:
     """Size of a log, if it is there and not at a URL."""
-    with suppress(InputError):
+    with suppress(Exception):  # whatever is wrong with one log, its job reports it
         return None if is_url(path) else measure_size(Path(path))
     return None
 
 
 def _find_image(path: str) -> str:
     """Image of a map; the map's file itself where it cannot be read, which the jobs report."""
-    with suppress(InputError):
+    with suppress(Exception):
         return os.path.join(os.path.dirname(path), read_map_description(path).image)
     return path
 
@@ -315,7 +315,9 @@ def _compute_digests(paths: Collection[str], states: Mapping[str, str], journal:
                     f"{mask_url(path)}\n{states.get(path) or describe_remote(path)}".encode()
                 ).hexdigest()
             return journal.digest(Path(path))
-        except InputError:
+        except OutputError:  # of the journal
+            raise
+        except Exception:
             return ""
 
     threads = ThreadPoolExecutor(min(8, _count_processors()))

@@ -78,7 +78,7 @@ def print_result(document: Mapping[str, Any], summary: Iterable[str], as_json: b
 def warn(*warnings: str) -> None:
     """Print warnings on stderr, a line for each."""
     for warning in warnings:
-        click.echo(f"gridslam: {warning}", err=True)
+        click.echo(f"gridslam: {' '.join(warning.splitlines())}", err=True)
 
 
 @contextmanager
