@@ -32,8 +32,10 @@ __all__ = [
     "print_json",
     "print_result",
     "reading_progress",
+    "report_background_failures",
     "stop_if_interrupted",
     "warn",
+    "write_apart",
 ]
 
 _BAR_EVERY_S = 0.25
@@ -82,10 +84,33 @@ def warn(*warnings: str) -> None:
 
 
 @contextmanager
+def write_apart() -> Iterator[Callable[..., bool]]:
+    """Give what calls a function that writes one of several targets, and returns whether it could.
+
+    Where it could not that is reported at once, the command goes on with the other targets, and fails in the end.
+    """
+    is_complete = True
+
+    def write(function: Callable[..., object], *arguments: Any) -> bool:  # noqa: ANN401
+        nonlocal is_complete
+        try:
+            function(*arguments)
+        except (OutputError, OSError) as error:
+            warn(str(error))
+            is_complete = False
+            return False
+        return True
+
+    yield write
+    if not is_complete:
+        raise click.exceptions.Exit(1)
+
+
+@contextmanager
 def handle_signals(*, until_exit: bool = False) -> Iterator[None]:
     """Turn the first SIGINT, SIGTERM or SIGHUP into KeyboardInterrupt; later ones must not disturb the cleaning up.
 
-    `until_exit`: after an interrupt they are ignored for the rest of the process.
+    `until_exit`: when the context ends they are ignored for the rest of the process.
     """
     global _interrupted
     _interrupted = False
@@ -93,23 +118,33 @@ def handle_signals(*, until_exit: bool = False) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         numbers = []  # signals are handled by the main thread alone
     before = {number: signal.getsignal(number) for number in numbers}
-    hook = sys.unraisablehook
     for number, handler in before.items():
         if handler is not signal.SIG_IGN:  # as SIGHUP by nohup
             signal.signal(number, _interrupt)
-    sys.unraisablehook = lambda unraisable: _hide_interrupt(unraisable, hook)
     try:
         yield
     finally:
-        sys.unraisablehook = hook
-        for number, handler in before.items():
-            signal.signal(number, signal.SIG_IGN if until_exit and _interrupted else handler)
+        for number in before:  # the results are written, or gone
+            signal.signal(number, signal.SIG_IGN if until_exit else before[number])
 
 
-def _hide_interrupt(unraisable: Any, hook: Callable[[Any], object]) -> None:  # noqa: ANN401
-    """Print nothing on an interrupt that Python swallows in a destructor: `stop_if_interrupted` repeats it."""
-    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
-        hook(unraisable)
+@contextmanager
+def report_background_failures(report: Callable[[BaseException], object]) -> Iterator[None]:
+    """Report exceptions of other threads and of destructors, of which Python would print the traceback.
+
+    Of an interrupt that comes in a destructor nothing is said: `stop_if_interrupted` repeats it.
+    """
+    hooks = sys.unraisablehook, threading.excepthook
+
+    def on_failure(failure: Any) -> None:  # noqa: ANN401
+        if failure.exc_value is not None and not isinstance(failure.exc_value, KeyboardInterrupt | SystemExit):
+            report(failure.exc_value)
+
+    sys.unraisablehook = threading.excepthook = on_failure
+    try:
+        yield
+    finally:
+        sys.unraisablehook, threading.excepthook = hooks
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

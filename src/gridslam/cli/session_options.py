@@ -121,11 +121,6 @@ class SessionOptions:
             autosave.close()
         return result
 
-    def save_to(self, session: Session) -> None:
-        """Save the session where that is wanted."""
-        if self.save is not None:
-            session.save(self.save)
-
     def end(self, out: Path) -> None:
         """Remove the autosave: the results are written."""
         if self.autosave_min is not None:

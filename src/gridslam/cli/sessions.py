@@ -11,8 +11,9 @@ import click
 
 from gridslam.api.merging import MergeResult, merge_sessions
 from gridslam.cli.options import name_option
-from gridslam.cli.output import open_display, open_output, print_json, print_result, stop_if_interrupted
+from gridslam.cli.output import open_display, open_output, print_json, print_result, stop_if_interrupted, write_apart
 from gridslam.errors import InputError
+from gridslam.io.output import write_atomically
 from gridslam.io.sessions.session_file import read_head
 from gridslam.pipeline import Stopwatch
 
@@ -41,7 +42,8 @@ def show_session(file: Path, picture: Path | None, as_json: bool) -> None:
     if picture is not None:
         if not head.thumbnail:
             raise InputError(file, "expected a session with a picture, got one without")
-        picture.write_bytes(head.thumbnail)
+        with write_atomically(picture) as path:
+            path.write_bytes(head.thumbnail)
     if as_json:
         print_json(content)
         return
@@ -76,23 +78,23 @@ def merge_to_folder(files: tuple[Path, ...], out: Path, save: Path | None, threa
     """Merge sessions, write the results to a folder and print a summary."""
     watch = Stopwatch()
     began_s = time.perf_counter()
-    with open_output(out, MergeResult.all_names()) as folder, open_display(not as_json) as (show, every_s):
-        due_s = every_s
+    with write_apart() as write:
+        with open_output(out, MergeResult.all_names()) as folder, open_display(not as_json) as (show, every_s):
+            due_s = every_s
 
-        def on_progress() -> None:
-            nonlocal due_s
-            stop_if_interrupted()
-            passed_s = time.perf_counter() - began_s
-            if passed_s >= due_s:
-                due_s = passed_s + every_s
-                show(0.0, f"merging, {passed_s:.0f} s")
+            def on_progress() -> None:
+                nonlocal due_s
+                stop_if_interrupted()
+                passed_s = time.perf_counter() - began_s
+                if passed_s >= due_s:
+                    due_s = passed_s + every_s
+                    show(0.0, f"merging, {passed_s:.0f} s")
 
-        with name_option(paths="FILE", others="FILE"):
-            result = merge_sessions(files, threads=threads, on_progress=on_progress, stopwatch=watch)
-        document = result.write(folder)
-        if save is not None:
-            result.session.save(save)
-    print_result(document, _summarize_merge(result, out, save), as_json)
+            with name_option(paths="FILE", others="FILE"):
+                result = merge_sessions(files, threads=threads, on_progress=on_progress, stopwatch=watch)
+            is_saved = save is not None and write(result.session.save, save)
+            document = result.write(folder)
+        print_result(document, _summarize_merge(result, out, save if is_saved else None), as_json)
 
 
 def _summarize_merge(result: MergeResult, out: Path, save: Path | None) -> Iterator[str]:

@@ -7,6 +7,7 @@ import gzip
 import json
 import os
 import shutil
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,15 +17,54 @@ from typing import IO, Any, cast, final
 from gridslam.errors import ArgumentError, OutputError
 from gridslam.io.staging import REPLACED, StagingFolder, exchange_folders, sync
 
-__all__ = ["OutputFolder", "open_for_writing", "write_atomically"]
+__all__ = ["OutputFolder", "open_for_writing", "require_writable", "write_atomically"]
+
+
+def require_writable(path: Path, *, is_folder: bool) -> Path:
+    """Check that a file or a folder of this path can be made or replaced, by making an empty one in a folder aside.
+
+    Returns
+    -------
+    Path
+        The nearest folder that there is: `path` itself, or one above it.
+
+    Raises
+    ------
+    OutputError
+        Something else is in its place or in that of a folder above it, or it cannot be written there.
+    """
+    above = path if is_folder else path.parent
+    while not os.path.lexists(above) and above != above.parent:
+        above = above.parent
+    if not above.exists():
+        raise OutputError(f"{path}: expected a folder to write to, but {above} is a link to nothing")
+    if not above.is_dir():
+        got = "got a file" if above == path else f"but {above} is a file"
+        raise OutputError(f"{path}: expected a folder to write to, {got}")
+    if not is_folder and os.path.exists(path) and not path.is_file():
+        got = "an existing folder" if path.is_dir() else "a device or a pipe"
+        raise OutputError(f"{path}: expected the name of a file, got {got}")
+    try:
+        aside = Path(tempfile.mkdtemp(".partial", f".{path.name}.", above))
+        try:
+            (aside / path.relative_to(above)).mkdir(parents=True, exist_ok=True)  # whether there can be such names
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    return above
 
 
 @contextmanager
 def write_atomically(path: str | Path) -> Iterator[Path]:
-    """Give a path near `path` to write to; it becomes `path` at the end unless an exception passes."""
+    """Give a path near `path` to write to; it becomes `path` at the end unless an exception passes.
+
+    Folders above it are made where there are none.
+    """
     target = Path(path)
     staging: StagingFolder | None = None
     try:
+        target.parent.mkdir(parents=True, exist_ok=True)
         staging = StagingFolder(target.parent, target.name)
         aside = staging.path / target.name
         yield aside
@@ -85,18 +125,9 @@ class OutputFolder:
 
     def __enter__(self) -> OutputFolder:
         """Check that OUT can be written and create the temporary folder."""
-        above = self.path
-        while not os.path.lexists(above) and above != above.parent:
-            above = above.parent
-        if not above.exists():
-            raise OutputError(f"{self.path}: expected a folder to write to, but {above} is a link to nothing")
-        if not above.is_dir():
-            raise OutputError(f"{self.path}: expected a folder to write to, but {above} is a file")
+        above = require_writable(self.path, is_folder=True)
         try:
-            if above == self.path:
-                self._require_no_folders(self._names)
-                if not os.access(above, os.W_OK | os.X_OK):
-                    raise OutputError(f"{self.path}: cannot be written: Permission denied")
+            self._require_no_folders(self._names)
             self._staging = self._stage(above)
         except OSError as error:
             raise OutputError(f"{self.path}: cannot be written: {error.strerror}") from None
