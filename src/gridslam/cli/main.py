@@ -47,15 +47,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except BaseException as error:
             status = _report_failure(error)
         problem = close_output()
-        if problem and not status:
-            status = _print_error(problem, 1)
+        if problem is not None and not status:
+            status = _report_failure(problem)
     return status
 
 
 def _report_failure(error: BaseException) -> int:
     """Print in one line why the command ended, and return its exit status."""
-    if isinstance(error, SystemExit | GeneratorExit):
-        raise error
+    if isinstance(error, SystemExit):  # click's, where whoever read the output has gone
+        return error.code if isinstance(error.code, int) else 1
     if isinstance(error, KeyboardInterrupt | click.Abort):
         return _print_error("interrupted", 130)
     if isinstance(error, click.UsageError) and error.ctx is not None:

@@ -6,7 +6,7 @@ import io
 import os
 import sys
 from contextlib import suppress
-from typing import Any, final
+from typing import Any, TextIO, final
 
 __all__ = ["close_output", "open_streams"]
 
@@ -21,19 +21,15 @@ def open_streams(*, own_process: bool) -> None:
         for descriptor in range(3):
             _open_if_closed(descriptor)
         sys.stdin = sys.stdin or open(0)
-        sys.stdout = sys.stdout or open(1, "w", encoding="utf-8")
-        sys.stderr = io.TextIOWrapper(
-            io.BufferedWriter(_Unfailing(2, "wb", closefd=False)),
-            encoding=getattr(sys.stderr, "encoding", "utf-8"),
-            line_buffering=True,
-        )
+        sys.stdout = _wrap(_Output(1, "wb", closefd=False), sys.stdout)
+        sys.stderr = _wrap(_Unfailing(2, "wb", closefd=False), sys.stderr)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a name of a file may hold bytes that are no text
             stream.reconfigure(errors="backslashreplace")
 
 
-def close_output() -> str:
-    """Write what is still to be printed on standard output; return why that is not possible, or an empty text.
+def close_output() -> OSError | ValueError | None:
+    """Write what is still to be printed on standard output; return why that is not possible.
 
     Then it becomes the null device, as Python would try again when it ends.
     """
@@ -42,8 +38,19 @@ def close_output() -> str:
     except (OSError, ValueError) as error:
         with suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return "" if isinstance(error, BrokenPipeError) else f"standard output: cannot be written: {error}"
-    return ""
+        return error
+    return None
+
+
+@final
+class _Output(io.FileIO):
+    """Standard output, which errors name."""
+
+    def write(self, data: Any) -> int:  # noqa: ANN401
+        try:
+            return super().write(data)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, "standard output") from None
 
 
 @final
@@ -52,13 +59,19 @@ class _Unfailing(io.FileIO):
 
     def write(self, data: Any) -> int:  # noqa: ANN401
         try:
-            return super().write(data) or len(data)
+            return super().write(data)
         except OSError:
             return len(data)
+
+
+def _wrap(raw: io.FileIO, before: TextIO | None) -> io.TextIOWrapper:
+    """A text stream with the encoding of the one before, if there was one."""
+    encoding = "utf-8" if before is None else before.encoding
+    return io.TextIOWrapper(io.BufferedWriter(raw), encoding, line_buffering=raw.fileno() == 2 or raw.isatty())
 
 
 def _open_if_closed(descriptor: int) -> None:
     try:
         os.fstat(descriptor)
     except OSError:
-        os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+        os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest number that is free: this one

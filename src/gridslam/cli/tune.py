@@ -115,7 +115,7 @@ def run_tune(
 
 def _write_text(file: Path, text: str) -> None:
     with write_atomically(file) as path:
-        path.write_text(text, encoding="utf-8")
+        path.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def _draw(file: Path, figure: Any, caption: str) -> None:  # noqa: ANN401
