@@ -502,7 +502,9 @@ def test_simulate_draws_worlds_from_the_seed(call, tmp_path, world):
 
 
 def test_simulate_refuses_to_write_over_a_folder(call, tmp_path):
-    assert "expected the name of a file, got an existing folder" in refused(call, tmp_path, "simulate", "loop", "-o", tmp_path)
+    assert "expected the name of a file, got an existing folder" in refused(
+        call, tmp_path, "simulate", "loop", "-o", tmp_path
+    )
 
 
 def test_demo_maps_a_simulated_building_and_tells_its_errors(call, tmp_path):

@@ -171,7 +171,14 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path, call, monkeypatch, a
 
 @pytest.mark.parametrize(
     "odd",
-    ["x" * 300 + ".clf", "http://[bad/x.clf", "http://127.0.0.1:9/*.clf", "nothing://x/log.clf", "odd\udcff.csv", "a\nb"],
+    [
+        "x" * 300 + ".clf",
+        "http://[bad/x.clf",
+        "http://127.0.0.1:9/*.clf",
+        "nothing://x/log.clf",
+        "odd\udcff.csv",
+        "a\nb",
+    ],
 )
 def test_a_log_that_cannot_be_opened_is_a_row_and_the_others_are_mapped(logs, tmp_path, call, odd):
     status, out, err = call("batch", logs / "a.clf.bz2", odd, "-o", tmp_path / "out", "--workers", 2, *FAST)

@@ -99,7 +99,9 @@ class Journal:
     def find(self, folder: str) -> dict[str, Any] | None:
         """Return the row of a folder, if there is one."""
         with self._translate_errors():
-            found = self._database.execute(f"SELECT {', '.join(COLUMNS)} FROM runs WHERE folder = ?", (_to_text(folder),))
+            found = self._database.execute(
+                f"SELECT {', '.join(COLUMNS)} FROM runs WHERE folder = ?", (_to_text(folder),)
+            )
             values = found.fetchone()
         return None if values is None else self._to_row(values)
 

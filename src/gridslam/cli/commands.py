@@ -207,7 +207,9 @@ def dataset_list_command(**options: Any) -> None:  # noqa: ANN401
 
 @dataset_group.command("get")
 @click.argument("name")
-@click.option("-o", "--out", type=OUTPUT_FOLDER, default=Path("."), help="Output folder; created if missing.  [default: .]")
+@click.option(
+    "-o", "--out", type=OUTPUT_FOLDER, default=Path("."), help="Output folder; created if missing.  [default: .]"
+)
 @click.option("--url", help="Base URL of the files.  [default: GRIDSLAM_DATASETS_URL or the public mirror]")
 @json_option
 def dataset_get_command(**options: Any) -> None:  # noqa: ANN401
@@ -218,7 +220,9 @@ def dataset_get_command(**options: Any) -> None:  # noqa: ANN401
 
 
 @gridslam.command("demo")
-@click.option("-o", "--out", type=OUTPUT_FOLDER, default=Path("gridslam-demo"), show_default=True, help="Output folder.")
+@click.option(
+    "-o", "--out", type=OUTPUT_FOLDER, default=Path("gridslam-demo"), show_default=True, help="Output folder."
+)
 @click.option(
     "--seed", type=SEED, default=0, show_default=True, help="Random seed of the simulation and of the filter."
 )
@@ -544,9 +548,7 @@ class _BatchCommand(click.Command):
     help="Run on a Dask cluster: address of its scheduler (tcp://, tls://), its scheduler file, or a configuration of "
     "dask-jobqueue, YAML, from which --workers are started (extra: cluster).",
 )
-@click.option(
-    "--timeout", "timeout_s", type=TIME_LIMIT, metavar="S", help="Time limit for a log, s."
-)
+@click.option("--timeout", "timeout_s", type=TIME_LIMIT, metavar="S", help="Time limit for a log, s.")
 @click.option(
     "--memory",
     "memory_mb",
@@ -595,7 +597,12 @@ def batch_command(**options: Any) -> int:  # noqa: ANN401
 @gridslam.command("tune")
 @click.argument("logs", nargs=-1, required=True)
 @click.option(
-    "-o", "--out", type=OUTPUT_FILE, required=True, metavar="BEST.toml", help="Configuration to use; details in BEST.tune."
+    "-o",
+    "--out",
+    type=OUTPUT_FILE,
+    required=True,
+    metavar="BEST.toml",
+    help="Configuration to use; details in BEST.tune.",
 )
 @click.option("--trials", type=click.IntRange(1, 100_000), metavar="N", help="Configurations to try.  [default: 60]")
 @click.option("--budget", metavar="TIME", help="Wall time that it may take, as 90s, 15m or 1h, instead of --trials.")
@@ -606,9 +613,7 @@ def batch_command(**options: Any) -> int:  # noqa: ANN401
     "NAME.relations, NAME.truth.tum or NAME.ref.tum beside it; where there is none its self-consistency is the score]",
 )
 @click.option("--held-out", multiple=True, metavar="LOG", help="Log that judges the best and is not searched on.")
-@click.option(
-    "--split", type=Number(0, 0.9), metavar="SHARE", help="Hold out this share of LOGS, from the end."
-)
+@click.option("--split", type=Number(0, 0.9), metavar="SHARE", help="Hold out this share of LOGS, from the end.")
 @click.option("--without-reference", is_flag=True, help="Score by self-consistency also where there is a reference.")
 @click.option("--tune", "names", multiple=True, metavar="NAME", help="Parameter to search.  [default: all that are]")
 @click.option(
@@ -622,9 +627,7 @@ def batch_command(**options: Any) -> int:  # noqa: ANN401
 @click.option(
     "--workers", type=click.IntRange(1, 256), default=1, show_default=True, metavar="N", help="Logs mapped at a time."
 )
-@click.option(
-    "--timeout", "timeout_s", type=TIME_LIMIT, metavar="S", help="Time limit of one run, s."
-)
+@click.option("--timeout", "timeout_s", type=TIME_LIMIT, metavar="S", help="Time limit of one run, s.")
 @map_options
 @json_option
 def tune_command(**options: Any) -> None:  # noqa: ANN401
@@ -656,7 +659,9 @@ _NODE_OPTIONS = (
     assignment_option(help="Set one parameter (see map)."),
     click.option("--map", "map_file", type=PATH, help="Map YAML file; localize in this map instead of mapping."),
     click.option("-o", "--out", type=OUTPUT_FOLDER, help="Output folder of the node."),
-    click.option("--record", type=OUTPUT_FILE, metavar="FILE", help="Record the accepted scans to FILE for offline mapping."),
+    click.option(
+        "--record", type=OUTPUT_FILE, metavar="FILE", help="Record the accepted scans to FILE for offline mapping."
+    ),
     click.option("--save", type=OUTPUT_FILE, metavar="FILE", help="Save the session to this file at the end."),
     click.option("--continue", "continued", type=PATH, metavar="FILE", help="Go on from this session file."),
     click.option("--same-place", is_flag=True, help="The robot is where the session has ended."),

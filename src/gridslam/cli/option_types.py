@@ -43,7 +43,7 @@ _TARGETS: Final = "gridslam.targets"
 class Number(click.FloatRange):
     """A finite number in a range."""
 
-    def __init__(self, min: float | None = None, max: float = 1e9, *, above: bool = False) -> None:  # noqa: A002
+    def __init__(self, min: float | None = None, max: float = 1e9, *, above: bool = False) -> None:
         """`above`: the least number itself is out of the range. The greatest is beyond any length, time or factor."""
         super().__init__(min, max, min_open=above)
 
@@ -167,7 +167,7 @@ class _Recording(_Target):
 
 
 @final
-class _Upload(click.ParamType):
+class _Upload(click.types.StringParamType):
     """A URL that results are copied to."""
 
     name = "URL"

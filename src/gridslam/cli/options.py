@@ -74,7 +74,9 @@ _LOG_OPTIONS = (
     click.option("--base-frame", metavar="FRAME", help="Base frame of the robot (REP-105 base_link)."),
     click.option("--no-odometry", is_flag=True, help="Ignore the odometry."),
     click.option("--keep-truncated", is_flag=True, help="Accept a truncated log and read the part that exists."),
-    click.option("--start", "start_s", type=SECONDS, default=0, metavar="S", help="Skip the first S seconds of the log."),
+    click.option(
+        "--start", "start_s", type=SECONDS, default=0, metavar="S", help="Skip the first S seconds of the log."
+    ),
     click.option("--duration", "duration_s", type=SECONDS, metavar="S", help="Read only S seconds."),
     click.option("--every", type=click.IntRange(min=1), default=1, metavar="N", help="Use only every N-th scan."),
 )
@@ -113,7 +115,9 @@ _SPEED_OPTION = click.option(
 _CONTROL_OPTION = click.option(
     "--live-control", "live_controls", is_flag=True, help="Let viewers set the pose, reset and save, besides pausing."
 )
-_WAIT_OPTION = click.option("--wait", "live_wait_s", type=SECONDS, metavar="S", help="Wait up to S seconds for a viewer.")
+_WAIT_OPTION = click.option(
+    "--wait", "live_wait_s", type=SECONDS, metavar="S", help="Wait up to S seconds for a viewer."
+)
 
 
 def log_options(command: _Command) -> _Command:

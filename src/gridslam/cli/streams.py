@@ -20,7 +20,7 @@ def open_streams(*, own_process: bool) -> None:
     if own_process:
         for descriptor in range(3):
             _open_if_closed(descriptor)
-        sys.stdin = sys.stdin or open(0)
+        sys.stdin = sys.stdin or open(0)  # noqa: SIM115
         sys.stdout = _wrap(_Output(1, "wb", closefd=False), sys.stdout)
         sys.stderr = _wrap(_Unfailing(2, "wb", closefd=False), sys.stderr)
     for stream in (sys.stdout, sys.stderr):

@@ -16,7 +16,17 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 from gridslam.errors import GridslamError, InputError, MissingDependencyError, OutputError
 from gridslam.io.cache import Cached, LogCache
 
-__all__ = ["connect", "describe_remote", "fetch", "is_url", "list_files", "mask_url", "mask_urls", "upload_file", "upload_folder"]
+__all__ = [
+    "connect",
+    "describe_remote",
+    "fetch",
+    "is_url",
+    "list_files",
+    "mask_url",
+    "mask_urls",
+    "upload_file",
+    "upload_folder",
+]
 
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 _STATE = ("ETag", "etag", "LastModified", "mtime", "md5Hash", "crc32c", "generation", "VersionId", "content_md5")

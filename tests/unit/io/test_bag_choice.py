@@ -78,9 +78,7 @@ def test_of_several_topics_of_one_laser_one_is_taken_and_the_others_are_named(tm
     chosen = choice_of(tmp_path, said)
     others = ", ".join(name for name in counts if name != taken)
     assert chosen.scans == (taken,)
-    assert chosen.remarks == (
-        f"{others} left out: scans of the same laser (laser) as {taken} (--scan TOPIC takes it)",
-    )
+    assert chosen.remarks == (f"{others} left out: scans of the same laser (laser) as {taken} (--scan TOPIC takes it)",)
     (tmp_path / "log.bag").unlink()
     other = min(set(counts) - {taken})
     assert choice_of(tmp_path, said, scan_topics=(other,)).scans == (other,)
