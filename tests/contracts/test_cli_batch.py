@@ -216,7 +216,7 @@ def test_an_out_that_cannot_be_written_is_one_line(logs, tmp_path, call):
     (tmp_path / "file").write_text("")
     status, out, err = call("batch", logs, "-o", tmp_path / "file", *FAST)
     assert (status, out, err.count("\n")) == (2, "", 1)
-    assert "file: expected a folder to write to, got a file" in err
+    assert "file is a file" in err
 
 
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs process groups")

@@ -212,6 +212,26 @@ def test_logs_of_any_name_in_any_locale(log, tmp_path, name, environment):
         assert (done.returncode, b"Traceback" in done.stderr) == (0, False), (arguments, done.stderr)
 
 
+def test_an_interrupt_while_a_class_is_made_is_an_interrupt():
+    code = """
+import os, signal, sys
+import gridslam.cli.logs
+from gridslam.cli.main import main
+
+class Interrupting:
+    def __set_name__(self, owner, name):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+def list_datasets(**options):
+    type("Class", (), {"field": Interrupting()})
+
+gridslam.cli.logs.list_datasets = list_datasets
+sys.exit(main())
+"""
+    done = subprocess.run([sys.executable, "-c", code, "dataset", "list"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "gridslam: interrupted\n")
+
+
 def test_an_exception_of_another_thread_is_one_line(tmp_path):
     code = """
 import sys, threading

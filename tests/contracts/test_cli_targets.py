@@ -48,7 +48,7 @@ def given(parameter, value):
         ("x" * 300, "expected a path, got one that no file can have: File name too long"),
         ("new/" + "x" * 300 + "/below", "File name too long"),
         ("/proc/nowhere/below", "/proc/nowhere/below: cannot be written: "),
-        ("other", "got a file|got an existing folder"),
+        ("other", "other is a file|got an existing folder"),
     ],
 )
 def test_what_cannot_be_written_is_one_line_before_anything_else(

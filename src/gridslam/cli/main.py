@@ -11,7 +11,7 @@ from contextlib import suppress
 import click
 
 from gridslam.cli.commands import gridslam
-from gridslam.cli.output import handle_signals, report_background_failures
+from gridslam.cli.output import handle_signals, is_interrupted, report_background_failures
 from gridslam.cli.streams import close_output, open_streams
 from gridslam.errors import ConfigurationError, GridslamError, InputError
 
@@ -68,6 +68,8 @@ def _report_failure(error: BaseException) -> int:
         return 1
     if isinstance(error, GridslamError | OSError | MemoryError):
         return _print_error(str(error) or type(error).__name__, 1)
+    if is_interrupted():
+        return _print_error("interrupted", 130)
     _report_bug(error)
     return EXIT_BUG
 

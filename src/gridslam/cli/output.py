@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Progress",
     "handle_signals",
+    "is_interrupted",
     "mapping_progress",
     "open_display",
     "open_output",
@@ -132,7 +133,7 @@ def handle_signals(*, until_exit: bool = False) -> Iterator[None]:
 def report_background_failures(report: Callable[[BaseException], object]) -> Iterator[None]:
     """Report exceptions of other threads and of destructors, of which Python would print the traceback.
 
-    Of an interrupt that comes in a destructor nothing is said: `stop_if_interrupted` repeats it.
+    An interrupt that comes in a destructor is not reported: `stop_if_interrupted` repeats it.
     """
     hooks = sys.unraisablehook, threading.excepthook
 
@@ -165,6 +166,11 @@ def hold_interrupts() -> Iterator[None]:
     finally:
         _held = False
     stop_if_interrupted()
+
+
+def is_interrupted() -> bool:
+    """Whether an interrupt has come, whatever Python has made of it: in a class being made it becomes RuntimeError."""
+    return _interrupted
 
 
 def stop_if_interrupted() -> None:
