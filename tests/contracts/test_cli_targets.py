@@ -94,6 +94,22 @@ def test_two_targets_in_one_place_are_refused(call, tmp_path, monkeypatch, argum
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("command", ["map", "merge"])
+def test_a_result_and_another_target_of_one_name_are_refused(call, log, tmp_path, command):
+    out = tmp_path / "out"
+    status, _, err = call(command, log, "-o", out, "--save", tmp_path / "out" / "map.yaml")
+    assert (status, err.count("\n")) == (2, 1)
+    assert "map.yaml: expected the place of a result alone" in err
+    assert not out.exists()
+
+
+def test_a_folder_in_the_place_of_the_autosave_is_refused(call, log, tmp_path):
+    (tmp_path / "out" / "autosave.gridslam").mkdir(parents=True)
+    status, _, err = call("map", log, "-o", tmp_path / "out", "--autosave", "1")
+    assert (status, err.count("\n")) == (2, 1)
+    assert "autosave.gridslam: expected a file or nothing, got a folder" in err
+
+
 def test_a_device_is_no_target(call, tmp_path):
     status, _, err = call("session", "x.gridslam", "--picture", "/dev/null")
     assert (status, err) == (2, "gridslam: /dev/null: expected the name of a file, got a device or a pipe\n")

@@ -57,7 +57,7 @@ def map_to_folder(
         session.make_room(out)
         if opened is not None and session.continued is not None:
             viewers.show_session(session.continued.name, [drive.name for drive in opened.saved.drives])
-        with open_output(out, MapResult.all_names()) as folder:
+        with open_output(out, [*MapResult.all_names(), *session.names()]) as folder:
             if opened is None:
                 run = partial(map_log, configuration=configuration, seed=seed, threads=threads)
             else:

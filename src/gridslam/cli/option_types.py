@@ -16,7 +16,7 @@ from typing import Any, Final, final
 
 import click
 
-from gridslam.cli.output import hold_interrupts, warn, write_apart
+from gridslam.cli.output import TARGETS, hold_interrupts, warn, write_apart
 from gridslam.errors import OutputError
 
 __all__ = [
@@ -37,7 +37,6 @@ __all__ = [
 
 _MOST_S: Final = 9e9
 """Longest time, s: 285 years, in ns less than 64 bits hold."""
-_TARGETS: Final = "gridslam.targets"
 
 
 class Number(click.FloatRange):
@@ -126,7 +125,7 @@ class _Target(_Path):
 
     def _claim(self, path: Path, ctx: click.Context) -> None:
         """Refuse a path that is another target's, or below one that is a file."""
-        claimed: dict[Path, bool] = ctx.meta.setdefault(_TARGETS, {})
+        claimed: dict[Path, bool] = ctx.meta.setdefault(TARGETS, {})
         where = Path(os.path.realpath(path))
         for other, is_folder in claimed.items():
             is_below = other in where.parents and not is_folder

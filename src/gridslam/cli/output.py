@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
 import sys
 import threading
@@ -11,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import click
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from gridslam.types import StepReport
 
 __all__ = [
+    "TARGETS",
     "Progress",
     "handle_signals",
     "is_interrupted",
@@ -39,6 +41,9 @@ __all__ = [
     "write_apart",
 ]
 
+TARGETS: Final = "gridslam.targets"
+"""Where a context of click has the targets that options name."""
+
 _BAR_EVERY_S = 0.25
 _LINE_EVERY_S = 5.0
 
@@ -53,6 +58,13 @@ def open_output(path: Path, names: Sequence[str] = ()) -> Iterator[OutputFolder]
     """Open OUT for files of these names before the long work; one that cannot be written is bad usage."""
     from gridslam.io.output import OutputFolder
 
+    context = click.get_current_context(silent=True)
+    targets = {} if context is None else context.meta.get(TARGETS, {})
+    for name in names:
+        if Path(os.path.realpath(path / name)) in targets:
+            raise click.ClickException(
+                f"{path / name}: expected the place of a result alone, but an option names it, too"
+            )
     with ExitStack() as stack:
         try:
             with hold_interrupts():  # until the temporary folder is certain to be removed

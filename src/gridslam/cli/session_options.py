@@ -100,6 +100,10 @@ class SessionOptions:
                 raise click.ClickException(f"{self.prior}: {error}") from None
         return session
 
+    def names(self) -> tuple[str, ...]:
+        """Names of further files in OUT."""
+        return () if self.autosave_min is None else (_AUTOSAVE,)
+
     def make_room(self, out: Path) -> None:
         """Create OUT for an autosave at once, so that results are staged in it before and after a kill."""
         if self.autosave_min is not None:
