@@ -385,15 +385,33 @@ def test_a_run_that_fails_leaves_nothing_and_returns_1(call, log, tmp_path, monk
     assert "No space left on device" in err
 
 
-def test_a_bug_is_not_hidden(call, log, tmp_path, monkeypatch):
+def test_a_bug_is_one_line_that_names_the_file_for_its_report(call, log, tmp_path, monkeypatch):
     def bug(*_, **__):
-        raise ZeroDivisionError("float division by zero")
+        raise ZeroDivisionError("s3://user:secret@host/a?sign=secret is\nno number " + "x" * 1000)
 
+    reports = tmp_path / "reports"
+    reports.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(reports))
     monkeypatch.setattr(map_module, "map_log", bug)
+    monkeypatch.setattr("sys.argv", ["gridslam", "map", "https://me:secret@host/log.bag"])
     status, out, err = call("map", log, "-o", tmp_path / "out")
-    assert (status, out, list(tmp_path.iterdir())) == (1, "", [])
-    assert "Traceback" in err
-    assert err.endswith("gridslam: this is a bug, please report it: ZeroDivisionError: float division by zero\n")
+    assert (status, out, err.count("\n")) == (70, "", 1)
+    (report,) = reports.iterdir()
+    assert [path.name for path in tmp_path.iterdir()] == ["reports"]
+    assert err.startswith(f"gridslam: this is a bug, please report it with the file {report}: ZeroDivisionError: s3://")
+    text = report.read_text()
+    for part in (f"gridslam {__version__}", "numpy", "command: gridslam map", "Traceback", "in map_with_progress"):
+        assert part in text
+    assert "secret" not in text + err
+    assert max(map(len, text.splitlines())) < 1000
+
+
+def test_a_bug_whose_report_cannot_be_written_is_one_line_still(call, log, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "none"))
+    monkeypatch.setattr(map_module, "map_log", lambda *_, **__: 1 / 0)
+    status, out, err = call("map", log, "-o", tmp_path / "out")
+    assert (status, out, err.count("\n")) == (70, "", 1)
+    assert "ZeroDivisionError: division by zero (no file for a report could be written: " in err
 
 
 def test_evaluate_against_a_trajectory(call, log, tmp_path):
@@ -484,7 +502,9 @@ def test_simulate_draws_worlds_from_the_seed(call, tmp_path, world):
 
 
 def test_simulate_refuses_to_write_over_a_folder(call, tmp_path):
-    assert "expected the name of a file, got a folder" in refused(call, tmp_path, "simulate", "loop", "-o", tmp_path)
+    assert "expected the name of a file, got an existing folder" in refused(
+        call, tmp_path, "simulate", "loop", "-o", tmp_path
+    )
 
 
 def test_demo_maps_a_simulated_building_and_tells_its_errors(call, tmp_path):

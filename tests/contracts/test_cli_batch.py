@@ -169,11 +169,54 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path, call, monkeypatch, a
     assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.parametrize(
+    "odd",
+    [
+        "x" * 300 + ".clf",
+        "http://[bad/x.clf",
+        "http://127.0.0.1:9/*.clf",
+        "nothing://x/log.clf",
+        "odd\udcff.csv",
+        "a\nb",
+    ],
+)
+def test_a_log_that_cannot_be_opened_is_a_row_and_the_others_are_mapped(logs, tmp_path, call, odd):
+    status, out, err = call("batch", logs / "a.clf.bz2", odd, "-o", tmp_path / "out", "--workers", 2, *FAST)
+    assert status == 1
+    assert "2 logs: 1 done, 1 failed" in out
+    assert err.count("\n") == 1
+    failed = [row for row in read_rows(tmp_path / "out") if row["status"] == "failed"]
+    assert [bool(row["message"]) for row in failed] == [True]
+
+
+@pytest.mark.parametrize("name", ["y" * 240 + ".clf.bz2", "odd\udcff.clf.bz2", "a\nb.clf.bz2", "ä.clf.bz2"])
+def test_a_log_of_an_odd_name_is_mapped_and_recognized(logs, tmp_path, call, name):
+    odd = logs / name
+    os.rename(logs / "a.clf.bz2", odd)
+    for resumed in ("", " (1 of them before)"):
+        status, out, err = call("batch", odd, "-o", tmp_path / "out", *FAST)
+        assert (status, err) == (0, "")
+        assert f"1 logs: 1 done{resumed}" in out
+    (row,) = read_rows(tmp_path / "out")
+    assert (tmp_path / "out" / row["folder"] / "map.yaml").exists()
+
+
+@pytest.mark.parametrize("part", ["describe_remote", "measure_size", "Journal.digest"])
+def test_a_log_whose_description_raises_anything_is_left_to_its_job(logs, tmp_path, call, monkeypatch, part):
+    def fail(*arguments, **options):
+        raise RecursionError("injected")
+
+    monkeypatch.setattr(f"gridslam.cli.batch.{part}", fail)
+    url = (logs / "b.clf.bz2").as_uri()
+    status, out, _ = call("batch", logs / "a.clf.bz2", url, "-o", tmp_path / "out", *FAST)
+    assert (status, "2 logs: 2 done" in out) == (0, True)
+
+
 def test_an_out_that_cannot_be_written_is_one_line(logs, tmp_path, call):
     (tmp_path / "file").write_text("")
     status, out, err = call("batch", logs, "-o", tmp_path / "file", *FAST)
     assert (status, out, err.count("\n")) == (2, "", 1)
-    assert "file: cannot be written" in err
+    assert "file is a file" in err
 
 
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs process groups")

@@ -154,7 +154,7 @@ def test_a_name_that_is_unknown_lists_the_names(tmp_path, call):
 
 def test_a_file_is_no_folder(tmp_path, call):
     (tmp_path / "file").write_text("")
-    assert "got a file" in refused(call, tmp_path, "get", "intel", "-o", tmp_path / "file", status=2)
+    assert "file is a file" in refused(call, tmp_path, "get", "intel", "-o", tmp_path / "file", status=2)
 
 
 def test_list_tells_credit_and_licence(call):

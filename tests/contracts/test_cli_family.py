@@ -15,13 +15,13 @@ from gridslam.types import Trajectory
         (["lop"], "WORLD: expected one of demo, loop, rooms, hall, corridor, random, equal_rooms, symmetric, "),
         (["loop", "--fov", "0"], "'--fov': 0.0 is not in the range 0<x<=360"),
         (["loop", "--fov", "400"], "'--fov': 400.0 is not in the range 0<x<=360"),
-        (["loop", "--fov", "nan"], "--fov: expected a finite number, got nan"),
-        (["loop", "--range-max", "inf"], "--range-max: expected a finite number, got inf"),
+        (["loop", "--fov", "nan"], "'--fov': expected a finite number, got nan"),
+        (["loop", "--range-max", "inf"], "'--range-max': expected a finite number, got inf"),
         (["loop", "--rate", "0"], "'--rate': 0.0 is not in the range 0<x<=1000"),
         (["loop", "--rate", "1e9"], "'--rate': 1000000000.0 is not in the range 0<x<=1000"),
         (["loop", "--beams", "1"], "'--beams': 1 is not in the range x>=2"),
         (["loop", "--duration", "-1"], "--duration: expected 0 s or more, got -1"),
-        (["loop", "--duration", "nan"], "--duration: expected 0 s or more, got nan"),
+        (["loop", "--duration", "nan"], "'--duration': expected a finite number, got nan"),
     ],
 )
 def test_simulate_names_the_option(call, tmp_path, arguments, message):

@@ -85,7 +85,7 @@ def test_a_log_that_has_no_odometry_maps_like_one_whose_odometry_is_left_out(log
     ("options", "message"),
     [
         (["--start", "-1"], "--start: expected a time >= 0 s, got -1.0"),
-        (["--start", "nan"], "--start: expected a time >= 0 s, got nan"),
+        (["--start", "nan"], "'--start': expected a finite number, got nan"),
         (["--duration", "0"], "--duration: expected a time > 0 s, got 0.0"),
         (["--every", "0"], "0 is not in the range x>=1"),
         (["--start", "60"], "expected scans 60 s or more after the first: the log lasts 23.8 s"),

@@ -178,3 +178,94 @@ def test_a_signal_amid_an_autosave_leaves_a_whole_file_or_none(log, tmp_path, nu
         assert {path.name for path in out.iterdir()} <= {"autosave.gridslam", *MapResult.all_names()}
         if (out / "autosave.gridslam").exists():
             read_session(out / "autosave.gridslam")
+
+
+@pytest.mark.parametrize("closed", [(1,), (2,), (0, 1, 2)])
+@pytest.mark.parametrize("command", ["map", "batch", "--version", "missing"])
+def test_closed_streams_change_nothing(log, tmp_path, command, closed):
+    out = tmp_path / "out"
+    few = ["--particles", "2", "--duration", "2"]
+    arguments = {"map": ["map", log, "-o", out, *few], "batch": ["batch", log, "-o", out, "--", *few]}
+    run = start(*arguments.get(command, [command]), preexec_fn=lambda: [os.close(stream) for stream in closed])
+    printed, problem = run.communicate(timeout=60)
+    assert run.returncode == (2 if command == "missing" else 0)
+    assert "Traceback" not in problem
+    assert (printed == "") == (1 in closed or command == "missing")
+    found = {"map": out / "map.yaml", "batch": out / "rooms" / "map.yaml"}
+    assert command not in found or found[command].exists()
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a device that is full")
+def test_a_full_device_is_named_as_output_and_never_minded_as_error(log, tmp_path):
+    for arguments in (["--version"], ["map", log, "-o", tmp_path / "out", "--particles", "2", "--duration", "2"]):
+        with open("/dev/full", "w") as full:
+            command = [*GRIDSLAM, *map(str, arguments)]
+            done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+            assert done.returncode == 1
+            assert done.stderr == "gridslam: [Errno 28] No space left on device: 'standard output'\n"
+            assert subprocess.run(command, stderr=full, stdout=subprocess.DEVNULL).returncode == 0
+
+
+ASCII = {"PYTHONUTF8": "0", "LC_ALL": "C"}
+
+
+@pytest.mark.parametrize(
+    ("name", "environment"), [("ö.clf.bz2", ASCII), ("\udcff\n.clf.bz2", ASCII), ("\udcff\n.clf.bz2", {})]
+)
+def test_logs_of_any_name_in_any_locale(log, tmp_path, name, environment):
+    os.link(log, tmp_path / name)
+    few = ["--duration", "2"]
+    for arguments in (
+        ["map", name, "-o", "ä", "--save", "ü.gridslam", "--particles", "2", *few],
+        ["doctor", name, "-o", "ä", *few],
+        ["batch", name, "-o", "ö", "--", "--particles", "2", *few],
+    ):
+        command = [*GRIDSLAM, *map(os.fsencode, arguments)]
+        done = subprocess.run(command, capture_output=True, cwd=tmp_path, env={**os.environ, **environment})
+        assert (done.returncode, b"Traceback" in done.stderr) == (0, False), (arguments, done.stderr)
+
+
+def test_an_interrupt_while_a_class_is_made_is_an_interrupt():
+    code = """
+import os, signal, sys
+import gridslam.cli.logs
+from gridslam.cli.main import main
+
+class Interrupting:
+    def __set_name__(self, owner, name):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+def list_datasets(**options):
+    type("Class", (), {"field": Interrupting()})
+
+gridslam.cli.logs.list_datasets = list_datasets
+sys.exit(main())
+"""
+    done = subprocess.run([sys.executable, "-c", code, "dataset", "list"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "gridslam: interrupted\n")
+
+
+def test_an_exception_of_another_thread_is_one_line(tmp_path):
+    code = """
+import sys, threading
+import gridslam.cli.logs
+from gridslam.cli.main import main
+
+def fail(*_):
+    raise ValueError("injected")
+
+def list_datasets(**options):
+    thread = threading.Thread(target=fail)
+    thread.start()
+    thread.join()
+
+gridslam.cli.logs.list_datasets = list_datasets
+sys.exit(main())
+"""
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", code, "dataset", "list"], capture_output=True, text=True, env=environment
+    )
+    assert done.returncode == 0
+    (report,) = tmp_path.iterdir()
+    assert done.stderr == f"gridslam: this is a bug, please report it with the file {report}: ValueError: injected\n"

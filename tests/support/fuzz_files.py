@@ -63,6 +63,7 @@ from support.fuzz_bombs import BOMBS, MAP_YAML
 from support.fuzz_commands import commands
 from support.fuzz_images import images
 from support.fuzz_page import page_requests
+from support.fuzz_processes import processes
 from support.fuzz_schemas import schemas
 from support.fuzz_values import values
 
@@ -184,7 +185,14 @@ def families(folder: Path) -> list[Family]:
     folder.mkdir(exist_ok=True)
     makers = (_logs, _stamps, _names, _streams, _growth, _tables, _graphs, _landmark_logs, _maps, _states, _results)
     of_files = [family for maker in makers for family in maker(folder)]
-    others = (*commands(), *values(folder), *schemas(folder), *images(folder), *page_requests(folder))
+    others = (
+        *commands(),
+        *values(folder),
+        *schemas(folder),
+        *images(folder),
+        *page_requests(folder),
+        *processes(folder / "processes"),
+    )
     return [*of_files, *(Family(*family) for family in others)]
 
 

@@ -33,7 +33,8 @@ def write_diagnosis(diagnosis: Diagnosis, folder: OutputFolder) -> dict[str, Any
 
     content = document(diagnosis)
     folder.write_json("report.json", content)
-    folder.file("report.md").write_text("\n".join(markdown(diagnosis)) + "\n", encoding="utf-8")
+    text = "\n".join(markdown(diagnosis)) + "\n"  # with the name of the log, which may hold bytes that are no text
+    folder.file("report.md").write_text(text, encoding="utf-8", errors="backslashreplace")
     for number, finding in enumerate(diagnosis.findings, 1):
         name = picture_name(number, finding)
         if name is not None and finding.figure is not None:

@@ -101,7 +101,9 @@ class Journal:
     def find(self, folder: str) -> dict[str, Any] | None:
         """Return the row of a folder, if there is one."""
         with self._translate_errors():
-            found = self._database.execute(f"SELECT {', '.join(COLUMNS)} FROM runs WHERE folder = ?", (folder,))
+            found = self._database.execute(
+                f"SELECT {', '.join(COLUMNS)} FROM runs WHERE folder = ?", (_to_text(folder),)
+            )
             values = found.fetchone()
         return None if values is None else self._to_row(values)
 
@@ -113,7 +115,7 @@ class Journal:
         with self._translate_errors():
             self._database.execute(
                 f"INSERT OR REPLACE INTO runs ({', '.join(COLUMNS)}) VALUES ({marks})",
-                [values[name] for name in COLUMNS],
+                [_to_text(values[name]) for name in COLUMNS],
             )
 
     @contextmanager
@@ -133,7 +135,7 @@ class Journal:
 
         Several threads may call it at a time. Raises InputError where it cannot be read.
         """
-        where = os.fspath(path.absolute())
+        where = _to_text(os.fspath(path.absolute()))
         state = describe_file(path)
         with self._lock, self._translate_errors():
             found = self._database.execute("SELECT state, sha256 FROM digests WHERE path = ?", (where,)).fetchone()
@@ -163,6 +165,11 @@ class Journal:
             raise OutputError(f"{self.path}: cannot be written: {error}") from None
         except sqlite3.DatabaseError as error:
             raise InputError(self.path, f"expected the journal of a batch: {error}") from None
+
+
+def _to_text(value: Any) -> Any:  # noqa: ANN401
+    """A value as SQLite can store it: bytes in the name of a file that are no text are escaped."""
+    return value.encode("utf-8", "backslashreplace").decode("utf-8") if isinstance(value, str) else value
 
 
 def describe_file(path: Path) -> str:

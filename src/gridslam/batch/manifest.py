@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import glob
+import hashlib
 import io
 import os
 from collections import Counter
@@ -12,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, final
 
-from gridslam.errors import InputError
+from gridslam.errors import GridslamError, InputError
 from gridslam.io.remote import is_url, list_files, mask_url
 from gridslam.io.text import read_text
 
@@ -25,6 +26,8 @@ _SUFFIXES: Final = (".clf", ".log", ".carmen", ".bag", ".mcap", ".db3", ".csv")
 _PACKED: Final = (".gz", ".bz2")
 _OWN_NAMES: Final = ("runs.", "report.")
 """Beginnings of names that OUT needs for itself."""
+_MOST_NAME_BYTES: Final = 200
+"""Of a folder: file systems allow 255, and temporary folders have longer names."""
 _LARGEST_MANIFEST: Final = 1 << 28
 
 
@@ -97,20 +100,20 @@ def _expand(pattern: str, trajectories: bool) -> Iterator[Entry]:
         raise InputError(pattern, "expected a path, got an empty string")
     if is_url(pattern):
         yield from _expand_url(pattern)
-    elif path.is_dir() and (trajectories or not (path / "metadata.yaml").exists()):
+    elif os.path.isdir(path) and (trajectories or not (path / "metadata.yaml").exists()):
         found = list(_walk(path, trajectories))
         if not found:
             raise InputError(path, f"no {'trajectory.tum' if trajectories else 'logs'} in this folder")
         yield from (_make_entry(str(file)) for file in found)
-    elif path.suffix == ".csv" and path.is_file() and not trajectories and _is_manifest(path):
+    elif path.suffix == ".csv" and os.path.isfile(path) and not trajectories and _is_manifest(path):
         yield from _read_manifest(path)
-    elif glob.has_magic(pattern) and not path.exists():
+    elif glob.has_magic(pattern) and not os.path.exists(path):
         names = sorted(glob.glob(pattern, recursive=True))
         if not names:
             raise InputError(pattern, "nothing matches this pattern")
         for name in names:
             yield from _expand(name, trajectories)
-    else:  # one that is absent is a row with an error
+    else:  # one that is absent, or has an impossible name, is a row with an error
         yield _make_entry(pattern)
 
 
@@ -120,7 +123,12 @@ def _expand_url(pattern: str) -> Iterator[Entry]:
     if not wild and not pattern.endswith("/"):
         yield Entry(mask_url(pattern), pattern)
         return
-    found = {url: state for url, state in list_files(pattern).items() if wild or _strip(url)[1] in _SUFFIXES}
+    try:
+        listed = list_files(pattern)
+    except GridslamError:  # its job reports it, and the other logs are not lost
+        yield Entry(mask_url(pattern), pattern)
+        return
+    found = {url: state for url, state in listed.items() if wild or _strip(url)[1] in _SUFFIXES}
     if not found:
         raise InputError(mask_url(pattern), "nothing matches this pattern" if wild else "no logs below this URL")
     yield from (Entry(mask_url(url), url, state=state) for url, state in found.items())
@@ -139,8 +147,9 @@ def _walk(folder: Path, trajectories: bool) -> Iterator[Path]:
         return
     try:
         content = sorted(folder.iterdir())
-    except OSError as error:
-        raise InputError(folder, f"cannot be read: {error.strerror}") from None
+    except OSError:  # its job reports it
+        yield folder
+        return
     for path in content:
         if path.name.startswith("."):
             continue
@@ -165,8 +174,11 @@ def _strip(name: str) -> tuple[str, str]:
 
 def _is_manifest(path: Path) -> bool:
     """Whether a CSV has a column log; raises InputError if it is no log either."""
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        header = {name.strip() for name in next(csv.reader([file.readline(1 << 16)]), [])}
+    try:
+        with path.open(encoding="utf-8-sig", errors="replace") as file:
+            header = {name.strip() for name in next(csv.reader([file.readline(1 << 16)]), [])}
+    except (OSError, csv.Error):
+        return False  # its job reports it
     if "log" in header:
         return True
     if header & {"stamp_s", "ranges_m"} or len(header) < 2:
@@ -202,6 +214,9 @@ def _read_line(path: Path, line: int, cells: Mapping[str, str]) -> Entry:
     name = given.pop("name", "")
     if name.startswith((".", *_OWN_NAMES)) or {"/", "\\", "\0"} & set(name):
         raise InputError(path, f"expected the name of a folder in the column name, got {name!r}", line)
+    if len(name.encode()) > _MOST_NAME_BYTES:
+        expected = f"expected the name of a folder in the column name, of at most {_MOST_NAME_BYTES} bytes"
+        raise InputError(path, f"{expected}, got {len(name.encode())}", line)
     reference = given.pop("reference", None)
     return Entry(
         mask_url(log),
@@ -250,7 +265,19 @@ def _list_names(path: str, trajectories: bool) -> list[str]:
     above = parts[-2::-1]
     prefixes = ["_".join(reversed(above[: k + 1])) for k in range(len(above))]
     names = [stem, *(f"{prefix}_{last}".lstrip(".") for prefix in prefixes for last in (stem, parts[-1]))]
-    return [f"log_{name}" if name.startswith(_OWN_NAMES) else name for name in names]
+    return [_shorten(f"log_{name}" if name.startswith(_OWN_NAMES) else name, path) for name in names]
+
+
+def _shorten(name: str, path: str) -> str:
+    """The name of a folder, as far as every file system and table can hold it; what is left is told apart by the path.
+
+    Letters that are no text are those of a file name in another encoding.
+    """
+    encoded = name.encode("utf-8", "replace")
+    if len(encoded) <= _MOST_NAME_BYTES and encoded.decode() == name:
+        return name
+    digest = hashlib.sha256(os.fsencode(path)).hexdigest()[:12]
+    return f"{encoded[: _MOST_NAME_BYTES - 13].decode('utf-8', 'ignore')}-{digest}"
 
 
 def _refer(pattern: str, entry: Entry) -> str:

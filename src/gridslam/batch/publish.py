@@ -6,8 +6,8 @@ and the journal by the batch itself.
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Mapping
+import importlib.util
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from gridslam.batch.job import Job
 from gridslam.batch.journal import JOURNAL
 from gridslam.batch.report import write_report
 from gridslam.batch.runs import DONE, write_parquet
-from gridslam.errors import InputError, OutputError
+from gridslam.errors import InputError, MissingDependencyError, OutputError
 from gridslam.io.output import OutputFolder
 from gridslam.io.remote import connect, describe_remote, is_url, mask_url, upload_file, upload_folder
 
@@ -36,20 +36,22 @@ class Publisher:
     out : Path
         OUT, the folder of the batch.
     url : str, optional
-        Where its results are copied to: the folder of a job by its child (see `wrap`), the rest by `finish`.
+        Where its results are copied to: the folder of a job by its child (see `wrap`), the rest by `parts`.
     parquet : bool
-        Whether `finish` writes runs.parquet.
+        Whether `parts` has runs.parquet.
 
     Raises
     ------
     InputError
         `url` is no URL.
     MissingDependencyError
-        The library for it is not installed.
+        The library for it, or for the table, is not installed.
     """
 
     def __init__(self, out: Path, url: str | None = None, *, parquet: bool = False) -> None:
-        """Check that there is a library for the URL; nothing is read or written yet."""
+        """Check that what is needed is installed; nothing is read or written yet."""
+        if parquet and importlib.util.find_spec("pyarrow") is None:
+            raise MissingDependencyError("runs.parquet", "pyarrow", "parquet")
         self._out = out
         self._url = None if url is None else url.rstrip("/")
         self._parquet = parquet
@@ -76,19 +78,20 @@ class Publisher:
             if row.get("resumed"):
                 self._uploads.append(self._threads.submit(self._upload_missing, row["folder"]))
 
-    def finish(self) -> list[str]:
-        """Write the page and the table, wait for the uploads, and return lines for the summary.
+    def parts(self) -> Iterator[Callable[[], str]]:
+        """Yield what writes the page, the table if it is wanted, and the uploads, and returns a line for the summary.
 
-        Raises
-        ------
-        OutputError
-            Something cannot be written or uploaded; the others are.
+        Each raises OutputError where something cannot be written or uploaded; the other parts can be.
         """
-        lines = [f"report: {write_report(self._out)}"]
+        yield lambda: f"report: {write_report(self._out)}"
         if self._parquet:
-            lines.append(f"table: {write_parquet(self._out)}")
-        if self._threads is None or self._url is None:
-            return lines
+            yield lambda: f"table: {write_parquet(self._out)}"
+        if self._url is not None:
+            yield self._finish_uploads
+
+    def _finish_uploads(self) -> str:
+        assert self._threads is not None
+        assert self._url is not None
         files = [path for path in self._out.iterdir() if path.name.startswith(("report.", "runs.")) and path.is_file()]
         files += [path for folder in self._done for path in (self._out / folder).glob("thumbnail.jpg")]
         self._uploads += [
@@ -102,7 +105,7 @@ class Publisher:
             raise OutputError(
                 f"{len(failed)} uploads failed, the same command tries them again; the first: {failed[0]}"
             )
-        return [*lines, f"uploaded to {mask_url(self._url)}"]
+        return f"uploaded to {mask_url(self._url)}"
 
     def _upload_missing(self, folder: str) -> None:
         try:

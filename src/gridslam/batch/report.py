@@ -80,7 +80,7 @@ def write_report(out: str | Path) -> Path:
     page = _fill(f"gridslam batch: {folder.resolve().name}", {"columns": columns, "runs": runs})
     path = folder / REPORT
     with write_atomically(path) as target:
-        target.write_text(page, encoding="utf-8")
+        target.write_text(page, encoding="utf-8", errors="backslashreplace")
     return path
 
 

@@ -27,7 +27,7 @@ from gridslam.batch.suite import load_suite
 from gridslam.cli.localize import read_parameters
 from gridslam.cli.map import build_configuration
 from gridslam.cli.options import evaluate_options, localize_options, log_options, map_options
-from gridslam.cli.output import open_display, stop_if_interrupted, warn
+from gridslam.cli.output import open_display, stop_if_interrupted, warn, write_apart
 from gridslam.config.tables import suggest_names, to_table
 from gridslam.errors import ConfigurationError, GridslamError, InputError, OutputError
 from gridslam.evaluation.cost import Cost
@@ -71,29 +71,32 @@ def run_batch(
     else:
         entries = _find_suite(suite, logs, command, reference)
     prepared = [make.prepare(entry) for entry in entries]
+    executor = _open_executor(scheduler, workers)
     try:
-        executor = _open_executor(scheduler, workers)
         with Journal(out) as journal:
             jobs = [publisher.wrap(job) for job in _make_jobs(command, entries, prepared, journal)]
-        costs = {job.folder: cost for job, cost in zip(jobs, estimate(jobs, read_runs(out)), strict=True)}
-        jobs.sort(key=lambda job: -costs[job.folder].cpu_s)  # the longest first: the last one is waited for alone
-        with _Progress({folder: cost.cpu_s for folder, cost in costs.items()}, as_json) as progress:
-            rows = run_jobs(
-                jobs,
-                out,
-                executor=executor,
-                timeout_s=timeout_s,
-                memory_bytes=_limit(memory_mb, costs),
-                retries=retries,
-                on_row=_call_both(progress.on_row, publisher.on_row),
-                on_poll=progress.on_poll,
-            )
-        published = publisher.finish()
     except OutputError as error:
         raise click.ClickException(str(error)) from None
+    costs = {job.folder: cost for job, cost in zip(jobs, estimate(jobs, read_runs(out)), strict=True)}
+    jobs.sort(key=lambda job: -costs[job.folder].cpu_s)  # the longest first: the last one is waited for alone
+    with _Progress({folder: cost.cpu_s for folder, cost in costs.items()}, as_json) as progress:
+        rows = run_jobs(
+            jobs,
+            out,
+            executor=executor,
+            timeout_s=timeout_s,
+            memory_bytes=_limit(memory_mb, costs),
+            retries=retries,
+            on_row=_call_both(progress.on_row, publisher.on_row),
+            on_poll=progress.on_poll,
+        )
     failed = sum(row["status"] == "failed" for row in rows)
-    if not as_json:
-        click.echo("\n".join([*progress.summarize(out), *published]))
+    with write_apart() as write:
+        published = list[str]()
+        for part in publisher.parts():
+            write(lambda part=part: published.append(part()))
+        if not as_json:
+            click.echo("\n".join([*progress.summarize(out), *published]))
     return 1 if failed else 0
 
 
@@ -290,14 +293,14 @@ def _make_jobs(
 
 def _measure(path: str) -> int | None:
     """Size of a log, if it is there and not at a URL."""
-    with suppress(InputError):
+    with suppress(Exception):  # whatever is wrong with one log, its job reports it
         return None if is_url(path) else measure_size(Path(path))
     return None
 
 
 def _find_image(path: str) -> str:
     """Image of a map; the map's file itself where it cannot be read, which the jobs report."""
-    with suppress(InputError):
+    with suppress(Exception):
         return os.path.join(os.path.dirname(path), read_map_description(path).image)
     return path
 
@@ -315,7 +318,9 @@ def _compute_digests(paths: Collection[str], states: Mapping[str, str], journal:
                     f"{mask_url(path)}\n{states.get(path) or describe_remote(path)}".encode()
                 ).hexdigest()
             return journal.digest(Path(path))
-        except InputError:
+        except OutputError:  # of the journal
+            raise
+        except Exception:
             return ""
 
     threads = ThreadPoolExecutor(min(8, _count_processors()))

@@ -9,14 +9,22 @@ from typing import Any
 import click
 
 from gridslam import __version__
-from gridslam.cli.options import (
+from gridslam.cli.option_types import (
     LOG,
     MEMORY,
     OUT,
+    OUTPUT_FILE,
+    OUTPUT_FOLDER,
     PATH,
+    SECONDS,
     SEED,
-    SETTINGS,
     THREADS,
+    TIME_LIMIT,
+    UPLOAD,
+    Number,
+)
+from gridslam.cli.options import (
+    SETTINGS,
     add_options,
     assignment_option,
     evaluate_options,
@@ -44,7 +52,7 @@ __all__ = ["gridslam"]
 @click.version_option(__version__, prog_name="gridslam", message="%(prog)s %(version)s")
 @click.option(
     "--max-memory",
-    type=click.FloatRange(0.01, 1e6),
+    type=Number(0.01, 1e6),
     default=1.0,
     show_default=True,
     metavar="GB",
@@ -114,7 +122,7 @@ def map_command(**options: Any) -> None:  # noqa: ANN401
 
 @gridslam.command("session")
 @click.argument("file", type=PATH)
-@click.option("--picture", type=PATH, metavar="PNG", help="Write the map of the newest drive as a picture.")
+@click.option("--picture", type=OUTPUT_FILE, metavar="PNG", help="Write the map of the newest drive as a picture.")
 @json_option
 def session_command(**options: Any) -> None:  # noqa: ANN401
     """Show what is in a session FILE: drives, logs, dates, sizes, and a picture."""
@@ -126,7 +134,7 @@ def session_command(**options: Any) -> None:  # noqa: ANN401
 @gridslam.command("merge")
 @click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILE FILE...")
 @out_option
-@click.option("--save", type=PATH, metavar="FILE", help="Save the merged session to this file.")
+@click.option("--save", type=OUTPUT_FILE, metavar="FILE", help="Save the merged session to this file.")
 @threads_option
 @json_option
 def merge_command(**options: Any) -> None:  # noqa: ANN401
@@ -160,7 +168,7 @@ def doctor_command(**options: Any) -> Any:  # noqa: ANN401
 
 @gridslam.command("convert")
 @click.argument("log", metavar="IN", type=LOG)
-@click.argument("out", type=PATH)
+@click.argument("out", type=OUTPUT_FILE)
 @click.option("--to", type=click.Choice(["carmen", "csv", "tum", "ros1", "ros2", "mcap"]), help="Format of OUT.")
 @log_options
 @json_option
@@ -199,7 +207,9 @@ def dataset_list_command(**options: Any) -> None:  # noqa: ANN401
 
 @dataset_group.command("get")
 @click.argument("name")
-@click.option("-o", "--out", type=PATH, default=Path("."), help="Output folder; created if missing.  [default: .]")
+@click.option(
+    "-o", "--out", type=OUTPUT_FOLDER, default=Path("."), help="Output folder; created if missing.  [default: .]"
+)
 @click.option("--url", help="Base URL of the files.  [default: GRIDSLAM_DATASETS_URL or the public mirror]")
 @json_option
 def dataset_get_command(**options: Any) -> None:  # noqa: ANN401
@@ -210,7 +220,9 @@ def dataset_get_command(**options: Any) -> None:  # noqa: ANN401
 
 
 @gridslam.command("demo")
-@click.option("-o", "--out", type=PATH, default=Path("gridslam-demo"), show_default=True, help="Output folder.")
+@click.option(
+    "-o", "--out", type=OUTPUT_FOLDER, default=Path("gridslam-demo"), show_default=True, help="Output folder."
+)
 @click.option(
     "--seed", type=SEED, default=0, show_default=True, help="Random seed of the simulation and of the filter."
 )
@@ -300,18 +312,18 @@ def landmarks_command(**options: Any) -> None:  # noqa: ANN401
 @click.option(
     "--decay",
     "half_life_scans",
-    type=float,
+    type=Number(),
     metavar="N",
     help="Half-life of the evidence of a cell, in scans that observe it.  [default: infinite]",
 )
 @click.option(
-    "--resolution", "resolution_m", type=float, metavar="M", help="Map resolution, m per cell.  [default: 0.05]"
+    "--resolution", "resolution_m", type=Number(), metavar="M", help="Map resolution, m per cell.  [default: 0.05]"
 )
 @click.option("--laser", metavar="NAME", help="Laser model; sets range limits and map resolution (see gridslam map).")
 @click.option(
     "--max-gap",
     "max_gap_s",
-    type=float,
+    type=SECONDS,
     default=1.0,
     show_default=True,
     metavar="S",
@@ -408,7 +420,7 @@ def evaluate_command(**options: Any) -> None:  # noqa: ANN401
 @click.argument("new", type=PATH)
 @click.option(
     "--level",
-    type=click.FloatRange(1e-3, 0.5),
+    type=Number(1e-3, 0.5),
     default=0.05,
     show_default=True,
     metavar="P",
@@ -416,7 +428,7 @@ def evaluate_command(**options: Any) -> None:  # noqa: ANN401
 )
 @click.option(
     "--error-margin",
-    type=click.FloatRange(0, 1000),
+    type=Number(0, 1000),
     default=1.0,
     show_default=True,
     metavar="PERCENT",
@@ -424,7 +436,7 @@ def evaluate_command(**options: Any) -> None:  # noqa: ANN401
 )
 @click.option(
     "--cost-margin",
-    type=click.FloatRange(0, 1000),
+    type=Number(0, 1000),
     default=10.0,
     show_default=True,
     metavar="PERCENT",
@@ -447,13 +459,13 @@ def regress_command(**options: Any) -> Any:  # noqa: ANN401
 
 @gridslam.command("simulate")
 @click.argument("world")
-@click.option("-o", "--out", type=PATH, required=True, help="Output log, .clf, .clf.gz or .clf.bz2.")
+@click.option("-o", "--out", type=OUTPUT_FILE, required=True, help="Output log, .clf, .clf.gz or .clf.bz2.")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed of the noise and of random worlds.")
 @click.option("--beams", type=click.IntRange(min=2), default=180, show_default=True, help="Beams per scan.")
 @click.option(
     "--fov",
     "fov_deg",
-    type=click.FloatRange(0, 360, min_open=True),
+    type=Number(0, 360, above=True),
     default=180.0,
     show_default=True,
     metavar="DEG",
@@ -462,7 +474,7 @@ def regress_command(**options: Any) -> Any:  # noqa: ANN401
 @click.option(
     "--range-max",
     "range_max_m",
-    type=click.FloatRange(0, min_open=True),
+    type=Number(0, above=True),
     default=30.0,
     show_default=True,
     metavar="M",
@@ -471,14 +483,14 @@ def regress_command(**options: Any) -> Any:  # noqa: ANN401
 @click.option(
     "--rate",
     "rate_hz",
-    type=click.FloatRange(0, 1000, min_open=True),
+    type=Number(0, 1000, above=True),
     default=5.0,
     show_default=True,
     metavar="HZ",
     help="Scan rate, Hz.",
 )
 @click.option("--people", type=click.IntRange(min=0), default=0, show_default=True, help="Number of walking people.")
-@click.option("--duration", "duration_s", type=float, metavar="S", help="Duration of the log, s.")
+@click.option("--duration", "duration_s", type=SECONDS, metavar="S", help="Duration of the log, s.")
 @json_option
 def simulate_command(**options: Any) -> None:  # noqa: ANN401
     """Simulate a robot in WORLD and write the log.
@@ -513,7 +525,7 @@ class _BatchCommand(click.Command):
 
 @gridslam.command("batch", cls=_BatchCommand)
 @click.argument("logs", nargs=-1)
-@click.option("-o", "--out", type=PATH, required=True, help="Output folder; created if missing.")
+@click.option("-o", "--out", type=OUTPUT_FOLDER, required=True, help="Output folder; created if missing.")
 @click.option(
     "--command",
     type=click.Choice(["map", "doctor", "localize", "evaluate"]),
@@ -536,9 +548,7 @@ class _BatchCommand(click.Command):
     help="Run on a Dask cluster: address of its scheduler (tcp://, tls://), its scheduler file, or a configuration of "
     "dask-jobqueue, YAML, from which --workers are started (extra: cluster).",
 )
-@click.option(
-    "--timeout", "timeout_s", type=click.FloatRange(0, min_open=True), metavar="S", help="Time limit for a log, s."
-)
+@click.option("--timeout", "timeout_s", type=TIME_LIMIT, metavar="S", help="Time limit for a log, s.")
 @click.option(
     "--memory",
     "memory_mb",
@@ -561,7 +571,7 @@ class _BatchCommand(click.Command):
     "them, or none: then public logs are downloaded (extra: datasets).",
 )
 @click.option("--parquet", is_flag=True, help="Write runs.parquet, too (extra: parquet).")
-@click.option("--upload", metavar="URL", help="Copy all results to this URL, too (extra: remote).")
+@click.option("--upload", type=UPLOAD, metavar="URL", help="Copy all results to this URL, too (extra: remote).")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line for each log, and no progress.")
 def batch_command(**options: Any) -> int:  # noqa: ANN401
     """Map many logs, or run another command over them, each in a process of its own.
@@ -587,7 +597,12 @@ def batch_command(**options: Any) -> int:  # noqa: ANN401
 @gridslam.command("tune")
 @click.argument("logs", nargs=-1, required=True)
 @click.option(
-    "-o", "--out", type=PATH, required=True, metavar="BEST.toml", help="Configuration to use; details in BEST.tune."
+    "-o",
+    "--out",
+    type=OUTPUT_FILE,
+    required=True,
+    metavar="BEST.toml",
+    help="Configuration to use; details in BEST.tune.",
 )
 @click.option("--trials", type=click.IntRange(1, 100_000), metavar="N", help="Configurations to try.  [default: 60]")
 @click.option("--budget", metavar="TIME", help="Wall time that it may take, as 90s, 15m or 1h, instead of --trials.")
@@ -598,9 +613,7 @@ def batch_command(**options: Any) -> int:  # noqa: ANN401
     "NAME.relations, NAME.truth.tum or NAME.ref.tum beside it; where there is none its self-consistency is the score]",
 )
 @click.option("--held-out", multiple=True, metavar="LOG", help="Log that judges the best and is not searched on.")
-@click.option(
-    "--split", type=click.FloatRange(0, 0.9), metavar="SHARE", help="Hold out this share of LOGS, from the end."
-)
+@click.option("--split", type=Number(0, 0.9), metavar="SHARE", help="Hold out this share of LOGS, from the end.")
 @click.option("--without-reference", is_flag=True, help="Score by self-consistency also where there is a reference.")
 @click.option("--tune", "names", multiple=True, metavar="NAME", help="Parameter to search.  [default: all that are]")
 @click.option(
@@ -614,9 +627,7 @@ def batch_command(**options: Any) -> int:  # noqa: ANN401
 @click.option(
     "--workers", type=click.IntRange(1, 256), default=1, show_default=True, metavar="N", help="Logs mapped at a time."
 )
-@click.option(
-    "--timeout", "timeout_s", type=click.FloatRange(0, min_open=True), metavar="S", help="Time limit of one run, s."
-)
+@click.option("--timeout", "timeout_s", type=TIME_LIMIT, metavar="S", help="Time limit of one run, s.")
 @map_options
 @json_option
 def tune_command(**options: Any) -> None:  # noqa: ANN401
@@ -647,9 +658,11 @@ _NODE_OPTIONS = (
     click.option("--config", type=PATH, help="TOML file with parameters; overrides the preset."),
     assignment_option(help="Set one parameter (see map)."),
     click.option("--map", "map_file", type=PATH, help="Map YAML file; localize in this map instead of mapping."),
-    click.option("-o", "--out", type=PATH, help="Output folder of the node."),
-    click.option("--record", type=PATH, metavar="FILE", help="Record the accepted scans to FILE for offline mapping."),
-    click.option("--save", type=PATH, metavar="FILE", help="Save the session to this file at the end."),
+    click.option("-o", "--out", type=OUTPUT_FOLDER, help="Output folder of the node."),
+    click.option(
+        "--record", type=OUTPUT_FILE, metavar="FILE", help="Record the accepted scans to FILE for offline mapping."
+    ),
+    click.option("--save", type=OUTPUT_FILE, metavar="FILE", help="Save the session to this file at the end."),
     click.option("--continue", "continued", type=PATH, metavar="FILE", help="Go on from this session file."),
     click.option("--same-place", is_flag=True, help="The robot is where the session has ended."),
     click.option("--elsewhere", is_flag=True, help="The robot is elsewhere in the session's map, or beside it."),
@@ -658,7 +671,7 @@ _NODE_OPTIONS = (
     ),
     click.option(
         "--autosave",
-        type=click.FloatRange(0),
+        type=Number(0),
         metavar="MINUTES",
         help="Minutes between two saves to autosave.gridslam in OUT; 0: none.  [default: 5]",
     ),

@@ -79,9 +79,9 @@ class Viewers(NamedTuple):
         if self.page is not None:
             self.page.show_session(name, drives)
 
-    def offer_session(self, path: Path) -> None:
-        """Let those who look on save the file from which a later run goes on."""
-        if self.page is not None:
+    def offer_session(self, path: Path | None) -> None:
+        """Let those who look on save the file from which a later run goes on, if there is one."""
+        if self.page is not None and path is not None:
             self.page.offer_session(path)
 
     def show_result(self, result: MapResult) -> None:

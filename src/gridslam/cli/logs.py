@@ -70,6 +70,7 @@ def convert(log: Path, out: Path, options: LogOptions, to: str | None, as_json: 
         conversion = replace(convert_log(source, folder.file(out.name), to=to, on_progress=on_progress), out=out)
     form = conversion.format.value
     read = conversion.log
+    warn(*(f"{log}: {remark}" for remark in read.remarks))
     if read.truncated:
         warn(f"{log}: the log is truncated after {read.scan_count} scans")
     if conversion.lost:
@@ -94,8 +95,6 @@ def convert(log: Path, out: Path, options: LogOptions, to: str | None, as_json: 
 
 def _check_target(log: Path, out: Path, to: str | None) -> None:
     """Refuse an OUT that is no name for a new log."""
-    if not out.name or out.is_dir():
-        raise click.ClickException(f"{out}: expected the name of a new log, got an existing folder")
     if out.exists() and log.exists() and out.samefile(log):
         raise click.ClickException(f"{out}: expected a name other than the input log")
     try:
@@ -129,8 +128,6 @@ def get_dataset(name: str, out: Path, url: str | None, as_json: bool) -> None:
         dataset = find_dataset(name)
     except ArgumentError as error:
         raise click.ClickException(str(error).replace("name", "NAME", 1)) from None
-    if out.exists() and not out.is_dir():
-        raise click.ClickException(f"{out}: expected a folder to write to, got a file")
     file = fetch_dataset(name, out, url=url)
     summary = [f"{file}: {dataset.about}", f"credit: {dataset.credit}", f"licence: {dataset.licence}"]
     print_result({"schema": DATASETS_SCHEMA, "datasets": [asdict(dataset)], "path": str(file)}, summary, as_json)

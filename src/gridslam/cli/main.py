@@ -5,17 +5,20 @@ from __future__ import annotations
 import gc
 import os
 import sys
-import traceback
 from collections.abc import Sequence
 from contextlib import suppress
 
 import click
 
 from gridslam.cli.commands import gridslam
-from gridslam.cli.output import handle_signals
+from gridslam.cli.output import handle_signals, is_interrupted, report_background_failures
+from gridslam.cli.streams import close_output, open_streams
 from gridslam.errors import ConfigurationError, GridslamError, InputError
 
-__all__ = ["main"]
+__all__ = ["EXIT_BUG", "main"]
+
+EXIT_BUG = 70
+"""Exit status of an exception that nobody foresaw, as EX_SOFTWARE of sysexits.h."""
 
 _ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",  # matrices are 3 x 3 here, its threads would only wait
@@ -29,23 +32,30 @@ left. They find 600 objects in cycles, whether the log is mapped for 300 s or to
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status: 0 done, 1 failed, 2 bad usage or input, 130 interrupted."""
+    """Run the command line.
+
+    Returns the exit status: 0 done, 1 failed, 2 bad usage or input, 70 a bug of gridslam, 130 interrupted.
+    """
     for name, value in _ENVIRONMENT.items():  # before NumPy and pydantic are imported
         os.environ.setdefault(name, value)
     gc.set_threshold(_GARBAGE_OBJECTS, *gc.get_threshold()[1:])
-    with handle_signals(until_exit=arguments is None):
+    open_streams(own_process=arguments is None)
+    with handle_signals(until_exit=arguments is None), report_background_failures(_report_bug):
         try:
-            status = gridslam.main(arguments, prog_name="gridslam", standalone_mode=False)
-            sys.stdout.flush()
+            result = gridslam.main(arguments, prog_name="gridslam", standalone_mode=False)
+            status = result if isinstance(result, int) else 0
         except BaseException as error:
-            return _report_failure(error)
-        return status if isinstance(status, int) else 0
+            status = _report_failure(error)
+        problem = close_output()
+        if problem is not None and not status:
+            status = _report_failure(problem)
+    return status
 
 
 def _report_failure(error: BaseException) -> int:
     """Print in one line why the command ended, and return its exit status."""
-    if isinstance(error, SystemExit | GeneratorExit):
-        raise error
+    if isinstance(error, SystemExit):  # click's, where whoever read the output has gone
+        return error.code if isinstance(error.code, int) else 1
     if isinstance(error, KeyboardInterrupt | click.Abort):
         return _print_error("interrupted", 130)
     if isinstance(error, click.UsageError) and error.ctx is not None:
@@ -54,13 +64,21 @@ def _report_failure(error: BaseException) -> int:
         return _print_error(error.format_message(), 2)
     if isinstance(error, InputError | ConfigurationError):
         return _print_error(str(error), 2)
-    if isinstance(error, BrokenPipeError):  # whoever read the output has gone; Python must not flush to it again
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if isinstance(error, BrokenPipeError):  # whoever read the output has gone
         return 1
     if isinstance(error, GridslamError | OSError | MemoryError):
         return _print_error(str(error) or type(error).__name__, 1)
-    traceback.print_exception(error)
-    return _print_error(f"this is a bug, please report it: {type(error).__name__}: {error}", 1)
+    if is_interrupted():
+        return _print_error("interrupted", 130)
+    _report_bug(error)
+    return EXIT_BUG
+
+
+def _report_bug(error: BaseException) -> None:
+    """Write a file for a report of an exception that nobody foresaw, and print one line that names it."""
+    from gridslam.cli.bug_report import write_report
+
+    _print_error(write_report(error), EXIT_BUG)
 
 
 def _print_error(problem: str, status: int) -> int:

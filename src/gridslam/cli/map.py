@@ -13,7 +13,7 @@ from gridslam.api.mapping import MapResult, map_log
 from gridslam.api.peak_memory import return_large_blocks
 from gridslam.cli import STARTED_S
 from gridslam.cli.live import NOBODY, Viewers, open_viewers
-from gridslam.cli.output import mapping_progress, open_output, print_result, warn
+from gridslam.cli.output import mapping_progress, open_output, print_result, warn, write_apart
 from gridslam.cli.session_options import SessionOptions
 from gridslam.config import Configuration, apply_laser, load, override, preset
 from gridslam.io.log import Log, LogOptions, open_log
@@ -50,23 +50,27 @@ def map_to_folder(
     if opened is not None:
         configuration = opened.configuration
     source = check_log(open_log(log, options), options, warn)
-    with open_viewers(live, rerun, source.path.name, configuration.range_max_m, has_history=not no_history) as viewers:
+    with (
+        write_apart() as write,
+        open_viewers(live, rerun, source.path.name, configuration.range_max_m, has_history=not no_history) as viewers,
+    ):
         session.make_room(out)
         if opened is not None and session.continued is not None:
             viewers.show_session(session.continued.name, [drive.name for drive in opened.saved.drives])
-        with open_output(out, MapResult.all_names()) as folder:
+        with open_output(out, [*MapResult.all_names(), *session.names()]) as folder:
             if opened is None:
                 run = partial(map_log, configuration=configuration, seed=seed, threads=threads)
             else:
                 run = partial(session.add, opened, out)
             result = map_with_progress(source, run, watch, viewers, shown=not as_json, repair=repair)
+            is_saved = opened is None or session.save is None or write(opened.save, session.save)
             viewers.write_history(folder)
             document = result.write(folder)
-            if opened is not None:
-                session.save_to(opened)
-                if session.save is not None:
-                    viewers.offer_session(session.save)
-        session.end(out)
+        if is_saved:
+            viewers.offer_session(session.save)
+            session.end(out)
+        else:
+            session = replace(session, save=None)
         warn(*(f"{log}: {warning}" for warning in result.warnings()))
         summary = summarize(document, result, out)
         print_result(document, [*summary, *session.summarize(opened, result, out)], as_json)

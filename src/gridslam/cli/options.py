@@ -6,24 +6,18 @@ import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, final
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from gridslam.cli.option_types import OUT, OUTPUT_FILE, PATH, RECORDING, SECONDS, SEED, THREADS, Number
 from gridslam.errors import ArgumentError
 
 if TYPE_CHECKING:
     from gridslam.live.options import LiveOptions
 
 __all__ = [
-    "LOG",
-    "MEMORY",
-    "OUT",
-    "PATH",
-    "SEED",
     "SETTINGS",
-    "THREADS",
     "add_options",
     "assignment_option",
     "evaluate_options",
@@ -48,75 +42,6 @@ __all__ = [
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
-class _Path(click.Path):
-    """A path; the empty one, as of a shell's variable that is not set, would mean the current folder."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
-        if value == "":
-            self.fail("expected a path, got an empty string", param, ctx)
-        return super().convert(value, param, ctx)
-
-
-@final
-class _Log(_Path):
-    """The path of a log; one at a URL is copied into the cache first, and the path is that of the copy."""
-
-    name = "path or URL"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
-        if isinstance(value, str) and "://" in value:
-            from gridslam.io.remote import fetch, is_url
-
-            if is_url(value):
-                return fetch(value).path
-        return super().convert(value, param, ctx)
-
-
-@final
-class _Out(_Path):
-    """The path of an output folder; at a URL, that of a temporary folder, uploaded when the command has written it."""
-
-    name = "path or URL"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
-        if isinstance(value, str) and "://" in value and ctx is not None:
-            from gridslam.io.remote import is_url
-
-            if is_url(value):
-                return ctx.with_resource(_uploaded(value))
-        return super().convert(value, param, ctx)
-
-
-@contextmanager
-def _uploaded(url: str) -> Iterator[Path]:
-    """Give a folder that does not exist yet; what is in it at the end is uploaded, unless an exception passes."""
-    import tempfile
-
-    from gridslam.io.remote import connect, mask_url, upload_folder
-
-    connect(url)
-    with tempfile.TemporaryDirectory(prefix="gridslam-") as folder:
-        out = Path(folder) / "out"
-        yield out
-        if out.is_dir():
-            upload_folder(out, url)
-            click.echo(f"gridslam: uploaded to {mask_url(url)}", err=True)
-
-
-@final
-class _Memory(click.FloatRange):
-    """A limit of memory, MB, or the word auto."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
-        return value if value == "auto" else super().convert(value, param, ctx)
-
-
-PATH = _Path(path_type=Path)
-MEMORY = _Memory(500, 1e9)
-LOG = _Log(path_type=Path)
-OUT = _Out(path_type=Path)
-SEED = click.IntRange(min=0)
-THREADS = click.IntRange(1, 256)
 SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 out_option = click.option("-o", "--out", type=OUT, required=True, help="Output folder; created if missing.")
@@ -134,7 +59,10 @@ json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object instead of text, and no progress."
 )
 rerun_option = click.option(
-    "--rerun", metavar="FILE|HOST:PORT", help="Record the run for Rerun's viewer, or stream it there (extra: rerun)."
+    "--rerun",
+    type=RECORDING,
+    metavar="FILE|HOST:PORT",
+    help="Record the run for Rerun's viewer, or stream it there (extra: rerun).",
 )
 
 history_option = click.option("--no-history", is_flag=True, help="Do not record the past of the run for gridslam view.")
@@ -146,8 +74,10 @@ _LOG_OPTIONS = (
     click.option("--base-frame", metavar="FRAME", help="Base frame of the robot (REP-105 base_link)."),
     click.option("--no-odometry", is_flag=True, help="Ignore the odometry."),
     click.option("--keep-truncated", is_flag=True, help="Accept a truncated log and read the part that exists."),
-    click.option("--start", "start_s", type=float, default=0, metavar="S", help="Skip the first S seconds of the log."),
-    click.option("--duration", "duration_s", type=float, metavar="S", help="Read only S seconds."),
+    click.option(
+        "--start", "start_s", type=SECONDS, default=0, metavar="S", help="Skip the first S seconds of the log."
+    ),
+    click.option("--duration", "duration_s", type=SECONDS, metavar="S", help="Read only S seconds."),
     click.option("--every", type=click.IntRange(min=1), default=1, metavar="N", help="Use only every N-th scan."),
 )
 _LOG_FIELDS = (
@@ -180,12 +110,14 @@ _LIVE_NAMES = {
 }
 _OPEN_OPTION = click.option("--open", "live_opens", is_flag=True, help="Open the page in the default browser.")
 _SPEED_OPTION = click.option(
-    "--live-speed", type=float, metavar="FACTOR", help="Initial speed of the page, a factor on real time."
+    "--live-speed", type=Number(), metavar="FACTOR", help="Initial speed of the page, a factor on real time."
 )
 _CONTROL_OPTION = click.option(
     "--live-control", "live_controls", is_flag=True, help="Let viewers set the pose, reset and save, besides pausing."
 )
-_WAIT_OPTION = click.option("--wait", "live_wait_s", type=float, metavar="S", help="Wait up to S seconds for a viewer.")
+_WAIT_OPTION = click.option(
+    "--wait", "live_wait_s", type=SECONDS, metavar="S", help="Wait up to S seconds for a viewer."
+)
 
 
 def log_options(command: _Command) -> _Command:
@@ -322,7 +254,7 @@ _MAP_OPTIONS = (
     log_options,
 )
 _SESSION_OPTIONS = (
-    click.option("--save", type=PATH, metavar="FILE", help="Save the session to this file (NAME.gridslam)."),
+    click.option("--save", type=OUTPUT_FILE, metavar="FILE", help="Save the session to this file (NAME.gridslam)."),
     click.option("--continue", "continued", type=PATH, metavar="FILE", help="Go on from a saved session."),
     click.option(
         "--same-place", is_flag=True, help="LOG begins where the session has ended.  [default: decided by the data]"
@@ -342,7 +274,7 @@ _SESSION_OPTIONS = (
     click.option(
         "--autosave",
         "autosave_min",
-        type=click.FloatRange(0, 1e6, min_open=True),
+        type=Number(0, 1e6, above=True),
         metavar="MINUTES",
         help="Save the run this often to OUT/autosave.gridslam; after a kill the same command goes on from there.",
     ),
@@ -384,7 +316,7 @@ _EVALUATE_OPTIONS = (
     click.option(
         "--distance",
         "distance_m",
-        type=float,
+        type=Number(),
         default=1.0,
         show_default=True,
         metavar="M",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
 import sys
 import threading
@@ -11,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import click
 
@@ -24,18 +25,25 @@ if TYPE_CHECKING:
     from gridslam.types import StepReport
 
 __all__ = [
+    "TARGETS",
     "Progress",
     "elapsed_progress",
     "handle_signals",
+    "is_interrupted",
     "mapping_progress",
     "open_display",
     "open_output",
     "print_json",
     "print_result",
     "reading_progress",
+    "report_background_failures",
     "stop_if_interrupted",
     "warn",
+    "write_apart",
 ]
+
+TARGETS: Final = "gridslam.targets"
+"""Where a context of click has the targets that options name."""
 
 _BAR_EVERY_S = 0.25
 _LINE_EVERY_S = 5.0
@@ -51,6 +59,13 @@ def open_output(path: Path, names: Sequence[str] = ()) -> Iterator[OutputFolder]
     """Open OUT for files of these names before the long work; one that cannot be written is bad usage."""
     from gridslam.io.output import OutputFolder
 
+    context = click.get_current_context(silent=True)
+    targets = {} if context is None else context.meta.get(TARGETS, {})
+    for name in names:
+        if Path(os.path.realpath(path / name)) in targets:
+            raise click.ClickException(
+                f"{path / name}: expected the place of a result alone, but an option names it, too"
+            )
     with ExitStack() as stack:
         try:
             with hold_interrupts():  # until the temporary folder is certain to be removed
@@ -79,14 +94,37 @@ def print_result(document: Mapping[str, Any], summary: Iterable[str], as_json: b
 def warn(*warnings: str) -> None:
     """Print warnings on stderr, a line for each."""
     for warning in warnings:
-        click.echo(f"gridslam: {warning}", err=True)
+        click.echo(f"gridslam: {' '.join(warning.splitlines())}", err=True)
+
+
+@contextmanager
+def write_apart() -> Iterator[Callable[..., bool]]:
+    """Give what calls a function that writes one of several targets, and returns whether it could.
+
+    Where it could not that is reported at once, the command goes on with the other targets, and fails in the end.
+    """
+    is_complete = True
+
+    def write(function: Callable[..., object], *arguments: Any) -> bool:  # noqa: ANN401
+        nonlocal is_complete
+        try:
+            function(*arguments)
+        except (OutputError, OSError) as error:
+            warn(str(error))
+            is_complete = False
+            return False
+        return True
+
+    yield write
+    if not is_complete:
+        raise click.exceptions.Exit(1)
 
 
 @contextmanager
 def handle_signals(*, until_exit: bool = False) -> Iterator[None]:
     """Turn the first SIGINT, SIGTERM or SIGHUP into KeyboardInterrupt; later ones must not disturb the cleaning up.
 
-    `until_exit`: after an interrupt they are ignored for the rest of the process.
+    `until_exit`: when the context ends they are ignored for the rest of the process.
     """
     global _interrupted
     _interrupted = False
@@ -94,23 +132,33 @@ def handle_signals(*, until_exit: bool = False) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         numbers = []  # signals are handled by the main thread alone
     before = {number: signal.getsignal(number) for number in numbers}
-    hook = sys.unraisablehook
     for number, handler in before.items():
         if handler is not signal.SIG_IGN:  # as SIGHUP by nohup
             signal.signal(number, _interrupt)
-    sys.unraisablehook = lambda unraisable: _hide_interrupt(unraisable, hook)
     try:
         yield
     finally:
-        sys.unraisablehook = hook
-        for number, handler in before.items():
-            signal.signal(number, signal.SIG_IGN if until_exit and _interrupted else handler)
+        for number in before:  # the results are written, or gone
+            signal.signal(number, signal.SIG_IGN if until_exit else before[number])
 
 
-def _hide_interrupt(unraisable: Any, hook: Callable[[Any], object]) -> None:  # noqa: ANN401
-    """Print nothing on an interrupt that Python swallows in a destructor: `stop_if_interrupted` repeats it."""
-    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
-        hook(unraisable)
+@contextmanager
+def report_background_failures(report: Callable[[BaseException], object]) -> Iterator[None]:
+    """Report exceptions of other threads and of destructors, of which Python would print the traceback.
+
+    An interrupt that comes in a destructor is not reported: `stop_if_interrupted` repeats it.
+    """
+    hooks = sys.unraisablehook, threading.excepthook
+
+    def on_failure(failure: Any) -> None:  # noqa: ANN401
+        if failure.exc_value is not None and not isinstance(failure.exc_value, KeyboardInterrupt | SystemExit):
+            report(failure.exc_value)
+
+    sys.unraisablehook = threading.excepthook = on_failure
+    try:
+        yield
+    finally:
+        sys.unraisablehook, threading.excepthook = hooks
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -131,6 +179,11 @@ def hold_interrupts() -> Iterator[None]:
     finally:
         _held = False
     stop_if_interrupted()
+
+
+def is_interrupted() -> bool:
+    """Whether an interrupt has come, whatever Python has made of it: in a class being made it becomes RuntimeError."""
+    return _interrupted
 
 
 def stop_if_interrupted() -> None:

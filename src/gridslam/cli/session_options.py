@@ -100,6 +100,10 @@ class SessionOptions:
                 raise click.ClickException(f"{self.prior}: {error}") from None
         return session
 
+    def names(self) -> tuple[str, ...]:
+        """Names of further files in OUT."""
+        return () if self.autosave_min is None else (_AUTOSAVE,)
+
     def make_room(self, out: Path) -> None:
         """Create OUT for an autosave at once, so that results are staged in it before and after a kill."""
         if self.autosave_min is not None:
@@ -120,11 +124,6 @@ class SessionOptions:
         if autosave is not None:
             autosave.close()
         return result
-
-    def save_to(self, session: Session) -> None:
-        """Save the session where that is wanted."""
-        if self.save is not None:
-            session.save(self.save)
 
     def end(self, out: Path) -> None:
         """Remove the autosave: the results are written."""

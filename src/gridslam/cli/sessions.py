@@ -10,8 +10,9 @@ import click
 
 from gridslam.api.merging import MergeResult, merge_sessions
 from gridslam.cli.options import name_option
-from gridslam.cli.output import elapsed_progress, open_output, print_json, print_result
+from gridslam.cli.output import elapsed_progress, open_output, print_json, print_result, write_apart
 from gridslam.errors import InputError
+from gridslam.io.output import write_atomically
 from gridslam.io.sessions.session_file import read_head
 from gridslam.pipeline import Stopwatch
 
@@ -40,7 +41,8 @@ def show_session(file: Path, picture: Path | None, as_json: bool) -> None:
     if picture is not None:
         if not head.thumbnail:
             raise InputError(file, "expected a session with a picture, got one without")
-        picture.write_bytes(head.thumbnail)
+        with write_atomically(picture) as path:
+            path.write_bytes(head.thumbnail)
     if as_json:
         print_json(content)
         return
@@ -74,16 +76,16 @@ def _describe(content: dict[str, Any]) -> Iterator[str]:
 def merge_to_folder(files: tuple[Path, ...], out: Path, save: Path | None, threads: int, as_json: bool) -> None:
     """Merge sessions, write the results to a folder and print a summary."""
     watch = Stopwatch()
-    with (
-        open_output(out, MergeResult.all_names()) as folder,
-        elapsed_progress("merging", shown=not as_json) as on_progress,
-    ):
-        with name_option(paths="FILE", others="FILE"):
-            result = merge_sessions(files, threads=threads, on_progress=on_progress, stopwatch=watch)
-        document = result.write(folder)
-        if save is not None:
-            result.session.save(save)
-    print_result(document, _summarize_merge(result, out, save), as_json)
+    with write_apart() as write:
+        with (
+            open_output(out, MergeResult.all_names()) as folder,
+            elapsed_progress("merging", shown=not as_json) as on_progress,
+        ):
+            with name_option(paths="FILE", others="FILE"):
+                result = merge_sessions(files, threads=threads, on_progress=on_progress, stopwatch=watch)
+            is_saved = save is not None and write(result.session.save, save)
+            document = result.write(folder)
+        print_result(document, _summarize_merge(result, out, save if is_saved else None), as_json)
 
 
 def _summarize_merge(result: MergeResult, out: Path, save: Path | None) -> Iterator[str]:

@@ -20,7 +20,7 @@ from gridslam.batch.journal import Journal
 from gridslam.batch.manifest import Entry, find_logs
 from gridslam.batch.pool import ProcessPool
 from gridslam.cli.map import build_configuration
-from gridslam.cli.output import open_display, print_result, stop_if_interrupted
+from gridslam.cli.output import open_display, print_result, stop_if_interrupted, write_apart
 from gridslam.errors import InputError, OutputError
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions, open_log
@@ -77,7 +77,7 @@ def run_tune(
     base = build_configuration(preset, particles, laser, config, assignments, no_loop_closure)
     space = SearchSpace.of(base, names)
     folder = out.with_suffix(".tune")
-    if out.is_dir() or folder == out:
+    if folder == out:
         raise click.ClickException(f"{out}: expected the name of a file to write, as best.toml")
     load_library()
     entries = find_logs([*logs, *held_out], reference=reference)
@@ -88,42 +88,39 @@ def run_tune(
     try:
         with Journal(folder) as journal:
             chosen = [_digest(log, journal) for log in read]
-        settings = Settings(
-            base,
-            space,
-            trials or _most_trials(budget_s),
-            seed,
-            judging_seeds,
-            options,
-            repair,
-            max_memory_bytes(),
-            threads,
-        )
-        with _Progress(not as_json) as progress:
-
-            def run(jobs: Sequence[Job]) -> list[dict[str, Any]]:
-                return run_jobs(
-                    jobs, folder, executor=ProcessPool(workers), timeout_s=timeout_s, on_poll=progress.on_poll
-                )
-
-            allowed = None if budget_s is None else Budget(budget_s, workers)
-            tuner = Tuner(settings, chosen, run, allowed, progress.on_trial)
-            progress.watch(tuner)
-            tuning = tuner()
-        document = to_document(tuning, settings, chosen, tuner.planned)
-        with write_atomically(folder / "tune.json") as path:
-            path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        for name, plot in (("convergence.png", plot_convergence), ("importance.png", plot_importance)):
-            figure, caption = plot(tuning)
-            with write_atomically(folder / name) as path:
-                draw_chart(figure, caption=[caption]).save(path)
-        with write_atomically(out) as path:
-            path.write_text(to_toml(tuning, chosen), encoding="utf-8")
     except OutputError as error:
         raise click.ClickException(str(error)) from None
-    tried = len({tuple(trial.values.items()) for trial in tuning.trials})
-    lines = [f"{tried} configurations were tried", *describe_verdict(tuning, chosen), f"{out}; details: {folder}"]
-    print_result(document, lines, as_json)
+    settings = Settings(
+        base, space, trials or _most_trials(budget_s), seed, judging_seeds, options, repair, max_memory_bytes(), threads
+    )
+    with _Progress(not as_json) as progress:
+
+        def run(jobs: Sequence[Job]) -> list[dict[str, Any]]:
+            return run_jobs(jobs, folder, executor=ProcessPool(workers), timeout_s=timeout_s, on_poll=progress.on_poll)
+
+        allowed = None if budget_s is None else Budget(budget_s, workers)
+        tuner = Tuner(settings, chosen, run, allowed, progress.on_trial)
+        progress.watch(tuner)
+        tuning = tuner()
+    document = to_document(tuning, settings, chosen, tuner.planned)
+    with write_apart() as write:
+        write(_write_text, out, to_toml(tuning, chosen))
+        write(_write_text, folder / "tune.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
+        for name, plot in (("convergence.png", plot_convergence), ("importance.png", plot_importance)):
+            write(_draw, folder / name, *plot(tuning))
+        tried = len({tuple(trial.values.items()) for trial in tuning.trials})
+        lines = [f"{tried} configurations were tried", *describe_verdict(tuning, chosen), f"{out}; details: {folder}"]
+        print_result(document, lines, as_json)
+
+
+def _write_text(file: Path, text: str) -> None:
+    with write_atomically(file) as path:
+        path.write_text(text, encoding="utf-8", errors="backslashreplace")
+
+
+def _draw(file: Path, figure: Any, caption: str) -> None:  # noqa: ANN401
+    with write_atomically(file) as path:
+        draw_chart(figure, caption=[caption]).save(path)
 
 
 def _most_trials(budget_s: float | None) -> int:

@@ -7,6 +7,7 @@ import gzip
 import json
 import os
 import shutil
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,15 +17,49 @@ from typing import IO, Any, cast, final
 from gridslam.errors import ArgumentError, OutputError
 from gridslam.io.staging import REPLACED, StagingFolder, exchange_folders, remove_abandoned, sync
 
-__all__ = ["OutputFolder", "open_for_writing", "write_atomically"]
+__all__ = ["OutputFolder", "open_for_writing", "require_writable", "write_atomically"]
+
+
+def require_writable(path: Path, *, is_folder: bool) -> None:
+    """Check that a file or a folder of this path can be made or replaced, by making it in a temporary folder.
+
+    Raises
+    ------
+    OutputError
+        Something else is in its place or in that of a folder above it, or it cannot be written there.
+    """
+    above = _find_folder(path, path if is_folder else path.parent)
+    if not is_folder and os.path.exists(path) and not path.is_file():
+        got = "an existing folder" if path.is_dir() else "a device or a pipe"
+        raise OutputError(f"{path}: expected the name of a file, got {got}")
+    try:
+        with tempfile.TemporaryDirectory(".partial", f".{path.name}.", above, ignore_cleanup_errors=True) as folder:
+            Path(folder, path.relative_to(above)).mkdir(parents=True, exist_ok=True)  # whether there can be such names
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def _find_folder(path: Path, folder: Path) -> Path:
+    """Find the folder that `path` is to be written to, or the nearest one above it that there is."""
+    while not os.path.lexists(folder) and folder != folder.parent:
+        folder = folder.parent
+    if not folder.exists():
+        raise OutputError(f"{path}: expected a folder to write to, but {folder} is a link to nothing")
+    if not folder.is_dir():
+        raise OutputError(f"{path}: expected a folder to write to, but {folder} is a file")
+    return folder
 
 
 @contextmanager
 def write_atomically(path: str | Path) -> Iterator[Path]:
-    """Give a path near `path` to write to; it becomes `path` at the end unless an exception passes."""
+    """Give a path near `path` to write to; it becomes `path` at the end unless an exception passes.
+
+    Folders above it are made where there are none.
+    """
     target = Path(path)
     staging: StagingFolder | None = None
     try:
+        target.parent.mkdir(parents=True, exist_ok=True)
         staging = StagingFolder(target.parent, target.name)
         aside = staging.path / target.name
         yield aside
@@ -85,18 +120,11 @@ class OutputFolder:
 
     def __enter__(self) -> OutputFolder:
         """Check that OUT can be written and create the temporary folder."""
-        above = self.path
-        while not os.path.lexists(above) and above != above.parent:
-            above = above.parent
-        if not above.exists():
-            raise OutputError(f"{self.path}: expected a folder to write to, but {above} is a link to nothing")
-        if not above.is_dir():
-            raise OutputError(f"{self.path}: expected a folder to write to, but {above} is a file")
+        above = _find_folder(self.path, self.path)
         try:
-            if above == self.path:
-                self._require_no_folders(self._names)
-                if not os.access(above, os.W_OK | os.X_OK):
-                    raise OutputError(f"{self.path}: cannot be written: Permission denied")
+            self._require_no_folders(self._names)
+            if above == self.path and not os.access(above, os.W_OK | os.X_OK):
+                raise OutputError(f"{self.path}: cannot be written: Permission denied")
             self._staging = self._stage(above)
         except OSError as error:
             raise OutputError(f"{self.path}: cannot be written: {error.strerror}") from None

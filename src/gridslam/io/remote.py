@@ -16,7 +16,17 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 from gridslam.errors import GridslamError, InputError, MissingDependencyError, OutputError
 from gridslam.io.cache import Cached, LogCache
 
-__all__ = ["connect", "describe_remote", "fetch", "is_url", "list_files", "mask_url", "upload_file", "upload_folder"]
+__all__ = [
+    "connect",
+    "describe_remote",
+    "fetch",
+    "is_url",
+    "list_files",
+    "mask_url",
+    "mask_urls",
+    "upload_file",
+    "upload_folder",
+]
 
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 _STATE = ("ETag", "etag", "LastModified", "mtime", "md5Hash", "crc32c", "generation", "VersionId", "content_md5")
@@ -44,10 +54,27 @@ def mask_url(url: str) -> str:
     return f"{match[0]}{masked}{slash}{path}{query}"
 
 
+def mask_urls(text: str) -> str:
+    """A text in which URLs are without their credentials."""
+    return re.sub(_URL.pattern + r"\S+", lambda found: mask_url(found[0]), text)
+
+
 def connect(url: str) -> None:
-    """Find the library for a URL, before long work; raises MissingDependencyError or GridslamError if there is none."""
+    """Find the library for a URL, and whether its server answers, before long work.
+
+    Whether files can be written there is known when they are.
+
+    Raises
+    ------
+    MissingDependencyError, GridslamError
+        There is no library for it.
+    OutputError
+        The server cannot be reached.
+    """
     with _translate(url, "written"):
-        _connect(url)
+        system, path = _connect(url)
+        with suppress(FileNotFoundError, PermissionError, NotADirectoryError):
+            system.info(path)
 
 
 def describe_remote(url: str) -> str:
@@ -214,8 +241,7 @@ def _reason(error: BaseException, url: str) -> str:
 
 def _without_secrets(error: BaseException, url: str) -> str:
     """The message of an error, in which URLs and the secrets of this one are masked."""
-    text = " ".join(str(error).split())
-    text = re.sub(_URL.pattern + r"\S+", lambda found: mask_url(found[0]), text)
+    text = mask_urls(" ".join(str(error).split()))
     for secret in sorted(_secrets(url), key=len, reverse=True):
         text = text.replace(secret, _MASK)
     return text[:300]

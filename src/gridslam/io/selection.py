@@ -18,6 +18,7 @@ from gridslam.types import FloatArray, Odometry
 
 __all__ = ["CovarianceSum", "Log", "LogOptions", "SelectedLog", "select"]
 
+_MOST_S = 9e9  # 285 years: in ns less than 64 bits hold
 _CHOOSING = "scan_topics", "no_odometry", "start_s", "duration_s", "every"
 
 
@@ -57,9 +58,9 @@ class LogOptions:
         Give every scan without odometry, whatever the log has.
     keep_truncated : bool
         Read a log that is cut off as far as it goes instead of refusing it.
-    start_s : float, >= 0
+    start_s : float, [0, 9e9]
         Skip the scans less than this many seconds after the first.
-    duration_s : float or None, > 0
+    duration_s : float or None, (0, 9e9]
         Skip the scans this many seconds or more after the start.
     every : int, >= 1
         Use only every n-th of the remaining scans of each sensor, from the first on.
@@ -82,10 +83,13 @@ class LogOptions:
 
     def __post_init__(self) -> None:
         """Check the numbers."""
-        if not 0 <= self.start_s < float("inf"):
+        if not self.start_s >= 0:
             raise ArgumentError("start_s", "a time >= 0 s", self.start_s)
         if self.duration_s is not None and not self.duration_s > 0:
             raise ArgumentError("duration_s", "a time > 0 s", self.duration_s)
+        for name in ("start_s", "duration_s"):
+            if (getattr(self, name) or 0) > _MOST_S:
+                raise ArgumentError(name, f"a time of at most {_MOST_S:g} s", getattr(self, name))
         if self.every < 1:
             raise ArgumentError("every", "a number >= 1", self.every)
 

@@ -185,7 +185,7 @@ def compute_digest(path: str | Path) -> str:
         files = {file.relative_to(where).as_posix(): file for file in where.rglob("*") if file.is_file()}
         for name, file in sorted(files.items()):
             if file.stat().st_size:
-                digest.update(f"{compute_digest(file)}  {name}\n".encode())
+                digest.update(f"{compute_digest(file)}  ".encode() + os.fsencode(name) + b"\n")
     else:
         with open_for_reading(where) as stream:
             while block := stream.read(1 << 20):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -118,6 +119,10 @@ def test_a_manifest_is_relative_to_its_folder(tree):
         ("log,name\na.clf,../b\n", r"m.csv, line 2: expected the name of a folder in the column name, got '../b'"),
         ("log,name\na.clf,runs.sqlite\n", r"expected the name of a folder"),
         ("log,name\na.clf,x\nb.clf,x\n", r"the name 'x' is given twice"),
+        (
+            f"log,name\na.clf,{'x' * 201}\n",
+            r"the column name, of at most 200 bytes, got 201",
+        ),
         ('log,name\n"a.clf,x\n', r"m.csv, line 2: expected a CSV"),
         ("log\na.clf\n\xff\xfe", r"expected a text file, got binary data"),
     ],
@@ -132,6 +137,24 @@ def test_a_malformed_manifest_is_refused_with_its_line(tree, text, problem):
 def test_a_pattern_without_logs_is_refused(tree, pattern, problem):
     with pytest.raises(InputError, match=problem):
         find_logs([pattern])
+
+
+def test_a_folder_that_cannot_be_read_is_a_log_that_fails(tree, monkeypatch):
+    iterate = Path.iterdir
+
+    def refuse_one(path):
+        if path.name == "mon":
+            raise PermissionError(13, "Permission denied")
+        return iterate(path)
+
+    monkeypatch.setattr(Path, "iterdir", refuse_one)
+    assert "logs/mon" in names("logs").values()
+
+
+def test_long_names_are_shortened_and_stay_apart(tree):
+    found = names("x" * 300 + "1.clf", "x" * 300 + "2.clf", "ü" * 150 + ".clf", "\udcff.clf", "\udcfe.clf")
+    assert len(found) == 5
+    assert all(len(name.encode()) <= 200 for name in found)
 
 
 CELLS = st.sampled_from(

@@ -60,9 +60,48 @@ def test_several_lasers_whose_places_are_not_told(tmp_path):
     assert "the mounting of /scan_a (a) is unknown" in refused(tmp_path, said)
 
 
-def test_one_laser_on_several_topics(tmp_path):
-    said = [transform(0.0, "base_link", "laser"), scan("/scan", 0.0, FOUR), scan("/scan_filtered", 0.0, FOUR)]
-    assert "of one laser (laser): choose with --scan TOPIC among /scan, /scan_filtered" in refused(tmp_path, said)
+MOUNTED = [transform(0.0, "base_link", "laser")]
+
+
+@pytest.mark.parametrize("links", [MOUNTED, []])
+@pytest.mark.parametrize(
+    ("counts", "taken"),
+    [
+        ({"/scan": 1, "/scan_filtered": 3}, "/scan"),
+        ({"/r/scan": 1, "/r/a_scan": 3}, "/r/scan"),
+        ({"/a_scan": 1, "/b_scan": 3, "/c_scan": 2}, "/b_scan"),
+        ({"/a_scan": 2, "/b_scan": 2}, "/a_scan"),
+    ],
+)
+def test_of_several_topics_of_one_laser_one_is_taken_and_the_others_are_named(tmp_path, counts, taken, links):
+    said = [*links, *(scan(name, 0.1 * k, FOUR) for name, count in counts.items() for k in range(count))]
+    chosen = choice_of(tmp_path, said)
+    others = ", ".join(name for name in counts if name != taken)
+    assert chosen.scans == (taken,)
+    assert chosen.remarks == (f"{others} left out: scans of the same laser (laser) as {taken} (--scan TOPIC takes it)",)
+    (tmp_path / "log.bag").unlink()
+    other = min(set(counts) - {taken})
+    assert choice_of(tmp_path, said, scan_topics=(other,)).scans == (other,)
+
+
+def test_each_of_two_lasers_with_two_topics_is_read_once(tmp_path):
+    links = [transform(0.0, "base_link", frame, (x, 0, 0)) for frame, x in (("a", 0.2), ("b", -0.2))]
+    said = [scan(f"/{frame}{kind}", 0.0, FOUR, frame=frame) for frame in "ab" for kind in ("/scan", "_filtered")]
+    chosen = choice_of(tmp_path, [*links, *said])
+    assert chosen.scans == ("/a/scan", "/b/scan")
+    assert len(chosen.remarks) == 2
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "problem"),
+    [
+        (("/a/scan", "laser"), ("/b/scan", "laser"), "maybe of several robots"),
+        (("/scan_a", ""), ("/scan_b", ""), "the mounting of /scan_a () is unknown"),
+    ],
+)
+def test_topics_that_may_be_of_different_lasers_are_not_taken_for_one(tmp_path, first, second, problem):
+    said = [scan(name, 0.0, FOUR, frame=frame) for name, frame in (first, second)]
+    assert problem in refused(tmp_path, said)
 
 
 def test_a_laser_that_tilts_beside_one_that_does_not_is_left_out(tmp_path):

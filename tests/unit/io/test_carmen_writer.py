@@ -116,6 +116,7 @@ def test_a_log_that_begins_without_odometry(tmp_path, sensor):
     np.testing.assert_allclose(read[0].scan.geometry.base_from_laser, scans[0].geometry.base_from_laser, atol=1e-12)
 
 
-def test_a_folder_that_is_not_there(tmp_path):
+def test_a_folder_that_cannot_be_made(tmp_path):
+    (tmp_path / "nowhere").touch()
     with pytest.raises(OutputError, match="nowhere"):
         write_carmen(tmp_path / "nowhere" / "sim.log", [measurement()])

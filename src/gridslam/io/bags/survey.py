@@ -339,7 +339,7 @@ def _scans(source: BagSource, seen: Survey, options: LogOptions, remarks: list[s
         return wanted
     names = sorted(seen.scans)
     if len(names) > 1:
-        names = _still(seen, names, remarks)
+        names = _one_of_each_laser(source, seen, _still(seen, names, remarks), remarks)
     if len(names) > 1:
         problem = _why_not_one_robot(seen, names)
         if problem:
@@ -362,6 +362,27 @@ def _still(seen: Survey, names: list[str], remarks: list[str]) -> list[str]:
     return names
 
 
+def _one_of_each_laser(source: BagSource, seen: Survey, names: list[str], remarks: list[str]) -> list[str]:
+    """Leave out further topics of a laser, such as filtered scans: those in its frame.
+
+    The one named scan is taken, or else the one with most scans. Topics without a frame, or in several namespaces and
+    in a frame that is mounted nowhere, may be of different lasers.
+    """
+    of_laser = dict[tuple[str, str], list[str]]()
+    for name in names:
+        frame = seen.scans[name].frame
+        laser = (frame, "" if _base_above(seen, frame) else _namespace(name)) if frame else ("", name)
+        of_laser.setdefault(laser, []).append(name)
+    chosen = []
+    for (frame, _), topics in of_laser.items():
+        best = max(topics, key=lambda name: (name == "/scan", _last(name) == "scan", source.topics[name].messages))
+        others = ", ".join(name for name in topics if name != best)
+        if others:
+            remarks.append(f"{others} left out: scans of the same laser ({frame}) as {best} (--scan TOPIC takes it)")
+        chosen.append(best)
+    return sorted(chosen)
+
+
 def _why_not_one_robot(seen: Survey, names: Sequence[str]) -> str:
     """Why these cannot be taken for different lasers of one robot; empty where they can."""
     frames = {name: seen.scans[name].frame for name in names}
@@ -374,8 +395,6 @@ def _why_not_one_robot(seen: Survey, names: Sequence[str]) -> str:
     if "" in reported:
         missing = next(name for name, base in bases.items() if not base)
         return f"there are several lasers, and the mounting of {missing} ({frames[missing]}) is unknown (no transform)"
-    if len(set(frames.values())) < len(names):
-        return f"several topics have scans of one laser ({', '.join(sorted(set(frames.values())))})"
     return ""
 
 

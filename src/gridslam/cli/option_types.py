@@ -1,0 +1,222 @@
+"""Types of options: each checks what the command line gives, a target that it can be written, before the work begins.
+
+Importing this module is cheap, so that help is quick.
+"""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final, final
+
+import click
+
+from gridslam.cli.output import TARGETS, hold_interrupts, warn, write_apart
+from gridslam.errors import OutputError
+
+__all__ = [
+    "LOG",
+    "MEMORY",
+    "OUT",
+    "OUTPUT_FILE",
+    "OUTPUT_FOLDER",
+    "PATH",
+    "RECORDING",
+    "SECONDS",
+    "SEED",
+    "THREADS",
+    "TIME_LIMIT",
+    "UPLOAD",
+    "Number",
+]
+
+_MOST_S: Final = 9e9
+"""Longest time, s: 285 years, in ns less than 64 bits hold."""
+
+
+class Number(click.FloatRange):
+    """A finite number in a range."""
+
+    def __init__(self, min: float | None = None, max: float = 1e9, *, above: bool = False) -> None:
+        """`above`: the least number itself is out of the range. The greatest is beyond any length, time or factor."""
+        super().__init__(min, max, min_open=above)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
+        """Read the number."""
+        number = click.FLOAT.convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"expected a finite number, got {number:g}", param, ctx)
+        return super().convert(number, param, ctx)
+
+    def _describe_range(self) -> str:
+        """Describe the range for help, where there is one that concerns the user."""
+        return "" if self.min is None else super()._describe_range()
+
+
+@final
+class _Memory(Number):
+    """A limit of memory, MB, or the word auto."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
+        return value if value == "auto" else super().convert(value, param, ctx)
+
+
+class _Path(click.Path):
+    """A path that a file may have.
+
+    The empty one, as of a shell's variable that is not set, would mean the current folder.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
+        if value == "":
+            self.fail("expected a path, got an empty string", param, ctx)
+        try:
+            os.stat(value)
+        except (OSError, ValueError) as error:  # one that is absent is reported by who reads it
+            if not isinstance(error, OSError) or error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
+                problem = getattr(error, "strerror", None) or error
+                self.fail(f"expected a path, got one that no file can have: {problem}", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+@final
+class _Log(_Path):
+    """The path of a log; one at a URL is copied into the cache first, and the path is that of the copy."""
+
+    name = "path or URL"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
+        if _may_be_url(value):
+            from gridslam.io.remote import fetch, is_url
+
+            if is_url(value):
+                return fetch(value).path
+        return super().convert(value, param, ctx)
+
+
+class _Target(_Path):
+    """A file or folder that the command writes: it must be possible to make it, and no other target may be in its way.
+
+    A folder for it is made when it is written.
+    """
+
+    is_folder = False
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
+        path: Path = super().convert(value, param, ctx)
+        from gridslam.io.output import require_writable
+
+        try:
+            with hold_interrupts():  # until the temporary folder is removed
+                require_writable(path, is_folder=self.is_folder)
+        except OutputError as error:
+            raise click.ClickException(str(error)) from None
+        if ctx is not None:
+            self._claim(path, ctx)
+        return path
+
+    def _claim(self, path: Path, ctx: click.Context) -> None:
+        """Refuse a path that is another target's, or below one that is a file."""
+        claimed: dict[Path, bool] = ctx.meta.setdefault(TARGETS, {})
+        where = Path(os.path.realpath(path))
+        for other, is_folder in claimed.items():
+            is_below = other in where.parents and not is_folder
+            is_above = where in other.parents and not self.is_folder
+            if where == other or is_below or is_above:
+                raise click.ClickException(f"{path}: expected a place of its own, but {other} is written, too")
+        claimed[where] = self.is_folder
+
+
+class _TargetFolder(_Target):
+    """A folder that the command writes to."""
+
+    is_folder = True
+
+
+@final
+class _Out(_TargetFolder):
+    """The path of an output folder; at a URL, that of a temporary folder, uploaded when the command has written it."""
+
+    name = "path or URL"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
+        if _may_be_url(value) and ctx is not None:
+            from gridslam.io.remote import is_url
+
+            if is_url(value):
+                return ctx.with_resource(_uploaded(value))
+        return super().convert(value, param, ctx)
+
+
+@final
+class _Recording(_Target):
+    """A file, or the address of a viewer."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
+        is_address = _may_be_url(value) or re.fullmatch(r"[\w.-]+:\d+|\[[\da-fA-F:]+\]:\d+", value)
+        return value if is_address else str(super().convert(value, param, ctx))
+
+
+@final
+class _Upload(click.types.StringParamType):
+    """A URL that results are copied to."""
+
+    name = "URL"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
+        from gridslam.io.remote import connect, is_url, mask_url
+
+        if not is_url(value):
+            raise click.ClickException(f"{mask_url(value)}: expected a URL, such as s3://bucket/folder")
+        connect(value)
+        return value
+
+
+def _may_be_url(value: object) -> bool:
+    return isinstance(value, str) and "://" in value
+
+
+@contextmanager
+def _uploaded(url: str) -> Iterator[Path]:
+    """Give a folder that does not exist yet; if it does at the end it is uploaded, and kept where that fails."""
+    import shutil
+    import tempfile
+
+    from gridslam.io.remote import connect, mask_url, upload_folder
+
+    connect(url)
+    out = Path(tempfile.mkdtemp(prefix="gridslam-")) / "out"
+    is_kept = False
+    try:
+        with write_apart() as write:
+            try:
+                yield out
+            finally:
+                if out.is_dir():  # complete, whatever has become of other targets
+                    is_kept = not write(upload_folder, out, url)
+                    warn(f"the results are kept in {out}" if is_kept else f"uploaded to {mask_url(url)}")
+    finally:
+        if not is_kept:
+            shutil.rmtree(out.parent, ignore_errors=True)
+
+
+PATH = _Path()
+LOG = _Log()
+OUT = _Out()
+OUTPUT_FILE = _Target()
+OUTPUT_FOLDER = _TargetFolder()
+RECORDING = _Recording()
+UPLOAD = _Upload()
+SECONDS = Number(max=_MOST_S)
+TIME_LIMIT = Number(0, _MOST_S, above=True)
+MEMORY = _Memory(500, 1e9)
+SEED = click.IntRange(min=0)
+THREADS = click.IntRange(1, 256)

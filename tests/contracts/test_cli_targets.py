@@ -1,0 +1,213 @@
+"""What commands write: checked before the work begins, and where one of it fails in the end the others are written."""
+
+from __future__ import annotations
+
+import errno
+import re
+from pathlib import Path
+
+import click
+import pytest
+
+from gridslam.api.session import Session
+from gridslam.cli.commands import gridslam
+from gridslam.cli.option_types import OUT, OUTPUT_FILE, OUTPUT_FOLDER, RECORDING
+from gridslam.errors import OutputError
+
+FEW = "--particles", "2", "--duration", "4"
+FOLDERS = OUT, OUTPUT_FOLDER
+TARGETS = *FOLDERS, OUTPUT_FILE, RECORDING
+
+
+def commands(group=gridslam, names=()):
+    for name, command in group.commands.items():
+        if isinstance(command, click.Group):
+            yield from commands(command, (*names, name))
+        else:
+            yield (*names, name), command
+
+
+WRITTEN = [
+    pytest.param(names, parameter, id=" ".join([*names, parameter.name]))
+    for names, command in commands()
+    for parameter in command.params
+    if parameter.type in TARGETS
+]
+
+
+def given(parameter, value):
+    return [value] if isinstance(parameter, click.Argument) else [parameter.opts[0], value]
+
+
+@pytest.mark.parametrize(("names", "parameter"), WRITTEN)
+@pytest.mark.parametrize(
+    ("target", "problem"),
+    [
+        ("file/below", "expected a folder to write to, but .*file is a file"),
+        ("link/below", "is a link to nothing"),
+        ("x" * 300, "expected a path, got one that no file can have: File name too long"),
+        ("new/" + "x" * 300 + "/below", "File name too long"),
+        ("/proc/nowhere/below", "/proc/nowhere/below: cannot be written: "),
+        ("other", "other is a file|got an existing folder"),
+    ],
+)
+def test_what_cannot_be_written_is_one_line_before_anything_else(
+    call, tmp_path, monkeypatch, names, parameter, target, problem
+):
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("")
+    Path("link").symlink_to("nowhere")
+    if parameter.type in FOLDERS:
+        Path("other").write_text("")
+    else:
+        Path("other").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    first = ["log.clf"] if names == ("convert",) else []
+    status, out, err = call(*names, *first, *given(parameter, target))
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert re.search(problem, err), err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_every_option_that_is_written_is_checked():
+    for names, command in commands():
+        for parameter in command.params:
+            said = getattr(parameter, "help", None) or ""
+            if isinstance(parameter.type, click.Path) and re.match(r"(Output|Write|Save|Record|Folder for)\b", said):
+                assert parameter.type in TARGETS, (names, parameter.name)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["map", "log.clf", "-o", "x", "--save", "x"],
+        ["map", "log.clf", "--save", "new", "-o", "new/out"],
+        ["merge", "a", "b", "-o", "out", "--save", "./out"],
+        ["map", "log.clf", "-o", "out", "--save", "a.rrd", "--rerun", "a.rrd"],
+    ],
+)
+def test_two_targets_in_one_place_are_refused(call, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    status, out, err = call(*arguments)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert "expected a place of its own, but " in err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("command", ["map", "merge"])
+def test_a_result_and_another_target_of_one_name_are_refused(call, log, tmp_path, command):
+    out = tmp_path / "out"
+    status, _, err = call(command, log, "-o", out, "--save", tmp_path / "out" / "map.yaml")
+    assert (status, err.count("\n")) == (2, 1)
+    assert "map.yaml: expected the place of a result alone" in err
+    assert not out.exists()
+
+
+def test_a_folder_in_the_place_of_the_autosave_is_refused(call, log, tmp_path):
+    (tmp_path / "out" / "autosave.gridslam").mkdir(parents=True)
+    status, _, err = call("map", log, "-o", tmp_path / "out", "--autosave", "1")
+    assert (status, err.count("\n")) == (2, 1)
+    assert "autosave.gridslam: expected a file or nothing, got a folder" in err
+
+
+def test_a_device_is_no_target(call, tmp_path):
+    status, _, err = call("session", "x.gridslam", "--picture", "/dev/null")
+    assert (status, err) == (2, "gridslam: /dev/null: expected the name of a file, got a device or a pipe\n")
+
+
+def test_the_folder_of_a_session_is_made_when_it_is_saved(call, log, tmp_path):
+    session = tmp_path / "new" / "below" / "s.gridslam"
+    assert call("map", log, "-o", tmp_path / "out", "--save", session, *FEW)[0] == 0
+    assert call("session", session, "--picture", tmp_path / "pictures" / "s.png")[0] == 0
+    assert (tmp_path / "pictures" / "s.png").read_bytes().startswith(b"\x89PNG")
+
+
+def full_disk(*_, **__):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize("command", ["map", "merge"])
+def test_where_a_session_cannot_be_saved_the_results_are_written(call, log, tmp_path, monkeypatch, command):
+    out = tmp_path / "out"
+    saved = tmp_path / "s.gridslam"
+    arguments = ["map", log, *FEW, "--autosave", "60"]
+    if command == "merge":
+        sessions = tmp_path / "a.gridslam", tmp_path / "b.gridslam"
+        for start_s, session in enumerate(sessions):
+            assert call("map", log, "-o", out, "--save", session, *FEW, "--start", start_s)[0] == 0
+        arguments = ["merge", *sessions]
+    monkeypatch.setattr(Session, "save", full_disk)
+    status, said, err = call(*arguments, "-o", out, "--save", saved)
+    assert status == 1
+    assert "gridslam: [Errno 28] No space left on device\n" in err
+    assert "Traceback" not in err
+    assert str(out / "map.png") in said
+    assert str(saved) not in said
+    assert (out / "map.yaml").exists()
+    assert not saved.exists()
+
+
+def test_where_the_results_cannot_be_written_the_session_is(call, log, tmp_path, monkeypatch):
+    monkeypatch.setattr("gridslam.api.result.write_tum", full_disk)
+    saved = tmp_path / "s.gridslam"
+    status, _, err = call("map", log, "-o", tmp_path / "out", "--save", saved, *FEW)
+    assert (status, err.count("No space left")) == (1, 1)
+    assert not (tmp_path / "out").exists()
+    monkeypatch.undo()
+    assert call("session", saved)[0] == 0
+
+
+def test_results_that_cannot_be_uploaded_are_kept(call, log, tmp_path, monkeypatch):
+    def refuse(file, url):
+        raise OutputError(f"{url}: cannot be written: access denied")
+
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr("gridslam.io.remote.upload_file", refuse)
+    status, _, err = call("map", log, "-o", "memory://bucket/out", *FEW)
+    assert status == 1
+    assert "cannot be written: access denied" in err
+    kept = Path(re.search(r"the results are kept in (.*)", err)[1])
+    assert (kept / "map.yaml").exists()
+
+
+@pytest.mark.parametrize("option", ["-o", "--upload"])
+def test_a_server_that_does_not_answer_is_told_before_the_work(call, log, tmp_path, monkeypatch, option):
+    def refuse(*_, **__):
+        raise ConnectionError("no route to host")
+
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr("fsspec.implementations.memory.MemoryFileSystem.info", refuse)
+    command = ["map", log] if option == "-o" else ["batch", log, "-o", tmp_path / "out"]
+    status, out, err = call(*command, option, "memory://bucket/out")
+    assert (status, out) == (1, "")
+    assert err == "gridslam: memory://bucket/out: cannot be written: ConnectionError: no route to host\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_where_the_page_of_a_batch_cannot_be_written_the_table_is(call, log, tmp_path, monkeypatch):
+    pytest.importorskip("pyarrow")
+    monkeypatch.setattr("gridslam.batch.publish.write_report", full_disk)
+    status, out, err = call("batch", log, "-o", tmp_path / "out", "--parquet", "--", *FEW)
+    assert (status, "1 done" in out, "No space left" in err) == (1, True, True)
+    assert (tmp_path / "out" / "runs.parquet").exists()
+
+
+@pytest.mark.parametrize("value", ["inf", "-inf", "nan", "1e999", "1e300"])
+def test_options_take_finite_numbers_alone(value):
+    found = [parameter for _, command in commands() for parameter in command.params]
+    numbers = [parameter for parameter in found if isinstance(parameter.type, click.types.FloatParamType)]
+    assert len(numbers) > 20
+    for parameter in numbers:
+        with pytest.raises(click.BadParameter, match=r"finite number|is not in the range"):
+            parameter.type.convert(value, parameter, None)
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("--duration", "inf"), ("--start", "1e300"), ("--max-gap", "inf"), ("--max-gap", "-1e300")]
+)
+def test_times_are_such_as_there_can_be(call, log, tmp_path, option, value):
+    truth = log.with_name("truth.tum")
+    status, out, err = call("grid", log, "--trajectory", truth, "-o", tmp_path / "out", option, value)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert option in err
+    assert not list(tmp_path.iterdir())
