@@ -20,7 +20,7 @@ from gridslam.localization.belief import NO_HYPOTHESES, PoseEstimate, PoseHypoth
 from gridslam.localization.odometry_check import LOCAL_MAPS, TrackedMotion
 from gridslam.localization.place_verification import NO_SCANS, RecentScans
 from gridslam.localization.recovery import InlierRatioAverages
-from gridslam.serialization import NOT_SAVED
+from gridslam.serialization import COUNT, NOT_SAVED
 from gridslam.types import FloatArray, IntArray, Odometry, describe_pose, describe_time
 
 __all__ = ["LocalizationObserver", "LocalizationReport", "LocalizationSkip", "MonteCarloState", "validate_poses"]
@@ -135,7 +135,7 @@ class MonteCarloState:
     inlier_ratio: float = 0.0
     odometry: Annotated[FloatArray, 3] | None = None
     last: Odometry | None = None
-    updates: int = 0
+    updates: Annotated[int, COUNT] = 0
     tracked: TrackedMotion | None = None
     consumed: bool = field(default=False, metadata=NOT_SAVED)
 

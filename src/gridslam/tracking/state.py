@@ -14,7 +14,7 @@ from gridslam.geometry.single_pose import ORIGIN, UNKNOWN_POSE, Pose, as_pose, b
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.beam_order import BeamOrder
 from gridslam.matching.branch_and_bound import Pyramid
-from gridslam.serialization import NOT_SAVED
+from gridslam.serialization import COUNT, NOT_SAVED, Limits
 from gridslam.tracking.odometry_calibration import OdometryErrorModel
 from gridslam.types import BeamEnds, Beams, FloatArray, Odometry, StoredScan
 
@@ -121,7 +121,7 @@ class TrackerState:
         Of the local map that is matched against, where it was searched since a scan was inserted.
     """
 
-    maps: TileMaps
+    maps: Annotated[TileMaps, 2]
     pose: Pose
     stamp_ns: int
     odometry: Pose
@@ -134,10 +134,10 @@ class TrackerState:
     period_s: float = 0.1
     mean_step: float = 0.0
     stamps_unreliable: bool = False
-    matched_map: int = 0
-    scans: tuple[int, int] = (1, 0)
-    unlocalized_scans: int = 0
-    rejected_odometry: int = 0
+    matched_map: Annotated[int, Limits(0, 1)] = 0
+    scans: tuple[Annotated[int, COUNT], Annotated[int, COUNT]] = (1, 0)
+    unlocalized_scans: Annotated[int, COUNT] = 0
+    rejected_odometry: Annotated[int, COUNT] = 0
     unmatched: UnmatchedMotion = field(default_factory=UnmatchedMotion)
     open_way_m: float = 0.0
     pyramid: Pyramid | None = field(default=None, metadata=NOT_SAVED)

@@ -18,7 +18,7 @@ from gridslam.errors import InputError
 from gridslam.io.limits import UnpackingLimit, require_memory
 from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.text import open_for_reading
-from gridslam.serialization import read_array
+from gridslam.serialization import index_of, read_array
 from gridslam.types import FloatArray, IntArray, StepReport
 
 __all__ = ["Record", "RecordFlag", "RecordWriter", "read_arrays", "read_record"]
@@ -164,7 +164,10 @@ class RecordWriter:
         self = cls()
         sizes: dict[str, int] = {}
         for name, (dtype, ndim) in _FORMS.items():
-            self._rows[name] = list(read_array(arrays, name, dtype, ("key scans", "particles", 3)[:ndim], sizes))
+            values = read_array(arrays, name, dtype, ("key scans", "particles", 3)[:ndim], sizes)
+            if name in ("parents", "best"):
+                index_of("particles").require(name, values, sizes)
+            self._rows[name] = list(values)
         return self
 
     def snapshot(self) -> RecordWriter:

@@ -18,7 +18,7 @@ from gridslam.geometry.single_pose import Pose, as_pose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
-from gridslam.serialization import NOT_SAVED
+from gridslam.serialization import NOT_SAVED, Size
 from gridslam.slam.loop_closure.drift_model import compute_step_moments
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.tracking.state import UnmatchedMotion
@@ -96,8 +96,8 @@ class GridFastSlamState:
     log_weights: Annotated[FloatArray, "N"]
     log_ancestry: Annotated[FloatArray, "N"]
     _covariance: Annotated[FloatArray, 3, 3] | Callable[[], FloatArray]
-    maps: TileMaps
-    ancestry: Ancestry
+    maps: Annotated[TileMaps, "N"]
+    ancestry: Annotated[Ancestry, "N", Size("T", "steps")]
     drift: Annotated[FloatArray, 9] = field(default_factory=lambda: np.zeros(9))
     drift_covariance: Annotated[FloatArray, 3, 3] = field(default_factory=lambda: np.zeros((3, 3)))
     unmatched: UnmatchedMotion = field(default_factory=UnmatchedMotion)

@@ -17,7 +17,7 @@ from gridslam.geometry import single_pose
 from gridslam.geometry.se2 import between, compose
 from gridslam.geometry.single_pose import ORIGIN, Pose, as_pose
 from gridslam.kernels import backend
-from gridslam.serialization import NOT_SAVED
+from gridslam.serialization import NOT_SAVED, Limits
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import compute_moments, propagate_covariances
 from gridslam.slam.loop_closure.rows import Rows, new_poses
@@ -158,7 +158,7 @@ class KeyGraph:
     covariances: Annotated[list[Annotated[FloatArray, 3, 3]], "T"] = field(default_factory=list)
     drift_covariances: Annotated[list[Annotated[FloatArray, 3, 3]], "T"] = field(default_factory=list)
     constraints: list[Constraint] = field(default_factory=list)
-    frozen: int = 0
+    frozen: Annotated[int, Limits(0, "T")] = 0
     # number of gaps in the laser data up to each key scan
     _gap_counts: list[int] = field(init=False, default_factory=list, metadata=NOT_SAVED)
     # (9,) each, moments of the variances up to each key scan

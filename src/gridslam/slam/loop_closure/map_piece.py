@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import Annotated, NamedTuple, final
 
 import numpy as np
 
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.serialization import Size
 from gridslam.slam.loop_closure.constraints import Constraint
 from gridslam.slam.loop_closure.key_graph import UNKNOWN_VARIANCES, KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
@@ -34,8 +35,8 @@ class MapPiece:
         The key scans at their final poses, and the constraints that were accepted.
     """
 
-    scans: ScanArchive
-    graph: KeyGraph
+    scans: Annotated[ScanArchive, Size("T", "keys")]
+    graph: Annotated[KeyGraph, "T"]
 
     def __len__(self) -> int:
         """Return the number of key scans."""
