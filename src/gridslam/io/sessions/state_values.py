@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,7 @@ def require_plausible(arrays: _Arrays) -> None:
 
 
 def require_near_maps(arrays: _Arrays, resolution_m: float) -> None:
-    """Refuse poses of a saved run that are far from the maps which were drawn from there.
+    """Refuse poses of a saved state that are far from the maps which were drawn from there.
 
     Raises
     ------
@@ -56,17 +57,14 @@ def require_near_maps(arrays: _Arrays, resolution_m: float) -> None:
         Names the array.
     """
     page_m = resolution_m * TILE * PAGE
-    for maps, poses in (
-        ("state.maps", "state.poses"),
-        ("state.tracker.maps", "state.tracker.pose"),
-        ("state.tracker.maps", "state.tracker.matched_pose"),
-        ("state.closure_state.correction.maps", "state.closure_state.correction.poses"),
-    ):
+    states = [name.removesuffix(".maps.first") for name in arrays if name.endswith(".maps.first")]
+    for state, place in product(states, ("poses", "pose", "matched_pose")):
+        poses = f"{state}.{place}"
         if poses not in arrays:
             continue
-        first = arrays[f"{maps}.first"]
+        first = arrays[f"{state}.maps.first"]
         low = page_m * first[::-1] - _NEAR_M  # of rows and columns, for x and y
-        high = page_m * (first + arrays[f"{maps}.roots"].shape[1:])[::-1] + _NEAR_M
+        high = page_m * (first + arrays[f"{state}.maps.roots"].shape[1:])[::-1] + _NEAR_M
         places = np.atleast_2d(arrays[poses])[:, :2]
         far = places[~((places >= low) & (places <= high)).all(axis=1)]
         if len(far):
