@@ -12,8 +12,9 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.arguments import COUNT
 from gridslam.errors import ArgumentError
-from gridslam.serialization import COUNT, read_array, select_part
+from gridslam.serialization import read_array, select_part
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectory
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, IntArray, SkipReason, StepReport, Trajectory

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam.arguments import freeze, require_array, require_instance
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se3 import from_planar
@@ -39,6 +40,7 @@ Rows = NDArray[np.integer[Any]]
 
 
 @final
+@checked
 class ScanGeometry:
     """Where the beams of a laser point, seen from the robot's base; one object is shared by all scans of a laser.
 
@@ -94,6 +96,7 @@ _STRAIGHT = 1e-12  # rad/s: a turn below this moves nothing by a rounding error
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False)
 class Beams:
     """The usable beams of a scan in the base frame; what matchers, sensor models and mappers work on.
@@ -256,6 +259,7 @@ _GREATEST = int(max(BeamStatus))
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False)
 class LaserScan:
     """One sweep of a planar lidar; `from_ranges` builds it from ranges, `from_ros` from the fields of a ROS message.

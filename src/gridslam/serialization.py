@@ -5,9 +5,9 @@ states, and lists and dicts of all these; of a list of states each field is one 
 list differ in length, they follow each other in one array, and `counts` has their lengths. A field that is None is
 absent. A class with methods `to_arrays` and `from_arrays` is saved by them.
 
-Annotations tell what must agree, and all of it is checked when a state is restored. `Annotated[FloatArray, "N", 3]` has
-three columns and as many rows as whatever else is annotated with N in the state, or in one that holds it;
-`Annotated[TileMaps, "N"]` is that long, and `Annotated[Ancestry, Size("T", "steps")]` has so many steps.
+Annotations state what must agree, which is checked when a state is restored. `Annotated[FloatArray, "N", 3]` has three
+columns and as many rows as whatever else is annotated with N in the state, or in one that holds it;
+`Annotated[TileMaps, "N"]` is that long, and the number of steps of `Annotated[Ancestry, Size("T", "steps")]` is T.
 `Annotated[int, index_of("N")]` is the number of such a row.
 """
 
@@ -24,9 +24,10 @@ from typing import Annotated, Any, NamedTuple, TypeVar, Union, cast, final, get_
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.arguments import COUNT, Limits, Size
 from gridslam.errors import ArgumentError
 
-__all__ = ["COUNT", "NOT_SAVED", "Limits", "Size", "from_arrays", "index_of", "read_array", "select_part", "to_arrays"]
+__all__ = ["NOT_SAVED", "from_arrays", "read_array", "select_part", "to_arrays"]
 
 NOT_SAVED: Mapping[str, Any] = {"is_saved": False}
 """Metadata of a field that follows from the others, or that a restored state does without."""
@@ -36,44 +37,6 @@ _Arrays = Mapping[str, NDArray[Any]]
 _Restore = Callable[[_Arrays], object]
 _Shape = tuple[Any, ...]  # of int, str and None: see `read_array`
 _Sizes = MutableMapping[str, int]
-
-
-@final
-class Size(NamedTuple):
-    """Annotates an object: its attribute `measure`, or the length of that, is the size `name` of the state."""
-
-    name: str
-    measure: str
-
-    def of(self, value: object) -> int:
-        """Measure an object."""
-        size = getattr(value, self.measure)
-        return size if isinstance(size, int) else len(size)
-
-
-@final
-class Limits(NamedTuple):
-    """Annotates integers, or the length of an object: from `low` to `high`, or to the size of that name plus `more`."""
-
-    low: int
-    high: int | str
-    more: int = 0
-
-    def require(self, name: str, values: NDArray[Any], sizes: Mapping[str, int]) -> None:
-        """Refuse values out of the limits."""
-        high = sizes[self.high] + self.more if isinstance(self.high, str) else self.high
-        wrong = values[(values < self.low) | (values > high)]
-        if wrong.size:
-            raise ArgumentError(name, f"numbers from {self.low} to {high}", wrong[0])
-
-
-COUNT = Limits(0, 1 << 62)
-"""Of what was counted."""
-
-
-def index_of(size: str) -> Limits:
-    """Limit integers to the numbers of the rows of a table, from 0 on."""
-    return Limits(0, size, -1)
 
 
 def to_arrays(state: object) -> dict[str, NDArray[Any]]:

@@ -8,6 +8,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 
 __all__ = ["normalize_weights", "wrap"]
@@ -51,6 +52,7 @@ def wrap(angle: float | NDArray[Any]) -> Any:
     return remainder - math.tau * turns
 
 
+@checked
 def normalize_weights(weights: ArrayLike) -> FloatArray:
     """Divide weights (..., N) by their sum over the last axis.
 

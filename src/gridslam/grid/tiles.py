@@ -9,6 +9,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import Information, Pose
 from gridslam.grid.arena import Int32Array, TileArena, renumber
@@ -158,6 +159,7 @@ class _ScanUpdate:
 
 
 @final
+@checked
 class TileMaps:
     """`rows` maps over one arena of tiles. Reading is for all; writing is for the one owner.
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.limits import require_memory
 from gridslam.io.text import open_for_reading, read_text
@@ -109,6 +110,7 @@ class MapImage:
     opaque: NDArray[np.bool_]
 
 
+@checked
 def write_map(yaml_path: str | Path, grid: GridRows) -> None:
     """Write a map in trinary form: occupied above probability 0.65, free below 0.196, unknown otherwise.
 
@@ -142,6 +144,7 @@ def _pixels(grid: OccupancyGrid) -> NDArray[np.uint8]:
     return pixels
 
 
+@checked
 def read_map(
     yaml_path: str | Path, *, strict_thresholds: bool = False, on_remark: Callable[[str], None] = lambda remark: None
 ) -> OccupancyGrid:

@@ -11,6 +11,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import transform_points
 from gridslam.grid.cells import Evidence
@@ -35,6 +36,7 @@ _NONE = Evidence(1.0, -1.0, -1.0, 1.0, 0.0)  # never asked for: nothing is writt
 
 
 @final
+@checked
 class KnownMap:
     """One map for all particles, as `gridslam.types.DistanceMaps` whose rows are all the same.
 

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam import serialization
+from gridslam.arguments import COUNT
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
@@ -20,7 +22,7 @@ from gridslam.localization.belief import NO_HYPOTHESES, PoseEstimate, PoseHypoth
 from gridslam.localization.odometry_check import LOCAL_MAPS, TrackedMotion
 from gridslam.localization.place_verification import NO_SCANS, RecentScans
 from gridslam.localization.recovery import InlierRatioAverages
-from gridslam.serialization import COUNT, NOT_SAVED
+from gridslam.serialization import NOT_SAVED
 from gridslam.types import FloatArray, IntArray, Odometry, describe_pose, describe_time
 
 __all__ = ["LocalizationObserver", "LocalizationReport", "LocalizationSkip", "MonteCarloState", "validate_poses"]
@@ -92,6 +94,7 @@ class LocalizationReport:
 
 
 @final
+@checked
 @dataclass(slots=True, eq=False)
 class MonteCarloState:
     """Everything that the filter knows between two scans; arrays in it are replaced, those of local maps written to.

@@ -11,6 +11,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.grid.cells import cell_centres, cells_of
@@ -29,6 +30,7 @@ _MOST_POINTS = 256
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False)
 class Pyramid:
     """A map's likelihoods and their maxima over squares of cells, made once for all searches in it.
@@ -93,6 +95,7 @@ class LatticeMatch:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class BranchAndBound:
     """Finds the best pose of a lattice by branch and bound, and the best pose elsewhere.
@@ -208,6 +211,7 @@ class BranchAndBound:
         return np.minimum(largest, np.sqrt(np.diag(spread))), information
 
 
+@checked
 def thin_points(points: FloatArray, most: int, finest_m: float = 0.05) -> FloatArray:
     """At most `most` of points (N, 2), spread evenly in space: the first in each square of the finest grid that does.
 

@@ -7,6 +7,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import GaussNewton, cauchy_weights
@@ -17,6 +18,7 @@ __all__ = ["Correlative"]
 
 
 @final
+@checked
 @parameters(frozen=True)
 class Correlative:
     """Scores every pose of a window around each guess, then refines the best by Gauss-Newton.

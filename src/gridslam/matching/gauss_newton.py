@@ -10,6 +10,7 @@ from typing import NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.checked import checked
 from gridslam.geometry.single_pose import Information, Pose
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.scan_batch import ScanBatch
@@ -48,6 +49,7 @@ class PoseMatch(NamedTuple):
 
 
 @final
+@checked
 @parameters(frozen=True)
 class GaussNewton:
     """Minimize sum_b w_b d_b^2 + (x - g)^T P (x - g) over poses x, by iteratively reweighted Gauss-Newton.

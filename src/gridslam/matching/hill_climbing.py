@@ -6,6 +6,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.geometry.se2 import compose
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
@@ -19,6 +20,7 @@ _MOVES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 
 
 
 @final
+@checked
 @parameters(frozen=True)
 class HillClimbing:
     """Moves forth and back, sideways and around by a step; where none scores better, the step is halved.

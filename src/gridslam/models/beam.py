@@ -8,6 +8,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.geometry.se2 import transform_points
 from gridslam.parameters import bounded, parameters
 from gridslam.types import Beams, BeamStatus, DistanceMaps, FloatArray, Rows, ScanLikelihood
@@ -29,6 +30,7 @@ def _tabulate_normal_cdf() -> tuple[FloatArray, FloatArray]:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class BeamRangeFinder:
     """Beam model: a range is the obstacle on the ray, something before it, no return at all, or random.

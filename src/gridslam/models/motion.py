@@ -15,6 +15,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import compose, exp, rotate_covariances
 from gridslam.parameters import bounded, parameters
@@ -44,6 +45,7 @@ def _finite_triple(values: ArrayLike, name: str) -> tuple[float, float, float]:
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False)
 class GaussianIncrement:
     """Sampler of p(x_t | u_t, x_{t-1}) for an increment whose parameters carry independent Gaussian noise.
@@ -102,6 +104,7 @@ def _rotate_translate_rotate(values: FloatArray) -> FloatArray:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class OdometryMotion:
     """Odometry motion model: an increment is a rotation, a translation and a second rotation, each with its own noise.
@@ -160,6 +163,7 @@ class OdometryMotion:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class GMappingMotion:
     """GMapping's motion model: noise on x, y and theta of the increment, standard deviations linear in the motion.
@@ -206,6 +210,7 @@ class GMappingMotion:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class DiffusionMotion:
     """Motion whose increment scan matching has already refined: a random walk with the same noise in every direction.
@@ -253,6 +258,7 @@ def _chord(angle: float) -> tuple[complex, complex]:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class VelocityMotion:
     """Velocity motion model: the robot drives an arc at noisy v and omega, and turns at its end by a noisy gamma dt.

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.serialization import read_array
 from gridslam.types import FloatArray, IntArray
@@ -25,6 +26,7 @@ class _Level(NamedTuple):
 
 
 @final
+@checked
 class Ancestry:
     """Who descends from whom, so that the full trajectory of any particle can be had.
 

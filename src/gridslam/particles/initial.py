@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.arguments import freeze, require_generator, require_instance
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.types import FloatArray
@@ -13,6 +14,7 @@ from gridslam.types import FloatArray
 __all__ = ["repeat_pose", "sample_gaussian"]
 
 
+@checked
 def repeat_pose(count: int, pose: ArrayLike) -> FloatArray:
     """Put all particles at one pose: SLAM's map frame is where the robot starts, so nothing is uncertain yet.
 
@@ -42,6 +44,7 @@ def repeat_pose(count: int, pose: ArrayLike) -> FloatArray:
     return np.tile(mean, (count, 1))
 
 
+@checked
 def sample_gaussian(count: int, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Generator) -> FloatArray:
     """Draw particles from a Gaussian about a pose, theta wrapped around the circle.
 

@@ -19,6 +19,7 @@ from typing import final
 import numpy as np
 
 from gridslam.arguments import require_generator
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.kernels import backend
 from gridslam.parameters import parameters
@@ -41,6 +42,7 @@ _HUGE = 1e290
 """Less than this can be subtracted from the least number there is: it is less than half of that one's last digit."""
 
 
+@checked
 def normalize(log_weights: FloatArray) -> FloatArray:
     """Shift log weights so that the weights sum to 1.
 
@@ -63,6 +65,7 @@ def normalize(log_weights: FloatArray) -> FloatArray:
     return np.asarray(shifted - np.log(weights.sum()))
 
 
+@checked
 def effective_sample_size(log_weights: FloatArray) -> float:
     """Effective sample size 1 / sum(w^2) of the normalized weights.
 
@@ -76,6 +79,7 @@ def effective_sample_size(log_weights: FloatArray) -> float:
     return float(weights.sum() ** 2 / np.square(weights).sum())
 
 
+@checked
 def entropy(log_weights: FloatArray) -> float:
     """Shannon entropy of the normalized weights in nats, from 0 (one particle holds all) to log(N) (all are equal).
 
@@ -110,6 +114,7 @@ def _exponentiate(log_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class Systematic:
     """Low variance resampling: one random number, then points at equal distances.
@@ -126,6 +131,7 @@ class Systematic:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class Stratified:
     """One point, uniform and independent, in each of `size` equal sections of the line.
@@ -140,6 +146,7 @@ class Stratified:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class Multinomial:
     """Independent points: counts have the multinomial distribution, the yardstick for the others' variance.
@@ -154,6 +161,7 @@ class Multinomial:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class Residual:
     """Each particle floor(size * weight) times for certain, the rest multinomially from what the floors cut off.
@@ -174,6 +182,7 @@ class Residual:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class ResamplingWheel:
     """The wheel of weights, turned by uniform steps of up to twice the greatest weight; each stop draws a particle.

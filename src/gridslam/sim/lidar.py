@@ -7,6 +7,7 @@ from typing import Literal, final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.parameters import bounded, parameters
 from gridslam.sim.floor_plan import near
 from gridslam.types import FloatArray, IntArray
@@ -18,6 +19,7 @@ _EDGE_RAD = 1e-9  # beams this close to a wall's end still hit it, so that none 
 
 
 @final
+@checked
 @parameters(frozen=True)
 class LidarConfig:
     """A planar lidar, level on the robot. The defaults are those of the laser that recorded the Intel log.

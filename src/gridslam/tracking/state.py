@@ -9,12 +9,14 @@ from typing import Annotated, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.arguments import COUNT, Limits
+from gridslam.checked import checked
 from gridslam.geometry.se2 import transform_points
 from gridslam.geometry.single_pose import ORIGIN, UNKNOWN_POSE, Pose, as_pose, between
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.beam_order import BeamOrder
 from gridslam.matching.branch_and_bound import Pyramid
-from gridslam.serialization import COUNT, NOT_SAVED, Limits
+from gridslam.serialization import NOT_SAVED
 from gridslam.tracking.odometry_calibration import OdometryErrorModel
 from gridslam.types import BeamEnds, Beams, FloatArray, Odometry, StoredScan
 
@@ -75,6 +77,7 @@ class UnmatchedMotion:
 
 
 @final
+@checked
 @dataclass(slots=True, eq=False)
 class TrackerState:
     """State of the tracker; arrays are replaced, never modified in place.

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.arguments import freeze, require_array, require_instance
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.scan import FloatArray
 
@@ -22,6 +23,7 @@ _MOST_PX = 1000
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False)
 class OccupancyGrid:
     """A rectangular map, as it is published and written.

@@ -14,11 +14,12 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.arguments import index_of
 from gridslam.errors import InputError
 from gridslam.io.limits import UnpackingLimit, require_memory
 from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.text import open_for_reading
-from gridslam.serialization import index_of, read_array
+from gridslam.serialization import read_array
 from gridslam.types import FloatArray, IntArray, StepReport
 
 __all__ = ["Record", "RecordFlag", "RecordWriter", "read_arrays", "read_record"]

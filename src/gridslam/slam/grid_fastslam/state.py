@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam import serialization
+from gridslam.arguments import Size
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.single_pose import Pose, as_pose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
-from gridslam.serialization import NOT_SAVED, Size
+from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.drift_model import compute_step_moments
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.tracking.state import UnmatchedMotion
@@ -53,6 +55,7 @@ class BeforeStep(NamedTuple):
 
 
 @final
+@checked
 @dataclass(slots=True, eq=False)
 class GridFastSlamState:
     """Everything that the filter knows between two scans; arrays in it are replaced, never written to.

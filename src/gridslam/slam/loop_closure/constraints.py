@@ -9,9 +9,9 @@ from typing import Annotated, NamedTuple, final
 
 import numpy as np
 
+from gridslam.arguments import index_of
 from gridslam.geometry.se2 import between, rotate_covariances
 from gridslam.matching.gauss_newton import degenerate_direction
-from gridslam.serialization import index_of
 from gridslam.types import FloatArray, IntArray, Match
 
 __all__ = [

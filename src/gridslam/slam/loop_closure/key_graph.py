@@ -13,11 +13,12 @@ from typing import Annotated, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.arguments import Limits
 from gridslam.geometry import single_pose
 from gridslam.geometry.se2 import between, compose
 from gridslam.geometry.single_pose import ORIGIN, Pose, as_pose
 from gridslam.kernels import backend
-from gridslam.serialization import NOT_SAVED, Limits
+from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import compute_moments, propagate_covariances
 from gridslam.slam.loop_closure.rows import Rows, new_poses

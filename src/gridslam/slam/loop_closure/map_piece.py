@@ -7,9 +7,9 @@ from typing import Annotated, NamedTuple, final
 
 import numpy as np
 
+from gridslam.arguments import Size
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.serialization import Size
 from gridslam.slam.loop_closure.constraints import Constraint
 from gridslam.slam.loop_closure.key_graph import UNKNOWN_VARIANCES, KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam import serialization
+from gridslam.arguments import Limits
 from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose
 from gridslam.grid.scan_batch import ScanBatch
-from gridslam.serialization import Limits
 from gridslam.slam.loop_closure.rows import Rows
 from gridslam.tracking.state import is_within
 from gridslam.types import BeamEnds, FloatArray, IntArray, StoredScan

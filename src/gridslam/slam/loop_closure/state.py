@@ -10,9 +10,10 @@ from typing import Annotated, NamedTuple, Protocol, final
 
 import numpy as np
 
+from gridslam.arguments import COUNT, Limits, Size
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.serialization import COUNT, NOT_SAVED, Limits, Size
+from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.constraints import Constraint
 from gridslam.slam.loop_closure.key_graph import KeyGraph, anchor_of
 from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
