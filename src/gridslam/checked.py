@@ -96,10 +96,16 @@ def _signature(function: Callable[..., Any]) -> tuple[inspect.Signature, dict[st
     return signature, {name: hint for name, hint in hints.items() if hint is not inspect.Parameter.empty}
 
 
+@functools.cache
+def _text(function: Callable[..., Any]) -> str:
+    return repr(_signature(function)[1])
+
+
 def _require_arguments(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
     signature, hints = _signature(function)
-    sizes: dict[str, int] = {}
-    for name, value in signature.bind(*args, **kwargs).arguments.items():
+    arguments = signature.bind(*args, **kwargs).arguments
+    sizes = {"self": len(arguments["self"])} if "'self'" in _text(function) else {}
+    for name, value in arguments.items():
         hint = hints.get(name, Any)
         kind = signature.parameters[name].kind
         values = (
@@ -160,7 +166,7 @@ def _is(value: Any, hint: Any) -> bool:  # noqa: ANN401
         return isinstance(value, type)
     if origin is not None:
         return isinstance(value, origin) and _has_items(value, origin, items)
-    return not isinstance(hint, type) or hint is object or _is_instance(value, hint)
+    return not isinstance(hint, type) or hint in (Any, object) or _is_instance(value, hint)
 
 
 def _is_instance(value: object, kind: type) -> bool:
@@ -177,8 +183,9 @@ def _is_number(value: Any, kind: object) -> bool:  # noqa: ANN401
 
 
 def _is_of_dtype(array: NDArray[Any], scalar: Any) -> bool:  # noqa: ANN401
-    if scalar is Any or isinstance(scalar, TypeVar) or not isinstance(scalar, type):
-        return array.dtype.kind in "fiub"
+    scalar = get_origin(scalar) or scalar  # of np.integer[Any]
+    if scalar is Any or not isinstance(scalar, type):
+        return not array.dtype.hasobject
     kind = "i" if scalar is np.integer else np.dtype(scalar).kind
     return array.dtype.kind in _KINDS.get(kind, kind) and array.dtype.isnative
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, TypeAlias, final
+from typing import Annotated, Any, TypeAlias, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +27,8 @@ __all__ = [
     "FloatArray",
     "IntArray",
     "LaserScan",
+    "Points",
+    "Poses",
     "Rows",
     "ScanGeometry",
     "StoredScan",
@@ -37,6 +39,9 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Rows = NDArray[np.integer[Any]]
 """Which map of a table of maps: one row for each pose."""
+Poses = Annotated[FloatArray, "K", 3]
+Points = Annotated[FloatArray, "B", 2]
+"""Of an argument: poses, or points, as many as whatever else of the call is annotated so."""
 
 
 @final

@@ -268,7 +268,9 @@ class _Reader:
         for size, got in sizes:
             expected = self.sizes.setdefault(size, got) if isinstance(size, str) else size
             if got != expected:
-                raise ArgumentError(name, f"a length of {expected}, as {size} has", got)
+                raise ArgumentError(
+                    name, f"a length of {expected}" + (f", as {size} has" if isinstance(size, str) else ""), got
+                )
         if form.limits is not None:
             self.limited.append((name, np.array([len(value)]), form.limits))
         return value

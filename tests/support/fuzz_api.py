@@ -13,6 +13,7 @@ import os
 import resource
 import types
 from collections.abc import Callable, Iterator
+from enum import Enum
 from functools import cache
 from itertools import islice
 from pathlib import Path
@@ -23,7 +24,7 @@ import numpy as np
 import gridslam
 from gridslam.config import Configuration, override
 from gridslam.errors import GridslamError, InputError
-from gridslam.grid import Evidence, TileMaps
+from gridslam.grid import Evidence
 from gridslam.grid.scan_batch import NOT_WEIGHED, ScanBatch
 from gridslam.io.csv import write_csv_log
 from gridslam.localization import KnownMap, MonteCarloLocalization
@@ -42,6 +43,10 @@ PACKAGES = (
     *("gridslam.localization", "gridslam.mapping", "gridslam.matching", "gridslam.models", "gridslam.particles"),
     *("gridslam.sim", "gridslam.slam", "gridslam.transforms", "gridslam.types"),
 )
+_OF_FILTERS = ("GridFastSlamState", "MonteCarloState", "TrackerState", "ReportBuilder", "require_step")
+"""What filters alone call, for each scan: they hand in what they have checked."""
+_SETTINGS = (10, 2.0, 2.0, 0.1, 0.02, 2e-4, 3.5, 0.01, True)
+"""Of a matcher."""
 _MEMORY_BYTES = 1 << 30
 _ODD: tuple[Any, ...] = (
     *(None, True, "x", "", b"x", [], {}, (), [[]], object(), -1, 0, 10**18, 10**30, -(2**31), 2**63, 0.5, 1e300, -1e300),
@@ -66,7 +71,7 @@ _SHAPES = (
     (1, 2, 3),
     (2, 3, 3),
 )
-_LARGE = ((10**6, 1), (10**7, 0), (10**5, 3), (0, 10**7))
+_LARGE = ((10**5, 1), (10**7, 0), (10**5, 3), (0, 10**7))
 _TYPES = (
     np.float64,
     np.float32,
@@ -99,8 +104,10 @@ def public_calls() -> tuple[PublicCall, ...]:
         for name in module.__all__:
             thing = getattr(module, name)
             whole = f"{package.removeprefix('gridslam.')}.{name}"
-            if inspect.isfunction(thing) or (inspect.isclass(thing) and not issubclass(thing, Exception)):
-                calls.setdefault(id(thing), PublicCall(whole, "", thing))
+            is_class = isinstance(thing, type)
+            if not (is_class or inspect.isfunction(thing)) or name in _OF_FILTERS or (is_class and _is_plain(thing)):
+                continue
+            calls.setdefault(id(thing), PublicCall(whole, "", thing))
             for method, function in vars(thing).items() if inspect.isclass(thing) else ():
                 if method.startswith("_") and method != "__call__":
                     continue
@@ -109,6 +116,11 @@ def public_calls() -> tuple[PublicCall, ...]:
                 elif inspect.isfunction(function):
                     calls.setdefault(id(function), PublicCall(f"{whole}.{method}", name, function))
     return tuple(sorted(calls.values(), key=lambda call: call.name))
+
+
+def _is_plain(kind: type) -> bool:
+    """Whether a class is not made by callers: errors, enumerators, Protocols."""
+    return issubclass(kind, Exception | Enum) or getattr(kind, "_is_protocol", False)
 
 
 def api(folder: Path) -> Iterator[tuple[str, int, Any, Callable[[Path], object], float]]:
@@ -135,7 +147,6 @@ def try_call(call: PublicCall, examples: Examples, rng: np.random.Generator) -> 
     owner = [_find_owner(call, examples)] if call.owner else []
     if owner == [None]:
         raise InputError(Path.cwd(), f"{call.name}: no object is known")
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with np.errstate(all="ignore"):
         try:
             result = call.function(*owner, *arguments, **options)
@@ -151,7 +162,7 @@ def try_call(call: PublicCall, examples: Examples, rng: np.random.Generator) -> 
             raise
         except BaseException as error:
             raise RuntimeError(f"{text} {type(error).__name__}: {error}") from error
-    used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert used * 1024 < _MEMORY_BYTES, f"{text}: {used >> 10} MB"
 
 
@@ -173,9 +184,12 @@ def choose_arguments(
     parameters = list(_signature(call).parameters.values())
     if call.owner:
         parameters = parameters[1:]
+    parameters = [each for each in parameters if each.kind is not each.VAR_KEYWORD]
     healthy = {each.name: examples.find(call.name, each) for each in parameters}
     parameters = [each for each in parameters if each.default is each.empty or not rng.integers(3)]
-    odd = {parameters[k].name for k in rng.permutation(len(parameters))[: int(rng.choice([0, 1, 1, 1, 2]))]}
+    odd = {parameters[k].name for k in rng.permutation(len(parameters))[: int(rng.choice([0, 1, 1, 1, 2]))]} - {
+        "settings"
+    }
     arguments: list[Any] = []
     options: dict[str, Any] = {}
     what: list[str] = []
@@ -185,10 +199,10 @@ def choose_arguments(
         )
         what.append(f"{each.name}={_show(value)}" if each.name in odd else each.name)
         if each.kind is each.VAR_POSITIONAL:
-            arguments.append(value)
+            arguments += value if isinstance(value, tuple) else [value]
         elif each.kind is each.KEYWORD_ONLY or len(arguments) < parameters.index(each):
             options[each.name] = value
-        elif each.kind is not each.VAR_KEYWORD:
+        else:
             arguments.append(value)
     return arguments, options, what
 
@@ -210,7 +224,10 @@ def _make_odd(healthy: Any, rng: np.random.Generator) -> Any:
     """Something of another type, shape or size, or with other numbers."""
     if not isinstance(healthy, np.ndarray | list | tuple) or not rng.integers(5):
         return _ODD[rng.integers(len(_ODD))]
-    values = np.array(healthy)
+    try:
+        values = np.array(healthy)
+    except ValueError:  # of objects
+        return _ODD[rng.integers(len(_ODD))]
     match rng.integers(6):
         case 0:
             return np.zeros(_SHAPES[rng.integers(len(_SHAPES))], values.dtype)
@@ -330,6 +347,8 @@ def make_examples(folder: Path) -> Examples:
         "assignments": "particles=3",
         "target_frame": "odom",
         "batch": ScanBatch.of([beams, beams, beams]),
+        **dict.fromkeys(("grid.TileMaps.match.settings", "grid.TileMaps.match_pose.settings"), _SETTINGS),
+        "grid.TileMaps.match_scans.settings": (*_SETTINGS, 10),
         "gridslam.run.source": list(log.measurements[:3]),
         "gridslam.run.algorithm": slam,
         "gridslam.preset.name": "default",

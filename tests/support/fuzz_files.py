@@ -59,6 +59,7 @@ from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from support import ros_bags
 from support.broken_logs import OF_BYTES, OF_TEXT, damage, drive_about, whole_logs
 from support.fuzz_bombs import BOMBS, MAP_YAML
+from support.fuzz_api import api
 from support.fuzz_commands import commands
 from support.fuzz_sessions import sessions
 
@@ -180,7 +181,7 @@ def families(folder: Path) -> list[Family]:
     folder.mkdir(exist_ok=True)
     makers = (_logs, _stamps, _names, _streams, _growth, _tables, _graphs, _landmark_logs, _maps, _states, _results)
     of_files = [family for maker in makers for family in maker(folder)]
-    return [*of_files, *(Family(*family) for family in (*commands(), *sessions(folder)))]
+    return [*of_files, *(Family(*family) for family in (*commands(), *sessions(folder), *api(folder)))]
 
 
 def _scan(path: Path, *, keep: bool = False) -> None:

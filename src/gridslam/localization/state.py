@@ -94,7 +94,6 @@ class LocalizationReport:
 
 
 @final
-@checked
 @dataclass(slots=True, eq=False)
 class MonteCarloState:
     """Everything that the filter knows between two scans; arrays in it are replaced, those of local maps written to.
@@ -160,6 +159,7 @@ class MonteCarloState:
         return serialization.to_arrays(self)
 
     @classmethod
+    @checked
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> MonteCarloState:
         """Rebuild a state; ArgumentError if an array is missing or has an inconsistent shape."""
         return serialization.from_arrays(cls, arrays, {TileMaps: LOCAL_MAPS.restore})

@@ -14,11 +14,11 @@ distribution are put on it. They differ only in how the points depend on each ot
 from __future__ import annotations
 
 import math
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
 
-from gridslam.arguments import require_generator
+from gridslam.arguments import Limits, require_generator
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.kernels import backend
@@ -36,6 +36,9 @@ __all__ = [
     "normalize",
     "relative_to_greatest",
 ]
+
+_Weights = Annotated[FloatArray, "N"]
+_Count = Annotated[int, Limits(0, 1 << 30)]
 
 
 _HUGE = 1e290
@@ -124,7 +127,7 @@ class Systematic:
     Source: Probabilistic Robotics, Table 4.4.
     """
 
-    def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
+    def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
         ends = np.cumsum(_relative(weights, size, rng))
         return _slots(ends, (rng.random() + np.arange(size)) * (ends[-1] / max(size, 1)))
@@ -139,7 +142,7 @@ class Stratified:
     Source: Kitagawa, Monte Carlo filter and smoother for non-Gaussian nonlinear state space models (1996).
     """
 
-    def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
+    def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
         ends = np.cumsum(_relative(weights, size, rng))
         return _slots(ends, (rng.random(size) + np.arange(size)) * (ends[-1] / max(size, 1)))
@@ -154,7 +157,7 @@ class Multinomial:
     Source: Gordon, Salmond and Smith, Novel approach to nonlinear/non-Gaussian Bayesian state estimation (1993).
     """
 
-    def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
+    def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
         ends = np.cumsum(_relative(weights, size, rng))
         return _slots(ends, np.sort(rng.random(size)) * ends[-1])
@@ -169,7 +172,7 @@ class Residual:
     Source: Liu and Chen, Sequential Monte Carlo methods for dynamic systems (1998).
     """
 
-    def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
+    def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
         relative = _relative(weights, size, rng)
         expected = relative * size / relative.sum()
@@ -201,7 +204,7 @@ class ResamplingWheel:
     Source: Thrun, Artificial Intelligence for Robotics (lecture on particle filters), with the start corrected.
     """
 
-    def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
+    def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
         relative = _relative(weights, size, rng)
         ends = np.cumsum(relative)

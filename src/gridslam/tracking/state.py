@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.arguments import COUNT, Limits
-from gridslam.checked import checked
 from gridslam.geometry.se2 import transform_points
 from gridslam.geometry.single_pose import ORIGIN, UNKNOWN_POSE, Pose, as_pose, between
 from gridslam.grid.tiles import TileMaps
@@ -77,7 +76,6 @@ class UnmatchedMotion:
 
 
 @final
-@checked
 @dataclass(slots=True, eq=False)
 class TrackerState:
     """State of the tracker; arrays are replaced, never modified in place.

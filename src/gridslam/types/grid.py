@@ -6,7 +6,7 @@ import math
 import struct
 import zlib
 from dataclasses import dataclass
-from typing import Protocol, final
+from typing import Protocol, final, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +89,7 @@ class OccupancyGrid:
         return (1.0 / (1.0 + np.exp(-odds))).astype(np.float32)
 
 
+@runtime_checkable
 class GridRows(Protocol):
     """A rectangular map that may be had a few rows at a time: an `OccupancyGrid`, or one that stays in its tiles."""
 

@@ -133,14 +133,12 @@ class Trajectory:
         return f"Trajectory({len(self)} poses, {seconds:.1f} s, {metres:.1f} m)"
 
 
-@checked
 def require_measurement(odometry: object, scan: object) -> None:
     """Refuse what is no measurement for a filter: neither of them, or both in the wrong order."""
     require_instance("odometry", odometry, Odometry, optional=True)
     require_instance("scan", scan, LaserScan)
 
 
-@checked
 def require_step(kind: type, state: object, odometry: object, scan: object, rng: object) -> None:
     """Refuse what is no state of this kind, no measurement or no random generator: before a step consumes the state."""
     require_instance("state", state, kind)

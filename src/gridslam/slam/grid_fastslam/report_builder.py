@@ -7,7 +7,6 @@ from typing import final
 
 import numpy as np
 
-from gridslam.checked import checked
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import rotate_covariances
 from gridslam.geometry.single_pose import Pose, as_pose, compose
@@ -26,7 +25,6 @@ _MIN_INFORMATION = 1e-2 * np.eye(3)
 
 
 @final
-@checked
 @parameters(frozen=True)
 class ReportBuilder:
     """Estimates how reliable the filter's pose is, and builds its reports; reads the state and never writes to it.

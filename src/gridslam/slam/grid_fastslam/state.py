@@ -55,7 +55,6 @@ class BeforeStep(NamedTuple):
 
 
 @final
-@checked
 @dataclass(slots=True, eq=False)
 class GridFastSlamState:
     """Everything that the filter knows between two scans; arrays in it are replaced, never written to.
@@ -243,6 +242,7 @@ class GridFastSlamState:
         return {"schema": np.array(STATE_SCHEMA), **serialization.to_arrays(computed)}
 
     @classmethod
+    @checked
     def from_arrays(
         cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping, threads: int = 1
     ) -> GridFastSlamState:
