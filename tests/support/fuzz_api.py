@@ -49,10 +49,10 @@ _SETTINGS = (10, 2.0, 2.0, 0.1, 0.02, 2e-4, 3.5, 0.01, True)
 """Of a matcher."""
 _MEMORY_BYTES = 1 << 30
 _ODD: tuple[Any, ...] = (
-    *(None, True, "x", "", b"x", [], {}, (), [[]], object(), -1, 0, 10**18, 10**30, -(2**31), 2**63, 0.5, 1e300, -1e300),
-    *(float("nan"), float("inf"), 1j, "nan", [1, [2]], {"a": 1}, {1}, range(3), lambda: None, np.float64, Path("x")),
-    *(np.int32(2), np.float32(1.5), np.datetime64("2020"), np.str_("x"), [None], ["x", 2.0], (0.0, 0.0, 0.0), [0, 0, 0]),
-)  # fmt: skip
+    *(None, True, "x", "", b"x", [], {}, (), [[]], object(), -1, 0, 10**18, 10**30, -(2**31), 2**63, 0.5, 1e300),
+    *(-1e300, np.nan, np.inf, 1j, "nan", [1, [2]], {"a": 1}, {1}, range(3), lambda: None, np.float64, Path("x")),
+    *(np.int32(2), np.float32(1.5), np.datetime64("2020"), np.str_("x"), [None], ["x", 2.0], (0.0, 0.0, 0.0)),
+)
 _SHAPES = (
     (),
     (0,),
@@ -292,32 +292,70 @@ def make_examples(folder: Path) -> Examples:
     buffer = TransformBuffer()
     buffer.add_quaternion("odom", "base", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
     objects: list[Any] = [
-        configuration, result, slam, state, believed, odometry, scan, scan.geometry, beams, known, mcl, report, maps, world,
-        result.trajectory, result.map, result.graph, Evidence(2.0, -0.4, -10.0, 20.0, 2.0), ScanBatch.of([beams, beams]), NOT_WEIGHED,
-        GaussNewton(), Pyramid.of(maps, 0), CauchyEndPoint(), LikelihoodField(), Tracker(), state.tracker, state.ancestry,
-        GaussianIncrement.from_std(np.zeros(3), np.full(3, 0.1)), configuration.mapper, buffer, log, step.closure_state,
-        configuration.loop_closure, GaussNewton()(maps, np.arange(3, dtype=np.int32), poses, priors, beams),
-        np.random.default_rng(0), Ancestry.start(poses), gridslam.Session(configuration), mcl.configuration,
+        configuration,
+        result,
+        slam,
+        state,
+        believed,
+        odometry,
+        scan,
+        scan.geometry,
+        beams,
+        known,
+        mcl,
+        report,
+        maps,
+        world,
+        result.trajectory,
+        result.map,
+        result.graph,
+        Evidence(2.0, -0.4, -10.0, 20.0, 2.0),
+        ScanBatch.of([beams, beams]),
+        NOT_WEIGHED,
+        GaussNewton(),
+        Pyramid.of(maps, 0),
+        CauchyEndPoint(),
+        LikelihoodField(),
+        Tracker(),
+        state.tracker,
+        state.ancestry,
+        GaussianIncrement.from_std(np.zeros(3), np.full(3, 0.1)),
+        configuration.mapper,
+        buffer,
+        log,
+        step.closure_state,
+        configuration.loop_closure,
+        GaussNewton()(maps, np.arange(3, dtype=np.int32), poses, priors, beams),
+        np.random.default_rng(0),
+        Ancestry.start(poses),
+        gridslam.Session(configuration),
+        mcl.configuration,
         *(RobotConfig(), OdometryNoise(), LidarConfig(beams=20)),
-    ]  # fmt: skip
-    rigid = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
-    pose, points = poses[0].copy(), beams.ends.copy()
+    ]
+    pose = poses[0].copy()
     weights = np.full(3, 1 / 3)
+    by_words = {
+        "row particle first best step": 0,
+        "rows parents leaves": np.arange(3, dtype=np.int32),
+        "poses guesses estimates truths source target frames trajectory": poses,
+        "pose guess increment a b xi moved control twist measured mean carried tracked key_pose": pose,
+        "priors covariances": priors,
+        "prior covariance noise information both": np.diag([0.1, 0.1, 0.1]),
+        "points ends": beams.ends.copy(),
+        "origin": np.zeros(2),
+        "weights likelihoods": weights,
+        "log_weights log_odds": np.log(weights),
+        "ranges expected": np.full(60, 2.0),
+        "count particles most size degrees every threads seed": 3,
+        "max_m resolution_m spacing_m clearance_m sigma_m distance_m reach_m min_m finest_m": 0.5,
+        "fraction probability confidence error z translation_m rotation_rad effective_sample_size angle most_s": 0.5,
+        "stamp_ns tolerance_ns": 10**9,
+    }
+    rigid = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+    of_rigid = ("compose.a", "compose.b", "inverse.a", "interpolate.a", "interpolate.b", "planar.a", "to_matrix.a")
     names: dict[str, Any] = {
-        **dict.fromkeys(("row", "particle", "first", "best", "step"), 0),
-        **dict.fromkeys(("rows", "parents", "leaves"), np.arange(3, dtype=np.int32)),
-        **dict.fromkeys(("poses", "guesses", "particles_poses", "estimates", "truths", "source", "target", "frames", "trajectory"), poses),
-        **dict.fromkeys(("pose", "guess", "increment", "a", "b", "xi", "moved", "control", "twist", "measured", "mean", "carried", "tracked", "key_pose"), pose),
-        **dict.fromkeys(("priors", "covariances", "information_of_each"), priors),
-        **dict.fromkeys(("prior", "covariance", "noise", "information"), np.diag([0.1, 0.1, 0.1])),
-        **dict.fromkeys(("points", "ends"), points),
-        **dict.fromkeys(("origin", "translation_m"), np.zeros(2)),
-        **dict.fromkeys(("weights", "likelihoods"), weights),
-        **dict.fromkeys(("log_weights", "log_odds"), np.log(weights)),
-        **dict.fromkeys(("ranges", "expected", "measured_m"), np.full(60, 2.0)),
-        **dict.fromkeys(("count", "particles", "most", "size", "degrees", "every", "threads", "seed", "bins"), 3),
-        **dict.fromkeys(("max_m", "resolution_m", "spacing_m", "clearance_m", "sigma_m", "distance_m", "reach_cells", "reach_m", "fraction", "probability", "confidence", "error", "z", "translation_m", "rotation_rad", "effective_sample_size", "angle", "min_m", "most_s", "seconds", "finest_m"), 0.5),
-        **dict.fromkeys(("stamp_ns", "tolerance_ns"), 10**9),
+        **{word: value for words, value in by_words.items() for word in words.split()},
+        **{f"geometry.rigid.{name}": rigid for name in of_rigid},
         "reach_cells": 3.5,
         "directions": np.column_stack([np.cos(np.arange(5.0)), np.sin(np.arange(5.0))]),
         "distances": np.full((3, 4), 0.2, np.float32),
@@ -356,9 +394,8 @@ def make_examples(folder: Path) -> Examples:
         "config.apply_laser.name": "hokuyo",
         "particles.Ancestry.extend.poses": poses,
         "gridslam.KnownMap.sample_poses.count": 5,
-        **{f"geometry.rigid.{name}": rigid for name in ("compose.a", "compose.b", "inverse.a", "interpolate.a", "interpolate.b", "planar.a", "to_matrix.a")},
         "particles.kld_bound.bins": np.arange(3),
         "gridslam.LaserScan.from_rows.ranges": np.full((3, 60), 2.0),
         "gridslam.Odometry.from_rows.poses": poses,
-    }  # fmt: skip
+    }
     return Examples({type(each): each for each in objects if each is not None}, names)
