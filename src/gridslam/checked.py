@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import functools
 import inspect
-import threading
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextvars import ContextVar
 from types import FunctionType, NoneType, UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,11 +33,16 @@ _NUMBERS: Mapping[object, tuple[type, ...]] = {
 }
 
 
-class _Edge(threading.local):
-    is_within = False
+_BUILTINS = {kind.__name__: kind for kind in (bool, bytes, dict, float, int, list, object, set, str, tuple, type)}
+_is_within: ContextVar[bool] = ContextVar("is_within", default=False)
+"""Whether a public function is under way, of which the arguments are checked; each thread has its own."""
 
 
-_edge = _Edge()
+class _Names(dict[str, Any]):
+    """Names of a module, and Any for those that it imports for type checkers alone."""
+
+    def __missing__(self, name: str) -> object:
+        return _BUILTINS.get(name, Any)
 
 
 def checked(public: _Public) -> _Public:
@@ -63,10 +68,10 @@ def checked(public: _Public) -> _Public:
 def _check_calls(function: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(function)
     def check(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 whatever the function takes
-        if _edge.is_within:
+        if _is_within.get():
             return function(*args, **kwargs)
         _require_arguments(function, args, kwargs)
-        _edge.is_within = True
+        before = _is_within.set(True)
         try:
             return function(*args, **kwargs)
         except GridslamError:
@@ -76,24 +81,15 @@ def _check_calls(function: Callable[..., Any]) -> Callable[..., Any]:
                 raise
             raise ArgumentError(function.__qualname__, "arguments that go together", error or type(error)) from error
         finally:
-            _edge.is_within = False
+            _is_within.reset(before)
 
     return check
 
 
 @functools.cache
 def _signature(function: Callable[..., Any]) -> tuple[inspect.Signature, dict[str, Any]]:
-    """Signature and annotations of a function; those that are for type checkers alone are left out."""
-    signature = inspect.signature(function)
-    names = getattr(function, "__globals__", {})
-    hints = {}
-    for parameter in signature.parameters.values():
-        hint = parameter.annotation
-        try:
-            hints[parameter.name] = eval(hint, names) if isinstance(hint, str) else hint
-        except NameError:
-            hints[parameter.name] = Any
-    return signature, {name: hint for name, hint in hints.items() if hint is not inspect.Parameter.empty}
+    names = _Names(getattr(function, "__globals__", {}))
+    return inspect.signature(function), get_type_hints(function, localns=names, include_extras=True)
 
 
 @functools.cache
