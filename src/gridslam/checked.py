@@ -38,6 +38,10 @@ _is_within: ContextVar[bool] = ContextVar("is_within", default=False)
 """Whether a public function is under way, of which the arguments are checked; each thread has its own."""
 
 
+class _Numbers:
+    """Stands for `ArrayLike`: whatever an array of numbers can be made of."""
+
+
 class _Names(dict[str, Any]):
     """Names of a module, and Any for those that it imports for type checkers alone."""
 
@@ -144,10 +148,10 @@ def _require_shape(name: str, got: tuple[int, ...], shape: Sequence[Any], sizes:
 def _is(value: Any, hint: Any) -> bool:  # noqa: ANN401
     """Whether a value is of a type, as an annotation gives it."""
     origin, items = get_origin(hint), get_args(hint)
-    if hint is ArrayLike or hint == ArrayLike:
-        return _is_numeric(value)
     if origin in (Union, UnionType):
-        return any(_is(value, item) for item in items)
+        return any(_is(value, item) for item in _alternatives(items))
+    if hint is _Numbers:
+        return _is_numeric(value)
     if origin is Annotated:
         return _is(value, items[0])
     if origin is Literal:
@@ -163,6 +167,14 @@ def _is(value: Any, hint: Any) -> bool:  # noqa: ANN401
     if origin is not None:
         return isinstance(value, origin) and _has_items(value, origin, items)
     return not isinstance(hint, type) or hint in (Any, object) or _is_instance(value, hint)
+
+
+def _alternatives(items: tuple[Any, ...]) -> list[Any]:
+    """Types of which a value may be one; NumPy's union of all of which arrays are made counts as one."""
+    of_arrays = get_args(ArrayLike)
+    if not set(of_arrays) <= set(items):
+        return [*items]
+    return [_Numbers, *(item for item in items if item not in of_arrays)]
 
 
 def _is_instance(value: object, kind: type) -> bool:
@@ -208,16 +220,16 @@ def _has_items(value: Any, origin: Any, items: tuple[Any, ...]) -> bool:  # noqa
 def _name(hint: Any) -> str:  # noqa: ANN401
     """An annotation in a message."""
     origin, items = get_origin(hint), get_args(hint)
-    if hint is ArrayLike or hint == ArrayLike:
-        return "numbers"
     if origin in (Union, UnionType):
-        return " or ".join(_name(item) for item in items)
+        return " or ".join(_name(item) for item in _alternatives(items))
     if origin is np.ndarray:
         return f"an array of {getattr(get_args(items[1])[0], '__name__', 'numbers')}"
     if origin is Literal:
         return f"one of {', '.join(repr(item) for item in items)}"
     if origin is Annotated:
         return _name(items[0])
+    if hint is _Numbers:
+        return "numbers"
     if hint is int:
         return "an integer of 62 bits"
     if hint is float:

@@ -1,5 +1,6 @@
-// The door between Python and the kernels: arrays in, arrays out, the GIL released. Shapes, and rows of maps, are checked
-// here, so that no memory but the arguments' is read; all else by the callers in Python, who can name it better.
+// The door between Python and the kernels: arrays in, arrays out, the GIL released. Shapes, and rows of maps, are
+// checked here, so that no memory but the arguments' is read; all else by the callers in Python, who can name it
+// better.
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -71,9 +72,10 @@ void require(bool fits, const char* expected) {
 
 // A row for each of some poses, of maps that are there.
 void require_rows(const Rows& rows, size_t poses, size_t maps) {
-  require(rows.shape(0) == poses && std::all_of(rows.data(), rows.data() + poses,
-                                                [&](int32_t row) { return row >= 0 && static_cast<size_t>(row) < maps; }),
-          "rows: expected one for each pose, of maps that are there");
+  require(
+      rows.shape(0) == poses && std::all_of(rows.data(), rows.data() + poses,
+                                            [&](int32_t row) { return row >= 0 && static_cast<size_t>(row) < maps; }),
+      "rows: expected one for each pose, of maps that are there");
 }
 
 Maps view(const Roots& roots, nb::tuple first, const Pages& pages, const StoredLogOdds& log_odds, const Field& field) {
@@ -141,7 +143,7 @@ auto py_make_tiles_writable(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<in
 
 #define GRIDSLAM_UPDATE                                                                                         \
   Array<int32_t, 1> page_refs, Array<int32_t, 1> tile_refs, Rows free_pages, Rows free_tiles,                   \
-      Shaped<const int32_t, -1, 4> pending, int64_t room, Rows rows, Poses poses, Points ends, Pair origin,       \
+      Shaped<const int32_t, -1, 4> pending, int64_t room, Rows rows, Poses poses, Points ends, Pair origin,     \
       double resolution, int hit, int miss, int min, int max, int occupied_above, Array<const uint8_t, 2> cone, \
       double margin_m, int threads
 #define GRIDSLAM_UPDATE_ARGS                                                                                       \
@@ -416,7 +418,8 @@ auto py_draw_scans(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1>
                    Starts weighed_after, Array<float, 1> weights, double reach_cells, double scale_m) {
   const Maps m = view(roots, first, pages, log_odds, field);
   const Scans scans = scans_of(poses, ends, starts, origins);
-  require(begin >= 0 && begin <= end && end <= scans.n && roots.shape(0) > 0, "begin, end: expected scans of the batch");
+  require(begin >= 0 && begin <= end && end <= scans.n && roots.shape(0) > 0,
+          "begin, end: expected scans of the batch");
   require(weights.shape(0) == (weighed_after.shape(0) ? ends.shape(0) : 0) && weighed_after.shape(0) <= poses.shape(0),
           "weights: expected one for each beam");
   const FreeTiles spare{page_refs.data(),  tile_refs.data(),
@@ -427,15 +430,14 @@ auto py_draw_scans(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1>
   Drawn drawn;
   {
     nb::gil_scoped_release release;
-    drawn = draw_scans(m, spare, scans, begin, end, resolution,
-                       {steps[0], steps[1], steps[2], steps[3], steps[4]}, cone.data(),
-                       static_cast<int>(cone.shape(0) / 2), room, weighing);
+    drawn = draw_scans(m, spare, scans, begin, end, resolution, {steps[0], steps[1], steps[2], steps[3], steps[4]},
+                       cone.data(), static_cast<int>(cone.shape(0) / 2), room, weighing);
   }
   return std::make_tuple(drawn.pages, drawn.tiles, drawn.scans);
 }
 
-auto py_match_scans(GRIDSLAM_MAPS, Poses guesses, Shaped<const double, 3, 3> prior, Points ends, Starts starts, Points origins,
-                    double resolution, int max_iterations, double cauchy_cells, double max_step_cells,
+auto py_match_scans(GRIDSLAM_MAPS, Poses guesses, Shaped<const double, 3, 3> prior, Points ends, Starts starts,
+                    Points origins, double resolution, int max_iterations, double cauchy_cells, double max_step_cells,
                     double max_step_rad, double stop_cells, double stop_rad, double reach_cells, double min_information,
                     bool point_to_line, int min_beams, int threads) {
   const Maps m = view(roots, first, pages, log_odds, field);
@@ -455,7 +457,8 @@ auto py_match_scans(GRIDSLAM_MAPS, Poses guesses, Shaped<const double, 3, 3> pri
 }
 
 auto py_shortest_ways(Poses firsts, Shaped<const double, -1, 9> steps, Shaped<const int32_t, -1, 2> link_submaps,
-                      Shaped<const double, -1, 12> links, int submap, Shaped<const double, 9> moments, Triple pose, double x, double y, double limit, int most, int last) {
+                      Shaped<const double, -1, 12> links, int submap, Shaped<const double, 9> moments, Triple pose,
+                      double x, double y, double limit, int most, int last) {
   const SubmapGraph graph{firsts.data(),
                           static_cast<int>(firsts.shape(0)),
                           steps.data(),

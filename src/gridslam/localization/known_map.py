@@ -20,7 +20,7 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import PAGE, TILE, UNKNOWN, backend
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.endpoint import CauchyEndPoint, LikelihoodField
-from gridslam.types import Beams, FloatArray, Match, OccupancyGrid, Points, Poses, Rows, SensorModel
+from gridslam.types import Beams, FloatArray, Match, OccupancyGrid, Points, Poses, SensorModel
 
 __all__ = ["FieldTable", "KnownMap", "PoseLikelihood"]
 
@@ -164,7 +164,7 @@ class KnownMap:
         ends = np.ascontiguousarray(ends)
         return lambda poses: table.sums(poses, ends, self.threads) / len(ends)
 
-    def distances(self, rows: Rows, poses: Poses, points: Points) -> NDArray[np.float32]:
+    def distances(self, rows: ArrayLike, poses: Poses, points: Points) -> NDArray[np.float32]:
         """Distance in m (K, B) from points (B, 2) of the base frame at poses (K, 3) to the nearest obstacle's centre.
 
         Capped at `reach_m`, which also holds beyond the map; `rows` (K,) are all one map.
@@ -176,7 +176,7 @@ class KnownMap:
 
     def cast_rays(
         self,
-        rows: Rows,
+        rows: ArrayLike,
         poses: Poses,
         origin: _Point,
         directions: Points,
