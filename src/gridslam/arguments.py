@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,8 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from gridslam.errors import ArgumentError
 
 __all__ = [
+    "COUNT",
+    "Limits",
+    "Size",
     "describe",
     "freeze",
+    "index_of",
     "is_covariance",
     "require_array",
     "require_covariance",
@@ -22,6 +27,44 @@ __all__ = [
     "require_seed",
     "require_threads",
 ]
+
+
+@final
+class Size(NamedTuple):
+    """Annotates an object: its attribute `measure`, or the length of that, is the size `name` of what holds it."""
+
+    name: str
+    measure: str
+
+    def of(self, value: object) -> int:
+        """Measure an object."""
+        size = getattr(value, self.measure)
+        return size if isinstance(size, int) else len(size)
+
+
+@final
+class Limits(NamedTuple):
+    """Annotates numbers, or the length of an object: from `low` to `high`, or to the size of that name plus `more`."""
+
+    low: float
+    high: float | str
+    more: int = 0
+
+    def require(self, name: str, values: NDArray[Any], sizes: Mapping[str, int]) -> None:
+        """Refuse values out of the limits."""
+        high = sizes[self.high] + self.more if isinstance(self.high, str) else self.high
+        wrong = values[~((values >= self.low) & (values <= high))]
+        if wrong.size:
+            raise ArgumentError(name, f"numbers from {self.low} to {high}", wrong[0])
+
+
+COUNT = Limits(0, 1 << 62)
+"""Of what was counted."""
+
+
+def index_of(size: str) -> Limits:
+    """Limit integers to the numbers of the rows of a table, from 0 on."""
+    return Limits(0, size, -1)
 
 
 def freeze(values: ArrayLike, dtype: type, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
@@ -128,8 +171,14 @@ def _require_least(name: str, value: object, least: int, expected: str) -> None:
         raise ArgumentError(name, expected, value)
 
 
+_LONGEST = 10**40  # beyond some thousand digits an integer has no text
+
+
 def describe(value: object) -> str:
     """A value in a message: itself where it is short, else its class."""
-    text = "" if isinstance(value, np.ndarray) else repr(value)
     kind = type(value).__name__
+    if isinstance(value, np.ndarray):
+        return f"one of {value.dtype} and shape {value.shape}"
+    is_long = isinstance(value, int) and abs(value) > _LONGEST
+    text = "" if is_long else repr(value)
     return f"{text} ({kind})" if 0 < len(text) <= 40 else f"a {kind}"

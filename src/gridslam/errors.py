@@ -26,6 +26,8 @@ class ArgumentError(GridslamError, ValueError):
     def __init__(self, argument: str, expected: str, got: object) -> None:
         super().__init__(f"{argument}: expected {expected}, got {' '.join(str(got).split())}")
         self.argument = argument
+        self.expected = expected
+        self.got = got
 
 
 class ConfigurationError(GridslamError, ValueError):

@@ -12,6 +12,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.arguments import COUNT
 from gridslam.errors import ArgumentError
 from gridslam.serialization import read_array, select_part
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectory
@@ -275,8 +276,9 @@ class StatisticsRecorder:
         sizes: dict[str, int] = {}
         self._n_eff.frombytes(read_array(arrays, "n_eff", np.float64, ("key scans",), sizes).tobytes())
         self._key_seconds.frombytes(read_array(arrays, "key_seconds", np.float64, ("key scans",), sizes).tobytes())
-        counts = read_array(arrays, "counts", np.int64, (4 + len(SkipReason),)).tolist()
-        self._resamplings, self._lost, self._degenerate, self._corrections, *skipped = counts
+        counts = read_array(arrays, "counts", np.int64, (4 + len(SkipReason),))
+        COUNT.require("counts", counts, {})
+        self._resamplings, self._lost, self._degenerate, self._corrections, *skipped = counts.tolist()
         self._skipped = Counter({reason: n for reason, n in zip(SkipReason, skipped, strict=True) if n})
         return self
 

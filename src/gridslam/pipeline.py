@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, final, overload
 
 import numpy as np
 
-from gridslam.arguments import describe, require_generator
+from gridslam.arguments import describe, require_generator, require_instance
 from gridslam.errors import ArgumentError, GridslamError
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
@@ -301,6 +301,11 @@ def run(
         Of a step, unless `on_failure` is given; of the first step, if all failed.
     """
     require_generator(rng)
+    if not callable(getattr(algorithm, "step", None)):
+        raise ArgumentError("algorithm", "a filter", describe(algorithm))
+    if not (on_failure is None or state is None or callable(getattr(state, "revive", None))):
+        raise ArgumentError("state", "the state of a filter", describe(state))
+    require_instance("stopwatch", stopwatch, Stopwatch, optional=True)
     watch = stopwatch or Stopwatch()
     first_error: Exception | None = None
     for odometry, scan in _check_measurements(source):

@@ -6,12 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, TypeAlias, final
+from typing import Annotated, Any, TypeAlias, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam.arguments import freeze, require_array, require_instance
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se3 import from_planar
@@ -26,6 +27,8 @@ __all__ = [
     "FloatArray",
     "IntArray",
     "LaserScan",
+    "Points",
+    "Poses",
     "Rows",
     "ScanGeometry",
     "StoredScan",
@@ -36,9 +39,13 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Rows = NDArray[np.integer[Any]]
 """Which map of a table of maps: one row for each pose."""
+Poses = Annotated[FloatArray, "K", 3]
+Points = Annotated[FloatArray, "B", 2]
+"""Of an argument: poses, or points, as many as whatever else of the call is annotated so."""
 
 
 @final
+@checked
 class ScanGeometry:
     """Where the beams of a laser point, seen from the robot's base; one object is shared by all scans of a laser.
 
@@ -94,6 +101,7 @@ _STRAIGHT = 1e-12  # rad/s: a turn below this moves nothing by a rounding error
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False)
 class Beams:
     """The usable beams of a scan in the base frame; what matchers, sensor models and mappers work on.
@@ -256,6 +264,7 @@ _GREATEST = int(max(BeamStatus))
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False)
 class LaserScan:
     """One sweep of a planar lidar; `from_ranges` builds it from ranges, `from_ros` from the fields of a ROS message.

@@ -3,16 +3,19 @@
 A state is a dataclass or a named tuple. Its fields are numbers, texts, enumerators, tuples of numbers, arrays, other
 states, and lists and dicts of all these; of a list of states each field is one array, along the list. Where arrays in a
 list differ in length, they follow each other in one array, and `counts` has their lengths. A field that is None is
-absent. The shape of an array is annotated: `Annotated[FloatArray, "N", 3]` has three columns and as many rows as all
-other arrays of the state that are annotated with N. A class with methods `to_arrays` and `from_arrays` is saved by
-them.
+absent. A class with methods `to_arrays` and `from_arrays` is saved by them.
+
+Annotations state what must agree, which is checked when a state is restored. `Annotated[FloatArray, "N", 3]` has three
+columns and as many rows as whatever else is annotated with N in the state, or in one that holds it;
+`Annotated[TileMaps, "N"]` is that long, and the number of steps of `Annotated[Ancestry, Size("T", "steps")]` is T.
+`Annotated[int, index_of("N")]` is the number of such a row.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter
-from collections.abc import Callable, Hashable, Mapping
+from collections import ChainMap, Counter
+from collections.abc import Callable, Hashable, Mapping, MutableMapping
 from enum import Enum
 from functools import cache
 from types import NoneType, UnionType
@@ -21,6 +24,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar, Union, cast, final, get_
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.arguments import COUNT, Limits, Size
 from gridslam.errors import ArgumentError
 
 __all__ = ["NOT_SAVED", "from_arrays", "read_array", "select_part", "to_arrays"]
@@ -32,6 +36,7 @@ _State = TypeVar("_State")
 _Arrays = Mapping[str, NDArray[Any]]
 _Restore = Callable[[_Arrays], object]
 _Shape = tuple[Any, ...]  # of int, str and None: see `read_array`
+_Sizes = MutableMapping[str, int]
 
 
 def to_arrays(state: object) -> dict[str, NDArray[Any]]:
@@ -61,7 +66,7 @@ def from_arrays(kind: type[_State], arrays: _Arrays, restore: Mapping[type, _Res
     ArgumentError
         An array is missing, or its type or shape is wrong.
     """
-    return cast("_State", _load_state(kind, "", arrays, restore or {}))
+    return cast("_State", _Reader(arrays, restore or {}).read(kind))
 
 
 def select_part(arrays: _Arrays, part: str) -> dict[str, NDArray[Any]]:
@@ -70,7 +75,7 @@ def select_part(arrays: _Arrays, part: str) -> dict[str, NDArray[Any]]:
 
 
 def read_array(
-    arrays: _Arrays, name: str, dtype: type | str, shape: _Shape | None = None, sizes: dict[str, int] | None = None
+    arrays: _Arrays, name: str, dtype: type | str, shape: _Shape | None = None, sizes: _Sizes | None = None
 ) -> NDArray[Any]:
     """Copy an array of a given type and shape.
 
@@ -110,6 +115,8 @@ class _Form(NamedTuple):
     items: tuple[Any, ...]  # annotations of what they contain
     shape: _Shape | None  # of the array of one value; None where nothing is annotated
     is_optional: bool
+    limits: Limits | None  # of the integers, or of the length
+    sizes: tuple[Size, ...]  # that it determines
 
     @property
     def is_state(self) -> bool:
@@ -126,8 +133,9 @@ class _Form(NamedTuple):
         """Type of the numbers."""
         if self.kind is np.ndarray:
             return cast("type", get_args(self.items[1])[0])
-        scalar = self.items[0] if self.kind is tuple else self.kind
-        return {bool: np.bool_, int: np.int64, float: np.float64}.get(scalar, np.str_)
+        if self.kind is tuple:
+            return _form(self.items[0]).dtype
+        return {bool: np.bool_, int: np.int64, float: np.float64}.get(self.kind, np.str_)
 
     def convert(self, name: str, values: NDArray[Any]) -> object:
         """The value that an array stands for."""
@@ -145,18 +153,21 @@ def _form(annotation: Hashable) -> _Form:
     choice = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else ()
     kind = next((of for of in choice if of is not NoneType), annotation)
     shape: _Shape | None = None
+    notes: list[object] = []
     if get_origin(kind) is Annotated:
-        kind, *lengths = get_args(kind)
-        shape = tuple(lengths)
+        kind, *notes = get_args(kind)
+        shape = tuple(note for note in notes if not isinstance(note, Limits | Size)) or None
     items = get_args(kind)
     origin = cast("type", get_origin(kind) or kind)
     if origin is Counter:
-        items += (int,)
+        items += (Annotated[int, COUNT],)
     elif origin is tuple:
         shape = (None,) if items[-1] is Ellipsis else (len(items),)
-    elif not items:
+    elif not items and shape is None:
         shape = ()
-    return _Form(origin, items, shape, NoneType in choice)
+    limits = next((note for note in notes if isinstance(note, Limits)), None)
+    sizes = tuple(note for note in notes if isinstance(note, Size))
+    return _Form(origin, items, shape, NoneType in choice, limits, sizes)
 
 
 @cache
@@ -196,44 +207,94 @@ def _dump_column(name: str, form: _Form, values: list[Any]) -> dict[str, NDArray
     return {name: np.array(plain, form.dtype).reshape(len(values), *shape)}
 
 
-def _load_state(kind: type, prefix: str, arrays: _Arrays, restore: Mapping[type, _Restore]) -> object:
-    """Restore a state from the arrays whose names begin with `prefix`."""
-    sizes: dict[str, int] = {}
-    fields: dict[str, object] = {}
-    for field, (inner, form) in _saved_fields(kind).items():
-        name = prefix + inner
-        own_restore = restore.get(form.kind, getattr(form.kind, "from_arrays", None))
-        if form.is_optional and not any(other == name or other.startswith(name + ".") for other in arrays):
-            fields[field] = None
-        elif own_restore is not None:
-            fields[field] = own_restore(select_part(arrays, name))
-        elif form.is_state:
-            fields[field] = _load_state(form.kind, name + ".", arrays, restore)
-        elif form.kind in (dict, Counter):
-            keys = _load_column(f"{name}.keys", _form(form.items[0]), arrays, name, sizes)
-            values = _load_column(name, _form(form.items[1]), arrays, name, sizes)
-            fields[field] = form.kind(dict(zip(keys, values, strict=True)))
-        elif form.kind is list:
-            rows = form.shape[0] if form.shape else name
-            fields[field] = _load_column(name, _form(form.items[0]), arrays, rows, sizes)
+@final
+class _Reader:
+    """Restores a state and those that it holds from the arrays whose names begin with `prefix`."""
+
+    def __init__(
+        self, arrays: _Arrays, restore: Mapping[type, _Restore], prefix: str = "", sizes: _Sizes | None = None
+    ) -> None:
+        self.arrays = arrays
+        self.restore = restore
+        self.prefix = prefix
+        self.sizes = ChainMap[str, int]({}) if sizes is None else ChainMap({}, sizes)
+        self.limited: list[tuple[str, NDArray[Any], Limits]] = []
+
+    def read(self, kind: type) -> object:
+        """Restore a state, once all its fields are known to agree."""
+        fields: dict[str, object] = {}
+        for field, (inner, form) in _saved_fields(kind).items():
+            name = self.prefix + inner
+            is_absent = form.is_optional and not any(f"{other}.".startswith(f"{name}.") for other in self.arrays)
+            fields[field] = None if is_absent else self._read_field(name, form)
+        own = [(name, values, limits) for name, values, limits in self.limited if self._knows(limits)]
+        for name, values, limits in own:
+            limits.require(name, values, self.sizes)
+        self.limited = [each for each in self.limited if not self._knows(each[2])]  # for a state that holds this one
+        return kind(**fields)
+
+    def _knows(self, limits: Limits) -> bool:
+        return not isinstance(limits.high, str) or limits.high in self.sizes
+
+    def _read_field(self, name: str, form: _Form) -> object:
+        own_restore = self.restore.get(form.kind, getattr(form.kind, "from_arrays", None))
+        if own_restore is not None:
+            return self._measure(name, form, self._read_part(name, own_restore))
+        if form.is_state:
+            inner = _Reader(self.arrays, self.restore, name + ".", self.sizes)
+            value = inner.read(form.kind)
+            self.limited += inner.limited
+            return self._measure(name, form, value)
+        if form.kind in (dict, Counter):
+            keys = self._read_column(f"{name}.keys", _form(form.items[0]), name)
+            values = self._read_column(name, _form(form.items[1]), name)
+            return form.kind(dict(zip(keys, values, strict=True)))
+        if form.kind is list:
+            return self._read_column(name, _form(form.items[0]), form.shape[0] if form.shape else name)
+        return form.convert(name, self._read_array(name, form, form.shape))
+
+    def _read_part(self, name: str, restore: _Restore) -> object:
+        """Restore an object by its own function, which names its arrays without `name`."""
+        try:
+            return restore(select_part(self.arrays, name))
+        except ArgumentError as error:
+            raise ArgumentError(f"{name}.{error.argument}", error.expected, error.got) from None
+
+    def _measure(self, name: str, form: _Form, value: Any) -> object:  # noqa: ANN401 whatever a state holds
+        """Compare the sizes of an object with those that are known, or learn them."""
+        sizes = [(size.name, size.of(value)) for size in form.sizes]
+        if form.shape:
+            sizes.append((form.shape[0], len(value)))
+        for size, got in sizes:
+            expected = self.sizes.setdefault(size, got) if isinstance(size, str) else size
+            if got != expected:
+                raise ArgumentError(
+                    name, f"a length of {expected}" + (f", as {size} has" if isinstance(size, str) else ""), got
+                )
+        if form.limits is not None:
+            self.limited.append((name, np.array([len(value)]), form.limits))
+        return value
+
+    def _read_array(self, name: str, form: _Form, shape: _Shape | None) -> NDArray[Any]:
+        values = read_array(self.arrays, name, form.dtype, shape, self.sizes)
+        items = _form(form.items[0]) if form.kind is tuple else form
+        if items.limits is not None:
+            self.limited.append((name, values.reshape(-1), items.limits))
+        return values
+
+    def _read_column(self, name: str, form: _Form, rows: int | str | None) -> list[Any]:
+        """Restore a list of `rows` values."""
+        shape = form.shape or ()
+        if form.is_state:
+            fields = _saved_fields(form.kind)
+            columns = [self._read_column(f"{name}.{inner}", of, rows) for inner, of in fields.values()]
+            return [form.kind(**dict(zip(fields, row, strict=True))) for row in zip(*columns, strict=True)]
+        if form.is_ragged:
+            counts = read_array(self.arrays, f"{name}.counts", np.int64, (rows,), self.sizes)
+            if (counts < 0).any():
+                raise ArgumentError(f"{name}.counts", "numbers >= 0", counts.min())
+            whole = self._read_array(name, form, (sum(counts.tolist()), *shape[1:]))
+            values = np.split(whole, np.cumsum(counts))[:-1]
         else:
-            fields[field] = form.convert(name, read_array(arrays, name, form.dtype, form.shape, sizes))
-    return kind(**fields)
-
-
-def _load_column(name: str, form: _Form, arrays: _Arrays, rows: int | str | None, sizes: dict[str, int]) -> list[Any]:
-    """Restore a list of `rows` values."""
-    shape = form.shape or ()
-    if form.is_state:
-        fields = _saved_fields(form.kind)
-        columns = [_load_column(f"{name}.{inner}", of, arrays, rows, sizes) for inner, of in fields.values()]
-        return [form.kind(**dict(zip(fields, row, strict=True))) for row in zip(*columns, strict=True)]
-    if form.is_ragged:
-        counts = read_array(arrays, f"{name}.counts", np.int64, (rows,), sizes)
-        if (counts < 0).any():
-            raise ArgumentError(f"{name}.counts", "numbers >= 0", counts.min())
-        whole = read_array(arrays, name, form.dtype, (sum(counts.tolist()), *shape[1:]))
-        values = np.split(whole, np.cumsum(counts))[:-1]
-    else:
-        values = list(read_array(arrays, name, form.dtype, (rows, *shape), sizes))
-    return [form.convert(name, value) for value in values]
+            values = list(self._read_array(name, form, (rows, *shape)))
+        return [form.convert(name, value) for value in values]

@@ -12,8 +12,9 @@ PACKAGE = ROOT / "src" / "gridslam"
 
 
 RANKS = {
-    "errors": 0,
-    "arguments": 1,
+    "errors": -2,
+    "arguments": -1,
+    "checked": 0,
     "parameters": 1,
     "serialization": 1,
     "geometry": 1,

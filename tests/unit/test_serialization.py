@@ -10,6 +10,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import pytest
 
+from gridslam.arguments import Limits, Size, index_of
 from gridslam.errors import ArgumentError
 from gridslam.serialization import NOT_SAVED, from_arrays, select_part, to_arrays
 from gridslam.types import FloatArray
@@ -171,6 +172,70 @@ def test_whatever_is_missing_is_named():
 def test_what_does_not_fit_is_refused_by_name(name, wrong):
     with pytest.raises(ArgumentError, match=name.split(".")[0]):
         from_arrays(State, to_arrays(state()) | {name: wrong})
+
+
+@dataclass
+class Table:
+    """Counts its rows, and those of others."""
+
+    rows: Annotated[FloatArray, "T", 2]
+    parents: Annotated[list[Annotated[int, index_of("T")]], "T"]
+    marked: tuple[Annotated[int, Limits(-1, "T")], ...] = ()
+
+    def __len__(self):
+        return len(self.rows)
+
+
+@dataclass
+class Owner:
+    table: Annotated[Table, "T", Size("marks", "marked")]
+    names: Annotated[list[str], "T"]
+    edges: list[Annotated[int, index_of("T")]]
+    of_mark: Annotated[int, index_of("marks")] = 0
+    part: Annotated[Table, Limits(1, "T")] | None = None
+    shelf: Annotated[Shelf, Size("seven", "number")] | None = None
+
+
+def owner(**more):
+    table = Table(np.zeros((3, 2)), [0, 0, 1], (-1, 3))
+    return Owner(table, ["a", "b", "c"], [2, 0], **more)
+
+
+def test_tables_and_what_points_into_them_come_back():
+    part = Table(np.zeros((2, 2)), [1, 0])
+    read = from_arrays(Owner, to_arrays(owner(of_mark=1, shelf=Shelf(7))))
+    assert (read.edges, read.table.marked, read.of_mark, read.part) == ([2, 0], (-1, 3), 1, None)
+    with pytest.raises(ArgumentError, match=r"part\.rows: expected float64 of shape \(3, 2\)"):
+        from_arrays(Owner, to_arrays(owner(part=part)))  # T is that of the state which holds it
+    assert from_arrays(Table, to_arrays(part)).parents == [1, 0]
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("table.parents", np.array([0, 0, 3])),
+        ("table.parents", np.array([0, 0, -1])),
+        ("table.parents", np.array([0, 0])),
+        ("table.marked", np.array([4])),
+        ("table.marked", np.array([-2])),
+        ("names", np.array(["a", "b"])),
+        ("edges", np.array([3])),
+        ("edges", np.array([-1])),
+        ("edges", np.array([2**62])),
+        ("of_mark", np.array(2)),
+    ],
+)
+def test_an_index_out_of_its_table_is_refused_by_name(name, wrong):
+    with pytest.raises(ArgumentError, match=f"^{name}: expected"):
+        from_arrays(Owner, to_arrays(owner()) | {name: wrong})
+
+
+def test_what_an_object_refuses_is_named_from_the_outermost_state_on():
+    def refuse(arrays):
+        raise ArgumentError("number", "another one", arrays["number"])
+
+    with pytest.raises(ArgumentError, match=r"^shelf\.number: expected another one, got 4"):
+        from_arrays(State, to_arrays(state()), {Shelf: refuse})
 
 
 def test_a_part_is_selected_by_its_name():

@@ -11,6 +11,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.carmen.writer import to_carmen_form, write_carmen
 from gridslam.io.csv import write_csv_log
@@ -96,6 +97,7 @@ def infer_format(out: str | Path, to: str | None = None) -> OutFormat:
     return form
 
 
+@checked
 def convert_log(
     log: LogSource,
     out: str | Path,

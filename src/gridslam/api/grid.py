@@ -14,6 +14,7 @@ import numpy as np
 from gridslam import __version__
 from gridslam.api.result import Result, describe_input, find_repair
 from gridslam.arguments import require_instance, require_threads
+from gridslam.checked import checked
 from gridslam.config import Configuration, apply_laser, override
 from gridslam.config.tables import to_table
 from gridslam.doctor.repair import Repair, open_repaired
@@ -152,6 +153,7 @@ class GridResult(Result):
         }
 
 
+@checked
 def map_with_poses(
     log: LogSource,
     trajectory: str | Path | Trajectory,

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from gridslam.api.landmarks import COMMANDS, MOTION, SENSORS, ResultByLandmarks, align_trajectory
 from gridslam.api.result import write_trajectory
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
 from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, interpolate
 from gridslam.geometry.se2 import compose, inverse
@@ -138,6 +139,7 @@ class LandmarkLocalizationResult(ResultByLandmarks):
         }
 
 
+@checked
 def localize_by_landmarks(
     log: str | Path | LandmarkLog,
     landmarks: str | Path | KnownLandmarks | None = None,

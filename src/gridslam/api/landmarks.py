@@ -13,6 +13,7 @@ import numpy as np
 from gridslam import __version__
 from gridslam.api.result import Result, write_trajectory
 from gridslam.arguments import require_seed
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.evaluation.maps import LandmarkErrors, align_points, landmark_errors, pair_by_name, pair_by_position
 from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, clip_to_truth
@@ -335,6 +336,7 @@ def align_trajectory(found: Trajectory, truth: Trajectory) -> FloatArray:
     return align(found.poses[:, :2], truth.poses[:, :2])
 
 
+@checked
 def map_landmarks(
     log: str | Path | LandmarkLog,
     method: LandmarkMethod = "fastslam2",

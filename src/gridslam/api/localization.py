@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from gridslam import __version__
 from gridslam.api.result import Result, describe_input, find_repair, write_trajectory
 from gridslam.arguments import require_instance, require_seed, require_threads
+from gridslam.checked import checked
 from gridslam.config.tables import to_table
 from gridslam.doctor.repair import Repair, open_repaired
 from gridslam.errors import ArgumentError, InputError
@@ -247,6 +248,7 @@ class LocalizationResult(Result):
         }
 
 
+@checked
 def localize(
     log: LogSource,
     map: str | Path | OccupancyGrid | KnownMap,

@@ -17,6 +17,7 @@ from gridslam.api.beginning import Beginning
 from gridslam.api.peak_memory import find_peak_memory_bytes
 from gridslam.api.result import Result, describe_input, find_repair, write_trajectory
 from gridslam.arguments import require_instance, require_seed, require_threads
+from gridslam.checked import checked
 from gridslam.config import Configuration, apply_laser, build
 from gridslam.config import preset as preset_of
 from gridslam.config.tables import to_table
@@ -78,6 +79,7 @@ class FoundAgain:
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class MapResult(Result):
     """Map and trajectory of a log, and how they came about.
@@ -407,6 +409,7 @@ class MapResult(Result):
         }
 
 
+@checked
 def map_log(
     log: LogSource,
     *,

@@ -24,6 +24,7 @@ from gridslam.api.beginning import (
 )
 from gridslam.api.mapping import MapResult, map_log
 from gridslam.arguments import freeze, require_seed, require_threads
+from gridslam.checked import checked
 from gridslam.config import Configuration, build, dumps
 from gridslam.doctor.repair import open_repaired
 from gridslam.errors import ArgumentError
@@ -65,6 +66,7 @@ class _Map(NamedTuple):
 
 
 @final
+@checked
 class Session:
     """What was mapped so far, and goes on: of one robot or several, of one day or many.
 

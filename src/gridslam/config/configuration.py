@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Final, Literal, NamedTuple, final
 
+from gridslam.checked import checked
 from gridslam.config.tables import nest, parse_toml, read_assignments, replace_parameters, to_table
 from gridslam.errors import ConfigurationError
 from gridslam.grid.tiles import MOST_BEAM_CELLS
@@ -157,6 +158,7 @@ class Configuration:
             raise ValueError(f"range_max_m: expected {expected}, got {self.range_max_m:g}")
 
 
+@checked
 def build(config: Configuration, threads: int = 1) -> GridFastSlam:
     """Assemble the filter; `threads` is not a parameter, since it does not affect the results."""
     return GridFastSlam(
@@ -180,6 +182,7 @@ def build(config: Configuration, threads: int = 1) -> GridFastSlam:
     )
 
 
+@checked
 def dumps(config: Configuration) -> str:
     """TOML text from which `loads` gives an equal configuration."""
     import tomli_w  # only who writes TOML pays for its import
@@ -187,6 +190,7 @@ def dumps(config: Configuration) -> str:
     return tomli_w.dumps(to_table(config))
 
 
+@checked
 def loads(text: str, base: Configuration | None = None) -> Configuration:
     """Read TOML; parameters that it does not contain stay as in `base`, or at the defaults.
 
@@ -198,6 +202,7 @@ def loads(text: str, base: Configuration | None = None) -> Configuration:
     return replace_parameters(base or Configuration(), parse_toml(text))
 
 
+@checked
 def load(path: str | Path, base: Configuration | None = None) -> Configuration:
     """Read a TOML file as `loads` does; errors name the file, and one that cannot be read is a ConfigurationError."""
     try:
@@ -214,6 +219,7 @@ def load(path: str | Path, base: Configuration | None = None) -> Configuration:
         raise ConfigurationError(f"{path}: {error}") from None
 
 
+@checked
 def override(config: Configuration, *assignments: str) -> Configuration:
     """Change parameters by ``name=value``, names short (see `PARAMETERS`) or dotted; checked when all are made.
 

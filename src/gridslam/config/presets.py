@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
+from gridslam.checked import checked
 from gridslam.config.configuration import Configuration
 from gridslam.config.tables import Table, replace_parameters, suggest_names
 from gridslam.errors import ConfigurationError
@@ -57,6 +58,7 @@ PRESETS: Final[Mapping[str, Callable[[], Configuration]]] = {
 }
 
 
+@checked
 def preset(name: str, particles: int | None = None) -> Configuration:
     """Configuration of that name, with a number of particles or the preset's own.
 
@@ -140,6 +142,7 @@ LASERS: Final[Mapping[str, Laser]] = MappingProxyType(
 """Lasers of which the maker's figures are known."""
 
 
+@checked
 def apply_laser(config: Configuration, name: str) -> Configuration:
     """Lay a laser's limits, and cells as fine as it deserves, over a configuration.
 

@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import final
 
+from gridslam.checked import checked
 from gridslam.doctor.finding import Finding, Severity
 from gridslam.doctor.lasers import BeamStatistics, Mounting, field_of_view_rad, mounting_findings, planar_mounting
 from gridslam.doctor.motion_findings import MotionExaminer
@@ -158,6 +159,7 @@ class _Laser:
 
 
 @final
+@checked
 class Doctor:
     """Processes the measurements of a log in order, and reports the findings at any time.
 
@@ -230,6 +232,7 @@ class Doctor:
         )
 
 
+@checked
 def diagnose(
     log: LogSource, *, options: LogOptions | None = None, on_progress: Callable[[], None] = lambda: None
 ) -> Diagnosis:
@@ -279,6 +282,7 @@ def diagnose(
 
 
 @final
+@checked
 class EarlyCheck:
     """Checks a log while it is read: its first minute (at most 300 scans), and its ranges until motion shows the unit.
 
@@ -335,6 +339,7 @@ class EarlyCheck:
 
 
 @final
+@checked
 class CheckedLog:
     """A log that is checked over its begin while it is read; see `EarlyCheck`.
 
@@ -390,6 +395,7 @@ class CheckedLog:
             self._on_findings(found)
 
 
+@checked
 def quick_check(log: LogSource) -> tuple[Finding, ...]:
     """Return the warnings and errors of the beginning of a log; see `EarlyCheck`."""
     check = EarlyCheck()

@@ -8,6 +8,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.types import FloatArray
 
 __all__ = ["Figure", "Finding", "Mark", "Series", "Severity", "Trace", "percent"]
@@ -70,6 +71,7 @@ class Figure:
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False)
 class Finding:
     """One thing that the doctor found.

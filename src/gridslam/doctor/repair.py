@@ -12,6 +12,7 @@ from typing import Literal, final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.doctor.calibration import MotionCalibration, ParameterEstimate, calibrate
 from gridslam.doctor.laser_motion import LaserMotionEstimator, laser_motion
 from gridslam.doctor.range_limits import RangeCounts
@@ -249,6 +250,7 @@ def _at(measurement: Measurement, readings: deque[Odometry], skew_ns: int, senso
 
 
 @final
+@checked
 class RepairedLog:
     """A log from which the faults of the laser's mounting, of the clocks and of the odometry are taken out.
 

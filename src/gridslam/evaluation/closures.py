@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
@@ -25,6 +26,7 @@ OPEN_M = 1.0
 """A direction with a greater standard deviation is degenerate: errors of half a metre are not evaluated there."""
 
 
+@checked
 def closure_errors(
     truth: ArrayLike, edges: ArrayLike, measurements: ArrayLike, information: ArrayLike | None = None
 ) -> tuple[FloatArray, FloatArray]:
@@ -79,6 +81,7 @@ def _determined_m(away: FloatArray, measured: FloatArray, information: FloatArra
     return np.asarray(np.sqrt((np.square(along) * (known >= OPEN_M**-2)).sum(axis=1)))
 
 
+@checked
 def false_closures(
     truth: ArrayLike,
     edges: ArrayLike,

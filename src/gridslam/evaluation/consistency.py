@@ -7,6 +7,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.types import FloatArray
@@ -40,6 +41,7 @@ class Consistency:
         return self.lower <= self.average_nees <= self.upper
 
 
+@checked
 def nees(estimates: FloatArray, truths: FloatArray, covariances: FloatArray) -> FloatArray:
     """Normalized estimation error squared e' P^-1 e of each pose, e = [dx, dy, dtheta] in the world frame.
 
@@ -75,6 +77,7 @@ def nees(estimates: FloatArray, truths: FloatArray, covariances: FloatArray) -> 
     return squares
 
 
+@checked
 def chi_square_quantile(probability: float, degrees: int) -> float:
     """Quantile of the chi-square distribution for `probability` in (0, 1) and `degrees` >= 1 of freedom.
 
@@ -89,6 +92,7 @@ def chi_square_quantile(probability: float, degrees: int) -> float:
     return float(chdtri(degrees, 1 - probability))
 
 
+@checked
 def check_consistency(
     estimates: FloatArray, truths: FloatArray, covariances: FloatArray, *, confidence: float = 0.95
 ) -> Consistency:

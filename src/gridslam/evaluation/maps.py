@@ -8,6 +8,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.evaluation.trajectory import align
 from gridslam.geometry.se2 import transform_points
@@ -47,6 +48,7 @@ class MapAgreement:
     correlation: float
 
 
+@checked
 def compare_maps(estimate: OccupancyGrid, reference: OccupancyGrid) -> MapAgreement:
     """Compare two grids of equal resolution in one frame; an offset of their origins is rounded to whole cells.
 

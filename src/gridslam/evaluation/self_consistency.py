@@ -9,6 +9,7 @@ from typing import Final, TypeVar, final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import compose
 from gridslam.mapping.beam_counts import BeamCounts
@@ -58,6 +59,7 @@ class SelfConsistency:
     nats_per_beam: float
 
 
+@checked
 def measure_self_consistency(trajectory: Trajectory, scans: Iterable[LaserScan]) -> SelfConsistency:
     """Score a trajectory by the probability of its own scans: how well each is predicted by the joint map of others.
 

@@ -8,6 +8,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
@@ -30,6 +31,7 @@ __all__ = [
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True)
 class PoseErrors:
     """Statistics of pose errors: translation as a Euclidean length in m, rotation as an absolute angle in degrees.
@@ -66,6 +68,7 @@ def _neighbours(stamps: IntArray, times: IntArray) -> tuple[IntArray, IntArray]:
     return np.maximum(high - 1, 0), high
 
 
+@checked
 def interpolate(
     trajectory: Trajectory, stamps_ns: ArrayLike, *, tolerance_ns: int = 1_000_000
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -122,6 +125,7 @@ def clip_to_truth(estimate: Trajectory, truth: Trajectory) -> tuple[Trajectory, 
     return found, Trajectory(found.stamps_ns, interpolate(truth, found.stamps_ns)[0])
 
 
+@checked
 def associate(
     estimate: Trajectory, reference: Trajectory, *, tolerance_ns: int = 20_000_000
 ) -> tuple[IntArray, IntArray]:
@@ -158,6 +162,7 @@ def _pair_poses(estimate: Trajectory, reference: Trajectory, tolerance_ns: int) 
     return estimate.poses[of_estimate], reference.poses[of_reference]
 
 
+@checked
 def align(source: FloatArray, target: FloatArray) -> FloatArray:
     """Rigid motion that brings points onto their partners with the least sum of squared distances, without scale.
 
@@ -187,6 +192,7 @@ def align(source: FloatArray, target: FloatArray) -> FloatArray:
     return np.array([shift[0], shift[1], wrap(theta)])
 
 
+@checked
 def absolute_errors(
     estimate: Trajectory, reference: Trajectory, *, aligned: bool = True, tolerance_ns: int = 20_000_000
 ) -> PoseErrors:
@@ -216,6 +222,7 @@ def absolute_errors(
     return PoseErrors.of(between(truth, ours))
 
 
+@checked
 def relative_errors_by_step(
     estimate: Trajectory, reference: Trajectory, step: int = 1, *, tolerance_ns: int = 20_000_000
 ) -> PoseErrors:
@@ -234,6 +241,7 @@ def relative_errors_by_step(
     return _relative(ours, truth, first, first + step)
 
 
+@checked
 def relative_errors_by_distance(
     estimate: Trajectory, reference: Trajectory, distance_m: float, *, tolerance_ns: int = 20_000_000
 ) -> PoseErrors:
@@ -260,6 +268,7 @@ def _relative(ours: FloatArray, truth: FloatArray, first: IntArray, second: IntA
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False)
 class Relations:
     """True relative poses: where the robot stood at times `to_ns`, seen from where it was at times `from_ns`.
@@ -312,6 +321,7 @@ def clip_relations(relations: Relations, trajectory: Trajectory, *, tolerance_ns
     return Relations(relations.from_ns[within], relations.to_ns[within], relations.poses[within])
 
 
+@checked
 def relation_errors(trajectory: Trajectory, relations: Relations) -> RelationErrors:
     """Score a trajectory: component difference of each estimated and true relative pose.
 

@@ -8,6 +8,8 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridslam.arguments import describe
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 
 __all__ = ["normalize_weights", "wrap"]
@@ -41,8 +43,12 @@ def wrap(angle: float | NDArray[Any]) -> Any:
     if isinstance(angle, float | int):
         if -math.pi <= angle < math.pi:
             return float(angle)
+        if math.isinf(angle):
+            raise ArgumentError("angle", "a finite angle", angle)
         rest = math.fmod(angle, math.tau)
         return rest - math.tau if rest >= math.pi else rest + math.tau if rest < -math.pi else rest
+    if not isinstance(angle, np.ndarray | np.number) or angle.dtype.kind not in "fiu":
+        raise ArgumentError("angle", "an angle, or an array of them", describe(angle))
     greatest = np.abs(angle).max(initial=0.0)
     if greatest < math.pi:
         return angle.astype(np.float64)
@@ -51,6 +57,7 @@ def wrap(angle: float | NDArray[Any]) -> Any:
     return remainder - math.tau * turns
 
 
+@checked
 def normalize_weights(weights: ArrayLike) -> FloatArray:
     """Divide weights (..., N) by their sum over the last axis.
 

@@ -16,6 +16,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 
 __all__ = ["Rigid", "compose", "from_matrix", "from_quaternion", "interpolate", "inverse", "planar", "to_matrix"]
@@ -27,6 +28,7 @@ _NORM_TOLERANCE = 0.01  # of the squared norm; what ROS's tf2 takes, and so what
 _FARTHEST_M = 1e9  # no frame on Earth is farther from another: such a number is an error
 
 
+@checked
 def from_quaternion(translation: Sequence[float], xyzw: Sequence[float]) -> Rigid:
     """Motion of a translation (3,) in m and a quaternion (4,), which is brought to unit norm.
 
@@ -44,6 +46,7 @@ def from_quaternion(translation: Sequence[float], xyzw: Sequence[float]) -> Rigi
     return x, y, z, scale * i, scale * j, scale * k, scale * w
 
 
+@checked
 def from_matrix(matrix: ArrayLike) -> Rigid:
     """Motion of a homogeneous matrix (4, 4).
 
@@ -80,6 +83,7 @@ def from_matrix(matrix: ArrayLike) -> Rigid:
     return x, y, z, scale * q[0], scale * q[1], scale * q[2], scale * q[3]
 
 
+@checked
 def to_matrix(a: Rigid) -> NDArray[np.float64]:
     """Homogeneous matrix (4, 4) of a motion."""
     x, y, z, i, j, k, w = a
@@ -93,6 +97,7 @@ def to_matrix(a: Rigid) -> NDArray[np.float64]:
     )
 
 
+@checked
 def planar(a: Rigid) -> tuple[float, float, float]:
     """Pose (x m, y m, yaw rad) seen from above: yaw in [-pi, pi] is the direction of the projected x axis.
 
@@ -106,6 +111,7 @@ def planar(a: Rigid) -> tuple[float, float, float]:
     return x, y, math.atan2(left, ahead)
 
 
+@checked
 def compose(a: Rigid, b: Rigid) -> Rigid:
     """Compose motions: with frames in the names, `compose(map_from_robot, robot_from_laser)` is `map_from_laser`."""
     ax, ay, az, ai, aj, ak, aw = a
@@ -125,6 +131,7 @@ def compose(a: Rigid, b: Rigid) -> Rigid:
     )
 
 
+@checked
 def inverse(a: Rigid) -> Rigid:
     """Invert a motion: compose(a, inverse(a)) is the identity."""
     x, y, z, i, j, k, w = a
@@ -132,6 +139,7 @@ def inverse(a: Rigid) -> Rigid:
     return (*compose(back, (-x, -y, -z, 0.0, 0.0, 0.0, 1.0))[:3], -i, -j, -k, w)
 
 
+@checked
 def interpolate(a: Rigid, b: Rigid, fraction: float) -> Rigid:
     """Motion at `fraction` in [0, 1] of the way from `a` to `b`: a straight line and the shorter arc, both uniform.
 

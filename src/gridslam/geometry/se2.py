@@ -17,6 +17,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import normalize_weights, wrap
 
@@ -44,6 +45,7 @@ _FLOAT64 = np.dtype(np.float64)  # NumPy's one and only, so that it need not be 
 Component: TypeAlias = Any  # a float for a single pose, else an array over the leading dimensions
 
 
+@checked
 def compose(a: ArrayLike, b: ArrayLike) -> FloatArray:
     """Compose poses: where `b`, given in the frame of `a`, lies in the frame in which `a` is given.
 
@@ -68,6 +70,7 @@ def compose(a: ArrayLike, b: ArrayLike) -> FloatArray:
     return _pose(ax + c * bx - s * by, ay + s * bx + c * by, at + bt)
 
 
+@checked
 def between(a: ArrayLike, b: ArrayLike) -> FloatArray:
     """Pose of `b` seen from `a`, that is inverse(a) compose b, for poses (..., 3) given in one frame.
 
@@ -81,6 +84,7 @@ def between(a: ArrayLike, b: ArrayLike) -> FloatArray:
     return _pose(c * dx + s * dy, c * dy - s * dx, bt - at)
 
 
+@checked
 def inverse(a: ArrayLike) -> FloatArray:
     """Invert poses (..., 3): compose(a, inverse(a)) is the identity.
 
@@ -91,6 +95,7 @@ def inverse(a: ArrayLike) -> FloatArray:
     return _pose(-c * x - s * y, s * x - c * y, -theta)
 
 
+@checked
 def exp(xi: ArrayLike) -> FloatArray:
     """Pose (..., 3) reached by moving with the constant twist `xi` for one unit of time.
 
@@ -117,6 +122,7 @@ def exp(xi: ArrayLike) -> FloatArray:
     return _pose(chord * (c * vx - s * vy), chord * (s * vx + c * vy), omega)
 
 
+@checked
 def log(pose: ArrayLike) -> FloatArray:
     """Twist (..., 3) [m, m, rad] whose `exp` is `pose` (..., 3), the one with omega in [-pi, pi).
 
@@ -132,6 +138,7 @@ def log(pose: ArrayLike) -> FloatArray:
     return _pose((c * x + s * y) / chord, (c * y - s * x) / chord, omega)
 
 
+@checked
 def transform_points(pose: ArrayLike, points: ArrayLike) -> FloatArray:
     """Carry points from the frame of `pose` to the frame in which `pose` is given.
 
@@ -156,6 +163,7 @@ def transform_points(pose: ArrayLike, points: ArrayLike) -> FloatArray:
     return _stack(x + c * px - s * py, y + s * px + c * py)
 
 
+@checked
 def compose_jacobians(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Return the Jacobians (..., 3, 3) of compose(a, b) with respect to `a` and to `b`.
 
@@ -170,6 +178,7 @@ def compose_jacobians(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArra
     return _matrix(1, 0, -s * bx - c * by, 0, 1, c * bx - s * by, 0, 0, 1), _matrix(c, -s, 0, s, c, 0, 0, 0, 1)
 
 
+@checked
 def between_jacobians(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Return the Jacobians (..., 3, 3) of between(a, b) with respect to `a` and to `b`.
 
@@ -184,6 +193,7 @@ def between_jacobians(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArra
     return _matrix(-c, -s, y, s, -c, -x, 0, 0, -1), _matrix(c, s, 0, -s, c, 0, 0, 0, 1)
 
 
+@checked
 def adjoint(pose: ArrayLike) -> FloatArray:
     """Return the adjoint (..., 3, 3) of poses: pose compose exp(xi) = exp(adjoint @ xi) compose pose.
 
@@ -226,6 +236,7 @@ def _rotate_covariance(covariance: FloatArray, angle: Component) -> FloatArray:
     return _matrix(rxx, rxy, rxt, rxy, ryy, ryt, rxt, ryt, tt)
 
 
+@checked
 def lever_arm_jacobian(frames: FloatArray, carried: FloatArray) -> FloatArray:
     """Jacobians of poses that a frame carries along when it moves, by the pose of that frame.
 
@@ -248,6 +259,7 @@ def lever_arm_jacobian(frames: FloatArray, carried: FloatArray) -> FloatArray:
     return jacobian
 
 
+@checked
 def compound_covariance(
     moved: ArrayLike, covariance: FloatArray, increment: ArrayLike, noise: FloatArray
 ) -> FloatArray:
@@ -259,6 +271,7 @@ def compound_covariance(
     return np.asarray(by_moved @ covariance @ by_moved.T + by_increment @ noise @ by_increment.T)
 
 
+@checked
 def increment_covariance(
     moved: ArrayLike, covariance: FloatArray, increment: ArrayLike, both: FloatArray
 ) -> FloatArray:
@@ -268,6 +281,7 @@ def increment_covariance(
     return np.asarray(0.5 * (noise + noise.T))
 
 
+@checked
 def weighted_mean(poses: ArrayLike, weights: ArrayLike) -> FloatArray:
     """Mean of weighted poses: the arithmetic mean of x and y, the circular mean of theta.
 
@@ -307,6 +321,7 @@ def _mean(given: FloatArray, share: FloatArray) -> FloatArray:
     return np.concatenate([position, np.asarray(wrap(direction))[..., None]], axis=-1)
 
 
+@checked
 def weighted_covariance(poses: ArrayLike, weights: ArrayLike) -> FloatArray:
     """Covariance (..., 3, 3) of weighted poses (..., N, 3) about their `weighted_mean`, in m^2, m rad and rad^2.
 

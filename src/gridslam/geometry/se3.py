@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry import rigid
 from gridslam.geometry.angles import wrap
@@ -20,6 +21,7 @@ __all__ = ["from_planar", "from_quaternion", "tilt_rad", "to_planar", "to_quater
 FloatArray = NDArray[np.float64]
 
 
+@checked
 def from_quaternion(translation: ArrayLike, xyzw: ArrayLike) -> FloatArray:
     """Build a transform from a translation and a quaternion.
 
@@ -42,6 +44,7 @@ def from_quaternion(translation: ArrayLike, xyzw: ArrayLike) -> FloatArray:
     return rigid.to_matrix(rigid.from_quaternion(_vector(translation, "translation", 3), _vector(xyzw, "xyzw", 4)))
 
 
+@checked
 def to_quaternion(transform: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Translation (3,) in m and unit quaternion xyzw (4,) of a transform (4, 4); of q and -q the one with w >= 0.
 
@@ -51,6 +54,7 @@ def to_quaternion(transform: ArrayLike) -> tuple[FloatArray, FloatArray]:
     return values[:3], math.copysign(1.0, values[6]) * values[3:]
 
 
+@checked
 def from_planar(pose: ArrayLike) -> FloatArray:
     """Transform (4, 4) of a pose (3,) = [x m, y m, theta rad] in the ground plane; raises ArgumentError otherwise."""
     x, y, theta = _vector(pose, "pose", 3)
@@ -59,6 +63,7 @@ def from_planar(pose: ArrayLike) -> FloatArray:
     return np.array([[c, -s, 0.0, x], [s, c, 0.0, y], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
+@checked
 def to_planar(transform: ArrayLike) -> FloatArray:
     """Pose (3,) = [x m, y m, yaw rad] of a transform (4, 4) seen from above.
 
@@ -69,6 +74,7 @@ def to_planar(transform: ArrayLike) -> FloatArray:
     return np.array((x, y, wrap(yaw)))
 
 
+@checked
 def tilt_rad(transform: ArrayLike) -> float:
     """Angle in [0, pi] between the z axes of a transform (4, 4): 0 where it is level, pi where it is upside down.
 

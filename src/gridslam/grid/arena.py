@@ -99,8 +99,8 @@ class TileArena:
         require_array("pages", pages, np.int32, (None, PAGE, PAGE))
         require_array("log_odds", log_odds, np.int16, (None, TILE, TILE))
         require_array("field", field, np.uint8, log_odds.shape)
-        if not len(roots):
-            raise ArgumentError("roots", "at least one map", "none")
+        if not roots.size:
+            raise ArgumentError("roots", "at least one map of at least one page", f"shape {roots.shape}")
         if pages[:1].any() or (log_odds[:1] != UNKNOWN).any() or field[:1].any() or not (len(pages) and len(log_odds)):
             raise ArgumentError("pages, log_odds, field", "an empty page and an empty tile first", "something in them")
         packed = None if byte_unit is None else _pack(log_odds, byte_unit)

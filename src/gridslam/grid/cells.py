@@ -12,6 +12,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.kernels import UNKNOWN
 from gridslam.kernels.reference_update import cells_within
@@ -20,6 +21,7 @@ from gridslam.types import FloatArray, IntArray
 __all__ = ["LOG_ODDS_UNIT", "Evidence", "cell_centres", "cell_corner", "cells_of"]
 
 
+@checked
 def cells_of(points: FloatArray, resolution_m: float) -> IntArray:
     """Signed cell indices (..., 2) = [row, column] that hold points (..., 2) = [x m, y m].
 
@@ -28,6 +30,7 @@ def cells_of(points: FloatArray, resolution_m: float) -> IntArray:
     return cells_within(np.floor(points[..., ::-1] * (1.0 / resolution_m))).astype(np.int64)
 
 
+@checked
 def cell_centres(cells: NDArray[np.integer], resolution_m: float) -> FloatArray:
     """World coordinates (..., 2) = [x m, y m] of the centres of cells (..., 2) = [row, column]."""
     return (np.asarray(cells, dtype=np.float64)[..., ::-1] + 0.5) * resolution_m
@@ -45,6 +48,7 @@ _BYTE = 127
 
 
 @final
+@checked
 class Evidence:
     """What a beam adds to a cell's log-odds, and the clamps, rounded to steps of `LOG_ODDS_UNIT`.
 

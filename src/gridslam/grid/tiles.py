@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, final
+from typing import Annotated, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.arguments import Limits, index_of
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import Information, Pose
 from gridslam.grid.arena import Int32Array, TileArena, renumber
@@ -17,7 +19,7 @@ from gridslam.grid.scan_batch import NOT_WEIGHED, ScanBatch, Weighing
 from gridslam.kernels import FARTHEST, MOST_BEAM_CELLS, NO_ROOM, OUTSIDE, PAGE, TILE, UNKNOWN, backend
 from gridslam.kernels.reference_maps import Updated
 from gridslam.kernels.reference_update import unknown_of
-from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid, Rows
+from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid, Points, Poses, Rows
 
 __all__ = ["MOST_BEAM_CELLS", "MOST_CELLS", "MOST_TILES", "TileMaps", "TiledGrid"]
 
@@ -40,6 +42,10 @@ _Table = tuple[Int32Array, tuple[int, int]]
 
 _ORIGIN = np.zeros(3)
 _PAGE_CELLS = PAGE * TILE
+_RowNumbers = Annotated[Rows, "K", index_of("self")]
+_Row = Annotated[int, index_of("self")]
+_Scan = Annotated[int, Limits(0, "K")]
+_Side = Annotated[int, Limits(TILE, 2**16)]
 _NOTHING_PENDING = np.zeros((0, 4), np.int32)
 _MOST_ENTRIES = 2**24  # of the tables of all maps together: 67 MB
 
@@ -119,7 +125,7 @@ class _ScanUpdate:
 
     __slots__ = ("_begun", "_poses", "_rows", "_scan", "_table")
 
-    def __init__(self, rows: Int32Array, poses: FloatArray, scan: tuple[Any, ...]) -> None:
+    def __init__(self, rows: Rows, poses: FloatArray, scan: tuple[Any, ...]) -> None:
         self._rows = rows
         self._poses = poses
         self._scan = scan
@@ -158,6 +164,7 @@ class _ScanUpdate:
 
 
 @final
+@checked
 class TileMaps:
     """`rows` maps over one arena of tiles. Reading is for all; writing is for the one owner.
 
@@ -242,7 +249,7 @@ class TileMaps:
         """Number of tiles that the arena's maps use together."""
         return self._arena.tiles_used
 
-    def tiles_of(self, rows: IntArray) -> int:
+    def tiles_of(self, rows: _RowNumbers) -> int:
         """Number of tiles that maps `rows` (K,) use together."""
         return self._arena.tiles_of(self._roots[rows])
 
@@ -268,7 +275,7 @@ class TileMaps:
         """The evidence in the arena's unit."""
         return tuple(step // self._arena.unit for step in self.evidence.steps)
 
-    def snapshot(self, rows: IntArray | None = None) -> TileMaps:
+    def snapshot(self, rows: _RowNumbers | None = None) -> TileMaps:
         """Another owner of all maps or of maps `rows` (K,), at the cost of their tables.
 
         Tiles are copied when either side writes.
@@ -293,7 +300,7 @@ class TileMaps:
         twin._shared_arena = self._arena.freeze(twin._roots)
         return twin
 
-    def select(self, parents: IntArray) -> None:
+    def select(self, parents: Annotated[Rows, "self", index_of("self")]) -> None:
         """Let map i become what map parents[i] was; parents (rows,) int64."""
         arena = self._arena
         roots = self._roots[parents]
@@ -305,12 +312,12 @@ class TileMaps:
         """Give the memory back that no map uses; ids of tiles change, and what is written to a map stays its own."""
         self._arena.compact()
 
-    def clear(self, row: int) -> None:
+    def clear(self, row: _Row) -> None:
         """Empty one map."""
         self._arena.release(self._roots[row])
         self._roots[row] = 0
 
-    def update(self, rows: Int32Array, poses: FloatArray, beams: BeamEnds) -> None:
+    def update(self, rows: _RowNumbers, poses: Poses, beams: BeamEnds) -> None:
         """Insert a scan into maps `rows` (K,) int32, each at most once, at poses (K, 3): the binary Bayes filter.
 
         The cell at a beam's end is hit once for each beam, the cells before it are missed once for each, the first 1664
@@ -342,7 +349,12 @@ class TileMaps:
             update.run(arena, (self._roots, self._first), -1)
 
     def draw(
-        self, poses: FloatArray, batch: ScanBatch, first: int, last: int, weighing: Weighing = NOT_WEIGHED
+        self,
+        poses: Poses,
+        batch: ScanBatch,
+        first: Annotated[int, index_of("K")],
+        last: Annotated[int, Limits(0, "K")],
+        weighing: Weighing = NOT_WEIGHED,
     ) -> None:
         """Insert scans `first` to `last` - 1 of a batch, at poses (K, 3), into the one map, as `update` does.
 
@@ -377,7 +389,7 @@ class TileMaps:
             arena.reserve(_SPARE_PAGES, spare)
 
     def match_scans(
-        self, guesses: FloatArray, prior: FloatArray, batch: ScanBatch, *settings: float | bool
+        self, guesses: Poses, prior: Annotated[FloatArray, 3, 3], batch: ScanBatch, *settings: float | bool
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Match each scan of a batch to the one map from its guess (K, 3), with prior information (3, 3)."""
         found: tuple[FloatArray, FloatArray, FloatArray] = backend.match_scans(
@@ -415,7 +427,12 @@ class TileMaps:
             self._arena.log_odds[own] = np.where(cells == unknown, cells, limited)
 
     def match(
-        self, rows: Int32Array, guesses: FloatArray, priors: FloatArray, ends: FloatArray, *settings: float | bool
+        self,
+        rows: _RowNumbers,
+        guesses: Poses,
+        priors: Annotated[FloatArray, "K", 3, 3],
+        ends: Points,
+        *settings: float | bool,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Gauss-Newton from guesses (K, 3) with prior information (K, 3, 3); see `gridslam.matching.GaussNewton`."""
         found: tuple[FloatArray, FloatArray, FloatArray] = backend.match(
@@ -424,7 +441,7 @@ class TileMaps:
         return found
 
     def match_pose(
-        self, row: int, guess: Pose, prior: Information, ends: FloatArray, *settings: float | bool
+        self, row: _Row, guess: Pose, prior: Information, ends: Points, *settings: float | bool
     ) -> tuple[Pose, Information, float]:
         """`match` of one guess to map `row`, by numbers: pose, information and score."""
         found: tuple[Pose, Information, float] = backend.match_pose(
@@ -432,7 +449,7 @@ class TileMaps:
         )
         return found
 
-    def distances(self, rows: Rows, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
+    def distances(self, rows: _RowNumbers, poses: Poses, points: Points) -> NDArray[np.float32]:
         """Distance in m (K, B) from points (B, 2) of the base frame at poses (K, 3) to the nearest obstacle's centre.
 
         Capped at `reach_m`; `rows` (K,): index of the map of each pose.
@@ -444,7 +461,7 @@ class TileMaps:
         return found
 
     def cast_rays(
-        self, rows: Rows, poses: FloatArray, origin: FloatArray, directions: FloatArray, max_m: float
+        self, rows: _RowNumbers, poses: Poses, origin: Annotated[FloatArray, 2], directions: Points, max_m: float
     ) -> NDArray[np.float32]:
         """Range in m (K, B) to the first occupied cell, from origin (2,) along directions (B, 2) of the base frame.
 
@@ -456,20 +473,20 @@ class TileMaps:
         )
         return found
 
-    def is_known(self, row: int, points: FloatArray, pose: FloatArray = _ORIGIN) -> NDArray[np.bool_]:
+    def is_known(self, row: _Row, points: Points, pose: Annotated[FloatArray, 3] = _ORIGIN) -> NDArray[np.bool_]:
         """Whether the cells (B,) of points (B, 2), seen from a pose (3,), were observed, in one map."""
         found: NDArray[np.bool_] = backend.known_cells(*self._view, row, pose, points, self.resolution_m)
         return found
 
-    def tiled(self, row: int) -> TiledGrid:
+    def tiled(self, row: _Row) -> TiledGrid:
         """The map as a rectangle, cut to the tiles that hold something, that stays in them."""
         return TiledGrid(self, row)
 
-    def occupancy(self, row: int) -> OccupancyGrid:
+    def occupancy(self, row: _Row) -> OccupancyGrid:
         """The map as such a rectangle, unfolded; a single unknown cell if no tile holds anything."""
         return self.tiled(row).whole()
 
-    def field(self, row: int, most_cells: int = 2**13) -> tuple[NDArray[np.uint8], tuple[int, int]]:
+    def field(self, row: _Row, most_cells: _Side = 2**13) -> tuple[NDArray[np.uint8], tuple[int, int]]:
         """The distance field (H, W) uint8 as such a rectangle, and the cell (row, column) that is its corner.
 
         255 at an occupied cell, falling with the distance to 0 at the field's reach. A rectangle of more cells than a
@@ -481,7 +498,9 @@ class TileMaps:
             return np.zeros((1, 1), np.uint8), (0, 0)
         return tiles[ids].swapaxes(1, 2).reshape(len(ids) * TILE, -1), corner
 
-    def field_tiles(self, row: int, most_cells: int = 2**13) -> tuple[NDArray[np.uint8], Int32Array, tuple[int, int]]:
+    def field_tiles(
+        self, row: _Row, most_cells: _Side = 2**13
+    ) -> tuple[NDArray[np.uint8], Int32Array, tuple[int, int]]:
         """The same unfolded: all maps' tiles (T, 32, 32) of it, the ids (R, C) of the rectangle's, and its corner.
 
         The tiles are those that the maps go on with.
@@ -496,7 +515,7 @@ class TileMaps:
             tile_column += left
         return self._arena.field, np.ascontiguousarray(ids), (tile_row * TILE, tile_column * TILE)
 
-    def tile_ids(self, row: int) -> tuple[Int32Array, tuple[int, int]]:
+    def tile_ids(self, row: _Row) -> tuple[Int32Array, tuple[int, int]]:
         """Ids (R, C) of the tiles of one map, 0 where there is none, and of their corner the (row, column) in tiles.
 
         They are cut to those that hold something; a single 0 at (0, 0) if there is none. Maps that have a tile in
@@ -511,7 +530,7 @@ class TileMaps:
         corner = self._first[0] * PAGE + int(rows[0]), self._first[1] * PAGE + int(columns[0])
         return ids[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], corner
 
-    def tile_ids_within(self, row: int, rows: tuple[int, int], columns: tuple[int, int]) -> Int32Array:
+    def tile_ids_within(self, row: _Row, rows: tuple[int, int], columns: tuple[int, int]) -> Int32Array:
         """Ids (R, C) of the tiles of one map in `rows` and `columns` (from, to) of tiles, all within the table."""
         page_row = rows[0] // PAGE
         page_column = columns[0] // PAGE
@@ -524,7 +543,7 @@ class TileMaps:
             columns[0] - PAGE * page_column : columns[1] - PAGE * page_column,
         ]
 
-    def tiles(self, ids: Int32Array) -> NDArray[np.int16]:
+    def tiles(self, ids: Annotated[IntArray | Int32Array, "K"]) -> NDArray[np.int16]:
         """Copies (K, 32, 32) of tiles by id (K,): log-odds in units of `LOG_ODDS_UNIT`; `UNKNOWN` where nothing is."""
         return self._arena.steps_of(ids)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from gridslam.arguments import describe
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.carmen.lines import SCAN_TAGS
 from gridslam.io.carmen.reader import CarmenLog
@@ -51,6 +52,7 @@ class LogFormat(Enum):
     CSV = "CSV"
 
 
+@checked
 def open_log(path: str | Path, options: LogOptions = _ALL) -> Log:
     """Open a log of any format that can be read, detected from its content: CARMEN, ROS 1 and ROS 2 bags, CSV.
 

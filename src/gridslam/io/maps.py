@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.images import open_image
 from gridslam.io.text import read_text, refuse_unreadable
@@ -108,6 +109,7 @@ class MapImage:
     opaque: NDArray[np.bool_]
 
 
+@checked
 def write_map(yaml_path: str | Path, grid: GridRows) -> None:
     """Write a map in trinary form: occupied above probability 0.65, free below 0.196, unknown otherwise.
 
@@ -141,6 +143,7 @@ def _pixels(grid: OccupancyGrid) -> NDArray[np.uint8]:
     return pixels
 
 
+@checked
 def read_map(
     yaml_path: str | Path, *, strict_thresholds: bool = False, on_remark: Callable[[str], None] = lambda remark: None
 ) -> OccupancyGrid:

@@ -10,6 +10,7 @@ from itertools import dropwhile
 from pathlib import Path
 from typing import Any, Protocol, final, runtime_checkable
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.se2 import between, compound_covariance
 from gridslam.io.log_statistics import LogStatistics
@@ -42,6 +43,7 @@ class Log(Protocol):
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True)
 class LogOptions:
     """What to read of a log, and how.

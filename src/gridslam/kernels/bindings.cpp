@@ -1,5 +1,6 @@
-// The door between Python and the kernels: arrays in, arrays out, the GIL released. Contracts are checked by the
-// callers in Python.
+// The door between Python and the kernels: arrays in, arrays out, the GIL released. Shapes, and rows of maps, are
+// checked here, so that no memory but the arguments' is read; all else by the callers in Python, who can name it
+// better.
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -49,13 +50,33 @@ nb::ndarray<nb::numpy, int32_t> as_rows(const T* data, size_t n, size_t width) {
   return out;
 }
 
+template <class T, int... Lengths>
+using Shaped = nb::ndarray<T, nb::shape<Lengths...>, nb::c_contig, nb::device::cpu>;  // -1: any length
+
 using Roots = Array<int32_t, 3>;
-using Pages = Array<int32_t, 3>;
-using StoredLogOdds = nb::ndarray<nb::ndim<3>, nb::c_contig, nb::device::cpu>;  // int8 or int16
-using Field = Array<uint8_t, 3>;
+using Pages = Shaped<int32_t, -1, kPage, kPage>;
+using StoredLogOdds = nb::ndarray<nb::shape<-1, kTile, kTile>, nb::c_contig, nb::device::cpu>;  // int8 or int16
+using Field = Shaped<uint8_t, -1, kTile, kTile>;
 using Rows = Array<const int32_t, 1>;
 using Matrix = Array<const double, 2>;
 using Vector = Array<const double, 1>;
+using Poses = Shaped<const double, -1, 3>;
+using Points = Shaped<const double, -1, 2>;
+using Priors = Shaped<const double, -1, 3, 3>;
+using Triple = Shaped<const double, 3>;
+using Pair = Shaped<const double, 2>;
+
+void require(bool fits, const char* expected) {
+  if (!fits) throw nb::index_error(expected);
+}
+
+// A row for each of some poses, of maps that are there.
+void require_rows(const Rows& rows, size_t poses, size_t maps) {
+  require(
+      rows.shape(0) == poses && std::all_of(rows.data(), rows.data() + poses,
+                                            [&](int32_t row) { return row >= 0 && static_cast<size_t>(row) < maps; }),
+      "rows: expected one for each pose, of maps that are there");
+}
 
 Maps view(const Roots& roots, nb::tuple first, const Pages& pages, const StoredLogOdds& log_odds, const Field& field) {
   return Maps{roots.data(),
@@ -75,9 +96,10 @@ Maps view(const Roots& roots, nb::tuple first, const Pages& pages, const StoredL
       nb::arg("field").noconvert()
 
 // Short enough to keep the GIL: a scan takes microseconds.
-auto py_select_beams(Vector ranges, Array<const uint8_t, 1> status, Matrix directions, Vector origin, double min_m,
+auto py_select_beams(Vector ranges, Array<const uint8_t, 1> status, Points directions, Pair origin, double min_m,
                      double max_m) {
   const size_t n = ranges.shape(0);
+  require(status.shape(0) == n && directions.shape(0) == n, "status, directions: expected one for each range");
   auto* const indices = new int64_t[n];
   auto* const ends = new double[2 * n];
   const size_t k =
@@ -95,7 +117,8 @@ Arena arena_of(const Array<int32_t, 1>& page_refs, const Array<int32_t, 1>& tile
           static_cast<int64_t>(free_tiles.shape(0))};
 }
 
-auto py_tiles_on_rays(Rows rows, Matrix poses, Matrix ends, Vector origin, double resolution, int threads) {
+auto py_tiles_on_rays(Rows rows, Poses poses, Points ends, Pair origin, double resolution, int threads) {
+  require(rows.shape(0) == poses.shape(0), "rows: expected one for each pose");
   TileList out;
   {
     nb::gil_scoped_release release;
@@ -120,7 +143,7 @@ auto py_make_tiles_writable(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<in
 
 #define GRIDSLAM_UPDATE                                                                                         \
   Array<int32_t, 1> page_refs, Array<int32_t, 1> tile_refs, Rows free_pages, Rows free_tiles,                   \
-      Array<const int32_t, 2> pending, int64_t room, Rows rows, Matrix poses, Matrix ends, Vector origin,       \
+      Shaped<const int32_t, -1, 4> pending, int64_t room, Rows rows, Poses poses, Points ends, Pair origin,     \
       double resolution, int hit, int miss, int min, int max, int occupied_above, Array<const uint8_t, 2> cone, \
       double margin_m, int threads
 #define GRIDSLAM_UPDATE_ARGS                                                                                       \
@@ -144,6 +167,7 @@ auto result_of(int status, const Insertion& insertion, const Rows& free_pages, c
 }
 
 auto py_update(GRIDSLAM_MAPS, GRIDSLAM_UPDATE) {
+  require_rows(rows, poses.shape(0), roots.shape(0));
   const auto* cells = reinterpret_cast<const Cell*>(pending.data());
   const std::vector<Cell> earlier(cells, cells + pending.shape(0));
   Insertion insertion(GRIDSLAM_INSERTION);
@@ -157,7 +181,7 @@ auto py_update(GRIDSLAM_MAPS, GRIDSLAM_UPDATE) {
 
 // An insertion that goes on in the background, and the arrays that it reads and writes.
 struct BackgroundUpdate {
-  std::tuple<Roots, Pages, StoredLogOdds, Field, Array<int32_t, 1>, Array<int32_t, 1>, Matrix, Vector> kept;
+  std::tuple<Roots, Pages, StoredLogOdds, Field, Array<int32_t, 1>, Array<int32_t, 1>, Points, Pair> kept;
   Rows free_pages, free_tiles;
   int threads;
   Insertion insertion;
@@ -175,6 +199,7 @@ struct BackgroundUpdate {
 
 // None where it cannot be known at once that the maps hold the scan.
 nb::object py_begin_update(GRIDSLAM_MAPS, GRIDSLAM_UPDATE) {
+  require_rows(rows, poses.shape(0), roots.shape(0));
   auto begun = std::unique_ptr<BackgroundUpdate>(
       new BackgroundUpdate{{roots, pages, log_odds, field, page_refs, tile_refs, ends, origin},
                            free_pages,
@@ -199,11 +224,13 @@ auto py_end_update(nb::capsule begun) {
   return result_of(0, update.insertion, update.free_pages, update.free_tiles);
 }
 
-auto py_match(GRIDSLAM_MAPS, Rows rows, Matrix guesses, Array<const double, 3> priors, Matrix ends, double resolution,
+auto py_match(GRIDSLAM_MAPS, Rows rows, Poses guesses, Priors priors, Points ends, double resolution,
               int max_iterations, double cauchy_cells, double max_step_cells, double max_step_rad, double stop_cells,
               double stop_rad, double reach_cells, double min_information, bool point_to_line, int threads) {
   const Maps m = view(roots, first, pages, log_odds, field);
   const size_t k = guesses.shape(0);
+  require_rows(rows, k, roots.shape(0));
+  require(priors.shape(0) == k, "priors: expected one for each guess");
   auto poses = fresh<double, 2>({k, 3});
   auto information = fresh<double, 3>({k, 3, 3});
   auto score = fresh<double, 1>({k});
@@ -219,11 +246,12 @@ auto py_match(GRIDSLAM_MAPS, Rows rows, Matrix guesses, Array<const double, 3> p
 }
 
 // One pose, without an array for each of its numbers.
-auto py_match_pose(GRIDSLAM_MAPS, int row, std::array<double, 3> guess, std::array<double, 6> prior, Matrix ends,
+auto py_match_pose(GRIDSLAM_MAPS, int row, std::array<double, 3> guess, std::array<double, 6> prior, Points ends,
                    double resolution, int max_iterations, double cauchy_cells, double max_step_cells,
                    double max_step_rad, double stop_cells, double stop_rad, double reach_cells, double min_information,
                    bool point_to_line) {
   const Maps m = view(roots, first, pages, log_odds, field);
+  require(row >= 0 && static_cast<size_t>(row) < roots.shape(0), "row: expected a map that is there");
   const int32_t rows[1] = {row};
   const auto& [xx, xy, xt, yy, yt, tt] = prior;
   const double whole[9] = {xx, xy, xt, xy, yy, yt, xt, yt, tt};
@@ -239,9 +267,10 @@ auto py_match_pose(GRIDSLAM_MAPS, int row, std::array<double, 3> guess, std::arr
                          std::make_tuple(h[0], h[1], h[2], h[4], h[5], h[8]), score);
 }
 
-auto py_distances(GRIDSLAM_MAPS, Rows rows, Matrix poses, Matrix ends, double resolution, double reach_cells,
+auto py_distances(GRIDSLAM_MAPS, Rows rows, Poses poses, Points ends, double resolution, double reach_cells,
                   int threads) {
   const Maps m = view(roots, first, pages, log_odds, field);
+  require_rows(rows, poses.shape(0), roots.shape(0));
   auto out = fresh<float, 2>({poses.shape(0), ends.shape(0)});
   {
     nb::gil_scoped_release release;
@@ -251,8 +280,9 @@ auto py_distances(GRIDSLAM_MAPS, Rows rows, Matrix poses, Matrix ends, double re
   return out;
 }
 
-auto py_known_cells(GRIDSLAM_MAPS, int row, Vector pose, Matrix points, double resolution) {
+auto py_known_cells(GRIDSLAM_MAPS, int row, Triple pose, Points points, double resolution) {
   const Maps m = view(roots, first, pages, log_odds, field);
+  require(row >= 0 && static_cast<size_t>(row) < roots.shape(0), "row: expected a map that is there");
   auto out = fresh<bool, 1>({points.shape(0)});
   {
     nb::gil_scoped_release release;
@@ -261,9 +291,10 @@ auto py_known_cells(GRIDSLAM_MAPS, int row, Vector pose, Matrix points, double r
   return out;
 }
 
-auto py_cast_rays(GRIDSLAM_MAPS, Rows rows, Matrix poses, Vector origin, Matrix directions, double resolution,
+auto py_cast_rays(GRIDSLAM_MAPS, Rows rows, Poses poses, Pair origin, Points directions, double resolution,
                   double max_m, int threads) {
   const Maps m = view(roots, first, pages, log_odds, field);
+  require_rows(rows, poses.shape(0), roots.shape(0));
   auto out = fresh<float, 2>({poses.shape(0), directions.shape(0)});
   {
     nb::gil_scoped_release release;
@@ -273,7 +304,7 @@ auto py_cast_rays(GRIDSLAM_MAPS, Rows rows, Matrix poses, Vector origin, Matrix 
   return out;
 }
 
-auto py_sum_at_ends(Array<const uint32_t, 2> patches, Vector corner, double resolution, Matrix poses, Matrix ends,
+auto py_sum_at_ends(Array<const uint32_t, 2> patches, Pair corner, double resolution, Poses poses, Points ends,
                     int threads) {
   auto out = fresh<double, 1>({poses.shape(0)});
   {
@@ -306,8 +337,10 @@ auto py_predict_landmarks(int sensor, Matrix poses, Matrix calibration, Matrices
   return std::make_tuple(residuals, innovations, by_pose, by_landmark, by_sensor);
 }
 
-auto py_mean_shift(Matrix poses, Vector weights, Array<const bool, 1> first, Vector centre, double radius_m,
+auto py_mean_shift(Poses poses, Vector weights, Array<const bool, 1> first, Triple centre, double radius_m,
                    double radius_rad, int shifts) {
+  const size_t n = poses.shape(0);
+  require(weights.shape(0) == n && first.shape(0) == n, "weights, first: expected one for each pose");
   auto moved = fresh<double, 1>({3});
   auto moment = fresh<double, 2>({3, 3});
   std::copy_n(centre.data(), 3, moved.data());
@@ -322,7 +355,7 @@ auto py_mean_shift(Matrix poses, Vector weights, Array<const bool, 1> first, Vec
   return std::make_tuple(moved, found.cluster_mass, found.mass, found.mass_of_squares, moment);
 }
 
-auto py_are_true(Array<const bool, 2> mask, Vector corner, double inverse_resolution, Matrix poses) {
+auto py_are_true(Array<const bool, 2> mask, Pair corner, double inverse_resolution, Poses poses) {
   auto out = fresh<bool, 1>({poses.shape(0)});
   {
     nb::gil_scoped_release release;
@@ -343,6 +376,10 @@ auto py_slots_of(Vector ends, Vector points) {
 }
 
 auto py_draw_gaussians(Matrix means, Matrices covariances, Matrix numbers) {
+  const size_t k = means.shape(0), size = means.shape(1);
+  require(covariances.shape(0) == k && covariances.shape(1) == size && covariances.shape(2) == size &&
+              numbers.shape(0) == k && numbers.shape(1) == size,
+          "covariances, numbers: expected as many as means, of their size");
   auto drawn = fresh<double, 2>({means.shape(0), means.shape(1)});
   {
     nb::gil_scoped_release release;
@@ -366,15 +403,25 @@ auto py_kalman_update(Array<double, 2> means, Array<double, 3> covariances, Star
   return std::make_tuple(shifts, gains);
 }
 
-Scans scans_of(const Matrix& poses, const Matrix& ends, const Starts& starts, const Matrix& origins) {
+Scans scans_of(const Poses& poses, const Points& ends, const Starts& starts, const Points& origins) {
+  const size_t k = poses.shape(0);
+  const int64_t* const s = starts.data();
+  require(starts.shape(0) == k + 1 && origins.shape(0) == k && s[0] >= 0 && std::is_sorted(s, s + k + 1) &&
+              s[k] <= static_cast<int64_t>(ends.shape(0)),
+          "starts, origins: expected those of as many scans as poses");
   return {poses.data(), ends.data(), starts.data(), origins.data(), static_cast<int>(poses.shape(0))};
 }
 
 auto py_draw_scans(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1> tile_refs, Rows free_pages,
-                   Rows free_tiles, Matrix poses, Matrix ends, Starts starts, Matrix origins, int begin, int end,
+                   Rows free_tiles, Poses poses, Points ends, Starts starts, Points origins, int begin, int end,
                    double resolution, std::array<int, 5> steps, Array<const uint8_t, 2> cone, int64_t room,
                    Starts weighed_after, Array<float, 1> weights, double reach_cells, double scale_m) {
   const Maps m = view(roots, first, pages, log_odds, field);
+  const Scans scans = scans_of(poses, ends, starts, origins);
+  require(begin >= 0 && begin <= end && end <= scans.n && roots.shape(0) > 0,
+          "begin, end: expected scans of the batch");
+  require(weights.shape(0) == (weighed_after.shape(0) ? ends.shape(0) : 0) && weighed_after.shape(0) <= poses.shape(0),
+          "weights: expected one for each beam");
   const FreeTiles spare{page_refs.data(),  tile_refs.data(),
                         free_pages.data(), static_cast<int64_t>(free_pages.shape(0)),
                         free_tiles.data(), static_cast<int64_t>(free_tiles.shape(0))};
@@ -383,15 +430,14 @@ auto py_draw_scans(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1>
   Drawn drawn;
   {
     nb::gil_scoped_release release;
-    drawn = draw_scans(m, spare, scans_of(poses, ends, starts, origins), begin, end, resolution,
-                       {steps[0], steps[1], steps[2], steps[3], steps[4]}, cone.data(),
-                       static_cast<int>(cone.shape(0) / 2), room, weighing);
+    drawn = draw_scans(m, spare, scans, begin, end, resolution, {steps[0], steps[1], steps[2], steps[3], steps[4]},
+                       cone.data(), static_cast<int>(cone.shape(0) / 2), room, weighing);
   }
   return std::make_tuple(drawn.pages, drawn.tiles, drawn.scans);
 }
 
-auto py_match_scans(GRIDSLAM_MAPS, Matrix guesses, Matrix prior, Matrix ends, Starts starts, Matrix origins,
-                    double resolution, int max_iterations, double cauchy_cells, double max_step_cells,
+auto py_match_scans(GRIDSLAM_MAPS, Poses guesses, Shaped<const double, 3, 3> prior, Points ends, Starts starts,
+                    Points origins, double resolution, int max_iterations, double cauchy_cells, double max_step_cells,
                     double max_step_rad, double stop_cells, double stop_rad, double reach_cells, double min_information,
                     bool point_to_line, int min_beams, int threads) {
   const Maps m = view(roots, first, pages, log_odds, field);
@@ -399,9 +445,10 @@ auto py_match_scans(GRIDSLAM_MAPS, Matrix guesses, Matrix prior, Matrix ends, St
   auto poses = fresh<double, 2>({k, 3});
   auto information = fresh<double, 3>({k, 3, 3});
   auto score = fresh<double, 1>({k});
+  const Scans scans = scans_of(guesses, ends, starts, origins);
   {
     nb::gil_scoped_release release;
-    match_scans(m, scans_of(guesses, ends, starts, origins), prior.data(), resolution,
+    match_scans(m, scans, prior.data(), resolution,
                 {max_iterations, cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells,
                  min_information, point_to_line},
                 min_beams, threads, poses.data(), information.data(), score.data());
@@ -409,8 +456,9 @@ auto py_match_scans(GRIDSLAM_MAPS, Matrix guesses, Matrix prior, Matrix ends, St
   return std::make_tuple(poses, information, score);
 }
 
-auto py_shortest_ways(Matrix firsts, Matrix steps, Array<const int32_t, 2> link_submaps, Matrix links, int submap,
-                      Vector moments, Vector pose, double x, double y, double limit, int most, int last) {
+auto py_shortest_ways(Poses firsts, Shaped<const double, -1, 9> steps, Shaped<const int32_t, -1, 2> link_submaps,
+                      Shaped<const double, -1, 12> links, int submap, Shaped<const double, 9> moments, Triple pose,
+                      double x, double y, double limit, int most, int last) {
   const SubmapGraph graph{firsts.data(),
                           static_cast<int>(firsts.shape(0)),
                           steps.data(),

@@ -28,6 +28,23 @@ void known_cells(const Maps& m, int row, const double* pose, const double* point
 
 namespace {
 
+constexpr double kMostRayCells = 1 << 24;  // of a ray that comes from far away; 840 km in cells of 5 cm
+
+// How far a ray is followed: to where it has left the tables, but for rounding, beyond which nothing is occupied.
+double reach_of(const Maps& m, double x, double y, double dx, double dy, double resolution, double max_m) {
+  const double side = kPage * kTile * resolution;
+  const double step_m = resolution / std::max({std::abs(dx), std::abs(dy), 1e-300});
+  double reach = std::min(max_m, kMostRayCells * step_m);
+  const auto leave = [&](double at, double direction, int page, int pages) {
+    if (direction == 0) return;
+    const double end = direction > 0 ? (page + pages + 1) * side : (page - 1) * side;
+    reach = std::min(reach, (end - at) / direction);
+  };
+  leave(x, dx, m.page_col0, m.page_cols);
+  leave(y, dy, m.page_row0, m.page_rows);
+  return reach;
+}
+
 // Follows the cells that the ray crosses (Amanatides and Woo 1987) to the first occupied one.
 float cast(const Maps& m, const int32_t* root, double x, double y, double dx, double dy, double resolution,
            double max_m) {
@@ -39,7 +56,8 @@ float cast(const Maps& m, const int32_t* root, double x, double y, double dx, do
   const double step_x = dx != 0 ? resolution / std::abs(dx) : far, step_y = dy != 0 ? resolution / std::abs(dy) : far;
   double next_x = dx != 0 ? ((cx + (sx > 0)) * resolution - x) / dx : far;
   double next_y = dy != 0 ? ((cy + (sy > 0)) * resolution - y) / dy : far;
-  for (double t = 0; t < max_m;) {
+  const double reach = reach_of(m, x, y, dx, dy, resolution, max_m);
+  for (double t = 0; t < reach;) {
     if (m.field_at(root, cy, cx) == kOccupiedField) {
       const double centre = ((cx + 0.5) * resolution - x) * dx + ((cy + 0.5) * resolution - y) * dy;
       return static_cast<float>(std::clamp(centre, 0.0, max_m));  // where the ray passes the cell's centre

@@ -36,6 +36,8 @@ from gridslam.kernels.reference_numbers import format_rows, parse_numbers
 from gridslam.kernels.reference_update import (
     FARTHEST,
     OCCUPIED,
+    PAGE,
+    TILE,
     FloatArray,
     Int32Array,
     IntArray,
@@ -215,7 +217,8 @@ def cast_rays(
         stride = np.where(turned != 0, resolution / np.abs(turned), np.inf)
         border = np.where(turned != 0, ((cell + (forward > 0)) * resolution - place) / turned, np.inf)
     ranges = np.full(turned.shape[:2], max_m)
-    k, b = np.nonzero((ranges > 0) & near[:, None])
+    reach = _reach_of_rays(roots.shape[1:], first, place, turned, resolution, max_m)
+    k, b = np.nonzero((reach > 0) & near[:, None])
     while len(k):
         here = cell[k, b]
         met = lookup._replace(rows=rows[k]).at(here[:, None, 1], here[:, None, 0])[:, 0] == OCCUPIED
@@ -223,11 +226,36 @@ def cast_rays(
         ranges[k[met], b[met]] = np.clip(passes[met], 0.0, max_m)
         k, b = k[~met], b[~met]
         axis = np.where(border[k, b, 0] < border[k, b, 1], 0, 1)
-        inside = border[k, b, axis] < max_m
+        inside = border[k, b, axis] < reach[k, b]
         k, b, axis = k[inside], b[inside], axis[inside]
         border[k, b, axis] += stride[k, b, axis]
         cell[k, b, axis] += forward[k, b, axis]
     return ranges.astype(np.float32)
+
+
+_MOST_RAY_CELLS = 1 << 24
+"""Of a ray that comes from far away; 840 km in cells of 5 cm."""
+
+
+def _reach_of_rays(
+    pages: tuple[int, ...],
+    first: tuple[int, int],
+    place: FloatArray,
+    turned: FloatArray,
+    resolution: float,
+    max_m: float,
+) -> FloatArray:
+    """How far rays (K, B) are followed: to where they have left the tables, beyond which nothing is occupied."""
+    side = PAGE * TILE * resolution
+    step_m = resolution / np.maximum(np.abs(turned).max(axis=-1), 1e-300)
+    reach: FloatArray = np.minimum(max_m, _MOST_RAY_CELLS * step_m)
+    for axis, page, count in ((0, first[1], pages[1]), (1, first[0], pages[0])):
+        direction = turned[..., axis]
+        end = np.where(direction > 0, (page + count + 1) * side, (page - 1) * side)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            leaves = np.where(direction != 0, (end - place[..., axis]) / direction, np.inf)
+        reach = np.minimum(reach, leaves)
+    return reach
 
 
 def match(

@@ -6,11 +6,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, final
+from typing import Annotated, Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridslam.arguments import Limits
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import transform_points
 from gridslam.grid.cells import Evidence
@@ -18,7 +20,7 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import PAGE, TILE, UNKNOWN, backend
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.endpoint import CauchyEndPoint, LikelihoodField
-from gridslam.types import Beams, FloatArray, Match, OccupancyGrid, Rows, SensorModel
+from gridslam.types import Beams, FloatArray, Match, OccupancyGrid, Points, Poses, SensorModel
 
 __all__ = ["FieldTable", "KnownMap", "PoseLikelihood"]
 
@@ -26,6 +28,7 @@ __all__ = ["FieldTable", "KnownMap", "PoseLikelihood"]
 PoseLikelihood = Callable[[FloatArray], FloatArray]
 """A measurement model conditioned on one scan and one map: log likelihoods (K,) of poses (K, 3)."""
 
+_Point = Annotated[FloatArray, 2]
 _OCCUPIED = math.log(0.65 / 0.35)  # as map_server writes and reads maps
 _FREE = math.log(0.196 / 0.804)
 _PAGE_CELLS = TILE * PAGE
@@ -35,6 +38,7 @@ _NONE = Evidence(1.0, -1.0, -1.0, 1.0, 0.0)  # never asked for: nothing is writt
 
 
 @final
+@checked
 class KnownMap:
     """One map for all particles, as `gridslam.types.DistanceMaps` whose rows are all the same.
 
@@ -93,7 +97,7 @@ class KnownMap:
         """Area of all free cells, m^2."""
         return len(self._free_cells) * self.resolution_m**2
 
-    def require(self, pose: ArrayLike) -> None:
+    def require(self, pose: Annotated[ArrayLike, 3]) -> None:
         """Raise ArgumentError for a pose (3,) outside the map's borders."""
         place = np.asarray(pose, dtype=np.float64)[:2]
         low = np.array(self.grid.origin)
@@ -102,12 +106,12 @@ class KnownMap:
             sides = (f"{c} from {a:g} to {b:g} m" for c, a, b in zip("xy", low, high, strict=True))
             raise ArgumentError("pose", f"a place in the map, {' and '.join(sides)}", f"{place[0]:g}, {place[1]:g}")
 
-    def is_free(self, poses: FloatArray) -> NDArray[np.bool_]:
+    def is_free(self, poses: Poses) -> NDArray[np.bool_]:
         """Whether each of poses (N, 3) stands on a free cell."""
         standing: NDArray[np.bool_] = backend.are_true(self.free, self._origin, 1 / self.resolution_m, poses)
         return standing
 
-    def spread_about(self, pose: FloatArray) -> FloatArray:
+    def spread_about(self, pose: Annotated[FloatArray, 3]) -> FloatArray:
         """Mean square (3, 3) of how far poses that are even over free cells and headings are from a pose (3,)."""
         away = self._middle - pose[:2]
         spread = np.zeros((3, 3))
@@ -115,7 +119,7 @@ class KnownMap:
         spread[2, 2] = math.pi**2 / 3
         return spread
 
-    def sample_poses(self, count: int, rng: np.random.Generator) -> FloatArray:
+    def sample_poses(self, count: Annotated[int, Limits(0, 1 << 30)], rng: np.random.Generator) -> FloatArray:
         """Poses (count, 3), uniform over free cells and headings."""
         cells = self._free_cells[rng.integers(len(self._free_cells), size=count)]
         poses = rng.random((count, 3))
@@ -123,7 +127,7 @@ class KnownMap:
         poses[:, 2] = (poses[:, 2] - 0.5) * math.tau
         return poses
 
-    def lattice(self, spacing_m: float, clearance_m: float) -> FloatArray:
+    def lattice(self, spacing_m: Annotated[float, Limits(1e-9, 1e9)], clearance_m: float) -> FloatArray:
         """Places (N, 2) on free cells, one in each square of `spacing_m`, at least `clearance_m` from any obstacle.
 
         In a square it is the free cell farthest from obstacles; of the clearance no more than `reach_m` is known.
@@ -154,13 +158,13 @@ class KnownMap:
         log_likelihood = sensor(beams)
         return lambda poses: log_likelihood(self, np.zeros(len(poses), np.int32), poses)
 
-    def inlier_ratio(self, ends: FloatArray, weight: CauchyEndPoint | None = None) -> PoseLikelihood:
+    def inlier_ratio(self, ends: Points, weight: CauchyEndPoint | None = None) -> PoseLikelihood:
         """Inlier ratio (K,) of ends (B, 2) of the base frame at poses (K, 3), by the weight of an end's distance."""
         table = self._tabulate(weight or _INLIER_WEIGHT)
         ends = np.ascontiguousarray(ends)
         return lambda poses: table.sums(poses, ends, self.threads) / len(ends)
 
-    def distances(self, rows: Rows, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
+    def distances(self, rows: ArrayLike, poses: Poses, points: Points) -> NDArray[np.float32]:
         """Distance in m (K, B) from points (B, 2) of the base frame at poses (K, 3) to the nearest obstacle's centre.
 
         Capped at `reach_m`, which also holds beyond the map; `rows` (K,) are all one map.
@@ -171,7 +175,12 @@ class KnownMap:
         return found.reshape(places.shape[:2]).astype(np.float32)
 
     def cast_rays(
-        self, rows: Rows, poses: FloatArray, origin: FloatArray, directions: FloatArray, max_m: float
+        self,
+        rows: ArrayLike,
+        poses: Poses,
+        origin: _Point,
+        directions: Points,
+        max_m: float,
     ) -> NDArray[np.float32]:
         """Range in m (K, B) to the first occupied cell, from origin (2,) along directions (B, 2) of the base frame.
 
@@ -180,7 +189,7 @@ class KnownMap:
         shifted = poses - [*self._corner, 0.0]
         return self._tiles.cast_rays(np.zeros(len(poses), np.int32), shifted, origin, directions, max_m)
 
-    def match(self, matcher: GaussNewton, guesses: FloatArray, priors: FloatArray, beams: Beams) -> Match:
+    def match(self, matcher: GaussNewton, guesses: Poses, priors: FloatArray, beams: Beams) -> Match:
         """Match a scan near guesses (K, 3) as `GaussNewton` does, with one prior information (3, 3) or with K."""
         shift = np.array([*self._corner, 0.0])
         rows = np.zeros(len(guesses), np.int32)

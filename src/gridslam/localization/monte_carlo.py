@@ -14,6 +14,7 @@ from typing import Annotated, final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridslam.checked import checked
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose, log
 from gridslam.localization.belief import (
@@ -162,6 +163,7 @@ class MonteCarloConfiguration:
 
 
 @final
+@checked
 @dataclass(frozen=True)
 class MonteCarloLocalization:
     """The filter; what it knows is in the state that goes in and comes out of `step`.

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam import serialization
+from gridslam.arguments import COUNT
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
@@ -135,7 +137,7 @@ class MonteCarloState:
     inlier_ratio: float = 0.0
     odometry: Annotated[FloatArray, 3] | None = None
     last: Odometry | None = None
-    updates: int = 0
+    updates: Annotated[int, COUNT] = 0
     tracked: TrackedMotion | None = None
     consumed: bool = field(default=False, metadata=NOT_SAVED)
 
@@ -157,6 +159,7 @@ class MonteCarloState:
         return serialization.to_arrays(self)
 
     @classmethod
+    @checked
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> MonteCarloState:
         """Rebuild a state; ArgumentError if an array is missing or has an inconsistent shape."""
         return serialization.from_arrays(cls, arrays, {TileMaps: LOCAL_MAPS.restore})

@@ -8,6 +8,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.checked import checked
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.cells import Evidence
 from gridslam.grid.tiles import MOST_TILES, TileMaps
@@ -19,6 +20,7 @@ __all__ = ["OccupancyGridMapping"]
 
 
 @final
+@checked
 @parameters(frozen=True)
 class OccupancyGridMapping:
     """Makes empty maps and inserts scans into them.

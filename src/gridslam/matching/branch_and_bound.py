@@ -6,18 +6,20 @@ import math
 from bisect import bisect_left
 from dataclasses import dataclass
 from itertools import chain
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.arguments import Limits
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.grid.cells import cell_centres, cells_of
 from gridslam.grid.tiles import TileMaps
-from gridslam.kernels import backend
+from gridslam.kernels import MOST_BEAM_CELLS, backend
 from gridslam.parameters import bounded, parameters
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import FloatArray, IntArray, Points
 
 __all__ = ["BranchAndBound", "LatticeMatch", "Pyramid", "thin_points"]
 
@@ -29,6 +31,7 @@ _MOST_POINTS = 256
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False)
 class Pyramid:
     """A map's likelihoods and their maxima over squares of cells, made once for all searches in it.
@@ -56,7 +59,13 @@ class Pyramid:
         return height - 2 * _FRAME, width - 2 * _FRAME
 
     @classmethod
-    def of(cls, maps: TileMaps, row: int, cauchy_m: float = 0.1, most_cells: int = 2**13) -> Pyramid:
+    def of(
+        cls,
+        maps: TileMaps,
+        row: int,
+        cauchy_m: Annotated[float, Limits(1e-9, 1e9)] = 0.1,
+        most_cells: Annotated[int, Limits(32, 2**16)] = 2**13,
+    ) -> Pyramid:
         """Take one map's distances d to 1 / (1 + (d / `cauchy_m`)^2), the weight of `GaussNewton`; 0 out of reach.
 
         Of a map of more cells than a square of `most_cells` a side only such a square (see `TileMaps.field`).
@@ -93,6 +102,7 @@ class LatticeMatch:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class BranchAndBound:
     """Finds the best pose of a lattice by branch and bound, and the best pose elsewhere.
@@ -131,7 +141,11 @@ class BranchAndBound:
     runner_up_distance_rad: float = bounded(0.3, ge=1e-6, le=100)
 
     def search(
-        self, pyramid: Pyramid, guess: FloatArray, covariance: FloatArray | None, points: FloatArray
+        self,
+        pyramid: Pyramid,
+        guess: Annotated[FloatArray, 3],
+        covariance: Annotated[FloatArray, 3, 3] | None,
+        points: Points,
     ) -> LatticeMatch | None:
         """Search around a guess.
 
@@ -160,6 +174,9 @@ class BranchAndBound:
             raise ArgumentError("guess", "finite x, y, theta", guess.tolist())
         if not np.isfinite(points).all():
             raise ArgumentError("points", "finite x, y", "a point that is not finite")
+        most_m = MOST_BEAM_CELLS * pyramid.resolution_m
+        if np.abs(points).max(initial=0.0) > most_m:
+            raise ArgumentError("points", f"ends of beams within {most_m:g} m", "one farther away")
         if not len(points):
             return None
         cell = pyramid.resolution_m
@@ -208,7 +225,10 @@ class BranchAndBound:
         return np.minimum(largest, np.sqrt(np.diag(spread))), information
 
 
-def thin_points(points: FloatArray, most: int, finest_m: float = 0.05) -> FloatArray:
+@checked
+def thin_points(
+    points: Points, most: Annotated[int, Limits(4, 1 << 31)], finest_m: Annotated[float, Limits(1e-9, 1e9)] = 0.05
+) -> FloatArray:
     """At most `most` of points (N, 2), spread evenly in space: the first in each square of the finest grid that does.
 
     Grids have sides `finest_m`, and each next one a tenth more; `most` is 4 or more.

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
 
-from gridslam.grid.arena import Int32Array
+from gridslam.checked import checked
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import GaussNewton, cauchy_weights
 from gridslam.parameters import bounded, parameters
-from gridslam.types import Beams, FloatArray, Match
+from gridslam.types import Beams, FloatArray, Match, Poses, Rows
 
 __all__ = ["Correlative"]
 
 
 @final
+@checked
 @parameters(frozen=True)
 class Correlative:
     """Scores every pose of a window around each guess, then refines the best by Gauss-Newton.
@@ -46,7 +47,7 @@ class Correlative:
     refine: GaussNewton = GaussNewton()
 
     def __call__(
-        self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: Beams
+        self, maps: TileMaps, rows: Rows, guesses: Poses, priors: Annotated[FloatArray, "K", 3, 3], beams: Beams
     ) -> Match:
         """Match the scan to maps `rows` (K,) from `guesses` (K, 3) with prior information (K, 3, 3)."""
         ends = beams.ends[:: max(1, len(beams) // self.beams)]

@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cache
-from typing import NamedTuple, final
+from typing import Annotated, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.checked import checked
 from gridslam.geometry.single_pose import Information, Pose
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.scan_batch import ScanBatch
 from gridslam.grid.tiles import TileMaps
 from gridslam.parameters import bounded, parameters
-from gridslam.types import BeamEnds, FloatArray, Match
+from gridslam.types import BeamEnds, FloatArray, Match, Poses, Rows
 
 __all__ = [
     "EVALUATE_ONLY",
@@ -48,6 +49,7 @@ class PoseMatch(NamedTuple):
 
 
 @final
+@checked
 @parameters(frozen=True)
 class GaussNewton:
     """Minimize sum_b w_b d_b^2 + (x - g)^T P (x - g) over poses x, by iteratively reweighted Gauss-Newton.
@@ -95,7 +97,7 @@ class GaussNewton:
     point_to_line: bool = True
 
     def __call__(
-        self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: BeamEnds
+        self, maps: TileMaps, rows: Rows, guesses: Poses, priors: Annotated[FloatArray, "K", 3, 3], beams: BeamEnds
     ) -> Match:
         """Match the scan to maps `rows` (K,) from `guesses` (K, 3) with prior information (K, 3, 3)."""
         passes = self.max_iterations if len(beams) >= self.min_beams else 0
@@ -106,7 +108,9 @@ class GaussNewton:
         passes = self.max_iterations if len(beams) >= self.min_beams else 0
         return PoseMatch(*maps.match_pose(row, guess, prior, beams.ends, passes, *self._settings(maps)))
 
-    def match_scans(self, maps: TileMaps, guesses: FloatArray, prior: FloatArray, batch: ScanBatch) -> Match:
+    def match_scans(
+        self, maps: TileMaps, guesses: Poses, prior: Annotated[FloatArray, 3, 3], batch: ScanBatch
+    ) -> Match:
         """Match each scan of a batch to the one map from its guess, (K, 3), with prior information (3, 3)."""
         return Match(
             *maps.match_scans(guesses, prior, batch, self.max_iterations, *self._settings(maps), self.min_beams)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.geometry.se2 import compose
-from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import EVALUATE_ONLY
 from gridslam.parameters import bounded, parameters
-from gridslam.types import BeamEnds, FloatArray, Match
+from gridslam.types import BeamEnds, FloatArray, Match, Poses, Rows
 
 __all__ = ["HillClimbing"]
 
@@ -19,6 +19,7 @@ _MOVES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 
 
 
 @final
+@checked
 @parameters(frozen=True)
 class HillClimbing:
     """Moves forth and back, sideways and around by a step; where none scores better, the step is halved.
@@ -53,7 +54,7 @@ class HillClimbing:
     minimum_score: float = bounded(0.0, ge=0, le=1e6)
 
     def __call__(
-        self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: BeamEnds
+        self, maps: TileMaps, rows: Rows, guesses: Poses, priors: Annotated[FloatArray, "K", 3, 3], beams: BeamEnds
     ) -> Match:
         """Match the scan to maps `rows` (K,) from `guesses` (K, 3); `priors` (K, 3, 3) are not used."""
         poses = guesses.copy()
@@ -73,7 +74,7 @@ class HillClimbing:
         poses = np.where((scores >= self.minimum_score)[:, None], poses, guesses)
         return EVALUATE_ONLY(maps, rows, poses, priors, beams)
 
-    def _score(self, maps: TileMaps, rows: Int32Array, poses: FloatArray, beams: BeamEnds) -> FloatArray:
+    def _score(self, maps: TileMaps, rows: Rows, poses: FloatArray, beams: BeamEnds) -> FloatArray:
         distances = maps.distances(rows, poses, beams.ends)
         scores = np.where(distances <= self.kernel_m, np.exp(np.square(distances) * np.float32(-1 / self.scale_m2)), 0)
         total: FloatArray = scores.sum(axis=1, dtype=np.float64)

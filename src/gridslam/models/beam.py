@@ -8,6 +8,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.geometry.se2 import transform_points
 from gridslam.parameters import bounded, parameters
 from gridslam.types import Beams, BeamStatus, DistanceMaps, FloatArray, Rows, ScanLikelihood
@@ -17,7 +18,7 @@ __all__ = ["BeamRangeFinder"]
 _REACH = 6.0  # standard deviations beyond which a Gaussian's tail, 1e-9, counts as nothing
 
 
-def _normal_cdf(scores: FloatArray) -> FloatArray:
+def _normal_cdf(scores: FloatArray | float) -> FloatArray:
     """Standard normal distribution function, by linear interpolation in a table: within 2e-7."""
     return np.asarray(np.interp(scores, *_tabulate_normal_cdf()))
 
@@ -29,6 +30,7 @@ def _tabulate_normal_cdf() -> tuple[FloatArray, FloatArray]:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class BeamRangeFinder:
     """Beam model: a range is the obstacle on the ray, something before it, no return at all, or random.
@@ -80,7 +82,7 @@ class BeamRangeFinder:
         if abs(self.z_hit + self.z_short + self.z_max + self.z_rand - 1) > 1e-9:
             raise ValueError("z_hit, z_short, z_max and z_rand must sum to 1")
 
-    def likelihoods(self, ranges: FloatArray, expected: FloatArray) -> FloatArray:
+    def likelihoods(self, ranges: FloatArray | float, expected: FloatArray | float) -> FloatArray:
         """Evaluate p(z | expected range), broadcast.
 
         Parameters

@@ -9,6 +9,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.checked import checked
 from gridslam.parameters import bounded, parameters
 from gridslam.types import Beams, DistanceMaps, FloatArray, Rows, ScanLikelihood
 
@@ -16,6 +17,7 @@ __all__ = ["CauchyEndPoint", "GMappingEndPoint", "LikelihoodField"]
 
 
 @final
+@checked
 @parameters(frozen=True)
 class LikelihoodField:
     """Likelihood field model: p(z) = z_hit N(d; 0, sigma_hit^2) + z_rand / range_max for each beam that hit something.
@@ -71,6 +73,7 @@ class LikelihoodField:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class CauchyEndPoint:
     """How many beams agree with the map: log weight = tempering * sum over beams of 1 / (1 + (d / scale)^2).
@@ -114,6 +117,7 @@ class CauchyEndPoint:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class GMappingEndPoint:
     """GMapping's likelihood: minus the squared distance to the map within a small window, a fixed penalty outside.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import final
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.parameters import bounded, parameters
 
@@ -28,6 +29,7 @@ _DEFAULT = _four_probabilities(2.4, -0.4)
 
 
 @final
+@checked
 @parameters(frozen=True)
 class InverseSensorModel:
     """The four probabilities of a binary sensor, and the log-odds by which a cell's belief moves.

@@ -10,15 +10,16 @@ import cmath
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import compose, exp, rotate_covariances
 from gridslam.parameters import bounded, parameters
-from gridslam.types import FloatArray
+from gridslam.types import FloatArray, Poses
 
 __all__ = [
     "DiffusionMotion",
@@ -44,6 +45,7 @@ def _finite_triple(values: ArrayLike, name: str) -> tuple[float, float, float]:
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False)
 class GaussianIncrement:
     """Sampler of p(x_t | u_t, x_{t-1}) for an increment whose parameters carry independent Gaussian noise.
@@ -67,18 +69,20 @@ class GaussianIncrement:
     to_increment: Callable[[FloatArray], FloatArray] = lambda values: values
 
     @classmethod
-    def from_std(cls, increment: FloatArray, std: FloatArray) -> GaussianIncrement:
+    def from_std(cls, increment: Annotated[FloatArray, 3], std: Annotated[FloatArray, 3]) -> GaussianIncrement:
         """Sampler with noise `std` (3,) directly on x, y (m) and theta (rad) of `increment` (3,)."""
         return cls(increment, std, increment, _IDENTITY)
 
     @classmethod
-    def with_covariance(cls, increment: FloatArray, covariance: FloatArray) -> GaussianIncrement:
+    def with_covariance(
+        cls, increment: Annotated[FloatArray, 3], covariance: Annotated[FloatArray, 3, 3]
+    ) -> GaussianIncrement:
         """Sampler with noise of a `covariance` (3, 3), by x, y (m) and theta (rad) of `increment` (3,)."""
         variances, axes = np.linalg.eigh(covariance)
         std = np.sqrt(np.maximum(variances, 0.0))
         return cls(np.zeros(3), std, increment, axes, lambda values: increment + values @ axes.T)
 
-    def __call__(self, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
+    def __call__(self, poses: Poses, rng: np.random.Generator) -> FloatArray:
         """Draw one successor (N, 3) for each pose (N, 3)."""
         values = rng.standard_normal((len(poses), len(self.mean)))
         for column, mean, std in zip(values.T, self.mean, self.std, strict=True):  # loops along the poses are long
@@ -86,7 +90,7 @@ class GaussianIncrement:
             column += mean
         return compose(poses, self.to_increment(values))
 
-    def moments(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def moments(self, poses: Poses) -> tuple[FloatArray, FloatArray]:
         """Mean successors (N, 3) and covariances (N, 3, 3) in the world frame, to first order in the noise."""
         scaled = self.jacobian * self.std
         covariance = scaled @ scaled.T
@@ -102,6 +106,7 @@ def _rotate_translate_rotate(values: FloatArray) -> FloatArray:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class OdometryMotion:
     """Odometry motion model: an increment is a rotation, a translation and a second rotation, each with its own noise.
@@ -139,7 +144,7 @@ class OdometryMotion:
     alpha4: float = bounded(0.01, ge=0, le=100)
     still_m: float = bounded(0.01, ge=0, le=1e6)
 
-    def __call__(self, increment: FloatArray) -> GaussianIncrement:
+    def __call__(self, increment: Annotated[FloatArray, 3]) -> GaussianIncrement:
         """Condition on the increment (3,) [x m, y m, theta rad]; raises ArgumentError for other shapes or NaN."""
         x, y, theta = _finite_triple(increment, "increment")
         forward = math.copysign(1.0, x)
@@ -160,6 +165,7 @@ class OdometryMotion:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class GMappingMotion:
     """GMapping's motion model: noise on x, y and theta of the increment, standard deviations linear in the motion.
@@ -192,7 +198,7 @@ class GMappingMotion:
     str: float = bounded(0.1, ge=0, le=100)
     stt: float = bounded(0.2, ge=0, le=100)
 
-    def __call__(self, increment: FloatArray) -> GaussianIncrement:
+    def __call__(self, increment: Annotated[FloatArray, 3]) -> GaussianIncrement:
         """Condition on the increment (3,) [x m, y m, theta rad]; raises ArgumentError for other shapes or NaN."""
         x, y, theta = _finite_triple(increment, "increment")
         across = 0.3 * self.srr
@@ -206,6 +212,7 @@ class GMappingMotion:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class DiffusionMotion:
     """Motion whose increment scan matching has already refined: a random walk with the same noise in every direction.
@@ -234,7 +241,7 @@ class DiffusionMotion:
     floor_xy_m: float = bounded(0.001, ge=0, le=100)
     floor_theta_rad: float = bounded(0.0002, ge=0, le=10)
 
-    def __call__(self, increment: FloatArray) -> GaussianIncrement:
+    def __call__(self, increment: Annotated[FloatArray, 3]) -> GaussianIncrement:
         """Condition on the increment (3,) [x m, y m, theta rad]; raises ArgumentError for other shapes or NaN."""
         x, y, theta = _finite_triple(increment, "increment")
         root = math.sqrt(math.hypot(x, y) + abs(theta))
@@ -253,6 +260,7 @@ def _chord(angle: float) -> tuple[complex, complex]:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class VelocityMotion:
     """Velocity motion model: the robot drives an arc at noisy v and omega, and turns at its end by a noisy gamma dt.
@@ -289,7 +297,7 @@ class VelocityMotion:
     alpha5: float = bounded(0.001, ge=0, le=100)
     alpha6: float = bounded(0.001, ge=0, le=100)
 
-    def __call__(self, control: FloatArray) -> GaussianIncrement:
+    def __call__(self, control: Annotated[FloatArray, 3]) -> GaussianIncrement:
         """Condition on a control (3,) [v m/s, omega rad/s, dt s].
 
         Raises

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Mapping
-from typing import Any, NamedTuple, final
+from typing import Annotated, Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridslam.arguments import Limits
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.serialization import read_array
 from gridslam.types import FloatArray, IntArray
@@ -25,6 +27,7 @@ class _Level(NamedTuple):
 
 
 @final
+@checked
 class Ancestry:
     """Who descends from whom, so that the full trajectory of any particle can be had.
 
@@ -65,7 +68,7 @@ class Ancestry:
         return ancestry
 
     @classmethod
-    def from_trajectory(cls, trajectory: FloatArray, particles: int) -> Ancestry:
+    def from_trajectory(cls, trajectory: FloatArray, particles: Annotated[int, Limits(1, 1 << 30)]) -> Ancestry:
         """Begin with N particles that all share one past, poses (T, 3)."""
         return cls(np.zeros(particles, dtype=np.int64), [], trajectory)
 

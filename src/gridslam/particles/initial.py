@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.arguments import freeze, require_generator, require_instance
+from gridslam.arguments import Limits, freeze, require_generator, require_instance
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.types import FloatArray
 
 __all__ = ["repeat_pose", "sample_gaussian"]
 
+_Count = Annotated[int, Limits(1, 1 << 30)]
 
-def repeat_pose(count: int, pose: ArrayLike) -> FloatArray:
+
+@checked
+def repeat_pose(count: _Count, pose: ArrayLike) -> FloatArray:
     """Put all particles at one pose: SLAM's map frame is where the robot starts, so nothing is uncertain yet.
 
     Parameters
@@ -42,7 +48,8 @@ def repeat_pose(count: int, pose: ArrayLike) -> FloatArray:
     return np.tile(mean, (count, 1))
 
 
-def sample_gaussian(count: int, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Generator) -> FloatArray:
+@checked
+def sample_gaussian(count: _Count, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Generator) -> FloatArray:
     """Draw particles from a Gaussian about a pose, theta wrapped around the circle.
 
     Parameters

@@ -7,6 +7,7 @@ from typing import Protocol, final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.geometry.angles import wrap
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, IntArray
@@ -17,6 +18,7 @@ _LEAST_CHANGE = 1.5
 """Ratio of numbers from which on a change is worth the diversity that a resampling costs."""
 
 
+@checked
 def kld_bound(bins: IntArray, error: float, z: float) -> FloatArray:
     """Return how many particles (...) a belief spread over `bins` (...) needs; 0 for a single bin.
 
@@ -56,6 +58,7 @@ class ParticleNumber(Protocol):
 
 
 @final
+@checked
 @parameters(frozen=True)
 class FixedNumber:
     """As many particles as there are. The default."""
@@ -66,6 +69,7 @@ class FixedNumber:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class KldNumber:
     """As many particles as the spread of their poses needs: more before a loop closes, few once it has.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Protocol, final, runtime_checkable
 
+from gridslam.checked import checked
 from gridslam.parameters import bounded, parameters
 
 __all__ = [
@@ -36,6 +37,7 @@ class UpdatePolicy(Protocol):
 
 
 @final
+@checked
 @parameters(frozen=True)
 class EffectiveSampleSizeBelow:
     """Resample when the effective sample size falls below a part of the number of particles.
@@ -56,6 +58,7 @@ class EffectiveSampleSizeBelow:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class AlwaysResample:
     """Resample at every key scan, as in the textbook's particle filter (Probabilistic Robotics, Table 4.3)."""
@@ -66,6 +69,7 @@ class AlwaysResample:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class NeverResample:
     """Never resample: sequential importance sampling, whose weights degenerate; for study and for tests."""
@@ -76,6 +80,7 @@ class NeverResample:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class MotionThreshold:
     """A scan is a key scan once the robot has moved or turned enough since the last one.

@@ -14,11 +14,12 @@ distribution are put on it. They differ only in how the points depend on each ot
 from __future__ import annotations
 
 import math
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
 
-from gridslam.arguments import require_generator
+from gridslam.arguments import Limits, require_generator
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.kernels import backend
 from gridslam.parameters import parameters
@@ -36,11 +37,15 @@ __all__ = [
     "relative_to_greatest",
 ]
 
+_Weights = Annotated[FloatArray, "N"]
+_Count = Annotated[int, Limits(0, 1 << 30)]
+
 
 _HUGE = 1e290
 """Less than this can be subtracted from the least number there is: it is less than half of that one's last digit."""
 
 
+@checked
 def normalize(log_weights: FloatArray) -> FloatArray:
     """Shift log weights so that the weights sum to 1.
 
@@ -63,6 +68,7 @@ def normalize(log_weights: FloatArray) -> FloatArray:
     return np.asarray(shifted - np.log(weights.sum()))
 
 
+@checked
 def effective_sample_size(log_weights: FloatArray) -> float:
     """Effective sample size 1 / sum(w^2) of the normalized weights.
 
@@ -76,6 +82,7 @@ def effective_sample_size(log_weights: FloatArray) -> float:
     return float(weights.sum() ** 2 / np.square(weights).sum())
 
 
+@checked
 def entropy(log_weights: FloatArray) -> float:
     """Shannon entropy of the normalized weights in nats, from 0 (one particle holds all) to log(N) (all are equal).
 
@@ -110,6 +117,7 @@ def _exponentiate(log_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class Systematic:
     """Low variance resampling: one random number, then points at equal distances.
@@ -119,13 +127,14 @@ class Systematic:
     Source: Probabilistic Robotics, Table 4.4.
     """
 
-    def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
+    def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
         ends = np.cumsum(_relative(weights, size, rng))
         return _slots(ends, (rng.random() + np.arange(size)) * (ends[-1] / max(size, 1)))
 
 
 @final
+@checked
 @parameters(frozen=True)
 class Stratified:
     """One point, uniform and independent, in each of `size` equal sections of the line.
@@ -133,13 +142,14 @@ class Stratified:
     Source: Kitagawa, Monte Carlo filter and smoother for non-Gaussian nonlinear state space models (1996).
     """
 
-    def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
+    def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
         ends = np.cumsum(_relative(weights, size, rng))
         return _slots(ends, (rng.random(size) + np.arange(size)) * (ends[-1] / max(size, 1)))
 
 
 @final
+@checked
 @parameters(frozen=True)
 class Multinomial:
     """Independent points: counts have the multinomial distribution, the yardstick for the others' variance.
@@ -147,13 +157,14 @@ class Multinomial:
     Source: Gordon, Salmond and Smith, Novel approach to nonlinear/non-Gaussian Bayesian state estimation (1993).
     """
 
-    def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
+    def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
         ends = np.cumsum(_relative(weights, size, rng))
         return _slots(ends, np.sort(rng.random(size)) * ends[-1])
 
 
 @final
+@checked
 @parameters(frozen=True)
 class Residual:
     """Each particle floor(size * weight) times for certain, the rest multinomially from what the floors cut off.
@@ -161,7 +172,7 @@ class Residual:
     Source: Liu and Chen, Sequential Monte Carlo methods for dynamic systems (1998).
     """
 
-    def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
+    def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
         relative = _relative(weights, size, rng)
         expected = relative * size / relative.sum()
@@ -174,6 +185,7 @@ class Residual:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class ResamplingWheel:
     """The wheel of weights, turned by uniform steps of up to twice the greatest weight; each stop draws a particle.
@@ -192,7 +204,7 @@ class ResamplingWheel:
     Source: Thrun, Artificial Intelligence for Robotics (lecture on particle filters), with the start corrected.
     """
 
-    def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
+    def __call__(self, weights: _Weights, size: _Count, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
         relative = _relative(weights, size, rng)
         ends = np.cumsum(relative)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, final
+from typing import Annotated, Literal, final
 
 import numpy as np
 
+from gridslam.arguments import Limits
+from gridslam.checked import checked
 from gridslam.parameters import bounded, parameters
 from gridslam.sim.floor_plan import near
 from gridslam.types import FloatArray, IntArray
@@ -18,6 +20,7 @@ _EDGE_RAD = 1e-9  # beams this close to a wall's end still hit it, so that none 
 
 
 @final
+@checked
 @parameters(frozen=True)
 class LidarConfig:
     """A planar lidar, level on the robot. The defaults are those of the laser that recorded the Intel log.
@@ -86,7 +89,7 @@ class LidarConfig:
         """Bearings (beams,) in rad of a scan of all beams; see `spread`."""
         return self.spread(self.beams)
 
-    def spread(self, beams: int) -> FloatArray:
+    def spread(self, beams: Annotated[int, Limits(0, 1 << 24)]) -> FloatArray:
         """Bearings (beams,) in rad in the order in which they are measured: ascending unless `clockwise`.
 
         An odd number of beams includes both ends of the field of view, an even number (and a full circle) leaves the

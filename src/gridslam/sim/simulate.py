@@ -11,6 +11,7 @@ from typing import final
 import numpy as np
 
 from gridslam.arguments import require_generator
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry import se2
 from gridslam.io.measurement import Measurement
@@ -103,6 +104,7 @@ class SimulatedStream:
         return f"SimulatedStream({len(self)} scans, {self.truth})"
 
 
+@checked
 def simulate(
     world: World,
     robot: RobotConfig,
@@ -125,6 +127,7 @@ def simulate(
     return SimulatedLog(tuple(stream.measurements), stream.truth, stream.odometry, stream.walls)
 
 
+@checked
 def simulate_stream(
     world: World,
     robot: RobotConfig,

@@ -10,6 +10,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.types import FloatArray, IntArray
 
@@ -29,6 +30,7 @@ class Change:
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
     """A floor plan and the way the robot takes through it.

@@ -10,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from gridslam.arguments import require_generator
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry import se2
 from gridslam.sim.aliasing import bare_corridors, equal_rooms, moved_furniture, symmetric
@@ -331,6 +332,7 @@ DRAWN_WORLDS: Mapping[str, Callable[[np.random.Generator], World]] = MappingProx
 """Kinds of worlds of which each seed draws another, by name."""
 
 
+@checked
 def make_world(name: str, rng: np.random.Generator) -> World:
     """World of that name, one of `WORLDS`, which do not use `rng`, or of `DRAWN_WORLDS`.
 

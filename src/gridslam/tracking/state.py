@@ -9,6 +9,7 @@ from typing import Annotated, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.arguments import COUNT, Limits
 from gridslam.geometry.se2 import transform_points
 from gridslam.geometry.single_pose import ORIGIN, UNKNOWN_POSE, Pose, as_pose, between
 from gridslam.grid.tiles import TileMaps
@@ -121,7 +122,7 @@ class TrackerState:
         Of the local map that is matched against, where it was searched since a scan was inserted.
     """
 
-    maps: TileMaps
+    maps: Annotated[TileMaps, 2]
     pose: Pose
     stamp_ns: int
     odometry: Pose
@@ -134,10 +135,10 @@ class TrackerState:
     period_s: float = 0.1
     mean_step: float = 0.0
     stamps_unreliable: bool = False
-    matched_map: int = 0
-    scans: tuple[int, int] = (1, 0)
-    unlocalized_scans: int = 0
-    rejected_odometry: int = 0
+    matched_map: Annotated[int, Limits(0, 1)] = 0
+    scans: tuple[Annotated[int, COUNT], Annotated[int, COUNT]] = (1, 0)
+    unlocalized_scans: Annotated[int, COUNT] = 0
+    rejected_odometry: Annotated[int, COUNT] = 0
     unmatched: UnmatchedMotion = field(default_factory=UnmatchedMotion)
     open_way_m: float = 0.0
     pyramid: Pyramid | None = field(default=None, metadata=NOT_SAVED)

@@ -14,6 +14,7 @@ from typing import Annotated, final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import Pose, as_pose, between, compose, is_known, motion_of
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
@@ -54,6 +55,7 @@ _MAX_UNMATCHED_SCANS = 3
 
 
 @final
+@checked
 @parameters(frozen=True)
 class Tracker:
     """Matches every scan to the older of two alternating local maps.
@@ -373,6 +375,7 @@ def _score(state: TrackerState, pose: Pose, beams: BeamEnds) -> float:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class OdometryTracker:
     """The tracker of GMapping: takes the odometry as it is, and so needs it with every scan."""

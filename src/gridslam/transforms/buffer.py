@@ -12,6 +12,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError, GridslamError
 from gridslam.geometry import rigid, se2
 from gridslam.geometry.angles import wrap
@@ -56,6 +57,7 @@ class MissingTransform(GridslamError):  # noqa: N818 - the name states what is m
 
 
 @final
+@checked
 class TransformBuffer:
     """Links between frames, each over its last `keep_s` seconds; a frame with a leading "/" is the one without.
 

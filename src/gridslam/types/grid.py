@@ -6,12 +6,13 @@ import math
 import struct
 import zlib
 from dataclasses import dataclass
-from typing import Protocol, final
+from typing import Protocol, final, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.arguments import freeze, require_array, require_instance
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.scan import FloatArray
 
@@ -22,6 +23,7 @@ _MOST_PX = 1000
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False)
 class OccupancyGrid:
     """A rectangular map, as it is published and written.
@@ -87,6 +89,7 @@ class OccupancyGrid:
         return (1.0 / (1.0 + np.exp(-odds))).astype(np.float32)
 
 
+@runtime_checkable
 class GridRows(Protocol):
     """A rectangular map that may be had a few rows at a time: an `OccupancyGrid`, or one that stays in its tiles."""
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.arguments import freeze, require_array, require_covariance, require_generator, require_instance
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.scan import FloatArray, IntArray, LaserScan
 
@@ -28,11 +29,13 @@ __all__ = [
 ]
 
 
+@checked
 def describe_time(stamp_ns: int) -> str:
     """A stamp in seconds, to the millisecond."""
     return f"{stamp_ns * 1e-9:.3f} s"
 
 
+@checked
 def describe_pose(pose: FloatArray) -> str:
     """A pose (3,), to the millimetre and the tenth of a milliradian."""
     x, y, theta = pose.tolist()
@@ -40,6 +43,7 @@ def describe_pose(pose: FloatArray) -> str:
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:
     """Pose of the integrated wheel odometry; `at` builds it from plain numbers.
@@ -103,6 +107,7 @@ class Odometry:
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
     """Stamps (N,) int64 ns, in the order of the measurements (they may go backwards), and poses (N, 3)."""
@@ -149,6 +154,7 @@ class SkipReason(Enum):
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
     """Result of matching one scan from K guesses, or each of K scans from its own.

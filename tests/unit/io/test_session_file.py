@@ -136,8 +136,14 @@ def file(measurements, tmp_path_factory):
         ("run.trajectory.keys", np.zeros(30, np.int64), "trajectory.keys: expected key scans 0 to"),
         ("run.state.closure_state.online_poses", np.zeros((1, 3)), "online_poses: expected"),
         ("pieces.0.scans.keys", np.array([0, 0]), "scans.keys: expected"),
-        ("pieces.0.graph.poses", None, "scans.keys: expected 0 key scans"),
+        ("pieces.0.graph.poses", None, "an array named graph.poses"),
         ("pieces.0.drives.0.keys", np.zeros(3, np.int64), "keys: expected int64 of shape (30)"),
+        ("run.state.closure_state.scans.keys", np.array([1, 0]), "keys: expected"),
+        ("run.state.closure_state.graph.frozen", np.array(10_000), "frozen: expected numbers from 0 to"),
+        ("run.state.closure_state.search.near_submaps", np.array([10_000]), "near_submaps: expected numbers"),
+        ("run.state.ancestry.leaves", np.zeros(5, np.int64) - 1, "ancestry.parents, leaves: expected"),
+        ("run.record.parents", np.full((1, 5), 9, np.int32), "expected"),
+        ("run.state.maps.roots", np.zeros((5, 0, 0), np.int32), "maps.roots: expected at least one map"),
         ("pieces.0.drives.0.key_from_base", np.full((30, 3), np.nan), "key_from_base: expected numbers"),
         ("pieces.0.drives.0.keys", np.zeros(30, np.int64), "drives: expected scans of key scans in order"),
     ],
@@ -169,6 +175,47 @@ def test_a_summary_refuses_a_head_that_describes_no_drives(file, tmp_path, earli
     write_sealed_arrays(tmp_path / "bad.gridslam", arrays | {"head": np.array(json.dumps(head))})
     with pytest.raises(InputError, match=r"bad\.gridslam: expected a session"):
         read_head(tmp_path / "bad.gridslam")
+
+
+@pytest.mark.parametrize(
+    ("part", "rows", "message"),
+    [
+        ("run.state.maps", 1, r"maps: expected a length of 5, as N has, got 1"),
+        ("run.state.maps", 6, r"maps: expected a length of 5, as N has, got 6"),
+        ("run.state.tracker.maps", 1, r"tracker.maps: expected a length of 2, got 1"),
+    ],
+)
+def test_each_particle_has_a_map_and_the_tracker_two(file, tmp_path, part, rows, message):
+    """Kernels read them by the number of the particle: a session with fewer made them read beside the table."""
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    roots = arrays[f"{part}.roots"][np.arange(rows) % len(arrays[f"{part}.roots"])]
+    pages, inverse = np.unique(np.append(0, roots), return_inverse=True)
+    tiles, places = np.unique(np.append(0, arrays[f"{part}.pages"][pages]), return_inverse=True)
+    arrays[f"{part}.roots"] = inverse.reshape(-1)[1:].reshape(roots.shape).astype(np.int32)
+    arrays[f"{part}.pages"] = places.reshape(-1)[1:].reshape(-1, 16, 16).astype(np.int32)
+    for name in ("log_odds", "field"):
+        arrays[f"{part}.{name}"] = arrays[f"{part}.{name}"][tiles]
+    write_sealed_arrays(tmp_path / "bad.gridslam", arrays)
+    with pytest.raises(InputError, match=message):
+        read_session(tmp_path / "bad.gridslam")
+
+
+@pytest.mark.parametrize("change", ["drop a scan", "another key scan"])
+def test_drives_are_the_scans_that_are_archived(file, tmp_path, change):
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    keys = arrays["pieces.0.drives.0.keys"]
+    if change == "drop a scan":
+        for name in ("stamps_ns", "keys", "key_from_base", "poses"):
+            if f"pieces.0.drives.0.{name}" in arrays:
+                arrays[f"pieces.0.drives.0.{name}"] = np.delete(arrays[f"pieces.0.drives.0.{name}"], 1, axis=0)
+    else:
+        begin = int(np.flatnonzero(np.diff(keys))[0])
+        arrays["pieces.0.drives.0.keys"] = np.where(np.arange(len(keys)) == begin, keys[begin + 1], keys)
+    write_sealed_arrays(tmp_path / "bad.gridslam", arrays)
+    with pytest.raises(InputError, match=r"scans\.keys: expected the \d+ key scans of the drives"):
+        read_session(tmp_path / "bad.gridslam")
 
 
 def test_every_changed_byte_is_found(file, tmp_path):

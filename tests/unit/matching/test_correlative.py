@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.angles import wrap
+from gridslam.grid import TileMaps
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.matching import Correlative
 from gridslam.types import LaserScan, Match, ScanGeometry
@@ -50,7 +51,7 @@ def test_where_all_poses_are_equal_the_guess_stands(room):
     np.testing.assert_allclose(match.poses, guess, atol=1e-9)
 
 
-class Stripes:
+class Stripes(TileMaps):
     """Maps that agree wherever x is one of `peaks`; the refinement leaves poses as they are."""
 
     resolution_m, reach_cells = 0.05, 10.5

@@ -11,6 +11,7 @@ from typing import NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.angles import wrap
 from gridslam.io.carmen.lasers import USED_PARAMETERS, CarmenLasers
@@ -27,6 +28,7 @@ _ODOM_WORDS = 10  # ODOM x y theta tv rv accel ipc_timestamp ipc_hostname logger
 
 
 @final
+@checked
 class CarmenLog:
     """A CARMEN log (plain, gzip or bzip2, detected from its content); iterating yields a `Measurement` for each scan.
 

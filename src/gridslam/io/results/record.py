@@ -14,6 +14,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.arguments import index_of
 from gridslam.errors import InputError
 from gridslam.io.limits import UnpackingLimit, require_memory
 from gridslam.io.measurement import FARTHEST_M
@@ -164,7 +165,10 @@ class RecordWriter:
         self = cls()
         sizes: dict[str, int] = {}
         for name, (dtype, ndim) in _FORMS.items():
-            self._rows[name] = list(read_array(arrays, name, dtype, ("key scans", "particles", 3)[:ndim], sizes))
+            values = read_array(arrays, name, dtype, ("key scans", "particles", 3)[:ndim], sizes)
+            if name in ("parents", "best"):
+                index_of("particles").require(name, values, sizes)
+            self._rows[name] = list(values)
         return self
 
     def snapshot(self) -> RecordWriter:

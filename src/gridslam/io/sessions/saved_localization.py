@@ -18,9 +18,10 @@ from gridslam.io.sessions.archive_file import (
     read_text_array,
     write_sealed_arrays,
 )
-from gridslam.io.sessions.state_values import require_plausible
+from gridslam.io.sessions.state_values import require_near_maps, require_plausible
 from gridslam.io.text import parse_json
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
+from gridslam.localization.odometry_check import LOCAL_MAPS
 from gridslam.localization.state import MonteCarloState
 from gridslam.serialization import select_part
 
@@ -82,8 +83,10 @@ def read_localization(path: str | Path) -> SavedLocalization:
     arrays = read_sealed_arrays(path, _SCHEMA, _WHAT)
     with name_file(path, _WHAT):
         require_plausible(arrays)
+        state = MonteCarloState.from_arrays(select_part(arrays, "state"))
+        require_near_maps(arrays, LOCAL_MAPS.resolution_m)
         return SavedLocalization(
             replace_parameters(MonteCarloConfiguration(), parse_json(read_text_array(arrays, "configuration"))),
-            MonteCarloState.from_arrays(select_part(arrays, "state")),
+            state,
             load_generator(parse_json(read_text_array(arrays, "generator"))),
         )

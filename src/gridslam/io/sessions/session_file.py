@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -27,18 +27,15 @@ from gridslam.io.sessions.archive_file import (
     write_sealed_arrays,
 )
 from gridslam.io.sessions.drives import Drive, DrivenLog, SavedPiece
-from gridslam.io.sessions.state_values import (
-    require_near_ends,
-    require_near_maps,
-    require_plausible,
-    require_whole_piece,
-)
+from gridslam.io.sessions.state_values import require_near_ends, require_near_maps, require_plausible
 from gridslam.io.text import parse_json
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.serialization import read_array, select_part
 from gridslam.slam.full_slam.full_trajectory import TrackedScans
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.map_piece import MapPiece
+from gridslam.slam.loop_closure.scan_archive import ScanArchive
+from gridslam.types import IntArray
 
 __all__ = ["SESSION_SCHEMA", "SavedRun", "SavedSession", "SessionHead", "read_head", "read_session", "write_session"]
 
@@ -328,10 +325,13 @@ def _load_logs(logs: list[dict[str, Any]]) -> tuple[DrivenLog, ...]:
 
 def _load_piece(arrays: Arrays, heads: list[dict[str, Any]], resolution_m: float) -> SavedPiece:
     require_plausible(arrays)
-    require_whole_piece(arrays)
     piece = serialization.from_arrays(MapPiece, arrays)
     require_near_ends(arrays, resolution_m)
-    return SavedPiece(piece, _load_drives(arrays, heads, len(piece)))
+    if not len(piece):
+        raise ArgumentError("graph.poses", "at least one key scan", "none")
+    saved = SavedPiece(piece, _load_drives(arrays, heads, len(piece)))
+    _require_same_scans(piece.scans, saved.drives)
+    return saved
 
 
 def _load_run(arrays: Arrays, head: dict[str, Any], configuration: Configuration, threads: int) -> SavedRun:
@@ -344,11 +344,44 @@ def _load_run(arrays: Arrays, head: dict[str, Any], configuration: Configuration
         name=str(head["name"]),
         logs=_load_logs(head["logs"]),
     )
+    keys = run.trajectory.keys
     if "state.schema" not in arrays:
+        _require_keys(keys, 0)
         return run
     state = GridFastSlamState.from_arrays(select_part(arrays, "state"), configuration.mapper, threads)
     require_near_maps(arrays, configuration.mapper.resolution_m)
     require_near_ends(arrays, configuration.mapper.resolution_m)
-    own = len(run.trajectory.key_scans)
+    closure_state = state.closure_state
+    own = (
+        len(run.trajectory.key_scans)
+        if closure_state is not None and closure_state.joined >= 0
+        else state.ancestry.steps
+    )
+    _require_keys(keys, own)
     earlier = _load_drives(arrays, head["earlier"], state.ancestry.steps - own)
-    return replace(run, state=state, earlier=earlier)
+    run = replace(run, state=state, earlier=earlier)
+    if closure_state is not None:
+        _require_same_scans(closure_state.scans, run.drives)
+    return run
+
+
+def _require_keys(keys: IntArray, key_scans: int) -> None:
+    """Refuse scans (N,) that do not belong to key scans 0 to `key_scans` - 1, in order, one after the other."""
+    if len(keys) == 0 == key_scans:
+        return
+    is_whole = (
+        len(keys) > 0 and keys[0] == 0 and keys[-1] == key_scans - 1 and bool(np.isin(np.diff(keys), (0, 1)).all())
+    )
+    if not is_whole:
+        raise ArgumentError("trajectory.keys", f"key scans 0 to {key_scans - 1}, in order", keys)
+
+
+def _require_same_scans(scans: ScanArchive, drives: Sequence[Drive]) -> None:
+    """Refuse drives that are not the last scans of an archive, with the same ones as key scans."""
+    if not drives:
+        return
+    keys = np.concatenate([drive.scans.keys for drive in drives])
+    first = len(scans) - len(keys)
+    begins = first + np.flatnonzero(np.diff(keys, prepend=keys[0] - 1))
+    if scans.keys[keys[0] :] != begins.tolist():
+        raise ArgumentError("scans.keys", f"the {len(begins)} key scans of the drives", scans.keys)

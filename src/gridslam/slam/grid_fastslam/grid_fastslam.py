@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.arguments import describe
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.single_pose import Pose, between
@@ -54,6 +55,7 @@ __all__ = ["GridFastSlam"]
 
 
 @final
+@checked
 @dataclass(frozen=True)
 class GridFastSlam:
     """The filter; it holds only its parts, and what it knows is in the state that goes in and comes out of `step`.

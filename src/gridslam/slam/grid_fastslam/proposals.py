@@ -13,6 +13,7 @@ from typing import Annotated, Protocol, final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, rotate_covariances
 from gridslam.grid.arena import Int32Array
@@ -85,6 +86,7 @@ def _information(covariance: FloatArray, headings: FloatArray) -> FloatArray:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class MotionModelProposal:
     """Plain FastSLAM: draw from the motion model, weigh by the measurement model.
@@ -111,6 +113,7 @@ class MotionModelProposal:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class ScanMatchedProposal:
     """Draw from the motion model, climb to the nearest peak of the posterior, weigh there. The default.
@@ -163,6 +166,7 @@ class ScanMatchedProposal:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class ImprovedProposal:
     """The improved proposal: draw from a Gaussian about the peak of p(z | x, m) p(x | u, x'), weigh by its normalizer.

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam import serialization
+from gridslam.arguments import Size
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.single_pose import Pose, as_pose
 from gridslam.grid.tiles import TileMaps
@@ -96,8 +98,8 @@ class GridFastSlamState:
     log_weights: Annotated[FloatArray, "N"]
     log_ancestry: Annotated[FloatArray, "N"]
     _covariance: Annotated[FloatArray, 3, 3] | Callable[[], FloatArray]
-    maps: TileMaps
-    ancestry: Ancestry
+    maps: Annotated[TileMaps, "N"]
+    ancestry: Annotated[Ancestry, "N", Size("T", "steps")]
     drift: Annotated[FloatArray, 9] = field(default_factory=lambda: np.zeros(9))
     drift_covariance: Annotated[FloatArray, 3, 3] = field(default_factory=lambda: np.zeros((3, 3)))
     unmatched: UnmatchedMotion = field(default_factory=UnmatchedMotion)
@@ -240,6 +242,7 @@ class GridFastSlamState:
         return {"schema": np.array(STATE_SCHEMA), **serialization.to_arrays(computed)}
 
     @classmethod
+    @checked
     def from_arrays(
         cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping, threads: int = 1
     ) -> GridFastSlamState:

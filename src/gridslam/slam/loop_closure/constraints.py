@@ -9,6 +9,7 @@ from typing import Annotated, NamedTuple, final
 
 import numpy as np
 
+from gridslam.arguments import index_of
 from gridslam.geometry.se2 import between, rotate_covariances
 from gridslam.matching.gauss_newton import degenerate_direction
 from gridslam.types import FloatArray, IntArray, Match
@@ -49,8 +50,8 @@ class Constraint(NamedTuple):
     Along a degenerate direction (a corridor's axis) the measurement equals the guess and its information is near zero.
     """
 
-    from_: int
-    to: int
+    from_: Annotated[int, index_of("T")]
+    to: Annotated[int, index_of("T")]
     measurement: Annotated[FloatArray, 3]
     information: Annotated[FloatArray, 3, 3]
     source: ConstraintSource

@@ -12,6 +12,7 @@ from typing import Annotated, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.arguments import Limits
 from gridslam.geometry import single_pose
 from gridslam.geometry.se2 import between, compose
 from gridslam.geometry.single_pose import ORIGIN, Pose, as_pose
@@ -157,7 +158,7 @@ class KeyGraph:
     covariances: Annotated[list[Annotated[FloatArray, 3, 3]], "T"] = field(default_factory=list)
     drift_covariances: Annotated[list[Annotated[FloatArray, 3, 3]], "T"] = field(default_factory=list)
     constraints: list[Constraint] = field(default_factory=list)
-    frozen: int = 0
+    frozen: Annotated[int, Limits(0, "T")] = 0
     # number of gaps in the laser data up to each key scan
     _gap_counts: list[int] = field(init=False, default_factory=list, metadata=NOT_SAVED)
     # (9,) each, moments of the variances up to each key scan

@@ -7,6 +7,7 @@ from typing import Protocol, final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.geometry.se2 import between, compose
 from gridslam.geometry.single_pose import Pose, as_pose
 from gridslam.grid.tiles import TileMaps
@@ -75,6 +76,7 @@ class FilterState(Protocol):
 
 
 @final
+@checked
 @parameters(frozen=True)
 class LoopClosure:
     """Store, recognize, optimize, rebuild the map, merge.

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import Annotated, NamedTuple, final
 
 import numpy as np
 
+from gridslam.arguments import Size
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.loop_closure.constraints import Constraint
@@ -34,8 +35,8 @@ class MapPiece:
         The key scans at their final poses, and the constraints that were accepted.
     """
 
-    scans: ScanArchive
-    graph: KeyGraph
+    scans: Annotated[ScanArchive, Size("T", "keys")]
+    graph: Annotated[KeyGraph, "T"]
 
     def __len__(self) -> int:
         """Return the number of key scans."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam import serialization
+from gridslam.arguments import Limits
 from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose
 from gridslam.grid.scan_batch import ScanBatch
@@ -45,13 +46,13 @@ class _SavedScans:
     """An archive as it is saved; `E` scans are stored."""
 
     keys: list[int]
-    count: int
+    count: Annotated[int, Limits(0, _MOST_SCANS)]
     stored: Annotated[IntArray, "E"]
     ends: Annotated[list[Annotated[NDArray[np.int16], None, 2]], "E"]
     steps_m: Annotated[FloatArray, "E"]
     origins: Annotated[FloatArray, "E", 2]
     last_stored_pose: Pose
-    storage_interval: int
+    storage_interval: Annotated[int, Limits(1, 1 << 31)]
 
 
 @final
@@ -218,12 +219,12 @@ class ScanArchive:
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> ScanArchive:
         """Rebuild an archive; ArgumentError if an array is missing, of a wrong shape, or contradicts another."""
         saved = serialization.from_arrays(_SavedScans, arrays)
-        if not 0 <= saved.count <= _MOST_SCANS:
-            raise ArgumentError("count", f"0 to {_MOST_SCANS} scans", saved.count)
         stored = [-1, *saved.stored.tolist(), saved.count]
-        if any(a >= b for a, b in pairwise(stored)) or not set(saved.keys) <= set(stored[1:-1]):
+        if any(a >= b for a, b in [*pairwise(stored), *pairwise(saved.keys)]) or not set(saved.keys) <= set(
+            stored[1:-1]
+        ):
             expected = f"ascending scans below {saved.count}, the key scans among them"
-            raise ArgumentError("stored", expected, f"{len(saved.stored)} that are not")
+            raise ArgumentError("keys", expected, f"{len(saved.keys)} of {len(saved.stored)} that are not")
         archive = cls()
         archive.keys = saved.keys
         places = np.full((saved.count, 1), _NOTHING, np.int32)

@@ -10,6 +10,7 @@ from typing import Annotated, NamedTuple, Protocol, final
 
 import numpy as np
 
+from gridslam.arguments import COUNT, Limits, Size
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.serialization import NOT_SAVED
@@ -71,10 +72,10 @@ class PlaceSearch:
         Submaps whose joint map is searched for other places that match as well; empty if no place was found.
     """
 
-    failures: int = 0
-    next_key_scan: int = 0
-    near_submaps: tuple[int, ...] = ()
-    ambiguity_submaps: tuple[int, ...] = ()
+    failures: Annotated[int, COUNT] = 0
+    next_key_scan: Annotated[int, Limits(0, 1 << 31)] = 0
+    near_submaps: tuple[Annotated[int, Limits(0, "submaps")], ...] = ()
+    ambiguity_submaps: tuple[Annotated[int, Limits(0, "submaps")], ...] = ()
 
     def phase(self, near: Collection[int], candidates: Collection[int]) -> SearchPhase:
         """Phase of a search in submaps near the robot, out of all candidates: that of which the joint map is built."""
@@ -93,9 +94,13 @@ class PlaceSearch:
 class Correction:
     """A corrected trajectory whose map is rebuilt: key scan poses, and the map of the first `inserted` of them."""
 
-    poses: Annotated[FloatArray, "T", 3]
-    maps: TileMaps
-    inserted: int = 0
+    poses: Annotated[FloatArray, "corrected", 3]
+    maps: Annotated[TileMaps, 1]
+    inserted: Annotated[int, Limits(0, "corrected")] = 0
+
+    def __len__(self) -> int:
+        """Return the number of its key scans."""
+        return len(self.poses)
 
 
 @final
@@ -115,10 +120,10 @@ class PendingConstraints:
         The running computation; None if it must be restarted and advanced to `steps`.
     """
 
-    keys: int
-    constraints: int
-    new: int
-    steps: int = 0
+    keys: Annotated[int, Limits(1, "T")]
+    constraints: Annotated[int, Limits(0, "constraints")]
+    new: Annotated[int, Limits(0, "constraints")]
+    steps: Annotated[int, COUNT] = 0
     computation: Computation[GraphSolution] | None = field(default=None, metadata=NOT_SAVED)
 
 
@@ -188,17 +193,19 @@ class LoopClosureState:
         Of the kernels that match many scans; never changes a result. As the last step had it.
     """
 
-    scans: ScanArchive = field(default_factory=ScanArchive)
-    graph: KeyGraph = field(default_factory=KeyGraph)
-    online_poses: list[Annotated[FloatArray, 3]] = field(default_factory=list)
+    scans: Annotated[ScanArchive, Size("T", "keys")] = field(default_factory=ScanArchive)
+    graph: Annotated[KeyGraph, "T", Size("constraints", "constraints"), Size("submaps", "complete_submaps")] = field(
+        default_factory=KeyGraph
+    )
+    online_poses: Annotated[list[Annotated[FloatArray, 3]], "T"] = field(default_factory=list)
     search: PlaceSearch = field(default_factory=PlaceSearch)
     unconfirmed: list[Constraint] = field(default_factory=list)
     rejected: Counter[RejectionReason] = field(default_factory=Counter)
     pending_constraints: PendingConstraints | None = None
-    correction: Correction | None = None
+    correction: Annotated[Correction, Limits(1, "T")] | None = None
     earlier: DriveLocator | None = field(default=None, metadata=NOT_SAVED)
-    joined: int = -1
-    joined_after: int = 0
+    joined: Annotated[int, Limits(-1, 1 << 31)] = -1
+    joined_after: Annotated[int, Limits(0, "T")] = 0
     found_in: MapPiece | None = field(default=None, metadata=NOT_SAVED)
     threads: int = field(default=1, metadata=NOT_SAVED)
     submap_cache: SubmapCache = field(default_factory=SubmapCache, metadata=NOT_SAVED)

@@ -9,6 +9,7 @@ from typing import Annotated, Literal, final
 
 import numpy as np
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.parameters import Kind, bounded, parameters
@@ -62,6 +63,7 @@ class GraphSolution:
 
 
 @final
+@checked
 @parameters(frozen=True)
 class GraphSlam:
     """Least squares over a pose graph: the poses of the least chi2, the first ones held.

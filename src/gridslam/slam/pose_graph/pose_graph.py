@@ -8,6 +8,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between
 from gridslam.types import FloatArray, IntArray
@@ -16,6 +17,7 @@ __all__ = ["PoseGraph"]
 
 
 @final
+@checked
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseGraph:
     """Poses, and what was measured between pairs of them.

@@ -1,0 +1,184 @@
+"""Public functions check their arguments by their annotations, where a caller enters the package and nowhere else."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+from gridslam.arguments import Limits, index_of
+from gridslam.checked import checked
+from gridslam.errors import ArgumentError, InputError
+from gridslam.types import FloatArray, LaserScan, Points, Poses, Rows
+
+
+@checked
+def add(poses: Poses, rows: Annotated[Rows, "K", Limits(0, 9)], scale: float = 1.0) -> float:
+    """Add what belongs together."""
+    return float(poses.sum() * scale + rows.sum())
+
+
+@checked
+def take(
+    count: int = 0,
+    share: Annotated[float, Limits(0, 1)] = 0.0,
+    name: str = "",
+    path: str | Path | None = None,
+    numbers: ArrayLike = 0,
+    mode: Literal["fast", "slow"] = "fast",
+    pair: tuple[float, str] = (0.0, ""),
+    many: Sequence[int] = (),
+    table: Mapping[str, float] | None = None,
+    call: Callable[[], None] = lambda: None,
+    flags: NDArray[np.bool_] | None = None,
+    scan: LaserScan | None = None,
+) -> tuple[object, ...]:
+    """Take one of each."""
+    return count, share, name, path, numbers, mode, pair, many, table, call, flags, scan
+
+
+@checked
+@dataclass
+class Table:
+    """Has rows."""
+
+    rows: Points
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def row(self, number: Annotated[int, index_of("self")]) -> FloatArray:
+        """One row."""
+        return self.rows[number]
+
+    def rows_of(self, numbers: Sequence[int]) -> list[FloatArray]:
+        """Several, by `row`, unchecked."""
+        return [self.row(number) for number in numbers]
+
+    @classmethod
+    def of(cls, count: int) -> Table:
+        """A table of zeros."""
+        return cls(np.zeros((count, 2)))
+
+    @staticmethod
+    def side(count: int) -> int:
+        """Twice a count."""
+        return 2 * count
+
+
+def test_what_is_annotated_passes():
+    assert add(np.ones((2, 3)), np.array([1, 2], np.int32), scale=np.float32(2)) == 15
+    assert add(np.ones((2, 3), np.int64), np.array([1, 2])) == 9
+    values = {
+        "count": np.int32(3), "share": 1, "name": "a", "path": Path("a"), "numbers": [[1, 2], [3, 4]], "mode": "slow",
+        "pair": (1, "b"), "many": [1, 2], "table": {"a": 1.5}, "call": print, "flags": np.ones(2, np.bool_),
+    }  # fmt: skip
+    assert take(**values)[:4] == (3, 1, "a", Path("a"))
+    assert take(share=float(1), path=None, scan=None)[1] == 1
+    assert take(numbers=np.nan)[4] is np.nan
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("count", 1.5), ("count", True), ("count", "1"), ("count", 10**30), ("count", None), ("count", 2**63),
+        ("share", "x"), ("share", 1.5), ("share", -0.1), ("share", float("nan")), ("share", None), ("share", 1j),
+        ("name", b"x"), ("path", 3), ("numbers", "x"), ("numbers", [1, [2]]), ("numbers", None), ("numbers", [10**30]),
+        ("mode", "other"), ("pair", (1.0,)), ("pair", ("b", 1.0)), ("pair", 3), ("many", 3), ("many", "abc"),
+        ("many", [1, "x"]), ("table", {1: 2.0}), ("table", [1]), ("call", 3), ("flags", np.ones(2)), ("scan", "scan"),
+    ],
+)  # fmt: skip
+def test_what_is_not_annotated_is_refused_by_name(name, wrong):
+    with pytest.raises(ArgumentError, match=rf"^{name}: expected .*, got ") as caught:
+        take(**{name: wrong})
+    assert caught.value.argument == name
+
+
+@pytest.mark.parametrize(
+    ("poses", "rows", "named"),
+    [
+        (np.ones((2, 2)), np.zeros(2, np.int32), "poses"),
+        (np.ones(3), np.zeros(1, np.int32), "poses"),
+        (np.ones((2, 3)), np.zeros(3, np.int32), "rows"),
+        (np.ones((2, 3)), np.zeros((2, 1), np.int32), "rows"),
+        (np.ones((2, 3)), np.array([0, 10]), "rows"),
+        (np.ones((2, 3)), np.array([0, -1]), "rows"),
+        (np.ones((2, 3), np.complex128), np.zeros(2, np.int32), "poses"),
+        (np.ones((2, 3), ">f8"), np.zeros(2, np.int32), "poses"),
+        (np.ones((2, 3)), np.zeros(2), "rows"),
+        (np.ones((2, 3)).tolist(), np.zeros(2, np.int32), "poses"),
+    ],
+)
+def test_shapes_types_and_ranges_of_arrays(poses, rows, named):
+    with pytest.raises(ArgumentError, match=f"^{named}: expected"):
+        add(poses, rows)
+
+
+def test_a_wrong_number_of_arguments_is_a_type_error():
+    with pytest.raises(TypeError, match="missing a required argument"):
+        add(np.ones((2, 3)))
+    with pytest.raises(TypeError, match="unexpected keyword"):
+        take(other=1)
+
+
+def test_methods_know_the_length_of_their_object():
+    table = Table(np.arange(6.0).reshape(3, 2))
+    assert table.row(2).tolist() == [4, 5]
+    assert len(Table.of(2)) == Table.side(1) == 2
+    for call in (lambda: table.row(3), lambda: table.row(-1), lambda: Table.of("x"), lambda: Table.side(None)):
+        with pytest.raises(ArgumentError, match=r"number|count"):
+            call()
+    with pytest.raises(ArgumentError, match="rows: expected shape"):
+        Table(np.zeros(3))
+
+
+def test_what_is_called_from_within_is_not_checked_again():
+    table = Table(np.arange(6.0).reshape(3, 2))
+    assert table.rows_of([-1])[0].tolist() == [4, 5]
+    with pytest.raises(ArgumentError, match="number"):
+        table.row(-1)  # after it, and in another thread while a call is under way, all is checked
+    seen = []
+    begun, done = threading.Event(), threading.Event()
+
+    @checked
+    def wait() -> None:
+        begun.set()
+        done.wait(10)
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    begun.wait(10)
+    try:
+        table.row(-1)
+    except ArgumentError as error:
+        seen.append(error)
+    done.set()
+    thread.join()
+    assert seen
+
+
+def test_numbers_that_do_not_go_together_are_an_argument_error_and_faults_stay_what_they_are():
+    @checked
+    def fail(error: object) -> None:
+        raise error
+
+    for error in (
+        ValueError("deep within"),
+        IndexError("no row"),
+        ZeroDivisionError(),
+        np.linalg.LinAlgError("singular"),
+    ):
+        with pytest.raises(ArgumentError, match="arguments that go together") as caught:
+            fail(error)
+        assert caught.value.__cause__ is error
+    for error in (AttributeError("a fault"), TypeError("a fault"), InputError("a", "b"), KeyboardInterrupt()):
+        with pytest.raises(type(error)):
+            fail(error)
+    with pytest.raises(ArgumentError, match="count"):
+        take(count="x")  # checked again after each
