@@ -237,7 +237,7 @@ def test_json_that_is_nested_without_end_and_an_origin_beyond_all_cells_are_refu
 def test_a_link_that_leads_nowhere_is_no_session(out, tmp_path):
     shutil.copytree(out, tmp_path / "out")
     (tmp_path / "out" / "a.gridslam").symlink_to("nowhere.gridslam")
-    assert Replay(tmp_path / "out").session_file() is None
+    assert Replay(tmp_path / "out").open_session() is None
 
 
 def test_a_folder_that_is_none(tmp_path):
