@@ -27,8 +27,8 @@ _MATCH_SIGMA_RAD = 0.03
 """What two matches of overlapping submaps differ by: each is bent by its drift."""
 _CHI2 = 11.34
 """99 % of the chi-squared distribution with three degrees of freedom."""
-_BEND_SIGMAS = np.array([0.2, 0.2, 0.02])
-"""Standard deviations (m, m, rad) that the drift within two submaps leaves in their relative pose."""
+_BEND_SHARE = 1 / 3
+"""Part of a submap's drift variance by which its middle is off: the match is about the mean of a random walk."""
 
 
 @final
@@ -176,8 +176,9 @@ class SubmapRecognition:
         if not candidates:
             return [], 0
         accepted = self.accept(graph, pairs.anchors, candidates).tolist()
+        drift = np.cumsum(np.array(graph.variances), axis=0)
         recognized = [
-            self._make_constraint(pairs.anchors, candidate)
+            self._make_constraint(drift, pairs, candidate)
             for candidate, is_accepted in zip(candidates, accepted, strict=True)
             if is_accepted
         ]
@@ -244,14 +245,18 @@ class SubmapRecognition:
         is_near &= np.abs(way[older[a]] - way[older[b]]) < self.reach_m
         return squared < _CHI2, is_near
 
-    def _make_constraint(self, anchors: IntArray, candidate: PlaceCandidate) -> Constraint:
-        """Constrain the middles of two submaps, as their match and their own drift determine it."""
+    def _make_constraint(self, drift: FloatArray, pairs: SubmapPairs, candidate: PlaceCandidate) -> Constraint:
+        """Constrain the middles of two submaps, as their match and their own drift determine it.
+
+        `drift` (T, 2) are the variances of position and heading that the way up to each key scan adds.
+        """
         older, newer, found = candidate
+        ends = np.array([pairs.submaps[number].keys[[0, -1]] for number in (older, newer)])
+        bend = _BEND_SHARE * (drift[ends[:, 1]] - drift[ends[:, 0]]).sum(axis=0)
         information = rotate_covariances(found.match.information[0], -found.pose[2]) / self.beam_sigma_m**2
-        weight = np.linalg.inv(np.linalg.inv(information) + np.diag(np.square(_BEND_SIGMAS)))
-        return Constraint(
-            int(anchors[older]), int(anchors[newer]), found.pose, weight, ConstraintSource.RECOGNIZED, True
-        )
+        weight = np.linalg.inv(np.linalg.inv(information) + np.diag(bend[[0, 0, 1]]))
+        from_, to = pairs.anchors[[older, newer]].tolist()
+        return Constraint(from_, to, found.pose, weight, ConstraintSource.RECOGNIZED, True)
 
 
 def _locate(
