@@ -1,4 +1,4 @@
-"""Large places are recognized: the robot comes back after hundreds of metres, many metres from where it believes to be."""
+"""Large places are recognized: the robot comes back after hundreds of metres, and believes to be metres away."""
 
 from __future__ import annotations
 

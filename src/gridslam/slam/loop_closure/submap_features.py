@@ -36,7 +36,7 @@ def _spiral(order: IntArray) -> FloatArray:
     """Cells x, y (2, K) on a spiral by the golden angle, denser towards the middle, in some order (K,)."""
     radius = (_PATCH - 2) * (order + 0.5) / _BITS
     angle = order * math.pi * (3 - math.sqrt(5))
-    return np.rint(radius * np.stack([np.cos(angle), np.sin(angle)]))
+    return np.asarray(np.rint(radius * np.stack([np.cos(angle), np.sin(angle)])))
 
 
 _COMPARED = np.concatenate([_spiral(np.arange(_BITS)), _spiral((97 * np.arange(_BITS) + 31) % _BITS)])

@@ -22,7 +22,7 @@ from gridslam.slam.loop_closure.submap_features import SubmapFeatures, extract_f
 from gridslam.slam.loop_closure.submaps import ROW, build_map
 from gridslam.types import FloatArray, IntArray, Match, StoredScan
 
-__all__ = ["Submap", "SubmapMatch", "SubmapMatching", "propose_poses"]
+__all__ = ["DrawnSubmap", "Submap", "SubmapMatch", "SubmapMatching", "propose_poses"]
 
 _REACH_M = 30.0
 """Beams beyond say little of the place: they are far apart, and their ends move with the heading."""
@@ -71,8 +71,7 @@ class Submap:
         """Take key scans (K,) as tracked about the anchor."""
         return cls(anchor, keys, graph.tracked_poses_from(anchor, keys), scans, mapper)
 
-    @cached_property
-    def points(self) -> FloatArray:
+    def collect_points(self) -> FloatArray:
         """Ends (B, 2) of the beams that are not too long."""
         ends = []
         for key, pose in zip(self.keys.tolist(), self.poses, strict=True):
@@ -84,17 +83,25 @@ class Submap:
     @cached_property
     def features(self) -> SubmapFeatures:
         """Keypoints and descriptors."""
-        return extract_features(self.points)
+        return extract_features(self.collect_points())
 
     @cached_property
     def radius_m(self) -> float:
         """Distance from the anchor within which everything is."""
         return float(np.hypot(*self.poses[:, :2].T).max()) + 0.5 * _REACH_M
 
-    @cached_property
-    def maps(self) -> TileMaps:
-        """One map, drawn from the key scans."""
-        return build_map(self.mapper, self.scans, self.keys, self.poses)
+    def draw(self, most: int) -> DrawnSubmap:
+        """Draw the map, and take at most so many of the points, spread evenly."""
+        maps = build_map(self.mapper, self.scans, self.keys, self.poses)
+        return DrawnSubmap(maps, thin_points(self.collect_points(), most))
+
+
+@final
+class DrawnSubmap(NamedTuple):
+    """One map, drawn from a submap's key scans, and ends (B, 2) of their beams."""
+
+    maps: TileMaps
+    points: FloatArray
 
 
 @final
@@ -168,20 +175,19 @@ class SubmapMatching:
         pairs = match_features(old.features, new.features)
         return propose_poses(old.features, new.features, pairs, self.min_keypoints, self.max_poses)
 
-    def verify(self, old: Submap, new: Submap, pose: FloatArray, keypoints: int) -> SubmapMatch | None:
+    def verify(self, old: DrawnSubmap, new: DrawnSubmap, pose: FloatArray, keypoints: int) -> SubmapMatch | None:
         """Refine a proposed pose (3,), and verify it in both directions; None where it does not fit."""
-        points = self._thin(new)
-        beams = StoredScan(points, np.zeros(2))
+        beams = StoredScan(new.points, np.zeros(2))
         match = self.coarse(old.maps, ROW, pose[None], NO_PRIOR[None], beams)
         match = self.fine(old.maps, ROW, match.poses, NO_PRIOR[None], beams)
         (refined,) = match.poses
         if degenerate_direction(match.information[0], float(match.score[0]), self.min_information) is not None:
             return None
-        there = self._compare(old.maps, refined, points)
-        back = self._compare(new.maps, between(refined, np.zeros(3)), self._thin(old))
+        there = self._compare(old.maps, refined, new.points)
+        back = self._compare(new.maps, between(refined, np.zeros(3)), old.points)
+        known = min(there[0], back[0])
         inliers = min(there[1], back[1])
         contradicted = max(there[2], back[2])
-        known = min(there[0], back[0])
         if known < self.min_points or inliers < self.inlier_ratio or contradicted > self.max_contradicted:
             return None
         return SubmapMatch(refined, match, known, inliers, contradicted, keypoints)
@@ -190,9 +196,6 @@ class SubmapMatching:
         """Whether two poses (3,) that were refined are one."""
         x, y, turn = between(pose, other).tolist()
         return math.hypot(x, y) < self.inlier_m and abs(turn) < _SAME_HEADING_RAD
-
-    def _thin(self, submap: Submap) -> FloatArray:
-        return thin_points(submap.points, self.max_points)
 
     def _compare(self, maps: TileMaps, pose: FloatArray, points: FloatArray) -> tuple[int, float, float]:
         """How many of points (B, 2) at a pose (3,) a map knows, their mean weight, and the share it saw free."""

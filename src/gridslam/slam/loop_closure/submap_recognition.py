@@ -16,12 +16,14 @@ from gridslam.parameters import bounded, parameters
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import KeyGraph, first_key_scan, submap_of
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
-from gridslam.slam.loop_closure.submap_matching import Submap, SubmapMatch, SubmapMatching
+from gridslam.slam.loop_closure.submap_matching import DrawnSubmap, Submap, SubmapMatch, SubmapMatching
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["PlaceCandidate", "SubmapPairs", "SubmapRecognition"]
 
 _FEWEST_KEY_SCANS = 5
+_MOST_DRAWN = 8
+"""Drawn submaps that are kept, 1 to 4 MB each."""
 _MATCH_SIGMA_M = 0.25
 _MATCH_SIGMA_RAD = 0.03
 """What two matches of overlapping submaps differ by: each is bent by its drift."""
@@ -59,6 +61,7 @@ class SubmapPairs:
         self._matching = matching
         self._proposed: dict[tuple[int, int], list[tuple[FloatArray, int]]] = {}
         self._verified: dict[tuple[int, int, int], SubmapMatch | None] = {}
+        self._drawn: dict[int, DrawnSubmap] = {}
 
     def match(self, older: int, newer: int, is_plausible: Callable[[FloatArray], bool]) -> Iterator[PlaceCandidate]:
         """Yield the distinct matches of two submaps at proposed poses (3,) that are plausible."""
@@ -71,11 +74,19 @@ class SubmapPairs:
                 continue
             key = (*pair, number)
             if key not in self._verified:
-                self._verified[key] = self._matching.verify(self.submaps[older], self.submaps[newer], pose, keypoints)
+                self._verified[key] = self._matching.verify(self._draw(older), self._draw(newer), pose, keypoints)
             match = self._verified[key]
             if match is not None and not any(self._matching.is_same_place(match.pose, other) for other in found):
                 found.append(match.pose)
                 yield PlaceCandidate(older, newer, match)
+
+    def _draw(self, number: int) -> DrawnSubmap:
+        """Draw a submap, or take it where it was drawn lately."""
+        drawn = self._drawn.pop(number, None) or self.submaps[number].draw(self._matching.max_points)
+        while len(self._drawn) >= _MOST_DRAWN:
+            del self._drawn[next(iter(self._drawn))]
+        self._drawn[number] = drawn  # the last used one comes last
+        return drawn
 
 
 @final
