@@ -38,6 +38,7 @@ KERNELS = (
     "mean_shift",
     "are_true",
     "slots_of",
+    "hamming_distances",
     "draw_gaussians",
     "kalman_update",
     "predict_landmarks",

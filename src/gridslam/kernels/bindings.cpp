@@ -14,6 +14,7 @@
 #include "beams.hpp"
 #include "clusters.hpp"
 #include "correlate.hpp"
+#include "descriptors.hpp"
 #include "landmarks.hpp"
 #include "numbers.hpp"
 #include "several_scans.hpp"
@@ -375,6 +376,16 @@ auto py_slots_of(Vector ends, Vector points) {
   return out;
 }
 
+auto py_hamming_distances(Array<const uint64_t, 2> a, Array<const uint64_t, 2> b) {
+  auto out = fresh<int32_t, 2>({a.shape(0), b.shape(0)});
+  {
+    nb::gil_scoped_release release;
+    hamming_distances(a.data(), static_cast<int64_t>(a.shape(0)), b.data(), static_cast<int64_t>(b.shape(0)),
+                      static_cast<int64_t>(a.shape(1)), out.data());
+  }
+  return out;
+}
+
 auto py_draw_gaussians(Matrix means, Matrices covariances, Matrix numbers) {
   const size_t k = means.shape(0), size = means.shape(1);
   require(covariances.shape(0) == k && covariances.shape(1) == size && covariances.shape(2) == size &&
@@ -570,6 +581,7 @@ NB_MODULE(_compiled, m) {
         "shifts"_a);
   m.def("are_true", &py_are_true, "mask"_a, "corner"_a, "inverse_resolution"_a, "poses"_a);
   m.def("slots_of", &py_slots_of, "ends"_a, "points"_a);
+  m.def("hamming_distances", &py_hamming_distances, "a"_a, "b"_a);
   m.def("draw_gaussians", &py_draw_gaussians, "means"_a, "covariances"_a, "numbers"_a);
   m.def("kalman_update", &py_kalman_update, nb::arg("means").noconvert(), nb::arg("covariances").noconvert(), "rows"_a,
         "jacobians"_a, "innovations"_a, "residuals"_a);

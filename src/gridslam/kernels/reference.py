@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from gridslam.kernels import reference_scans
 from gridslam.kernels.reference_clusters import are_true, mean_shift, slots_of
+from gridslam.kernels.reference_descriptors import hamming_distances
 from gridslam.kernels.reference_landmarks import draw_gaussians, kalman_update, predict_landmarks
 from gridslam.kernels.reference_maps import begin_update, end_update, update
 from gridslam.kernels.reference_numbers import format_rows, parse_numbers
@@ -61,6 +62,7 @@ __all__ = [
     "draw_scans",
     "end_update",
     "format_rows",
+    "hamming_distances",
     "kalman_update",
     "known_cells",
     "make_tiles_writable",

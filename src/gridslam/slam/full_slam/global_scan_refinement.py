@@ -21,6 +21,7 @@ from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
+from gridslam.slam.loop_closure.submap_recognition import SubmapPairs, SubmapRecognition
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import CauchyEstimator
@@ -151,8 +152,8 @@ class GlobalScanRefinement:
     max_searches : int
         So often at most the whole log is searched for places seen again, each time from what the last one has made of
         it.
-    ambiguity_ratio, min_confirmations
-        As in `PlaceRecognition`: at the end the score decides, too, so that fewer searches need to agree.
+    recognition : SubmapRecognition
+        How places are recognized that the robot did not recognize while it drove.
     component_alignment : ComponentAlignment
         Alignment of rigid components that are separated by gaps in the laser data.
     robust : CauchyEstimator
@@ -170,8 +171,7 @@ class GlobalScanRefinement:
     matcher: GaussNewton = GaussNewton()
     distinct_candidate_m: float = bounded(0.3, ge=1e-6, le=1e6)
     max_searches: int = bounded(3, ge=0, le=100_000)
-    ambiguity_ratio: float = bounded(0.85, ge=1e-6, le=1)
-    min_confirmations: int = bounded(3, ge=1, le=1_000_000)
+    recognition: SubmapRecognition = SubmapRecognition()
     component_alignment: ComponentAlignment = ComponentAlignment()
     robust: CauchyEstimator = CauchyEstimator()
     score: TrajectoryScorer = TrajectoryScorer()
@@ -207,7 +207,17 @@ class GlobalScanRefinement:
         graph = closure_state.graph
         known = [c for c in graph.constraints if max(c.pair) < graph.frozen]
         known = [c for c in known if c.source is not ConstraintSource.RECOGNIZED]
-        refinement = _Refinement(self, closure_state, mapper, closure, on_progress, known, max(searched, graph.frozen))
+        refinement = _Refinement(
+            self,
+            closure_state,
+            mapper,
+            closure,
+            on_progress,
+            known,
+            max(searched, graph.frozen),
+            [c for c in graph.constraints if c.source is ConstraintSource.TRACKED],
+            self.recognition.cut(graph, closure_state.scans, mapper),
+        )
         selection = refinement.select(trajectory)
         bent = full_trajectories(selection.best.graph.poses, drives)
         frozen = sum(len(drive.keys) for drive in drives if int(drive.keys[-1]) < graph.frozen)
@@ -221,7 +231,7 @@ class _Refinement:
     """One run of the refinement; it goes from candidate to candidate in the key graph of its state.
 
     `known` are constraints between frozen key scans, which are not matched again; the first `searched` key scans are
-    not searched for again.
+    not searched for again; `tracked` are revisits that the robot knew of while it drove.
     """
 
     parameters: GlobalScanRefinement
@@ -231,6 +241,8 @@ class _Refinement:
     on_progress: Callable[[], None]
     known: list[Constraint]
     searched: int
+    tracked: list[Constraint]
+    pairs: SubmapPairs
 
     @property
     def graph(self) -> KeyGraph:
@@ -246,22 +258,20 @@ class _Refinement:
         )
         for candidate in others:
             selection.add(candidate)
-        begins = [selection.best, *(c for c in others if c.name == "constraints" and c is not selection.best)]
-        for begin in begins:
-            self._search(selection, begin)
+        self._close_loops(selection)
         return selection
 
-    def _search(self, selection: CandidateSelection, begin: Candidate) -> None:
-        """Repeatedly search the whole log for revisits, starting from a candidate, as long as the score improves."""
-        best = begin
-        reached = selection.scores[begin.name].log_likelihood
-        for _ in range(self.parameters.max_searches):
-            name = f"closed {sum(name.startswith('closed') for name in selection.scores) + 1}"
-            found = self._add_closures(name, best)
-            if found is None or (score := selection.add(found)) < reached:
+    def _close_loops(self, selection: CandidateSelection) -> None:
+        """Repeatedly recognize more places, starting from the best candidate, as long as the score improves."""
+        best = selection.best
+        for search in range(self.parameters.max_searches):
+            found = self._add_closures(f"closed {search + 1}", best)
+            if found is None:
+                return
+            selection.add(found)
+            if selection.best is not found:
                 return
             best = found
-            reached = score
 
     def _add_closures(self, name: str, begin: Candidate) -> Candidate | None:
         """Add newly found closures to a candidate; None if there are none.
@@ -270,23 +280,20 @@ class _Refinement:
         """
         parameters = self.parameters
         closure_state = self.closure_state
-        self.graph.constraints = begin.accepted_constraints
+        known = [*self.tracked, *begin.recognized_constraints]
+        self.graph.constraints = known
         closure_state.correct(begin.graph.poses)
-        recognition = replace(
-            self.closure.recognition,
-            ambiguity_ratio=parameters.ambiguity_ratio,
-            min_confirmations=parameters.min_confirmations,
-        )
-        new = recognition.search_whole_log(
-            closure_state, self.mapper, begin.accepted_constraints, self.on_progress, self.searched
-        )
+        found, rejected = parameters.recognition(self.graph, self.pairs, self.on_progress, self.searched)
+        closure_state.rejected[RejectionReason.INCONSISTENT] += rejected
+        pairs = {constraint.pair for constraint in known}
+        new = [constraint for constraint in found if constraint.pair not in pairs]
         new += parameters.component_alignment(
             closure_state, self.mapper, self.closure.recognition, parameters.score, self.on_progress, self.searched
         )
         if not new:
             return None
         solver = replace(self.closure.solver, first_guess="either")  # a wide loop is not reached from where poses are
-        solution = solver.solve(self._graph(begin.graph.poses, [*new, *begin.constraints]))
+        solution = solver.solve(self._graph(begin.graph.poses, [*new, *known]))
         weights = solution.weights[len(begin.graph.poses) - 1 :].tolist()
         recognized = [constraint for constraint, weight in zip(new, weights, strict=False) if weight >= 0.5]
         closure_state.rejected[RejectionReason.IMPLAUSIBLE] += len(new) - len(recognized)

@@ -7,7 +7,7 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
-from typing import Annotated, NamedTuple, final
+from typing import Annotated, Any, NamedTuple, final, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,13 +55,21 @@ _new_pairs = partial(Rows[np.int32], 2, np.int32)
 _new_links = partial(Rows[np.float64], 12, np.float64)
 
 
-def submap_of(key: int) -> int:
-    """Index of the submap that a key scan belongs to."""
+@overload
+def submap_of(key: int) -> int: ...
+@overload
+def submap_of(key: IntArray) -> IntArray: ...
+def submap_of(key: Any) -> Any:
+    """Index of the submap that a key scan belongs to, or of each."""
     return key // KEY_SCANS_PER_SUBMAP
 
 
-def first_key_scan(submap: int) -> int:
-    """Index of the first key scan of a submap."""
+@overload
+def first_key_scan(submap: int) -> int: ...
+@overload
+def first_key_scan(submap: IntArray) -> IntArray: ...
+def first_key_scan(submap: Any) -> Any:
+    """Index of the first key scan of a submap, or of each."""
     return submap * KEY_SCANS_PER_SUBMAP
 
 
@@ -197,6 +205,11 @@ class KeyGraph:
     def complete_submaps(self) -> int:
         """Number of submaps that are complete."""
         return len(self) // KEY_SCANS_PER_SUBMAP
+
+    def driven_m(self) -> FloatArray:
+        """Metres driven (T,) up to each key scan, as tracked."""
+        tracked = np.array(self.tracked)
+        return np.append(0.0, np.cumsum(np.hypot(*np.diff(tracked[:, :2], axis=0).T)))
 
     def begins_drive(self, key: int) -> bool:
         """Whether a key scan is the first one of a drive that was joined with earlier ones."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import final
 
@@ -86,51 +85,6 @@ class PlaceRecognition(PlaceMatching):
         for constraint in agreeing:
             graph.add(constraint)
         return agreeing
-
-    def search_whole_log(
-        self,
-        closure_state: LoopClosureState,
-        mapper: OccupancyGridMapping,
-        known: Sequence[Constraint],
-        on_progress: Callable[[], None],
-        searched: int = 0,
-    ) -> list[Constraint]:
-        """Search the whole log for revisits that the constraints `known` do not cover.
-
-        The first `searched` key scans were searched for before, and are not again. Returns groups of constraints that
-        are consistent with each other and with the tracked motion between them; each group is one confirmed revisit.
-        The poses and constraints of the graph are those of the best candidate so far.
-        """
-        graph = closure_state.graph
-        near = range(-self.search_interval, self.search_interval + 1)
-        covered = {constraint.to + k for constraint in known for k in near}
-        labels = graph.label_rigid_components()
-        groups: list[list[Constraint]] = []
-        first = max(self.recent_submaps * KEY_SCANS_PER_SUBMAP + self.search_interval, searched)
-        for key in range(first, len(graph), self.search_interval):
-            if key in covered or len(closure_state.scans.key(key)) < self.matcher.min_beams:
-                continue
-            for component in self._find_candidate_submaps(graph, key):
-                best = component[0]
-                if best.sigma_m < 2 * self.certain_sigma_m or labels[anchor_of(best.submap)] != labels[key]:
-                    continue  # tracked revisit: matched without a search; another piece is aligned as a whole
-                found = self._search_to_end(closure_state, mapper, key, component)
-                on_progress()
-                if isinstance(found, RejectionReason):
-                    closure_state.rejected[found] += 1
-                elif found is not None:
-                    self._add_to_group(graph, groups, found)
-        found_all = [constraint for group in groups for constraint in group]
-        return [constraint for group in groups if self._is_confirmed(group, found_all) for constraint in group]
-
-    def _search_to_end(
-        self, closure_state: LoopClosureState, mapper: OccupancyGridMapping, key: int, component: list[SubmapDistance]
-    ) -> Constraint | RejectionReason | None:
-        """Run all phases of the search at one key scan."""
-        found = None
-        for _ in SearchPhase:
-            found = found or self._search(closure_state, mapper, key, component)
-        return found
 
     def _search(
         self,
@@ -241,14 +195,6 @@ class PlaceRecognition(PlaceMatching):
     def _mahalanobis_distance(self, nearby: SubmapDistance) -> float:
         """Distance to a submap in standard deviations of the relative pose."""
         return max(math.hypot(nearby.pose[0], nearby.pose[1]) - self.max_distance_m, 0.0) / nearby.sigma_m
-
-    def _add_to_group(self, graph: KeyGraph, groups: list[list[Constraint]], found: Constraint) -> None:
-        """Add a constraint to the consistent group, or start a new one."""
-        for group in reversed(groups):
-            if found.to - group[-1].to <= 6 * self.search_interval and self._are_consistent(graph, group[-1], found):
-                group.append(found)
-                return
-        groups.append([found])
 
     def _is_confirmed(self, group: list[Constraint], found: list[Constraint]) -> bool:
         """Whether a group has enough members, and a majority of the candidates in its interval."""

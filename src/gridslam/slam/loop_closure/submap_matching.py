@@ -1,0 +1,276 @@
+"""Matching of submaps: poses at which keypoints agree, refined and verified in both directions."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, final
+
+import numpy as np
+
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import between, transform_points
+from gridslam.grid.tiles import TileMaps
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.matching.branch_and_bound import thin_points
+from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, cauchy_weights, degenerate_direction
+from gridslam.parameters import bounded, parameters
+from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.scan_archive import ScanArchive
+from gridslam.slam.loop_closure.submap_features import SubmapFeatures, extract_features, match_features
+from gridslam.slam.loop_closure.submaps import ROW, build_map
+from gridslam.types import FloatArray, IntArray, Match, StoredScan
+
+__all__ = ["DrawnSubmap", "Submap", "SubmapMatch", "SubmapMatching", "propose_poses"]
+
+_REACH_M = 30.0
+"""Beams beyond say little of the place: they are far apart, and their ends move with the heading."""
+_SAME_M = 0.5
+"""Keypoints that agree are no farther apart: the cells of the image, and drift within the submap."""
+_SAME_RAD = 0.6
+"""So far the directions of matched keypoints may differ."""
+_LEAST_BASE_M = 3.0
+"""Two keypoints nearer to each other do not tell the heading."""
+_MOST_PAIRS = 1500
+_SAME_HEADING_RAD = 0.05
+_DISTINCT_M = 1.5
+_DISTINCT_RAD = 0.15
+"""Poses nearer to each other in both are the same."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Submap:
+    """Key scans along some metres of the way, as tracked, seen from the one in their middle.
+
+    Attributes
+    ----------
+    anchor : int
+        The key scan in the middle, in whose frame everything is.
+    keys : (K,) int64
+        The key scans.
+    poses : (K, 3) float64
+        Theirs, seen from the anchor.
+    scans : ScanArchive
+        Where their beams are.
+    mapper : OccupancyGridMapping
+        How they are drawn.
+    """
+
+    anchor: int
+    keys: IntArray
+    poses: FloatArray
+    scans: ScanArchive
+    mapper: OccupancyGridMapping
+
+    @classmethod
+    def of(
+        cls, graph: KeyGraph, anchor: int, keys: IntArray, scans: ScanArchive, mapper: OccupancyGridMapping
+    ) -> Submap:
+        """Take key scans (K,) as tracked about the anchor."""
+        return cls(anchor, keys, graph.tracked_poses_from(anchor, keys), scans, mapper)
+
+    def collect_points(self) -> FloatArray:
+        """Ends (B, 2) of the beams that are not too long."""
+        ends = []
+        for key, pose in zip(self.keys.tolist(), self.poses, strict=True):
+            scan = self.scans.key(key)
+            is_near = np.hypot(*(scan.ends - scan.origin).T) < _REACH_M
+            ends.append(transform_points(pose, scan.ends[is_near]))
+        return np.concatenate(ends)
+
+    @cached_property
+    def features(self) -> SubmapFeatures:
+        """Keypoints and descriptors."""
+        return extract_features(self.collect_points())
+
+    @cached_property
+    def radius_m(self) -> float:
+        """Distance from the anchor within which everything is."""
+        return float(np.hypot(*self.poses[:, :2].T).max()) + 0.5 * _REACH_M
+
+    def draw(self, most: int) -> DrawnSubmap:
+        """Draw the map, and take at most so many of the points, spread evenly."""
+        maps = build_map(self.mapper, self.scans, self.keys, self.poses)
+        return DrawnSubmap(maps, thin_points(self.collect_points(), most))
+
+
+@final
+class DrawnSubmap(NamedTuple):
+    """One map, drawn from a submap's key scans, and ends (B, 2) of their beams."""
+
+    maps: TileMaps
+    points: FloatArray
+
+
+@final
+class SubmapMatch(NamedTuple):
+    """A pose (3,) at which one submap fits another, and how well.
+
+    Attributes
+    ----------
+    pose : (3,) float64
+        Of the frame of the newer one, in that of the older one.
+    match : Match
+        Of its points in the older one's map.
+    points : int
+        Number of points that lie in what the other one knows, the lesser of both directions.
+    inlier_ratio : float
+        Mean Cauchy weight of these, the lesser.
+    contradicted : float
+        Share of these that lie in what the other one saw free, the greater.
+    agreeing_keypoints : int
+        Matched keypoints that agree with the pose.
+    """
+
+    pose: FloatArray
+    match: Match
+    points: int
+    inlier_ratio: float
+    contradicted: float
+    agreeing_keypoints: int
+
+
+@final
+@parameters(frozen=True)
+class SubmapMatching:
+    """Matches one submap with another, over the full turn.
+
+    Parameters
+    ----------
+    min_keypoints : int
+        Matched keypoints that agree on a pose, at least.
+    max_poses : int
+        Poses of a pair that are refined, best first.
+    max_points : int
+        Points of each submap that are matched, spread evenly.
+    min_points : int
+        Of these at least so many lie in what the other submap knows.
+    inlier_ratio : float
+        Least mean Cauchy weight of these, in both directions.
+    inlier_m : float, m
+        Distance to the other's obstacles at which a point counts half.
+    max_contradicted : float
+        Largest share of these that lie where the other saw free space.
+    min_information : float
+        Least eigenvalue of the position's information, per agreeing point: bare corridors are left out.
+    coarse, fine : GaussNewton
+        How a pose is refined, first from keypoints and then from there.
+    """
+
+    min_keypoints: int = bounded(5, ge=3, le=1000)
+    max_poses: int = bounded(4, ge=1, le=1000)
+    max_points: int = bounded(1500, ge=8, le=100_000)
+    min_points: int = bounded(300, ge=1, le=100_000)
+    inlier_ratio: float = bounded(0.55, ge=1e-6, le=1)
+    inlier_m: float = bounded(0.2, ge=1e-6, le=1e6)
+    max_contradicted: float = bounded(0.2, ge=0, le=1)
+    min_information: float = bounded(0.06, ge=0, le=1e6)
+    coarse: GaussNewton = GaussNewton(cauchy_m=0.3, max_iterations=20, point_to_line=False)
+    fine: GaussNewton = GaussNewton(cauchy_m=0.15)
+
+    def propose(self, old: Submap, new: Submap) -> list[tuple[FloatArray, int]]:
+        """Propose poses (3,) of the new submap's frame in the old one's, and how many keypoints agree with each."""
+        pairs = match_features(old.features, new.features)
+        return propose_poses(old.features, new.features, pairs, self.min_keypoints, self.max_poses)
+
+    def verify(self, old: DrawnSubmap, new: DrawnSubmap, pose: FloatArray, keypoints: int) -> SubmapMatch | None:
+        """Refine a proposed pose (3,), and verify it in both directions; None where it does not fit."""
+        beams = StoredScan(new.points, np.zeros(2))
+        match = self.coarse(old.maps, ROW, pose[None], NO_PRIOR[None], beams)
+        match = self.fine(old.maps, ROW, match.poses, NO_PRIOR[None], beams)
+        (refined,) = match.poses
+        if degenerate_direction(match.information[0], float(match.score[0]), self.min_information) is not None:
+            return None
+        there = self._compare(old.maps, refined, new.points)
+        back = self._compare(new.maps, between(refined, np.zeros(3)), old.points)
+        known = min(there[0], back[0])
+        inliers = min(there[1], back[1])
+        contradicted = max(there[2], back[2])
+        if known < self.min_points or inliers < self.inlier_ratio or contradicted > self.max_contradicted:
+            return None
+        return SubmapMatch(refined, match, known, inliers, contradicted, keypoints)
+
+    def is_same_place(self, pose: FloatArray, other: FloatArray) -> bool:
+        """Whether two poses (3,) that were refined are one."""
+        x, y, turn = between(pose, other).tolist()
+        return math.hypot(x, y) < self.inlier_m and abs(turn) < _SAME_HEADING_RAD
+
+    def _compare(self, maps: TileMaps, pose: FloatArray, points: FloatArray) -> tuple[int, float, float]:
+        """How many of points (B, 2) at a pose (3,) a map knows, their mean weight, and the share it saw free."""
+        away = maps.distances(ROW, pose[None], points)[0]
+        is_known = maps.is_known(0, points, pose) | (away < self.inlier_m)
+        known = away[is_known]
+        if not len(known):
+            return 0, 0.0, 1.0
+        is_free = known >= 0.9 * maps.reach_m
+        return len(known), float(cauchy_weights(known, self.inlier_m).mean()), float(is_free.mean())
+
+
+def propose_poses(
+    old: SubmapFeatures, new: SubmapFeatures, pairs: IntArray, least: int, most: int
+) -> list[tuple[FloatArray, int]]:
+    """Propose poses at which matched keypoints agree: of each two matches whose distance is the same in both submaps.
+
+    Parameters
+    ----------
+    old, new : SubmapFeatures
+        Of both submaps.
+    pairs : (M, 2) int64
+        Keypoints of both that match.
+    least : int
+        Matches that agree with a pose, at least.
+    most : int
+        Poses at most, those with which most agree first.
+    """
+    a = old.points[pairs[:, 0]]
+    b = new.points[pairs[:, 1]]
+    turns = wrap(old.headings[pairs[:, 0]] - new.headings[pairs[:, 1]])
+    first, second = np.triu_indices(len(pairs), 1)
+    in_old = a[second] - a[first]
+    in_new = b[second] - b[first]
+    length = np.hypot(*in_old.T)
+    headings = wrap(np.arctan2(in_old[:, 1], in_old[:, 0]) - np.arctan2(in_new[:, 1], in_new[:, 0]))
+    fits = (np.abs(length - np.hypot(*in_new.T)) < _SAME_M) & (length > _LEAST_BASE_M)
+    for end in (first, second):
+        fits &= np.abs(wrap(headings - turns[end])) < _SAME_RAD
+    chosen = np.flatnonzero(fits)
+    chosen = chosen[:: max(1, -(-len(chosen) // _MOST_PAIRS))]
+    if not len(chosen):
+        return []
+    first, second, headings = first[chosen], second[chosen], headings[chosen]
+    c = np.cos(headings)
+    s = np.sin(headings)
+    turned = np.stack(
+        [c[:, None] * b[:, 0] - s[:, None] * b[:, 1], s[:, None] * b[:, 0] + c[:, None] * b[:, 1]], axis=2
+    )
+    places = np.arange(len(chosen))
+    shifts = 0.5 * (a[first] + a[second] - turned[places, first] - turned[places, second])
+    agree = np.square(turned + shifts[:, None] - a).sum(axis=2) < _SAME_M**2
+    counts = agree.sum(axis=1)
+    poses: list[tuple[FloatArray, int]] = []
+    rough = np.column_stack([shifts, headings])
+    taken: list[FloatArray] = []
+    for place in np.argsort(-counts, kind="stable").tolist():
+        if counts[place] < least or len(poses) >= most:
+            break
+        if any(_is_near(rough[place], other) for other in taken):
+            continue
+        taken.append(rough[place])
+        poses.append((_fit(a[agree[place]], b[agree[place]]), int(counts[place])))
+    return poses
+
+
+def _is_near(pose: FloatArray, other: FloatArray) -> bool:
+    x, y, turn = (pose - other).tolist()
+    return math.hypot(x, y) < _DISTINCT_M and abs(wrap(turn)) < _DISTINCT_RAD
+
+
+def _fit(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Pose (3,) that lays points `b` (K, 2) on `a` (K, 2) in the least squares."""
+    middle_a = a.mean(axis=0)
+    middle_b = b.mean(axis=0)
+    (xx, xy), (yx, yy) = ((b - middle_b).T @ (a - middle_a)).tolist()
+    turn = math.atan2(xy - yx, xx + yy)
+    return np.append(middle_a - transform_points(np.array([0.0, 0.0, turn]), middle_b[None])[0], turn)

@@ -1,0 +1,148 @@
+"""Places are recognized by submaps of the way, in sets without a rival."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import between, compose, transform_points
+from gridslam.slam.loop_closure.drift_model import DriftModel
+from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.state import LoopClosureState
+from gridslam.slam.loop_closure.submap_features import extract_features, match_features
+from gridslam.slam.loop_closure.submap_matching import SubmapMatch, propose_poses
+from gridslam.slam.loop_closure.submap_recognition import PlaceCandidate, SubmapRecognition
+from support import hall
+
+RECOGNITION = SubmapRecognition(length_m=20.0, step_m=5.0, certain_sigma_m=0.1)
+"""For a hall of 24 m x 16 m."""
+
+
+@pytest.fixture(scope="module")
+def seen():
+    return hall.key_scans(hall.drive(1))
+
+
+def remember(seen, poses):
+    """Key scans of a drive as it was tracked, poses (K, 3), without any constraint."""
+    closure_state = LoopClosureState()
+    for k, pose in enumerate(poses):
+        x, y, turn = between(poses[k - 1], pose) if k else np.zeros(3)
+        closure_state.scans.append(seen.beams[k], pose, is_key=True)
+        closure_state.graph.extend(pose, pose, hall.DOUBTFUL.variances(math.hypot(x, y), abs(turn)))
+    return closure_state
+
+
+def recognize(closure_state, recognition=RECOGNITION):
+    pairs = recognition.cut(closure_state.graph, closure_state.scans, hall.MAPPER)
+    return recognition(closure_state.graph, pairs, lambda: None)
+
+
+@pytest.mark.parametrize("bias_rad_per_m", [0.0, 0.002, -0.002])
+def test_the_way_is_recognized_when_it_is_driven_again(seen, bias_rad_per_m):
+    closure_state = remember(seen, hall.tracked(seen.truth, bias_rad_per_m, scale=1.01))
+    constraints, _ = recognize(closure_state)
+    assert len(constraints) >= 10
+    metres, radians = hall.errors(seen.truth, constraints).T
+    # a submap of 20 m is bent by 20 m * 0.002 rad/m, half of it to each side of its middle
+    assert metres.max() < 0.3
+    assert radians.max() < 0.04
+    assert np.median(metres) < 0.15
+
+
+def test_a_place_that_the_drift_cannot_explain_is_not_believed(seen):
+    """The second lap lies 30 m beside the first, by an increment that is said to be certain."""
+    poses = hall.tracked(seen.truth)
+    poses[len(poses) // 2 :] = compose([30.0, 0.0, 0.0], poses[len(poses) // 2 :])
+    assert recognize(remember(seen, poses)) == ([], 0)
+
+
+def test_what_is_certain_is_not_searched_for(seen):
+    closure_state = remember(seen, seen.truth)
+    assert recognize(closure_state, SubmapRecognition(length_m=20.0, step_m=5.0, certain_sigma_m=100.0)) == ([], 0)
+
+
+def test_submaps_end_at_a_gap_and_cover_all_of_the_way(seen):
+    closure_state = remember(seen, seen.truth)
+    graph = closure_state.graph
+    at = 70
+    graph.variances[at] = (100.0, 1.0)
+    graph.correct(np.array(graph.poses))
+    submaps = RECOGNITION.cut(graph, closure_state.scans, hall.MAPPER).submaps
+    assert not any(submap.keys[0] < at <= submap.keys[-1] for submap in submaps)
+    assert set(np.concatenate([submap.keys for submap in submaps]).tolist()) == set(range(len(graph)))
+    way = graph.driven_m()
+    assert max(np.ptp(way[submap.keys]) for submap in submaps) <= RECOGNITION.length_m
+
+
+def corners(rng):
+    """Ends of beams (B, 2) on the walls of boxes here and there."""
+    along = np.linspace(0, 1, 80)
+    boxes = []
+    for x, y, width, height in rng.uniform([-15, -15, 1, 1], [15, 15, 5, 5], (25, 4)).tolist():
+        for x0, y0, x1, y1 in ((0, 0, 1, 0), (1, 0, 1, 1), (1, 1, 0, 1), (0, 1, 0, 0)):
+            boxes.append(
+                np.stack([x + width * (x0 + (x1 - x0) * along), y + height * (y0 + (y1 - y0) * along)], axis=1)
+            )
+    return np.concatenate(boxes)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_keypoints_turn_with_the_place(seed):
+    """Seen from anywhere, at any heading, the keypoints propose the true pose; of another place none."""
+    rng = np.random.default_rng(seed)
+    points = corners(rng)
+    pose = np.append(rng.uniform(-20, 20, 2), rng.uniform(-math.pi, math.pi))
+    old, new = extract_features(points), extract_features(transform_points(between(pose, np.zeros(3)), points))
+    (best, agreeing), *_ = propose_poses(old, new, match_features(old, new), 5, 4)
+    assert np.hypot(*(best - pose)[:2]) < 0.2  # a cell of the image
+    assert abs(wrap(best[2] - pose[2])) < 0.02
+    other = extract_features(corners(rng))
+    assert all(count < agreeing / 3 for _, count in propose_poses(old, other, match_features(old, other), 3, 4))
+
+
+def test_nothing_seen_has_no_keypoints():
+    nothing = extract_features(np.empty((0, 2)))
+    assert len(nothing) == 0
+    assert match_features(nothing, extract_features(corners(np.random.default_rng(0)))).shape == (0, 2)
+    assert propose_poses(nothing, nothing, np.empty((0, 2), np.int64), 3, 4) == []
+
+
+def line(length):
+    """The graph of a straight way, a key scan a metre."""
+    graph = KeyGraph()
+    for k in range(length):
+        pose = np.array([float(k), 0.0, 0.0])
+        graph.extend(pose, pose, DriftModel().variances(1.0, 0.0))
+    return graph
+
+
+def candidates(matches):
+    """Candidates from (older, newer, shift in m along the way): `anchors` are the key scans of those numbers."""
+    return [
+        PlaceCandidate(older, newer, SubmapMatch(np.array([shift, 0.0, 0.0]), None, 500, 0.9, 0.0, 10))
+        for older, newer, shift in matches
+    ]
+
+
+SET = [(100, 200, 0.0), (110, 210, 0.0), (120, 220, 0.1)]
+RIVAL = [(100, 205, 12.0), (110, 215, 12.0), (120, 225, 12.1)]
+
+
+@pytest.mark.parametrize(
+    ("matches", "expected"),
+    [
+        (SET, [True] * 3),
+        (SET[:2], [False] * 2),  # too few
+        ([*SET[:2], (120, 220, 4.0)], [False] * 3),  # they do not agree
+        ([*SET, *RIVAL], [False] * 6),  # which of both?
+        ([*SET, (130, 230, 0.0), *RIVAL[:1]], [True] * 4 + [False]),  # outvoted
+        ([*SET, (400, 220, 7.0)], [True] * 3 + [False]),  # somewhere else on the way: no contradiction
+    ],
+)
+def test_sets_of_consistent_matches_without_a_rival_are_accepted(matches, expected):
+    accepted = SubmapRecognition().accept(line(500), np.arange(500), candidates(matches))
+    assert accepted.tolist() == expected
