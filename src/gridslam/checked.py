@@ -1,8 +1,9 @@
 """Checks of the arguments of public functions by their annotations, once: where a caller enters the package.
 
-What is called from within such a function is not checked again. An annotation states a type, and by `Annotated` shapes
-and limits as those of saved states do (`gridslam.serialization`): `Annotated[FloatArray, "K", 3]` has three columns and
-as many rows as whatever else is annotated with K. Whatever else does not go together is found by the function itself.
+What is called from within such a function is not checked again. `Annotated` states shapes and limits, as in saved
+states (`gridslam.serialization`): `Annotated[FloatArray, "K", 3]` has three columns and as many rows as whatever else
+is annotated with K. Arrays and numbers that do not fit are refused before the call, as kernels trust them. Types are
+compared only after a call has failed, to name the argument: whatever works in the place of a type is welcome.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ __all__ = ["checked"]
 
 _Public = TypeVar("_Public", bound=Callable[..., Any])
 _LARGEST = 1 << 62
+_READ_LOGS = ("gridslam.api.", "gridslam.pipeline")
+"""Of what maps whole logs numbers that do not go together are no argument's fault."""
 _KINDS = {"f": "fiu", "i": "iu", "u": "iu", "b": "b"}
 """Of arrays that are taken, by what is annotated: nothing is lost by converting them."""
 _NUMBERS: Mapping[object, tuple[type, ...]] = {
@@ -70,19 +73,27 @@ def checked(public: _Public) -> _Public:
 
 
 def _check_calls(function: Callable[..., Any]) -> Callable[..., Any]:
+    reads_logs = function.__module__.startswith(_READ_LOGS)
+
     @functools.wraps(function)
     def check(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 whatever the function takes
         if _is_within.get():
             return function(*args, **kwargs)
-        _require_arguments(function, args, kwargs)
+        _require_arguments(function, args, kwargs, _require_stated)
         before = _is_within.set(True)
         try:
             return function(*args, **kwargs)
         except GridslamError:
             raise
-        except (ValueError, IndexError, ArithmeticError) as error:  # of numbers that do not go together
+        except (TypeError, AttributeError, ValueError, IndexError, ArithmeticError) as error:
             if type(error).__module__.startswith("pydantic"):
                 raise
+            try:
+                _require_arguments(function, args, kwargs, _require)
+            except ArgumentError as wrong:
+                raise wrong from error
+            if reads_logs or isinstance(error, TypeError | AttributeError):
+                raise  # no argument's fault
             raise ArgumentError(function.__qualname__, "arguments that go together", error or type(error)) from error
         finally:
             _is_within.reset(before)
@@ -101,7 +112,9 @@ def _text(function: Callable[..., Any]) -> str:
     return repr(_signature(function)[1])
 
 
-def _require_arguments(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
+def _require_arguments(
+    function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any], require: Callable[..., None]
+) -> None:
     signature, hints = _signature(function)
     arguments = signature.bind(*args, **kwargs).arguments
     sizes = {"self": len(arguments["self"])} if "'self'" in _text(function) else {}
@@ -117,7 +130,14 @@ def _require_arguments(function: Callable[..., Any], args: tuple[Any, ...], kwar
         )
         for each in values:
             if each is not signature.parameters[name].default:
-                _require(name, each, hint, sizes)
+                require(name, each, hint, sizes)
+
+
+def _require_stated(name: str, value: object, hint: Any, sizes: dict[str, int]) -> None:  # noqa: ANN401
+    """Raise ArgumentError where an array or a number is not of the shape and in the limits that are stated for it."""
+    is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if get_origin(hint) is Annotated and (is_number or isinstance(value, np.ndarray)):
+        _require(name, value, hint, sizes)
 
 
 def _require(name: str, value: object, hint: Any, sizes: dict[str, int]) -> None:  # noqa: ANN401
@@ -231,7 +251,7 @@ def _name(hint: Any) -> str:  # noqa: ANN401
     if hint is _Numbers:
         return "numbers"
     if hint is int:
-        return "an integer of 62 bits"
+        return "int of at most 62 bits"
     if hint is float:
         return "a number"
     return str(getattr(hint, "__name__", hint)).replace("NoneType", "None")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -41,6 +42,13 @@ def take(
 ) -> tuple[object, ...]:
     """Take one of each."""
     return count, share, name, path, numbers, mode, pair, many, table, call, flags, scan
+
+
+@checked
+@functools.wraps(take)
+def use(*arguments: object, **named: object) -> None:
+    """Fail on whatever it gets, with the signature of `take`."""
+    raise TypeError("deep within")
 
 
 @checked
@@ -96,8 +104,14 @@ def test_what_is_annotated_passes():
 )  # fmt: skip
 def test_what_is_not_annotated_is_refused_by_name(name, wrong):
     with pytest.raises(ArgumentError, match=rf"^{name}: expected .*, got ") as caught:
-        take(**{name: wrong})
+        use(**{name: wrong})
     assert caught.value.argument == name
+
+
+def test_a_call_that_works_with_another_type_is_welcome():
+    assert take(scan="scan", many=3)[-1] == "scan"
+    with pytest.raises(TypeError, match="deep within"):
+        use(count=3)
 
 
 @pytest.mark.parametrize(
@@ -180,5 +194,5 @@ def test_numbers_that_do_not_go_together_are_an_argument_error_and_faults_stay_w
     for error in (AttributeError("a fault"), TypeError("a fault"), InputError("a", "b"), KeyboardInterrupt()):
         with pytest.raises(type(error)):
             fail(error)
-    with pytest.raises(ArgumentError, match="count"):
-        take(count="x")  # checked again after each
+    with pytest.raises(ArgumentError, match="share"):
+        take(share=2)  # checked again after each

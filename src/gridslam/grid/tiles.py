@@ -300,8 +300,8 @@ class TileMaps:
         twin._shared_arena = self._arena.freeze(twin._roots)
         return twin
 
-    def select(self, parents: Annotated[Rows, "self", index_of("self")]) -> None:
-        """Let map i become what map parents[i] was; parents (rows,) int64."""
+    def select(self, parents: Annotated[Rows, "M", index_of("self")]) -> None:
+        """Let map i become what map parents[i] was; parents (M,) int64."""
         arena = self._arena
         roots = self._roots[parents]
         arena.retain(roots)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.arguments import Limits, freeze, require_generator, require_instance
+from gridslam.arguments import freeze, require_generator, require_instance
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
@@ -15,11 +13,11 @@ from gridslam.types import FloatArray
 
 __all__ = ["repeat_pose", "sample_gaussian"]
 
-_Count = Annotated[int, Limits(1, 1 << 30)]
+_MOST = 1 << 30
 
 
 @checked
-def repeat_pose(count: _Count, pose: ArrayLike) -> FloatArray:
+def repeat_pose(count: int, pose: ArrayLike) -> FloatArray:
     """Put all particles at one pose: SLAM's map frame is where the robot starts, so nothing is uncertain yet.
 
     Parameters
@@ -39,8 +37,8 @@ def repeat_pose(count: _Count, pose: ArrayLike) -> FloatArray:
         If `count` or `pose` is anything else.
     """
     require_instance("count", count, int, np.integer)
-    if count < 1:
-        raise ArgumentError("count", "at least one particle", count)
+    if not 1 <= count <= _MOST:
+        raise ArgumentError("count", f"1 to {_MOST} particles", count)
     mean = freeze(pose, np.float64, (3,), "pose").copy()
     if not np.isfinite(mean).all():
         raise ArgumentError("pose", "finite [x, y, theta]", mean.tolist())
@@ -49,7 +47,7 @@ def repeat_pose(count: _Count, pose: ArrayLike) -> FloatArray:
 
 
 @checked
-def sample_gaussian(count: _Count, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Generator) -> FloatArray:
+def sample_gaussian(count: int, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Generator) -> FloatArray:
     """Draw particles from a Gaussian about a pose, theta wrapped around the circle.
 
     Parameters
