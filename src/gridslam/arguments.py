@@ -128,18 +128,19 @@ _CONTAINERS = list, tuple, set
 _SURROGATE = re.compile("[\ud800-\udfff]")
 
 
-def require_plain(tree: object) -> None:
+def require_plain(tree: object, *, odd_names: bool = False) -> None:
     """Refuse values of a parser, lists and dicts, that programs cannot go on with.
 
     These are lists in lists and dicts in dicts of more than 100 levels, whole numbers beyond 1e300, which neither
-    `float` nor `repr` take, and texts with halves of characters, which no file takes.
+    `float` nor `repr` take, and texts with halves of characters, which no file takes; these may be where files of odd
+    names are listed.
     """
     level = [tree]
     for _ in range(_DEEPEST):
         for value in level:
             if isinstance(value, int) and abs(value) > _MOST:
                 raise ArgumentError("values", "numbers up to 1e300", "a larger one")
-            if isinstance(value, str) and not value.isascii() and _SURROGATE.search(value):
+            if not odd_names and isinstance(value, str) and not value.isascii() and _SURROGATE.search(value):
                 raise ArgumentError("values", "texts of whole characters", ascii(value)[:60])
         parts = ((*value, *value.values()) if isinstance(value, dict) else value for value in level)
         level = [part for below in parts if isinstance(below, _CONTAINERS) for part in below]

@@ -12,7 +12,6 @@ __all__ = [
     "InputError",
     "MissingDependencyError",
     "OutputError",
-    "describe_failure",
 ]
 
 

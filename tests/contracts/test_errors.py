@@ -115,7 +115,10 @@ RNG = np.random.default_rng(0)
         (lambda: LaserScan(0, RANGES, np.full(5, 3, np.uint8), GEOMETRY), "status: expected values of BeamStatus"),
         (lambda: LaserScan(0, RANGES.tolist(), STATUS, GEOMETRY), "ranges: expected an array of float64, got"),
         (lambda: LaserScan(0, RANGES.astype(np.float32), STATUS, GEOMETRY), "ranges: expected an array of float64"),
-        (lambda: LaserScan(0, RANGES, STATUS, GEOMETRY.bearings), "geometry: expected ScanGeometry, got a ndarray"),
+        (
+            lambda: LaserScan(0, RANGES, STATUS, GEOMETRY.bearings),
+            "geometry: expected ScanGeometry, got one of float64",
+        ),
         (lambda: LaserScan("now", RANGES, STATUS, GEOMETRY), "stamp_ns: expected int"),
         (lambda: LaserScan(0, RANGES, STATUS, GEOMETRY, -1.0), "range_min_m: expected a finite number >= 0, got -1"),
         (lambda: LaserScan(0, RANGES, STATUS, GEOMETRY, np.nan), "range_min_m: expected a finite number >= 0, got nan"),

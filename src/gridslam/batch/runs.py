@@ -144,7 +144,7 @@ def write_parquet(out: str | Path) -> Path:
 def _make_run(path: Path, row: dict[str, Any]) -> Run:
     text = row.pop("document")
     with refuse_unreadable(path, f"a document in JSON of {row['log']}"):
-        document = parse_json(text) if text else {}
+        document = parse_json(text, odd_names=True) if text else {}
     document = document if isinstance(document, dict) else {}
     figures = {name: _number(document, keys) for name, keys in (_FIGURES | _of_doctor(document)).items()}
     loops = document.get("loop_closure")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Final, Literal, NamedTuple, final
+from typing import Annotated, Any, Final, Literal, NamedTuple, final
 
 from gridslam.checked import checked
 from gridslam.config.tables import nest, parse_toml, read_assignments, replace_parameters, to_table
@@ -96,6 +97,8 @@ PARAMETERS: Final[Mapping[str, Parameter]] = {
 }
 """The parameters that face the user, by their short names."""
 
+_RETIRED = ("final_refinement.ambiguity_ratio", "final_refinement.min_confirmations")
+"""Parameters of earlier versions."""
 _LARGEST_TEXT: Final = 1 << 20  # characters
 _RESAMPLERS: Final[Mapping[str, type[Resampler]]] = {
     "systematic": Systematic,
@@ -200,6 +203,16 @@ def loads(text: str, base: Configuration | None = None) -> Configuration:
         The text is no TOML, or a parameter is unknown, of a wrong type or out of range.
     """
     return replace_parameters(base or Configuration(), parse_toml(text))
+
+
+def loads_saved(text: str) -> Configuration:
+    """Read the TOML of a saved session as `loads` does; parameters that there are no more are passed over."""
+    table = parse_toml(text)
+    for name in _RETIRED:
+        *above, last = name.split(".")
+        part: Any = functools.reduce(lambda inner, key: inner.get(key, {}), above, table)
+        part.pop(last, None)
+    return replace_parameters(Configuration(), table)
 
 
 @checked

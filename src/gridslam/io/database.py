@@ -8,6 +8,7 @@ Source: sqlite.org, fileformat2.html (of the statements in the schema SQLite its
 
 from __future__ import annotations
 
+import os
 import sqlite3
 import time
 from collections.abc import Callable, Iterable
@@ -47,7 +48,7 @@ def open_database(path: Path, tables: Iterable[str], mode: str = AS_IT_LIES) -> 
     sqlite3.Error
         The file is no database, or holds more than tables.
     """
-    connection = sqlite3.connect(f"file:{quote(str(path.absolute()))}?{mode}", uri=True)
+    connection = sqlite3.connect(f"file:{quote(os.fsencode(path.absolute()))}?{mode}", uri=True)
     try:
         end_s = time.thread_time() + _SCHEMA_S
         connection.set_progress_handler(lambda: time.thread_time() > end_s, _STEPS)

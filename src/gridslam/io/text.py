@@ -143,10 +143,10 @@ def read_text(path: str | Path, most: int = _LARGEST_TEXT_BYTES) -> str:
         raise InputError(path, "expected a text file, got binary data") from None
 
 
-def parse_json(text: str) -> Any:  # noqa: ANN401
+def parse_json(text: str, *, odd_names: bool = False) -> Any:  # noqa: ANN401
     """Read JSON; raises an error of any kind where the text is none, or holds what `require_plain` refuses."""
     document = json.loads(text)
-    require_plain(document)
+    require_plain(document, odd_names=odd_names)
     return document
 
 
@@ -154,7 +154,7 @@ def read_json(path: str | Path) -> dict[str, Any]:
     """Read a JSON object; raises InputError, with the line, where the file holds none."""
     text = read_text(path)
     with refuse_unreadable(path, "JSON"):
-        document = parse_json(text)
+        document = parse_json(text, odd_names=True)
     if not isinstance(document, dict):
         raise InputError(path, f"expected a JSON object, got a {type(document).__name__}")
     return document

@@ -14,7 +14,8 @@ import numpy as np
 
 from gridslam import __version__, serialization
 from gridslam.arguments import require_instance, require_seed
-from gridslam.config import Configuration, dumps, loads
+from gridslam.config import Configuration, dumps
+from gridslam.config.configuration import loads_saved
 from gridslam.errors import ArgumentError
 from gridslam.io.results.record import RecordWriter
 from gridslam.io.sessions.archive_file import (
@@ -231,7 +232,7 @@ def read_session(path: str | Path, threads: int = 1) -> SavedSession:
     arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT)
     with name_file(path, _WHAT):
         head = _parse_head(arrays)
-        configuration = loads(head["configuration"])
+        configuration = loads_saved(head["configuration"])
         pieces = [
             _load_piece(select_part(arrays, f"pieces.{number}"), drives, configuration.mapper.resolution_m)
             for number, drives in enumerate(head["pieces"])

@@ -25,13 +25,13 @@ from gridslam.types import FloatArray, IntArray, Match, StoredScan
 __all__ = ["DrawnSubmap", "Submap", "SubmapMatch", "SubmapMatching", "propose_poses"]
 
 _REACH_M = 30.0
-"""Beams beyond say little of the place: they are far apart, and their ends move with the heading."""
+"""Beams beyond are far apart, and their ends move with the heading."""
 _SAME_M = 0.5
 """Keypoints that agree are no farther apart: the cells of the image, and drift within the submap."""
 _SAME_RAD = 0.6
 """So far the directions of matched keypoints may differ."""
 _LEAST_BASE_M = 3.0
-"""Two keypoints nearer to each other do not tell the heading."""
+"""Two keypoints nearer to each other do not determine the heading."""
 _MOST_PAIRS = 1500
 _SAME_HEADING_RAD = 0.05
 _DISTINCT_M = 1.5
@@ -91,7 +91,7 @@ class Submap:
         return float(np.hypot(*self.poses[:, :2].T).max()) + 0.5 * _REACH_M
 
     def draw(self, most: int) -> DrawnSubmap:
-        """Draw the map, and take at most so many of the points, spread evenly."""
+        """Build the map, and take at most `most` of the points, spread evenly."""
         maps = build_map(self.mapper, self.scans, self.keys, self.poses)
         return DrawnSubmap(maps, thin_points(self.collect_points(), most))
 
@@ -146,7 +146,7 @@ class SubmapMatching:
     max_points : int
         Points of each submap that are matched, spread evenly.
     min_points : int
-        Of these at least so many lie in what the other submap knows.
+        Least number of these in what the other submap knows.
     inlier_ratio : float
         Least mean Cauchy weight of these, in both directions.
     inlier_m : float, m

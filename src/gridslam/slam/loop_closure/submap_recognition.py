@@ -108,7 +108,7 @@ class _Prior(NamedTuple):
 class SubmapRecognition:
     """Recognizes places by matching submaps, some tens of metres of the way each, with all older ones.
 
-    One scan of a corridor or of a lawn says little, tens of metres of way hardly ever look alike by chance. Where they
+    One scan of a corridor or of a lawn fits in many places, tens of metres of way hardly ever do by chance. Where they
     do, as in rows of equal rooms, they do it again and again, but in several places: a match counts only in a set
     of matches that agree with each other and with the motion between them, and if no other set about the
     same part of the way is nearly as large.
@@ -126,14 +126,14 @@ class SubmapRecognition:
     margin_m, margin_rad : float
         What it may need besides.
     drift_m, drift_ratio, drift_rad : float
-        Bounds of that, however uncertain the drift is said to be: metres, and metres for each metre of way; and
+        Bounds of that, however uncertain the drift model is: metres, and metres for each metre of way; and
         radians. The logs that this was measured on drift by a twentieth.
     reach_m : float, m
         Way, in both visits, within which matches support each other.
     min_matches : int
         Matches of a set, at least.
-    rival_ratio : float
-        A set waits while another one that contradicts it has so large a part of its matches.
+    runner_up_ratio : float
+        A set waits while another one that contradicts it has as large a part of its matches.
     beam_sigma_m : float, m
         Standard deviation of one point in a constraint, inflated for correlated points and cell size.
     matching : SubmapMatching
@@ -156,7 +156,7 @@ class SubmapRecognition:
     drift_rad: float = bounded(0.5, ge=0, le=100)
     reach_m: float = bounded(60.0, ge=1, le=1e6)
     min_matches: int = bounded(3, ge=1, le=1000)
-    rival_ratio: float = bounded(0.5, ge=0, le=100)
+    runner_up_ratio: float = bounded(0.5, ge=0, le=100)
     beam_sigma_m: float = bounded(0.3, ge=1e-6, le=100)
     matching: SubmapMatching = SubmapMatching()
 
@@ -180,8 +180,8 @@ class SubmapRecognition:
     ) -> tuple[list[Constraint], int]:
         """Recognize places: constraints between the middles of submaps, and how many candidates were rejected.
 
-        The graph's constraints tell how the parts of the way lie to each other. Submaps whose middles are among the
-        first `searched` key scans are not compared with each other.
+        The graph's constraints determine how the parts of the way lie to each other. Submaps whose middles are among
+        the first `searched` key scans are not compared with each other.
         """
         candidates = self._find_candidates(graph, pairs, on_progress, searched)
         if not candidates:
@@ -224,18 +224,18 @@ class SubmapRecognition:
         return candidates
 
     def accept(self, graph: KeyGraph, anchors: IntArray, candidates: Sequence[PlaceCandidate]) -> NDArray[np.bool_]:
-        """Accept candidates (C,) that belong to a large set of consistent ones without a rival."""
+        """Accept candidates (C,) that belong to a large set of consistent ones without a runner-up."""
         agree, support = self._compare(graph, anchors, candidates)
         sizes = np.array([_clique_size(support & agree, first) for first in range(len(candidates))])
-        rivals = np.where(support & ~agree, sizes, 0).max(axis=1)
-        return np.asarray((sizes >= self.min_matches) & (rivals < self.rival_ratio * sizes))
+        runners_up = np.where(support & ~agree, sizes, 0).max(axis=1)
+        return np.asarray((sizes >= self.min_matches) & (runners_up < self.runner_up_ratio * sizes))
 
     def _compare(
         self, graph: KeyGraph, anchors: IntArray, candidates: Sequence[PlaceCandidate]
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Whether each two candidates (C, C) agree with the motion between them, and whether that is to be expected.
 
-        That is where both newer submaps are near each other along the way; consistent ones are near in both visits.
+        It is where the submaps of both are near each other, by metres driven, in both visits.
         """
         older = anchors[[candidate.older for candidate in candidates]]
         newer = anchors[[candidate.newer for candidate in candidates]]
