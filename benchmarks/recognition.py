@@ -37,6 +37,12 @@ _LOOSE = {
         "min_confirmations=1",
         "max_through_walls_ratio=1.0",
     ),
+    "final_refinement.recognition": (
+        "min_matches=1",
+        "runner_up_ratio=100",
+        "matching.inlier_ratio=0.2",
+        "matching.max_contradicted=1",
+    ),
     "final_refinement.component_alignment": (
         "ambiguity_ratio=0.99",
         "distinct_ambiguity_ratio=0.99",

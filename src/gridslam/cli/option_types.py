@@ -45,12 +45,15 @@ class Number(click.FloatRange):
     def __init__(self, min: float | None = None, max: float = 1e9, *, above: bool = False) -> None:
         """`above`: the least number itself is out of the range. The greatest is beyond any length, time or factor."""
         super().__init__(min, max, min_open=above)
+        self._greatest = max
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
         """Read the number."""
         number = click.FLOAT.convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"expected a finite number, got {number:g}", param, ctx)
+        if self.min is None and abs(number) > self._greatest:
+            self.fail(f"expected a number of at most {self._greatest:g}, got {number:g}", param, ctx)
         return super().convert(number, param, ctx)
 
     def _describe_range(self) -> str:
