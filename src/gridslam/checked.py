@@ -74,25 +74,26 @@ def checked(public: _Public) -> _Public:
 
 def _check_calls(function: Callable[..., Any]) -> Callable[..., Any]:
     reads_logs = function.__module__.startswith(_READ_LOGS)
+    begins_later = inspect.isgeneratorfunction(function)  # its call never fails
 
     @functools.wraps(function)
     def check(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 whatever the function takes
         if _is_within.get():
             return function(*args, **kwargs)
-        _require_arguments(function, args, kwargs, _require_stated)
+        _require_arguments(function, args, kwargs, _require if begins_later else _require_stated)
         before = _is_within.set(True)
         try:
             return function(*args, **kwargs)
         except GridslamError:
             raise
-        except (TypeError, AttributeError, ValueError, IndexError, ArithmeticError) as error:
+        except (TypeError, AttributeError, ValueError, LookupError, ArithmeticError) as error:
             if type(error).__module__.startswith("pydantic"):
                 raise
             try:
                 _require_arguments(function, args, kwargs, _require)
             except ArgumentError as wrong:
                 raise wrong from error
-            if reads_logs or isinstance(error, TypeError | AttributeError):
+            if reads_logs or isinstance(error, TypeError | AttributeError | KeyError):
                 raise  # no argument's fault
             raise ArgumentError(function.__qualname__, "arguments that go together", error or type(error)) from error
         finally:
@@ -151,7 +152,7 @@ def _require(name: str, value: object, hint: Any, sizes: dict[str, int]) -> None
     if shape and value is not None:
         _require_shape(name, np.shape(cast("Any", value)), shape, sizes)
     for note in notes:
-        if isinstance(note, Limits) and value is not None:
+        if isinstance(note, Limits) and value is not None and (note.high in sizes or not isinstance(note.high, str)):
             note.require(name, np.asarray(value), sizes)
 
 

@@ -282,7 +282,7 @@ class Session:
         Raises
         ------
         ArgumentError
-            A session is of another configuration, or without loop closure.
+            A session is of another configuration, or without loop closure, or all are empty.
         """
         sessions = [self, *others]
         for other in others:
@@ -292,6 +292,8 @@ class Session:
         if closure is None:
             raise ArgumentError("sessions", "ones with loop closure, to recognize places", "ones without")
         pieces = sorted((piece for session in sessions for piece in session.pieces), key=_order)
+        if not pieces:
+            raise ArgumentError("sessions", "one with a drive at least", "empty ones")
         pieces = _name_apart(pieces)
         merged = merge_pieces(
             [piece.piece for piece in pieces],

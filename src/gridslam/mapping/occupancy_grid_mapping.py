@@ -14,7 +14,7 @@ from gridslam.grid.cells import Evidence
 from gridslam.grid.tiles import MOST_TILES, TileMaps
 from gridslam.models.inverse_sensor import InverseSensorModel
 from gridslam.parameters import bounded, parameters
-from gridslam.types import Beams, FloatArray
+from gridslam.types import Beams, Poses
 
 __all__ = ["OccupancyGridMapping"]
 
@@ -69,7 +69,7 @@ class OccupancyGridMapping:
             "most_tiles": self.max_tiles,
         }
 
-    def __call__(self, maps: TileMaps, poses: FloatArray, beams: Beams) -> None:
+    def __call__(self, maps: TileMaps, poses: Poses, beams: Beams) -> None:
         """Insert one scan into every map, seen from its own pose of poses (rows, 3)."""
         rows: Int32Array = np.arange(len(maps), dtype=np.int32)
         maps.update(rows, poses, beams)
