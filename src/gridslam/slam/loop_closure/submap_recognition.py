@@ -265,7 +265,8 @@ class SubmapRecognition:
         ends = np.array([pairs.submaps[number].keys[[0, -1]] for number in (older, newer)])
         bend = _BEND_SHARE * (drift[ends[:, 1]] - drift[ends[:, 0]]).sum(axis=0)
         information = rotate_covariances(found.match.information[0], -found.pose[2]) / self.beam_sigma_m**2
-        weight = np.linalg.inv(np.linalg.inv(information) + np.diag(bend[[0, 0, 1]]))
+        covariance = np.linalg.inv(information) + np.diag(bend[[0, 0, 1]])
+        weight = np.asarray(np.linalg.inv(covariance), np.float64)
         from_, to = pairs.anchors[[older, newer]].tolist()
         return Constraint(from_, to, found.pose, weight, ConstraintSource.RECOGNIZED, True)
 
