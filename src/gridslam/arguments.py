@@ -13,6 +13,7 @@ from gridslam.errors import ArgumentError
 
 __all__ = [
     "COUNT",
+    "SHARE",
     "Limits",
     "Size",
     "describe",
@@ -60,6 +61,7 @@ class Limits(NamedTuple):
 
 COUNT = Limits(0, 1 << 62)
 """Of what was counted."""
+SHARE = Limits(0.0, 1.0)
 
 
 def index_of(size: str) -> Limits:

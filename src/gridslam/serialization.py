@@ -277,9 +277,9 @@ class _Reader:
 
     def _read_array(self, name: str, form: _Form, shape: _Shape | None) -> NDArray[Any]:
         values = read_array(self.arrays, name, form.dtype, shape, self.sizes)
-        items = _form(form.items[0]) if form.kind is tuple else form
-        if items.limits is not None:
-            self.limited.append((name, values.reshape(-1), items.limits))
+        limits = form.limits or (_form(form.items[0]).limits if form.kind is tuple else None)
+        if limits is not None:
+            self.limited.append((name, values.reshape(-1), limits))
         return values
 
     def _read_column(self, name: str, form: _Form, rows: int | str | None) -> list[Any]:

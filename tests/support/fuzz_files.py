@@ -22,7 +22,7 @@ import warnings
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import redirect_stdout, suppress
+from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -562,19 +562,33 @@ def _states(folder: Path) -> Iterator[Family]:
         went_on = saved.run
         recorders = [went_on.trajectory, went_on.statistics]
         slam = gridslam.build(saved.configuration)
-        gridslam.run(rest, slam, rng=went_on.rng, state=went_on.state, observers=recorders)
+        with _refused_by_maps():
+            gridslam.run(rest, slam, rng=went_on.rng, state=went_on.state, observers=recorders)
         went_on.trajectory.online_trajectory()
         went_on.statistics.summary()
         for piece in saved.pieces:
-            piece.piece.build_map(saved.configuration.mapper)
+            with _refused_by_maps():
+                piece.piece.build_map(saved.configuration.mapper)
             full_trajectories(piece.piece.poses, piece.tracked_scans)
 
     def read_belief(where: Path) -> None:
         saved = read_localization(where / "mcl.npz")
-        gridslam.run(rest, MonteCarloLocalization(known, saved.configuration), rng=saved.rng, state=saved.state)
+        with _refused_by_maps():
+            gridslam.run(rest, MonteCarloLocalization(known, saved.configuration), rng=saved.rng, state=saved.state)
 
     yield Family("saved runs", 13, lambda to, rng: prepare(to, rng, "state.gridslam"), read_run, 3)
     yield Family("saved localizations", 13, lambda to, rng: prepare(to, rng, "mcl.npz"), read_belief, 2)
+
+
+@contextmanager
+def _refused_by_maps() -> Iterator[None]:
+    """Places that are possible one by one, and too far from each other for one map, are refused where it grows."""
+    try:
+        yield
+    except ArgumentError as error:
+        if error.argument not in ("poses", "beams"):
+            raise
+        raise InputError("a saved state", str(error)) from None
 
 
 def _change_array(arrays: dict[str, Any], rng: np.random.Generator) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, final
+from typing import Annotated, NamedTuple, final
 
 import numpy as np
 
+from gridslam.arguments import SHARE
 from gridslam.geometry.angles import wrap
 from gridslam.localization.known_map import KnownMap, PoseLikelihood
 from gridslam.models.endpoint import CauchyEndPoint
@@ -19,8 +20,8 @@ __all__ = ["AugmentedRecovery", "InlierRatioAverages", "MeasurementProposal"]
 class InlierRatioAverages(NamedTuple):
     """Inlier ratio with the map, averaged over the particles and, slowly and fast, over updates."""
 
-    slow: float
-    fast: float
+    slow: Annotated[float, SHARE]
+    fast: Annotated[float, SHARE]
 
 
 @final

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam import serialization
-from gridslam.arguments import COUNT
+from gridslam.arguments import COUNT, SHARE, Limits
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
@@ -22,6 +22,7 @@ from gridslam.localization.belief import NO_HYPOTHESES, PoseEstimate, PoseHypoth
 from gridslam.localization.odometry_check import LOCAL_MAPS, TrackedMotion
 from gridslam.localization.place_verification import NO_SCANS, RecentScans
 from gridslam.localization.recovery import InlierRatioAverages
+from gridslam.particles.resampling import require_log_weights
 from gridslam.serialization import NOT_SAVED
 from gridslam.types import FloatArray, IntArray, Odometry, describe_pose, describe_time
 
@@ -134,8 +135,8 @@ class MonteCarloState:
     hypotheses: PoseHypotheses = NO_HYPOTHESES
     recent: RecentScans = NO_SCANS
     verified: bool = False
-    inlier_ratio: float = 0.0
-    odometry: Annotated[FloatArray, 3] | None = None
+    inlier_ratio: Annotated[float, SHARE] = 0.0
+    odometry: Annotated[FloatArray, 3, Limits(-1e9, 1e9)] | None = None
     last: Odometry | None = None
     updates: Annotated[int, COUNT] = 0
     tracked: TrackedMotion | None = None
@@ -162,7 +163,10 @@ class MonteCarloState:
     @checked
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> MonteCarloState:
         """Rebuild a state; ArgumentError if an array is missing or has an inconsistent shape."""
-        return serialization.from_arrays(cls, arrays, {TileMaps: LOCAL_MAPS.restore})
+        state = serialization.from_arrays(cls, arrays, {TileMaps: LOCAL_MAPS.restore})
+        if len(state.log_weights):
+            require_log_weights(state.log_weights)
+        return state
 
     def odometry_at_update(self, first: Odometry) -> FloatArray:
         """Odometry's pose (3,) at the last update; that of the `first` scan with odometry before there was any."""

@@ -35,6 +35,7 @@ __all__ = [
     "entropy",
     "normalize",
     "relative_to_greatest",
+    "require_log_weights",
 ]
 
 _Weights = Annotated[FloatArray, "N"]
@@ -100,14 +101,20 @@ def relative_to_greatest(log_weights: FloatArray) -> FloatArray:
     return shifted
 
 
+def require_log_weights(log_weights: FloatArray) -> None:
+    """Refuse log weights (N,), N >= 1, that are NaN or infinite, or of which none is greater than zero's."""
+    greatest = float(log_weights.max())
+    if not math.isfinite(greatest):
+        raise ArgumentError("log_weights", "no NaN, none +inf and not all -inf", f"a greatest value of {greatest}")
+
+
 def _exponentiate(log_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Weights relative to the greatest, and their logarithms."""
     given = np.asarray(log_weights, dtype=np.float64)
     if given.ndim != 1 or len(given) == 0:
         raise ArgumentError("log_weights", "shape (N,) with N >= 1", given.shape)
+    require_log_weights(given)
     greatest = float(given.max())
-    if not math.isfinite(greatest):
-        raise ArgumentError("log_weights", "no NaN, none +inf and not all -inf", f"a greatest value of {greatest}")
     if greatest < _HUGE:
         shifted = given - greatest
     else:

@@ -8,6 +8,7 @@ from typing import Annotated, final
 
 import numpy as np
 
+from gridslam.arguments import Limits
 from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose, between, is_known, motion_of
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray
@@ -60,10 +61,12 @@ class OdometryErrorModel:
         Whether no scan of the current segment was degenerate.
     """
 
-    factors: Annotated[FloatArray, 6] = field(default_factory=_EXACT.copy)
-    position: Annotated[FloatArray, 4, 5] = field(default_factory=lambda: np.zeros((4, 5)))
-    heading: Annotated[FloatArray, 2, 3] = field(default_factory=lambda: np.zeros((2, 3)))
-    variances: Annotated[FloatArray, 2] = field(default_factory=lambda: np.array([0.03**2, 0.05**2]))
+    factors: Annotated[FloatArray, 6, Limits(-1e3, 1e3)] = field(default_factory=_EXACT.copy)
+    position: Annotated[FloatArray, 4, 5, Limits(-1e12, 1e12)] = field(default_factory=lambda: np.zeros((4, 5)))
+    heading: Annotated[FloatArray, 2, 3, Limits(-1e12, 1e12)] = field(default_factory=lambda: np.zeros((2, 3)))
+    variances: Annotated[FloatArray, 2, Limits(1e-12, 1e12)] = field(
+        default_factory=lambda: np.array([0.03**2, 0.05**2])
+    )
     segments: float = 0.0
     sums: Annotated[FloatArray, 4] = field(default_factory=lambda: np.zeros(4))
     trusted: bool = True

@@ -58,6 +58,10 @@ def test_what_is_no_saved_localization(known, measurements, tmp_path):
         ("state.log_weights", np.zeros(3)),
         ("state.hypotheses.log_odds", np.zeros(99)),
         ("generator", np.array("{}")),
+        ("state.log_weights", np.full_like(whole["state.log_weights"], -np.inf)),
+        ("state.averages.fast", np.array(-1.0)),
+        ("state.tracked.tracker.odometry_errors.factors", np.full(6, 1e15)),
+        ("state.tracked.tracker.odometry_errors.variances", np.zeros(2)),
         ("configuration", np.array('{"max_beams": 0}')),
         ("schema", np.array("other/1")),
         ("state.tracked.tracker.matched_map", np.array(2)),
@@ -70,6 +74,9 @@ def test_what_is_no_saved_localization(known, measurements, tmp_path):
         write_sealed_arrays(path, {key: array for key, array in whole.items() if key != name})
         with pytest.raises(InputError, match=r"saved\.npz"):
             read_localization(path)
+    write_sealed_arrays(path, {**whole, "state.odometry": np.full(3, np.nan)})
+    with pytest.raises(InputError, match=r"state\.odometry|odometry: expected numbers"):
+        read_localization(path)
     mcl.step(state, *measurements[2], rng)
     with pytest.raises(ConsumedStateError):
         write_localization(path, SavedLocalization(mcl.configuration, state, rng))

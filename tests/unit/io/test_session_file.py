@@ -145,7 +145,13 @@ def file(measurements, tmp_path_factory):
         ("run.record.parents", np.full((1, 5), 9, np.int32), "expected"),
         ("run.state.maps.roots", np.zeros((5, 0, 0), np.int32), "maps.roots: expected at least one map"),
         ("pieces.0.drives.0.key_from_base", np.full((30, 3), np.nan), "key_from_base: expected numbers"),
-        ("pieces.0.drives.0.keys", np.zeros(30, np.int64), "drives: expected scans of key scans in order"),
+        ("pieces.0.drives.0.keys", np.zeros(30, np.int64), "drives: expected scans of"),
+        ("pieces.0.drives.0.keys", np.ones(30, np.int64), "drives: expected scans of key scans in order, from 0"),
+        ("head.pieces.0", [], "drives: expected scans of"),
+        ("run.state.log_weights", np.full(5, -np.inf), "log_weights: expected no NaN, none +inf and not all -inf"),
+        ("run.state.tracker.odometry_errors.factors", np.full(6, 1e6), "factors: expected numbers from -1000.0 to"),
+        ("run.state.tracker.odometry_errors.variances", np.zeros(2), "variances: expected numbers from 1e-12"),
+        ("pieces.0.scans.origins", np.full((29, 2), 1e6), "origins: expected numbers from -1000.0 to"),
     ],
 )
 def test_what_is_wrong_with_a_file_is_told(file, tmp_path, name, value, message):
@@ -154,7 +160,8 @@ def test_what_is_wrong_with_a_file_is_told(file, tmp_path, name, value, message)
     if name.startswith("head."):
         head = json.loads(str(arrays["head"]))
         *parts, last = name.split(".")[1:]
-        reduce(operator.getitem, parts, head)[last] = value
+        parts = [int(part) if part.isdigit() else part for part in (*parts, last)]
+        reduce(operator.getitem, parts[:-1], head)[parts[-1]] = value
         arrays["head"] = np.array(json.dumps(head))
     else:
         assert name in arrays

@@ -311,12 +311,15 @@ def _load_drives(arrays: Arrays, heads: list[dict[str, Any]], key_scans: int) ->
         poses = read_array(own, "poses", np.float64, ("scans", 3), sizes) if "poses" in own else None
         scans = TrackedScans(keys, key_from_base, poses)
         drives.append(Drive(str(head["name"]), _load_logs(head["logs"]), stamps_ns, scans))
-    for number, drive in enumerate(drives):
-        later = drives[number + 1].scans.keys[:1].tolist() if number + 1 < len(drives) else [key_scans]
+    covered = 0
+    for drive in drives:
         keys = drive.scans.keys
-        is_whole = len(keys) > 0 and later == [keys[-1] + 1] and bool(np.isin(np.diff(keys), (0, 1)).all())
+        is_whole = keys[:1] == [covered] and bool(np.isin(np.diff(keys), (0, 1)).all())
         if not is_whole or not np.isfinite(drive.scans.key_from_base).all():
-            raise ArgumentError("drives", f"scans of key scans in order, up to {later}", f"others of {drive.name}")
+            raise ArgumentError("drives", f"scans of key scans in order, from {covered} on", f"others of {drive.name}")
+        covered = int(keys[-1]) + 1
+    if covered != key_scans:
+        raise ArgumentError("drives", f"scans of {key_scans} key scans", f"of {covered}")
     return tuple(drives)
 
 

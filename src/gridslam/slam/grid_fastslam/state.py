@@ -20,6 +20,7 @@ from gridslam.geometry.single_pose import Pose, as_pose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
+from gridslam.particles.resampling import require_log_weights
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.drift_model import compute_step_moments
 from gridslam.slam.loop_closure.state import LoopClosureState
@@ -251,6 +252,7 @@ class GridFastSlamState:
         if schema != STATE_SCHEMA:
             raise ArgumentError("arrays", f"a state of schema {STATE_SCHEMA}", schema)
         state = serialization.from_arrays(cls, arrays, {TileMaps: partial(mapper.restore, threads=threads)})
+        require_log_weights(state.log_weights)
         state.tracker.maps.threads = 1  # two maps are faster without
         return state
 

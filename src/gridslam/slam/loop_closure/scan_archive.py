@@ -50,7 +50,7 @@ class _SavedScans:
     stored: Annotated[IntArray, "E"]
     ends: Annotated[list[Annotated[NDArray[np.int16], None, 2]], "E"]
     steps_m: Annotated[FloatArray, "E"]
-    origins: Annotated[FloatArray, "E", 2]
+    origins: Annotated[FloatArray, "E", 2, Limits(-1e3, 1e3)]
     last_stored_pose: Pose
     storage_interval: Annotated[int, Limits(1, 1 << 31)]
 
