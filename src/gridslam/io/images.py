@@ -23,8 +23,8 @@ FORMATS = "PNG", "PPM", "BMP", "TIFF", "JPEG", "GIF"
 LONGEST_SIDE_PX = 1 << 16
 """3.3 km in cells of 5 cm. Images are read some rows at a time, of which there are not 10^8."""
 
-_PLAIN = "ppm_plain"
-_MOST_PLAIN_PX = 10_000_000  # a microsecond each: Pillow decodes them in Python
+_PORTABLE = {"ppm", "ppm_plain"}
+_MOST_SLOW_PX = 10_000_000  # a microsecond each: Pillow decodes them in Python
 
 
 @contextmanager
@@ -59,11 +59,11 @@ def open_image(path: str | Path, bytes_per_pixel: int) -> Iterator[Image]:
                 problem = f"expected an image of at most {LONGEST_SIDE_PX} pixels a side, got {width} x {height}"
                 raise InputError(path, problem)
             slow = {tile[0] for tile in getattr(image, "tile", ()) if tile[0] in Image.DECODERS}
-            if slow - {_PLAIN}:
+            if slow - _PORTABLE:
                 problem = "expected an encoding that is decoded fast, such as that of a PNG, got"
                 raise InputError(path, f"{problem} {', '.join(sorted(slow))}")
-            if slow and width * height > _MOST_PLAIN_PX:
-                problem = f"expected at most {_MOST_PLAIN_PX} pixels in this encoding, got {width} x {height}"
+            if slow and width * height > _MOST_SLOW_PX:
+                problem = f"expected at most {_MOST_SLOW_PX} pixels in this encoding, got {width} x {height}"
                 raise InputError(path, f"{problem} (a PNG, or a PGM whose largest value is 255, may have more)")
             depth = bytes_per_pixel + (4 if len(image.getbands()) > 1 or image.mode == "P" else 1)
             depth += 8 * (image.mode == "I" or image.mode.startswith("I;16"))
