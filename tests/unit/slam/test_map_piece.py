@@ -227,3 +227,7 @@ def test_scans_of_a_drive_are_not_bent_toward_the_next_one():
     poses = full_trajectories(key_poses, drives)
     np.testing.assert_array_equal(poses[:5], full_trajectory(key_poses[:2], keys, moved))
     np.testing.assert_array_equal(poses[5:], full_trajectory(key_poses[2:], keys, moved))
+
+
+def test_a_given_map_has_no_drives_and_so_no_scans():
+    assert full_trajectories(np.zeros((4, 3)), []).shape == (0, 3)

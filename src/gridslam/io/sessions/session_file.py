@@ -300,7 +300,7 @@ def _dump_drives(part: str, drives: tuple[Drive, ...]) -> dict[str, Any]:
 
 
 def _load_drives(arrays: Arrays, heads: list[dict[str, Any]], key_scans: int) -> tuple[Drive, ...]:
-    """Restore drives that cover key scans up to `key_scans`."""
+    """Restore drives that cover key scans up to `key_scans`; the first ones may be of a given map, which no drive has."""
     drives = []
     for number, head in enumerate(heads):
         own = select_part(arrays, f"drives.{number}")
@@ -311,7 +311,7 @@ def _load_drives(arrays: Arrays, heads: list[dict[str, Any]], key_scans: int) ->
         poses = read_array(own, "poses", np.float64, ("scans", 3), sizes) if "poses" in own else None
         scans = TrackedScans(keys, key_from_base, poses)
         drives.append(Drive(str(head["name"]), _load_logs(head["logs"]), stamps_ns, scans))
-    covered = 0
+    covered = int(drives[0].scans.keys[:1].sum()) if drives else key_scans
     for drive in drives:
         keys = drive.scans.keys
         is_whole = keys[:1] == [covered] and bool(np.isin(np.diff(keys), (0, 1)).all())

@@ -63,7 +63,7 @@ def full_trajectories(key_poses: FloatArray, drives: Sequence[TrackedScans]) -> 
         else drive.poses
         for own, drive in _split(drives, len(key_poses))
     ]
-    return np.concatenate(parts)
+    return np.concatenate([*parts, np.empty((0, 3))])
 
 
 def full_trajectory(key_poses: FloatArray, keys: IntArray, key_from_base: FloatArray) -> FloatArray:
@@ -180,7 +180,7 @@ def find_open_directions(graph: PoseGraph) -> FloatArray:
 def _split(drives: Sequence[TrackedScans], key_scans: int) -> Iterator[tuple[slice, TrackedScans]]:
     """The key scans of each drive, out of all `key_scans`, and the drive."""
     firsts = [int(drive.keys[0]) for drive in drives]
-    for first, end, drive in zip(firsts, [*firsts[1:], key_scans], drives, strict=True):
+    for first, end, drive in zip(firsts, [*firsts, key_scans][1:], drives, strict=True):
         yield slice(first, end), drive
 
 
