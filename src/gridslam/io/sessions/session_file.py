@@ -300,7 +300,7 @@ def _dump_drives(part: str, drives: tuple[Drive, ...]) -> dict[str, Any]:
 
 
 def _load_drives(arrays: Arrays, heads: list[dict[str, Any]], key_scans: int) -> tuple[Drive, ...]:
-    """Restore drives that cover key scans up to `key_scans`; the first ones may be of a given map, which no drive has."""
+    """Restore drives that cover key scans up to `key_scans`; no drive has those of a given map, which come first."""
     drives = []
     for number, head in enumerate(heads):
         own = select_part(arrays, f"drives.{number}")
