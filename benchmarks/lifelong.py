@@ -227,7 +227,7 @@ def locator(piece: MapPiece, configuration: Configuration) -> EarlierPieces:
     """Give what finds a robot in a piece."""
     assert configuration.loop_closure is not None
     refinement = configuration.final_refinement
-    places = configuration.loop_closure.recognition
+    places = configuration.loop_closure.places
     return EarlierPieces([piece], configuration.mapper, places, refinement.component_alignment, refinement.score)
 
 

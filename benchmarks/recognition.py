@@ -31,13 +31,8 @@ __all__ = ["LOOSE", "main", "revisits"]
 
 _ROOT = Path(__file__).resolve().parent.parent
 _LOOSE = {
+    "loop_closure.places": ("inlier_ratio=0.4",),
     "loop_closure.recognition": (
-        "inlier_ratio=0.4",
-        "ambiguity_ratio=1.0",
-        "min_confirmations=1",
-        "max_through_walls_ratio=1.0",
-    ),
-    "final_refinement.recognition": (
         "min_matches=1",
         "runner_up_ratio=100",
         "matching.inlier_ratio=0.2",

@@ -15,21 +15,15 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, 
 from gridslam.sim.floor_plan import box, join
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel
-from gridslam.slam.loop_closure.place_recognition import PlaceRecognition
+from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.loop_closure.state import LoopClosureState
+from gridslam.slam.loop_closure.submap_recognition import SubmapRecognition
 from gridslam.types import BeamEnds
 
 MAPPER = OccupancyGridMapping()
-EAGER = PlaceRecognition(
-    recent_submaps=3,
-    max_distance_m=10.0,
-    min_overlap=0.6,
-    inlier_ratio=0.75,
-    search_interval=2,
-    query_key_scans=10,
-    min_confirmations=3,
-)
-"""Looks for old places often, in all the submaps about: so that there is something to test, whatever the tuning."""
+PLACES = PlaceMatching(recent_submaps=3, max_distance_m=10.0, min_overlap=0.6, inlier_ratio=0.75)
+RECOGNITION = SubmapRecognition(length_m=20.0, step_m=5.0, apart_m=30.0, certain_sigma_m=0.1)
+"""For a lap of 56 m, whatever the tuning."""
 DOUBTFUL = DriftModel(sigma_m_per_sqrt_m=0.06, sigma_rad_per_sqrt_m=0.005)
 """Explains a lap's drift of a metre or two, so that no way back is short enough to be known."""
 
@@ -90,21 +84,31 @@ def remember(
     poses: np.ndarray,
     *,
     drift: DriftModel = DOUBTFUL,
-    recognition: PlaceRecognition = EAGER,
+    places: PlaceMatching = PLACES,
+    recognition: SubmapRecognition = RECOGNITION,
     until: int | None = None,
 ) -> list[tuple[int, Constraint]]:
     """Go on with a memory as loop closure would, up to key scan `until`; what was recognized, and at which key scan.
 
-    The filter believes what was tracked.
+    The filter believes what was tracked, and all that is recognized is kept.
     """
-    told = []
+    found = []
+    search = closure_state.search
     for k in range(len(closure_state.graph), len(poses) if until is None else until):
         x, y, turn = between(poses[k - 1], poses[k]) if k else np.zeros(3)
         closure_state.scans.append(seen.beams[k], poses[k], is_key=True)
         closure_state.graph.extend(poses[k], poses[k], drift.variances(math.hypot(x, y), abs(turn)))
         closure_state.online_poses.append(poses[k])
-        told += [(k, constraint) for constraint in recognition(closure_state, MAPPER)]
-    return told
+        places.match_tracked_revisit(closure_state, MAPPER)
+        recognition.search(closure_state, MAPPER)
+        if search.is_undecided and not search.left:
+            search.is_undecided = False
+            known = {constraint.measurement.tobytes() for constraint in closure_state.graph.constraints}
+            for constraint in recognition.decide(closure_state)[0]:
+                if constraint.measurement.tobytes() not in known:
+                    closure_state.graph.add(constraint)
+                    found.append((k, constraint))
+    return found
 
 
 def errors(truth: np.ndarray, constraints: Sequence[Constraint]) -> np.ndarray:

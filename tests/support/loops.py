@@ -10,8 +10,11 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, 
 PROVOKED = override(
     Configuration(),
     "particles=4",  # and hardly any way is short enough
+    "loop_closure.places.certain_sigma_m=0.02",
     "loop_closure.recognition.certain_sigma_m=0.02",
-    "loop_closure.recognition.min_confirmations=1",
+    "loop_closure.recognition.length_m=15",
+    "loop_closure.recognition.step_m=5",
+    "loop_closure.recognition.min_matches=2",
     "loop_closure.disagree_m=0.001",
     "loop_closure.disagree_rad=0.001",  # what is recognized is corrected
 )

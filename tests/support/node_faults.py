@@ -35,7 +35,7 @@ from gridslam.slam.grid_fastslam.map_limit import MapLimit
 from gridslam.slam.grid_fastslam.proposals import ScanMatchedProposal
 from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
-from gridslam.slam.loop_closure.place_recognition import PlaceRecognition
+from gridslam.slam.loop_closure.submap_recognition import SubmapRecognition
 from gridslam.tracking.tracker import Tracker
 from gridslam.transforms import TransformBuffer
 from support.ros_node import LocalTransport, RecordedOutputs, mounting, play, until
@@ -60,7 +60,7 @@ PARTS = {
     "ancestry": (Ancestry, "extend"),
     "report": (ReportBuilder, "key_scan"),
     "loop closure": (LoopClosure, "__call__"),
-    "place recognition": (PlaceRecognition, "__call__"),
+    "place recognition": (SubmapRecognition, "search"),
     "conversion of scans": (MeasurementBuilder, "build"),
     "transforms": (TransformBuffer, "planar"),
     "publisher": (StatePublisher, "__call__"),

@@ -14,7 +14,7 @@ from gridslam.models import GMappingEndPoint, GMappingMotion, OdometryMotion
 from gridslam.particles import Residual
 from gridslam.slam import GridFastSlam, OdometryTracker
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
-from gridslam.slam.loop_closure.place_recognition import PlaceRecognition
+from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
 
@@ -73,8 +73,8 @@ def test_parts_of_several_classes_are_given_as_such_in_python():
 
 
 def test_loop_closure_is_built_as_configured():
-    config = override(Configuration(), "loop_closure.recognition.recent_submaps=5", "loop_closure.scans_per_step=7")
-    assert build(config).loop_closure == LoopClosure(PlaceRecognition(recent_submaps=5), scans_per_step=7)
+    config = override(Configuration(), "loop_closure.places.recent_submaps=5", "loop_closure.scans_per_step=7")
+    assert build(config).loop_closure == LoopClosure(PlaceMatching(recent_submaps=5), scans_per_step=7)
 
 
 def test_a_part_may_be_none():

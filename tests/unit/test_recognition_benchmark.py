@@ -120,12 +120,12 @@ def test_a_constraint_that_the_answer_contradicts_is_thrown_away():
 def test_one_command_writes_the_report_and_a_curve(tmp_path, capsys, monkeypatch):
     out, cache = tmp_path / "recognition.md", str(tmp_path / "cache")
     given = ["--only", "a", "--kinds", "rooms", "--drives", "1", "--cache", cache]
-    recognition.main([*given, "--sweep", "loop_closure.recognition.inlier_ratio=0.9", "-o", str(out)])
+    recognition.main([*given, "--sweep", "loop_closure.places.inlier_ratio=0.9", "-o", str(out)])
     text = out.read_text(encoding="utf-8")
     for part in (
         "commit",
         "Simulated drives: as it is",
-        "loop_closure.recognition.inlier_ratio=0.9",
+        "loop_closure.places.inlier_ratio=0.9",
         "## Curve",
         "| honest |",
     ):

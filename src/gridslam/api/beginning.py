@@ -144,7 +144,7 @@ def locate_in(
     return EarlierPieces(
         [piece.piece for piece in pieces],
         configuration.mapper,
-        closure.recognition,
+        closure.places,
         refinement.component_alignment,
         refinement.score,
         begin=pose,

@@ -396,6 +396,7 @@ class MapResult(Result):
             ],
             "removed": loops.removed,
             "rejected": {reason.value: loops.rejected[reason] for reason in RejectionReason if loops.rejected[reason]},
+            "unsearched": loops.unsearched,
             "corrections": self.statistics.corrections,
             "constraints": {source.name.lower(): loops.constraints[source] for source in ConstraintSource},
             "refinement_constraints": loops.refinement_constraints,

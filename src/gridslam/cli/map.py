@@ -160,3 +160,5 @@ def _summarize_loop_closure(loops: dict[str, Any] | Literal[False]) -> Iterator[
     yield f"{count} loop closure{'s' * (count != 1)} ({kinds}), {corrections}; {moved}"
     if rejected:
         yield f"{sum(rejected.values())} loop-closure candidates rejected: {reasons}"
+    if loops["unsearched"]:
+        yield f"{loops['unsearched']} parts of the way not compared with places that only a greater drift reaches"

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, NamedTuple, final
+from typing import Annotated, Final, Literal, NamedTuple, final
 
 from gridslam.checked import checked
 from gridslam.config.tables import nest, parse_toml, read_assignments, replace_parameters, to_table
@@ -97,8 +96,13 @@ PARAMETERS: Final[Mapping[str, Parameter]] = {
 }
 """The parameters that face the user, by their short names."""
 
-_RETIRED = ("final_refinement.ambiguity_ratio", "final_refinement.min_confirmations")
-"""Parameters of earlier versions."""
+_RETIRED = {
+    "final_refinement": {"ambiguity_ratio", "min_confirmations", "recognition"},
+    "loop_closure": {"recognition"},
+}
+"""Parameters of earlier versions, by table ..."""
+_RETIRED_BY = "recent_submaps"
+"""... and one of `loop_closure.recognition` that it has had in all of them."""
 _LARGEST_TEXT: Final = 1 << 20  # characters
 _RESAMPLERS: Final[Mapping[str, type[Resampler]]] = {
     "systematic": Systematic,
@@ -208,10 +212,9 @@ def loads(text: str, base: Configuration | None = None) -> Configuration:
 def loads_saved(text: str) -> Configuration:
     """Read the TOML of a saved session as `loads` does; parameters that there are no more are passed over."""
     table = parse_toml(text)
-    for name in _RETIRED:
-        *above, last = name.split(".")
-        part: Any = functools.reduce(lambda inner, key: inner.get(key, {}), above, table)
-        part.pop(last, None)
+    if _RETIRED_BY in table.get("loop_closure", {}).get("recognition", {}):
+        for name, retired in _RETIRED.items():
+            table[name] = {key: value for key, value in table.get(name, {}).items() if key not in retired}
     return replace_parameters(Configuration(), table)
 
 

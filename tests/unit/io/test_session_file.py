@@ -140,7 +140,7 @@ def file(measurements, tmp_path_factory):
         ("pieces.0.drives.0.keys", np.zeros(3, np.int64), "keys: expected int64 of shape (30)"),
         ("run.state.closure_state.scans.keys", np.array([1, 0]), "keys: expected"),
         ("run.state.closure_state.graph.frozen", np.array(10_000), "frozen: expected numbers from 0 to"),
-        ("run.state.closure_state.search.near_submaps", np.array([10_000]), "near_submaps: expected numbers"),
+        ("run.state.closure_state.search.first_key", np.array(10_000), "first_key: expected numbers"),
         ("run.state.ancestry.leaves", np.zeros(5, np.int64) - 1, "ancestry.parents, leaves: expected"),
         ("run.record.parents", np.full((1, 5), 9, np.int32), "expected"),
         ("run.state.maps.roots", np.zeros((5, 0, 0), np.int32), "maps.roots: expected at least one map"),

@@ -15,7 +15,7 @@ from gridslam.slam.full_slam.component_alignment import ComponentAlignment
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
 from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel
-from gridslam.slam.loop_closure.place_recognition import PlaceRecognition
+from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.loop_closure.state import LoopClosureState
 from support import hall
 
@@ -43,7 +43,7 @@ def interrupted(seen, at, *, wrong=BLIND, until=None):
 
 def aligned(closure_state, alignment=None):
     return (alignment or ComponentAlignment())(
-        closure_state, hall.MAPPER, PlaceRecognition(), TrajectoryScorer(), lambda: None
+        closure_state, hall.MAPPER, PlaceMatching(), TrajectoryScorer(), lambda: None
     )
 
 

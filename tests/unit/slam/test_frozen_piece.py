@@ -36,7 +36,7 @@ def drive(measurements, configuration, earlier=None, seed=0):
     if earlier is not None:
         refinement = configuration.final_refinement
         state.closure_state.earlier = EarlierPieces(
-            earlier, slam.mapper, slam.loop_closure.recognition, refinement.component_alignment, refinement.score
+            earlier, slam.mapper, slam.loop_closure.places, refinement.component_alignment, refinement.score
         )
     rng = np.random.default_rng(seed + 1)
     return run(measurements[1:], slam, rng=rng, observers=[recorder], state=state), recorder

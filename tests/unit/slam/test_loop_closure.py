@@ -23,12 +23,12 @@ from gridslam.types import Odometry, StepReport
 from support import hall
 
 SLIPS = slice(70, 150)
-RECOGNITION = replace(hall.EAGER, filter_max_correction_m=1e-3)
+PLACES = replace(hall.PLACES, filter_max_correction_m=1e-3)
 """A filter that is lost by a metre is not believed."""
-CLOSURE = LoopClosure(recognition=RECOGNITION, drift=hall.DOUBTFUL, scans_per_step=20)
+CLOSURE = LoopClosure(places=PLACES, recognition=hall.RECOGNITION, drift=hall.DOUBTFUL, scans_per_step=20)
 SLAM = GridFastSlam(tracker=OdometryTracker(), proposal=MotionModelProposal(), loop_closure=CLOSURE)
 RNG = np.random.default_rng(0)
-RUNS = [(2, 5), (3, 5)]
+RUNS = [(2, 5), (4, 5)]
 """Seeds of the hall, and numbers of particles."""
 
 
@@ -148,22 +148,25 @@ def test_what_was_recognized_is_told_once(closed):
 
 
 @pytest.mark.parametrize("scans_per_step", [2, 7, 1000])
-def test_the_merge_comes_a_number_of_key_scans_later_that_follows_from_counts(logs, scans_per_step):
-    """T key scans once the graph is solved, s drawn at each next one, each of which adds one: j s >= T + j."""
+def test_the_merge_comes_a_number_of_scans_later_that_follows_from_counts(logs, scans_per_step):
+    """T key scans once the graph is solved, s drawn at each scan; at a key scan the last s and the map is merged."""
     slam = replace(SLAM, loop_closure=replace(CLOSURE, scans_per_step=scans_per_step))
     ends = []
     for _ in range(2):
         state, reports, _ = run(slam, logs[2], 1)
         solved = next(k for k, report in enumerate(reports) if report.closures)
         keys = [k for k, report in enumerate(reports) if report.skipped is None]
-        count = sum(k < solved for k in keys)
-        steps = math.ceil(count / (scans_per_step - 1))
+        count, drawn, expected = sum(k < solved for k in keys), 0, None
+        for k in range(solved, len(reports)):
+            drawn = min(drawn + scans_per_step, count)
+            count += k in keys
+            if k in keys and count - drawn <= scans_per_step:
+                expected = k
+                break
         merged = [k for k, report in enumerate(reports) if report.corrected]
-        if count + steps - 1 < len(keys):
-            assert merged[0] == keys[count + steps - 1]
-        else:
-            assert merged == []
-            assert state.closure_state.correction.inserted == (len(keys) - count) * scans_per_step
+        assert merged[:1] == [expected] * (expected is not None)
+        if expected is None:
+            assert state.closure_state.correction.inserted == drawn
         ends.append([told(report) for report in reports])
         if scans_per_step != 7:
             break
@@ -203,17 +206,15 @@ def test_until_the_correction_the_filter_is_what_it_is_without(closed):
 
 
 def test_a_filter_that_agrees_is_left_alone(logs):
-    """Whatever it disagrees by is agreement here: closures are told, and all else is as without."""
+    """Whatever it disagrees by is agreement here: all is as without, and the graph has no redundant constraint."""
     lenient = replace(CLOSURE, disagree_m=100.0, disagree_rad=math.pi)
     state, reports, poses = run(replace(SLAM, loop_closure=lenient), logs[2], 5)
     _, others, other_poses = run(replace(SLAM, loop_closure=None), logs[2], 5)
-    assert any(report.closures for report in reports)
-    assert not any(report.corrected for report in reports)
+    assert state.closure_state.search.candidates
+    assert not any(report.closures or report.corrected for report in reports)
+    assert not any(t.source is ConstraintSource.RECOGNIZED for t in state.closure_state.graph.constraints)
     assert state.closure_state.correction is None
     assert [told(one) for one in reports] == [told(other) for other in others]
-    # closures shorten the way along which the pose drifted
-    last, other = (np.trace(report.covariance[:2, :2]) for report in (reports[-1], others[-1]))
-    assert last < 0.7 * other
     for one, other in zip(poses, other_poses, strict=True):
         np.testing.assert_array_equal(one, other)
 

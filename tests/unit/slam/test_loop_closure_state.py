@@ -27,11 +27,11 @@ def poses(seen):
 
 @pytest.fixture(scope="module")
 def whole(seen, poses):
-    """The memory of two laps, and how many places waited for others to agree after each key scan."""
+    """The memory of two laps, and how many candidates there were after each key scan."""
     closure_state, waiting = LoopClosureState(), []
     for k in range(len(poses)):
         hall.remember(closure_state, seen, poses, until=k + 1)
-        waiting.append(len(closure_state.unconfirmed))
+        waiting.append(len(closure_state.search.candidates))
     return closure_state, waiting
 
 
@@ -49,11 +49,10 @@ def restored(arrays, threads=1):
 
 
 def test_it_goes_on_to_the_same_bytes(seen, poses, whole):
-    """Cut before anything was tied, while places wait, and right after a recognition."""
+    """Cut before anything was recognized, with the first candidate, amid the comparison of a submap, and later."""
     end, waiting = whole
-    cuts = [30, *(waiting.index(n) for n in (1, 2))]
-    recognized = next(k for k in range(1, len(poses)) if waiting[k] < waiting[k - 1] and end.graph.constraints)
-    for cut in [*cuts, recognized]:
+    first = next(k for k, count in enumerate(waiting) if count)
+    for cut in (30, first, first + 1, first + 5, first + 20):
         closure_state = LoopClosureState()
         hall.remember(closure_state, seen, poses, until=cut + 1)
         before = contents(closure_state)
@@ -87,14 +86,14 @@ def test_a_pending_correction_is_kept_and_drawn_on_apart(seen, poses, threads):
 def test_rejections_are_counted_by_reason(seen, poses):
     closure_state = LoopClosureState()
     hall.remember(closure_state, seen, poses, until=20)
-    closure_state.rejected.update({RejectionReason.LOW_INLIER_RATIO: 3, RejectionReason.THROUGH_WALLS: 1})
+    closure_state.rejected.update({RejectionReason.LOW_INLIER_RATIO: 3, RejectionReason.INCONSISTENT: 1})
     for twin in copies(closure_state):
-        assert twin.rejected == {RejectionReason.LOW_INLIER_RATIO: 3, RejectionReason.THROUGH_WALLS: 1}
+        assert twin.rejected == {RejectionReason.LOW_INLIER_RATIO: 3, RejectionReason.INCONSISTENT: 1}
         twin.rejected[RejectionReason.LOW_INLIER_RATIO] += 1
     assert closure_state.rejected[RejectionReason.LOW_INLIER_RATIO] == 3
 
 
-@pytest.mark.parametrize("name", ["search.failures", "online_poses", "rejected", "graph.covariances", "graph.tracked"])
+@pytest.mark.parametrize("name", ["search.compared", "online_poses", "rejected", "graph.covariances", "graph.tracked"])
 def test_a_missing_array_is_told(seen, poses, name):
     closure_state = LoopClosureState()
     hall.remember(closure_state, seen, poses, until=5)

@@ -187,7 +187,7 @@ def test_where_a_drive_cannot_be_joined_it_goes_on_and_is_joined_later(halves, m
     slam = build(CONFIG)
     state, recorder = drive(second[:1])
     state.closure_state.earlier = LocatedAfterTenKeyScans(piece, begin, slam.mapper)
-    state.closure_state.rejected[RejectionReason.THROUGH_WALLS] = 1000
+    state.closure_state.rejected[RejectionReason.INCONSISTENT] = 1000
     holder, name = {
         "insert_key_scans": (loop_closure_module, "insert_key_scans"),
         "MapPiece.append": (MapPiece, "append"),
@@ -212,7 +212,7 @@ def test_where_a_drive_cannot_be_joined_it_goes_on_and_is_joined_later(halves, m
     closure_state = state.closure_state
     assert closure_state.joined == 0
     assert closure_state.joined_after == 10
-    assert closure_state.rejected[RejectionReason.THROUGH_WALLS] >= 1000
+    assert closure_state.rejected[RejectionReason.INCONSISTENT] >= 1000
     keys = len(piece) + recorder.keys[-1] + 1
     assert len(closure_state.graph) == len(closure_state.scans.keys) == len(state.best_trajectory()) == keys
     assert len(closure_state.scans) == len(first) + 120 - 3

@@ -1,4 +1,4 @@
-"""Places are recognized by submaps of the way, in sets without a rival."""
+"""Places are recognized by submaps of the way, in sets that no other contradicts."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ import pytest
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose, transform_points
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submap_features import extract_features, match_features
-from gridslam.slam.loop_closure.submap_matching import SubmapMatch, propose_poses
-from gridslam.slam.loop_closure.submap_recognition import PlaceCandidate, SubmapRecognition
+from gridslam.slam.loop_closure.submap_matching import propose_poses
+from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
+from gridslam.slam.loop_closure.submap_recognition import SubmapRecognition
 from support import hall
 
-RECOGNITION = SubmapRecognition(length_m=20.0, step_m=5.0, certain_sigma_m=0.1)
-"""For a hall of 24 m x 16 m."""
+RECOGNITION = hall.RECOGNITION
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +38,7 @@ def remember(seen, poses):
 
 
 def recognize(closure_state, recognition=RECOGNITION):
-    pairs = recognition.cut(closure_state.graph, closure_state.scans, hall.MAPPER)
-    return recognition(closure_state.graph, pairs, lambda: None)
+    return recognition.search_all(closure_state, hall.MAPPER, SubmapPairs(), lambda: None)
 
 
 @pytest.mark.parametrize("bias_rad_per_m", [0.0, 0.002, -0.002])
@@ -71,7 +71,9 @@ def test_submaps_end_at_a_gap_and_cover_all_of_the_way(seen):
     at = 70
     graph.variances[at] = (100.0, 1.0)
     graph.correct(np.array(graph.poses))
-    submaps = RECOGNITION.cut(graph, closure_state.scans, hall.MAPPER).submaps
+    pairs = SubmapPairs()
+    RECOGNITION.cut(closure_state, hall.MAPPER, pairs, is_over=True)
+    submaps = pairs.submaps
     assert not any(submap.keys[0] < at <= submap.keys[-1] for submap in submaps)
     assert set(np.concatenate([submap.keys for submap in submaps]).tolist()) == set(range(len(graph)))
     way = graph.driven_m()
@@ -121,15 +123,15 @@ def line(length):
 
 
 def candidates(matches):
-    """Candidates from (older, newer, shift in m along the way): `anchors` are the key scans of those numbers."""
+    """Candidates from (older, newer, shift in m along the way)."""
     return [
-        PlaceCandidate(older, newer, SubmapMatch(np.array([shift, 0.0, 0.0]), None, 500, 0.9, 0.0, 10))
+        Constraint(older, newer, np.array([shift, 0.0, 0.0]), np.eye(3), ConstraintSource.RECOGNIZED, True)
         for older, newer, shift in matches
     ]
 
 
 SET = [(100, 200, 0.0), (110, 210, 0.0), (120, 220, 0.1)]
-RIVAL = [(100, 205, 12.0), (110, 215, 12.0), (120, 225, 12.1)]
+OTHER = [(100, 205, 12.0), (110, 215, 12.0), (120, 225, 12.1)]
 
 
 @pytest.mark.parametrize(
@@ -138,11 +140,11 @@ RIVAL = [(100, 205, 12.0), (110, 215, 12.0), (120, 225, 12.1)]
         (SET, [True] * 3),
         (SET[:2], [False] * 2),  # too few
         ([*SET[:2], (120, 220, 4.0)], [False] * 3),  # they do not agree
-        ([*SET, *RIVAL], [False] * 6),  # which of both?
-        ([*SET, (130, 230, 0.0), *RIVAL[:1]], [True] * 4 + [False]),  # outvoted
+        ([*SET, *OTHER], [False] * 6),  # which of both?
+        ([*SET, (130, 230, 0.0), *OTHER[:1]], [True] * 4 + [False]),  # outvoted
         ([*SET, (400, 220, 7.0)], [True] * 3 + [False]),  # somewhere else on the way: no contradiction
     ],
 )
-def test_sets_of_consistent_matches_without_a_rival_are_accepted(matches, expected):
-    accepted = SubmapRecognition().accept(line(500), np.arange(500), candidates(matches))
+def test_sets_of_consistent_matches_that_no_other_contradicts_are_accepted(matches, expected):
+    accepted = SubmapRecognition().accept(line(500), candidates(matches))
     assert accepted.tolist() == expected

@@ -8,7 +8,7 @@ import pytest
 from gridslam.geometry.se2 import between, compose
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, anchor_of
 from gridslam.slam.loop_closure.state import LoopClosureState
-from gridslam.slam.loop_closure.submaps import ROW, SubmapCache, build_map, key_scans_of
+from gridslam.slam.loop_closure.submaps import ROW, SubmapCache, key_scans_of
 from support import hall
 
 COUNT = 65
@@ -78,34 +78,3 @@ def test_large_submaps_are_kept_only_as_far_as_they_fit(closure_state, monkeypat
     assert submaps(3, *parts) is drawn_first[3]
     assert contents(submaps(0, *parts)) == contents(drawn_first[0])
     assert submaps.nbytes <= sizes[2] + sizes[3]
-
-
-def test_a_joint_map_has_each_block_where_the_graph_has_its_anchor(closure_state):
-    """One block alone is every other of its scans, moved to the anchor's pose in the map."""
-    graph = closure_state.graph.snapshot()
-    graph.correct(compose(np.array([5.0, -3.0, 1.0]), np.array(graph.poses)))
-    submaps, parts = SubmapCache(), (hall.MAPPER, closure_state.scans, graph)
-    joint = submaps.joint_map((3,), *parts)
-    keys, anchor = key_scans_of(3, graph)[::2], anchor_of(3)
-    local = between(graph.tracked[anchor], np.array(graph.tracked)[keys])
-    assert contents(joint.maps) == contents(
-        build_map(hall.MAPPER, closure_state.scans, keys, compose(graph.poses[anchor], local))
-    )
-    field, corner = joint.maps.field(0)
-    assert joint.pyramid.corner == corner
-    assert joint.pyramid.shape == field.shape
-
-
-def test_joint_maps_are_drawn_once_until_they_are_forgotten(closure_state):
-    submaps, graph = SubmapCache(), closure_state.graph.snapshot()
-    parts = (hall.MAPPER, closure_state.scans, graph)
-    first = submaps.joint_map((1, 2), *parts)
-    assert first.pyramid is first.pyramid
-    assert contents(submaps.joint_map((1, 3), *parts).maps) != contents(first.maps)
-    assert submaps.joint_map((1, 2), *parts) is first
-    submaps.joint_map((2, 3), *parts)
-    assert submaps.joint_map((1, 2), *parts) is not first  # two are kept
-    assert contents(submaps.joint_map((1, 2), *parts).maps) == contents(first.maps)
-    graph.correct(compose(np.array([5.0, -3.0, 1.0]), np.array(graph.poses)))
-    submaps.forget()
-    assert contents(submaps.joint_map((1, 2), *parts).maps) != contents(first.maps)

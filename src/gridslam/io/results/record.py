@@ -223,10 +223,11 @@ def _read_revisits(path: str | Path, arrays: dict[str, NDArray[Any]], steps: int
     return revisits
 
 
-def read_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[Any]]:
+def read_arrays(path: str | Path, schema: str, what: str, *earlier: str) -> dict[str, NDArray[Any]]:
     """All arrays of an .npz without pickles.
 
-    Raises InputError where the file is not `what`, of another schema, or unpacks to more than is allowed.
+    Raises InputError where the file is not `what`, neither of the schema nor of an earlier one, or unpacks to more than
+    is allowed.
     """
     arrays: dict[str, NDArray[Any]] = {}
     with open_for_reading(path) as file:
@@ -242,7 +243,7 @@ def read_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[A
             raise InputError(path, f"expected {what}, got: {error or type(error).__name__}") from None
     found = arrays.get("schema")
     got = "none" if found is None else str(found) if found.size == 1 else f"{found.dtype} of shape {found.shape}"
-    if got != schema:
+    if got not in (schema, *earlier):
         raise InputError(path, f"expected schema {schema}, got {got:.100}")
     return arrays
 

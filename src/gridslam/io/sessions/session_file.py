@@ -40,7 +40,8 @@ from gridslam.types import IntArray
 
 __all__ = ["SESSION_SCHEMA", "SavedRun", "SavedSession", "SessionHead", "read_head", "read_session", "write_session"]
 
-SESSION_SCHEMA = "gridslam.session/1"
+SESSION_SCHEMA = "gridslam.session/2"
+_EARLIER = ("gridslam.session/1",)
 _WHAT = "a session of gridslam"
 
 
@@ -229,7 +230,7 @@ def read_session(path: str | Path, threads: int = 1) -> SavedSession:
     InputError
         The file cannot be read, is damaged, has another schema, or its arrays do not belong together.
     """
-    arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT)
+    arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT, *_EARLIER)
     with name_file(path, _WHAT):
         head = _parse_head(arrays)
         configuration = loads_saved(head["configuration"])
@@ -254,7 +255,7 @@ def read_session(path: str | Path, threads: int = 1) -> SavedSession:
 
 def read_head(path: str | Path) -> SessionHead:
     """Read what a session file holds, without restoring it; raises InputError as `read_session`."""
-    arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT)
+    arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT, *_EARLIER)
     with name_file(path, _WHAT):
         head = _parse_head(arrays)
         ends = "graph.poses", "run.state.ancestry.trunk", "run.state.ancestry.counts"

@@ -60,6 +60,12 @@ class ComponentAlignment:
     ----------
     search_interval : int
         Key scans between two searches.
+    query_key_scans : int
+        Number of key scans whose points are matched together.
+    same_place_ratio : float
+        A place is not distinct if another pose reaches this fraction of its score ...
+    margin_m, margin_rad : float
+        ... within this margin of the search window, since the true place may be an unmapped neighbour that looks alike.
     max_searches : int
         Upper limit of the searches in one call; if there were more, they are spread evenly.
     max_sigma_m : float, m
@@ -90,6 +96,10 @@ class ComponentAlignment:
     """
 
     search_interval: int = bounded(3, ge=1, le=1_000_000)
+    query_key_scans: int = bounded(8, ge=1, le=1000)
+    same_place_ratio: float = bounded(0.85, ge=1e-6, le=1)
+    margin_m: float = bounded(10.0, ge=0, le=1e6)
+    margin_rad: float = bounded(0.2, ge=0, le=100)
     max_searches: int = bounded(400, ge=1, le=100_000)
     max_sigma_m: float = bounded(24.0, ge=1e-6, le=100)
     max_hypotheses: int = bounded(8, ge=1, le=10_000)
@@ -255,14 +265,15 @@ class Alignment:
     def search_hits(self, ways: dict[int, tuple[FloatArray, SubmapDistance]]) -> list[SearchHit]:
         """Search key scans, by guess and nearest submap; keep the best place of each and the next best one."""
         search = self.parameters.search
-        margin = self.places.ambiguity_covariance(search.gate_sigmas)
+        margins = np.diag([self.parameters.margin_m, self.parameters.margin_m, self.parameters.margin_rad])
+        margin = np.square(margins / search.gate_sigmas)
         pyramid = Pyramid.of(self.maps, 0)
         hits = []
         for key, (guess, way) in ways.items():
             found = search.search(pyramid, guess, way.covariance + margin, self._collect_points(key))
             if found is None:
                 continue
-            is_distinct = found.runner_up_score <= self.places.ambiguity_ratio * found.score
+            is_distinct = found.runner_up_score <= self.parameters.same_place_ratio * found.score
             two = (found.pose, found.score, is_distinct), (found.runner_up_pose, found.runner_up_score, False)
             for pose, score, distinct in two:
                 if pose is not None:
@@ -272,7 +283,7 @@ class Alignment:
         return hits
 
     def _collect_points(self, key: int) -> FloatArray:
-        points = collect_recent_points(self.closure_state, key, self.places.query_key_scans)
+        points = collect_recent_points(self.closure_state, key, self.parameters.query_key_scans)
         return thin_points(points, self.parameters.search.max_points)
 
     def track_component(self, group: list[SearchHit]) -> Hypothesis:
@@ -325,7 +336,7 @@ class Alignment:
         within = replace(search, window_m=search.window_m / 2, window_rad=0.35)
         keys = self.keys
         ratios = []
-        for key in keys[min(self.places.query_key_scans, len(keys)) - 1 :: max(len(keys) // 8, 1)].tolist():
+        for key in keys[min(self.parameters.query_key_scans, len(keys)) - 1 :: max(len(keys) // 8, 1)].tolist():
             found = within.search(own, self.closure_state.graph.poses[key], None, self._collect_points(key))
             ratios.append(0.0 if found is None else found.runner_up_score / found.score)
         return float(np.quantile(ratios, 0.75)) >= self.parameters.self_similarity_ratio

@@ -178,7 +178,7 @@ class EarlierPieces:
 
     def _search(self, closure_state: LoopClosureState, number: int, key: int) -> list[SearchHit]:
         """The two best places of a key scan's points in a piece."""
-        points = collect_recent_points(closure_state, key, self._places.query_key_scans)
+        points = collect_recent_points(closure_state, key, self._alignment.query_key_scans)
         few = thin_points(points, self._alignment.search.max_points)
         expected = None
         if self._begin is not None:
@@ -199,7 +199,7 @@ class EarlierPieces:
         search = replace(self._alignment.search, window_m=_NEAR_M, window_rad=_NEAR_RAD)
         found = search.search(self._pyramids[number], expected, None, points)
         if found is not None:
-            distinct = found.runner_up_score <= self._places.ambiguity_ratio * found.score
+            distinct = found.runner_up_score <= self._alignment.same_place_ratio * found.score
             yield SearchHit(key, found.pose, found.score, True, distinct)
 
     def _search_everywhere(self, number: int, key: int, points: FloatArray) -> Iterator[SearchHit]:
@@ -219,7 +219,7 @@ class EarlierPieces:
                 best.append((score, pose))
         for rank, (score, pose) in enumerate(best[:2]):
             runner_up = best[1][0] if len(best) > 1 else 0.0
-            distinct = rank == 0 and runner_up <= self._places.ambiguity_ratio * score
+            distinct = rank == 0 and runner_up <= self._alignment.same_place_ratio * score
             yield SearchHit(key, pose, score, True, distinct)
 
     def _centres(self, number: int) -> Iterator[FloatArray]:

@@ -50,6 +50,9 @@ class LoopClosureSummary:
         Number of recognized closures that it rejected.
     rejected : Counter of RejectionReason
         Rejected candidates by reason.
+    unsearched : int
+        Submaps, 30 m of way each, that were not compared with some older ones that the drift model allows for: beyond
+        the bound of the drift (see `SubmapRecognition`).
     constraints : Counter of ConstraintSource
         Key scans matched to submaps of another time while the robot drove, by how their place was known.
     refinement_constraints : int
@@ -68,6 +71,7 @@ class LoopClosureSummary:
     tracked_revisits: IntArray
     removed: int
     rejected: Counter[RejectionReason]
+    unsearched: int
     constraints: Counter[ConstraintSource]
     refinement_constraints: int
     chi2: float
@@ -233,6 +237,7 @@ def _summarize(
         tracked_revisits=key_scan_pairs(c for c in online if c.source is ConstraintSource.TRACKED),
         removed=recognized - len(closures),
         rejected=closure_state.rejected,
+        unsearched=closure_state.search.unsearched,
         constraints=Counter(constraint.source for constraint in online),
         refinement_constraints=len(best.constraints) - recognized,
         chi2=scale_information(best.graph, best.weights).chi2(),

@@ -21,7 +21,7 @@ from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
-from gridslam.slam.loop_closure.submap_recognition import SubmapPairs, SubmapRecognition
+from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import CauchyEstimator
@@ -152,8 +152,6 @@ class GlobalScanRefinement:
     max_searches : int
         So often at most the whole log is searched for places seen again, each time from what the last one has made of
         it.
-    recognition : SubmapRecognition
-        How places are recognized that the robot did not recognize while it drove.
     component_alignment : ComponentAlignment
         Alignment of rigid components that are separated by gaps in the laser data.
     robust : CauchyEstimator
@@ -171,7 +169,6 @@ class GlobalScanRefinement:
     matcher: GaussNewton = GaussNewton()
     distinct_candidate_m: float = bounded(0.3, ge=1e-6, le=1e6)
     max_searches: int = bounded(3, ge=0, le=100_000)
-    recognition: SubmapRecognition = SubmapRecognition()
     component_alignment: ComponentAlignment = ComponentAlignment()
     robust: CauchyEstimator = CauchyEstimator()
     score: TrajectoryScorer = TrajectoryScorer()
@@ -216,7 +213,7 @@ class GlobalScanRefinement:
             known,
             max(searched, graph.frozen),
             [c for c in graph.constraints if c.source is ConstraintSource.TRACKED],
-            self.recognition.cut(graph, closure_state.scans, mapper),
+            closure_state.pairs.copy(),
         )
         selection = refinement.select(trajectory)
         bent = full_trajectories(selection.best.graph.poses, drives)
@@ -283,12 +280,14 @@ class _Refinement:
         known = [*self.tracked, *begin.recognized_constraints]
         self.graph.constraints = known
         closure_state.correct(begin.graph.poses)
-        found, rejected = parameters.recognition(self.graph, self.pairs, self.on_progress, self.searched)
+        found, rejected = self.closure.recognition.search_all(
+            closure_state, self.mapper, self.pairs, self.on_progress, self.searched
+        )
         closure_state.rejected[RejectionReason.INCONSISTENT] += rejected
         pairs = {constraint.pair for constraint in known}
         new = [constraint for constraint in found if constraint.pair not in pairs]
         new += parameters.component_alignment(
-            closure_state, self.mapper, self.closure.recognition, parameters.score, self.on_progress, self.searched
+            closure_state, self.mapper, self.closure.places, parameters.score, self.on_progress, self.searched
         )
         if not new:
             return None

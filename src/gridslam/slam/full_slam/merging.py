@@ -107,7 +107,7 @@ def _link(
     refinement: GlobalScanRefinement,
 ) -> tuple[FloatArray, list[Constraint]] | None:
     """The frame (3,) of a piece in another one's, and constraints between them; None if that is not certain."""
-    located = EarlierPieces([earlier], mapper, closure.recognition, refinement.component_alignment, refinement.score)
+    located = EarlierPieces([earlier], mapper, closure.places, refinement.component_alignment, refinement.score)
     state = LoopClosureState(scans=later.scans, graph=later.graph)
     poses = later.poses
     groups: list[list[tuple[FloatArray, list[Constraint]]]] = []

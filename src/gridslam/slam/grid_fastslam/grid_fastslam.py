@@ -25,7 +25,7 @@ from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose
 from gridslam.particles.kld_sampling import FixedNumber, ParticleNumber
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold, ResamplingPolicy, UpdatePolicy
-from gridslam.particles.resampling import Systematic, effective_sample_size, normalize, relative_to_greatest
+from gridslam.particles.resampling import Systematic, effective_sample_size
 from gridslam.scan import Thinning
 from gridslam.slam.grid_fastslam.map_limit import MapLimit
 from gridslam.slam.grid_fastslam.odometry_noise import OdometryNoise, is_worse_than_velocity
@@ -190,8 +190,7 @@ class GridFastSlam:
         likelihood = self.sensor(beams)
         proposed = self.proposal(state.maps, state.poses, motion, likelihood, tracked.merged_beams, rng)  # match
         state.move(proposed.poses, tracked.pose, scan.sensor)
-        state.log_weights = normalize(state.log_weights + proposed.log_weights)  # weigh
-        state.log_ancestry = relative_to_greatest(state.log_ancestry + proposed.log_weights)
+        state.weigh(proposed.log_weights)  # weigh
         self.mapper(state.maps, state.poses, beams)  # map
         estimate = self.reports.estimate(state, moved, proposed.match, tracked.merged_beams)
         state.accept(estimate)
@@ -231,11 +230,15 @@ class GridFastSlam:
         return self.tracker.step(state.tracker, odometry, stamp_ns, beams, state.odometry_covariance), noise
 
     def _predict(self, state: GridFastSlamState, tracked: TrackedScan, noise: OdometryNoise | None) -> MotionSampler:
-        """Condition the motion on the control: the tracked motion since the last key scan, up to this scan."""
+        """Condition the motion on the control: the tracked motion since the last key scan, up to this scan.
+
+        The best particle moves as expected: its pose is reported, and others spread about it as their motion is drawn.
+        """
         motion = widen_motion(
             self.motion(np.array(between(state.key_pose, tracked.predicted))), tracked.prediction_variances
         )
-        return motion if noise is None else noise.add_to(motion, state.key_pose, tracked.predicted)
+        motion = motion if noise is None else noise.add_to(motion, state.key_pose, tracked.predicted)
+        return _MotionWithMean(motion, state.best)
 
     def _close_loops(
         self, state: GridFastSlamState, report: StepReport, beams: Beams
@@ -251,6 +254,25 @@ class GridFastSlam:
             if not self.when_to_update(math.hypot(dx, dy), abs(turn)):
                 return SkipReason.BETWEEN_KEY_SCANS
         return None if len(beams) else SkipReason.NO_VALID_BEAM
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _MotionWithMean:
+    """Draws motions, but for one particle's, which is the mean: what is reported is no sample."""
+
+    motion: MotionSampler
+    particle: int
+
+    def __call__(self, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Draw successors (N, 3) of poses (N, 3), but for that one."""
+        drawn = self.motion(poses, rng)
+        drawn[self.particle] = self.moments(poses[self.particle : self.particle + 1])[0][0]
+        return drawn
+
+    def moments(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean successors (N, 3) and their covariances (N, 3, 3)."""
+        return self.motion.moments(poses)
 
 
 def _check_particles(particles: object) -> FloatArray:

@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam import serialization
-from gridslam.arguments import Size
+from gridslam.arguments import Size, index_of
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError, ConsumedStateError
+from gridslam.geometry.angles import wrap
 from gridslam.geometry.single_pose import Pose, as_pose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
-from gridslam.particles.resampling import require_log_weights
+from gridslam.particles.resampling import normalize, relative_to_greatest, require_log_weights
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.drift_model import compute_step_moments
 from gridslam.slam.loop_closure.state import LoopClosureState
@@ -30,7 +31,13 @@ from gridslam.types import FloatArray, IntArray, describe_pose
 
 __all__ = ["STATE_SCHEMA", "Estimate", "GridFastSlamState"]
 
-STATE_SCHEMA = "gridslam.state/11"
+STATE_SCHEMA = "gridslam.state/12"
+_BEFORE_SUBMAPS = "gridslam.state/11"
+
+_DECISIVE = 3.0
+"""Nats, odds of 20 to 1, by which another particle is better before it is reported in place of the one that was: else
+the pose would jump to and fro between places that fit about as well. Kass and Raftery, Bayes factors (1995), call this
+strong evidence."""
 
 
 @final
@@ -90,6 +97,10 @@ class GridFastSlamState:
         What loop closure remembers, where it is at work.
     odometry_covariance : (3, 3) float64 or None
         Reported noise of the odometry since its last accepted pose (see `OdometryNoise`).
+    best : int
+        Index of the particle that is reported: one of great log weight accumulated along its ancestry, and its
+        descendants from then on, or what is nearest to it where it has none, until another one is better by odds of 20
+        to 1.
     """
 
     tracker: TrackerState
@@ -107,6 +118,7 @@ class GridFastSlamState:
     lost: bool = False
     closure_state: LoopClosureState | None = None
     odometry_covariance: Annotated[FloatArray, 3, 3] | None = None
+    best: Annotated[int, index_of("N")] = 0
     consumed: bool = field(default=False, metadata=NOT_SAVED)
     before_step: BeforeStep = field(default=BeforeStep(), metadata=NOT_SAVED)  # when it was consumed
 
@@ -127,11 +139,6 @@ class GridFastSlamState:
         """What computes that covariance, though this state goes on: most key scans are over before somebody asks."""
         covariance = self._covariance
         return covariance if callable(covariance) else lambda: covariance
-
-    @property
-    def best(self) -> int:
-        """Index of the particle of greatest log weight accumulated along its ancestry."""
-        return int(self.log_ancestry.argmax())
 
     @property
     def best_pose(self) -> FloatArray:
@@ -182,6 +189,13 @@ class GridFastSlamState:
         self.sensor_key_poses = {**self.sensor_key_poses, sensor: key_pose}
         self.unmatched = self.tracker.take_unmatched()
 
+    def weigh(self, log_weights: FloatArray) -> None:
+        """Weigh the particles by the log likelihoods (N,), in nats, of a scan."""
+        self.log_weights = normalize(self.log_weights + log_weights)
+        self.log_ancestry = relative_to_greatest(self.log_ancestry + log_weights)
+        if self.log_ancestry[self.best] < -_DECISIVE:
+            self.best = int(self.log_ancestry.argmax())
+
     def accept(self, estimate: Estimate) -> None:
         """Take over what is estimated at a key scan, and let the drift grow by its covariance."""
         self.lost = estimate.lost
@@ -190,7 +204,13 @@ class GridFastSlamState:
         self.drift = self.drift + compute_step_moments(as_pose(estimate.pose), estimate.drift_covariance)
 
     def resample(self, parents: IntArray) -> None:
-        """Let particle i continue particle parents[i], all with equal weights."""
+        """Let particle i continue particle parents[i], all with equal weights.
+
+        Where the best one has no child, it was lost by chance: the one nearest to it goes on as the best.
+        """
+        away = self.poses[parents] - self.poses[self.best]
+        away[:, 2] = wrap(away[:, 2])
+        self.best = int(np.square(away).sum(axis=1).argmin())
         self.poses = self.poses[parents]
         self.maps.select(parents)
         self.ancestry.resample(parents)
@@ -211,6 +231,7 @@ class GridFastSlamState:
         self.ancestry = Ancestry.from_trajectory(trajectory, count)
         self.log_weights = np.full(count, -np.log(count))
         self.log_ancestry = np.zeros(count)
+        self.best = 0
 
     def snapshot(self) -> GridFastSlamState:
         """Keep this state for later, at the cost of its tables: maps are copied only where either side writes."""
@@ -249,7 +270,9 @@ class GridFastSlamState:
     ) -> GridFastSlamState:
         """Rebuild the state of a filter with this mapper; ArgumentError for a wrong schema or a missing array."""
         schema = str(arrays.get("schema", "none"))
-        if schema != STATE_SCHEMA:
+        if schema == _BEFORE_SUBMAPS:
+            arrays = _let_search_begin(arrays)
+        elif schema != STATE_SCHEMA:
             raise ArgumentError("arrays", f"a state of schema {STATE_SCHEMA}", schema)
         state = serialization.from_arrays(cls, arrays, {TileMaps: partial(mapper.restore, threads=threads)})
         require_log_weights(state.log_weights)
@@ -263,3 +286,14 @@ class GridFastSlamState:
 
 _contents = attrgetter(*(own.name for own in fields(GridFastSlamState)))
 """All fields of a state, in the order in which its class takes them."""
+
+
+def _let_search_begin(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Convert arrays of a state whose places were recognized scan by scan: submaps are compared from the first on."""
+    gone = "closure_state.search.", "closure_state.unconfirmed.", "closure_state.rejected"
+    kept = {name: values for name, values in arrays.items() if not name.startswith(gone)}
+    if len(kept) < len(arrays):
+        begun = serialization.to_arrays(LoopClosureState())
+        own = ("search.", "rejected")
+        kept |= {f"closure_state.{name}": values for name, values in begun.items() if name.startswith(own)}
+    return kept | {"best": np.array(np.argmax(kept["log_ancestry"]))}

@@ -167,6 +167,8 @@ class KeyGraph:
     drift_covariances: Annotated[list[Annotated[FloatArray, 3, 3]], "T"] = field(default_factory=list)
     constraints: list[Constraint] = field(default_factory=list)
     frozen: Annotated[int, Limits(0, "T")] = 0
+    # metres driven up to each key scan, as tracked
+    _driven_m: list[float] = field(init=False, default_factory=list, metadata=NOT_SAVED)
     # number of gaps in the laser data up to each key scan
     _gap_counts: list[int] = field(init=False, default_factory=list, metadata=NOT_SAVED)
     # (9,) each, moments of the variances up to each key scan
@@ -208,8 +210,17 @@ class KeyGraph:
 
     def driven_m(self) -> FloatArray:
         """Metres driven (T,) up to each key scan, as tracked."""
-        tracked = np.array(self.tracked)
-        return np.append(0.0, np.cumsum(np.hypot(*np.diff(tracked[:, :2], axis=0).T)))
+        return np.array(self._driven_m)
+
+    @property
+    def newest_m(self) -> float:
+        """Metres driven up to the newest key scan."""
+        return self._driven_m[-1]
+
+    @property
+    def stretches(self) -> int:
+        """Number of stretches that gaps in the laser data separate."""
+        return self._gap_counts[-1] + 1
 
     def begins_drive(self, key: int) -> bool:
         """Whether a key scan is the first one of a drive that was joined with earlier ones."""
@@ -272,7 +283,8 @@ class KeyGraph:
         """Set all poses (T, 3)."""
         self.poses = list(poses)
         links = (self._link_places, self._link_submaps, self._links)
-        for derived in (self._gap_counts, self._sums, self._firsts, self._steps, *links, self._drifts, self._arrivals):
+        along = (self._driven_m, self._gap_counts, self._sums, self._drifts)
+        for derived in (*along, self._firsts, self._steps, *links, self._arrivals):
             derived.clear()
         del self._gains[1:]
         self._derive()
@@ -391,6 +403,8 @@ class KeyGraph:
         for key in range(len(self._sums), len(self)):
             x, y, theta = self.poses[key].tolist()
             position, heading = self.variances[key]
+            step = self.tracked[key] - self.tracked[max(key - 1, 0)]
+            self._driven_m.append((self._driven_m[-1] if key else 0.0) + math.hypot(step[0], step[1]))
             is_gap = position > BLIND_SIGMA_M**2 or heading > BLIND_SIGMA_RAD**2
             self._gap_counts.append((self._gap_counts[-1] if key else 0) + is_gap)
             moments = _moments((x, y), position, 0.0, position, heading)

@@ -15,14 +15,14 @@ from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.parameters import bounded, parameters
 from gridslam.slam.loop_closure.constraints import Constraint, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import DriftModel
-from gridslam.slam.loop_closure.place_recognition import PlaceRecognition
+from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.loop_closure.state import (
     Correction,
     FoundPiece,
     LoopClosureState,
     PendingConstraints,
-    RejectionReason,
 )
+from gridslam.slam.loop_closure.submap_recognition import SubmapRecognition
 from gridslam.slam.loop_closure.submaps import insert_key_scans
 from gridslam.slam.pose_graph.descent import advance
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
@@ -94,8 +94,10 @@ class LoopClosure:
 
     Parameters
     ----------
-    recognition : PlaceRecognition
-        Which places are recognized.
+    places : PlaceMatching
+        How key scans are matched where the way back to an old place is certain.
+    recognition : SubmapRecognition
+        How other places are recognized.
     solver : GraphSlam
         How the graph is solved.
     drift : DriftModel
@@ -103,12 +105,13 @@ class LoopClosure:
     disagree_m, disagree_rad : float
         The filter is not corrected if its trajectory satisfies the new constraints within this.
     scans_per_step : int
-        Key scans inserted into the corrected map per new key scan, 0.3 ms each.
+        Key scans inserted into the corrected map at each new scan, 0.3 ms each.
     poses_per_scan : int
         Poses solved for at each new scan, 1 us each; never less than one linear system of them all.
     """
 
-    recognition: PlaceRecognition = PlaceRecognition()
+    places: PlaceMatching = PlaceMatching()
+    recognition: SubmapRecognition = SubmapRecognition()
     solver: GraphSlam = GraphSlam(first_guess="given", robust=GraduatedNonConvexity())
     drift: DriftModel = DriftModel()
     disagree_m: float = bounded(0.3, ge=1e-6, le=1e6)
@@ -138,27 +141,26 @@ class LoopClosure:
         closure_state.scans.append(beams, state.tracker.pose, is_key=report.skipped is None)
         pending = closure_state.pending_constraints
         constraints = [] if pending is None else self._solve_pending(closure_state, pending, mapper, threads)
+        if closure_state.correction is not None:
+            self._draw_corrected_map(closure_state, closure_state.correction)
         if report.skipped is not None:
             closures = tuple(constraint.pair for constraint in constraints)
             return replace(report, closures=closures) if closures else report
         self._add_key_scan(closure_state, state)
-        found = self.recognition(closure_state, mapper)
+        self.places.match_tracked_revisit(closure_state, mapper)
+        self.recognition.search(closure_state, mapper)
         is_busy = closure_state.pending_constraints is not None or closure_state.correction is not None
-        if found and not is_busy and self._contradict_filter(found, state.best_trajectory()):
-            closure_state.pending_constraints = PendingConstraints(
-                len(closure_state.graph), len(closure_state.graph.constraints), len(found)
-            )
-        else:
-            constraints = constraints + found
-        correction = closure_state.correction
-        corrected = correction is not None and self._build_corrected_map(closure_state, correction, state)
+        if closure_state.search.is_undecided and not closure_state.search.left and not is_busy:
+            self._decide(closure_state, state.best_trajectory())
+        corrected = self._merge_corrected_map(closure_state, state)
         located = None if closure_state.earlier is None else closure_state.earlier.locate(closure_state)
         if located is not None:
             closure_state = self.join(state, closure_state, located)
             corrected = True
         state.drift = closure_state.graph.drift
         closures = tuple(constraint.pair for constraint in constraints)
-        return replace(report, pose=state.best_pose, closures=closures, corrected=corrected)
+        pose = state.best_pose if corrected else report.pose
+        return replace(report, pose=pose, closures=closures, corrected=corrected)
 
     def join(
         self,
@@ -197,6 +199,24 @@ class LoopClosure:
         )
         closure_state.online_poses.append(state.best_pose)
 
+    def _decide(self, closure_state: LoopClosureState, trajectory: FloatArray) -> None:
+        """Add what is recognized to the graph and take back what is no longer; solve it if the filter is elsewhere.
+
+        Where the filter's trajectory (T, 3) agrees with all that is new, nothing is added: it was no news.
+        """
+        graph = closure_state.graph
+        closure_state.search.is_undecided = False
+        accepted, rejected = self.recognition.decide(closure_state)
+        known = {_identify(constraint) for constraint in graph.constraints}
+        new = [constraint for constraint in accepted if _identify(constraint) not in known]
+        refuted = known.intersection(_identify(constraint) for constraint in rejected)
+        if not refuted and not (new and self._contradict_filter(new, trajectory)):
+            return
+        graph.constraints = [constraint for constraint in graph.constraints if _identify(constraint) not in refuted]
+        graph.constraints += new
+        closure_state.correct(np.array(graph.poses))
+        closure_state.pending_constraints = PendingConstraints(len(graph), len(graph.constraints), len(new))
+
     def _contradict_filter(self, constraints: list[Constraint], trajectory: FloatArray) -> bool:
         """Whether the trajectory (T, 3) of the best particle violates the new constraints."""
         from_, to = key_scan_pairs(constraints).T
@@ -230,31 +250,43 @@ class LoopClosure:
         closure_state.pending_constraints = None
         poses = graph.extend_with_tracked(solution.poses)
         new = slice(pending.constraints - pending.new, pending.constraints)
-        weights = solution.weights[-pending.new :].tolist()
+        weights = solution.weights[len(solution.weights) - pending.new :].tolist()
         constraints = [c for c, weight in zip(graph.constraints[new], weights, strict=True) if weight >= 0.5]
-        closure_state.rejected[RejectionReason.IMPLAUSIBLE] += pending.new - len(constraints)
-        if 2 * len(constraints) <= pending.new:  # most of the new constraints were rejected
+        if pending.new and 2 * len(constraints) <= pending.new:  # most of the new constraints were rejected
             constraints = []
+        closure_state.reject(graph.constraints[new], constraints)
         graph.constraints[new] = constraints
-        if constraints:
+        if constraints or not pending.new:
             closure_state.correction = Correction(poses, mapper.empty(1, threads))
         closure_state.correct(poses)
         return constraints
 
-    def _build_corrected_map(self, closure_state: LoopClosureState, correction: Correction, state: FilterState) -> bool:
-        """Continue to rebuild the map and merge it when complete; return whether it was merged."""
-        poses = closure_state.graph.extend_with_tracked(correction.poses)
-        correction.poses = poses
+    def _draw_corrected_map(self, closure_state: LoopClosureState, correction: Correction) -> None:
+        """Continue to rebuild the map."""
         first = correction.inserted
-        last = min(first + self.scans_per_step, len(poses))
-        insert_key_scans(
-            correction.maps, closure_state.scans, range(first, last), poses[first:last], closure_state.graph
-        )
+        last = min(first + self.scans_per_step, len(correction.poses))
+        keys = range(first, last)
+        poses = correction.poses[first:last]
+        insert_key_scans(correction.maps, closure_state.scans, keys, poses, closure_state.graph)
         correction.inserted = last
-        if last < len(poses):
+
+    def _merge_corrected_map(self, closure_state: LoopClosureState, state: FilterState) -> bool:
+        """Let the filter go on from the corrected map when it is complete, up to the newest key scan."""
+        correction = closure_state.correction
+        if correction is None:
             return False
+        correction.poses = closure_state.graph.extend_with_tracked(correction.poses)
+        if len(correction.poses) - correction.inserted > self.scans_per_step:
+            return False
+        self._draw_corrected_map(closure_state, correction)
+        poses = correction.poses
         closure_state.correct(poses)
         closure_state.online_poses = list(poses)
         state.replace_trajectory(poses, correction.maps)
         closure_state.correction = None
         return True
+
+
+def _identify(constraint: Constraint) -> tuple[int, int, bytes]:
+    """Key scans and measurement, by which a constraint is found again where others are about."""
+    return (*constraint.pair, constraint.measurement.tobytes())

@@ -9,7 +9,6 @@ import numpy as np
 from gridslam.geometry.se2 import between, compose, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.branch_and_bound import BranchAndBound
 from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, cauchy_weights
 from gridslam.parameters import bounded, parameters
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, transform_match
@@ -45,7 +44,7 @@ class PlaceMatching:
     inlier_ratio : float
         Minimum inlier ratio of those points.
     certain_sigma_m : float, m
-        Standard deviation of the relative position below which key scans are matched without a search.
+        Standard deviation of the relative position below which key scans are matched as tracked.
     tracked_key_scans : int
         Number of key scans for which the pose is tracked from the last non-degenerate constraint.
     tracked_max_correction_m : float, m
@@ -53,28 +52,15 @@ class PlaceMatching:
     filter_max_correction_m : float, m
         Ignore the filter's pose if it differs from the tracked pose by more than this: a repetitive map may have
         attracted it.
-    search_interval : int
-        Key scans between two searches.
-    query_key_scans : int
-        Number of key scans whose points are matched together.
-    ambiguity_ratio : float
-        Reject as ambiguous if another pose reaches this fraction of the best score.
-    ambiguity_window_m, ambiguity_window_rad : float
-        Margin added to the search window of the ambiguity check, since the true place may be an unmapped neighbour that
-        looks alike.
-    max_through_walls_ratio : float
-        Maximum ratio of beams that pass through walls of the old map (doors and furniture move).
-    min_confirmations : int
-        Minimum number of consistent consecutive searches.
-    consistency_m, consistency_rad : float
-        Largest difference between them.
+    gate_sigmas : float
+        Standard deviations of the drift that a match may need.
+    max_sigma_m : float, m
+        Standard deviation of the relative position beyond which the filter's pose proposes nothing.
     min_information : float
         Minimum eigenvalue of the position information per inlier beam; rejects degenerate places such as bare
         corridors.
     beam_sigma_m : float, m
         Standard deviation of one beam in a constraint, inflated for correlated beams and cell size.
-    search : BranchAndBound
-        How a place is searched for.
     matcher : GaussNewton
         How a match is refined.
     """
@@ -87,18 +73,10 @@ class PlaceMatching:
     tracked_key_scans: int = bounded(12, ge=1, le=1_000_000)
     tracked_max_correction_m: float = bounded(0.2, ge=1e-6, le=1e6)
     filter_max_correction_m: float = bounded(1.2, ge=1e-6, le=1e6)
-    search_interval: int = bounded(3, ge=1, le=1_000_000)
-    query_key_scans: int = bounded(8, ge=1, le=1000)
-    ambiguity_ratio: float = bounded(0.85, ge=1e-6, le=1)
-    ambiguity_window_m: float = bounded(10.0, ge=0, le=1e6)
-    ambiguity_window_rad: float = bounded(0.2, ge=0, le=100)
-    max_through_walls_ratio: float = bounded(0.2, ge=0, le=1)
-    min_confirmations: int = bounded(4, ge=1, le=1_000_000)
-    consistency_m: float = bounded(0.25, ge=1e-6, le=1e6)
-    consistency_rad: float = bounded(0.05, ge=1e-6, le=100)
+    gate_sigmas: float = bounded(2.5, ge=0.01, le=1000)
+    max_sigma_m: float = bounded(30.0, ge=1e-6, le=1e6)
     min_information: float = bounded(0.06, ge=0, le=1e6)
     beam_sigma_m: float = bounded(0.3, ge=1e-6, le=100)
-    search: BranchAndBound = BranchAndBound(window_m=30.0, window_rad=1.6, gate_sigmas=2.5, min_score=0.45)
     matcher: GaussNewton = GaussNewton()
 
     def match(
@@ -142,12 +120,7 @@ class PlaceMatching:
     def is_within_gate(self, covariance: FloatArray, innovation: FloatArray) -> bool:
         """Whether the drift explains the innovation (3,) of a match, map frame."""
         squared = float(innovation @ np.linalg.solve(covariance + _MATCH_COVARIANCE, innovation))
-        return squared < self.search.gate_sigmas**2
-
-    def ambiguity_covariance(self, gate_sigmas: float) -> FloatArray:
-        """Covariance (3, 3) that widens the window of a search by the margin of the ambiguity check."""
-        margin = np.diag([self.ambiguity_window_m, self.ambiguity_window_m, self.ambiguity_window_rad])
-        return np.square(margin / gate_sigmas)
+        return squared < self.gate_sigmas**2
 
     def match_tracked_revisit(self, closure_state: LoopClosureState, mapper: OccupancyGridMapping) -> bool:
         """Match the newest key scan to an old submap at its tracked or filtered pose; return whether that was certain.
@@ -157,6 +130,8 @@ class PlaceMatching:
         graph = closure_state.graph
         newest = len(graph) - 1
         oldest = submap_of(newest) - self.recent_submaps
+        if oldest < 0 or len(closure_state.scans.key(newest)) < self.matcher.min_beams:
+            return False
         tracked = self._predict_from_last_constraint(graph, oldest)
         prediction = tracked or self._predict_from_filter(closure_state, oldest)
         if prediction is None:
@@ -168,7 +143,7 @@ class PlaceMatching:
         if isinstance(constraint, RejectionReason):
             return False
         if tracked is None:
-            way = graph.find_distance_to(submap, newest, self.search.window_m, 256)
+            way = graph.find_distance_to(submap, newest, self.max_sigma_m, 256)
             if way is None:
                 return False
             innovation = _innovation(graph, way, constraint)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Annotated, NamedTuple, Protocol, final
@@ -11,6 +12,7 @@ from typing import Annotated, NamedTuple, Protocol, final
 import numpy as np
 
 from gridslam.arguments import COUNT, Limits, Size
+from gridslam.geometry.angles import wrap
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.serialization import NOT_SAVED
@@ -19,7 +21,8 @@ from gridslam.slam.loop_closure.key_graph import KeyGraph, anchor_of
 from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
 from gridslam.slam.loop_closure.rows import Rows, new_poses
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
-from gridslam.slam.loop_closure.submaps import JointMap, SubmapCache
+from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
+from gridslam.slam.loop_closure.submaps import SubmapCache
 from gridslam.slam.pose_graph.descent import Computation
 from gridslam.slam.pose_graph.graph_slam import GraphSolution
 from gridslam.types import FloatArray
@@ -30,9 +33,9 @@ __all__ = [
     "FoundPiece",
     "LoopClosureState",
     "PendingConstraints",
-    "PlaceSearch",
     "RejectionReason",
-    "SearchPhase",
+    "SubmapPrior",
+    "SubmapSearch",
 ]
 
 
@@ -40,53 +43,77 @@ class RejectionReason(Enum):
     """Why a loop-closure candidate was rejected."""
 
     LOW_INLIER_RATIO = "low inlier ratio"
-    AMBIGUOUS = "ambiguous: another place fits as well"
-    DEGENERATE = "degenerate direction"
-    THROUGH_WALLS = "beams would pass through walls"
-    IMPLAUSIBLE = "outside the pose uncertainty"
-    INCONSISTENT = "inconsistent with the next scans"
+    INCONSISTENT = "too few others agree, or as many contradict"
+    IMPLAUSIBLE = "contradicts the graph"
 
 
-class SearchPhase(Enum):
-    """What a search does at a key scan; a joint map is built at the one before, so that no scan waits for both."""
+@final
+class SubmapPrior(NamedTuple):
+    """Where a submap is expected, seen from the middle of an older one, and how far it may be from there.
 
-    MAP_BUILDING = "build the joint map of the submaps near the robot"
-    SEARCH = "match against it"
-    AMBIGUITY_CHECK = "match against all submaps where the robot may be"
+    Attributes
+    ----------
+    older : int
+        Number of the older one.
+    pose : (3,) float64
+        The pose that is expected.
+    reach_m, reach_rad : float
+        What it may be off.
+    """
+
+    older: Annotated[int, COUNT]
+    pose: Annotated[FloatArray, 3]
+    reach_m: float
+    reach_rad: float
+
+    def allows(self, pose: FloatArray) -> bool:
+        """Whether a pose (3,) is within reach."""
+        x, y, turn = (pose - self.pose).tolist()
+        return math.hypot(x, y) < self.reach_m and abs(wrap(turn)) < self.reach_rad
 
 
 @final
 @dataclass(slots=True, eq=False)
-class PlaceSearch:
-    """Progress of the search for a place.
+class SubmapSearch:
+    """Progress of the comparison of submaps while the robot drives; they are numbered in the order of the way.
 
     Attributes
     ----------
-    failures : int
-        Number of consecutive failed searches.
-    next_key_scan : int
-        Key scan of the next search.
-    near_submaps : tuple of int
-        Submaps whose joint map is searched.
-    ambiguity_submaps : tuple of int
-        Submaps whose joint map is searched for other places that match as well; empty if no place was found.
+    first_key : int
+        Submaps of key scans before it, of earlier drives, are not compared with each other.
+    described, compared : int
+        Number of first submaps whose features are known, and of those whose comparison with older ones has begun.
+    left : list of SubmapPrior
+        Older ones that the last of these is still to be compared with.
+    candidates : list of Constraint
+        Matches that were verified.
+    is_undecided : bool
+        Whether some of them were added since it was decided which are accepted.
+    unsearched : int
+        Number of submaps that were not compared with some older ones that only the drift model allows for, and not the
+        bound of the drift.
     """
 
-    failures: Annotated[int, COUNT] = 0
-    next_key_scan: Annotated[int, Limits(0, 1 << 31)] = 0
-    near_submaps: tuple[Annotated[int, Limits(0, "submaps")], ...] = ()
-    ambiguity_submaps: tuple[Annotated[int, Limits(0, "submaps")], ...] = ()
+    first_key: Annotated[int, Limits(0, "T")] = 0
+    described: Annotated[int, COUNT] = 0
+    compared: Annotated[int, COUNT] = 0
+    left: list[SubmapPrior] = field(default_factory=list)
+    candidates: list[Constraint] = field(default_factory=list)
+    is_undecided: bool = False
+    unsearched: Annotated[int, COUNT] = 0
 
-    def phase(self, near: Collection[int], candidates: Collection[int]) -> SearchPhase:
-        """Phase of a search in submaps near the robot, out of all candidates: that of which the joint map is built."""
-        if set(candidates) <= set(self.ambiguity_submaps):
-            return SearchPhase.AMBIGUITY_CHECK
-        return SearchPhase.SEARCH if set(near) <= set(self.near_submaps) else SearchPhase.MAP_BUILDING
+    def snapshot(self) -> SubmapSearch:
+        """Return a copy that goes on by itself."""
+        return replace(self, left=self.left.copy(), candidates=self.candidates.copy())
 
-    def forget(self) -> None:
-        """Begin with the first phase again."""
-        self.near_submaps = ()
-        self.ambiguity_submaps = ()
+    def truncate(self, submaps: int, key_scans: int) -> None:
+        """Forget all but the first submaps and key scans."""
+        if self.compared > submaps:
+            self.left = []
+        self.described = min(self.described, submaps)
+        self.compared = min(self.compared, submaps)
+        self.candidates = [candidate for candidate in self.candidates if candidate.to < key_scans]
+        self.is_undecided = self.is_undecided and bool(self.candidates)
 
 
 @final
@@ -170,10 +197,8 @@ class LoopClosureState:
         Key scans, odometry and loop-closure constraints.
     online_poses : list of (3,) float64
         Online pose of the best particle at each key scan, or its later correction.
-    search : PlaceSearch
-        Progress of the search for a place.
-    unconfirmed : list of Constraint
-        Recent loop-closure candidates that are not confirmed yet.
+    search : SubmapSearch
+        Progress of place recognition.
     rejected : Counter
         Number of rejected candidates by reason.
     pending_constraints : PendingConstraints or None
@@ -198,8 +223,7 @@ class LoopClosureState:
         default_factory=KeyGraph
     )
     online_poses: Annotated[list[Annotated[FloatArray, 3]], "T"] = field(default_factory=list)
-    search: PlaceSearch = field(default_factory=PlaceSearch)
-    unconfirmed: list[Constraint] = field(default_factory=list)
+    search: SubmapSearch = field(default_factory=SubmapSearch)
     rejected: Counter[RejectionReason] = field(default_factory=Counter)
     pending_constraints: PendingConstraints | None = None
     correction: Annotated[Correction, Limits(1, "T")] | None = None
@@ -209,6 +233,7 @@ class LoopClosureState:
     found_in: MapPiece | None = field(default=None, metadata=NOT_SAVED)
     threads: int = field(default=1, metadata=NOT_SAVED)
     submap_cache: SubmapCache = field(default_factory=SubmapCache, metadata=NOT_SAVED)
+    pairs: SubmapPairs = field(default_factory=SubmapPairs, metadata=NOT_SAVED)
     _anchors: Rows[np.float64] = field(init=False, default_factory=new_poses, metadata=NOT_SAVED)
     # the list of which `_anchors` are, another one after a correction
     _anchored: list[FloatArray] | None = field(init=False, default=None, metadata=NOT_SAVED)
@@ -216,10 +241,6 @@ class LoopClosureState:
     def submap(self, submap: int, mapper: OccupancyGridMapping) -> TileMaps:
         """The map of a submap, in the frame of its anchor."""
         return self.submap_cache(submap, mapper, self.scans, self.graph)
-
-    def joint_map(self, submaps: tuple[int, ...], mapper: OccupancyGridMapping) -> JointMap:
-        """The joint map of several submaps, in the map frame."""
-        return self.submap_cache.joint_map(submaps, mapper, self.scans, self.graph)
 
     def online_anchors(self, submaps: int) -> FloatArray:
         """Poses (K, 3) of the anchors of the first submaps, as the best particle had them at the time or later."""
@@ -236,10 +257,15 @@ class LoopClosureState:
         return float(np.hypot(*np.diff(tracked[:, :2], axis=0).T).sum())
 
     def correct(self, poses: FloatArray) -> None:
-        """Set the poses (T, 3) of the key scans and invalidate cached maps."""
+        """Set the poses (T, 3) of the key scans."""
         self.graph.correct(poses)
-        self.search.forget()
-        self.submap_cache.forget()
+
+    def reject(self, constraints: Sequence[Constraint], accepted: Sequence[Constraint]) -> None:
+        """Forget candidates that the graph contradicts, all but the accepted ones."""
+        kept = {constraint.measurement.tobytes() for constraint in accepted}
+        rejected = {c.measurement.tobytes() for c in constraints} - kept
+        self.search.candidates = [c for c in self.search.candidates if c.measurement.tobytes() not in rejected]
+        self.rejected[RejectionReason.IMPLAUSIBLE] += len(constraints) - len(accepted)
 
     def join(self, found: FoundPiece) -> LoopClosureState:
         """Give the state of both: an earlier piece in which the drive so far was found, and the drive behind it."""
@@ -248,7 +274,7 @@ class LoopClosureState:
             scans=whole.scans,
             graph=whole.graph,
             online_poses=[*whole.poses],
-            search=PlaceSearch(next_key_scan=len(whole)),
+            search=SubmapSearch(first_key=len(found.piece)),
             rejected=self.rejected.copy(),
             joined=found.number,
             joined_after=len(self.graph),
@@ -263,7 +289,6 @@ class LoopClosureState:
         self.scans.truncate(scans, key_scans)
         self.graph.truncate(key_scans)
         self.online_poses = self.online_poses[:key_scans]
-        self.unconfirmed = [constraint for constraint in self.unconfirmed if constraint.to < key_scans]
         pending = self.pending_constraints
         if pending is not None:
             pending.computation = None
@@ -272,8 +297,11 @@ class LoopClosureState:
         if self.correction is not None:
             self.correction.poses = self.correction.poses[:key_scans]
             self.correction.inserted = min(self.correction.inserted, len(self.correction.poses))
-        self.search.forget()
         self.submap_cache = SubmapCache()
+        submaps = self.pairs.count_within(key_scans)
+        if submaps < len(self.pairs.submaps):
+            self.pairs = SubmapPairs()
+            self.search.truncate(submaps, key_scans)
 
     def snapshot(self) -> LoopClosureState:
         """Return a copy; scans are shared and caches are not copied."""
@@ -284,10 +312,10 @@ class LoopClosureState:
             scans=self.scans.snapshot(),
             graph=self.graph.snapshot(),
             online_poses=self.online_poses.copy(),
-            search=replace(self.search),
-            unconfirmed=self.unconfirmed.copy(),
+            search=self.search.snapshot(),
             rejected=self.rejected.copy(),
             pending_constraints=None if pending is None else replace(pending, computation=None),
             correction=None if correction is None else replace(correction, maps=correction.maps.snapshot()),
             submap_cache=SubmapCache(),
+            pairs=self.pairs.copy(),
         )

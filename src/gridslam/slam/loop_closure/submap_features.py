@@ -127,13 +127,13 @@ def _find_corners(image: NDArray[np.float32]) -> tuple[IntArray, IntArray]:
     xy = _blur(dx * dy, 1.0)
     yy = _blur(dy * dy, 1.0)
     strength = xx * yy - xy * xy - _HARRIS * np.square(xx + yy)
-    inner = np.s_[_PATCH + 1 : -_PATCH - 1, _PATCH + 1 : -_PATCH - 1]
-    greatest = strength
-    for axis in (0, 1):
-        greatest = np.maximum.reduce([greatest, np.roll(greatest, 1, axis), np.roll(greatest, -1, axis)])
-    is_corner = np.zeros(image.shape, bool)
-    is_corner[inner] = ((strength > _LEAST_CORNER) & (strength >= greatest))[inner]
-    rows, columns = np.nonzero(is_corner)
+    inner = strength[_PATCH:-_PATCH, _PATCH:-_PATCH]
+    across = np.maximum(np.maximum(inner[:, :-2], inner[:, 1:-1]), inner[:, 2:])
+    greatest = np.maximum(np.maximum(across[:-2], across[1:-1]), across[2:])
+    middle = inner[1:-1, 1:-1]
+    rows, columns = np.nonzero((middle > _LEAST_CORNER) & (middle >= greatest))
+    rows += _PATCH + 1
+    columns += _PATCH + 1
     strongest = np.argsort(-strength[rows, columns], kind="stable")[:_MOST_KEYPOINTS]
     return rows[strongest], columns[strongest]
 
@@ -143,9 +143,11 @@ def _blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     reach = math.ceil(3 * sigma)
     weights = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) / sigma))
     weights /= weights.sum()
-    for axis in (0, 1):
-        padded = np.pad(image, [(reach, reach) if axis == other else (0, 0) for other in (0, 1)])
-        length = image.shape[axis]
-        parts = [padded[k : k + length] if axis == 0 else padded[:, k : k + length] for k in range(2 * reach + 1)]
-        image = np.sum([np.float32(w) * part for w, part in zip(weights.tolist(), parts, strict=True)], axis=0)
+    for _ in ("down", "across"):
+        padded = np.pad(image, [(reach, reach), (0, 0)])
+        blurred = np.float32(weights[reach]) * image
+        for k in range(1, reach + 1):
+            both = padded[reach - k : -reach - k] + padded[reach + k : len(padded) - reach + k]
+            blurred += np.float32(weights[reach + k]) * both
+        image = np.ascontiguousarray(blurred.T)
     return image

@@ -73,17 +73,20 @@ class Submap:
 
     def collect_points(self) -> FloatArray:
         """Ends (B, 2) of the beams that are not too long."""
-        ends = []
-        for key, pose in zip(self.keys.tolist(), self.poses, strict=True):
-            scan = self.scans.key(key)
-            is_near = np.hypot(*(scan.ends - scan.origin).T) < _REACH_M
-            ends.append(transform_points(pose, scan.ends[is_near]))
-        return np.concatenate(ends)
+        batch = self.scans.batch([self.scans.keys[key] for key in self.keys.tolist()])
+        beams = np.diff(batch.starts)
+        is_near = np.hypot(*(batch.ends - np.repeat(batch.origins, beams, axis=0)).T) < _REACH_M
+        poses = np.repeat(self.poses, beams, axis=0)
+        return transform_points(poses[is_near], batch.ends[is_near])
 
     @cached_property
     def features(self) -> SubmapFeatures:
         """Keypoints and descriptors."""
         return extract_features(self.collect_points())
+
+    def describe(self) -> None:
+        """Extract the features now: they are kept."""
+        _ = self.features
 
     @cached_property
     def radius_m(self) -> float:

@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple, final
+from collections.abc import Callable, Sequence
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose, rotate_covariances
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.parameters import bounded, parameters
-from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
 from gridslam.slam.loop_closure.key_graph import KeyGraph, first_key_scan, submap_of
-from gridslam.slam.loop_closure.scan_archive import ScanArchive
-from gridslam.slam.loop_closure.submap_matching import DrawnSubmap, Submap, SubmapMatch, SubmapMatching
+from gridslam.slam.loop_closure.state import LoopClosureState, SubmapPrior
+from gridslam.slam.loop_closure.submap_matching import SubmapMatch, SubmapMatching
+from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["PlaceCandidate", "SubmapPairs", "SubmapRecognition"]
+__all__ = ["SubmapRecognition"]
 
-_FEWEST_KEY_SCANS = 5
-_MOST_DRAWN = 8
-"""Drawn submaps that are kept, 1 to 4 MB each."""
 _MATCH_SIGMA_M = 0.25
 _MATCH_SIGMA_RAD = 0.03
 """What two matches of overlapping submaps differ by: each is bent by its drift."""
@@ -31,76 +28,9 @@ _CHI2 = 11.34
 """99 % of the chi-squared distribution with three degrees of freedom."""
 _BEND_SHARE = 1 / 3
 """Part of a submap's drift variance by which its middle is off: the match is about the mean of a random walk."""
-
-
-@final
-class PlaceCandidate(NamedTuple):
-    """A match of two submaps of different visits, by their numbers."""
-
-    older: int
-    newer: int
-    found: SubmapMatch
-
-
-class SubmapPairs:
-    """The submaps of a run, and their matches, each computed once.
-
-    Submaps lie as they were tracked: what was matched holds whatever becomes of the trajectory.
-
-    Parameters
-    ----------
-    submaps : list of Submap
-        In the order of the way.
-    matching : SubmapMatching
-        How two of them are matched.
-    """
-
-    def __init__(self, submaps: list[Submap], matching: SubmapMatching) -> None:
-        self.submaps = submaps
-        self.anchors: IntArray = np.array([submap.anchor for submap in submaps], np.int64)
-        self._matching = matching
-        self._proposed: dict[tuple[int, int], list[tuple[FloatArray, int]]] = {}
-        self._verified: dict[tuple[int, int, int], SubmapMatch | None] = {}
-        self._drawn: dict[int, DrawnSubmap] = {}
-
-    def match(self, older: int, newer: int, is_plausible: Callable[[FloatArray], bool]) -> Iterator[PlaceCandidate]:
-        """Yield the distinct matches of two submaps at proposed poses (3,) that are plausible."""
-        pair = (older, newer)
-        if pair not in self._proposed:
-            self._proposed[pair] = self._matching.propose(self.submaps[older], self.submaps[newer])
-        found: list[FloatArray] = []
-        for number, (pose, keypoints) in enumerate(self._proposed[pair]):
-            if not is_plausible(pose):
-                continue
-            key = (*pair, number)
-            if key not in self._verified:
-                self._verified[key] = self._matching.verify(self._draw(older), self._draw(newer), pose, keypoints)
-            match = self._verified[key]
-            if match is not None and not any(self._matching.is_same_place(match.pose, other) for other in found):
-                found.append(match.pose)
-                yield PlaceCandidate(older, newer, match)
-
-    def _draw(self, number: int) -> DrawnSubmap:
-        """Draw a submap, or take it where it was drawn lately."""
-        drawn = self._drawn.pop(number, None) or self.submaps[number].draw(self._matching.max_points)
-        while len(self._drawn) >= _MOST_DRAWN:
-            del self._drawn[next(iter(self._drawn))]
-        self._drawn[number] = drawn  # the last used one comes last
-        return drawn
-
-
-@final
-class _Prior(NamedTuple):
-    """Where a submap is expected, seen from an older one: pose (3,), and how far it may be from there."""
-
-    pose: FloatArray
-    reach_m: float
-    reach_rad: float
-
-    def allows(self, pose: FloatArray) -> bool:
-        """Whether the drift explains a pose (3,)."""
-        x, y, turn = (pose - self.pose).tolist()
-        return math.hypot(x, y) < self.reach_m and abs(wrap(turn)) < self.reach_rad
+_DESCRIBED_AT_A_TIME = 2
+_COMPARED_AT_A_TIME = 16
+"""Submaps, 15 ms each, and pairs of them, 0.5 ms each, at a key scan; one pair that fits is verified, in 30 ms."""
 
 
 @final
@@ -160,86 +90,142 @@ class SubmapRecognition:
     beam_sigma_m: float = bounded(0.3, ge=1e-6, le=100)
     matching: SubmapMatching = SubmapMatching()
 
-    def cut(self, graph: KeyGraph, scans: ScanArchive, mapper: OccupancyGridMapping) -> SubmapPairs:
-        """Cut the way into submaps that overlap, none across a gap in the laser data."""
-        way = graph.driven_m()
-        labels = graph.label_gaps()
-        submaps = []
-        for label in np.unique(labels).tolist():
-            own = np.flatnonzero(labels == label)
-            begin, end = way[own[[0, -1]]].tolist()
-            last = max(end - self.length_m, begin)
-            for first in (*np.arange(begin, last, self.step_m).tolist(), last):
-                keys = own[(way[own] >= first) & (way[own] <= first + self.length_m)]
-                if len(keys) >= _FEWEST_KEY_SCANS:
-                    submaps.append(Submap.of(graph, int(keys[len(keys) // 2]), keys, scans, mapper))
-        return SubmapPairs(submaps, self.matching)
+    def search(self, closure_state: LoopClosureState, mapper: OccupancyGridMapping) -> None:
+        """Do one key scan's share of the comparison of submaps: candidates are added to those of the state.
 
-    def __call__(
-        self, graph: KeyGraph, pairs: SubmapPairs, on_progress: Callable[[], None], searched: int = 0
+        What is done at a key scan depends on counts alone: results do not depend on time, and no scan waits for long.
+        """
+        graph, search, pairs = closure_state.graph, closure_state.search, closure_state.pairs
+        self.cut(closure_state, mapper, pairs)
+        if search.described < len(pairs.submaps):
+            last = min(search.described + _DESCRIBED_AT_A_TIME, len(pairs.submaps))
+            for submap in pairs.submaps[search.described : last]:
+                submap.describe()
+            search.described = last
+            return
+        if not search.left and search.compared < len(pairs.submaps):
+            if pairs.submaps[search.compared].anchor >= search.first_key:
+                search.left, left_out = self._expect(graph, pairs, search.compared)
+                search.unsearched += left_out > 0
+            search.compared += 1
+        for _ in range(_COMPARED_AT_A_TIME):
+            if not search.left:
+                return
+            prior = search.left.pop(0)
+            newer = search.compared - 1
+            allowed = self._propose(pairs, prior, newer)
+            if allowed:
+                found = self._verify(graph, pairs, prior, newer, allowed)
+                search.candidates += found
+                search.is_undecided |= bool(found)
+                return
+
+    def decide(self, closure_state: LoopClosureState) -> tuple[list[Constraint], list[Constraint]]:
+        """Accept and reject candidates about the newest part of the way: those of either kind."""
+        graph = closure_state.graph
+        candidates = closure_state.search.candidates
+        way = graph.driven_m()
+        recent = [c for c in candidates if way[c.to] > way[candidates[-1].to] - 2 * self.reach_m]
+        accepted = self.accept(graph, recent).tolist()
+        of_kind: tuple[list[Constraint], list[Constraint]] = [], []
+        for candidate, is_accepted in zip(recent, accepted, strict=True):
+            of_kind[not is_accepted].append(candidate)
+        return of_kind
+
+    def search_all(
+        self,
+        closure_state: LoopClosureState,
+        mapper: OccupancyGridMapping,
+        pairs: SubmapPairs,
+        on_progress: Callable[[], None],
+        searched: int = 0,
     ) -> tuple[list[Constraint], int]:
-        """Recognize places: constraints between the middles of submaps, and how many candidates were rejected.
+        """Compare all submaps of a drive that is over: what is accepted, and how many candidates were rejected.
+
+        How many submaps were not compared with all that the drift model allows for is counted in the state's search.
 
         The graph's constraints determine how the parts of the way lie to each other. Submaps whose middles are among
         the first `searched` key scans are not compared with each other.
         """
-        candidates = self._find_candidates(graph, pairs, on_progress, searched)
-        if not candidates:
-            return [], 0
-        accepted = self.accept(graph, pairs.anchors, candidates).tolist()
-        drift = np.cumsum(np.array(graph.variances), axis=0)
-        recognized = [
-            self._make_constraint(drift, pairs, candidate)
-            for candidate, is_accepted in zip(candidates, accepted, strict=True)
-            if is_accepted
-        ]
-        return recognized, len(candidates) - len(recognized)
-
-    def _find_candidates(
-        self, graph: KeyGraph, pairs: SubmapPairs, on_progress: Callable[[], None], searched: int
-    ) -> list[PlaceCandidate]:
-        """Match all pairs of submaps that may show the same place."""
-        tracked = np.array(graph.tracked)
-        way = graph.driven_m()
-        labels = graph.label_rigid_components()
-        radii = np.array([submap.radius_m for submap in pairs.submaps])
-        candidates: list[PlaceCandidate] = []
-        for newer, key in enumerate(pairs.anchors.tolist()):
-            if not newer or key < searched:
+        graph = closure_state.graph
+        self.cut(closure_state, mapper, pairs, is_over=True)
+        candidates: list[Constraint] = []
+        closure_state.search.unsearched = 0
+        for newer, submap in enumerate(pairs.submaps):
+            if submap.anchor < searched:
                 continue
             on_progress()
-            anchors = pairs.anchors[:newer]
-            poses, sigmas_m, sigmas_rad = _locate(graph, tracked, anchors, key)
-            driven = way[key] - way[anchors]
-            is_rigid = labels[anchors] == labels[key]
-            reach_m = self.gate_sigmas * sigmas_m + self.margin_m
-            reach_rad = self.gate_sigmas * sigmas_rad + self.margin_rad
-            reach_m = np.where(is_rigid, np.minimum(reach_m, self.drift_m + self.drift_ratio * driven), reach_m)
-            reach_rad = np.where(is_rigid, np.minimum(reach_rad, self.drift_rad), reach_rad)
-            is_wanted = (sigmas_m >= self.certain_sigma_m) & ((driven >= self.apart_m) | ~is_rigid)
-            is_wanted &= np.hypot(poses[:, 0], poses[:, 1]) < reach_m + radii[:newer] + radii[newer]
-            for older in np.flatnonzero(is_wanted).tolist():
-                prior = _Prior(poses[older], float(reach_m[older]), float(reach_rad[older]))
-                candidates += pairs.match(older, newer, prior.allows)
-        return candidates
+            expected, left_out = self._expect(graph, pairs, newer)
+            closure_state.search.unsearched += left_out > 0
+            for prior in expected:
+                allowed = self._propose(pairs, prior, newer)
+                candidates += self._verify(graph, pairs, prior, newer, allowed)
+        accepted = self.accept(graph, candidates).tolist() if candidates else []
+        recognized = [candidate for candidate, is_accepted in zip(candidates, accepted, strict=True) if is_accepted]
+        return recognized, len(candidates) - len(recognized)
 
-    def accept(self, graph: KeyGraph, anchors: IntArray, candidates: Sequence[PlaceCandidate]) -> NDArray[np.bool_]:
+    def cut(
+        self,
+        closure_state: LoopClosureState,
+        mapper: OccupancyGridMapping,
+        pairs: SubmapPairs,
+        *,
+        is_over: bool = False,
+    ) -> None:
+        """Cut the way into submaps, as far as it is complete or the drive is over."""
+        pairs.cut(closure_state.graph, closure_state.scans, mapper, self.length_m, self.step_m, is_over)
+
+    def _expect(self, graph: KeyGraph, pairs: SubmapPairs, newer: int) -> tuple[list[SubmapPrior], int]:
+        """Expect older submaps that may show the same place, and count those that the bound of the drift leaves out."""
+        if not newer:
+            return [], 0
+        anchors = pairs.anchors[: newer + 1]
+        key = int(anchors[-1])
+        anchors = anchors[:-1]
+        way = graph.driven_m()
+        labels = graph.label_rigid_components()
+        radii = np.array([submap.radius_m for submap in pairs.submaps[: newer + 1]])
+        poses, sigmas_m, sigmas_rad = _locate(graph, anchors, key)
+        driven = way[key] - way[anchors]
+        is_rigid = labels[anchors] == labels[key]
+        explained_m = self.gate_sigmas * sigmas_m + self.margin_m
+        reach_rad = self.gate_sigmas * sigmas_rad + self.margin_rad
+        bound_m = np.where(is_rigid, self.drift_m + self.drift_ratio * driven, np.inf)
+        reach_rad = np.where(is_rigid, np.minimum(reach_rad, self.drift_rad), reach_rad)
+        reach_m = np.minimum(explained_m, bound_m)
+        away_m = np.hypot(poses[:, 0], poses[:, 1]) - radii[:-1] - radii[-1]
+        is_wanted = (sigmas_m >= self.certain_sigma_m) & ((driven >= self.apart_m) | ~is_rigid)
+        left_out = int(np.count_nonzero(is_wanted & (away_m >= reach_m) & (away_m < explained_m)))
+        chosen = np.flatnonzero(is_wanted & (away_m < reach_m)).tolist()
+        return [SubmapPrior(k, poses[k], float(reach_m[k]), float(reach_rad[k])) for k in chosen], left_out
+
+    def _propose(self, pairs: SubmapPairs, prior: SubmapPrior, newer: int) -> list[int]:
+        """Propose poses of a submap in an older one, by their numbers, that the drift explains."""
+        proposed = pairs.propose(self.matching, prior.older, newer)
+        return [number for number, (pose, _) in enumerate(proposed) if prior.allows(pose)]
+
+    def _verify(
+        self, graph: KeyGraph, pairs: SubmapPairs, prior: SubmapPrior, newer: int, allowed: list[int]
+    ) -> list[Constraint]:
+        matches = pairs.verify(self.matching, prior.older, newer, allowed)
+        return [self._make_constraint(graph, pairs, prior.older, newer, match) for match in matches]
+
+    def accept(self, graph: KeyGraph, candidates: Sequence[Constraint]) -> NDArray[np.bool_]:
         """Accept candidates (C,) that belong to a large set of consistent ones without a runner-up."""
-        agree, support = self._compare(graph, anchors, candidates)
+        agree, support = self._compare(graph, candidates)
         sizes = np.array([_clique_size(support & agree, first) for first in range(len(candidates))])
         runners_up = np.where(support & ~agree, sizes, 0).max(axis=1)
         return np.asarray((sizes >= self.min_matches) & (runners_up < self.runner_up_ratio * sizes))
 
     def _compare(
-        self, graph: KeyGraph, anchors: IntArray, candidates: Sequence[PlaceCandidate]
+        self, graph: KeyGraph, candidates: Sequence[Constraint]
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Whether each two candidates (C, C) agree with the motion between them, and whether that is to be expected.
 
         It is where the submaps of both are near each other, by metres driven, in both visits.
         """
-        older = anchors[[candidate.older for candidate in candidates]]
-        newer = anchors[[candidate.newer for candidate in candidates]]
-        poses = np.array([candidate.found.pose for candidate in candidates])
+        older, newer = key_scan_pairs(candidates).T
+        poses = np.array([candidate.measurement for candidate in candidates])
         tracked = np.array(graph.tracked)
         way = graph.driven_m()
         drift = np.cumsum(np.array(graph.variances), axis=0)
@@ -256,31 +242,29 @@ class SubmapRecognition:
         is_near &= np.abs(way[older[a]] - way[older[b]]) < self.reach_m
         return squared < _CHI2, is_near
 
-    def _make_constraint(self, drift: FloatArray, pairs: SubmapPairs, candidate: PlaceCandidate) -> Constraint:
-        """Constrain the middles of two submaps, as their match and their own drift determine it.
-
-        `drift` (T, 2) are the variances of position and heading that the way up to each key scan adds.
-        """
-        older, newer, found = candidate
-        ends = np.array([pairs.submaps[number].keys[[0, -1]] for number in (older, newer)])
-        bend = _BEND_SHARE * (drift[ends[:, 1]] - drift[ends[:, 0]]).sum(axis=0)
+    def _make_constraint(
+        self, graph: KeyGraph, pairs: SubmapPairs, older: int, newer: int, found: SubmapMatch
+    ) -> Constraint:
+        """Constrain the middles of two submaps, as their match and their own drift determine it."""
+        steps = [np.array(graph.variances)[pairs.submaps[number].keys[1:]] for number in (older, newer)]
+        bend = _BEND_SHARE * np.concatenate(steps).sum(axis=0)
         information = rotate_covariances(found.match.information[0], -found.pose[2]) / self.beam_sigma_m**2
         covariance = np.linalg.inv(information) + np.diag(bend[[0, 0, 1]])
         weight = np.asarray(np.linalg.inv(covariance), np.float64)
-        from_, to = pairs.anchors[[older, newer]].tolist()
+        from_, to = (pairs.submaps[number].anchor for number in (older, newer))
         return Constraint(from_, to, found.pose, weight, ConstraintSource.RECOGNIZED, True)
 
 
-def _locate(
-    graph: KeyGraph, tracked: FloatArray, anchors: IntArray, key: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _locate(graph: KeyGraph, anchors: IntArray, key: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Poses (A, 3) of a key scan seen from others, (A,), along the least uncertain ways, and their deviations (A,)."""
     nearby = graph.find_nearby_submaps(key, math.inf, len(graph))
     place = np.empty(submap_of(len(graph)) + 1, np.int64)
     place[nearby.submaps] = np.arange(len(nearby))
     submaps = submap_of(anchors)
     ways = place[submaps]
-    poses = compose(between(tracked[anchors], tracked[first_key_scan(submaps)]), nearby.poses[ways])
+    firsts = np.array([graph.tracked[key] for key in first_key_scan(submaps).tolist()])
+    tracked = np.array([graph.tracked[key] for key in anchors.tolist()])
+    poses = compose(between(tracked, firsts), nearby.poses[ways])
     return poses, nearby.sigmas_m[ways], np.sqrt(nearby.covariances[ways, 2, 2])
 
 

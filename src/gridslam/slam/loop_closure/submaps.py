@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import cached_property
 from itertools import pairwise
 from typing import final
 
@@ -14,16 +13,13 @@ from gridslam.grid.arena import Int32Array
 from gridslam.grid.cells import LOG_ODDS_UNIT
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.branch_and_bound import Pyramid
 from gridslam.slam.loop_closure.key_graph import KeyGraph, anchor_of, first_key_scan
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.types import FloatArray, IntArray
 
 __all__ = [
     "ROW",
-    "JointMap",
     "SubmapCache",
-    "build_joint_map",
     "build_map",
     "fade",
     "insert_key_scans",
@@ -44,9 +40,6 @@ _LEAST_ABOVE = 0.4
 
 _SCANS_AT_A_TIME = 128
 """Drawn in one call: as many are in memory as plain numbers."""
-
-_FEW = 12
-"""Up to this many submaps every second key scan is inserted into the joint map, above it every fourth."""
 
 
 def key_scans_of(submap: int, graph: KeyGraph) -> IntArray:
@@ -103,30 +96,6 @@ def build_map(mapper: OccupancyGridMapping, scans: ScanArchive, keys: IntArray, 
     return maps
 
 
-def build_joint_map(
-    submaps: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
-) -> TileMaps:
-    """Build one map of several blocks, each at the pose of its anchor in the graph."""
-    stride = 2 if len(submaps) <= _FEW else 4  # neighbouring scans show much the same
-    keys = [key_scans_of(submap, graph)[::stride] for submap in submaps]
-    anchors = np.repeat([anchor_of(submap) for submap in submaps], [len(some) for some in keys])
-    poses = graph.tracked_poses_in_map(anchors, np.concatenate(keys))
-    return build_map(mapper, scans, np.concatenate(keys), poses)
-
-
-@final
-class JointMap:
-    """One map of several submaps, and its pyramid, which is made when it is searched."""
-
-    def __init__(self, maps: TileMaps) -> None:
-        self.maps = maps
-
-    @cached_property
-    def pyramid(self) -> Pyramid:
-        """The pyramid of the map."""
-        return Pyramid.of(self.maps, 0)
-
-
 @final
 class SubmapCache:
     """Builds submaps in the frame of their anchor and caches the most recent; the cache does not affect results.
@@ -134,12 +103,11 @@ class SubmapCache:
     Within a submap the scans lie as tracked, so that it stays as it is when the trajectory is corrected.
     """
 
-    __slots__ = ("_joint", "_kept", "_most")
+    __slots__ = ("_kept", "_most")
 
     def __init__(self, most: int = 8) -> None:
         """Keep `most` submaps at a time, about 0.5 MB each, and fewer large ones; more are hardly used again."""
         self._kept: dict[int, TileMaps] = {}
-        self._joint: dict[tuple[int, ...], JointMap] = {}
         self._most = most
 
     def __call__(self, submap: int, mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph) -> TileMaps:
@@ -158,17 +126,3 @@ class SubmapCache:
     def nbytes(self) -> int:
         """Bytes of the submaps that are kept."""
         return sum(maps.nbytes for maps in self._kept.values())
-
-    def joint_map(
-        self, submaps: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
-    ) -> JointMap:
-        """Give `build_joint_map`, drawn once as long as the submaps are those of one of the last two; see `forget`."""
-        if submaps not in self._joint:
-            if len(self._joint) > 1:
-                del self._joint[next(iter(self._joint))]
-            self._joint[submaps] = JointMap(build_joint_map(submaps, mapper, scans, graph))
-        return self._joint[submaps]
-
-    def forget(self) -> None:
-        """Drop the cached joint maps after the poses have changed."""
-        self._joint.clear()

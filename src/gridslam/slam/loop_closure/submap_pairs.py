@@ -1,0 +1,116 @@
+"""The submaps of a run, cut from its way, and their matches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import final
+
+import numpy as np
+
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.scan_archive import ScanArchive
+from gridslam.slam.loop_closure.submap_matching import DrawnSubmap, Submap, SubmapMatch, SubmapMatching
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["SubmapPairs"]
+
+_FEWEST_KEY_SCANS = 5
+_MOST_DRAWN = 8
+"""Drawn submaps that are kept, 1 to 4 MB each."""
+
+
+@final
+class SubmapPairs:
+    """The submaps of a run in the order of the way, and their matches, each computed once.
+
+    Submaps lie as they were tracked: what was matched holds whatever becomes of the trajectory. All this follows from
+    the key scans, and is not saved.
+    """
+
+    __slots__ = ("_cut", "_drawn", "_next_m", "_proposed", "_stretch", "_verified", "submaps")
+
+    def __init__(self) -> None:
+        self.submaps: list[Submap] = []
+        self._stretch = 0  # between gaps in the laser data, of which ...
+        self._cut = 0  # ... the first submaps were cut
+        self._next_m = -1.0  # driven when the next submap is complete
+        self._proposed: dict[tuple[int, int], list[tuple[FloatArray, int]]] = {}
+        self._verified: dict[tuple[int, int, int], SubmapMatch | None] = {}
+        self._drawn: dict[int, DrawnSubmap] = {}
+
+    @property
+    def anchors(self) -> IntArray:
+        """Key scans (S,) in the middle of the submaps."""
+        return np.array([submap.anchor for submap in self.submaps], np.int64)
+
+    def cut(
+        self,
+        graph: KeyGraph,
+        scans: ScanArchive,
+        mapper: OccupancyGridMapping,
+        length_m: float,
+        step_m: float,
+        is_over: bool = False,
+    ) -> None:
+        """Cut what is complete of the way into submaps that overlap, none across a gap in the laser data.
+
+        A stretch between gaps ends with a submap of what is left; the last one does so when the drive `is_over`.
+        """
+        stretches = graph.stretches
+        if stretches == self._stretch + 1 and graph.newest_m <= self._next_m and not is_over:
+            return
+        way = graph.driven_m()
+        labels = graph.label_gaps()
+        for stretch in range(self._stretch, stretches):
+            own = np.flatnonzero(labels == stretch)
+            begin, end = way[own[[0, -1]]].tolist()
+            last = max(end - length_m, begin)
+            is_complete = is_over or stretch + 1 < stretches
+            firsts = [*np.arange(begin, last, step_m).tolist(), *([last] if is_complete else [])]
+            for first in firsts[self._cut :]:
+                keys = own[(way[own] >= first) & (way[own] <= first + length_m)]
+                if len(keys) >= _FEWEST_KEY_SCANS:
+                    self.submaps.append(Submap.of(graph, int(keys[len(keys) // 2]), keys, scans, mapper))
+            self._stretch, self._cut = (stretch + 1, 0) if is_complete else (stretch, len(firsts))
+            self._next_m = begin + self._cut * step_m + length_m
+
+    def propose(self, matching: SubmapMatching, older: int, newer: int) -> list[tuple[FloatArray, int]]:
+        """Propose poses (3,) of a submap in another one's frame, and how many keypoints agree with each."""
+        pair = (older, newer)
+        if pair not in self._proposed:
+            self._proposed[pair] = matching.propose(self.submaps[older], self.submaps[newer])
+        return self._proposed[pair]
+
+    def verify(self, matching: SubmapMatching, older: int, newer: int, numbers: list[int]) -> Iterator[SubmapMatch]:
+        """Yield the distinct matches at proposed poses, by their numbers."""
+        found: list[FloatArray] = []
+        for number in numbers:
+            key = (older, newer, number)
+            if key not in self._verified:
+                begin = self._proposed[older, newer][number]
+                self._verified[key] = matching.verify(self._draw(older, matching), self._draw(newer, matching), *begin)
+            match = self._verified[key]
+            if match is not None and not any(matching.is_same_place(match.pose, other) for other in found):
+                found.append(match.pose)
+                yield match
+
+    def count_within(self, key_scans: int) -> int:
+        """Count the submaps of the first key scans."""
+        return sum(int(submap.keys[-1]) < key_scans for submap in self.submaps)
+
+    def copy(self) -> SubmapPairs:
+        """Return a copy that goes on by itself; submaps are shared."""
+        twin = SubmapPairs()
+        for name in self.__slots__:
+            value = getattr(self, name)
+            setattr(twin, name, value if isinstance(value, int | float) else value.copy())
+        return twin
+
+    def _draw(self, number: int, matching: SubmapMatching) -> DrawnSubmap:
+        """Draw a submap, or take it where it was drawn lately."""
+        drawn = self._drawn.pop(number, None) or self.submaps[number].draw(matching.max_points)
+        while len(self._drawn) >= _MOST_DRAWN:
+            del self._drawn[next(iter(self._drawn))]
+        self._drawn[number] = drawn  # the last used one comes last
+        return drawn
