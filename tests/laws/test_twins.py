@@ -39,6 +39,7 @@ KERNELS = (
     "are_true",
     "slots_of",
     "hamming_distances",
+    "match_surfaces",
     "draw_gaussians",
     "kalman_update",
     "predict_landmarks",

@@ -97,7 +97,10 @@ PARAMETERS: Final[Mapping[str, Parameter]] = {
 """The parameters that face the user, by their short names."""
 
 _RETIRED = {
-    "final_refinement": {"ambiguity_ratio", "min_confirmations", "recognition"},
+    "final_refinement": {
+        *("ambiguity_ratio", "min_confirmations", "recognition", "matcher"),
+        *("scan_inlier_ratio", "scan_max_correction_m", "scan_prior_information"),
+    },
     "loop_closure": {"recognition"},
 }
 """Parameters of earlier versions, by table ..."""

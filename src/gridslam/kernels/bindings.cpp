@@ -19,6 +19,7 @@
 #include "numbers.hpp"
 #include "several_scans.hpp"
 #include "shortest_ways.hpp"
+#include "surfaces.hpp"
 #include "update.hpp"
 
 namespace nb = nanobind;
@@ -386,6 +387,26 @@ auto py_hamming_distances(Array<const uint64_t, 2> a, Array<const uint64_t, 2> b
   return out;
 }
 
+auto py_match_surfaces(Points points, Points normals, Vector bearings, Starts starts, Points origins, Poses poses,
+                       Shaped<const int64_t, -1, 2> pairs, double gate_m, double scale_m, bool both) {
+  const size_t size = points.shape(0), scans = poses.shape(0);
+  const int64_t* const s = starts.data();
+  require(normals.shape(0) == size && bearings.shape(0) == size, "normals, bearings: expected one for each point");
+  require(starts.shape(0) == scans + 1 && origins.shape(0) == scans && s[0] >= 0 && std::is_sorted(s, s + scans + 1) &&
+              static_cast<size_t>(s[scans]) <= size,
+          "starts, origins: expected those of as many scans as poses");
+  require(std::all_of(pairs.data(), pairs.data() + pairs.size(),
+                      [&](int64_t scan) { return scan >= 0 && static_cast<size_t>(scan) < scans; }),
+          "pairs: expected scans that are there");
+  auto out = fresh<double, 2>({pairs.shape(0), size_t{10}});
+  {
+    nb::gil_scoped_release release;
+    match_surfaces({points.data(), normals.data(), bearings.data(), s, origins.data()}, poses.data(), pairs.data(),
+                   static_cast<int64_t>(pairs.shape(0)), gate_m, scale_m, both, out.data());
+  }
+  return out;
+}
+
 auto py_draw_gaussians(Matrix means, Matrices covariances, Matrix numbers) {
   const size_t k = means.shape(0), size = means.shape(1);
   require(covariances.shape(0) == k && covariances.shape(1) == size && covariances.shape(2) == size &&
@@ -581,6 +602,8 @@ NB_MODULE(_compiled, m) {
         "shifts"_a);
   m.def("are_true", &py_are_true, "mask"_a, "corner"_a, "inverse_resolution"_a, "poses"_a);
   m.def("slots_of", &py_slots_of, "ends"_a, "points"_a);
+  m.def("match_surfaces", &py_match_surfaces, "points"_a, "normals"_a, "bearings"_a, "starts"_a, "origins"_a, "poses"_a,
+        "pairs"_a, "gate_m"_a, "scale_m"_a, "both"_a);
   m.def("hamming_distances", &py_hamming_distances, "a"_a, "b"_a);
   m.def("draw_gaussians", &py_draw_gaussians, "means"_a, "covariances"_a, "numbers"_a);
   m.def("kalman_update", &py_kalman_update, nb::arg("means").noconvert(), nb::arg("covariances").noconvert(), "rows"_a,

@@ -31,7 +31,7 @@ def test_the_map_of_the_last_day_is_that_of_the_last_day(days):
     assert last["cells"]["gone"] > 20
     assert last["cells"]["stands"] > 100
     assert last["stands"] >= 0.9
-    assert last["gone"] >= 0.8  # moved last night, some of it: a few beams have passed there since
+    assert last["gone"] >= 0.75  # of some 50 cells, moved last night: a few beams have passed there since
     assert last["walls"] >= 0.95
 
 

@@ -8,14 +8,15 @@ from typing import final
 
 import numpy as np
 
-from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.se2 import between
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.matching.surfaces import Surfaces
 from gridslam.parameters import bounded, parameters
 from gridslam.slam.full_slam.component_alignment import ComponentAlignment
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
 from gridslam.slam.full_slam.key_scan_matching import KeyScanMatching
+from gridslam.slam.full_slam.surface_adjustment import SurfaceAdjustment
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore, TrajectoryScorer
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import KeyGraph
@@ -24,10 +25,9 @@ from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
-from gridslam.slam.pose_graph.robust import CauchyEstimator
+from gridslam.slam.pose_graph.robust import CauchyEstimator, scale_information
 from gridslam.types import FloatArray
 
-_SCANS_AT_A_TIME = 1024
 """Matched in one call."""
 
 __all__ = ["Candidate", "CandidateSelection", "GlobalScanRefinement", "RefinementResult"]
@@ -96,6 +96,11 @@ class CandidateSelection:
         self.scores[candidate.name] = score
         return score.log_likelihood
 
+    def move_best(self, poses: FloatArray) -> None:
+        """Move the key scans of the best candidate to poses (T, 3); their score is that of "adjusted"."""
+        self.best = replace(self.best, graph=self.best.graph.with_poses(poses))
+        self.scores["adjusted"], self.maps = self._score(poses)
+
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,14 +144,8 @@ class GlobalScanRefinement:
         Converged if no key scan moves farther than this.
     key_scans : KeyScanMatching
         How key scans are matched to submaps.
-    scan_inlier_ratio : float
-        Minimum inlier ratio of a scan match; below it the interpolated pose is kept.
-    scan_max_correction_m : float, m
-        Maximum correction of a scan match.
-    scan_prior_information : float
-        Information that holds a scan to that trajectory, beside residuals in m: 1/m^2 and 1/rad^2.
-    matcher : GaussNewton
-        How scans are matched.
+    surfaces : SurfaceAdjustment
+        How the selected trajectory is adjusted, so that the surfaces which the scans see fit each other.
     distinct_candidate_m : float, m
         The online constraints form a separate candidate if they move a key scan farther than this.
     max_searches : int
@@ -163,10 +162,7 @@ class GlobalScanRefinement:
     max_rounds: int = bounded(2, ge=1, le=100)
     stop_m: float = bounded(0.1, ge=1e-6, le=1e6)
     key_scans: KeyScanMatching = KeyScanMatching()
-    scan_inlier_ratio: float = bounded(0.6, ge=1e-6, le=1)
-    scan_max_correction_m: float = bounded(0.15, ge=1e-6, le=1e6)
-    scan_prior_information: float = bounded(5.0, ge=1e-6, le=1e6)
-    matcher: GaussNewton = GaussNewton()
+    surfaces: SurfaceAdjustment = SurfaceAdjustment()
     distinct_candidate_m: float = bounded(0.3, ge=1e-6, le=1e6)
     max_searches: int = bounded(3, ge=0, le=100_000)
     component_alignment: ComponentAlignment = ComponentAlignment()
@@ -216,9 +212,17 @@ class GlobalScanRefinement:
             closure_state.pairs.copy(),
         )
         selection = refinement.select(trajectory)
-        bent = full_trajectories(selection.best.graph.poses, drives)
+        scans = closure_state.scans
+        surfaces = Surfaces.of(scans.batch(scans.keys))
+        on_progress()
+        weighted = scale_information(selection.best.graph, selection.best.weights)
+        selection.move_best(self.surfaces.adjust_key_scans(weighted, surfaces))
+        key_poses = selection.best.graph.poses
+        graph.poses = list(key_poses)
+        poses = full_trajectories(key_poses, drives)
         frozen = sum(len(drive.keys) for drive in drives if int(drive.keys[-1]) < graph.frozen)
-        poses = refinement.match_scans(bent, selection.maps, frozen)
+        keys = np.concatenate([drive.keys for drive in drives])[frozen:]
+        poses[frozen:] = self.surfaces.match_scans(poses[frozen:], keys, scans, surfaces, key_poses)
         return RefinementResult(selection.best, poses, selection.maps, selection.scores)
 
 
@@ -352,34 +356,6 @@ class _Refinement:
         information = graph.information.copy()
         information[: len(poses) - 1] = np.linalg.inv(np.array(self.graph.covariances[1:]).reshape(-1, 3, 3))
         return replace(graph, information=information)
-
-    def match_scans(self, poses: FloatArray, maps: TileMaps, first: int = 0) -> FloatArray:
-        """Match every scan from the first on to the final map; one without stored beams moves with its predecessor.
-
-        The archive may begin with the key scans of a given map, which no drive has.
-        """
-        archive = self.closure_state.scans
-        given = len(archive) - len(poses)
-        parameters = self.parameters
-        matched = poses.copy()
-        maps.threads = self.closure_state.threads
-        beams = np.zeros(len(poses), np.int64)
-        prior = parameters.scan_prior_information * np.eye(3)
-        for begin in range(first, len(poses), _SCANS_AT_A_TIME):
-            self.on_progress()
-            own = slice(begin, min(begin + _SCANS_AT_A_TIME, len(poses)))
-            batch = archive.batch(range(given + begin, given + own.stop))
-            beams[own] = np.diff(batch.starts)
-            found = parameters.matcher.match_scans(maps, poses[own], prior, batch)
-            is_inlier = found.score >= parameters.scan_inlier_ratio * beams[own]
-            is_inlier &= np.hypot(*(found.poses - poses[own])[:, :2].T) <= parameters.scan_max_correction_m
-            matched[own][is_inlier] = found.poses[is_inlier]
-        is_bare = beams < max(parameters.matcher.min_beams, 1)
-        is_bare[:first] = False
-        bare = np.flatnonzero(is_bare)
-        last = np.maximum.accumulate(np.where(is_bare, first, np.arange(len(poses))))[bare]
-        matched[bare] = compose(matched[last], between(poses[last], poses[bare]))
-        return matched
 
 
 def _max_distance_m(poses: FloatArray, others: FloatArray) -> float:

@@ -1,0 +1,147 @@
+"""Bundle adjustment of scans: key scans are moved so that the surfaces that they see fit each other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import final
+
+import numpy as np
+
+from gridslam.geometry.se2 import between, compose
+from gridslam.matching.surfaces import Surfaces
+from gridslam.parameters import bounded, parameters
+from gridslam.slam.loop_closure.scan_archive import ScanArchive
+from gridslam.slam.pose_graph.graph_slam import GraphSlam
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["SurfaceAdjustment"]
+
+_SUCCESSIVE = 3
+"""Key scans just before one that it is matched with; the others are spread over all that are near."""
+_HELD = np.eye(3)
+"""Information (1/m^2, 1/rad^2) that holds a match where its surfaces leave a direction open."""
+_SCANS_AT_A_TIME = 1024
+_KEY_SCANS_BESIDE = 2
+"""On either side of a scan."""
+
+
+@final
+@parameters(frozen=True)
+class SurfaceAdjustment:
+    """Minimizes the distances between the surfaces of key scans that are near each other, together with a pose graph.
+
+    Each round matches pairs of key scans, point to line, and solves the graph with one measurement more for each pair:
+    the relative pose that fits best, with the information of its points. A scan takes part in several pairs, by which
+    its points' information is divided.
+
+    Parameters
+    ----------
+    sigma_m : float, m
+        Standard deviation of a point; where the residual is as large, it weighs half.
+    reach_m : float, m
+        Distance of key scans to be matched, at most.
+    pairs_per_scan : int
+        Earlier key scans that each one is matched with.
+    gates_m : tuple of float, m
+        Largest residual of a point, in each round.
+    min_points : int
+        Points of a pair, both directions together, at least.
+    max_correction_m : float, m
+        A scan between key scans that moves farther stays where the motion has it.
+    prior_sigma_m, prior_sigma_rad : float
+        How well the motion from the key scans about it determines such a scan.
+
+    References
+    ----------
+    Chen and Medioni, Object modelling by registration of multiple range images (1992); Lu and Milios, Globally
+    consistent range scan alignment for environment mapping (1997).
+    """
+
+    sigma_m: float = bounded(0.02, ge=1e-6, le=100)
+    reach_m: float = bounded(5.0, ge=1e-6, le=1e6)
+    pairs_per_scan: int = bounded(10, ge=1, le=1000)
+    gates_m: tuple[float, ...] = (0.3, 0.15, 0.08, 0.08)
+    min_points: int = bounded(10, ge=1, le=1_000_000)
+    max_correction_m: float = bounded(0.15, ge=1e-6, le=1e6)
+    prior_sigma_m: float = bounded(0.02, ge=1e-6, le=100)
+    prior_sigma_rad: float = bounded(0.01, ge=1e-6, le=100)
+
+    def adjust_key_scans(self, graph: PoseGraph, surfaces: Surfaces) -> FloatArray:
+        """Move the key scans of a graph; its poses (T, 3) then."""
+        pairs = self._select_pairs(graph.poses)
+        poses = graph.poses
+        for gate_m in self.gates_m:
+            found = surfaces.match(poses, pairs, gate_m, self.sigma_m)
+            is_matched = found.counts >= self.min_points
+            if not is_matched.any():
+                break
+            own = pairs[is_matched]
+            information = found.information[is_matched] / (2 * self.sigma_m**2) + _HELD
+            gradients = found.gradients[is_matched] / (2 * self.sigma_m**2)
+            steps = -np.linalg.solve(information, gradients[..., None])[..., 0]
+            measurements = compose(between(poses[own[:, 0]], poses[own[:, 1]]), steps)
+            whole = replace(
+                graph,
+                poses=poses,
+                edges=np.concatenate([graph.edges, own]),
+                measurements=np.concatenate([graph.measurements, measurements]),
+                information=np.concatenate([graph.information, information]),
+                trusted=np.append(graph.trusted, np.zeros(len(own), np.bool_)),
+            )
+            poses = GraphSlam(first_guess="given", robust=None, max_iterations=3).solve(whole).poses
+        return poses
+
+    def match_scans(
+        self, poses: FloatArray, keys: IntArray, archive: ScanArchive, surfaces: Surfaces, key_poses: FloatArray
+    ) -> FloatArray:
+        """Match scans to the key scans about them; the poses (N, 3) of all scans, those of key scans as they are.
+
+        Parameters
+        ----------
+        poses : (N, 3) float64
+            Of the last N scans of the archive, as the motion between key scans has them.
+        keys : (N,) int64
+            The key scan at or before each.
+        archive : ScanArchive
+            Where the scans are.
+        surfaces, key_poses : Surfaces, (T, 3) float64
+            Of the key scans.
+        """
+        matched = poses.copy()
+        prior = np.diag(1 / np.square([self.prior_sigma_m, self.prior_sigma_m, self.prior_sigma_rad]))
+        count = len(key_poses)
+        is_between = np.diff(keys, prepend=-1) == 0  # a drive begins with a key scan
+        for begin in range(0, len(poses), _SCANS_AT_A_TIME):
+            own = begin + np.flatnonzero(is_between[begin : begin + _SCANS_AT_A_TIME])
+            if not len(own):
+                continue
+            batch = archive.batch((own + len(archive) - len(poses)).tolist())
+            whole = surfaces.append(Surfaces.of(batch))
+            number = np.repeat(np.arange(len(own)), 2 * _KEY_SCANS_BESIDE)
+            about = keys[own][:, None] + np.arange(1 - _KEY_SCANS_BESIDE, 1 + _KEY_SCANS_BESIDE)
+            pairs = np.column_stack([np.clip(about.ravel(), 0, count - 1), count + number])
+            at = poses[own]
+            for gate_m in self.gates_m[-2:]:
+                found = whole.match(np.concatenate([key_poses, at]), pairs, gate_m, self.sigma_m, both=False)
+                weight = (found.counts >= self.min_points)[:, None] / (2 * self.sigma_m**2)
+                shape = (len(own), 2 * _KEY_SCANS_BESIDE)
+                information = (weight[..., None] * found.information).reshape(*shape, 3, 3).sum(axis=1) + prior
+                gradients = (weight * found.gradients).reshape(*shape, 3).sum(axis=1) + between(poses[own], at) @ prior
+                at = compose(at, -np.linalg.solve(information, gradients[..., None])[..., 0])
+            is_near = np.hypot(*(at - poses[own])[:, :2].T) < self.max_correction_m
+            matched[own[is_near]] = at[is_near]
+        return matched
+
+    def _select_pairs(self, poses: FloatArray) -> IntArray:
+        """Select pairs (P, 2) of key scans at poses (T, 3) to be matched: the last ones, and some of the others."""
+        pairs: list[tuple[int, int]] = []
+        for to in range(1, len(poses)):
+            away = np.hypot(*(poses[:to, :2] - poses[to, :2]).T)
+            near = np.flatnonzero(away < self.reach_m)
+            last = near[near >= to - _SUCCESSIVE]
+            others = near[near < to - _SUCCESSIVE]
+            few = min(len(others), max(self.pairs_per_scan - _SUCCESSIVE, 0))
+            chosen = others[np.rint(np.linspace(0, len(others) - 1, few)).astype(np.int64)] if few else others[:0]
+            pairs += [(from_, to) for from_ in (*chosen.tolist(), *last.tolist())]
+        return np.array(pairs, np.int64).reshape(-1, 2)
