@@ -28,7 +28,9 @@ from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import CauchyEstimator, scale_information
 from gridslam.types import FloatArray
 
-"""Matched in one call."""
+_AGREEMENT_MARGIN = 0.01
+"""The cells of the score are coarser than the adjustment: agreement was up to 0.007 less where poses were better by
+half, and 0.017 less in a hospital's corridors."""
 
 __all__ = ["Candidate", "CandidateSelection", "GlobalScanRefinement", "RefinementResult"]
 
@@ -96,10 +98,17 @@ class CandidateSelection:
         self.scores[candidate.name] = score
         return score.log_likelihood
 
-    def move_best(self, poses: FloatArray) -> None:
-        """Move the key scans of the best candidate to poses (T, 3); their score is that of "adjusted"."""
-        self.best = replace(self.best, graph=self.best.graph.with_poses(poses))
-        self.scores["adjusted"], self.maps = self._score(poses)
+    def adjust_best(self, poses: FloatArray) -> None:
+        """Move the key scans of the best candidate to poses (T, 3), unless visits then agree clearly less with each other.
+
+        Along corridors of hundreds of metres surfaces can pull where only their noise differs. The score of these poses
+        is that of "adjusted".
+        """
+        adjusted, maps = self._score(poses)
+        self.scores["adjusted"] = adjusted
+        if not adjusted.beams or adjusted.agreement >= self.scores[self.best.name].agreement - _AGREEMENT_MARGIN:
+            self.best = replace(self.best, graph=self.best.graph.with_poses(poses))
+            self.maps = maps
 
 
 @final
@@ -216,7 +225,7 @@ class GlobalScanRefinement:
         surfaces = Surfaces.of(scans.batch(scans.keys))
         on_progress()
         weighted = scale_information(selection.best.graph, selection.best.weights)
-        selection.move_best(self.surfaces.adjust_key_scans(weighted, surfaces))
+        selection.adjust_best(self.surfaces.adjust_key_scans(weighted, surfaces))
         key_poses = selection.best.graph.poses
         graph.poses = list(key_poses)
         poses = full_trajectories(key_poses, drives)
