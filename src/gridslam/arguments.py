@@ -62,6 +62,7 @@ class Limits(NamedTuple):
 COUNT = Limits(0, 1 << 62)
 """Of what was counted."""
 SHARE = Limits(0.0, 1.0)
+"""Of a part in the whole."""
 
 
 def index_of(size: str) -> Limits:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Final, Literal, NamedTuple, final
+from typing import Annotated, Any, Final, Literal, NamedTuple, final
 
 from gridslam.checked import checked
 from gridslam.config.tables import nest, parse_toml, read_assignments, replace_parameters, to_table
@@ -215,10 +215,17 @@ def loads(text: str, base: Configuration | None = None) -> Configuration:
 def loads_saved(text: str) -> Configuration:
     """Read the TOML of a saved session as `loads` does; parameters that there are no more are passed over."""
     table = parse_toml(text)
-    if _RETIRED_BY in table.get("loop_closure", {}).get("recognition", {}):
+    if _RETIRED_BY in _part_of(_part_of(table, "loop_closure"), "recognition"):
         for name, retired in _RETIRED.items():
-            table[name] = {key: value for key, value in table.get(name, {}).items() if key not in retired}
+            for parameter in retired:
+                _part_of(table, name).pop(parameter, None)
     return replace_parameters(Configuration(), table)
+
+
+def _part_of(table: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return a table within a table; an empty one where there is none, or something else, which is refused later."""
+    part = table.get(name)
+    return part if isinstance(part, dict) else {}
 
 
 @checked

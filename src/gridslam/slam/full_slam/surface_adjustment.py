@@ -32,8 +32,8 @@ class SurfaceAdjustment:
     """Minimizes the distances between the surfaces of key scans that are near each other, together with a pose graph.
 
     Each round matches pairs of key scans, point to line, and solves the graph with one measurement more for each pair:
-    the relative pose that fits best, with the information of its points. A scan takes part in several pairs, by which
-    its points' information is divided.
+    the relative pose that fits best, with the information of its points. A scan takes part in several pairs, and counts
+    fully in each: what was matched to cells before hardly weighs against it, and no covariance follows from this graph.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class SurfaceAdjustment:
     gates_m : tuple of float, m
         Largest residual of a point, in each round.
     min_points : int
-        Points of a pair, both directions together, at least.
+        Matched points of a pair, at least.
     max_correction_m : float, m
         A scan between key scans that moves farther stays where the motion has it.
     prior_sigma_m, prior_sigma_rad : float
