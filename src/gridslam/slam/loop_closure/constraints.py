@@ -62,6 +62,11 @@ class Constraint(NamedTuple):
         """Both key scans."""
         return self.from_, self.to
 
+    @property
+    def identity(self) -> tuple[int, int, bytes]:
+        """Key scans and measurement, by which a constraint is found again among others."""
+        return self.from_, self.to, self.measurement.tobytes()
+
     @classmethod
     def from_match(
         cls,

@@ -207,12 +207,12 @@ class LoopClosure:
         graph = closure_state.graph
         closure_state.search.is_undecided = False
         accepted, rejected = self.recognition.decide(closure_state)
-        known = {_identify(constraint) for constraint in graph.constraints}
-        new = [constraint for constraint in accepted if _identify(constraint) not in known]
-        refuted = known.intersection(_identify(constraint) for constraint in rejected)
+        known = {constraint.identity for constraint in graph.constraints}
+        new = [constraint for constraint in accepted if constraint.identity not in known]
+        refuted = known.intersection(constraint.identity for constraint in rejected)
         if not refuted and not (new and self._contradict_filter(new, trajectory)):
             return
-        graph.constraints = [constraint for constraint in graph.constraints if _identify(constraint) not in refuted]
+        graph.constraints = [constraint for constraint in graph.constraints if constraint.identity not in refuted]
         graph.constraints += new
         closure_state.correct(np.array(graph.poses))
         closure_state.pending_constraints = PendingConstraints(len(graph), len(graph.constraints), len(new))
@@ -285,8 +285,3 @@ class LoopClosure:
         state.replace_trajectory(poses, correction.maps)
         closure_state.correction = None
         return True
-
-
-def _identify(constraint: Constraint) -> tuple[int, int, bytes]:
-    """Key scans and measurement, by which a constraint is found again where others are about."""
-    return (*constraint.pair, constraint.measurement.tobytes())

@@ -262,9 +262,8 @@ class LoopClosureState:
 
     def reject(self, constraints: Sequence[Constraint], accepted: Sequence[Constraint]) -> None:
         """Forget candidates that the graph contradicts, all but the accepted ones."""
-        kept = {constraint.measurement.tobytes() for constraint in accepted}
-        rejected = {c.measurement.tobytes() for c in constraints} - kept
-        self.search.candidates = [c for c in self.search.candidates if c.measurement.tobytes() not in rejected]
+        rejected = {c.identity for c in constraints} - {c.identity for c in accepted}
+        self.search.candidates = [c for c in self.search.candidates if c.identity not in rejected]
         self.rejected[RejectionReason.IMPLAUSIBLE] += len(constraints) - len(accepted)
 
     def join(self, found: FoundPiece) -> LoopClosureState:
