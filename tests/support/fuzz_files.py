@@ -562,18 +562,18 @@ def _states(folder: Path) -> Iterator[Family]:
         went_on = saved.run
         recorders = [went_on.trajectory, went_on.statistics]
         slam = gridslam.build(saved.configuration)
-        with _refused_by_maps():
+        with _refused_by_maps(where / "state.gridslam"):
             gridslam.run(rest, slam, rng=went_on.rng, state=went_on.state, observers=recorders)
         went_on.trajectory.online_trajectory()
         went_on.statistics.summary()
         for piece in saved.pieces:
-            with _refused_by_maps():
+            with _refused_by_maps(where / "state.gridslam"):
                 piece.piece.build_map(saved.configuration.mapper)
             full_trajectories(piece.piece.poses, piece.tracked_scans)
 
     def read_belief(where: Path) -> None:
         saved = read_localization(where / "mcl.npz")
-        with _refused_by_maps():
+        with _refused_by_maps(where / "mcl.npz"):
             gridslam.run(rest, MonteCarloLocalization(known, saved.configuration), rng=saved.rng, state=saved.state)
 
     yield Family("saved runs", 13, lambda to, rng: prepare(to, rng, "state.gridslam"), read_run, 3)
@@ -581,14 +581,14 @@ def _states(folder: Path) -> Iterator[Family]:
 
 
 @contextmanager
-def _refused_by_maps() -> Iterator[None]:
+def _refused_by_maps(path: Path) -> Iterator[None]:
     """Places that are possible one by one, and too far from each other for one map, are refused where it grows."""
     try:
         yield
     except ArgumentError as error:
         if error.argument not in ("poses", "beams"):
             raise
-        raise InputError("a saved state", str(error)) from None
+        raise InputError(path, str(error)) from None
 
 
 def _change_array(arrays: dict[str, Any], rng: np.random.Generator) -> None:
