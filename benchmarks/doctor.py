@@ -24,8 +24,8 @@ from gridslam.geometry.angles import wrap
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
-from gridslam.sim.faults import FAULTS, with_fault
 from report import Report, Target, table
+from support.faults import FAULTS, with_fault
 
 __all__ = ["CASES", "MadeLog", "any_log", "doctor"]
 
@@ -123,7 +123,7 @@ def _first(log: SimulatedLog, longest: float, sweep: float) -> Drawn:
 
 
 def _spoilt(code: str, *, told: bool = False, **how: int) -> Case:
-    """A fault of `gridslam.sim.faults` of its usual size, in a log that has no other."""
+    """A fault of `support.faults` of its usual size, in a log that has no other."""
 
     def make(seed: int) -> Drawn:
         log = any_log(seed, **how)

@@ -16,7 +16,7 @@ from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.localization.state import MonteCarloState
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
-from gridslam.sim.faults import with_fault
+from support.faults import with_fault
 
 ORDINARY = ("demo", "rooms", "hall", "corridor", "loop", "random", "moved_furniture")
 DECEPTIVE = ("equal_rooms", "symmetric", "bare_corridors")
@@ -80,7 +80,7 @@ class Building(NamedTuple):
         return cls(KnownMap(maps.occupancy(0)), second)
 
     def with_fault(self, name: str) -> Building:
-        """Give the other drive a fault, one of `gridslam.sim.faults.FAULTS`."""
+        """Give the other drive a fault, one of `support.faults.FAULTS`."""
         faulty = with_fault(self.log.measurements, name, np.random.default_rng(0))
         return self._replace(log=replace(self.log, measurements=tuple(faulty)))
 

@@ -7,6 +7,7 @@ simulated campus, 2 km with a scan every metre, whose truth is known.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -14,12 +15,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+sys.path.append(str(Path(__file__).parents[1] / "tests"))  # where support is
 from closure_worlds import campus
 from gridslam import CarmenLog
 from gridslam.geometry.se2 import between, compose, exp, log
 from gridslam.io.measurement import Measurement
-from gridslam.sim.faults import odometry_drift, odometry_scale, wheel_slip
 from gridslam.types import FloatArray, IntArray, Odometry
+from support.faults import odometry_drift, odometry_scale, wheel_slip
 
 __all__ = ["LOGS", "PARTS", "SPARSE", "Variant", "measurements_of", "sparse_campus", "variant", "variants"]
 

@@ -17,7 +17,7 @@ from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.csv import write_csv_log
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.measurement import Measurement
-from gridslam.sim.faults import with_fault
+from support.faults import with_fault
 
 LASER_KEYS = {
     "scans",

@@ -18,9 +18,9 @@ from gridslam.io.maps import write_map
 from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import read_trajectory_csv, read_tum
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
-from gridslam.sim.faults import reflected_laser
 from gridslam.sim.floor_plan import box
 from gridslam.types import OccupancyGrid
+from support.faults import reflected_laser
 from support.localization_world import drive, flat_map
 
 FILES = {"trajectory.tum", "trajectory.csv", "belief.csv", "history.npz", "localization.png", "run.json"}

@@ -9,7 +9,6 @@ import gridslam
 from gridslam.localization import MonteCarloLocalization
 from gridslam.particles import Multinomial, ResamplingWheel, Residual, Stratified, Systematic, sample_gaussian
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
-from gridslam.sim.faults import with_fault
 from gridslam.slam.landmarks.fastslam1 import FastSlam1
 from gridslam.slam.landmarks.fastslam2 import FastSlam2
 from gridslam.types import BeamStatus, LaserScan, OccupancyGrid, Odometry, ScanGeometry, Trajectory
@@ -45,7 +44,6 @@ def seeded(rng):
         "sample_gaussian": lambda: sample_gaussian(3, np.zeros(3), np.eye(3), rng),
         "make_world": lambda: make_world("demo", rng),
         "simulate": lambda: simulate(world(), RobotConfig(), OdometryNoise(), LidarConfig(), rng),
-        "with_fault": lambda: with_fault([], "gaps", rng),
     } | {
         resampler.__name__: lambda resampler=resampler: resampler()(WEIGHTS, 4, rng)
         for resampler in (Systematic, Stratified, Residual, Multinomial, ResamplingWheel)

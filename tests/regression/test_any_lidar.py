@@ -18,9 +18,9 @@ from gridslam.io.measurement import Measurement
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, World, make_world, simulate
-from gridslam.sim.faults import with_fault
 from gridslam.sim.floor_plan import box, join
 from gridslam.types import LaserScan, ScanGeometry, Trajectory
+from support.faults import with_fault
 
 CONFIG = override(Configuration(), "particles=8")
 

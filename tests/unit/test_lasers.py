@@ -13,8 +13,8 @@ from gridslam.evaluation import absolute_errors
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
-from gridslam.sim.faults import range_limits
 from gridslam.types import Trajectory
+from support.faults import range_limits
 
 
 def test_limits_are_those_of_the_laser_whatever_the_preset():

@@ -13,7 +13,7 @@ from gridslam.config import Configuration, preset
 from gridslam.io.csv import write_csv_log
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
-from gridslam.sim.faults import with_fault
+from support.faults import with_fault
 
 EXACT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SPINNING = LidarConfig(beams=120, field_of_view_rad=math.tau, rate_hz=10.0, range_max_m=12.0, scan_time_s=0.1)

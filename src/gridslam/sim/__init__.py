@@ -3,7 +3,7 @@
 `make_world` knows, by name: buildings that are always the same (`demo`, `loop`, `rooms`, `hall`, `corridor`), and
 buildings drawn from a seed: `random`; four kinds with perceptual aliasing, `equal_rooms`, `symmetric`,
 `bare_corridors` and `moved_furniture`; and two large ones, `campus` (2 km of corridors up to 200 m long) and `fleet`
-(10 km in a warehouse, best streamed). `gridslam.sim.faults` adds one named fault to a log, of a given size.
+(10 km in a warehouse, best streamed).
 """
 
 from gridslam.sim.lidar import LidarConfig

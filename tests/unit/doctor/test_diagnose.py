@@ -22,9 +22,9 @@ from gridslam.io.log import Log
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate, simulate_stream
-from gridslam.sim.faults import FAULTS, with_fault
 from gridslam.types import ScanGeometry
 from gridslam.viz.chart import draw_chart
+from support.faults import FAULTS, with_fault
 from support.hand_logs import drive, findings, seen
 
 

@@ -14,7 +14,7 @@ from gridslam.doctor.laser_motion import laser_motion
 from gridslam.doctor.motion_findings import MotionExaminer, motion_findings, wheel_slips
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, exp
-from gridslam.sim.faults import FAULTS, with_fault
+from support.faults import FAULTS, with_fault
 from support.laser_drives import log, perfect
 
 

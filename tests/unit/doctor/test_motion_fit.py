@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from gridslam.doctor.calibration import calibrate, robust_fit
 from gridslam.doctor.intervals import interpolate_odometry
 from gridslam.doctor.laser_motion import laser_motion
-from gridslam.sim.faults import with_fault
+from support.faults import with_fault
 from support.laser_drives import log, perfect
 
 

@@ -12,8 +12,8 @@ from gridslam.doctor import laser_motion as module
 from gridslam.doctor.laser_motion import LaserMotionEstimator, laser_motion
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.measurement import Measurement
-from gridslam.sim.faults import with_fault
 from gridslam.types import LaserScan, ScanGeometry
+from support.faults import with_fault
 from support.laser_drives import EXACT, log
 
 

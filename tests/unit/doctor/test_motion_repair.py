@@ -24,9 +24,9 @@ from gridslam.io.log import open_log
 from gridslam.io.measurement import Measurement
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
-from gridslam.sim.faults import with_fault
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.types import Trajectory
+from support.faults import with_fault
 from support.laser_drives import log, perfect
 
 FILTER_ALONE = Configuration(particles=2, loop_closure=None)

@@ -11,8 +11,8 @@ from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloL
 from gridslam.localization.odometry_check import OdometryCheck
 from gridslam.models.motion import GMappingMotion
 from gridslam.sim import OdometryNoise
-from gridslam.sim.faults import reflected_laser
 from gridslam.types import Odometry
+from support.faults import reflected_laser
 from support.localization_world import drive, flat_map
 
 UNCHECKED = MonteCarloConfiguration(odometry_check=None)
