@@ -1,7 +1,7 @@
 """Do covariances mean something? Average NEES against simulated truth, online and final, in eight kinds of worlds.
 
     python benchmarks/covariances.py [KIND|LOG ...] [--seeds 20] [--first 101]
-        [--set NAME=VALUE ...] [--out benchmarks/results/covariances.json]
+        [--set NAME=VALUE ...] [--out FILE]
 
 Each drive is mapped with the defaults. NEES is taken of every pose after the first tenth of the drive, in the frame of
 the first pose, which is given; its expectation is 3, and 95 of 100 should lie below 7.81. The parameters of the

@@ -21,10 +21,7 @@ from gridslam import preset
 from gridslam.config import Configuration, dumps, override
 from kernels import kernel_times, record
 from landmarks import landmarks
-from localization import localization
 from measure import provenance
-from places import place_search
-from reading import reading
 from report import Report
 
 __all__ = ["main"]
@@ -37,11 +34,8 @@ _SECTIONS = (
     "threads",
     "beams",
     "kernels",
-    "places",
     "graphs",
     "closures",
-    "reading",
-    "localization",
     "landmarks",
 )
 _WORLDS = ("demo", "rooms", "loop", "hall")
@@ -95,11 +89,8 @@ def _run(sections: Sequence[str], given: argparse.Namespace, folder: Path, repor
             (180, 360) if quick else (180, 360, 720, 1080), folder, report, 300 if quick else None
         ),
         "kernels": kernels_section,
-        "places": lambda: place_search(report),
         "graphs": lambda: graphs(given.data, report, 3 if quick else 7),
         "closures": lambda: closures(report, seeds, override(Configuration(), *given.set)),
-        "reading": lambda: reading(report, 2000 if quick else 10_000),
-        "localization": lambda: localization(report, given.data, seeds, folder, 20 if quick else 100),
         "landmarks": lambda: landmarks(report, given.data, seeds, 10 if quick else 100),
     }
     for name in _SECTIONS:

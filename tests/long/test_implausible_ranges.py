@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from implausible_ranges import VARIANTS, check, draw
+from support.implausible_ranges import VARIANTS, check, draw
 
 NAMED = 0.85
 """Share of the rooms and halls that are named; measured: 31 of 33 in feet, 32 in millimetres (benchmarks/results)."""

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from corridors import drive
 from covariances import judge
 from gridslam.config import Configuration
+from support.corridors import drive
 
 pytestmark = pytest.mark.long
 

@@ -9,7 +9,7 @@ import pytest
 from gridslam.doctor import Doctor, diagnose, quick_check
 from gridslam.doctor.reader import reader_findings
 from gridslam.io.log import open_log
-from implausible_ranges import VARIANTS, check, real_logs
+from support.implausible_ranges import VARIANTS, check, real_logs
 
 CLEAN = [
     "intel.clf.bz2",

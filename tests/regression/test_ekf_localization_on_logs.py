@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from global_localization import INSIDE
 from gridslam.api.landmark_localization import localize_by_landmarks
 from gridslam.evaluation import check_consistency, nees
 from gridslam.geometry.se2 import compose, inverse, transform_points
 from gridslam.io.landmark_logs import open_landmark_log
 from gridslam.localization.ekf import EkfLocalization, KnownLandmarks
 from gridslam.models.landmark import DepthBearing, RangeBearing
-from landmark_drives import LandmarkDrive
+from support.global_localization import INSIDE
+from support.landmark_drives import LandmarkDrive
 from support.landmark_world import MOTION, drive, ring
 
 RUNS, STEPS = 100, 200

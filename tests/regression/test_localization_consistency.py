@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from global_localization import Building, GlobalRun
 from gridslam.evaluation.consistency import nees
 from gridslam.geometry.se2 import between, compose
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
@@ -13,7 +12,8 @@ from gridslam.localization.match_covariance import MatchCovariance
 from gridslam.localization.place_verification import PlaceVerification
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.endpoint import LikelihoodField
-from localization_consistency import ALIKE, WORLDS, buildings, describe_covariances, describe_finds
+from support.global_localization import Building, GlobalRun
+from support.localization_consistency import ALIKE, WORLDS, buildings, describe_covariances, describe_finds
 from support.localization_world import RandomWalk, drive, flat_map
 
 RUNS = 50

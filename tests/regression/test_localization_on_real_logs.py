@@ -11,8 +11,8 @@ from gridslam.io.log import open_log
 from gridslam.io.maps import read_map
 from gridslam.localization import KnownMap
 from gridslam.types import Trajectory
-from meeting_rooms import MeetingRooms
-from real_localization import Mapped, driven_way, follow, found_after_m, metres
+from support.meeting_rooms import MeetingRooms
+from support.real_localization import Mapped, driven_way, follow, found_after_m, metres
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import gridslam
-from doubled_walls import Walls, judge_folder
 from gridslam.evaluation import relation_errors
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.trajectories import read_relations
+from support.doubled_walls import Walls, judge_folder
 from support.far_apart import SPARSE, THINNED, every_half_metre, gmapping_path, off_from
 
 CLEAN: dict[str, np.ndarray] = {}

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from gridslam.doctor import Doctor, Finding
+from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.types import LaserScan, Odometry, ScanGeometry
 
@@ -48,3 +50,20 @@ def findings(measurements: Iterable[Measurement]) -> dict[str, Finding]:
     found = list(doctor.findings())
     assert len({finding.code for finding in found}) == len(found)
     return {finding.code: finding for finding in found}
+
+
+class MadeLog:
+    """Measurements in memory, read as a log is."""
+
+    def __init__(self, measurements: Sequence[Measurement]) -> None:
+        """Nothing is counted before the iteration."""
+        self.path = Path("simulated")
+        self.statistics = LogStatistics()
+        self._measurements = measurements
+
+    def __iter__(self) -> Iterator[Measurement]:
+        """Read and count."""
+        self.statistics = LogStatistics()
+        for measurement in self._measurements:
+            self.statistics.count(measurement)
+            yield measurement

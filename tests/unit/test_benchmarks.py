@@ -12,7 +12,6 @@ import kernels
 import landmarks
 import logs
 import measure
-import places
 import run
 import scaling
 from gridslam.geometry.se2 import between
@@ -106,14 +105,6 @@ def test_kernels_are_replayed_as_they_were_called():
     assert kernels.fork_join_us(2, repeats=10) < 10_000
     text = kernels.kernel_times(situation, repeats=1)
     assert all(name in text for name in situation.work)
-
-
-def test_places_are_searched_in_their_own_map_and_in_another():
-    report = Report()
-    places.place_search(report, ("rooms", "demo"), queries=2)
-    assert [target.name[:7] for target in report.targets] == ["pyramid", "search "]
-    assert report.sections[0].count("in another map") == 4
-    assert "| 8 m, 0.3 rad | in its own map |" in report.sections[0]
 
 
 def test_tables_and_targets():

@@ -7,8 +7,6 @@ from itertools import islice, pairwise
 import numpy as np
 import pytest
 
-import doubled_walls
-from doubled_walls import Walls, judge_walls
 from gridslam import CarmenLog
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.maps import write_map
@@ -16,6 +14,7 @@ from gridslam.io.trajectories import write_tum
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching import GaussNewton
 from gridslam.types import OccupancyGrid, Trajectory
+from support.doubled_walls import Walls, judge_folder, judge_walls
 
 CELL_M, WIDE_M = 0.05, 1.0
 
@@ -99,7 +98,7 @@ def test_a_robot_that_only_turns_on_the_spot_follows_no_corridor():
         judge_walls(Drawing().grid, np.zeros((20, 3)))
 
 
-def test_folders_are_judged_by_one_command(tmp_path, capsys):
+def test_folders_are_judged(tmp_path):
     for name, beside in (("right", 0.0), ("wrong", 0.6)):
         drawing, folder = Drawing(), tmp_path / name
         drawing.corridor(-10, 9, 0.0)
@@ -108,9 +107,8 @@ def test_folders_are_judged_by_one_command(tmp_path, capsys):
         write_map(folder / "map.yaml", drawing.grid)
         poses = around(beside)
         write_tum(folder / "trajectory.tum", Trajectory(np.arange(len(poses)) * 10**8, poses))
-    assert doubled_walls.main([str(tmp_path / "right")]) == 0
-    assert doubled_walls.main([str(tmp_path / "right"), str(tmp_path / "wrong")]) == 1
-    assert "wrong: doubled" in capsys.readouterr().out
+    verdicts = {name: judge_folder(tmp_path / name).walls for name in ("right", "wrong")}
+    assert verdicts == {"right": Walls.SINGLE, "wrong": Walls.DOUBLED}
 
 
 def test_a_real_corridor_drawn_once_and_drawn_twice(data_dir):

@@ -9,7 +9,6 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from doctor import MadeLog
 from gridslam.doctor import CheckedLog, Doctor, Severity, quick_check
 from gridslam.doctor.range_units import UNITS, measured_beams
 from gridslam.doctor.scan_prediction import PolarScan, disagreements, move_laser
@@ -18,8 +17,8 @@ from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, PeopleConfig, RobotConfig, World, make_world, simulate
 from gridslam.sim.floor_plan import box, pillar
 from gridslam.types import LaserScan, Odometry, ScanGeometry
-from implausible_ranges import CODES, VARIANTS
-from support.hand_logs import seen
+from support.hand_logs import MadeLog, seen
+from support.implausible_ranges import CODES, VARIANTS
 
 EXACT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 FAIR = OdometryNoise()

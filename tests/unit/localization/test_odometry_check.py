@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from global_localization import Building
 from gridslam.geometry.se2 import between, compose, inverse
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.localization.odometry_check import OdometryCheck
@@ -13,6 +12,7 @@ from gridslam.models.motion import GMappingMotion
 from gridslam.sim import OdometryNoise
 from gridslam.types import Odometry
 from support.faults import reflected_laser
+from support.global_localization import Building
 from support.localization_world import drive, flat_map
 
 UNCHECKED = MonteCarloConfiguration(odometry_check=None)

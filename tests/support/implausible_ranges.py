@@ -1,6 +1,4 @@
-"""Ranges in wrong units, frozen lasers and random ranges: what is named, and that nothing is in healthy logs.
-
-    python benchmarks/implausible_ranges.py [--seeds 200] [--data FOLDER] [--out FILE.json]
+"""Ranges in wrong units, frozen lasers and random ranges, and healthy logs of all kinds.
 
 Each simulated world is a building, a hall or a corridor scaled to a width drawn from 3 to 900 m (log-uniform), seen by
 a laser drawn at random: 36 to 720 beams over 180 to 360 degrees at 2 to 20 Hz, noise of 0 to 3 cm and of 0 to 3 % of
@@ -11,19 +9,15 @@ or left in metres), every tenth scan alone, without odometry, with its laser fro
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
-from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain, islice, takewhile
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
 from gridslam.doctor import EarlyCheck, Finding
 from gridslam.doctor.range_units import UNITS
 from gridslam.io.log import open_log
@@ -31,13 +25,9 @@ from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, PeopleConfig, RobotConfig, World, make_world, simulate_stream
 from gridslam.sim.floor_plan import box, pillar
 from gridslam.types import BeamStatus, LaserScan, Odometry
-from measure import write_document
-
-__all__ = ["CODES", "VARIANTS", "Drawn", "check", "check_early", "draw", "real_logs"]
 
 CODES = ("range_units", "laser_frozen", "random_ranges")
 KINDS = ("demo", "random", "loop", "rooms", "hall", "corridor", "empty", "round", "bare")
-_SOON_S = 61.0
 _PLAIN_GROUP = "drives, rooms and halls of 8 to 100 m"
 _BARE = ("corridor", "round", "bare")
 _WAYS = ("drives", "drives in a crowd", "stands", "stands in a crowd")
@@ -57,12 +47,6 @@ class Drawn(NamedTuple):
     way: str
     size_m: float
     measurements: Sequence[Measurement]
-
-    @property
-    def metres(self) -> float:
-        """Way of the odometry."""
-        poses = np.array([m.odometry.pose[:2] for m in self.measurements if m.odometry is not None])
-        return float(np.hypot(*np.diff(poses, axis=0).T).sum()) if len(poses) > 1 else 0.0
 
     @property
     def group(self) -> str:
@@ -235,35 +219,20 @@ VARIANTS: Mapping[str, tuple[str, Change]] = {
 """By name: the finding that is due, and what is done to a healthy log."""
 
 
-class Early(NamedTuple):
-    """What `gridslam map` warns of while it reads a log: the findings of `CODES`, and the time of the log, s."""
-
-    found: tuple[str, ...]
-    seconds: float
-
-
-def check_early(log: Iterable[Measurement]) -> Early:
-    """Check a log as `gridslam map` does, as far as it does; units are given by their number in a metre."""
+def check(log: Iterable[Measurement]) -> tuple[str, ...]:
+    """Check a log as `gridslam map` does; the findings of `CODES`, units by their number in a metre."""
     early = EarlyCheck()
     findings: list[Finding] = []
-    seconds = 0.0
-    first_ns: int | None = None
     for measurement in log:
-        first_ns = measurement.scan.stamp_ns if first_ns is None else first_ns
-        new = [f for f in early.take(measurement) if f.code in CODES]
-        findings += new
-        seconds = (measurement.scan.stamp_ns - first_ns) * 1e-9 if new else seconds
+        findings += early.take(measurement)
         if early.is_complete:
             break
-    findings += [f for f in early.end() if f.code in CODES]
-    sized = (f.code == "range_units" and f.size is not None for f in findings)
-    names = (f"{f.code} {f.size:.4g}" if size else f.code for f, size in zip(findings, sized, strict=True))
-    return Early(tuple(names), seconds)
-
-
-def check(log: Iterable[Measurement]) -> tuple[str, ...]:
-    """The findings of `check_early`."""
-    return check_early(log).found
+    findings += early.end()
+    return tuple(
+        f"{f.code} {f.size:.4g}" if f.code == "range_units" and f.size is not None else f.code
+        for f in findings
+        if f.code in CODES
+    )
 
 
 def real_logs(folder: Path) -> Iterator[Drawn]:
@@ -271,60 +240,3 @@ def real_logs(folder: Path) -> Iterator[Drawn]:
     for pattern in _LOGS:
         for path in sorted(folder.glob(pattern)):
             yield Drawn(path.name, "real", 0.0, list(islice(open_log(path), 3000)))
-
-
-def _is_right(name: str, due: str, found: tuple[str, ...]) -> bool:
-    """Whether what was found is what is due, units with their size where one was found."""
-    if not due or len(found) != 1:
-        return not due and not found
-    units = (f"{due} {factor:.4g}" for unit, factor in UNITS.items() if unit in name)
-    return found[0] in (due, *units)
-
-
-def _cell(count: Counter[str], is_named: bool) -> str:
-    soon = f" ({count['soon']} within {_SOON_S:.0f} s)" if is_named and count["soon"] < count["right"] else ""
-    return f"{count['right']} of {count['logs']}{soon}"
-
-
-def main() -> None:
-    """Check all logs, print a table and record it."""
-    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--first", type=int, default=0)
-    arguments.add_argument("--seeds", type=int, default=200)
-    arguments.add_argument("--data", type=Path)
-    arguments.add_argument("--only", nargs="*", choices=VARIANTS, default=list(VARIANTS))
-    arguments.add_argument("--out", type=Path)
-    options = arguments.parse_args()
-    seeds = range(options.first, options.first + options.seeds)
-    counts: defaultdict[tuple[str, str], Counter[str]] = defaultdict(Counter)
-    wrong: list[str] = []
-    missed: list[str] = []
-    sources = [map(draw, seeds)] + ([real_logs(options.data)] if options.data else [])
-    for log in chain.from_iterable(sources):
-        for name in options.only:
-            due, change = VARIANTS[name]
-            early = check_early(change(log.measurements))
-            right = _is_right(name, due, early.found)
-            if not right:
-                line = f"{log.name}, {log.way}, {log.metres:.1f} m, {name}: {', '.join(early.found) or 'not named'}"
-                wrong += [line] if early.found else []
-                missed += [line] if log.group in (_PLAIN_GROUP, "real") else []
-                print(line, flush=True)
-            count = counts[name, log.group]
-            count["logs"] += 1
-            count["right"] += right
-            count["soon"] += right and early.seconds <= _SOON_S
-    groups = sorted({group for _, group in counts})
-    table = ["| log | " + " | ".join(groups) + " |", "| --- " * (len(groups) + 1) + "|"]
-    for name in options.only:
-        cells = (_cell(counts[name, group], bool(VARIANTS[name][0])) for group in groups)
-        table.append(f"| {name} | " + " | ".join(cells) + " |")
-    print(*table, "Named by a wrong name, or without a fault:", *wrong, sep="\n")
-    if options.out is not None:
-        only = " ".join(f'"{name}"' for name in options.only)
-        how = f"--first {options.first} --seeds {options.seeds} --data DATA --only {only}"
-        write_document(options.out, how, table=table, wrong=wrong, missed=missed)
-
-
-if __name__ == "__main__":
-    main()

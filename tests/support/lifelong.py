@@ -1,17 +1,12 @@
-"""One floor driven a month, its furniture moved every day: does the session stay small, and is the map up to date?
+"""One floor driven day after day, its furniture moved every night: is the map that of the newest day?
 
-    python benchmarks/lifelong.py [--days 30] [--seed 0] [--out benchmarks/results/lifelong.json] [--picture FILE]
+A floor of up to eight rooms about a corridor, 26 m x 13.5 m. Every day the robot begins at another place; each piece of
+furniture was put elsewhere overnight with probability 0.1. Each day is found in the piece that the days before have
+left, joined with it, and refined with it; then the piece is thinned. A row for each day:
 
-A floor of eight rooms about a corridor, 26 m x 13.5 m. Every day the robot begins at another place and drives some 90 m
-about it; each piece of furniture was put elsewhere overnight with probability 0.1. Each day is found in the piece that
-the days before have left, joined with it, and refined with it; then the piece is thinned. A row for each day:
-
-- found: metres driven until the robot was found;
-- kB: of the piece and its drives as arrays, compressed, after the day and when it was thinned;
-- key scans: of the thinned piece;
-- search, filter, refinement: CPU time until the robot was found, of each scan since, and of the final refinement;
-- all: CPU time of all that for each scan;
-- missed: mean error of the day's poses seen from the nearest pose of an earlier day, m;
+- found_m: metres driven until the robot was found;
+- bytes: of the piece and its drives as arrays, compressed, after the day; thinned_bytes when it was thinned;
+- missed_m: mean error of the day's poses seen from the nearest pose of an earlier day, m;
 - walls, stands: share of the cells of walls that were seen, and of furniture that was seen today, that are occupied in
   the day's map, or a cell beside them is;
 - gone: share of the cells where furniture stood and was seen, and that beams of ten scans have passed since, that are
@@ -20,20 +15,15 @@ the days before have left, joined with it, and refined with it; then the piece i
 
 from __future__ import annotations
 
-import argparse
 import io
 import math
-import sys
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, NamedTuple, final
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
 from gridslam.config import Configuration, build
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, transform_points
@@ -52,9 +42,6 @@ from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, StepReport
-from measure import write_document, yardstick_s
-
-__all__ = ["Floor", "Session", "main"]
 
 ROOMS = (
     *((0.0, 0.0, 6.0, 5.85), (6.15, 0.0, 11.0, 5.85), (11.15, 0.0, 18.0, 5.85), (18.15, 0.0, 26.0, 5.85)),
@@ -141,10 +128,6 @@ class Day(NamedTuple):
 
     answer: FullSlam
     found_m: float
-    search_s: float
-    filter_ms: float
-    refine_s: float
-    all_ms: float
 
 
 @final
@@ -163,33 +146,27 @@ class Session:
         slam = build(configuration)
         recorder = TrajectoryRecorder()
         rng = np.random.default_rng(seed)
-        begin_s = time.process_time()
         state = run(log.measurements[:1], slam, rng=rng, observers=[recorder])
         if self.piece is not None:
             closures_of(state).earlier = locator(self.piece, configuration)
-        joined_at: list[tuple[int, float]] = []
+        joined_at: list[int] = []
 
         def watch(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
             if not joined_at and (self.piece is None or closures_of(state).joined >= 0):
-                joined_at.append((len(recorder.keys), time.process_time() - begin_s))
+                joined_at.append(len(recorder.keys))
 
         state = run(log.measurements[1:], slam, rng=rng, observers=[recorder, watch], state=state)
-        filter_s = time.process_time() - begin_s
         if not joined_at:
-            raise SystemExit("the robot was not found")
-        ((before, search_s),) = joined_at
+            raise AssertionError("the robot was not found")
         self.drives = [*self.drives, recorder.tracked_scans(0 if self.piece is None else len(self.piece))]
         answer = full_slam(
             state, self.drives, configuration.mapper, configuration.loop_closure, configuration.final_refinement
         )
-        all_s = time.process_time() - begin_s
         truth = np.array(log.truth.poses)
         self.truth = np.concatenate([self.truth, truth])
         self.piece = answer.piece
         driven_m = np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))
-        found_m = float(driven_m[before - 2])
-        filter_ms = 1e3 * (filter_s - search_s) / (len(log) - before)
-        return Day(answer, found_m, search_s, filter_ms, all_s - filter_s, 1e3 * all_s / len(log))
+        return Day(answer, float(driven_m[joined_at[0] - 2]))
 
     def thin(self) -> None:
         """Leave out what adds nothing."""
@@ -316,9 +293,7 @@ def live(
             floor.pass_night()
         log = floor.drive(length_m)
         sights.see(log, floor.furniture)
-        yardstick = yardstick_s()
         day = session.map_day(log, seed + number)
-        yardstick = 0.5 * (yardstick + yardstick_s())
         row: dict[str, Any] = {"day": number, "scans": len(log), "found_m": day.found_m, "bytes": session.nbytes}
         frame = align(day.answer.poses, session.truth)
         row["missed_m"] = session.missed_m(day.answer)
@@ -326,13 +301,6 @@ def live(
         grid = day.answer.map
         row |= {
             "thinned_bytes": session.nbytes,
-            "key_scans": len(session.piece or ()),
-            "search_s": day.search_s,
-            "filter_ms": day.filter_ms,
-            "refine_s": day.refine_s,
-            "candidates": list(day.answer.loop_summary.candidates) if day.answer.loop_summary else [],
-            "all_ms": day.all_ms,
-            "yardstick_s": yardstick,
             **look_at(grid, sights, frame),
         }
         yield row, grid
@@ -374,74 +342,3 @@ def align(found: FloatArray, truth: FloatArray) -> FloatArray:
     turn = float(np.angle(np.sum((a - a.mean()) * np.conj(b - b.mean()))))
     begin = a.mean() - np.exp(1j * turn) * b.mean()
     return np.array([begin.real, begin.imag, turn])
-
-
-def summarize(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """What the month comes to; costs, in yardsticks, of the last third over those of as many days from the fourth on.
-
-    From then on the piece holds two drives.
-    """
-    third = max(1, len(rows) // 3)
-    early, late = rows[3 : third + 3], rows[-third:]
-
-    def growth(name: str) -> float:
-        first, last = (np.mean([row[name] / row["yardstick_s"] for row in part]) for part in (early, late))
-        return float(last / first)
-
-    return {
-        "bytes_ratio": max(row["bytes"] for row in rows) / rows[0]["bytes"],
-        "thinned_bytes_ratio": max(row["thinned_bytes"] for row in rows) / rows[0]["bytes"],
-        "filter_growth": growth("filter_ms"),
-        "refine_growth": growth("refine_s"),
-        "all_growth": growth("all_ms"),
-        "search_s": float(np.mean([row["search_s"] for row in rows[1:]])),
-        "missed_m": float(np.mean([row["missed_m"] for row in rows[1:]])),
-        "found_m": max(row["found_m"] for row in rows),
-        **{name: rows[-1][name] for name in ("walls", "stands", "gone")},
-    }
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Print a row for each day, and write all."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--days", type=int, default=30)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path)
-    parser.add_argument("--picture", type=Path, help="PNG of the last day's map")
-    given = parser.parse_args(arguments)
-    head = "| day | found, m | kB | thinned | key scans | search, s | filter, ms | refinement, s | all, ms | missed, m "
-    head += "| walls | stands | gone |"
-    print(head, "| --- " * 13 + "|", sep="\n")
-    rows, grid = [], None
-    for row, newest in live(given.days, given.seed, Floor(given.seed)):
-        rows.append(row)
-        grid = newest
-        print(_format(row), flush=True)
-    figures = summarize(rows)
-    print(figures)
-    if given.picture is not None and grid is not None:
-        draw(grid, given.picture)
-    if given.out is not None:
-        table = [head, "| --- " * 13 + "|", *map(_format, rows)]
-        how = f"{given.days} days of 90 m on a simulated floor, seed {given.seed}"
-        write_document(given.out, how, table=table, figures=figures, rows=rows)
-
-
-def draw(grid: OccupancyGrid, path: Path) -> None:
-    """Draw a map: occupied black, free white."""
-    from PIL import Image
-
-    shade = 255 / (1 + np.exp(np.clip(np.where(grid.known, grid.log_odds, 0.0), -30, 30)))
-    Image.fromarray(shade[::-1].astype(np.uint8)).save(path)
-
-
-def _format(row: dict[str, Any]) -> str:
-    cells = [f"{row['day']}", f"{row['found_m']:.1f}", f"{1e-3 * row['bytes']:.0f}"]
-    cells += [f"{1e-3 * row['thinned_bytes']:.0f}", f"{row['key_scans']}"]
-    cells += [f"{row[name]:.2f}" for name in ("search_s", "filter_ms", "refine_s", "all_ms")]
-    cells += ["" if row[name] is None else f"{row[name]:.3f}" for name in ("missed_m", "walls", "stands", "gone")]
-    return "| " + " | ".join(cells) + " |"
-
-
-if __name__ == "__main__":
-    main()

@@ -1,35 +1,26 @@
 """Bare corridors: how far the way is from the truth, and which key scans are reported as degenerate.
 
-    python benchmarks/corridors.py [--seeds 10] [--out benchmarks/results/corridors.json]
-
-Two rooms are joined by 10 or 40 m of bare corridor, askew to the map cells, and driven once, with ranges of 5,
-10 and 30 m and odometry without systematic errors. The stretch from the first to the last scan that sees nothing but
-walls along the corridor is compared with the truth. A scan is blind if none of its beams reaches another wall or an
-end of one of the corridor's walls; it is seen if five or more hit another wall; what lies between is not judged.
+Two rooms are joined by a bare corridor, askew to the map cells, and driven once, with odometry without systematic
+errors. The stretch from the first to the last scan that sees nothing but walls along the corridor is compared with the
+truth. A scan is blind if none of its beams reaches another wall or an end of one of the corridor's walls; it is seen if
+five or more hit another wall; what lies between is not judged.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))
 from gridslam.config import Configuration
 from gridslam.geometry.se2 import between, compose
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.lidar import cast_rays
-from measure import write_document
 from simulated import map_drive
 
 WIDTH_M = 2.0
 ROOM_M = (6.0, 5.0)
 TURN_RAD = 0.3  # of the corridor against the map's cells
-LENGTHS_M = (10.0, 40.0)
-RANGES_M = (5.0, 10.0, 30.0)
 SEEN_BEAMS = 5
 UNBIASED = OdometryNoise(distance_scale=1.0, turn_scale=1.0, bias_rad_per_m=0.0)
 
@@ -108,34 +99,3 @@ def drive(length_m: float, range_m: float, seed: int) -> Drive:
         share(blind & is_key),
         share((fixing >= SEEN_BEAMS) & is_key),
     )
-
-
-def main() -> None:
-    """Print a table, and record it."""
-    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--seeds", type=int, default=10)
-    arguments.add_argument("--out", type=Path)
-    options = arguments.parse_args()
-    table = ["| corridor m | range m | blind | odometry, worst % | online % | full % | flagged: blind % | seen % |"]
-    table.append("| --- " * 8 + "|")
-    print(*table, sep="\n")
-    rows = []
-    for length_m in LENGTHS_M:
-        for range_m in RANGES_M:
-            drives = [drive(length_m, range_m, seed) for seed in range(options.seeds)]
-            rows += [{"length_m": length_m, "range_m": range_m, "seed": k, **d._asdict()} for k, d in enumerate(drives)]
-            worst = [100 * max(abs(getattr(d, name) - 1) for d in drives) for name in ("odometry", "online", "full")]
-            blind = sum(d.blind_scans for d in drives)
-            flagged = sum(d.flagged_blind * d.blind_scans for d in drives if d.blind_scans) / max(blind, 1)
-            seen = np.mean([d.flagged_seen for d in drives])
-            cells = [f"{length_m:g}", f"{range_m:g}", str(blind), *(f"{w:.1f}" for w in worst)]
-            cells += [f"{100 * flagged:.0f}" if blind else "", f"{100 * seen:.1f}"]
-            table.append("| " + " | ".join(cells) + " |")
-            print(table[-1], flush=True)
-    if options.out is not None:
-        how = f"simulated drives, seeds 0 to {options.seeds - 1}"
-        write_document(options.out, how, table=table, drives=rows)
-
-
-if __name__ == "__main__":
-    main()

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from global_localization import INSIDE
-from gridslam.api.landmark_localization import localize_by_landmarks
 from gridslam.api.landmarks import COMMANDS, MOTION
 from gridslam.evaluation.consistency import nees
 from gridslam.geometry.angles import wrap
@@ -25,8 +21,6 @@ from gridslam.models.landmark import (
     with_durations,
 )
 
-__all__ = ["LandmarkDrive", "describe_ekf"]
-
 SENSOR = DepthBearing()
 START = np.diag([0.1, 0.1, 0.1]) ** 2
 PERIOD_S = 0.2
@@ -34,7 +28,6 @@ _SIDES_M = np.array([14.0, 9.0])
 _REACH_M, _HALF_VIEW_RAD = 6.0, 0.5  # what a camera sees
 _CLEAR_M = 0.5  # no landmark is seen from nearer: there the sensor is far from linear
 _STEP_M, _TURN_RAD = 0.06, 0.08
-_LOST_NEES = 20.0  # of a run on average
 
 ASSOCIATIONS = {False: KnownCorrespondence(), True: MaximumLikelihood(match_gate=100.0, new_gate=100.0)}
 """Of known and of unknown correspondences; the gates are those of a complete map."""
@@ -85,42 +78,6 @@ class LandmarkDrive(NamedTuple):
             poses.append(belief.pose)
             covariances.append(belief.covariance)
         return nees(np.array(poses), self.truth, np.array(covariances))
-
-
-def describe_ekf(data: Path, seeds: Sequence[int]) -> dict[str, dict[str, float]]:
-    """Consistency of EKF localization in simulated drives, and on MRCLAM where the data is there."""
-    found: dict[str, dict[str, float]] = {}
-    drives = [(LandmarkDrive.of(seed), seed) for seed in seeds]
-    for unknown in (False, True):
-        name = "unknown" if unknown else "known"
-        runs = np.array([drive.nees(seed, unknown=unknown) for drive, seed in drives])
-        lost = int((runs.mean(axis=1) > _LOST_NEES).sum())
-        found[f"simulated, {name}"] = {"runs": len(runs), "lost": lost} | _describe(runs.ravel())
-        for robot in (1, 3):
-            log = data / "landmarks" / f"mrclam6_Robot{robot}_Odometry.dat.gz"
-            if log.exists():
-                found[f"MRCLAM 6 robot {robot}, {name}"] = _of_log(log, unknown)
-    return found
-
-
-def _of_log(log: Path, unknown: bool) -> dict[str, float]:
-    result = localize_by_landmarks(log, unknown=unknown)
-    compared, errors = result.compare(), result.errors()
-    assert compared is not None
-    assert errors is not None
-    poses, truth = compared
-    covariances = result.covariances[np.searchsorted(result.stamps_ns, poses.stamps_ns)]
-    rmse = {"position_rmse_m": round(errors.trans_rmse_m, 3)}
-    return rmse | _describe(nees(poses.poses, truth.poses, covariances))
-
-
-def _describe(values: np.ndarray) -> dict[str, float]:
-    return {
-        "steps": len(values),
-        "nees": round(float(values.mean()), 3),
-        "nees_median": round(float(np.median(values)), 3),
-        "inside": round(float((values < INSIDE).mean()), 4),
-    }
 
 
 def _command(pose: np.ndarray, k: int) -> np.ndarray:

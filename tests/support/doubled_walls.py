@@ -6,10 +6,7 @@ not closed the corridor is mapped twice, some decimetres or metres apart. No pic
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
-from collections.abc import Sequence
 from enum import Enum
 from itertools import pairwise
 from pathlib import Path
@@ -21,8 +18,6 @@ from numpy.typing import NDArray
 from gridslam.io.maps import read_map
 from gridslam.io.trajectories import read_tum
 from gridslam.types import FloatArray, OccupancyGrid
-
-__all__ = ["Verdict", "Walls", "judge_folder", "judge_walls", "main"]
 
 _STRAIGHT_M = 0.35  # the robot keeps so near to a line while it follows the first corridor
 _SHORTEST_M = 3.0  # of a stretch that tells a corridor's direction
@@ -186,18 +181,3 @@ def _doubled(walls: FloatArray, known: FloatArray, stretch: tuple[float, float],
     runs = np.split(doubled, np.flatnonzero(np.diff(doubled)) + 1)
     longest = max((len(run) for run in runs if run[0]), default=0)
     return longest * _COLUMN_M, float(np.median(gaps)) if gaps else 0.0
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Judge folders; returns 1 where walls of one are doubled."""
-    parser = argparse.ArgumentParser(description="Tell whether the first corridor's walls are single or doubled.")
-    parser.add_argument("folders", nargs="+", type=Path, help="written by gridslam map")
-    verdicts = {folder: judge_folder(folder) for folder in parser.parse_args(arguments).folders}
-    for folder, found in verdicts.items():
-        where = f"{found.doubled_m:.1f} m of {found.seen_m:.1f} m, {found.apart_m:.2f} m apart"
-        print(f"{folder}: {found.walls.value} ({where})")
-    return int(any(found.walls is Walls.DOUBLED for found in verdicts.values()))
-
-
-if __name__ == "__main__":
-    sys.exit(main())
