@@ -35,19 +35,19 @@ def test_help_needs_neither_numpy_nor_pydantic(arguments):
     assert (f"gridslam {__version__}" if "--version" in arguments else "--help") in done.stdout
 
 
-def test_the_first_scan_of_map_has_not_waited_for_scipy_or_pydantic(log, tmp_path):
+def test_the_first_scan_of_map_has_not_waited_for_scipy(log, tmp_path):
     code = (
         "import sys, os, gridslam.cli.map; from gridslam import map_log; "
-        "stop = lambda report, state, seconds: os._exit(bool({'scipy', 'qdldl', 'pydantic'} & set(sys.modules))); "
+        "stop = lambda report, state, seconds: os._exit(bool({'scipy', 'qdldl'} & set(sys.modules))); "
         "map_log(sys.argv[1], observers=[stop])"
     )
     assert subprocess.run([sys.executable, "-c", code, log]).returncode == 0
 
 
-def test_the_filter_alone_never_needs_scipy_or_pydantic_nor_a_carmen_log_what_reads_bags(log, tmp_path):
+def test_the_filter_alone_never_needs_scipy_nor_a_carmen_log_what_reads_bags(log, tmp_path):
     code = (
         "import sys; from gridslam.cli.main import main; status = main(sys.argv[1:]); "
-        "heavy = {'scipy', 'qdldl', 'pydantic', 'rosbags', 'pooch'} & set(sys.modules); "
+        "heavy = {'scipy', 'qdldl', 'rosbags', 'pooch'} & set(sys.modules); "
         "sys.exit(f'{heavy}' if heavy else status)"
     )
     arguments = "map", log, "-o", tmp_path / "out", "--particles", "2", "--no-loop-closure"

@@ -6,8 +6,6 @@ import copy
 import inspect
 import math
 import pickle
-import subprocess
-import sys
 from dataclasses import FrozenInstanceError, dataclass, field, fields, replace
 from functools import cached_property
 
@@ -17,22 +15,18 @@ from pydantic import ValidationError
 from gridslam.config import Configuration
 from gridslam.localization.odometry_check import OdometryCheck
 from gridslam.models import BeamRangeFinder
-from gridslam.parameters import adapter, parameters, replace_plainly, to_table
+from gridslam.parameters import parameters, to_table
 from gridslam.particles.policies import MotionThreshold
 from gridslam.scan import Thinning
 
 
-def test_tables_are_those_that_pydantic_would_write_but_for_kinds():
-    def without_kinds(table):
-        return (
-            {name: without_kinds(value) for name, value in table.items() if name != "kind"}
-            if isinstance(table, dict)
-            else table
-        )
-
-    config = Configuration()
-    assert without_kinds(to_table(config)) == adapter(Configuration).dump_python(config)
-    assert to_table(replace(config, loop_closure=None))["loop_closure"] == {"kind": "none"}
+def test_tables_hold_the_fields_and_the_kinds():
+    config = replace(Configuration(), loop_closure=None)
+    table = to_table(config)
+    assert list(table) == [each.name for each in fields(Configuration)]
+    assert table["loop_closure"] == {"kind": "none"}
+    assert table["thinning"] == vars(config.thinning)
+    assert table["motion"] == {"kind": "DiffusionMotion", **vars(config.motion)}
 
 
 def test_values_are_converted_as_pydantic_converts_them():
@@ -59,46 +53,6 @@ def test_values_are_converted_as_pydantic_converts_them():
 def test_what_is_wrong_is_named(make, name):
     with pytest.raises(ValidationError, match=name):
         make()
-
-
-def test_parameters_are_replaced_plainly_where_none_needs_to_be_converted_or_refused():
-    config = Configuration()
-    changes = {"particles": 7, "tracker": {"insert_m": 0.3, "matcher": {"max_iterations": 9}}, "resampler": "wheel"}
-    matcher = replace(config.tracker.matcher, max_iterations=9)
-    tracker = replace(config.tracker, insert_m=0.3, matcher=matcher)
-    assert replace_plainly(config, changes) == replace(config, particles=7, tracker=tracker, resampler="wheel")
-    assert replace_plainly(config, {}) == config
-    assert replace_plainly(BeamRangeFinder(), {"z_hit": 0.1}) is None
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"particles": 7.0},
-        {"particles": True},
-        {"particles": 0},
-        {"tracker": {"insert_m": 1}},
-        {"tracker": {"insert": 0.3}},
-        {"tracker": {"kind": "OdometryTracker"}},
-        {"particles": {"insert_m": 0.3}},
-        {"loop_closure": False},
-        ["particles"],  # as a damaged file may have it
-        {1: 2},
-        None,
-    ],
-)
-def test_all_else_is_left_to_pydantic(changes):
-    assert replace_plainly(Configuration(), changes) is None
-
-
-def test_right_values_need_no_pydantic():
-    code = (
-        "import sys; from dataclasses import replace; from gridslam import Configuration, preset; "
-        "preset('gmapping', 8); "
-        "replace(Configuration(particles=15, range_max_m=20.0, resampler='wheel'), loop_closure=None); "
-        "sys.exit('pydantic' in sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def _declare(decorate):
@@ -129,8 +83,7 @@ def test_classes_of_parameters_behave_as_frozen_dataclasses():
     assert checked.doubled_m == 4.0  # which does not count as a field
     assert checked == replace(_Checked(5.0, inner=Thinning(dense_beams=7)), reach_m=2.0)
     signatures = [list(inspect.signature(kind).parameters.values()) for kind in (_Checked, _Plain)]
-    assert signatures[0][:3] == signatures[1][:3]
-    assert str(signatures[0][3]) == "counts: 'tuple[int, ...]' = (1, 2)"  # `dataclass` names no default of a factory
+    assert [each.name for each in signatures[0]] == [each.name for each in signatures[1]]
     assert [each.name for each in fields(_Checked)] == [each.name for each in fields(_Plain)]
     assert _Checked.__match_args__ == _Plain.__match_args__
 

@@ -11,14 +11,14 @@ import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import is_dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails, to_json
 
 from gridslam.arguments import require_plain
 from gridslam.errors import ConfigurationError, describe_failure
-from gridslam.parameters import Table, adapter, replace_plainly, to_table
-
-if TYPE_CHECKING:
-    from pydantic_core import ErrorDetails
+from gridslam.parameters import Table, adapter, to_table
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -140,12 +140,6 @@ def replace_parameters(part: _Part, changes: Mapping[str, Any], also: Iterable[s
     ConfigurationError
         A parameter is unknown, of a wrong type or out of range.
     """
-    plain = replace_plainly(part, changes)
-    if plain is not None:
-        return plain
-    from pydantic import ValidationError
-    from pydantic_core import to_json
-
     table = _merge(to_table(part), changes)
     try:
         # as JSON, which strictly has tables for parts, but no number for a text; infinities are no numbers there
