@@ -53,6 +53,13 @@ def test_a_cluster_that_loses_workers_gives_the_same_results_as_this_machine(tmp
     check_same_results(tmp_path / "one", tmp_path / "two", [log.stem for log in logs])
 
 
+def test_workers_of_nannies_which_are_daemons_run_jobs(tmp_path):
+    with LocalCluster(tmp_path, 1, nannies=True) as local:
+        job = make_job("write_number", "a", number=3)
+        (row,) = run_jobs([job], tmp_path / "out", executor=DaskCluster(local.address))
+    assert (row["status"], row["document"]["number"]) == ("done", 3)
+
+
 def test_a_scheduler_that_does_not_answer_is_one_line_within_seconds(tmp_path):
     (tmp_path / "a.clf").touch()
     with socket.socket() as silent:  # it accepts, and answers nothing

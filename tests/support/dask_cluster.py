@@ -18,9 +18,10 @@ SETTINGS = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "10s", "DASK_DISTRIBUTE
 class DaskCluster:
     """Starts a scheduler and workers with one thread each; a context manager that ends them."""
 
-    def __init__(self, folder: Path, workers: int) -> None:
+    def __init__(self, folder: Path, workers: int, *, nannies: bool = False) -> None:
         self.file = folder / "scheduler.json"
         self._folder = folder
+        self._nanny = "--nanny" if nannies else "--no-nanny"
         self._log = (folder / "dask.txt").open("w")
         where = "--host", "127.0.0.1", "--scheduler-file", self.file
         self._scheduler = self._start(
@@ -42,7 +43,7 @@ class DaskCluster:
             return None
 
     def start_worker(self, number):
-        options = "--nthreads", 1, "--no-nanny", "--no-dashboard", "--name", number
+        options = "--nthreads", 1, self._nanny, "--no-dashboard", "--name", number
         options = *options, "--host", "127.0.0.1", "--local-directory", self._folder / f"worker{number}"
         return self._start("dask_worker", self.address, *options)
 

@@ -1,37 +1,47 @@
-"""`run_job`, the one function that workers import: a job in a child process, and the row of whatever became of it."""
+"""`run_job`, the one function that workers import: a job in a child process, and the row of whatever became of it.
+
+Children come from a server of the standard library that has imported gridslam (forkserver of `multiprocessing`), so
+that they begin in milliseconds; each has one job, and ends with the worker.
+"""
 
 from __future__ import annotations
 
+import faulthandler
+import importlib
 import json
+import multiprocessing
 import os
-import select
 import signal
 import socket
-import subprocess
 import sys
 import tempfile
 import threading
 import time
+import traceback
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime, timezone
+from multiprocessing.connection import wait
 from pathlib import Path
-from typing import IO, Any, final
+from typing import Any
 
 from gridslam import __version__
-from gridslam.batch.fork_server import read_tail
 from gridslam.errors import GridslamError, OutputError
+from gridslam.io.output import OutputFolder
 from gridslam.io.staging import StagingFolder
 
-__all__ = ["ForkServer", "LostWorkerError", "attempts_folder", "lost_row", "remove_partial", "run_job"]
+__all__ = ["LostWorkerError", "attempts_folder", "lost_row", "remove_partial", "run_job"]
 
-_CAN_FORK = hasattr(os, "fork")
-_BOOT = "import sys; sys.path[:] = sys.argv[1:]; from gridslam.batch.fork_server import {0}; {0}()"
+_METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+_PRELOADED = ["__main__", "gridslam.batch.commands"]
 _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-_END_S = 5.0
-_LOOK_S = 1.0
+_LOOK_S = 0.2
+_STARTS = 20
+_TAIL_BYTES = 4000  # of the output of a job
+_SERVER_ENDED = 255  # what multiprocessing gives as the exit status of a child whose server was killed
 
-_of_thread = threading.local()
+_children = threading.Lock()
+"""Held where a child is started or its status read: two threads that read one status would lose it."""
 
 
 class LostWorkerError(GridslamError):
@@ -39,7 +49,7 @@ class LostWorkerError(GridslamError):
 
 
 def run_job(job: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
-    """Run a job in a child process; each thread of a worker has a server of its own that the children come from.
+    """Run a job in a child process.
 
     Parameters
     ----------
@@ -59,96 +69,41 @@ def run_job(job: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
     Raises
     ------
     LostWorkerError
-        The server that the child came from was killed.
+        The server that the child came from was killed, or the batch has ended.
     OutputError
         This machine does not have OUT, or has another version of gridslam.
     """
-    if not hasattr(_of_thread, "server"):
-        _of_thread.server = ForkServer()
-    server: ForkServer = _of_thread.server
-    return server.run(job, limits)
-
-
-@final
-class ForkServer:
-    """A process that children are forked from (see `fork_server`), and the worker's end of it; started when needed."""
-
-    def __init__(self) -> None:
-        """Start nothing yet."""
-        self._process: subprocess.Popen[bytes] | None = None
-        self._closed = False
-        self._starting = threading.Lock()
-
-    def run(self, job: Mapping[str, Any], limits: Mapping[str, Any]) -> dict[str, Any]:
-        """Run a job as `run_job` does."""
-        host = socket.gethostname()
-        if limits["version"] != __version__:
-            raise OutputError(f"worker {host} has gridslam {__version__}, and the batch is of {limits['version']}")
-        claim = attempts_folder(limits["out"]) / job["folder"]
-        attempt = _claim_attempt(claim, host)
-        if attempt > limits["attempts"]:
-            return lost_row(job, attempt - 1)
-        started = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
-        folder = Path(limits["out"]) / job["folder"]
-        request = {
-            "target": job["target"],
-            "arguments": job["arguments"],
-            "out": os.fspath(folder),
-            "job": {name: job[name] for name in ("key", "command", "log", "folder")},
-            "timeout_s": limits["timeout_s"],
-            "memory_bytes": limits["memory_bytes"],
-        }
-        reply = self._ask(request, claim) if _CAN_FORK else _spawn(request)
-        row = _start_row(job, attempt) | {
-            "exit_status": reply["exit_code"],
-            "output_tail": reply["output_tail"],
-            "wall_s": reply["wall_s"],
-            "cpu_s": reply["cpu_s"],
-            "peak_memory_bytes": reply["peak_memory_bytes"],
-            "started": started,
-            "worker": f"{host}:{os.getpid() if self._process is None else self._process.pid}",
-        }
-        result = reply["result"] or {}
-        if "document" in result:
-            return row | {"status": "done", "document": result["document"]}
-        remove_partial(folder)
-        error, message = _name_failure(reply, result, limits["timeout_s"])
-        return row | {"error": error, "message": message}
-
-    def close(self) -> None:
-        """Kill the server, which ends its child, and wait until both have ended."""
-        with self._starting:
-            self._closed = True
-        if self._process is not None:
-            _end(self._process)
-
-    def _ask(self, request: Mapping[str, Any], claim: Path) -> dict[str, Any]:
-        """Send a request to the server, which is started first where there is none, and wait for the reply.
-
-        When the batch ends it removes the claim of the job, and the child is killed.
-        """
-        with self._starting:
-            if self._closed:
-                raise LostWorkerError("the worker was ended")
-            if self._process is None:
-                self._process = _start("serve")
-            process = self._process
-        assert process.stdin is not None
-        assert process.stdout is not None
-        line = b""
-        with suppress(OSError, ValueError):  # ValueError: closed by another thread
-            process.stdin.write(json.dumps(request).encode() + b"\n")
-            process.stdin.flush()
-            while not select.select([process.stdout], [], [], _LOOK_S)[0]:
-                if not claim.exists():
-                    raise OSError("the batch has ended")
-            line = process.stdout.readline()
-        if line.endswith(b"\n"):
-            reply: dict[str, Any] = json.loads(line)
-            return reply
-        _end(process)
-        self._process = None
-        raise LostWorkerError(f"worker {process.pid} ended while it ran a job")
+    host = socket.gethostname()
+    if limits["version"] != __version__:
+        raise OutputError(f"worker {host} has gridslam {__version__}, and the batch is of {limits['version']}")
+    claim = attempts_folder(limits["out"]) / job["folder"]
+    attempt = _claim_attempt(claim, host)
+    if attempt > limits["attempts"]:
+        return lost_row(job, attempt - 1)
+    started = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+    folder = Path(limits["out"]) / job["folder"]
+    request = {
+        "target": job["target"],
+        "arguments": job["arguments"],
+        "out": os.fspath(folder),
+        "job": {name: job[name] for name in ("key", "command", "log", "folder")},
+        "memory_bytes": limits["memory_bytes"],
+    }
+    end = _run_child(request, limits["timeout_s"], claim)
+    row = _start_row(job, attempt) | {
+        "exit_status": end["exit_status"],
+        "output_tail": end["output_tail"],
+        "wall_s": end["wall_s"],
+        "cpu_s": end.get("cpu_s"),
+        "peak_memory_bytes": end.get("peak_memory_bytes"),
+        "started": started,
+        "worker": f"{host}:{os.getpid()}",
+    }
+    if "document" in end:
+        return row | {"status": "done", "document": end["document"]}
+    remove_partial(folder)
+    error, message = _name_failure(end, limits["timeout_s"])
+    return row | {"error": error, "message": message}
 
 
 def attempts_folder(out: str | Path) -> Path:
@@ -204,14 +159,14 @@ def _start_row(job: Mapping[str, Any], attempts: int) -> dict[str, Any]:
     }
 
 
-def _name_failure(reply: Mapping[str, Any], result: Mapping[str, Any], timeout_s: float | None) -> tuple[str, str]:
+def _name_failure(end: Mapping[str, Any], timeout_s: float | None) -> tuple[str, str]:
     """Name of a child's failure, and one line about it."""
-    if reply["timed_out"]:
+    if end["timed_out"]:
         return "timeout", f"killed after {timeout_s:g} s"
-    if result:
-        return result["error"], result["message"]
-    code = reply["exit_code"]
-    if reply["out_of_memory"] or "bad_alloc" in reply["output_tail"] or "MemoryError" in reply["output_tail"][-200:]:
+    if "error" in end:
+        return end["error"], end["message"]
+    code = end["exit_status"]
+    if end["out_of_memory"] or "bad_alloc" in end["output_tail"] or "MemoryError" in end["output_tail"][-200:]:
         return "out of memory", "killed by the system" if code < 0 else "ended without a result"
     if code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
@@ -219,47 +174,161 @@ def _name_failure(reply: Mapping[str, Any], result: Mapping[str, Any], timeout_s
     return "exit", f"ended with status {code} and without a result"
 
 
-def _start(program: str, errors: IO[bytes] | None = None) -> subprocess.Popen[bytes]:
-    """Start one of the programs of `fork_server`, in a session of its own: Ctrl-C does not reach it."""
-    environment = {**dict.fromkeys(_BLAS_THREADS, "1"), **os.environ}
-    command = [sys.executable, "-c", _BOOT.format(program), *(path or os.getcwd() for path in sys.path)]
-    pipe = subprocess.PIPE
-    return subprocess.Popen(command, env=environment, start_new_session=True, stdin=pipe, stdout=pipe, stderr=errors)
+def _run_child(request: Mapping[str, Any], timeout_s: float | None, claim: Path) -> dict[str, Any]:
+    """Run a request in a child until it ends, its time is over or the batch has ended; describe its end.
 
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a server, which kills its child, and wait for it."""
-    assert process.stdin is not None
-    with suppress(OSError, ValueError):
-        process.stdin.close()
-    try:
-        process.wait(_END_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-    assert process.stdout is not None
-    process.stdout.close()
-
-
-def _spawn(request: Mapping[str, Any]) -> dict[str, Any]:
-    """Run a request in a process of its own, on systems that cannot fork; its memory is not limited."""
-    began = time.perf_counter()
-    with tempfile.TemporaryFile() as output:
-        process = _start("serve_once", output)
+    When the batch ends it removes the claim of the job, and the child is killed.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        output, result = Path(folder, "output"), Path(folder, "result")
+        output.touch()
+        kills = _count_oom_kills()
         timed_out = False
+        child = _start(request, output, result)
+        began = time.monotonic()  # the first child waits for the server
         try:
-            answer, _ = process.communicate(json.dumps(request).encode() + b"\n", request["timeout_s"])
-        except subprocess.TimeoutExpired:
-            timed_out = True
-            process.kill()
-            answer, _ = process.communicate()
+            while not wait([child.sentinel], _LOOK_S):
+                timed_out = timeout_s is not None and time.monotonic() - began >= timeout_s
+                if timed_out or not claim.exists():
+                    break
+        finally:
+            _kill_group(child.pid)  # and what the child may have left
+        with _children:
+            child.join()
+        code = child.exitcode
+        if code == _SERVER_ENDED or not claim.exists():
+            raise LostWorkerError(f"worker {os.getpid()} ended while it ran a job")
         return {
-            "exit_code": process.returncode,
-            "timed_out": timed_out,
-            "out_of_memory": False,
-            "wall_s": time.perf_counter() - began,
-            "cpu_s": None,
-            "peak_memory_bytes": None,
-            "result": json.loads(answer) if answer.endswith(b"\n") and not process.returncode else None,
-            "output_tail": read_tail(output),
+            "exit_status": code,
+            "timed_out": timed_out and code != 0,
+            "out_of_memory": code == -signal.SIGKILL and not timed_out and _count_oom_kills() > kills,
+            "wall_s": time.monotonic() - began,
+            "output_tail": output.read_bytes()[-_TAIL_BYTES:].decode("utf-8", "replace"),
+            **(json.loads(result.read_text(encoding="utf-8")) if code == 0 and result.exists() else {}),
         }
+
+
+def _start(request: Mapping[str, Any], output: Path, result: Path) -> multiprocessing.process.BaseProcess:
+    """Start the child of a request; the server that it comes from is started first where there is none."""
+    context: Any = multiprocessing.get_context(_METHOD)
+    context.set_forkserver_preload(_PRELOADED)
+    # A Dask nanny runs its worker as a daemon, which may have no children; ours end with the worker.
+    vars(multiprocessing.current_process())["_config"].pop("daemon", None)
+    for name in _BLAS_THREADS:
+        os.environ.setdefault(name, "1")
+    for _ in range(_STARTS):
+        with _children, suppress(EOFError, ConnectionError):  # the server was killed a moment ago
+            child: multiprocessing.process.BaseProcess = context.Process(target=_work, args=(request, output, result))
+            child.start()
+            return child
+        time.sleep(_LOOK_S)
+    raise LostWorkerError(f"worker {os.getpid()} ended before it ran a job")
+
+
+def _kill_group(pid: int | None) -> None:
+    """Kill a child and its group; it may not have made its group yet."""
+    for kill in (getattr(os, "killpg", None), os.kill):
+        if kill is not None and pid is not None:
+            with suppress(ProcessLookupError, PermissionError):
+                kill(pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+
+
+def _count_oom_kills() -> int:
+    """Number of processes that Linux has killed because memory was short, as far as it counts them."""
+    try:
+        lines = Path("/proc/vmstat").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) for line in lines if line.startswith("oom_kill ")), 0)
+
+
+def _work(request: Mapping[str, Any], output: Path, result: Path) -> None:
+    """Run a request in this process, a child; what it prints goes to a file, and what came of it to another."""
+    if hasattr(os, "setsid"):
+        os.setsid()
+    threading.Thread(target=_end_with_worker, daemon=True).start()
+    for path, flags, numbers in ((os.devnull, os.O_RDONLY, (0,)), (output, os.O_WRONLY | os.O_APPEND, (1, 2))):
+        descriptor = os.open(path, flags)
+        for number in numbers:
+            os.dup2(descriptor, number)
+    faulthandler.enable(file=2)
+    _limit(request["memory_bytes"])
+    end = _execute(request) | _measure_cost()
+    result.write_text(json.dumps(end), encoding="utf-8")
+
+
+def _end_with_worker() -> None:
+    """Wait until the worker has ended, and kill this child and its group."""
+    worker = multiprocessing.parent_process()
+    assert worker is not None
+    worker.join()
+    _kill_group(os.getpid())
+
+
+def _execute(request: Mapping[str, Any]) -> dict[str, Any]:
+    """Call the target of a request in this process.
+
+    Returns
+    -------
+    dict
+        ``document``, what the target returned; or ``error`` and ``message``, the name of what it raised and one line.
+        The traceback of an exception that is not gridslam's own goes to standard error.
+    """
+    try:
+        module, _, name = request["target"].partition(":")
+        target = getattr(importlib.import_module(module), name)
+        document = target({**request["arguments"], "out": request["out"], "job": request["job"]})
+        document = _finish(request, document)
+        json.dumps(document, allow_nan=False)
+        return {"document": document}
+    except MemoryError as error:
+        _lift_memory_limit()
+        return {"error": "out of memory", "message": f"memory is short: {error}".removesuffix(": ")}
+    except (GridslamError, OSError) as error:
+        return {"error": type(error).__name__, "message": " ".join(str(error).split())}
+    except BaseException as error:
+        traceback.print_exception(error)
+        return {"error": type(error).__name__, "message": " ".join(str(error).split())[:500] or type(error).__name__}
+
+
+def _finish(request: Mapping[str, Any], document: Mapping[str, Any]) -> dict[str, Any]:
+    """Write run.json with the key of the job, unless the target has done so: from then on the job is done."""
+    marked = {**document, "job": request["job"]}
+    if document.get("job") != request["job"]:
+        with OutputFolder(request["out"]) as out:
+            out.file("run.json").write_text(json.dumps(marked, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return marked
+
+
+def _limit(memory_bytes: int | None) -> None:
+    """Limit the address space, and write no core file."""
+    if sys.platform == "win32":
+        return
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if memory_bytes is not None and sys.platform == "linux":
+        _, hard = resource.getrlimit(resource.RLIMIT_AS)
+        if hard != resource.RLIM_INFINITY:
+            memory_bytes = min(memory_bytes, hard)
+        resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, hard))
+
+
+def _lift_memory_limit() -> None:
+    """Give a process whose memory is short enough to report it."""
+    with suppress(ImportError, OSError, ValueError):
+        import resource
+
+        _, hard = resource.getrlimit(resource.RLIMIT_AS)
+        resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
+
+
+def _measure_cost() -> dict[str, Any]:
+    """CPU time and peak memory of this process so far, where the system reports them."""
+    if sys.platform == "win32":
+        return {}
+    import resource
+
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    scale = 1 if sys.platform == "darwin" else 1024
+    return {"cpu_s": usage.ru_utime + usage.ru_stime, "peak_memory_bytes": usage.ru_maxrss * scale}

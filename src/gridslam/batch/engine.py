@@ -132,7 +132,6 @@ def run_jobs(
             "version": __version__,
         }
         try:
-            _make_attempts_folder(folder)
             with closing(_run(queue, limits, executor, on_poll)) as ended:
                 for together in ended:
                     full = next((row for row in together if _is_disk_full(row)), None)
@@ -158,7 +157,7 @@ def _run(
     lost = Counter[str]()
     pending = dict[Future[dict[str, Any]], Job]()
     ended = SimpleQueue[Future[dict[str, Any]]]()  # asking all that are pending would take longer, the more there are
-    with executor:
+    with executor, _attempts(limits["out"]):
         while queue or pending:
             while queue and len(pending) < executor.capacity():
                 job = queue.popleft()
@@ -197,11 +196,18 @@ def _take(ended: SimpleQueue[Future[dict[str, Any]]]) -> list[Future[dict[str, A
     return taken
 
 
-def _make_attempts_folder(out: Path) -> None:
+@contextmanager
+def _attempts(out: str) -> Iterator[None]:
+    """Have the folder in which jobs are claimed; where it is gone, workers end their children."""
+    folder = attempts_folder(out)
     try:
-        attempts_folder(out).mkdir(exist_ok=True)
+        folder.mkdir(exist_ok=True)
     except OSError as error:
         raise OutputError(f"{out}: cannot be written: {error.strerror}") from None
+    try:
+        yield
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _count_attempts(out: str, folder: str) -> int:

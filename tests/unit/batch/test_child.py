@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import signal
+import subprocess
 import sys
 import threading
 import time
@@ -11,7 +11,7 @@ import time
 import pytest
 
 from gridslam import __version__
-from gridslam.batch.child import ForkServer, LostWorkerError
+from gridslam.batch.child import LostWorkerError, run_job
 from gridslam.batch.journal import COLUMNS
 from gridslam.errors import OutputError
 from support.batch_jobs import make_job
@@ -19,18 +19,11 @@ from support.batch_jobs import make_job
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the children of this system are not forked")
 
 
-@pytest.fixture(scope="module")
-def server():
-    server = ForkServer()
-    yield server
-    server.close()
-
-
 @pytest.fixture
-def run(server, tmp_path):
+def run(tmp_path):
     def run(function, *, timeout_s=30.0, memory_bytes=None, attempts=1, **arguments):
         limits = limits_of(tmp_path, timeout_s=timeout_s, memory_bytes=memory_bytes, attempts=attempts)
-        row = server.run(make_job(function, "a", **arguments).to_dict(), limits)
+        row = run_job(make_job(function, "a", **arguments).to_dict(), limits)
         (tmp_path / ".attempts" / "a").unlink()  # as when the row is written
         return row
 
@@ -114,7 +107,7 @@ def test_a_job_that_wants_more_memory_than_it_may_have_is_out_of_memory(run):
     assert run("write_number", memory_bytes=2 * 10**9, number=2)["status"] == "done"
 
 
-def test_the_server_that_is_killed_takes_its_child_along_and_the_next_job_runs(run, server, tmp_path):
+def test_the_server_that_is_killed_takes_its_child_along_and_the_next_job_runs(run, tmp_path):
     trace = tmp_path / "trace"
     with pytest.raises(LostWorkerError):
         run("kill_worker", trace=str(trace), times=1, attempts=2)
@@ -131,44 +124,18 @@ def test_a_job_is_not_begun_more_often_than_it_may(run, tmp_path):
     assert trace.read_text().split() == ["a", "a"]
 
 
-def test_children_end_with_the_worker_that_is_closed(tmp_path):
-    server = ForkServer()
-    limits = limits_of(tmp_path)
-    job = make_job("hang", "a", pids=str(tmp_path / "pids")).to_dict()
-    lost = []
-
-    def run_it():
-        try:
-            server.run(job, limits)
-        except LostWorkerError as error:
-            lost.append(error)
-
-    thread = threading.Thread(target=run_it)
-    thread.start()
-    wait_until(lambda: (tmp_path / "pids").exists() and (tmp_path / "pids").read_text())
-    pids = [*map(int, (tmp_path / "pids").read_text().split())]
-    server.close()
-    thread.join(10)
-    assert len(lost) == 1
-    wait_until(lambda: not any(map(is_alive, pids)))
-
-
 def test_a_system_that_cannot_fork_runs_jobs_in_processes_of_their_own(tmp_path, monkeypatch):
-    monkeypatch.setattr("gridslam.batch.child._CAN_FORK", False)
-    server = ForkServer()
+    monkeypatch.setattr("gridslam.batch.child._METHOD", "spawn")
     limits = limits_of(tmp_path, timeout_s=60.0)
-    assert server.run(make_job("write_number", "a", number=2).to_dict(), limits)["document"]["number"] == 2
-    rejected = server.run(make_job("reject", "b").to_dict(), limits)
+    assert run_job(make_job("write_number", "a", number=2).to_dict(), limits)["document"]["number"] == 2
+    rejected = run_job(make_job("reject", "b").to_dict(), limits)
     assert (rejected["error"], rejected["message"]) == ("InputError", "broken.clf, line 3: expected a scan")
     job = make_job("hang", "c", pids=str(tmp_path / "pids"))
-    hung = server.run(job.to_dict(), {**limits, "timeout_s": 6.0})
-    os.kill(int((tmp_path / "pids").read_text().split()[1]), signal.SIGKILL)
-    assert hung["error"] == "timeout"
+    assert run_job(job.to_dict(), {**limits, "timeout_s": 6.0})["error"] == "timeout"
     assert not list(tmp_path.glob("**/half.txt"))
 
 
 def test_a_job_whose_batch_has_ended_is_killed(tmp_path):
-    server = ForkServer()
     limits = limits_of(tmp_path)
     job = make_job("hang", "a", pids=str(tmp_path / "pids")).to_dict()
 
@@ -179,16 +146,27 @@ def test_a_job_whose_batch_has_ended_is_killed(tmp_path):
     thread = threading.Thread(target=end_batch)
     thread.start()
     with pytest.raises(LostWorkerError):
-        server.run(job, limits)
+        run_job(job, limits)
     thread.join()
+    pids = [*map(int, (tmp_path / "pids").read_text().split()[:2])]
+    wait_until(lambda: not any(map(is_alive, pids)))
+
+
+def test_all_children_end_with_a_worker_that_is_killed(tmp_path):
+    job = make_job("hang", "a", pids=str(tmp_path / "pids")).to_dict()
+    code = f"from gridslam.batch.child import run_job; run_job({job}, {limits_of(tmp_path)})"
+    worker = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)})
+    wait_until(lambda: (tmp_path / "pids").exists(), 60.0)
+    worker.kill()
+    worker.wait()
     pids = [*map(int, (tmp_path / "pids").read_text().split())]
     wait_until(lambda: not any(map(is_alive, pids)))
 
 
-def test_a_worker_of_another_version_or_without_the_folder_refuses(server, tmp_path):
+def test_a_worker_of_another_version_or_without_the_folder_refuses(tmp_path):
     job = make_job("write_number", "a", number=1).to_dict()
     with pytest.raises(OutputError, match=r"has gridslam .*, and the batch is of 0\.0"):
-        server.run(job, limits_of(tmp_path) | {"version": "0.0"})
+        run_job(job, limits_of(tmp_path) | {"version": "0.0"})
     with pytest.raises(OutputError, match="does not see this folder"):
-        server.run(job, limits_of(tmp_path) | {"out": str(tmp_path / "absent")})
+        run_job(job, limits_of(tmp_path) | {"out": str(tmp_path / "absent")})
     assert not (tmp_path / "absent").exists()
