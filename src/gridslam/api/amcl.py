@@ -19,159 +19,73 @@ from gridslam.types import FloatArray
 
 __all__ = ["AMCL_DEFAULTS", "AMCL_NAMES", "AmclParameters", "from_amcl", "override_configuration", "read_amcl"]
 
+_POSE = ("initial_pose_x", "initial_pose_y", "initial_pose_a")
+_TABLE: Final[tuple[tuple[str, str, Any, Any, str], ...]] = (
+    ("min_particles", "", 100, 500, "kld.particles_min"),
+    ("max_particles", "", 5000, 2000, "kld.particles_max"),
+    ("kld_err", "pf_err", 0.01, 0.05, "kld.error"),
+    ("kld_z", "pf_z", 0.99, 0.99, "kld.z"),
+    ("update_min_d", "", 0.2, 0.25, "when_to_update.translation_m"),
+    ("update_min_a", "", math.pi / 6, 0.2, "when_to_update.rotation_rad"),
+    ("resample_interval", "", 2, 1, "resample_interval"),
+    ("recovery_alpha_slow", "", 0.0, 0.0, "recovery.alpha_slow"),
+    ("recovery_alpha_fast", "", 0.0, 0.0, "recovery.alpha_fast"),
+    *((f"odom_alpha{k}", f"alpha{k}", 0.2, 0.2, f"motion.alpha{k}") for k in range(1, 5)),
+    ("odom_alpha5", "alpha5", None, None, ""),
+    ("laser_max_beams", "max_beams", 30, 60, "max_beams"),
+    ("laser_z_hit", "z_hit", 0.95, 0.5, ""),
+    ("laser_z_short", "z_short", 0.1, 0.05, ""),
+    ("laser_z_max", "z_max", 0.05, 0.05, ""),
+    ("laser_z_rand", "z_rand", 0.05, 0.5, ""),
+    ("laser_sigma_hit", "sigma_hit", 0.2, 0.2, "sensor.sigma_hit_m"),
+    ("laser_lambda_short", "lambda_short", 0.1, 0.1, ""),
+    ("laser_likelihood_max_dist", "", 2.0, 2.0, "reach_m"),
+    ("laser_min_range", "", None, None, "range_min_m"),
+    ("laser_max_range", "", None, 100.0, "range_max_m"),
+    ("laser_model_type", "", "likelihood_field", "likelihood_field", ""),
+    ("odom_model_type", "robot_model_type", "diff", "nav2_amcl::DifferentialMotionModel", ""),
+    ("selective_resampling", "", False, None, ""),
+    ("set_initial_pose", "", None, None, ""),
+    *((name, f"initial_pose.{axis}", None, None, "") for name, axis in zip(_POSE, ("x", "y", "yaw"), strict=True)),
+)
+"""AMCL's parameters: the name in ROS 1, another one in nav2, the defaults in both, and the parameter here if any."""
+
 AMCL_DEFAULTS: Final[Mapping[str, Mapping[str, Any]]] = {
-    "amcl": {
-        "min_particles": 100,
-        "max_particles": 5000,
-        "kld_err": 0.01,
-        "kld_z": 0.99,
-        "update_min_d": 0.2,
-        "update_min_a": math.pi / 6,
-        "resample_interval": 2,
-        "recovery_alpha_slow": 0.0,
-        "recovery_alpha_fast": 0.0,
-        "odom_alpha1": 0.2,
-        "odom_alpha2": 0.2,
-        "odom_alpha3": 0.2,
-        "odom_alpha4": 0.2,
-        "laser_max_beams": 30,
-        "laser_z_hit": 0.95,
-        "laser_z_short": 0.1,
-        "laser_z_max": 0.05,
-        "laser_z_rand": 0.05,
-        "laser_sigma_hit": 0.2,
-        "laser_lambda_short": 0.1,
-        "laser_likelihood_max_dist": 2.0,
-        "laser_model_type": "likelihood_field",
-        "odom_model_type": "diff",
-        "selective_resampling": False,
-    },
-    "nav2": {
-        "min_particles": 500,
-        "max_particles": 2000,
-        "pf_err": 0.05,
-        "pf_z": 0.99,
-        "update_min_d": 0.25,
-        "update_min_a": 0.2,
-        "resample_interval": 1,
-        "recovery_alpha_slow": 0.0,
-        "recovery_alpha_fast": 0.0,
-        "alpha1": 0.2,
-        "alpha2": 0.2,
-        "alpha3": 0.2,
-        "alpha4": 0.2,
-        "max_beams": 60,
-        "z_hit": 0.5,
-        "z_short": 0.05,
-        "z_max": 0.05,
-        "z_rand": 0.5,
-        "sigma_hit": 0.2,
-        "lambda_short": 0.1,
-        "laser_likelihood_max_dist": 2.0,
-        "laser_max_range": 100.0,
-        "laser_model_type": "likelihood_field",
-        "robot_model_type": "nav2_amcl::DifferentialMotionModel",
-    },
+    "amcl": {name: default for name, _, default, _, _ in _TABLE if default is not None},
+    "nav2": {other or name: default for name, other, _, default, _ in _TABLE if default is not None},
 }
 """The defaults of ROS 1's amcl and of nav2's, each by its own names."""
 
+_COVARIANCE: Final[Mapping[str, tuple[int, int]]] = {
+    f"initial_cov_{name}": place
+    for name, place in {"xx": (0, 0), "yy": (1, 1), "aa": (2, 2), "xy": (0, 1), "xa": (0, 2), "ya": (1, 2)}.items()
+}
 _ALIASES: Final[Mapping[str, str]] = {
-    "pf_err": "kld_err",
-    "pf_z": "kld_z",
-    "alpha1": "odom_alpha1",
-    "alpha2": "odom_alpha2",
-    "alpha3": "odom_alpha3",
-    "alpha4": "odom_alpha4",
-    "alpha5": "odom_alpha5",
-    "max_beams": "laser_max_beams",
-    "z_hit": "laser_z_hit",
-    "z_short": "laser_z_short",
-    "z_max": "laser_z_max",
-    "z_rand": "laser_z_rand",
-    "sigma_hit": "laser_sigma_hit",
-    "lambda_short": "laser_lambda_short",
-    "robot_model_type": "odom_model_type",
-    "initial_pose.x": "initial_pose_x",
-    "initial_pose.y": "initial_pose_y",
-    "initial_pose.yaw": "initial_pose_a",
+    **{other: name for name, other, *_ in _TABLE if other},
     "initial_pose_yaw": "initial_pose_a",
     **{
-        f"initial_pose{mark}covariance_{beluga}": f"initial_cov_{amcl}"
-        for mark in "._"  # of its ROS 2 node, and of its nodelet
-        for beluga, amcl in (("x", "xx"), ("y", "yy"), ("yaw", "aa"), ("xy", "xy"), ("xyaw", "xa"), ("yyaw", "ya"))
+        f"initial_pose{mark}covariance_{beluga}": name
+        for mark in "._"  # of Beluga's ROS 2 node, and of its nodelet
+        for name, beluga in zip(_COVARIANCE, ("x", "y", "yaw", "xy", "xyaw", "yyaw"), strict=True)
     },
 }
-_PLACES: Final[Mapping[str, str]] = {
-    "min_particles": "kld.particles_min",
-    "max_particles": "kld.particles_max",
-    "kld_err": "kld.error",
-    "kld_z": "kld.z",
-    "update_min_d": "when_to_update.translation_m",
-    "update_min_a": "when_to_update.rotation_rad",
-    "resample_interval": "resample_interval",
-    "recovery_alpha_slow": "recovery.alpha_slow",
-    "recovery_alpha_fast": "recovery.alpha_fast",
-    "odom_alpha1": "motion.alpha1",
-    "odom_alpha2": "motion.alpha2",
-    "odom_alpha3": "motion.alpha3",
-    "odom_alpha4": "motion.alpha4",
-    "laser_max_beams": "max_beams",
-    "laser_min_range": "range_min_m",
-    "laser_max_range": "range_max_m",
-    "laser_sigma_hit": "sensor.sigma_hit_m",
-    "laser_likelihood_max_dist": "reach_m",
-}
+_PLACES: Final = {name: place for name, _, _, _, place in _TABLE if place}
 _SHARES = {f"laser_z_{kind}": f"z_{kind}" for kind in ("hit", "short", "max", "rand")}
-_POSE = ("initial_pose_x", "initial_pose_y", "initial_pose_a")
-_COVARIANCE: Final[Mapping[str, tuple[int, int]]] = {
-    "initial_cov_xx": (0, 0),
-    "initial_cov_yy": (1, 1),
-    "initial_cov_aa": (2, 2),
-    "initial_cov_xy": (0, 1),
-    "initial_cov_xa": (0, 2),
-    "initial_cov_ya": (1, 2),
-}
 _BINS = ("spatial_resolution_x", "spatial_resolution_y", "spatial_resolution_theta")
-_DECIDES = ("laser_model_type", "odom_model_type", "selective_resampling", "laser_lambda_short", "set_initial_pose")
 _COUNTS = ("min_particles", "max_particles", "resample_interval", "laser_max_beams")
 _ALMOST_ZERO = 1e-9
-_IGNORED = (
-    "odom_alpha5",
-    "do_beamskip",
-    "beam_skip_distance",
-    "beam_skip_threshold",
-    "beam_skip_error_threshold",
-    "base_frame_id",
-    "odom_frame_id",
-    "global_frame_id",
-    "tf_broadcast",
-    "transform_tolerance",
-    "gui_publish_rate",
-    "save_pose_rate",
-    "use_map_topic",
-    "first_map_only",
-    "always_reset_initial_pose",
-    "scan_topic",
-    "map_topic",
-    "map_service",
-    "initial_pose.z",
-    "initial_pose_topic",
-    "use_sim_time",
-    "execution_policy",
-    "model_unknown_space",
-    "freespace_downsampling",
-    "random_seed",
-    "restore_defaults",
-    "bond_heartbeat_period",
-    "introspection_mode",
-    "force_update_after_initialpose",
-    "force_update_after_set_map",
-    "std_warn_level_x",
-    "std_warn_level_y",
-    "std_warn_level_yaw",
+_IGNORED: Final = tuple(
+    """
+    odom_alpha5 do_beamskip beam_skip_distance beam_skip_threshold beam_skip_error_threshold base_frame_id
+    odom_frame_id global_frame_id tf_broadcast transform_tolerance gui_publish_rate save_pose_rate use_map_topic
+    first_map_only always_reset_initial_pose scan_topic map_topic map_service initial_pose.z initial_pose_topic
+    use_sim_time execution_policy model_unknown_space freespace_downsampling random_seed restore_defaults
+    bond_heartbeat_period introspection_mode force_update_after_initialpose force_update_after_set_map
+    std_warn_level_x std_warn_level_y std_warn_level_yaw
+    """.split()  # noqa: SIM905 one name a line would be half a page
 )
 
-AMCL_NAMES: Final = frozenset((*_PLACES, *_SHARES, *_POSE, *_COVARIANCE, *_BINS, *_DECIDES, *_IGNORED, *_ALIASES))
+AMCL_NAMES: Final = frozenset((*(name for name, *_ in _TABLE), *_COVARIANCE, *_BINS, *_IGNORED, *_ALIASES))
 """Every name that `from_amcl` knows."""
 
 

@@ -6,7 +6,7 @@ Source: the public documentation of the ROS package gmapping, http://wiki.ros.or
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
@@ -25,95 +25,83 @@ from gridslam.ros.node.session_parameters import SESSION_DEFAULTS, read_session_
 
 __all__ = ["GMAPPING_DEFAULTS", "NODE_DEFAULTS", "NodeParameters", "NodeSettings", "node_parameters"]
 
-GMAPPING_DEFAULTS: Final[Mapping[str, float | int | str]] = {
-    "throttle_scans": 1,
-    "base_frame": "base_link",
-    "map_frame": "map",
-    "odom_frame": "odom",
-    "map_update_interval": 5.0,
-    "maxUrange": 80.0,
-    "sigma": 0.05,
-    "kernelSize": 1,
-    "lstep": 0.05,
-    "astep": 0.05,
-    "iterations": 5,
-    "lsigma": 0.075,
-    "ogain": 3.0,
-    "lskip": 0,
-    "minimumScore": 0.0,
-    "srr": 0.1,
-    "srt": 0.2,
-    "str": 0.1,
-    "stt": 0.2,
-    "linearUpdate": 1.0,
-    "angularUpdate": 0.5,
-    "temporalUpdate": -1.0,
-    "resampleThreshold": 0.5,
-    "particles": 30,
-    "xmin": -100.0,
-    "ymin": -100.0,
-    "xmax": 100.0,
-    "ymax": 100.0,
-    "delta": 0.05,
-    "llsamplerange": 0.01,
-    "llsamplestep": 0.01,
-    "lasamplerange": 0.005,
-    "lasamplestep": 0.005,
-    "transform_publish_period": 0.05,
-    "tf_delay": 0.05,
-    "occ_thresh": 0.25,
-    "maxRange": 80.0,
-}
+_GROWS, _NOT_SAMPLED = "the map grows by itself", "the likelihood around a match is not sampled"
+_GMAPPING: Final[tuple[tuple[str, float | int | str, str, str], ...]] = (
+    ("throttle_scans", 1, "throttle_scans", ""),
+    ("base_frame", "base_link", "base_frame", ""),
+    ("map_frame", "map", "map_frame", ""),
+    ("odom_frame", "odom", "odom_frame", ""),
+    ("map_update_interval", 5.0, "map_update_interval_s", ""),
+    ("maxUrange", 80.0, "", ""),
+    ("sigma", 0.05, "proposal.matcher.scale_m2", ""),
+    ("kernelSize", 1, "", ""),
+    ("lstep", 0.05, "proposal.matcher.step_m", ""),
+    ("astep", 0.05, "proposal.matcher.step_rad", ""),
+    ("iterations", 5, "proposal.matcher.halvings", ""),
+    ("lsigma", 0.075, "sensor.scale_m2", ""),
+    ("ogain", 3.0, "", ""),
+    ("lskip", 0, "sensor.skip", ""),
+    ("minimumScore", 0.0, "proposal.matcher.minimum_score", ""),
+    ("srr", 0.1, "motion.srr", ""),
+    ("srt", 0.2, "motion.srt", ""),
+    ("str", 0.1, "motion.str", ""),
+    ("stt", 0.2, "motion.stt", ""),
+    ("linearUpdate", 1.0, "when_to_update.translation_m", ""),
+    ("angularUpdate", 0.5, "when_to_update.rotation_rad", ""),
+    ("temporalUpdate", -1.0, "", "a robot at rest adds nothing to the map"),
+    ("resampleThreshold", 0.5, "when_to_resample.fraction", ""),
+    ("particles", 30, "particles", ""),
+    *(
+        (name, side, "", _GROWS)
+        for name, side in {"xmin": -100.0, "ymin": -100.0, "xmax": 100.0, "ymax": 100.0}.items()
+    ),
+    ("delta", 0.05, "mapper.resolution_m", ""),
+    *((name, 0.01, "", _NOT_SAMPLED) for name in ("llsamplerange", "llsamplestep")),
+    *((name, 0.005, "", _NOT_SAMPLED) for name in ("lasamplerange", "lasamplestep")),
+    ("transform_publish_period", 0.05, "transform_publish_period_s", ""),
+    ("tf_delay", 0.05, "tf_delay_s", ""),
+    ("occ_thresh", 0.25, "", "cells are occupied above probability 0.65 and free below 0.196"),
+    ("maxRange", 80.0, "", ""),
+)
+"""slam_gmapping's parameters: name, default, the field of `NodeSettings` or the parameter of the filter that it is, and
+why it has no equivalent; the others are in `_DERIVED`."""
+
+_OWN: Final[tuple[tuple[str, float | int | str | bool, str], ...]] = (
+    ("preset", "", ""),
+    ("config", "", ""),
+    ("set", "", ""),
+    ("seed", 0, "seed"),
+    ("threads", 1, "threads"),
+    ("odometry", "needed", "odometry"),
+    ("map_values", "trinary", "map_values"),
+    ("transform_wait", 0.5, "transform_wait_s"),
+    ("extrapolate", 0.15, "extrapolate_s"),
+    ("extrapolate_after", 0.03, "extrapolate_after_s"),
+    ("queue", 0.75, "queue_s"),
+    ("record", "", ""),
+    ("out", "", ""),
+    ("mode", "mapping", ""),
+    ("map_file", "", ""),
+    ("scan_topic", "scan", ""),
+    ("paused_new_measurements", False, ""),
+    ("map_updates", False, "map_updates"),
+    ("use_map_topic", False, ""),
+    ("map_topic", "", ""),
+    ("first_map_only", False, ""),
+    ("save_pose_rate", 0.5, ""),
+    ("tf_broadcast", True, ""),
+    ("lifecycle", False, ""),
+)
+"""The node's own parameters, but for those of sessions: name, default, and the field of `NodeSettings` that it is."""
+
+GMAPPING_DEFAULTS: Final[Mapping[str, float | int | str]] = {name: default for name, default, _, _ in _GMAPPING}
 """slam_gmapping's parameters and defaults; `maxRange` defaults to the laser's, `tf_delay` to the publish period."""
 
 NODE_DEFAULTS: Final[Mapping[str, float | int | str | bool]] = {
-    "preset": "",
-    "config": "",
-    "set": "",
-    "seed": 0,
-    "threads": 1,
-    "odometry": "needed",
-    "map_values": "trinary",
-    "transform_wait": 0.5,
-    "extrapolate": 0.15,
-    "extrapolate_after": 0.03,
-    "queue": 0.75,
-    "record": "",
-    "out": "",
-    "mode": "mapping",
-    "map_file": "",
-    "scan_topic": "scan",
-    "paused_new_measurements": False,
-    "map_updates": False,
-    "use_map_topic": False,
-    "map_topic": "",
-    "first_map_only": False,
-    "save_pose_rate": 0.5,
-    "tf_broadcast": True,
-    "lifecycle": False,
+    **{name: default for name, default, _ in _OWN},
     **SESSION_DEFAULTS,
 }
 """The node's own parameters and defaults: see docs/ros.md."""
-
-_FILTER: Final[Mapping[str, str]] = {
-    "particles": "particles",
-    "linearUpdate": "when_to_update.translation_m",
-    "angularUpdate": "when_to_update.rotation_rad",
-    "resampleThreshold": "when_to_resample.fraction",
-    "srr": "motion.srr",
-    "srt": "motion.srt",
-    "str": "motion.str",
-    "stt": "motion.stt",
-    "lstep": "proposal.matcher.step_m",
-    "astep": "proposal.matcher.step_rad",
-    "iterations": "proposal.matcher.halvings",
-    "sigma": "proposal.matcher.scale_m2",
-    "minimumScore": "proposal.matcher.minimum_score",
-    "lsigma": "sensor.scale_m2",
-    "lskip": "sensor.skip",
-    "delta": "mapper.resolution_m",
-}
-"""The filter's parameter for each parameter of slam_gmapping."""
 
 _DERIVED: Final[Mapping[str, tuple[str, ...]]] = {
     "kernelSize": ("proposal.matcher.kernel_m", "sensor.kernel_m"),
@@ -123,29 +111,13 @@ _DERIVED: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """The filter's parameters that are derived from one or several parameters of slam_gmapping."""
 
-_PATHS: Final[Mapping[str, tuple[str, ...]]] = {**{name: (path,) for name, path in _FILTER.items()}, **_DERIVED}
-"""All parameters of the filter for each parameter of slam_gmapping."""
+_UNSUPPORTED: Final[Mapping[str, str]] = {
+    **{name: reason for name, _, _, reason in _GMAPPING if reason},
+    "inverted_laser": "the mounting is taken from the transforms",
+}
+"""Parameters without an equivalent, with the reason."""
 
 _ALMOST_ZERO = 1e-9
-
-_NODE: Final[Mapping[str, str]] = {
-    "throttle_scans": "throttle_scans",
-    "base_frame": "base_frame",
-    "map_frame": "map_frame",
-    "odom_frame": "odom_frame",
-    "map_update_interval": "map_update_interval_s",
-    "transform_publish_period": "transform_publish_period_s",
-    "tf_delay": "tf_delay_s",
-    "seed": "seed",
-    "threads": "threads",
-    "odometry": "odometry",
-    "map_values": "map_values",
-    "transform_wait": "transform_wait_s",
-    "map_updates": "map_updates",
-    "extrapolate": "extrapolate_s",
-    "extrapolate_after": "extrapolate_after_s",
-    "queue": "queue_s",
-}
 
 _AMCL_NODE: Final[Mapping[str, str]] = {
     "base_frame_id": "base_frame",
@@ -154,18 +126,6 @@ _AMCL_NODE: Final[Mapping[str, str]] = {
     "transform_tolerance": "tf_delay",
 }
 """The node's names of AMCL's parameters."""
-
-_UNSUPPORTED: Final[Mapping[str, str]] = {
-    **dict.fromkeys(("xmin", "ymin", "xmax", "ymax"), "the map grows by itself"),
-    **dict.fromkeys(
-        ("llsamplerange", "llsamplestep", "lasamplerange", "lasamplestep"),
-        "the likelihood around a match is not sampled",
-    ),
-    "temporalUpdate": "a robot at rest adds nothing to the map",
-    "occ_thresh": "cells are occupied above probability 0.65 and free below 0.196",
-    "inverted_laser": "the mounting is taken from the transforms",
-}
-"""Parameters without an equivalent, with the reason."""
 
 
 def _strip_slash(frame: str) -> str:
@@ -237,6 +197,20 @@ class NodeSettings:
     max_beams: int = Field(default=100_000, ge=1)
     seed: int = Field(default=0, ge=0)
     threads: int = Field(default=1, ge=1, le=256)
+
+
+_FIELDS: Final = frozenset(each.name for each in fields(NodeSettings))
+_NODE: Final[Mapping[str, str]] = {
+    **{name: target for name, _, target, _ in _GMAPPING if target in _FIELDS},
+    **{name: target for name, _, target in _OWN if target},
+}
+"""The field of `NodeSettings` for each parameter that is one."""
+
+_FILTER: Final[Mapping[str, str]] = {name: target for name, _, target, _ in _GMAPPING if target and name not in _NODE}
+"""The filter's parameter for each parameter of slam_gmapping."""
+
+_PATHS: Final[Mapping[str, tuple[str, ...]]] = {**{name: (path,) for name, path in _FILTER.items()}, **_DERIVED}
+"""All parameters of the filter for each parameter of slam_gmapping."""
 
 
 @final
