@@ -13,6 +13,11 @@ pytest.register_assert_rewrite("support.real_logs")
 TESTS = Path(__file__).parent
 
 TIERS = {
+    "dev": (
+        "contracts/test_docs.py::test_the_pages_build",
+        "reference/test_graph_oracles.py",
+        "regression/test_cluster_batches.py",
+    ),
     "browser": ("contracts/page/",),
     "ros": (
         "contracts/test_ros1_node.py",
@@ -22,7 +27,10 @@ TIERS = {
     ),
     "long": ("long/", "fuzz/test_thousands_of_files.py"),
 }
-"""Tests of another tier than the default, by where they are; those that take `data_dir` are of `real_logs`."""
+"""Tests of another tier than the default, by where they are."""
+
+FIXTURES = {"data_dir": "real_logs", "s3": "dev", "web": "dev", "mirror": "dev"}
+"""The same by what they take: real logs, and servers whose clients are libraries of the extra dev."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -37,12 +45,12 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Give every test the marker of its tier, unless it has the default's."""
     for item in items:
-        path = item.path.relative_to(TESTS).as_posix()
+        path = f"{item.path.relative_to(TESTS).as_posix()}::{item.name}"
         for tier, paths in TIERS.items():
             if path.startswith(paths):
                 item.add_marker(tier)
-        if "data_dir" in getattr(item, "fixturenames", ()):
-            item.add_marker("real_logs")
+        for fixture in FIXTURES.keys() & set(getattr(item, "fixturenames", ())):
+            item.add_marker(FIXTURES[fixture])
 
 
 @pytest.fixture(scope="session")

@@ -38,6 +38,8 @@ def commands(workflow):
 @pytest.mark.parametrize("workflow", WORKFLOWS, ids=lambda file: file.name)
 def test_a_workflow_calls_scripts_that_exist(workflow):
     names = {name for line in commands(workflow) for name in re.findall(r"(?<!\S)\.ci/\w+", line)}
+    matrices = (job.get("strategy", {}).get("matrix", {}) for job in load(workflow)["jobs"].values())
+    names |= {f".ci/{script.split()[0]}" for matrix in matrices for script in matrix.get("script", ())}
     assert names or load(workflow)["jobs"]
     for name in names:
         assert os.access(ROOT / name, os.X_OK), f"{workflow.name} calls {name}"

@@ -1,4 +1,4 @@
-"""gridslam dataset: what is got is what it should be, or nothing is left; from a server of our own."""
+"""gridslam dataset: what is got is what it should be, or nothing is left; from a mirror of our own."""
 
 from __future__ import annotations
 
@@ -40,8 +40,7 @@ class Handler(BaseHTTPRequestHandler):
 
 
 @pytest.fixture
-def server(monkeypatch):
-    pytest.importorskip("pooch")
+def mirror(monkeypatch):
     known = {"sha256": hashlib.sha256(CONTENT).hexdigest(), "size": len(CONTENT)}
     monkeypatch.setattr(datasets, "DATASETS", tuple(replace(dataset, **known) for dataset in DATASETS))
     for name in ("http_proxy", "HTTP_PROXY", "all_proxy", "ALL_PROXY"):
@@ -78,7 +77,7 @@ def refused(call, tmp_path, *arguments, status):
     return err
 
 
-def test_what_is_got_is_checked_and_credited(server, tmp_path, call):
+def test_what_is_got_is_checked_and_credited(mirror, tmp_path, call):
     out = tmp_path / "new" / "logs"
     status, told, err = call("get", "intel", "-o", out)
     assert (status, err) == (0, "")
@@ -87,43 +86,43 @@ def test_what_is_got_is_checked_and_credited(server, tmp_path, call):
     assert told.startswith(f"{out / 'intel.clf.bz2'}: Intel Research Lab")
     assert "credit: D. Haehnel; the Freiburg SLAM benchmark" in told
     assert "licence: CC BY 3.0" in told
-    assert server.asked == ["/logs/intel.clf.bz2"]
+    assert mirror.asked == ["/logs/intel.clf.bz2"]
 
 
-def test_what_is_there_is_not_got_again(server, tmp_path, call):
+def test_what_is_there_is_not_got_again(mirror, tmp_path, call):
     for _ in range(2):
         assert call("get", "intel", "-o", tmp_path)[0] == 0
-    assert len(server.asked) == 1
+    assert len(mirror.asked) == 1
     (tmp_path / "intel.clf.bz2").write_bytes(b"damaged")
     status, out, _ = call("get", "intel", "-o", tmp_path, "--json")
     assert status == 0
     assert json.loads(out)["path"] == str(tmp_path / "intel.clf.bz2")
     assert json.loads(out)["datasets"][0]["licence"].startswith("CC BY 3.0")
     assert (tmp_path / "intel.clf.bz2").read_bytes() == CONTENT
-    assert len(server.asked) == 2
+    assert len(mirror.asked) == 2
 
 
 @pytest.mark.parametrize("name", ["aces", "mit-csail"])
-def test_another_file_or_half_of_it_leaves_nothing(server, tmp_path, call, name):
+def test_another_file_or_half_of_it_leaves_nothing(mirror, tmp_path, call, name):
     (tmp_path / f"{name}.clf.bz2").write_bytes(b"of old")
     err = refused(call, tmp_path, "get", name, "-o", tmp_path, status=1)
-    assert f"{server.url}/{name}.clf.bz2: " in err
+    assert f"{mirror.url}/{name}.clf.bz2: " in err
     assert (tmp_path / f"{name}.clf.bz2").read_bytes() == b"of old"
     refused(call, tmp_path, "get", name, "-o", tmp_path / "new", status=1)
 
 
-def test_another_file_is_told_as_such(server, tmp_path, call):
+def test_another_file_is_told_as_such(mirror, tmp_path, call):
     err = refused(call, tmp_path, "get", "aces", "-o", tmp_path, status=1)
     assert f"expected the file of SHA-256 {hashlib.sha256(CONTENT).hexdigest()}, got another one" in err
 
 
-def test_a_mirror_without_the_file(server, tmp_path, call):
-    err = refused(call, tmp_path, "get", "intel", "-o", tmp_path, "--url", f"{server.url}/elsewhere/", status=1)
+def test_a_mirror_without_the_file(mirror, tmp_path, call):
+    err = refused(call, tmp_path, "get", "intel", "-o", tmp_path, "--url", f"{mirror.url}/elsewhere/", status=1)
     assert err.endswith("/logs/elsewhere/intel.clf.bz2: cannot be got: 404 Not Found\n")
 
 
+@pytest.mark.dev
 def test_no_connection(tmp_path, call):
-    pytest.importorskip("pooch")
     with socket.socket() as free:  # bound and not listening: nobody answers there
         free.bind(("127.0.0.1", 0))
         url = f"http://127.0.0.1:{free.getsockname()[1]}"
@@ -132,8 +131,8 @@ def test_no_connection(tmp_path, call):
     assert "refused" in err
 
 
+@pytest.mark.dev
 def test_an_url_that_is_none(tmp_path, call):
-    pytest.importorskip("pooch")
     err = refused(call, tmp_path, "get", "intel", "-o", tmp_path, "--url", "ftq://there", status=1)
     assert "ftq://there/intel.clf.bz2" in err
 

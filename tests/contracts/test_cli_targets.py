@@ -157,6 +157,7 @@ def test_where_the_results_cannot_be_written_the_session_is(call, log, tmp_path,
     assert call("session", saved)[0] == 0
 
 
+@pytest.mark.dev
 def test_results_that_cannot_be_uploaded_are_kept(call, log, tmp_path, monkeypatch):
     def refuse(file, url):
         raise OutputError(f"{url}: cannot be written: access denied")
@@ -170,6 +171,7 @@ def test_results_that_cannot_be_uploaded_are_kept(call, log, tmp_path, monkeypat
     assert (kept / "map.yaml").exists()
 
 
+@pytest.mark.dev
 @pytest.mark.parametrize("option", ["-o", "--upload"])
 def test_a_server_that_does_not_answer_is_told_before_the_work(call, log, tmp_path, monkeypatch, option):
     def refuse(*_, **__):
@@ -184,8 +186,8 @@ def test_a_server_that_does_not_answer_is_told_before_the_work(call, log, tmp_pa
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.dev
 def test_where_the_page_of_a_batch_cannot_be_written_the_table_is(call, log, tmp_path, monkeypatch):
-    pytest.importorskip("pyarrow")
     monkeypatch.setattr("gridslam.batch.publish.write_report", full_disk)
     status, out, err = call("batch", log, "-o", tmp_path / "out", "--parquet", "--", *FEW)
     assert (status, "1 done" in out, "No space left" in err) == (1, True, True)

@@ -7,7 +7,6 @@ import re
 import sys
 
 import numpy as np
-import pandas
 import pytest
 from PIL import Image
 
@@ -117,7 +116,10 @@ def test_a_grid_is_shown_as_map_files_have_it(mapped):
     assert empty_grid()._repr_png_() is None
 
 
+@pytest.mark.dev
 def test_a_result_becomes_a_table(results):
+    import pandas
+
     for name, result in results.items():
         table, poses = result.to_dataframe(), result.trajectory
         assert table["stamp_ns"].dtype == np.int64

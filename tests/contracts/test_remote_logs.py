@@ -51,7 +51,6 @@ def s3(store, tmp_path, monkeypatch):
 
 @pytest.fixture
 def web(log, tmp_path, monkeypatch):
-    pytest.importorskip("aiohttp")
     monkeypatch.setenv("GRIDSLAM_CACHE", str(tmp_path / "cache"))
 
     class Quiet(http.server.SimpleHTTPRequestHandler):
@@ -97,8 +96,8 @@ def test_a_missing_library_is_named(monkeypatch):
         fetch("s3://bucket/run.bag")
 
 
+@pytest.mark.dev
 def test_a_missing_library_for_one_kind_of_url_is_named(monkeypatch):
-    pytest.importorskip("fsspec")
     monkeypatch.setitem(sys.modules, "gcsfs", None)
     with pytest.raises(GridslamError, match=r"gs://bucket/run\.bag: cannot be read: .*gcsfs"):
         fetch("gs://bucket/run.bag")

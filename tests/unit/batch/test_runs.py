@@ -66,8 +66,10 @@ def test_a_folder_without_a_journal_and_a_damaged_one_are_named(tmp_path):
         list(read_runs(tmp_path))
 
 
+@pytest.mark.dev
 def test_parquet_has_a_row_for_each_run_and_a_column_for_each_figure(tmp_path):
-    parquet = pytest.importorskip("pyarrow.parquet")
+    import pyarrow.parquet as parquet
+
     rows = make_rows(12, failed=3)
     write_journal(tmp_path, rows)
     table = parquet.read_table(write_parquet(tmp_path)).to_pydict()
