@@ -20,7 +20,9 @@ TARGETS = *FOLDERS, OUTPUT_FILE, RECORDING
 
 
 def commands(group=gridslam, names=()):
-    for name, command in group.commands.items():
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
         if isinstance(command, click.Group):
             yield from commands(command, (*names, name))
         else:

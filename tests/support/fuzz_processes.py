@@ -242,7 +242,7 @@ def _change_option(case: _Case, here: Path, rng: np.random.Generator) -> None:
     command: click.Command = gridslam
     for word in case.argv:
         if isinstance(command, click.Group):
-            command = command.commands[word]
+            command = command.get_command(click.Context(command), word)
     left_out = {"live", "live_opens", "scheduler", "suite", "rerun", "url", "upload"}
     options = [
         parameter

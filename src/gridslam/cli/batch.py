@@ -25,8 +25,7 @@ from gridslam.batch.publish import Publisher
 from gridslam.batch.runs import read_runs
 from gridslam.batch.suite import load_suite
 from gridslam.cli.localize import read_parameters
-from gridslam.cli.map import build_configuration
-from gridslam.cli.options import evaluate_options, localize_options, log_options, map_options
+from gridslam.cli.options import MapOptions, evaluate_options, localize_options, log_options, map_options
 from gridslam.cli.output import open_display, stop_if_interrupted, warn, write_apart
 from gridslam.config.tables import suggest_names, to_table
 from gridslam.errors import ConfigurationError, GridslamError, InputError, OutputError
@@ -192,25 +191,13 @@ class _Maker:
 
 @click.command("map", add_help_option=False)
 @map_options
-def _read_map(
-    preset: str,
-    particles: int | None,
-    laser: str | None,
-    config: Path | None,
-    assignments: Sequence[str],
-    no_loop_closure: bool,
-    seed: int,
-    threads: int,
-    options: LogOptions,
-    repair: _Repair,
-) -> dict[str, Any]:
-    configuration = build_configuration(preset, particles, laser, config, assignments, no_loop_closure)
+def _read_map(given: MapOptions) -> dict[str, Any]:
     return {
-        "configuration": to_table(configuration),
-        "seed": seed,
-        "threads": threads,
-        "options": options.to_dict(),
-        "repair": repair,
+        "configuration": to_table(given.configuration()),
+        "seed": given.seed,
+        "threads": given.threads,
+        "options": given.options.to_dict(),
+        "repair": given.repair,
     }
 
 

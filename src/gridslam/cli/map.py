@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,29 +13,20 @@ from gridslam.api.mapping import MapResult, map_log
 from gridslam.api.peak_memory import return_large_blocks
 from gridslam.cli import STARTED_S
 from gridslam.cli.live import NOBODY, Viewers, open_viewers
+from gridslam.cli.options import MapOptions
 from gridslam.cli.output import mapping_progress, open_output, print_result, warn, write_apart
 from gridslam.cli.session_options import SessionOptions
-from gridslam.config import Configuration, apply_laser, load, override, preset
-from gridslam.io.log import Log, LogOptions, open_log
+from gridslam.io.log import Log, open_log
 from gridslam.live.options import LiveOptions
 from gridslam.pipeline import Stopwatch
 
-__all__ = ["build_configuration", "map_to_folder", "map_with_progress", "summarize"]
+__all__ = ["map_to_folder", "map_with_progress", "summarize"]
 
 
 def map_to_folder(
     log: Path,
     out: Path,
-    preset: str,
-    particles: int | None,
-    laser: str | None,
-    config: Path | None,
-    assignments: Sequence[str],
-    no_loop_closure: bool,
-    seed: int,
-    threads: int,
-    options: LogOptions,
-    repair: Literal["needed", "all", "none"],
+    given: MapOptions,
     session: SessionOptions,
     live: LiveOptions | None,
     no_history: bool,
@@ -45,11 +36,11 @@ def map_to_folder(
     """Map a log, write the results to a folder and print a summary."""
     return_large_blocks()
     watch = Stopwatch(STARTED_S, 0.0)
-    configuration = build_configuration(preset, particles, laser, config, assignments, no_loop_closure)
-    opened = session.open(configuration, seed, threads)
+    configuration = given.configuration()
+    opened = session.open(configuration, given.seed, given.threads)
     if opened is not None:
         configuration = opened.configuration
-    source = check_log(open_log(log, options), options, warn)
+    source = check_log(open_log(log, given.options), given.options, warn)
     with (
         write_apart() as write,
         open_viewers(live, rerun, source.path.name, configuration.range_max_m, has_history=not no_history) as viewers,
@@ -59,10 +50,10 @@ def map_to_folder(
             viewers.show_session(session.continued.name, [drive.name for drive in opened.saved.drives])
         with open_output(out, [*MapResult.all_names(), *session.names()]) as folder:
             if opened is None:
-                run = partial(map_log, configuration=configuration, seed=seed, threads=threads)
+                run = partial(map_log, configuration=configuration, seed=given.seed, threads=given.threads)
             else:
                 run = partial(session.add, opened, out)
-            result = map_with_progress(source, run, watch, viewers, shown=not as_json, repair=repair)
+            result = map_with_progress(source, run, watch, viewers, shown=not as_json, repair=given.repair)
             is_saved = opened is None or session.save is None or write(opened.save, session.save)
             viewers.write_history(folder)
             document = result.write(folder)
@@ -124,25 +115,6 @@ def summarize(document: dict[str, Any], result: MapResult, out: Path) -> list[st
         f"map, {filter_['map_width_m']:.1f} m x {filter_['map_height_m']:.1f} m: {out / 'map.png'}, {out / 'map.yaml'}",
         f"trajectory: {out / 'trajectory.tum'}",
     ]
-
-
-def build_configuration(
-    name: str,
-    particles: int | None,
-    laser: str | None,
-    path: Path | None,
-    assignments: Sequence[str],
-    no_loop_closure: bool,
-) -> Configuration:
-    """Build the configuration; --particles and --no-loop-closure override preset, laser, file and assignments."""
-    config = preset(name, particles)
-    config = config if laser is None else apply_laser(config, laser)
-    if path is not None:
-        config = load(path, config)
-    if particles is not None:
-        config = override(config, f"particles={particles}")
-    config = override(config, *assignments)
-    return replace(config, loop_closure=None) if no_loop_closure else config
 
 
 def _summarize_loop_closure(loops: dict[str, Any] | Literal[False]) -> Iterator[str]:

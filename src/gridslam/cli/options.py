@@ -6,7 +6,9 @@ import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TypeVar
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import click
 
@@ -14,10 +16,13 @@ from gridslam.cli.option_types import OUT, OUTPUT_FILE, PATH, RECORDING, SECONDS
 from gridslam.errors import ArgumentError
 
 if TYPE_CHECKING:
+    from gridslam.config import Configuration
+    from gridslam.io.log import LogOptions
     from gridslam.live.options import LiveOptions
 
 __all__ = [
     "SETTINGS",
+    "MapOptions",
     "add_options",
     "assignment_option",
     "evaluate_options",
@@ -209,9 +214,44 @@ def _read_live_options(given: dict[str, Any]) -> LiveOptions:
         return LiveOptions(**fields)
 
 
+@dataclass(frozen=True)
+class MapOptions:
+    """The options that determine the result of `gridslam map`, by their names; `options` choose what is read."""
+
+    particles: int | None
+    seed: int
+    threads: int
+    preset: str
+    laser: str | None
+    config: Path | None
+    assignments: tuple[str, ...]
+    no_loop_closure: bool
+    repair: Literal["needed", "all", "none"]
+    options: LogOptions
+
+    def configuration(self) -> Configuration:
+        """Build the configuration; --particles and --no-loop-closure override preset, laser, file and assignments."""
+        from gridslam.config import apply_laser, load, override, preset
+
+        config = preset(self.preset, self.particles)
+        config = config if self.laser is None else apply_laser(config, self.laser)
+        if self.config is not None:
+            config = load(self.config, config)
+        if self.particles is not None:
+            config = override(config, f"particles={self.particles}")
+        config = override(config, *self.assignments)
+        return replace(config, loop_closure=None) if self.no_loop_closure else config
+
+
 def map_options(command: _Command) -> _Command:
-    """Add the options that determine the result of `gridslam map`."""
-    return add_options(command, _MAP_OPTIONS)  # type: ignore[return-value]
+    """Add the options that determine the result of `gridslam map`, which a command gets as ``given``: MapOptions."""
+
+    @functools.wraps(command)
+    def wrapper(**options: Any) -> Any:  # noqa: ANN401
+        given = MapOptions(**{each.name: options.pop(each.name) for each in fields(MapOptions)})
+        return command(given=given, **options)
+
+    return add_options(wrapper, _MAP_OPTIONS)  # type: ignore[return-value]
 
 
 def session_options(command: _Command) -> _Command:

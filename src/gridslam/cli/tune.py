@@ -8,18 +8,18 @@ import re
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, final
+from typing import Any, final
 
 import click
 
 from gridslam.batch.engine import run_jobs
 from gridslam.batch.job import Job
 from gridslam.batch.journal import Journal
-from gridslam.batch.manifest import Entry, find_logs
+from gridslam.batch.manifest import find_logs
 from gridslam.batch.pool import ProcessPool
-from gridslam.cli.map import build_configuration
+from gridslam.cli.options import MapOptions
 from gridslam.cli.output import open_display, print_result, stop_if_interrupted, write_apart
 from gridslam.errors import InputError, OutputError
 from gridslam.io.limits import max_memory_bytes
@@ -32,8 +32,9 @@ from gridslam.tuning.trial import find_reference
 from gridslam.tuning.tune import Budget, Settings, Trial, TunedLog, Tuner
 from gridslam.viz.chart import draw_chart
 
-__all__ = ["read_duration_s", "run_tune"]
+__all__ = ["TuneOptions", "read_duration_s", "run_tune"]
 
+_TRIALS, _MOST_TRIALS = 60, 100_000  # without --trials: of a search without and with a budget
 _UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 
 
@@ -45,61 +46,82 @@ def read_duration_s(text: str) -> float:
     return float(found[1]) * _UNITS[found[2]]
 
 
-def run_tune(
-    logs: Sequence[str],
-    out: Path,
-    trials: int | None,
-    budget: str | None,
-    reference: str | None,
-    held_out: Sequence[str],
-    split: float | None,
-    without_reference: bool,
-    names: Sequence[str],
-    judging_seeds: int,
-    workers: int,
-    timeout_s: float | None,
-    as_json: bool,
-    particles: int | None,
-    seed: int,
-    threads: int,
-    preset: str,
-    laser: str | None,
-    config: Path | None,
-    assignments: Sequence[str],
-    no_loop_closure: bool,
-    repair: Literal["needed", "all", "none"],
-    options: LogOptions,
-) -> None:
+@dataclass(frozen=True)
+class TuneOptions:
+    """The options of `gridslam tune` that are not those of `gridslam map`, by their names."""
+
+    trials: int | None
+    budget: str | None
+    reference: str | None
+    held_out: tuple[str, ...]
+    split: float | None
+    without_reference: bool
+    names: tuple[str, ...]
+    judging_seeds: int
+    workers: int
+    timeout_s: float | None
+
+    def find_budget(self) -> Budget | None:
+        """Read --budget, which excludes --trials."""
+        if self.budget is None:
+            return None
+        if self.trials is not None:
+            raise click.ClickException("--trials and --budget exclude each other")
+        return Budget(read_duration_s(self.budget), self.workers)
+
+    def read_logs(self, logs: Sequence[str], options: LogOptions) -> list[TunedLog]:
+        """Describe logs, those of the search first, but for their digests; raises InputError for one of no use."""
+        entries = find_logs([*logs, *self.held_out], reference=self.reference)
+        searched = len(find_logs(logs))
+        if self.split:
+            searched = max(1, round((1 - self.split) * searched))
+        found = []
+        for k, entry in enumerate(entries):
+            log = open_log(entry.path, options)
+            for _ in log:
+                stop_if_interrupted()
+            duration_s = log.statistics.duration_s
+            if not duration_s > 0:
+                raise InputError(entry.path, "expected a log of more than one scan")
+            reference = None if self.without_reference else entry.reference or find_reference(entry.path)
+            where = None if reference is None else os.fspath(reference)
+            found.append(TunedLog(entry.name, entry.path, "", duration_s, where, held_out=k >= searched))
+        return found
+
+
+def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOptions, as_json: bool) -> None:
     """Search parameters for logs, and write the configuration to use, tune.json, the figures and the journal."""
-    if trials is not None and budget is not None:
-        raise click.ClickException("--trials and --budget exclude each other")
-    budget_s = None if budget is None else read_duration_s(budget)
-    base = build_configuration(preset, particles, laser, config, assignments, no_loop_closure)
-    space = SearchSpace.of(base, names)
+    budget = tune.find_budget()
+    base = given.configuration()
+    space = SearchSpace.of(base, tune.names)
     folder = out.with_suffix(".tune")
     if folder == out:
         raise click.ClickException(f"{out}: expected the name of a file to write, as best.toml")
     load_library()
-    entries = find_logs([*logs, *held_out], reference=reference)
-    searched = len(find_logs(logs))
-    if split:
-        searched = max(1, round((1 - split) * searched))
-    read = _read_logs(entries, searched, without_reference, options)
+    read = tune.read_logs(logs, given.options)
     try:
         with Journal(folder) as journal:
             chosen = [_digest(log, journal) for log in read]
     except OutputError as error:
         raise click.ClickException(str(error)) from None
     settings = Settings(
-        base, space, trials or _most_trials(budget_s), seed, judging_seeds, options, repair, max_memory_bytes(), threads
+        base,
+        space,
+        tune.trials or (_TRIALS if budget is None else _MOST_TRIALS),
+        given.seed,
+        tune.judging_seeds,
+        given.options,
+        given.repair,
+        max_memory_bytes(),
+        given.threads,
     )
     with _Progress(not as_json) as progress:
 
         def run(jobs: Sequence[Job]) -> list[dict[str, Any]]:
-            return run_jobs(jobs, folder, executor=ProcessPool(workers), timeout_s=timeout_s, on_poll=progress.on_poll)
+            executor = ProcessPool(tune.workers)
+            return run_jobs(jobs, folder, executor=executor, timeout_s=tune.timeout_s, on_poll=progress.on_poll)
 
-        allowed = None if budget_s is None else Budget(budget_s, workers)
-        tuner = Tuner(settings, chosen, run, allowed, progress.on_trial)
+        tuner = Tuner(settings, chosen, run, budget, progress.on_trial)
         progress.watch(tuner)
         tuning = tuner()
     document = to_document(tuning, settings, chosen, tuner.planned)
@@ -121,27 +143,6 @@ def _write_text(file: Path, text: str) -> None:
 def _draw(file: Path, figure: Any, caption: str) -> None:  # noqa: ANN401
     with write_atomically(file) as path:
         draw_chart(figure, caption=[caption]).save(path)
-
-
-def _most_trials(budget_s: float | None) -> int:
-    """Trials without --trials: 60, or as many as the budget allows."""
-    return 60 if budget_s is None else 100_000
-
-
-def _read_logs(entries: Sequence[Entry], searched: int, without_reference: bool, options: LogOptions) -> list[TunedLog]:
-    """What is known of logs, those of the search first, but for their digests; raises InputError for one of no use."""
-    found = []
-    for k, entry in enumerate(entries):
-        log = open_log(entry.path, options)
-        for _ in log:
-            stop_if_interrupted()
-        duration_s = log.statistics.duration_s
-        if not duration_s > 0:
-            raise InputError(entry.path, "expected a log of more than one scan")
-        reference = None if without_reference else entry.reference or find_reference(entry.path)
-        where = None if reference is None else os.fspath(reference)
-        found.append(TunedLog(entry.name, entry.path, "", duration_s, where, held_out=k >= searched))
-    return found
 
 
 def _digest(log: TunedLog, journal: Journal) -> TunedLog:

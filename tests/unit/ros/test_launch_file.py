@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gridslam.cli.commands import ros2_command
+from gridslam.cli.commands.nodes import ros2_command
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.ros2.arguments import parse_ros_arguments
 

@@ -1,0 +1,153 @@
+"""gridslam batch and tune: options and help."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from gridslam.cli.option_types import MEMORY, OUTPUT_FILE, OUTPUT_FOLDER, TIME_LIMIT, UPLOAD, Number
+from gridslam.cli.options import json_option, map_options
+
+__all__ = ["batch_command", "tune_command"]
+
+
+class _BatchCommand(click.Command):
+    """Command that hands on what follows ``--``: the options of the command that it runs."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse what precedes ``--``."""
+        at = args.index("--") if "--" in args else len(args)
+        ctx.meta["gridslam.batch"] = args[at + 1 :]
+        return super().parse_args(ctx, args[:at])
+
+    def format_usage(self, context: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the usage."""
+        formatter.write_usage(context.command_path, "LOGS... -o OUT [OPTIONS] [-- OPTIONS OF THE COMMAND]")
+
+
+@click.command("batch", cls=_BatchCommand)
+@click.argument("logs", nargs=-1)
+@click.option("-o", "--out", type=OUTPUT_FOLDER, required=True, help="Output folder; created if missing.")
+@click.option(
+    "--command",
+    type=click.Choice(["map", "doctor", "localize", "evaluate"]),
+    default="map",
+    show_default=True,
+    help="What to do with each log.",
+)
+@click.option(
+    "--reference",
+    metavar="PATTERN",
+    help="File of relations (.relations) or true trajectory of each log, with {name}, {stem} or {parent} for the log's "
+    "name, its file's and its folder's: results are scored against it.",
+)
+@click.option(
+    "--workers", type=click.IntRange(1, 256), metavar="N", help="Logs at a time.  [default: number of processors]"
+)
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS|FILE",
+    help="Run on a Dask cluster: address of its scheduler (tcp://, tls://), its scheduler file, or a configuration of "
+    "dask-jobqueue, YAML, from which --workers are started (extra: cluster).",
+)
+@click.option("--timeout", "timeout_s", type=TIME_LIMIT, metavar="S", help="Time limit for a log, s.")
+@click.option(
+    "--memory",
+    "memory_mb",
+    type=MEMORY,
+    metavar="MB|auto",
+    help="Limit of the address space for a log, MB (Linux only); auto: four times what it is estimated to need.",
+)
+@click.option(
+    "--retries",
+    type=click.IntRange(0, 100),
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="Run a log whose worker is lost again elsewhere, at most N times.",
+)
+@click.option(
+    "--suite",
+    metavar="NAME|FILE",
+    help="Map the logs of a suite, public or a TOML file, by each of its variants and seeds; LOGS are folders with "
+    "them, or none: then public logs are downloaded (extra: datasets).",
+)
+@click.option("--parquet", is_flag=True, help="Write runs.parquet, too (extra: parquet).")
+@click.option("--upload", type=UPLOAD, metavar="URL", help="Copy all results to this URL, too (extra: remote).")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line for each log, and no progress.")
+def batch_command(**options: Any) -> int:  # noqa: ANN401
+    """Map many logs, or run another command over them, each in a process of its own.
+
+    LOGS are files, folders, URLs, patterns in quotes ('logs/**/*.bag') or manifests: CSV files with a column log and
+    optionally name, reference and options of the command (seed, preset, ...), a line for each log.
+
+    \b
+      gridslam batch logs -o OUT --workers 4 --timeout 600 -- --preset fast
+      gridslam batch logs -o OUT --command doctor
+
+    Writes to OUT a folder for each log, with the files of the command and run.json, report.html, the page of all of
+    them, and runs.sqlite with a row for each log. The same command again runs what is missing. Exit status: 1 if a log
+    failed.
+    """
+    from gridslam.cli.batch import run_batch
+
+    if not options["logs"] and options["suite"] is None:
+        raise click.UsageError("Missing argument 'LOGS...'.", click.get_current_context())
+    return run_batch(**options, words=click.get_current_context().meta["gridslam.batch"])
+
+
+@click.command("tune")
+@click.argument("logs", nargs=-1, required=True)
+@click.option(
+    "-o",
+    "--out",
+    type=OUTPUT_FILE,
+    required=True,
+    metavar="BEST.toml",
+    help="Configuration to use; details in BEST.tune.",
+)
+@click.option("--trials", type=click.IntRange(1, 100_000), metavar="N", help="Configurations to try.  [default: 60]")
+@click.option("--budget", metavar="TIME", help="Wall time that it may take, as 90s, 15m or 1h, instead of --trials.")
+@click.option(
+    "--reference",
+    metavar="PATTERN",
+    help="File of relations (.relations) or true trajectory of each log, with {name}, {stem} or {parent}.  [default: "
+    "NAME.relations, NAME.truth.tum or NAME.ref.tum beside it; where there is none its self-consistency is the score]",
+)
+@click.option("--held-out", multiple=True, metavar="LOG", help="Log that judges the best and is not searched on.")
+@click.option("--split", type=Number(0, 0.9), metavar="SHARE", help="Hold out this share of LOGS, from the end.")
+@click.option("--without-reference", is_flag=True, help="Score by self-consistency also where there is a reference.")
+@click.option("--tune", "names", multiple=True, metavar="NAME", help="Parameter to search.  [default: all that are]")
+@click.option(
+    "--judging-seeds",
+    type=click.IntRange(2, 1000),
+    default=5,
+    show_default=True,
+    metavar="N",
+    help="Seeds of the comparison between the best and the start.",
+)
+@click.option(
+    "--workers", type=click.IntRange(1, 256), default=1, show_default=True, metavar="N", help="Logs mapped at a time."
+)
+@click.option("--timeout", "timeout_s", type=TIME_LIMIT, metavar="S", help="Time limit of one run, s.")
+@map_options
+@json_option
+def tune_command(**options: Any) -> None:  # noqa: ANN401
+    """Search parameters that suit LOGS better than those given by --preset, --config and --set.
+
+    LOGS are what gridslam batch accepts. Many configurations are tried on parts of the logs, the better ones on longer
+    parts (successive halving), and about the best one more are tried on whole logs (CMA-ES). The best is then compared
+    with the start on held-out logs, or with other seeds. It is written only if it is better beyond the noise of seeds
+    and logs; else the start is, and the exit status is 0 as well.
+
+    \b
+      gridslam tune logs/*.clf -o best.toml --budget 1h --split 0.3
+      gridslam map log.clf -o out --config best.toml
+
+    The same command again goes on where it was interrupted. Needs the extra: tune.
+    """
+    from gridslam.cli.tune import TuneOptions, run_tune
+
+    shared = {name: options.pop(name) for name in ("logs", "out", "given", "as_json")}
+    run_tune(**shared, tune=TuneOptions(**options))

@@ -1,0 +1,133 @@
+"""gridslam doctor, convert, dataset and simulate: options and help."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gridslam.cli.option_types import LOG, OUT, OUTPUT_FILE, OUTPUT_FOLDER, SECONDS, SEED, Number
+from gridslam.cli.options import json_option, log_options
+
+__all__ = ["convert_command", "dataset_command", "doctor_command", "simulate_command"]
+
+
+@click.command("doctor")
+@click.argument("log", type=LOG)
+@click.option("-o", "--out", type=OUT, help="Folder for the report and its figures; created if missing.")
+@log_options
+@json_option
+def doctor_command(**options: Any) -> Any:  # noqa: ANN401
+    """Check LOG and report its content and its faults.
+
+    LOG is a CARMEN log, a ROS 1 or ROS 2 bag, or a CSV of scans. Exit status: 3 if a fault makes the map unusable.
+    """
+    from gridslam.cli.logs import doctor_log
+
+    return doctor_log(**options)
+
+
+@click.command("convert")
+@click.argument("log", metavar="IN", type=LOG)
+@click.argument("out", type=OUTPUT_FILE)
+@click.option("--to", type=click.Choice(["carmen", "csv", "tum", "ros1", "ros2", "mcap"]), help="Format of OUT.")
+@log_options
+@json_option
+def convert_command(**options: Any) -> None:  # noqa: ANN401
+    """Write the log IN in another format.
+
+    \b
+    The format follows from the suffix of OUT unless --to is given:
+      .clf, .log, .carmen   CARMEN
+      .csv                  a row for each scan (columns: docs/logs.md)
+      .tum                  the odometry alone
+      .bag                  ROS 1
+      .mcap, .db3, a name without suffix (a folder)   ROS 2
+
+    CARMEN and CSV are compressed if the name ends in .gz or .bz2. Data that the format of OUT cannot represent is
+    reported.
+    """
+    from gridslam.cli.logs import convert
+
+    convert(**options)
+
+
+@click.group("dataset")
+def dataset_command() -> None:
+    """Download public logs."""
+
+
+@dataset_command.command("list")
+@json_option
+def dataset_list_command(**options: Any) -> None:  # noqa: ANN401
+    """List the available logs with their credit and licence."""
+    from gridslam.cli.logs import list_datasets
+
+    list_datasets(**options)
+
+
+@dataset_command.command("get")
+@click.argument("name")
+@click.option(
+    "-o", "--out", type=OUTPUT_FOLDER, default=Path("."), help="Output folder; created if missing.  [default: .]"
+)
+@click.option("--url", help="Base URL of the files.  [default: GRIDSLAM_DATASETS_URL or the public mirror]")
+@json_option
+def dataset_get_command(**options: Any) -> None:  # noqa: ANN401
+    """Download the log NAME if it is missing, and verify its SHA-256."""
+    from gridslam.cli.logs import get_dataset
+
+    get_dataset(**options)
+
+
+@click.command("simulate")
+@click.argument("world")
+@click.option("-o", "--out", type=OUTPUT_FILE, required=True, help="Output log, .clf, .clf.gz or .clf.bz2.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed of the noise and of random worlds.")
+@click.option("--beams", type=click.IntRange(min=2), default=180, show_default=True, help="Beams per scan.")
+@click.option(
+    "--fov",
+    "fov_deg",
+    type=Number(0, 360, above=True),
+    default=180.0,
+    show_default=True,
+    metavar="DEG",
+    help="Field of view, degrees.",
+)
+@click.option(
+    "--range-max",
+    "range_max_m",
+    type=Number(0, above=True),
+    default=30.0,
+    show_default=True,
+    metavar="M",
+    help="Maximum range, m.",
+)
+@click.option(
+    "--rate",
+    "rate_hz",
+    type=Number(0, 1000, above=True),
+    default=5.0,
+    show_default=True,
+    metavar="HZ",
+    help="Scan rate, Hz.",
+)
+@click.option("--people", type=click.IntRange(min=0), default=0, show_default=True, help="Number of walking people.")
+@click.option("--duration", "duration_s", type=SECONDS, metavar="S", help="Duration of the log, s.")
+@json_option
+def simulate_command(**options: Any) -> None:  # noqa: ANN401
+    """Simulate a robot in WORLD and write the log.
+
+    \b
+    WORLD is
+      fixed: demo, loop, rooms, hall or corridor
+      random, generated from the seed: random
+        with perceptual aliasing: equal_rooms, symmetric, bare_corridors, moved_furniture
+        large: campus (2 km), fleet (10 km)
+
+    Also writes LOG.truth.tum, the true trajectory.
+    """
+    from gridslam.cli.simulate import simulate_to_log
+
+    simulate_to_log(**options)

@@ -1,0 +1,89 @@
+"""gridslam view, evaluate and regress: options and help."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from gridslam.cli.option_types import PATH, Number
+from gridslam.cli.options import evaluate_options, host_options, json_option
+
+__all__ = ["evaluate_command", "regress_command", "view_command"]
+
+
+@click.command("view")
+@click.argument("out", type=PATH)
+@click.option(
+    "--beside",
+    type=PATH,
+    metavar="PATH",
+    help="Compare with another OUT, map.yaml or trajectory.tum.  [default: OUT/truth.tum, if there is one]",
+)
+@host_options
+def view_command(**options: Any) -> None:  # noqa: ANN401
+    """Replay the results in OUT in the browser."""
+    from gridslam.cli.live import view
+
+    view(**options)
+
+
+@click.command("evaluate")
+@click.argument("trajectory", type=PATH)
+@click.argument("reference", type=PATH)
+@evaluate_options
+@json_option
+def evaluate_command(**options: Any) -> None:  # noqa: ANN401
+    """Compute the errors of TRAJECTORY with respect to REFERENCE.
+
+    TRAJECTORY is in TUM format: stamp x y z qx qy qz qw.
+
+    REFERENCE is a file of true relative poses (Kuemmerle et al. 2009) if its name ends in .relations; otherwise a true
+    trajectory in TUM format, for which the absolute (ATE, aligned) and relative (RPE) errors are reported; or, where
+    there is no truth, the log itself: how well its scans, drawn along TRAJECTORY, agree with each other.
+    """
+    from gridslam.cli.evaluate import evaluate
+
+    evaluate(**options)
+
+
+@click.command("regress")
+@click.argument("old", type=PATH)
+@click.argument("new", type=PATH)
+@click.option(
+    "--level",
+    type=Number(1e-3, 0.5),
+    default=0.05,
+    show_default=True,
+    metavar="P",
+    help="Probability of any false alarm.",
+)
+@click.option(
+    "--error-margin",
+    type=Number(0, 1000),
+    default=1.0,
+    show_default=True,
+    metavar="PERCENT",
+    help="By how much errors may grow.",
+)
+@click.option(
+    "--cost-margin",
+    type=Number(0, 1000),
+    default=10.0,
+    show_default=True,
+    metavar="PERCENT",
+    help="By how much CPU time and memory may grow.",
+)
+@json_option
+def regress_command(**options: Any) -> Any:  # noqa: ANN401
+    """Compare NEW with OLD, two output folders of gridslam batch, and report what became worse beyond noise.
+
+    Runs are paired by log and seed (the folders of their results). Errors, CPU time, memory and failures of each log
+    and of all logs together are tested by permutation, which assumes no distribution; --level bounds the probability
+    of any false alarm over all of them. At least five pairs are needed, such as five seeds of a log.
+
+    Exit status: 1 if something became worse.
+    """
+    from gridslam.cli.regress import regress
+
+    return regress(**options)
