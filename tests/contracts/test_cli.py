@@ -34,6 +34,7 @@ from gridslam.pipeline import run
 from gridslam.slam.loop_closure.state import RejectionReason
 from gridslam.types import Trajectory
 from support.loops import PROVOKED
+from support.refusals import refused
 
 FILES = {
     "map.yaml",
@@ -277,17 +278,6 @@ def test_map_replaces_an_earlier_result_and_leaves_other_files(log, tmp_path, ca
     assert call("map", log, "-o", tmp_path, *FEW)[0] == 0
     assert {path.name for path in tmp_path.iterdir()} == FILES | {"notes.txt"}
     assert (tmp_path / "map.png").read_bytes()[:4] == b"\x89PNG"
-
-
-def refused(call, tmp_path, *arguments, status=2):
-    """Check that a command ends with one line on stderr and leaves nothing behind; return the line."""
-    before = sorted(tmp_path.rglob("*"))
-    got, out, err = call(*arguments)
-    assert (got, out) == (status, "")
-    assert err.startswith("gridslam: ")
-    assert err.count("\n") == 1
-    assert sorted(tmp_path.rglob("*")) == before
-    return err
 
 
 GOOD = "FLASER 3 1.0 2.0 1.5 0 0 0 0 0 0 {0}.0 host {0}.0\n"

@@ -15,6 +15,7 @@ from gridslam.io.log import LogOptions, open_log
 from gridslam.io.trajectories import read_tum
 from gridslam.types import BeamStatus
 from support import ros_bags
+from support.refusals import refused
 
 PRECISE = "more than single precision of ranges"
 
@@ -131,17 +132,6 @@ def test_a_log_that_is_cut_off(log, tmp_path, call):
     assert status == 0
     assert err == f"gridslam: {cut}: the log is truncated after 119 scans\n"
     assert out.endswith("119 scans in the format carmen\n")
-
-
-def refused(call, tmp_path, *arguments, status=2) -> str:
-    """Check that a command ends with one line on stderr and leaves nothing behind; return the line."""
-    before = sorted(tmp_path.rglob("*"))
-    got, out, err = call(*arguments)
-    assert (got, out) == (status, "")
-    assert err.startswith("gridslam: ")
-    assert err.count("\n") == 1
-    assert sorted(tmp_path.rglob("*")) == before
-    return err
 
 
 @pytest.mark.parametrize(

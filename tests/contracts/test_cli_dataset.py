@@ -16,6 +16,7 @@ from gridslam.cli.main import main
 from gridslam.errors import ArgumentError
 from gridslam.io import datasets
 from gridslam.io.datasets import DATASETS, fetch_dataset
+from support.refusals import refused
 
 CONTENT = b"FLASER 1 1.0 0 0 0 0 0 0 1.0 host 1.0\n" * 1000
 
@@ -64,17 +65,6 @@ def call(capsys):
         return status, out, err
 
     return run
-
-
-def refused(call, tmp_path, *arguments, status):
-    """Check that a command ends with one line on stderr and leaves nothing behind; return the line."""
-    before = sorted(tmp_path.rglob("*"))
-    got, out, err = call(*arguments)
-    assert (got, out) == (status, "")
-    assert err.startswith("gridslam: ")
-    assert err.count("\n") == 1
-    assert sorted(tmp_path.rglob("*")) == before
-    return err
 
 
 def test_what_is_got_is_checked_and_credited(mirror, tmp_path, call):

@@ -7,30 +7,17 @@ import pytest
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
-from gridslam.mapping import OccupancyGridMapping
 from gridslam.matching import GaussNewton, HillClimbing
-from gridslam.types import LaserScan, ScanGeometry
+from gridslam.types import LaserScan
+from support.oblong import GEOMETRY, map_room, scan_at
 
 ROW = np.zeros(1, np.int32)
-GEOMETRY = ScanGeometry(np.deg2rad(np.arange(360) - 179.5))
-HALF = np.array([3.02, 2.02])
 NO_PRIOR = np.zeros((1, 3, 3))
-
-
-def scan_at(pose):
-    """What a laser at `pose` sees of an empty rectangle whose walls lie in the middle of a row of cells."""
-    angles = GEOMETRY.bearings + pose[2]
-    directions = np.column_stack([np.cos(angles), np.sin(angles)])
-    ranges = ((HALF * np.sign(directions) - pose[:2]) / directions).min(axis=1)
-    return LaserScan.from_ranges(0, ranges, GEOMETRY).beams(0.05, 30.0)
 
 
 @pytest.fixture(scope="module")
 def room():
-    maps = OccupancyGridMapping().empty(1)
-    for place in ((0.0, 0.0, 0.0), (0.4, -0.3, 0.5), (-0.5, 0.6, 2.0)):
-        maps.update(ROW, np.array([place]), scan_at(np.array(place)))
-    return maps
+    return map_room()
 
 
 def gmapping_score(maps, pose, beams, matcher):

@@ -10,33 +10,22 @@ from gridslam.mapping import OccupancyGridMapping
 from gridslam.matching import GaussNewton, HillClimbing
 from gridslam.models import CauchyEndPoint, DiffusionMotion, GaussianIncrement, LikelihoodField
 from gridslam.slam import ImprovedProposal, MotionModelProposal, ScanMatchedProposal
-from gridslam.types import LaserScan, ScanGeometry
+from gridslam.types import ScanGeometry
+from support.oblong import PLACES, map_room, scan_at
 
 GEOMETRY = ScanGeometry(np.deg2rad(np.arange(0, 360, 2) - 179.0))
-HALF = np.array([3.02, 2.02])
-
-
-def scan_at(pose):
-    """What a laser at `pose` sees of an empty rectangle."""
-    angles = GEOMETRY.bearings + pose[2]
-    directions = np.column_stack([np.cos(angles), np.sin(angles)])
-    ranges = ((HALF * np.sign(directions) - pose[:2]) / directions).min(axis=1)
-    return LaserScan.from_ranges(0, ranges, GEOMETRY).beams(0.05, 30.0)
 
 
 @pytest.fixture(scope="module")
 def room():
     """The room, mapped from four places, once for each of ten particles."""
-    maps = OccupancyGridMapping().empty(10)
-    for place in ((0.0, 0.0, 0.0), (0.4, -0.3, 0.5), (-0.5, 0.6, 2.0), (1.0, 0.2, 1.0)):
-        OccupancyGridMapping()(maps, np.tile(place, (10, 1)), scan_at(np.array(place)))
-    return maps
+    return map_room(10, (*PLACES, (1.0, 0.2, 1.0)), GEOMETRY)
 
 
 BEFORE = np.tile([0.0, 0.0, 0.0], (10, 1))
 INCREMENT = np.array([0.4, 0.1, 0.2])
 WIDE = DiffusionMotion(sigma_xy_m=0.08, sigma_theta_rad=0.03)(INCREMENT)
-BEAMS = scan_at(INCREMENT)
+BEAMS = scan_at(INCREMENT, GEOMETRY)
 
 
 @pytest.mark.parametrize("sensor", [CauchyEndPoint(), LikelihoodField()])
