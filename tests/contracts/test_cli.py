@@ -364,16 +364,6 @@ def test_bad_usage_is_one_line_that_says_where_to_read_on(call, tmp_path, argume
     assert refused(call, tmp_path, *arguments).endswith(f" (see {command} --help)\n")
 
 
-def test_unwritable_out_is_found_before_the_work(call, log, tmp_path, monkeypatch):
-    def never(*_, **__):
-        raise AssertionError("mapped although OUT cannot be written")
-
-    monkeypatch.setattr(map_module, "map_log", never)
-    (tmp_path / "file").write_text("a file")
-    for out in (tmp_path / "file", tmp_path / "file" / "out"):
-        assert f"{out}: expected a folder to write to" in refused(call, tmp_path, "map", log, "-o", out)
-
-
 @pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write everywhere")
 def test_folder_without_permission(call, log, tmp_path):
     (tmp_path / "closed").mkdir(mode=0o500)
@@ -504,12 +494,6 @@ def test_simulate_draws_worlds_from_the_seed(call, tmp_path, world):
         logs.append([scan.ranges.tobytes() for _, scan in CarmenLog(path)])
     assert len(logs[0]) == 16
     assert logs[0] != logs[1]
-
-
-def test_simulate_refuses_to_write_over_a_folder(call, tmp_path):
-    assert "expected the name of a file, got an existing folder" in refused(
-        call, tmp_path, "simulate", "loop", "-o", tmp_path
-    )
 
 
 def test_demo_maps_a_simulated_building_and_tells_its_errors(call, tmp_path):

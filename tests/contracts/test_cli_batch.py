@@ -212,13 +212,6 @@ def test_a_log_whose_description_raises_anything_is_left_to_its_job(logs, tmp_pa
     assert (status, "2 logs: 2 done" in out) == (0, True)
 
 
-def test_an_out_that_cannot_be_written_is_one_line(logs, tmp_path, call):
-    (tmp_path / "file").write_text("")
-    status, out, err = call("batch", logs, "-o", tmp_path / "file", *FAST)
-    assert (status, out, err.count("\n")) == (2, "", 1)
-    assert "file is a file" in err
-
-
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs process groups")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_ends_a_batch_cleanly_and_it_goes_on_later(logs, tmp_path, number):

@@ -140,13 +140,6 @@ def test_what_is_no_log_is_refused_in_one_line(call, tmp_path, content):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_that_cannot_be_written_is_refused_before_the_work(call, log, tmp_path):
-    (tmp_path / "file").write_text("")
-    status, out, err = call("doctor", log, "-o", tmp_path / "file")
-    assert (status, out) == (2, "")
-    assert "expected a folder" in err
-
-
 def test_a_checked_log_tells_on_stderr_what_is_wrong_at_its_begin(simulated, tmp_path, capsys):
     path = tmp_path / "a.clf"
     write_carmen(path, (Measurement(None, scan) for _, scan in simulated.measurements[:60]))

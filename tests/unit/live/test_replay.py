@@ -110,15 +110,6 @@ def test_what_is_sent_after_a_step_is_little(replay):
     assert client.bytes - before < 4000
 
 
-def test_two_viewers_look_at_times_of_their_own(replay):
-    (one, first), (other, second) = looking(replay), looking(replay)
-    one.command({"do": "seek", "at": 5})
-    other.command({"do": "seek", "at": 100})
-    for viewer, client, at in ((one, first, 5), (other, second, 100)):
-        client.catch_up(viewer)
-        assert (client.status["at"], len(client.path)) == (at, at + 1)
-
-
 def test_playing_goes_on_with_the_clock_and_stops_at_the_end(replay, record, monkeypatch):
     now = 100.0
     monkeypatch.setattr(time, "perf_counter", lambda: now)
