@@ -12,7 +12,7 @@ import numpy as np
 from gridslam.errors import ArgumentError
 from gridslam.types import FloatArray
 
-__all__ = ["DEFAULT_COSTS", "FEATURES", "Cost", "CostModel", "Work", "check_costs", "fit_costs"]
+__all__ = ["DEFAULT_COSTS", "FEATURES", "Cost", "CostModel", "Work", "fit_costs"]
 
 FEATURES: Final = ("start", "scans", "key_scans", "key_scans x particles", "area_m2", "area_m2 x particles")
 """What the cost is a sum of, each with a coefficient of at least 0."""
@@ -103,22 +103,3 @@ def fit_costs(work: Sequence[Work], costs: Sequence[Cost]) -> CostModel:
         coefficients, _ = nnls(features / scale / values[:, None], np.ones(len(values)))
         fitted.append(tuple(float(value) for value in coefficients / scale))
     return CostModel(*fitted)
-
-
-def check_costs(work: Sequence[Work], costs: Sequence[Cost], groups: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-    """Relative errors (N,) of CPU time and of memory, each run estimated by a fit to the runs of all other groups.
-
-    Raises ArgumentError as `fit_costs`, and where there is one group only.
-    """
-    names = np.array(groups)
-    if len(set(groups)) < 2:
-        raise ArgumentError("groups", "at least two", sorted(set(groups)))
-    errors = np.zeros((2, len(work)))
-    for group in set(groups):
-        others = np.flatnonzero(names != group).tolist()
-        model = fit_costs([work[i] for i in others], [costs[i] for i in others])
-        for i in np.flatnonzero(names == group).tolist():
-            estimate = model.estimate(work[i])
-            errors[0, i] = estimate.cpu_s / costs[i].cpu_s - 1.0
-            errors[1, i] = estimate.memory_bytes / costs[i].memory_bytes - 1.0
-    return errors[0], errors[1]
