@@ -183,16 +183,17 @@ def _run_child(request: Mapping[str, Any], timeout_s: float | None, claim: Path)
         output, result = Path(folder, "output"), Path(folder, "result")
         output.touch()
         kills = _count_oom_kills()
-        timed_out = False
+        ended = timed_out = False
         child = _start(request, output, result)
         began = time.monotonic()  # the first child waits for the server
         try:
-            while not wait([child.sentinel], _LOOK_S):
+            while not (ended := bool(wait([child.sentinel], _LOOK_S))):
                 timed_out = timeout_s is not None and time.monotonic() - began >= timeout_s
                 if timed_out or not claim.exists():
                     break
         finally:
-            _kill_group(child.pid)  # and what the child may have left
+            _kill_group(child.pid, ended=ended)  # what the child may have left, too
+        wait([child.sentinel])  # one that cannot be killed yet must not stop the others
         with _children:
             child.join()
         code = child.exitcode
@@ -211,7 +212,8 @@ def _run_child(request: Mapping[str, Any], timeout_s: float | None, claim: Path)
 def _start(request: Mapping[str, Any], output: Path, result: Path) -> multiprocessing.process.BaseProcess:
     """Start the child of a request; the server that it comes from is started first where there is none."""
     context: Any = multiprocessing.get_context(_METHOD)
-    context.set_forkserver_preload(_PRELOADED)
+    if _METHOD == "forkserver":
+        context.set_forkserver_preload(_PRELOADED)
     # A Dask nanny runs its worker as a daemon, which may have no children; ours end with the worker.
     vars(multiprocessing.current_process())["_config"].pop("daemon", None)
     for name in _BLAS_THREADS:
@@ -225,12 +227,15 @@ def _start(request: Mapping[str, Any], output: Path, result: Path) -> multiproce
     raise LostWorkerError(f"worker {os.getpid()} ended before it ran a job")
 
 
-def _kill_group(pid: int | None) -> None:
-    """Kill a child and its group; it may not have made its group yet."""
-    for kill in (getattr(os, "killpg", None), os.kill):
-        if kill is not None and pid is not None:
-            with suppress(ProcessLookupError, PermissionError):
-                kill(pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+def _kill_group(pid: int | None, *, ended: bool = False) -> None:
+    """Kill the group of a child and the child, which may not have made its group yet, unless it has `ended`."""
+    assert pid is not None
+    with suppress(ProcessLookupError, PermissionError):
+        if hasattr(os, "killpg"):
+            os.killpg(pid, signal.SIGKILL)
+    with suppress(ProcessLookupError, PermissionError):
+        if not ended:
+            os.kill(pid, getattr(signal, "SIGKILL", signal.SIGTERM))
 
 
 def _count_oom_kills() -> int:
