@@ -22,6 +22,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime, timezone
 from multiprocessing.connection import wait
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -209,7 +210,7 @@ def _run_child(request: Mapping[str, Any], timeout_s: float | None, claim: Path)
         }
 
 
-def _start(request: Mapping[str, Any], output: Path, result: Path) -> multiprocessing.process.BaseProcess:
+def _start(request: Mapping[str, Any], output: Path, result: Path) -> BaseProcess:
     """Start the child of a request; the server that it comes from is started first where there is none."""
     context: Any = multiprocessing.get_context(_METHOD)
     if _METHOD == "forkserver":
@@ -220,7 +221,7 @@ def _start(request: Mapping[str, Any], output: Path, result: Path) -> multiproce
         os.environ.setdefault(name, "1")
     for _ in range(_STARTS):
         with _children, suppress(EOFError, ConnectionError):  # the server was killed a moment ago
-            child: multiprocessing.process.BaseProcess = context.Process(target=_work, args=(request, output, result))
+            child: BaseProcess = context.Process(target=_work, args=(request, output, result))
             child.start()
             return child
         time.sleep(_LOOK_S)
