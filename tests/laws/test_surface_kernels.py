@@ -50,6 +50,42 @@ def test_twins(seed, both):
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_twins_fit_lines_to_beams_in_any_order(seed):
+    rng = np.random.default_rng(seed)
+    origins = rng.normal(0, 0.3, (len(POSES), 2))
+    scans = [
+        StoredScan(
+            rng.permutation(room_from(pose, 0.01, k))[: 60 * (k + 1)] if seed else room_from(pose, 0.01, k), place
+        )
+        for k, (pose, place) in enumerate(zip(POSES, origins, strict=True))
+    ]
+    batch = ScanBatch.of([*scans, StoredScan(np.empty((0, 2)), np.zeros(2))])
+    found, expected = (kernels.fit_surfaces(*batch) for kernels in (compiled, reference))
+    assert len(expected[0]) > 50
+    np.testing.assert_array_equal(found[3], expected[3])
+    for own, other in zip(found[:3], expected[:3], strict=True):
+        np.testing.assert_allclose(own, other, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("least_information", [0.02, 0.4, 2.0], ids=["all known", "one open", "both open"])
+@pytest.mark.parametrize("seed", range(5))
+def test_twins_match_to_surfaces(seed, least_information):
+    rng = np.random.default_rng(seed)
+    surfaces = seen_from(POSES[1:], 0.01)
+    own = seen_from(POSES[:1], 0.01)
+    guess = tuple(rng.normal(0, 0.02, 3).tolist())
+    prior = np.array([2500.0, 2000.0, 1e4])
+    arguments = (own.points, own.normals, guess, prior, np.array([0.15, 0.08]), 0.02, least_information)
+    found, expected = (kernels.match_to_surfaces(*surfaces, POSES[1:], *arguments) for kernels in (compiled, reference))
+    assert found[1] == expected[1] > 100
+    np.testing.assert_allclose(found[0], expected[0], rtol=0, atol=1e-9)
+    if least_information < 0.1:
+        assert np.abs(found[0]).max() < 0.004 < np.abs(guess).max()
+    if least_information > 1:  # the position stays, and only the heading is matched
+        np.testing.assert_allclose(found[0][:2], guess[:2], rtol=0, atol=1e-12)
+
+
 def test_ranks_ascend_with_bearings():
     ways = 7 * np.column_stack(
         [np.cos(np.linspace(-math.pi, math.pi, 999)), np.sin(np.linspace(-math.pi, math.pi, 999))]
@@ -120,8 +156,15 @@ def test_what_does_not_belong_together_is_refused():
     for wrong in (np.array([[0, 4]]), np.array([[-1, 0]])):
         with pytest.raises(IndexError, match="pairs"):
             compiled.match_surfaces(*surfaces, POSES, wrong, 0.3, 0.02, True)
-    with pytest.raises(IndexError, match="starts"):
+    with pytest.raises(IndexError, match="poses"):
         compiled.match_surfaces(*surfaces, POSES[:2], PAIRS[:1], 0.3, 0.02, True)
+    own = surfaces.points, surfaces.normals, (0.0, 0.0, 0.0), np.ones(3), np.array([0.1]), 0.02, 0.02
+    with pytest.raises(IndexError, match="poses"):
+        compiled.match_to_surfaces(*surfaces, POSES[:2], *own)
+    with pytest.raises(IndexError, match="own_normals"):
+        compiled.match_to_surfaces(*surfaces, POSES, own[0], own[1][:-1], *own[2:])
+    with pytest.raises(IndexError, match="starts"):
+        compiled.fit_surfaces(surfaces.points, np.array([0, 9]), np.zeros((2, 2)))
 
 
 def test_along_a_corridor_nothing_is_determined():

@@ -387,24 +387,72 @@ auto py_hamming_distances(Array<const uint64_t, 2> a, Array<const uint64_t, 2> b
   return out;
 }
 
-auto py_match_surfaces(Points points, Points normals, Vector bearings, Starts starts, Points origins, Poses poses,
-                       Shaped<const int64_t, -1, 2> pairs, double gate_m, double scale_m, bool both) {
-  const size_t size = points.shape(0), scans = poses.shape(0);
+// Surfaces of scans, which belong together.
+Surfaces view_surfaces(const Points& points, const Points& normals, const Vector& bearings, const Starts& starts,
+                       const Points& origins) {
+  const size_t size = points.shape(0), scans = origins.shape(0);
   const int64_t* const s = starts.data();
   require(normals.shape(0) == size && bearings.shape(0) == size, "normals, bearings: expected one for each point");
-  require(starts.shape(0) == scans + 1 && origins.shape(0) == scans && s[0] >= 0 && std::is_sorted(s, s + scans + 1) &&
+  require(starts.shape(0) == scans + 1 && s[0] >= 0 && std::is_sorted(s, s + scans + 1) &&
               static_cast<size_t>(s[scans]) <= size,
-          "starts, origins: expected those of as many scans as poses");
+          "starts, origins: expected those of as many scans");
+  return {points.data(), normals.data(), bearings.data(), s, origins.data()};
+}
+
+auto py_match_surfaces(Points points, Points normals, Vector bearings, Starts starts, Points origins, Poses poses,
+                       Shaped<const int64_t, -1, 2> pairs, double gate_m, double scale_m, bool both) {
+  const size_t scans = poses.shape(0);
+  const Surfaces surfaces = view_surfaces(points, normals, bearings, starts, origins);
+  require(origins.shape(0) == scans, "poses: expected one for each scan");
   require(std::all_of(pairs.data(), pairs.data() + pairs.size(),
                       [&](int64_t scan) { return scan >= 0 && static_cast<size_t>(scan) < scans; }),
           "pairs: expected scans that are there");
   auto out = fresh<double, 2>({pairs.shape(0), size_t{10}});
   {
     nb::gil_scoped_release release;
-    match_surfaces({points.data(), normals.data(), bearings.data(), s, origins.data()}, poses.data(), pairs.data(),
-                   static_cast<int64_t>(pairs.shape(0)), gate_m, scale_m, both, out.data());
+    match_surfaces(surfaces, poses.data(), pairs.data(), static_cast<int64_t>(pairs.shape(0)), gate_m, scale_m, both,
+                   out.data());
   }
   return out;
+}
+
+auto py_fit_surfaces(Points ends, Starts starts, Points origins) {
+  const size_t size = ends.shape(0), scans = origins.shape(0);
+  const int64_t* const s = starts.data();
+  require(starts.shape(0) == scans + 1 && s[0] >= 0 && std::is_sorted(s, s + scans + 1) &&
+              static_cast<size_t>(s[scans]) <= size,
+          "starts, origins: expected those of as many scans");
+  std::vector<double> points(2 * size), normals(2 * size), bearings(size);
+  auto out_starts = fresh<int64_t, 1>({scans + 1});
+  {
+    nb::gil_scoped_release release;
+    fit_surfaces(ends.data(), s, origins.data(), static_cast<int64_t>(scans), points.data(), normals.data(),
+                 bearings.data(), out_starts.data());
+  }
+  const auto found = static_cast<size_t>(out_starts.data()[scans]);
+  auto out_points = fresh<double, 2>({found, size_t{2}});
+  auto out_normals = fresh<double, 2>({found, size_t{2}});
+  auto out_bearings = fresh<double, 1>({found});
+  std::copy_n(points.data(), 2 * found, out_points.data());
+  std::copy_n(normals.data(), 2 * found, out_normals.data());
+  std::copy_n(bearings.data(), found, out_bearings.data());
+  return std::make_tuple(out_points, out_normals, out_bearings, out_starts);
+}
+
+// Short enough to keep the GIL: a scan takes some ten microseconds.
+auto py_match_to_surfaces(Points points, Points normals, Vector bearings, Starts starts, Points origins, Poses poses,
+                          Points own_points, Points own_normals, std::array<double, 3> guess, Triple prior,
+                          Vector gates_m, double scale_m, double least_information) {
+  const Surfaces fixed = view_surfaces(points, normals, bearings, starts, origins);
+  require(origins.shape(0) == poses.shape(0), "poses: expected one for each scan");
+  require(own_points.shape(0) == own_normals.shape(0), "own_normals: expected one for each point");
+  const std::array<int64_t, 2> own_starts{0, static_cast<int64_t>(own_points.shape(0))};
+  const Surfaces moved{own_points.data(), own_normals.data(), nullptr, own_starts.data(), nullptr};
+  const SurfaceMatching how{prior.data(), gates_m.data(), static_cast<int64_t>(gates_m.shape(0)), scale_m,
+                            least_information};
+  const int64_t count =
+      match_to_surfaces(fixed, poses.data(), static_cast<int64_t>(poses.shape(0)), moved, how, guess.data());
+  return std::make_tuple(guess, count);
 }
 
 auto py_draw_gaussians(Matrix means, Matrices covariances, Matrix numbers) {
@@ -604,6 +652,10 @@ NB_MODULE(_compiled, m) {
   m.def("slots_of", &py_slots_of, "ends"_a, "points"_a);
   m.def("match_surfaces", &py_match_surfaces, "points"_a, "normals"_a, "bearings"_a, "starts"_a, "origins"_a, "poses"_a,
         "pairs"_a, "gate_m"_a, "scale_m"_a, "both"_a);
+  m.def("fit_surfaces", &py_fit_surfaces, "ends"_a, "starts"_a, "origins"_a);
+  m.def("match_to_surfaces", &py_match_to_surfaces, "points"_a, "normals"_a, "bearings"_a, "starts"_a, "origins"_a,
+        "poses"_a, "own_points"_a, "own_normals"_a, "guess"_a, "prior"_a, "gates_m"_a, "scale_m"_a,
+        "least_information"_a);
   m.def("hamming_distances", &py_hamming_distances, "a"_a, "b"_a);
   m.def("draw_gaussians", &py_draw_gaussians, "means"_a, "covariances"_a, "numbers"_a);
   m.def("kalman_update", &py_kalman_update, nb::arg("means").noconvert(), nb::arg("covariances").noconvert(), "rows"_a,

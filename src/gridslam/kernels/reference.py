@@ -34,7 +34,7 @@ from gridslam.kernels.reference_descriptors import hamming_distances
 from gridslam.kernels.reference_landmarks import draw_gaussians, kalman_update, predict_landmarks
 from gridslam.kernels.reference_maps import begin_update, end_update, update
 from gridslam.kernels.reference_numbers import format_rows, parse_numbers
-from gridslam.kernels.reference_surfaces import match_surfaces
+from gridslam.kernels.reference_surfaces import fit_surfaces, match_surfaces, match_to_surfaces
 from gridslam.kernels.reference_update import (
     FARTHEST,
     OCCUPIED,
@@ -62,6 +62,7 @@ __all__ = [
     "draw_gaussians",
     "draw_scans",
     "end_update",
+    "fit_surfaces",
     "format_rows",
     "hamming_distances",
     "kalman_update",
@@ -71,6 +72,7 @@ __all__ = [
     "match_pose",
     "match_scans",
     "match_surfaces",
+    "match_to_surfaces",
     "max_pyramid",
     "mean_shift",
     "parse_numbers",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["match_surfaces", "rank_bearings"]
+__all__ = ["fit_surfaces", "match_surfaces", "match_to_surfaces", "project_on_determined", "rank_bearings"]
 
 Numbers = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -15,6 +15,14 @@ BESIDE = 3
 NEAR_M = 0.5
 LEAST_COSINE = 0.9
 """Of the angle between normals of one surface."""
+LINE_BESIDE = 2
+"""Neighbours on either side of a point with which a line is fitted."""
+LONGEST_GAP_M = 0.4
+LONGEST_GAP_RATIO = 0.05
+"""Neighbours on one surface are no farther apart, by metres, and by metres for each metre of range."""
+MOST_SPREAD_M = 0.06
+"""Root of the summed squares of distances from the line, at most: corners have no normal."""
+REACH_M = 30.0
 
 
 def rank_bearings(ways: Numbers) -> Numbers:
@@ -23,6 +31,146 @@ def rank_bearings(ways: Numbers) -> Numbers:
     size = np.abs(x) + np.abs(y)
     rank = np.divide(y, size, out=np.zeros(len(y)), where=size > 0)
     return np.asarray(np.where(x >= 0, rank, np.where(y >= 0, 2.0 - rank, -2.0 - rank)), np.float64)
+
+
+def fit_surfaces(ends: Numbers, starts: Places, origins: Numbers) -> tuple[Numbers, Numbers, Numbers, Places]:
+    """Fit lines to the ends of five neighbouring beams each.
+
+    Parameters
+    ----------
+    ends : (B, 2) float64, m
+        Ends of the beams of S scans, base frame; scan s has those from starts[s] to starts[s + 1] - 1.
+    starts, origins : (S + 1,) int64, (S, 2) float64
+        Where scans begin, and where their lasers are.
+
+    Returns
+    -------
+    points, normals : (K, 2) float64
+        Of the beams that end on a line; normals point to the laser.
+    bearings : (K,) float64
+        Ranks of the bearings of the points from the laser, ascending within a scan.
+    starts : (S + 1,) int64
+        Where the points of the scans begin.
+    """
+    scans = np.repeat(np.arange(len(origins)), np.diff(starts))
+    ways = ends[starts[0] : starts[-1]] - origins[scans]
+    order = np.lexsort((rank_bearings(ways), scans))
+    ways = ways[order]
+    x, y = ways.T
+    squares = np.square(ways).sum(axis=1)
+    is_near = np.hypot(*np.diff(ways, axis=0).T) < LONGEST_GAP_M + LONGEST_GAP_RATIO * np.sqrt(squares[:-1])
+    is_near &= np.diff(scans) == 0
+    is_line = (squares < REACH_M**2) & _all_about(is_near, len(ways))
+    count = 2 * LINE_BESIDE + 1
+    mx, my = _sum_about(x) / count, _sum_about(y) / count
+    xx = _sum_about(x * x) - count * mx * mx
+    yy = _sum_about(y * y) - count * my * my
+    xy = _sum_about(x * y) - count * mx * my
+    is_line &= 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy) < MOST_SPREAD_M**2
+    along = 0.5 * np.arctan2(2 * xy, xx - yy)[is_line]
+    ways, own = ways[is_line], scans[is_line]
+    normals = np.column_stack([-np.sin(along), np.cos(along)])
+    normals[(normals * ways).sum(axis=1) > 0] *= -1
+    firsts = np.concatenate([[0], np.cumsum(np.bincount(own, minlength=len(origins)))]).astype(np.int64)
+    return ways + origins[own], normals, rank_bearings(ways), firsts
+
+
+def _sum_about(values: Numbers) -> Numbers:
+    """Sum each of values (B,) and its neighbours on either side; zeros are beyond the ends."""
+    padded = np.concatenate([np.zeros(LINE_BESIDE), values, np.zeros(LINE_BESIDE)])
+    return np.asarray(sum(padded[k : k + len(values)] for k in range(2 * LINE_BESIDE + 1)), np.float64)
+
+
+def _all_about(is_near: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
+    """Whether all steps (B - 1,) are short from the second point before each of `count` to the second one after."""
+    beyond = np.zeros(LINE_BESIDE, np.bool_)
+    padded = np.concatenate([beyond, is_near, beyond])
+    return np.asarray(np.logical_and.reduce([padded[k : k + count] for k in range(2 * LINE_BESIDE)]), np.bool_)
+
+
+def project_on_determined(information: Numbers, counts: Numbers, least_information: float) -> Numbers:
+    """Projections (P, 3, 3) that take out the directions of the position that the information (P, 3, 3) leaves open.
+
+    Directions with less information than `least_information` for each of `counts` (P,) points are.
+    """
+    values, across = np.linalg.eigh(information[:, :2, :2])
+    is_open = values < least_information * counts[:, None]
+    projections = np.tile(np.eye(3), (len(information), 1, 1))
+    projections[:, :2, :2] -= np.einsum("pik,pk,pjk->pij", across, is_open.astype(np.float64), across)
+    return projections
+
+
+def match_to_surfaces(
+    points: Numbers,
+    normals: Numbers,
+    bearings: Numbers,
+    starts: Places,
+    origins: Numbers,
+    poses: Numbers,
+    own_points: Numbers,
+    own_normals: Numbers,
+    guess: tuple[float, float, float],
+    prior: Numbers,
+    gates_m: Numbers,
+    scale_m: float,
+    least_information: float,
+) -> tuple[tuple[float, float, float], int]:
+    """Match one scan to the surfaces of others by Gauss-Newton, point to line.
+
+    Parameters
+    ----------
+    points, normals, bearings, starts, origins
+        Of S scans, see `match_surfaces`.
+    poses : (S, 3) float64
+        Where they are.
+    own_points, own_normals : (K, 2) float64
+        Of the scan.
+    guess : (float, float, float)
+        About where it is.
+    prior : (3,) float64
+        Information (1/m^2, 1/m^2, 1/rad^2) of the guess, in the frame of the scan.
+    gates_m : (G,) float64, m
+        Largest residual in each step.
+    scale_m : float, m
+        Residual of which the weight is a half, and their standard deviation.
+    least_information : float
+        See `project_on_determined`.
+
+    Returns
+    -------
+    pose : (float, float, float)
+    count : int
+        Points matched in the step where they were the fewest.
+    """
+    count = len(poses)
+    whole = (
+        np.concatenate([points[: starts[-1]], own_points]),
+        np.concatenate([normals[: starts[-1]], own_normals]),
+        np.concatenate([bearings[: starts[-1]], np.empty(len(own_points))]),
+        np.append(starts, starts[-1] + len(own_points)),
+        np.concatenate([origins, np.zeros((1, 2))]),
+    )
+    pairs = np.column_stack([np.arange(count), np.full(count, count)])
+    pose = np.array(guess)
+    fewest = count * len(own_points)
+    for gate_m in gates_m.tolist():
+        sums = match_surfaces(*whole, np.concatenate([poses, pose[None]]), pairs, gate_m, scale_m, False).sum(axis=0)
+        fewest = min(fewest, int(sums[9]))
+        information = sums[[[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+        (kept,) = project_on_determined(information[None], sums[9:], least_information)
+        away = _rotate(-guess[2], pose - np.array(guess))
+        own = 0.5 / scale_m**2 * (kept @ information @ kept) + np.diag(prior)
+        step = np.linalg.solve(own, 0.5 / scale_m**2 * (kept @ sums[6:9]) + prior * away)
+        pose = pose - _rotate(pose[2], step)
+    x, y, theta = pose.tolist()
+    return (x, y, theta), fewest
+
+
+def _rotate(angle: float, increment: Numbers) -> Numbers:
+    """Turn the position of an increment (3,)."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, turn = increment
+    return np.array([c * x - s * y, s * x + c * y, turn])
 
 
 def match_surfaces(

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <numeric>
+#include <vector>
 
 namespace gridslam {
 namespace {
@@ -18,25 +20,81 @@ double rank_bearing(double x, double y) {
   return x >= 0 ? rank : (y >= 0 ? 2.0 - rank : -2.0 - rank);
 }
 
-struct Pose {
+struct Increment {
   double x, y, theta;
 };
 
-Pose between(const double* from, const double* to) {
+Increment between(const double* from, const double* to) {
   const double c = std::cos(from[2]), s = std::sin(from[2]);
   const double dx = to[0] - from[0], dy = to[1] - from[1];
   return {c * dx + s * dy, c * dy - s * dx, to[2] - from[2]};
 }
 
+constexpr int64_t kLineBeside = 2;      // neighbours on either side with which a line is fitted
+constexpr double kLongestGapM = 0.4;    // between neighbours on one surface
+constexpr double kLongestGapRatio = 0.05;  // and for each metre of range
+constexpr double kMostSpread2 = 0.0036;    // m^2, of the points about their line
+constexpr double kReach2 = 900.0;          // m^2
+
+// Fits a line to the points at `at` and its neighbours; false where they are not near each other or not in line.
+bool fit_normal(const double* x, const double* y, int64_t size, int64_t at, double* nx, double* ny) {
+  if (at < kLineBeside || at + kLineBeside >= size || x[at] * x[at] + y[at] * y[at] >= kReach2) return false;
+  double mx = 0, my = 0, xx = 0, yy = 0, xy = 0;
+  for (int64_t k = at - kLineBeside; k <= at + kLineBeside; ++k) {
+    if (k > at - kLineBeside) {
+      const double gap = std::hypot(x[k] - x[k - 1], y[k] - y[k - 1]);
+      const double range = std::sqrt(x[k - 1] * x[k - 1] + y[k - 1] * y[k - 1]);
+      if (gap >= kLongestGapM + kLongestGapRatio * range) return false;
+    }
+    mx += x[k], my += y[k];
+  }
+  constexpr double count = 2 * kLineBeside + 1;
+  mx /= count, my /= count;
+  for (int64_t k = at - kLineBeside; k <= at + kLineBeside; ++k) {
+    const double dx = x[k] - mx, dy = y[k] - my;
+    xx += dx * dx, yy += dy * dy, xy += dx * dy;
+  }
+  if (0.5 * (xx + yy) - std::hypot(0.5 * (xx - yy), xy) >= kMostSpread2) return false;
+  const double along = 0.5 * std::atan2(2 * xy, xx - yy);
+  *nx = -std::sin(along), *ny = std::cos(along);
+  if (*nx * x[at] + *ny * y[at] > 0) *nx = -*nx, *ny = -*ny;
+  return true;
+}
+
+// Takes the direction of the position that the normal equations (upper triangle, right side, points) leave open out of
+// them.
+void project_on_determined(double least_information, double* sums) {
+  const double half = 0.5 * (sums[0] + sums[3]);
+  const double radius = std::hypot(0.5 * (sums[0] - sums[3]), sums[1]);
+  const double least = least_information * sums[9];
+  if (half - radius >= least) return;
+  const double along = 0.5 * std::atan2(2 * sums[1], sums[0] - sums[3]);  // of the strongest direction
+  const double c = std::cos(along), s = std::sin(along);
+  const double strongest = half + radius < least ? 0.0 : half + radius;
+  const double turn = strongest > 0 ? c * sums[2] + s * sums[4] : 0.0, right = strongest > 0 ? c * sums[6] + s * sums[7] : 0.0;
+  sums[0] = strongest * c * c, sums[1] = strongest * c * s, sums[3] = strongest * s * s;
+  sums[2] = turn * c, sums[4] = turn * s;
+  sums[6] = right * c, sums[7] = right * s;
+}
+
+// Solves A x = b for a symmetric positive definite A, upper triangle row by row, by Cramer's rule.
+std::array<double, 3> solve(const std::array<double, 6>& a, const std::array<double, 3>& b) {
+  const double c00 = a[3] * a[5] - a[4] * a[4], c01 = a[2] * a[4] - a[1] * a[5], c02 = a[1] * a[4] - a[2] * a[3];
+  const double c11 = a[0] * a[5] - a[2] * a[2], c12 = a[1] * a[2] - a[0] * a[4], c22 = a[0] * a[3] - a[1] * a[1];
+  const double whole = a[0] * c00 + a[1] * c01 + a[2] * c02;
+  return {(c00 * b[0] + c01 * b[1] + c02 * b[2]) / whole, (c01 * b[0] + c11 * b[1] + c12 * b[2]) / whole,
+          (c02 * b[0] + c12 * b[1] + c22 * b[2]) / whole};
+}
+
 // Adds the normal equations of the points of scan `moved`, at a pose seen from scan `fixed`, by the pose of `to`: which
 // is the moved one or the fixed one.
-void add(const Surfaces& of, int64_t fixed, int64_t moved, const Pose& pose, bool moves_to, double gate_m,
-         double scale_m, double* out) {
+void add(const Surfaces& of, int64_t fixed, const Surfaces& by, int64_t moved, const Increment& pose, bool moves_to,
+         double gate_m, double scale_m, double* out) {
   const double c = std::cos(pose.theta), s = std::sin(pose.theta);
   const double* low = of.bearings + of.starts[fixed];
   const double* high = of.bearings + of.starts[fixed + 1];
-  for (int64_t k = of.starts[moved]; k < of.starts[moved + 1]; ++k) {
-    const double px = of.points[2 * k], py = of.points[2 * k + 1];
+  for (int64_t k = by.starts[moved]; k < by.starts[moved + 1]; ++k) {
+    const double px = by.points[2 * k], py = by.points[2 * k + 1];
     const double x = c * px - s * py + pose.x, y = s * px + c * py + pose.y;
     const double bearing = rank_bearing(x - of.origins[2 * fixed], y - of.origins[2 * fixed + 1]);
     const int64_t place = std::lower_bound(low, high, bearing) - of.bearings;
@@ -53,8 +111,8 @@ void add(const Surfaces& of, int64_t fixed, int64_t moved, const Pose& pose, boo
     }
     if (nearest < 0) continue;
     const double nx = of.normals[2 * nearest], ny = of.normals[2 * nearest + 1];
-    const double mx = c * of.normals[2 * k] - s * of.normals[2 * k + 1];
-    const double my = s * of.normals[2 * k] + c * of.normals[2 * k + 1];
+    const double mx = c * by.normals[2 * k] - s * by.normals[2 * k + 1];
+    const double my = s * by.normals[2 * k] + c * by.normals[2 * k + 1];
     if (nx * mx + ny * my < kLeastCosine) continue;
     const double residual = (x - of.points[2 * nearest]) * nx + (y - of.points[2 * nearest + 1]) * ny;
     if (std::abs(residual) > gate_m) continue;
@@ -76,14 +134,78 @@ void add(const Surfaces& of, int64_t fixed, int64_t moved, const Pose& pose, boo
 
 }  // namespace
 
+void fit_surfaces(const double* ends, const int64_t* starts, const double* origins, int64_t scans, double* points,
+                  double* normals, double* bearings, int64_t* out_starts) {
+  std::vector<double> x, y, rank, ordered_x, ordered_y, ordered_rank;
+  std::vector<int64_t> order;
+  int64_t found = 0;
+  for (int64_t scan = 0; scan < scans; ++scan) {
+    out_starts[scan] = found;
+    const int64_t first = starts[scan], size = starts[scan + 1] - first;
+    x.resize(size), y.resize(size), rank.resize(size);
+    for (int64_t k = 0; k < size; ++k) {
+      x[k] = ends[2 * (first + k)] - origins[2 * scan];
+      y[k] = ends[2 * (first + k) + 1] - origins[2 * scan + 1];
+      rank[k] = rank_bearing(x[k], y[k]);
+    }
+    if (!std::is_sorted(rank.begin(), rank.end())) {
+      order.resize(size);
+      std::iota(order.begin(), order.end(), int64_t{0});
+      std::stable_sort(order.begin(), order.end(), [&](int64_t a, int64_t b) { return rank[a] < rank[b]; });
+      ordered_x.resize(size), ordered_y.resize(size), ordered_rank.resize(size);
+      for (int64_t k = 0; k < size; ++k) {
+        ordered_x[k] = x[order[k]], ordered_y[k] = y[order[k]], ordered_rank[k] = rank[order[k]];
+      }
+      x.swap(ordered_x), y.swap(ordered_y), rank.swap(ordered_rank);
+    }
+    for (int64_t k = 0; k < size; ++k) {
+      double nx = 0, ny = 0;
+      if (!fit_normal(x.data(), y.data(), size, k, &nx, &ny)) continue;
+      points[2 * found] = x[k] + origins[2 * scan], points[2 * found + 1] = y[k] + origins[2 * scan + 1];
+      normals[2 * found] = nx, normals[2 * found + 1] = ny;
+      bearings[found++] = rank[k];
+    }
+  }
+  out_starts[scans] = found;
+}
+
+int64_t match_to_surfaces(const Surfaces& fixed, const double* poses, int64_t count, const Surfaces& moved,
+                          const SurfaceMatching& how, double* pose) {
+  const std::array<double, 3> guess{pose[0], pose[1], pose[2]};
+  const double weight = 0.5 / (how.scale_m * how.scale_m);
+  int64_t fewest = moved.starts[1] - moved.starts[0];
+  fewest *= count;
+  for (int64_t step = 0; step < how.steps; ++step) {
+    std::array<double, 10> sums{};
+    for (int64_t scan = 0; scan < count; ++scan) {
+      add(fixed, scan, moved, 0, between(poses + 3 * scan, pose), true, how.gates_m[step], how.scale_m, sums.data());
+    }
+    fewest = std::min(fewest, static_cast<int64_t>(sums[9]));
+    project_on_determined(how.least_information, sums.data());
+    const Increment away = between(guess.data(), pose);
+    const std::array<double, 3> error{away.x, away.y, away.theta};
+    std::array<double, 6> a;
+    for (int64_t k = 0; k < 6; ++k) a[k] = weight * sums[k];
+    a[0] += how.prior[0], a[3] += how.prior[1], a[5] += how.prior[2];
+    std::array<double, 3> b;
+    for (int64_t k = 0; k < 3; ++k) b[k] = weight * sums[6 + k] + how.prior[k] * error[k];
+    const std::array<double, 3> move = solve(a, b);
+    const double c = std::cos(pose[2]), s = std::sin(pose[2]);
+    pose[0] -= c * move[0] - s * move[1];
+    pose[1] -= s * move[0] + c * move[1];
+    pose[2] -= move[2];
+  }
+  return fewest;
+}
+
 void match_surfaces(const Surfaces& surfaces, const double* poses, const int64_t* pairs, int64_t count, double gate_m,
                     double scale_m, bool both, double* out) {
   for (int64_t p = 0; p < count; ++p) {
     const int64_t from = pairs[2 * p], to = pairs[2 * p + 1];
     double* own = out + 10 * p;
     std::fill(own, own + 10, 0.0);
-    add(surfaces, from, to, between(poses + 3 * from, poses + 3 * to), true, gate_m, scale_m, own);
-    if (both) add(surfaces, to, from, between(poses + 3 * to, poses + 3 * from), false, gate_m, scale_m, own);
+    add(surfaces, from, surfaces, to, between(poses + 3 * from, poses + 3 * to), true, gate_m, scale_m, own);
+    if (both) add(surfaces, to, surfaces, from, between(poses + 3 * to, poses + 3 * from), false, gate_m, scale_m, own);
   }
 }
 

@@ -21,4 +21,23 @@ struct Surfaces {
 void match_surfaces(const Surfaces& surfaces, const double* poses, const int64_t* pairs, int64_t count, double gate_m,
                     double scale_m, bool both, double* out);
 
+// Points with normals of scans of which the beams end at `ends` (B, 2): where neighbouring beams end on a line. Writes
+// points, normals, ranks of bearings, each of room for B, and starts (scans + 1); see `reference_surfaces`.
+void fit_surfaces(const double* ends, const int64_t* starts, const double* origins, int64_t scans, double* points,
+                  double* normals, double* bearings, int64_t* out_starts);
+
+// How a scan is matched to the surfaces of others, by Gauss-Newton.
+struct SurfaceMatching {
+  const double* prior;    // (3,), information of the guess, in the frame of the scan
+  const double* gates_m;  // largest residual, in each step
+  int64_t steps;
+  double scale_m;
+  double least_information;
+};
+
+// Moves `pose` (3,), where scan 0 of `moved` is, to where its points fit lines of the `count` scans of `fixed` at `poses`;
+// gives the number of points matched in the step where they were the fewest.
+int64_t match_to_surfaces(const Surfaces& fixed, const double* poses, int64_t count, const Surfaces& moved,
+                          const SurfaceMatching& how, double* pose);
+
 }  // namespace gridslam

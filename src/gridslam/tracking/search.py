@@ -14,7 +14,7 @@ from gridslam.matching.gauss_newton import NO_INFORMATION, GaussNewton, weigh_kn
 from gridslam.parameters import bounded, parameters
 from gridslam.tracking.odometry_calibration import MIN_SEGMENTS
 from gridslam.tracking.prediction import MAX_INTERVAL_S, PoseEstimate, Prediction
-from gridslam.tracking.state import TrackerState, is_within
+from gridslam.tracking.state import Control, TrackerState, is_within
 from gridslam.types import BeamEnds, FloatArray
 
 __all__ = ["OdometrySearch", "calibrated", "local_pyramid"]
@@ -106,19 +106,20 @@ class OdometrySearch:
         """Whether scans are far apart, in time or by the way driven between them."""
         return state.interval_s > self.sparse_period_s or state.mean_step > self.sparse_step
 
-    def control(self, state: TrackerState, found: PoseEstimate) -> tuple[Pose, tuple[float, float] | None]:
-        """Where the particles look for a scan by the odometry, and the variances of that beside their noise.
+    def control(self, state: TrackerState, found: PoseEstimate) -> Control:
+        """Where the particles look for a scan by the odometry: where it was found by the scans just before it.
 
-        It must not come from the scan that weighs them, so it is the prediction. Where that errs by more than a
-        particle's descent can follow, it is where the scan was found: a descent from there ends at the same peak.
+        Where scans are far apart that may be another place that looks alike, so it is the prediction, unless that errs
+        by more than a particle's descent can follow: a descent from where the scan was found ends at the same peak.
         """
         predicted = found.prediction
         if not self.is_far_from_last(state, predicted):
-            return predicted.pose, None
+            return Control(found.pose)
+        variances = predicted.sigma_m**2, predicted.sigma_rad**2
         if found.lost:
-            return predicted.pose, (predicted.sigma_m**2, predicted.sigma_rad**2)
+            return Control(predicted.pose, variances)
         follows = is_within(found.pose, predicted.pose, _BASIN_M, _BASIN_RAD)
-        return (predicted.pose if follows else found.pose), None
+        return Control(predicted.pose if follows else found.pose, common_variances=variances)
 
     def __call__(
         self, state: TrackerState, predicted: Prediction, beams: BeamEnds, matcher: GaussNewton

@@ -17,9 +17,10 @@ from gridslam.matching.beam_order import BeamOrder
 from gridslam.matching.branch_and_bound import Pyramid
 from gridslam.serialization import NOT_SAVED
 from gridslam.tracking.odometry_calibration import OdometryErrorModel
+from gridslam.tracking.recent_scans import RecentScans
 from gridslam.types import BeamEnds, Beams, FloatArray, Odometry, StoredScan
 
-__all__ = ["SensorTrack", "TrackedScan", "TrackerState", "UnmatchedMotion", "is_within", "pose_of"]
+__all__ = ["Control", "SensorTrack", "TrackedScan", "TrackerState", "UnmatchedMotion", "is_within", "pose_of"]
 
 _BOTH = np.array([0, 1], np.int32)
 _SHORTEST_INTERVAL_S = 0.005
@@ -118,6 +119,8 @@ class TrackerState:
         Uncertainty of what no match has measured since the last key scan.
     open_way_m : float
         Way since the last match that left no direction open.
+    recent : RecentScans
+        The newest scans in the local map, to the surfaces of which the next one is matched.
     pyramid : Pyramid or None
         Of the local map that is matched against, where it was searched since a scan was inserted.
     """
@@ -141,6 +144,7 @@ class TrackerState:
     rejected_odometry: Annotated[int, COUNT] = 0
     unmatched: UnmatchedMotion = field(default_factory=UnmatchedMotion)
     open_way_m: float = 0.0
+    recent: RecentScans = field(default_factory=RecentScans)
     pyramid: Pyramid | None = field(default=None, metadata=NOT_SAVED)
 
     @classmethod
@@ -218,26 +222,44 @@ def pose_of(odometry: Odometry | None) -> Pose:
 
 
 @final
+class Control(NamedTuple):
+    """Where the particles look for a scan.
+
+    Attributes
+    ----------
+    pose : Pose
+        In the tracker's frame.
+    variances : (float, float) or None
+        Of that pose, m^2 (each of x and y) and rad^2, beside the noise of the motion model, so that particles are drawn
+        about it; None where the motion model's noise is all.
+    common_variances : (float, float) or None
+        Of an error that all particles share, which their matches to their maps find; they are not drawn about it.
+    """
+
+    pose: Pose
+    variances: tuple[float, float] | None = None
+    common_variances: tuple[float, float] | None = None
+
+
+@final
 class TrackedScan(NamedTuple):
     """Result of tracking one scan.
 
     Attributes
     ----------
     pose, predicted : Pose
-        In the tracker's frame; `predicted` uses only the scans before this one, `pose` this one too. Where scans are
-        far apart `predicted` may be a guess from this scan, to descend from.
+        In the tracker's frame; `predicted` uses only the scans before this one, `pose` this one too.
+    control : Control
+        Where the particles look for it.
     beams : Beams
         As seen from the base at the stamp: deskewed.
     merged_beams : BeamEnds
         These, and what the other lasers saw a moment ago: what is to be matched, as each laser alone may see a single
         wall. Weighing takes `beams` alone: what the other lasers saw has been weighed at their own key scans.
-    prediction_variances : (float, float) or None
-        Variances of a prediction by the velocity, m^2 (each of x and y) and rad^2; None by odometry, whose noise is the
-        motion model's.
     """
 
     pose: Pose
     predicted: Pose
+    control: Control
     beams: Beams
     merged_beams: BeamEnds
-    prediction_variances: tuple[float, float] | None = None

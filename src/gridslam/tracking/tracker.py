@@ -17,8 +17,10 @@ import numpy as np
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import Pose, as_pose, between, compose, is_known, motion_of
+from gridslam.grid.scan_batch import ScanBatch
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, NO_INFORMATION, GaussNewton, PoseMatch
+from gridslam.matching.surfaces import Surfaces
 from gridslam.parameters import Kind, bounded, parameters
 from gridslam.tracking.odometry_calibration import OdometryCalibration
 from gridslam.tracking.prediction import (
@@ -30,12 +32,14 @@ from gridslam.tracking.prediction import (
 )
 from gridslam.tracking.search import OdometrySearch, calibrated, local_pyramid
 from gridslam.tracking.state import (
+    Control,
     SensorTrack,
     TrackedScan,
     TrackerState,
     is_within,
     pose_of,
 )
+from gridslam.tracking.surface_matching import SurfaceMatching
 from gridslam.types import BeamEnds, Beams, FloatArray, Odometry
 
 __all__ = ["OdometryTracker", "TrackedScan", "Tracker", "TrackerState"]
@@ -98,6 +102,9 @@ class Tracker:
         How a scan is searched for around the odometry where scans are far apart.
     calibration : OdometryCalibration or None
         Online calibration of the odometry; None: disabled.
+    surfaces : SurfaceMatching or None
+        How a match is made more exact by surfaces that the newest scans have seen; None: it is not, nor is it where
+        there are several lasers, of which each may see a single wall.
     """
 
     standstill_m: float = bounded(0.005, ge=0, le=1e6)
@@ -115,6 +122,7 @@ class Tracker:
     velocity: ConstantVelocity = ConstantVelocity()
     search: OdometrySearch = OdometrySearch()
     calibration: Annotated[OdometryCalibration | None, Kind()] = OdometryCalibration()
+    surfaces: Annotated[SurfaceMatching | None, Kind()] = SurfaceMatching()
 
     def init(
         self, odometry: Odometry | None, stamp_ns: int, beams: Beams, mapper: OccupancyGridMapping
@@ -122,6 +130,7 @@ class Tracker:
         """Start at the origin of the tracker's frame with the first scan."""
         state = TrackerState.start(mapper.empty(2), odometry, stamp_ns, beams.scan.sensor)
         state.maps.update(state.row, np.array([state.pose]), beams)
+        self._remember(state, beams, None)
         return state
 
     def step(
@@ -145,6 +154,10 @@ class Tracker:
             found, beams = self._locate_deskewed(state, predicted, beams)
         else:
             found = self._locate(state, predicted, beams)
+        own = None
+        if self.surfaces is not None and found.inlier_ratio and found.pose != state.pose and len(state.sensors) == 1:
+            own = Surfaces.of(ScanBatch.of([beams]))
+            found = found._replace(pose=self.surfaces(state.recent, own, found))
         joint = self._merge_lasers(state, found.pose, found.prediction, beams)
         self._advance(state, found)
         by_odometry = found.prediction.by_odometry
@@ -156,11 +169,10 @@ class Tracker:
         state.odometry = reading
         if found.matched:
             self._learn(state, found)
-            self._insert(state, found, beams)
-        if not by_odometry:
-            return TrackedScan(found.pose, found.prediction.pose, beams, joint, spread)
-        control, widening = self.search.control(state, found)
-        return TrackedScan(found.pose, control, beams, joint, widening)
+            self._insert(state, found, beams, own)
+        control = Control(found.pose, spread if found.lost else None)
+        control = self.search.control(state, found) if by_odometry else control
+        return TrackedScan(found.pose, found.prediction.pose, control, beams, joint)
 
     def _predict(
         self,
@@ -345,7 +357,7 @@ class Tracker:
         """Whether a match is non-degenerate, and better than calibrated odometry."""
         return match.degenerate_direction(self._calibrated_matcher.min_information) is None
 
-    def _insert(self, state: TrackerState, found: PoseEstimate, beams: Beams) -> None:
+    def _insert(self, state: TrackerState, found: PoseEstimate, beams: Beams, own: Surfaces | None) -> None:
         """Insert the scan if its laser has moved since its last one, and if one knows where it was taken."""
         track = state.sensors.get(beams.scan.sensor)
         state.stamps_unreliable = state.stamps_unreliable or (
@@ -367,6 +379,13 @@ class Tracker:
         )
         if due:
             state.insert(beams, self.map_scans)
+            self._remember(state, beams, own)
+
+    def _remember(self, state: TrackerState, beams: Beams, own: Surfaces | None) -> None:
+        """Let later scans be matched to the surfaces of this one, which has its own if they are fitted already."""
+        if self.surfaces is not None:
+            own = Surfaces.of(ScanBatch.of([beams])) if own is None else own
+            state.recent = state.recent.insert(beams, own, state.pose, self.surfaces.scans)
 
 
 def _score(state: TrackerState, pose: Pose, beams: BeamEnds) -> float:
@@ -398,7 +417,7 @@ class OdometryTracker:
         state.odometry = as_pose(_require_odometry(odometry, stamp_ns).pose)
         state.stamp_ns = stamp_ns
         state.pose = compose(state.matched_pose, between(state.matched_odometry, state.odometry))
-        return TrackedScan(state.pose, state.pose, beams, beams)
+        return TrackedScan(state.pose, state.pose, Control(state.pose), beams, beams)
 
 
 def _require_odometry(odometry: Odometry | None, stamp_ns: int) -> Odometry:

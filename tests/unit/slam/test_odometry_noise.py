@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from gridslam.geometry.se2 import between, compose, compound_covariance
 from gridslam.mapping import OccupancyGridMapping
@@ -92,9 +91,9 @@ def test_noise_of_increments_is_compounded_as_draws_of_them_are(drive):
     np.testing.assert_allclose(np.sqrt(np.diagonal(found)), np.sqrt(grown) * scale, rtol=0.15)
 
 
-@pytest.mark.parametrize("tracker", [FILTER.tracker, OdometryTracker()])
-def test_the_less_certain_the_odometry_the_wider_the_particles(drive, tracker):
-    slam, measurements = replace(FILTER, tracker=tracker), drive.measurements[:40]
+def test_the_less_certain_the_odometry_the_wider_the_particles(drive):
+    """Of a tracker that takes the odometry as it is; one that matches scans knows better."""
+    slam, measurements = replace(FILTER, tracker=OdometryTracker()), drive.measurements[:40]
     spreads = [
         spread(to_second_key_scan(slam, told(measurements, np.diag([v, v, 4 * v])))) for v in (1e-8, 1e-6, 1e-5, 1e-4)
     ]
@@ -108,7 +107,7 @@ def test_the_less_certain_the_odometry_the_wider_the_particles(drive, tracker):
 
 def test_it_adds_to_the_motion_models_noise(drive):
     measurements = drive.measurements[:40]
-    slam = replace(FILTER, motion=DiffusionMotion())
+    slam = replace(FILTER, motion=DiffusionMotion(), tracker=OdometryTracker())
     alone, both = (to_second_key_scan(slam, log) for log in (measurements, told(measurements, np.diag([1e-4] * 3))))
     assert spread(both)[0] > spread(alone)[0]
     assert spread(both)[1] > spread(alone)[1]

@@ -149,14 +149,14 @@ def test_without_odometry_the_prediction_is_the_velocity_of_the_scans_before(per
     np.testing.assert_allclose(state.twist, velocity, atol=0.1)
 
 
-def test_a_control_by_velocity_is_as_uncertain_as_those_before_were_wrong(perfect):
-    """The variances that particles get, beside what was missed; a turn from one scan to the next is nobody's guess."""
+def test_a_prediction_by_velocity_is_as_uncertain_as_those_before_were_wrong(perfect):
+    """The variances that particles get where no scan is found; a turn from one scan to the next is nobody's guess."""
     (_, scan), *rest = without(perfect)
     state, missed_by, told = Tracker().init(None, 0, scan.beams(0.05, 30.0), OccupancyGridMapping()), [], []
     for _, scan in rest:
+        told.append(state.velocity_variances)
         tracked = Tracker().step(state, None, scan.stamp_ns, scan.beams(0.05, 30.0))
         missed_by.append(between(tracked.predicted, tracked.pose))
-        told.append(tracked.prediction_variances)
     squares, claimed = np.square(missed_by[50:]), np.mean(told[50:], axis=0)
     assert claimed[0] == pytest.approx(squares[:, :2].mean(), rel=0.5)
     assert np.percentile(squares[:, 2], 75) < claimed[1] < np.percentile(squares[:, 2], 98)

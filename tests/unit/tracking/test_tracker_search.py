@@ -276,8 +276,8 @@ def test_after_a_blind_gap_the_robot_is_where_the_odometry_has_it(halls, scans):
     np.testing.assert_allclose(told.pose, ahead, atol=1e-9)
     way = math.hypot(*(ahead - halls[1].matched_pose)[:2])
     assert off[0] < 0.04 * (way + 3.0)
-    assert told.prediction_variances is not None  # particles are told how little is known
-    assert told.prediction_variances[0] == pytest.approx(state.unmatched.position_m2)
+    assert told.control.variances is not None  # particles are told how little is known
+    assert told.control.variances[0] == pytest.approx(state.unmatched.position_m2)
 
 
 @pytest.mark.parametrize("scans", [37, 45])

@@ -17,8 +17,12 @@ from gridslam.types import FloatArray, IntArray
 
 __all__ = ["SurfaceAdjustment"]
 
+_GATES_M = 0.4, 0.2, 0.08, 0.08
+"""Largest residual of a point, in each round."""
 _SUCCESSIVE = 3
 """Key scans just before one that it is matched with; the others are spread over all that are near."""
+_SCALE_RATIO = 0.25
+"""Of the residual that weighs half to the largest one: visits far from each other are brought together first."""
 _HELD = np.eye(3)
 """Information (1/m^2, 1/rad^2) that holds a match where its surfaces leave a direction open."""
 _SCANS_AT_A_TIME = 1024
@@ -38,13 +42,11 @@ class SurfaceAdjustment:
     Parameters
     ----------
     sigma_m : float, m
-        Standard deviation of a point; where the residual is as large, it weighs half.
+        Standard deviation of a point; where the residual is as large, it weighs half in the end.
     reach_m : float, m
         Distance of key scans to be matched, at most.
     pairs_per_scan : int
         Earlier key scans that each one is matched with.
-    gates_m : tuple of float, m
-        Largest residual of a point, in each round.
     min_points : int
         Matched points of a pair, at least.
     max_correction_m : float, m
@@ -61,7 +63,6 @@ class SurfaceAdjustment:
     sigma_m: float = bounded(0.02, ge=1e-6, le=100)
     reach_m: float = bounded(5.0, ge=1e-6, le=1e6)
     pairs_per_scan: int = bounded(10, ge=1, le=1000)
-    gates_m: tuple[float, ...] = (0.3, 0.15, 0.08, 0.08)
     min_points: int = bounded(10, ge=1, le=1_000_000)
     max_correction_m: float = bounded(0.15, ge=1e-6, le=1e6)
     prior_sigma_m: float = bounded(0.02, ge=1e-6, le=100)
@@ -71,8 +72,9 @@ class SurfaceAdjustment:
         """Move the key scans of a graph; its poses (T, 3) then."""
         pairs = self._select_pairs(graph.poses)
         poses = graph.poses
-        for gate_m in self.gates_m:
-            found = surfaces.match(poses, pairs, gate_m, self.sigma_m)
+        for gate_m in _GATES_M:
+            scale_m = max(self.sigma_m, _SCALE_RATIO * gate_m)
+            found = surfaces.match(poses, pairs, gate_m, scale_m)
             is_matched = found.counts >= self.min_points
             if not is_matched.any():
                 break
@@ -122,7 +124,7 @@ class SurfaceAdjustment:
             about = keys[own][:, None] + np.arange(1 - _KEY_SCANS_BESIDE, 1 + _KEY_SCANS_BESIDE)
             pairs = np.column_stack([np.clip(about.ravel(), 0, count - 1), count + number])
             at = poses[own]
-            for gate_m in self.gates_m[-2:]:
+            for gate_m in _GATES_M[-2:]:
                 found = whole.match(np.concatenate([key_poses, at]), pairs, gate_m, self.sigma_m, both=False)
                 weight = (found.counts >= self.min_points)[:, None] / (2 * self.sigma_m**2)
                 shape = (len(own), 2 * _KEY_SCANS_BESIDE)

@@ -53,6 +53,9 @@ from gridslam.types import (
 
 __all__ = ["GridFastSlam"]
 
+_FREEDOM = 4e5
+"""Covariances of the motion are so much larger where matches are to follow the map: it holds next to nothing."""
+
 
 @final
 @checked
@@ -232,13 +235,14 @@ class GridFastSlam:
     def _predict(self, state: GridFastSlamState, tracked: TrackedScan, noise: OdometryNoise | None) -> MotionSampler:
         """Condition the motion on the control: the tracked motion since the last key scan, up to this scan.
 
-        The best particle moves as expected: its pose is reported, and others spread about it as their motion is drawn.
+        Both the control and the weight know of this scan, but of different maps: those of the scans just before it, and
+        the particle's own. A control that did not know of it would err by the odometry since the last scan, ten times
+        what the tracker errs by.
         """
-        motion = widen_motion(
-            self.motion(np.array(between(state.key_pose, tracked.predicted))), tracked.prediction_variances
-        )
-        motion = motion if noise is None else noise.add_to(motion, state.key_pose, tracked.predicted)
-        return _MotionWithMean(motion, state.best)
+        control = tracked.control
+        motion = widen_motion(self.motion(np.array(between(state.key_pose, control.pose))), control.variances)
+        motion = motion if noise is None else noise.add_to(motion, state.key_pose, control.pose)
+        return _MotionOfAll(motion, state.best, control.common_variances or (0.0, 0.0))
 
     def _close_loops(
         self, state: GridFastSlamState, report: StepReport, beams: Beams
@@ -258,21 +262,31 @@ class GridFastSlam:
 
 @final
 @dataclass(frozen=True, slots=True)
-class _MotionWithMean:
-    """Draws motions, but for one particle's, which is the mean: what is reported is no sample."""
+class _MotionOfAll:
+    """Motion of all particles: the best one keeps to what is expected of it, the others look elsewhere.
+
+    The best one, which is reported and mapped, is no sample: its draw is the mean, which holds its match. The others
+    spread as their motion is drawn, and follow their maps: where a loop closes one of them fits better, and is the best
+    from then on. An error that is common to all (variances in m^2 and rad^2) is left to the match.
+    """
 
     motion: MotionSampler
-    particle: int
+    best: int
+    common_variances: tuple[float, float]
 
     def __call__(self, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Draw successors (N, 3) of poses (N, 3), but for that one."""
+        """Draw successors (N, 3) of all particles (N, 3)."""
         drawn = self.motion(poses, rng)
-        drawn[self.particle] = self.moments(poses[self.particle : self.particle + 1])[0][0]
+        drawn[self.best] = self.motion.moments(poses[self.best : self.best + 1])[0][0]
         return drawn
 
     def moments(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean successors (N, 3) and their covariances (N, 3, 3)."""
-        return self.motion.moments(poses)
+        """Mean successors (N, 3) and their covariances (N, 3, 3); of one pose those of the best particle."""
+        means, covariances = self.motion.moments(poses)
+        covariances = covariances + np.diag(np.take(self.common_variances, [0, 0, 1]))
+        is_other = np.arange(len(poses)) != (self.best if len(poses) > 1 else 0)
+        covariances[is_other] *= _FREEDOM
+        return means, covariances
 
 
 def _check_particles(particles: object) -> FloatArray:

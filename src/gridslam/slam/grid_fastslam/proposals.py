@@ -1,8 +1,8 @@
 """Proposal distributions and the corresponding importance weights.
 
 A proposal is handed the motion model conditioned on the control and the measurement model conditioned on the scan, and
-returns new poses with their log weight increments. The control must come from measurements before the scan that
-weighs: the tracker's prediction is such a control.
+returns new poses with their log weight increments. The weights are exact for a control from measurements before the
+scan that weighs. That of the tracker knows of the scan too, matched to the few scans before it and not to the map.
 """
 
 from __future__ import annotations
@@ -66,23 +66,15 @@ def _rows(maps: TileMaps) -> Int32Array:
     return np.arange(len(maps), dtype=np.int32)
 
 
-_LEAST_M2 = 1e-8
-_LEAST_RAD2 = 1e-10
-"""Variances added to those of a motion, so that one without noise along some direction stays invertible."""
+_LEAST = np.diag([1e-8, 1e-8, 1e-10])
+"""Variances (m^2, rad^2) added to those of a motion, so that one without noise along some direction is invertible."""
 
 _AT_ORIGIN = np.zeros((1, 3))
 
 
 def _information(covariance: FloatArray, headings: FloatArray) -> FloatArray:
     """Inverse covariances (N, 3, 3), world frame, of a motion of `covariance` (3, 3), robot frame, at headings (N,)."""
-    (xx, xy, xt), (_, yy, yt), (_, _, tt) = covariance.tolist()
-    if xx == yy and xy == xt == yt == 0:  # the same in any frame
-        information = np.zeros((len(headings), 3, 3))
-        information[:, 0, 0] = information[:, 1, 1] = 1 / (xx + _LEAST_M2)
-        information[:, 2, 2] = 1 / (tt + _LEAST_RAD2)
-        return information
-    least = np.diag([_LEAST_M2, _LEAST_M2, _LEAST_RAD2])
-    return rotate_covariances(np.asarray(np.linalg.inv(covariance + least), np.float64), headings)
+    return rotate_covariances(np.asarray(np.linalg.inv(covariance + _LEAST), np.float64), headings)
 
 
 @final
@@ -127,8 +119,8 @@ class ScanMatchedProposal:
     matcher : GaussNewton or HillClimbing
         How the peak is reached.
     beam_sigma_m : float, m
-        Standard deviation of a beam's distance to the map against which the motion model's information holds the match
-        near its draw. Next to nothing: where a loop closes, a particle must be free to follow its map.
+        Standard deviation of a beam's distance to the map against which the motion's information holds the match near
+        its draw: five times the noise of the motion over a metre, as beams are many and cells coarse.
     standstill_m, standstill_rad : float
         Where the motion's mean is within both, particles are not matched: a scan at rest has nothing to correct.
 
@@ -138,7 +130,7 @@ class ScanMatchedProposal:
     """
 
     matcher: Annotated[GaussNewton | HillClimbing, Kind()] = GaussNewton()
-    beam_sigma_m: float = bounded(1.6e-4, ge=1e-6, le=100)
+    beam_sigma_m: float = bounded(0.1, ge=1e-6, le=100)
     standstill_m: float = bounded(0.02, ge=0, le=1e6)
     standstill_rad: float = bounded(0.02, ge=0, le=100)
 
@@ -154,9 +146,10 @@ class ScanMatchedProposal:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows = _rows(maps)
         drawn = motion(poses, rng)
-        (increment,), (covariance,) = motion.moments(_AT_ORIGIN)
+        (increment,), _ = motion.moments(_AT_ORIGIN)
         matcher = self.matcher if self._is_moving(increment) else EVALUATE_ONLY
-        prior = self.beam_sigma_m**2 * _information(covariance, poses[:, 2])
+        _, covariances = motion.moments(poses)
+        prior = np.asarray(self.beam_sigma_m**2 * np.linalg.inv(covariances + _LEAST), np.float64)
         match = matcher(maps, rows, drawn, prior, beams)
         return ProposedPoses(match.poses, weigh(maps, rows, match.poses), match)
 

@@ -25,14 +25,16 @@ from gridslam.particles.resampling import normalize, relative_to_greatest, requi
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.drift_model import compute_step_moments
 from gridslam.slam.loop_closure.state import LoopClosureState
+from gridslam.tracking.recent_scans import RecentScans
 from gridslam.tracking.state import UnmatchedMotion
 from gridslam.tracking.tracker import TrackerState
 from gridslam.types import FloatArray, IntArray, describe_pose
 
 __all__ = ["STATE_SCHEMA", "Estimate", "GridFastSlamState"]
 
-STATE_SCHEMA = "gridslam.state/12"
+STATE_SCHEMA = "gridslam.state/13"
 _BEFORE_SUBMAPS = "gridslam.state/11"
+_BEFORE_SURFACES = "gridslam.state/12"
 
 _DECISIVE = 3.0
 """Nats, odds of 20 to 1, by which another particle is better before it is reported in place of the one that was: else
@@ -272,6 +274,9 @@ class GridFastSlamState:
         schema = str(arrays.get("schema", "none"))
         if schema == _BEFORE_SUBMAPS:
             arrays = _let_search_begin(arrays)
+        if schema in (_BEFORE_SUBMAPS, _BEFORE_SURFACES):
+            nothing = serialization.to_arrays(RecentScans())
+            arrays = {**arrays, **{f"tracker.recent.{name}": values for name, values in nothing.items()}}
         elif schema != STATE_SCHEMA:
             raise ArgumentError("arrays", f"a state of schema {STATE_SCHEMA}", schema)
         state = serialization.from_arrays(cls, arrays, {TileMaps: partial(mapper.restore, threads=threads)})

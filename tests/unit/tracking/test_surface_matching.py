@@ -1,0 +1,103 @@
+"""Matching to the surfaces of the newest scans: exacter than cells, and only where surfaces say so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridslam.geometry.se2 import between
+from gridslam.grid.scan_batch import ScanBatch
+from gridslam.matching.surfaces import Surfaces
+from gridslam.tracking.prediction import PoseEstimate, Prediction
+from gridslam.tracking.recent_scans import RecentScans
+from gridslam.tracking.surface_matching import SurfaceMatching
+from gridslam.types import StoredScan
+
+BEARINGS = np.linspace(-3.1, 3.1, 240)
+
+
+def scan_from(pose, seed, half=(4.0, 3.0)):
+    """Beams in a room about the origin, noise 1 cm; half its size (2,)."""
+    ways = np.column_stack([np.cos(BEARINGS + pose[2]), np.sin(BEARINGS + pose[2])])
+    corner = np.array(half)
+    reach = np.where(ways > 0, (corner - pose[:2]) / ways, (-corner - pose[:2]) / ways).min(axis=1)
+    reach += 0.01 * np.random.default_rng(seed).normal(size=len(reach))
+    reach = np.minimum(reach, 12.0)
+    return StoredScan(reach[:, None] * np.column_stack([np.cos(BEARINGS), np.sin(BEARINGS)]), np.zeros(2))
+
+
+def fit(scan):
+    return Surfaces.of(ScanBatch.of([scan]))
+
+
+def at(pose, covariance=None):
+    """Found at a pose, from a prediction of that covariance."""
+    sigmas = (0.02, 0.01) if covariance is None else (covariance[0, 0] ** 0.5, covariance[2, 2] ** 0.5)
+    predicted = Prediction(pose, True, 0.1, 0.1, 0.0, *sigmas, 0.03, covariance)
+    return PoseEstimate(pose, predicted, matched=True, lost=False, inlier_ratio=1.0)
+
+
+def remember(poses, half=(4.0, 3.0), most=8):
+    recent = RecentScans()
+    for seed, pose in enumerate(poses):
+        scan = scan_from(np.array(pose), seed, half)
+        recent = recent.insert(scan, fit(scan), pose, most)
+    return recent
+
+
+POSES = [(0.2 * k, 0.05 * k, 0.06 * k) for k in range(10)]
+TRUE = (2.0, 0.5, 0.6)
+
+
+def test_a_match_is_exact_to_millimetres_and_hundredths_of_a_degree():
+    recent = remember(POSES)
+    own = fit(scan_from(np.array(TRUE), 99))
+    errors = []
+    for seed in range(20):
+        off = np.random.default_rng(seed).normal(0, [0.02, 0.02, 0.01])
+        found = SurfaceMatching()(recent, own, at(tuple((np.array(TRUE) + off).tolist())))
+        errors.append(between(np.array(TRUE), np.array(found)))
+    rms = np.sqrt(np.square(errors).mean(axis=0))
+    assert (rms < [0.004, 0.004, 0.0015]).all()  # of guesses that are off by 0.02, 0.02, 0.01
+
+
+def test_odometry_that_is_certain_holds_its_pose():
+    recent = remember(POSES)
+    own = fit(scan_from(np.array(TRUE), 99))
+    guess = (2.02, 0.48, 0.61)
+    free, held = (
+        np.abs(between(np.array(guess), np.array(SurfaceMatching()(recent, own, at(guess, variance * np.eye(3))))))
+        for variance in (1e-4, 1e-9)
+    )
+    assert (held < 0.2 * free).all()
+
+
+def test_along_a_corridor_the_guess_stays():
+    half = (1000.0, 1.2)
+    recent = remember([(0.2 * k, 0.0, 0.0) for k in range(8)], half)
+    own = fit(scan_from(np.array([1.6, 0.0, 0.0]), 99, half))
+    x, y, turn = SurfaceMatching()(recent, own, at((1.65, 0.03, 0.01)))
+    assert x == pytest.approx(1.65, abs=0.002)
+    assert abs(y) < 0.005
+    assert abs(turn) < 0.003
+
+
+def test_what_has_few_points_or_would_move_far_stays():
+    recent = remember(POSES)
+    own = fit(scan_from(np.array(TRUE), 99))
+    guess = (2.02, 0.48, 0.6)
+    assert SurfaceMatching()(recent, own, at(guess)) != guess
+    assert SurfaceMatching()(RecentScans(), own, at(guess)) == guess
+    assert SurfaceMatching(min_points=100_000)(recent, own, at(guess)) == guess
+    assert SurfaceMatching(max_correction_m=0.01)(recent, own, at(guess)) == guess
+    assert SurfaceMatching()(recent, fit(StoredScan(np.empty((0, 2)), np.zeros(2))), at(guess)) == guess
+
+
+def test_the_newest_scans_are_kept_and_restored_surfaces_are_the_same():
+    recent = remember(POSES, most=3)
+    assert [scan.pose for scan in recent.scans] == POSES[-3:]
+    restored = replace(recent, fitted=None).surfaces
+    for own, other in zip(recent.surfaces, restored, strict=True):
+        np.testing.assert_array_equal(own, other)
