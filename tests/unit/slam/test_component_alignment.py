@@ -10,7 +10,7 @@ import pytest
 
 from closure_worlds import deceptive
 from gridslam.geometry.se2 import between, compose
-from gridslam.slam.full_slam.component_alignment import Alignment, ComponentAlignment, Hypothesis
+from gridslam.slam.full_slam.component_alignment import Alignment, ComponentAlignment, Hypothesis, KnownMap
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
 from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel
@@ -136,6 +136,17 @@ def decided(best, *, shifted, others=()):
 def test_evidence_and_drift_must_be_enough(likelihood, squared, is_accepted):
     best = Hypothesis(np.zeros((1, 3)), likelihood, squared, 1.0, 0.9)
     assert (decided(best, shifted=-1.0) is best) == is_accepted
+
+
+@pytest.mark.parametrize("there_and_back", [(40.0, -10.0), (-10.0, 40.0)])
+def test_the_lesser_of_both_directions_counts(monkeypatch, there_and_back):
+    """A component that lies where the other one saw free space, or that sees free space where the other one lies."""
+    scores = iter(there_and_back)
+    monkeypatch.setattr(Alignment, "_score", lambda *_: (next(scores), 1.0, 0.9))
+    known = KnownMap(None, np.zeros((1, 3)), np.zeros(1, int), None)
+    state = LoopClosureState()
+    alignment = Alignment(ComponentAlignment(), state, None, None, None, np.zeros(1, int), known)
+    assert alignment._score_both(np.zeros((1, 3)), None)[0] == -10.0
 
 
 def test_a_hypothesis_that_the_drift_excludes_does_not_count():
