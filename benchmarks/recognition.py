@@ -39,9 +39,8 @@ _LOOSE = {
         "matching.max_contradicted=1",
     ),
     "final_refinement.component_alignment": (
-        "ambiguity_ratio=0.99",
-        "distinct_ambiguity_ratio=0.99",
-        "self_similarity_ratio=1.0",
+        "ambiguity_ratio=100",
+        "gate_sigmas=1000",
         "min_log_likelihood=1",
         "min_constraints=1",
     ),

@@ -98,7 +98,7 @@ PARAMETERS: Final[Mapping[str, Parameter]] = {
 
 _RETIRED = {
     "final_refinement": {
-        *("ambiguity_ratio", "min_confirmations", "recognition", "matcher"),
+        *("ambiguity_ratio", "min_confirmations", "recognition", "matcher", "component_alignment"),
         *("scan_inlier_ratio", "scan_max_correction_m", "scan_prior_information"),
     },
     "loop_closure": {"recognition"},

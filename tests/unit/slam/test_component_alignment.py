@@ -10,13 +10,14 @@ import pytest
 
 from closure_worlds import deceptive
 from gridslam.geometry.se2 import between, compose
-from gridslam.matching import BranchAndBound
-from gridslam.slam.full_slam.component_alignment import ComponentAlignment
+from gridslam.slam.full_slam.component_alignment import Alignment, ComponentAlignment, Hypothesis, KnownMap
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
 from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.loop_closure.state import LoopClosureState
+from gridslam.slam.loop_closure.submap_matching import SubmapMatching
+from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from support import hall
 
 LAP = 95
@@ -43,7 +44,7 @@ def interrupted(seen, at, *, wrong=BLIND, until=None):
 
 def aligned(closure_state, alignment=None):
     return (alignment or ComponentAlignment())(
-        closure_state, hall.MAPPER, PlaceMatching(), TrajectoryScorer(), lambda: None
+        closure_state, hall.MAPPER, SubmapPairs(), PlaceMatching(), TrajectoryScorer(), lambda: None
     )
 
 
@@ -101,13 +102,7 @@ def test_a_rival_that_says_as_much_refutes(seen):
         closure_state.scans.append(beams[k], pose, is_key=True)
         closure_state.graph.extend(pose, pose, (6.0**2, 0.3**2) if k == 2 * half else DriftModel().variances(0.4, 0.1))
     assert aligned(closure_state) == []
-    assert (
-        aligned(
-            closure_state,
-            ComponentAlignment(ambiguity_ratio=0.99, distinct_ambiguity_ratio=0.99, self_similarity_ratio=1.0),
-        )
-        == []
-    )
+    assert len(aligned(closure_state, ComponentAlignment(ambiguity_ratio=2.0))) >= 3
     once = interrupted(hall.Seen(np.concatenate([truth, truth]), beams[: 2 * half]), half, wrong=np.zeros(3))
     assert len(aligned(once)) >= 3
 
@@ -118,19 +113,73 @@ def test_too_few_constraints_are_no_alignment(seen):
     assert aligned(closure_state, ComponentAlignment(min_constraints=math.ceil(40 / 3) + 1)) == []
 
 
-def test_the_number_of_searches_is_bounded(seen, monkeypatch):
-    """About ten more tell whether the piece looks alike in itself."""
-    memory, search, calls = interrupted(seen, LAP + 5), BranchAndBound.search, []
-    monkeypatch.setattr(BranchAndBound, "search", lambda self, *given: calls.append(given) or search(self, *given))
-    assert len(aligned(memory, ComponentAlignment(max_searches=10))) >= 10
-    assert 5 <= len(calls) <= 20
-    calls.clear()
+def test_a_shift_that_fits_as_well_refutes():
+    """Along a bare corridor the component fits anywhere: no match shows it, but the best place half a metre beside."""
+    best = Hypothesis(np.zeros((1, 3)), 30.0, 1.0, 1.0, 0.9)
+    assert decided(best, shifted=17.0) is best
+    assert decided(best, shifted=19.0) is None
+
+
+def decided(best, *, shifted, others=()):
+    """Decide with every shift of the best hypothesis having the same log likelihood."""
+    alignment = Alignment(ComponentAlignment(), None, None, None, None, np.zeros(1, int), None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Alignment, "_draw", lambda *_: None)
+        patch.setattr(Alignment, "_score_both", lambda *_: (shifted, 1.0, 0.9))
+        return alignment.decide([best, *others])
+
+
+@pytest.mark.parametrize(
+    ("likelihood", "squared", "is_accepted"),
+    [(15.1, 0.0, True), (14.9, 0.0, False), (30.0, 3.9, True), (30.0, 4.1, False)],
+)
+def test_evidence_and_drift_must_be_enough(likelihood, squared, is_accepted):
+    best = Hypothesis(np.zeros((1, 3)), likelihood, squared, 1.0, 0.9)
+    assert (decided(best, shifted=-1.0) is best) == is_accepted
+
+
+@pytest.mark.parametrize("there_and_back", [(40.0, -10.0), (-10.0, 40.0)])
+def test_the_lesser_of_both_directions_counts(monkeypatch, there_and_back):
+    """A component that lies where the other one saw free space, or that sees free space where the other one lies."""
+    scores = iter(there_and_back)
+    monkeypatch.setattr(Alignment, "_score", lambda *_: (next(scores), 1.0, 0.9))
+    known = KnownMap(None, np.zeros((1, 3)), np.zeros(1, int), None)
+    state = LoopClosureState()
+    alignment = Alignment(ComponentAlignment(), state, None, None, None, np.zeros(1, int), known)
+    assert alignment._score_both(np.zeros((1, 3)), None)[0] == -10.0
+
+
+def test_a_hypothesis_that_the_drift_excludes_does_not_count():
+    """A building that looks the same from its other end: the odometry knows which one it is."""
+    best = Hypothesis(np.zeros((1, 3)), 30.0, 0.5, 1.0, 0.9)
+    turned = Hypothesis(np.array([[20.0, 0.0, np.pi]]), 30.0, 25.0, 1.0, 0.9)
+    assert decided(best, shifted=-1.0, others=[turned]) is best
+    assert decided(best, shifted=-1.0, others=[turned._replace(squared_sigmas=5.0)]) is None
+
+
+def test_the_numbers_of_comparisons_and_matches_are_bounded(seen, monkeypatch):
+    compared, matched = count_calls(monkeypatch)
+    memory = interrupted(seen, LAP + 5)
+    assert len(aligned(memory, ComponentAlignment(max_comparisons=60, max_matches=10))) >= 10
+    assert 20 < len(compared) <= 60
+    assert 0 < len(matched) <= 10
+    del compared[:], matched[:]
     aligned(memory)
-    assert len(calls) > 30
+    assert len(compared) > 60
+    assert len(matched) > 10
 
 
-def test_many_components_share_the_searches(seen, monkeypatch):
-    """Each pair was once allowed its own: a log whose rows were shuffled has hundreds of components."""
+def count_calls(monkeypatch):
+    """Record comparisons and matches of submaps."""
+    propose, verify = SubmapMatching.propose, SubmapMatching.verify
+    compared, matched = [], []
+    monkeypatch.setattr(SubmapMatching, "propose", lambda *given: compared.append(given) or propose(*given))
+    monkeypatch.setattr(SubmapMatching, "verify", lambda *given: matched.append(given) or verify(*given))
+    return compared, matched
+
+
+def test_many_components_share_the_comparisons(seen, monkeypatch):
+    """A log whose rows were shuffled has hundreds of components."""
     closure_state = interrupted(seen, LAP + 5)
     blind = range(15, len(closure_state.graph), 15)
     for key in blind:
@@ -138,14 +187,11 @@ def test_many_components_share_the_searches(seen, monkeypatch):
     pieces = LoopClosureState(scans=closure_state.scans)
     for pose, spread in zip(closure_state.graph.poses, closure_state.graph.variances, strict=True):
         pieces.graph.extend(pose, pose, spread)
-    search, calls = BranchAndBound.search, []
-    monkeypatch.setattr(BranchAndBound, "search", lambda self, *given: calls.append(given) or search(self, *given))
-    most = 8
-    alignment = ComponentAlignment(max_searches=most)
-    monkeypatch.setattr("gridslam.slam.full_slam.component_alignment.Alignment.is_self_similar", lambda *_: True)
-    aligned(pieces, alignment)
+    compared, matched = count_calls(monkeypatch)
+    aligned(pieces, ComponentAlignment(max_comparisons=40, max_matches=8))
     assert len(np.unique(pieces.graph.label_rigid_components())) > 10
-    assert 0 < len(calls) <= most
+    assert 20 <= len(compared) <= 40
+    assert 0 < len(matched) <= 8
 
 
 def test_a_scan_without_a_beam_is_passed_over(seen):

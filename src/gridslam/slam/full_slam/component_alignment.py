@@ -2,33 +2,31 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.se2 import between, compose, inverse
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid, thin_points
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.parameters import bounded, parameters
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
-from gridslam.slam.loop_closure.key_graph import (
-    KEY_SCANS_PER_SUBMAP,
-    KeyGraph,
-    SubmapDistance,
-    anchor_of,
-    first_key_scan,
-)
-from gridslam.slam.loop_closure.place_matching import PlaceMatching, collect_recent_points
+from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph, anchor_of
+from gridslam.slam.loop_closure.place_matching import PlaceMatching
+from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.state import LoopClosureState
+from gridslam.slam.loop_closure.submap_matching import SubmapMatching
+from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
+from gridslam.slam.loop_closure.submap_recognition import drift_distance
 from gridslam.slam.loop_closure.submaps import ROW, build_map
 from gridslam.types import BeamEnds, FloatArray, IntArray
 
-__all__ = ["Alignment", "ComponentAlignment", "Hypothesis", "SearchHit", "group_hits"]
+__all__ = ["Alignment", "ComponentAlignment", "Hypothesis", "KnownMap", "SearchHit", "group_hits"]
 
 _CONSISTENT_M = 0.3
 _CONSISTENT_M_PER_KEY_SCAN = 0.01
@@ -43,81 +41,86 @@ _MATCH_VARIANCES = np.square([0.02, 0.01])
 _MIN_OVERLAP = 0.4
 """Ratio of beams that must end in known cells for a key scan to be matched."""
 
+_REACH_M = 30.0
+"""A key scan farther away sees nothing of the same."""
+
+_MOST_SCORED = 40
+"""Key scans by which a hypothesis is scored, spread evenly, in either direction."""
+
+_SHIFTS = np.column_stack([np.cos(np.arange(8) * math.pi / 4), np.sin(np.arange(8) * math.pi / 4), np.zeros(8)])
+"""Directions (8, 3) in which the best hypothesis is shifted."""
+
 
 @final
 @parameters(frozen=True)
 class ComponentAlignment:
     """Aligns a rigid component of the trajectory with the map of another one, using all its key scans.
 
-    Within a component the robot was tracked, so that one pose aligns all of it. Every few key scans are searched in the
-    map of the other component, and the two best poses of each search are kept. Hits that are consistent with the
-    tracked motion form one hypothesis, which is tracked through the whole component. It is judged by the score by which
-    trajectories are compared (see `TrajectoryScorer`): a single scan is often ambiguous, a whole component rarely. The
-    best hypothesis is accepted if its log likelihood is high enough, no other hypothesis is comparable, it lies within
-    the drift covariance, and the component is not self-similar (a self-similar component may match an aliased place).
+    Within a component the robot was tracked, so that one pose aligns all of it. Short submaps of both are matched with
+    each other over the full turn. Matches that are consistent with the tracked motion form one hypothesis, which is
+    tracked through all key scans of the component. It is judged by the score by which trajectories are compared (see
+    `TrajectoryScorer`), in both directions: the component's scans given the map of the other one, and the scans of that
+    one given the component's map; the lesser counts. A submap is often ambiguous, a whole component rarely.
+
+    What the drift makes improbable counts less, by the squared distance in its standard deviations. The best hypothesis
+    is accepted if there is enough evidence for it, it lies within the drift, and no other place, found or half a metre
+    beside, has a comparable one.
 
     Parameters
     ----------
-    search_interval : int
-        Key scans between two searches.
-    query_key_scans : int
-        Number of key scans whose points are matched together.
-    same_place_ratio : float
-        A place is not distinct if another pose reaches this fraction of its score ...
-    margin_m, margin_rad : float
-        ... within this margin of the search window, since the true place may be an unmapped neighbour that looks alike.
-    max_searches : int
-        Upper limit of the searches in one call; if there were more, they are spread evenly.
-    max_sigma_m : float, m
-        Maximum standard deviation of the position of a key scan that is searched.
+    length_m, step_m : float, m
+        Way of a submap, and way from one to the next.
+    max_comparisons, max_matches : int
+        Pairs of submaps that are compared in one call at most, spread evenly, and proposed poses that are refined,
+        those on which most keypoints agree.
+    gate_sigmas : float
+        Standard deviations of the drift that an alignment may need.
     max_hypotheses : int
-        Maximum number of hypotheses, those with most hits first.
+        Maximum number of hypotheses for two components, those with most matches first.
     tracking_gate_sigmas : float
-        A match farther than this many standard deviations from the tracked motion is not used.
+        A match of a key scan farther than this many standard deviations from the tracked motion is not used.
     min_log_likelihood : float, nats
-        Minimum log likelihood of the best hypothesis.
+        Minimum log likelihood of the best hypothesis, in either direction.
     ambiguity_ratio : float
-        Maximum log likelihood of any other hypothesis, as a fraction of the best.
-    distinct_ambiguity_ratio : float
-        The same if at least `min_constraints` searches of the best hypothesis were unambiguous by themselves.
+        Maximum evidence for any other hypothesis, as a fraction of the best.
     merge_m : float, m
         Hypotheses whose median distance is below this are the same.
-    self_similarity_ratio : float
-        A component is self-similar if, in its own map, the runner-up of a quarter of its key scans reaches this
-        fraction of the best score.
+    shift_m : float, m
+        The best one, shifted so far in any direction, is another: along bare corridors it fits as well.
     inlier_ratio : float
         Minimum inlier ratio of a key scan that gives a constraint.
+    constraint_interval : int
+        Key scans from one constraint to the next.
     min_constraints : int
         Minimum number of constraints of an alignment.
-    search : BranchAndBound
-        How a key scan is searched for.
+    matching : SubmapMatching
+        How submaps are matched: loosely, as the evidence of all key scans decides.
     matcher : GaussNewton
         How a component is tracked through the map.
     """
 
-    search_interval: int = bounded(3, ge=1, le=1_000_000)
-    query_key_scans: int = bounded(8, ge=1, le=1000)
-    same_place_ratio: float = bounded(0.85, ge=1e-6, le=1)
-    margin_m: float = bounded(10.0, ge=0, le=1e6)
-    margin_rad: float = bounded(0.2, ge=0, le=100)
-    max_searches: int = bounded(400, ge=1, le=100_000)
-    max_sigma_m: float = bounded(24.0, ge=1e-6, le=100)
-    max_hypotheses: int = bounded(8, ge=1, le=10_000)
+    length_m: float = bounded(15.0, ge=1, le=1e6)
+    step_m: float = bounded(5.0, ge=0.1, le=1e6)
+    max_comparisons: int = bounded(4000, ge=1, le=1_000_000)
+    max_matches: int = bounded(200, ge=1, le=100_000)
+    gate_sigmas: float = bounded(2.0, ge=0.01, le=1000)
+    max_hypotheses: int = bounded(12, ge=1, le=10_000)
     tracking_gate_sigmas: float = bounded(2.5, ge=0.01, le=1000)
-    min_log_likelihood: float = bounded(12.0, ge=1e-6, le=1e6)
-    ambiguity_ratio: float = bounded(0.15, ge=0, lt=1)
-    distinct_ambiguity_ratio: float = bounded(0.5, ge=0, lt=1)
+    min_log_likelihood: float = bounded(15.0, ge=1e-6, le=1e6)
+    ambiguity_ratio: float = bounded(0.6, ge=0, le=100)
     merge_m: float = bounded(0.3, ge=1e-6, le=1e6)
-    self_similarity_ratio: float = bounded(0.85, ge=1e-6, le=1)
+    shift_m: float = bounded(0.5, ge=1e-6, le=1e6)
     inlier_ratio: float = bounded(0.5, ge=1e-6, le=1)
+    constraint_interval: int = bounded(3, ge=1, le=1_000_000)
     min_constraints: int = bounded(3, ge=1, le=1_000_000)
-    search: BranchAndBound = BranchAndBound(window_m=30.0, window_rad=1.6, gate_sigmas=2.5, min_score=0.45)
+    matching: SubmapMatching = SubmapMatching(min_keypoints=3, max_poses=6, min_points=100, min_information=0.0)
     matcher: GaussNewton = GaussNewton()
 
     def __call__(
         self,
         closure_state: LoopClosureState,
         mapper: OccupancyGridMapping,
+        pairs: SubmapPairs,
         places: PlaceMatching,
         scorer: TrajectoryScorer,
         on_progress: Callable[[], None],
@@ -131,8 +134,10 @@ class ComponentAlignment:
             Key scans, and the graph whose components are aligned.
         mapper
             How maps of components are built.
+        pairs
+            Short submaps, and their matches so far; modified.
         places
-            How key scans are matched, and what makes a place ambiguous.
+            How key scans are matched.
         scorer
             How hypotheses are scored.
         on_progress
@@ -142,85 +147,99 @@ class ComponentAlignment:
         """
         graph = closure_state.graph
         labels = graph.label_rigid_components()
+        if not labels.any():
+            return []
+        pairs.cut(graph, closure_state.scans, mapper, self.length_m, self.step_m, is_over=True)
         poses = np.array(graph.poses)
-        components = [np.flatnonzero(labels == label) for label in np.unique(labels)]
-        searches = [self._nearest_submaps(graph, keys, components[:k]) for k, keys in enumerate(components)]
-        total = sum(len(ways) for of_older in searches for ways in of_older)
-        stride = max(1, -(-total // self.max_searches))
         found: list[Constraint] = []
-        count = 0
-        for keys, of_older in zip(components, searches, strict=True):
-            own: Pyramid | None = None
-            for old, ways in zip(components, of_older, strict=False):
-                searched = list(ways)[-count % stride :: stride]
-                count += len(ways)
-                if not searched or keys[-1] < aligned:
-                    continue
-                on_progress()
-                guesses = {key: compose(graph.poses[first_key_scan(way.submap)], way.pose) for key, way in ways.items()}
-                near = self._select_key_scans(poses, old, np.array(list(guesses.values())))
-                maps = build_map(mapper, closure_state.scans, near, poses[near])
-                alignment = Alignment(self, closure_state, places, scorer, keys, maps)
-                hits = alignment.search_hits({key: (guesses[key], ways[key]) for key in searched})
-                best = alignment.select_hypothesis(hits)
-                if best is None:
-                    continue
-                own = own or Pyramid.of(build_map(mapper, closure_state.scans, keys, poses[keys]), 0)
-                if not alignment.is_self_similar(own):
-                    found += alignment.match_constraints(best, poses, near)
+        for (old, new), hits in self._search(graph, pairs, labels, aligned).items():
+            on_progress()
+            keys = np.flatnonzero(labels == old)
+            known = KnownMap(
+                closure_state.scans, poses, keys, build_map(mapper, closure_state.scans, keys, poses[keys])
+            )
+            alignment = Alignment(self, closure_state, mapper, places, scorer, np.flatnonzero(labels == new), known)
+            best = alignment.select_hypothesis(hits)
+            if best is not None:
+                found += alignment.match_constraints(best)
         return found
 
-    def _nearest_submaps(
-        self, graph: KeyGraph, keys: IntArray, older: list[IntArray]
-    ) -> list[dict[int, SubmapDistance]]:
-        """For each older component the nearest of its submaps, in standard deviations, by key scan to be searched."""
-        ways: list[dict[int, SubmapDistance]] = [{} for _ in older]
-        if not older:
-            return ways
-        members = [np.unique(old // KEY_SCANS_PER_SUBMAP) for old in older]
-        for key in keys[self.search_interval - 1 :: self.search_interval].tolist():
-            nearby = graph.find_nearby_submaps(key, self.max_sigma_m, len(graph))
-            away = np.hypot(nearby.poses[:, 0], nearby.poses[:, 1]) / np.maximum(nearby.sigmas_m, 1e-6)
-            for of_old, submaps in zip(ways, members, strict=True):
-                near = np.flatnonzero(np.isin(nearby.submaps, submaps))
-                if len(near):
-                    of_old[key] = nearby[int(near[np.argmin(away[near])])]
-        return ways
+    def _search(
+        self, graph: KeyGraph, pairs: SubmapPairs, labels: IntArray, aligned: int
+    ) -> dict[tuple[int, int], list[SearchHit]]:
+        """Match submaps of different components: what was found by the labels of the older and the newer one."""
+        anchors = pairs.anchors
+        of_submaps = labels[anchors]
+        last = np.array([np.flatnonzero(labels == label)[-1] for label in of_submaps])
+        first, second = np.triu_indices(len(anchors), 1)
+        is_wanted = of_submaps[first] != of_submaps[second]
+        is_wanted &= np.where(of_submaps[first] < of_submaps[second], last[second], last[first]) >= aligned
+        first, second = first[is_wanted], second[is_wanted]
+        stride = max(1, -(-len(first) // self.max_comparisons))
+        compared = list(zip(first[::stride].tolist(), second[::stride].tolist(), strict=True))
+        proposed = [
+            (-keypoints, pair, number)
+            for pair in compared
+            for number, (_, keypoints) in enumerate(pairs.propose(self.matching, *pair))
+        ]
+        matched: dict[tuple[int, int], list[int]] = {}
+        for _, pair, number in sorted(proposed)[: self.max_matches]:
+            matched.setdefault(pair, []).append(number)
+        hits: dict[tuple[int, int], list[SearchHit]] = {}
+        for a, b in sorted(matched):
+            is_forward = of_submaps[a] < of_submaps[b]
+            old, new = (a, b) if is_forward else (b, a)
+            key = int(anchors[new])
+            for match in pairs.verify(self.matching, a, b, matched[a, b]):
+                seen = match.pose if is_forward else inverse(match.pose)
+                pose = compose(graph.poses[int(anchors[old])], seen)
+                distance = drift_distance(graph, int(anchors[old]), key, seen)
+                hit = SearchHit(key, pose, match.inlier_ratio, distance)
+                hits.setdefault((int(of_submaps[old]), int(of_submaps[new])), []).append(hit)
+        return dict(sorted(hits.items(), key=lambda item: item[0][::-1]))
 
-    def _select_key_scans(self, poses: FloatArray, old: IntArray, guesses: FloatArray) -> IntArray:
-        """Key scans of an older component within reach of the guesses (K, 3) of the searched ones."""
-        away = np.hypot(*(poses[old, None, :2] - guesses[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
-        near: IntArray = old[away < 2 * self.search.window_m]
-        return near
+
+@final
+class KnownMap(NamedTuple):
+    """What a component is aligned with: key scans `keys` (L,) of `scans`, at `poses` (T, 3) of all, and their map."""
+
+    scans: ScanArchive
+    poses: FloatArray
+    keys: IntArray
+    maps: TileMaps
 
 
 @final
 class SearchHit(NamedTuple):
-    """Pose (3,) at which a search found a key scan in the map of another component.
+    """Pose (3,) of a key scan at which a submap about it matches one of another component.
 
-    `score` is that of the search, `plausible` whether the drift permits the pose, `distinct` whether no other pose
-    scored nearly as high.
+    `score` is the inlier ratio, `squared_sigmas` the squared Mahalanobis distance from where the drift expects it.
     """
 
     key: int
     pose: FloatArray
     score: float
-    plausible: bool
-    distinct: bool
+    squared_sigmas: float = 0.0
 
 
 @final
 class Hypothesis(NamedTuple):
     """A component tracked through the map of another one from the best of the hits that agree.
 
-    `poses` (K, 3) are those of all its key scans, `log_likelihood` is theirs; `distinct_hits` had no other place that
-    fits nearly as well.
+    `poses` (K, 3) are those of all its key scans; `log_likelihood` (nats) is that of either direction, the lesser;
+    `overlap` the ratio of the component's beams that end in what the map knows, `agreement` how well these agree.
     """
 
     poses: FloatArray
     log_likelihood: float
-    plausible: bool
-    distinct_hits: int
+    squared_sigmas: float
+    overlap: float
+    agreement: float
+
+    @property
+    def evidence(self) -> float:
+        """Log likelihood less what the drift makes improbable, nats: its covariances are generous."""
+        return self.log_likelihood - self.squared_sigmas
 
     def distance_m(self, other: Hypothesis) -> float:
         """Median distance of the key scans from where another hypothesis has them."""
@@ -230,131 +249,114 @@ class Hypothesis(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """Alignment of a component with the map of an older one.
-
-    Attributes
-    ----------
-    keys : (K,) int64
-        Key scans of the component.
-    maps : TileMaps
-        The map of the older one.
-    """
+    """Alignment of a component, key scans `keys` (K,), with the map of an older one."""
 
     parameters: ComponentAlignment
     closure_state: LoopClosureState
+    mapper: OccupancyGridMapping
     places: PlaceMatching
     scorer: TrajectoryScorer
     keys: IntArray
-    maps: TileMaps
+    known: KnownMap
 
     def select_hypothesis(self, hits: list[SearchHit]) -> Hypothesis | None:
         """Return the best hypothesis that the hits lead to, if it is accepted."""
+        groups = group_hits(self.closure_state.graph, hits)[: self.parameters.max_hypotheses]
+        return self.decide([self.track_component(group) for group in groups])
+
+    def decide(self, hypotheses: list[Hypothesis]) -> Hypothesis | None:
+        """Return the best hypothesis if there is enough evidence for it and no other hypothesis is comparable."""
         parameters = self.parameters
-        groups = group_hits(self.closure_state.graph, hits)
-        groups.sort(key=lambda group: -sum(hit.score for hit in group))
-        hypotheses = [self.track_component(group) for group in groups[: parameters.max_hypotheses]]
-        hypotheses.sort(key=lambda hypothesis: -hypothesis.log_likelihood)
-        best = hypotheses[0] if hypotheses else None
-        if best is None or best.log_likelihood < parameters.min_log_likelihood or not best.plausible:
+        best = max(hypotheses, key=lambda hypothesis: hypothesis.evidence, default=None)
+        if best is None or best.log_likelihood < parameters.min_log_likelihood:
             return None
-        others = (other.log_likelihood for other in hypotheses[1:] if best.distance_m(other) >= parameters.merge_m)
-        is_distinct = best.distinct_hits >= parameters.min_constraints
-        ratio = parameters.distinct_ambiguity_ratio if is_distinct else parameters.ambiguity_ratio
-        return best if max(others, default=0.0) <= ratio * best.log_likelihood else None
-
-    def search_hits(self, ways: dict[int, tuple[FloatArray, SubmapDistance]]) -> list[SearchHit]:
-        """Search key scans, by guess and nearest submap; keep the best place of each and the next best one."""
-        search = self.parameters.search
-        margins = np.diag([self.parameters.margin_m, self.parameters.margin_m, self.parameters.margin_rad])
-        margin = np.square(margins / search.gate_sigmas)
-        pyramid = Pyramid.of(self.maps, 0)
-        hits = []
-        for key, (guess, way) in ways.items():
-            found = search.search(pyramid, guess, way.covariance + margin, self._collect_points(key))
-            if found is None:
-                continue
-            is_distinct = found.runner_up_score <= self.parameters.same_place_ratio * found.score
-            two = (found.pose, found.score, is_distinct), (found.runner_up_pose, found.runner_up_score, False)
-            for pose, score, distinct in two:
-                if pose is not None:
-                    innovation = np.append((pose - guess)[:2], between(guess, pose)[2])
-                    plausible = self.places.is_within_gate(way.covariance, innovation)
-                    hits.append(SearchHit(key, pose, score, plausible, distinct))
-        return hits
-
-    def _collect_points(self, key: int) -> FloatArray:
-        points = collect_recent_points(self.closure_state, key, self.parameters.query_key_scans)
-        return thin_points(points, self.parameters.search.max_points)
+        if best.squared_sigmas > parameters.gate_sigmas**2:
+            return None
+        limit = parameters.ambiguity_ratio * best.evidence
+        if any(other.evidence > limit for other in hypotheses if best.distance_m(other) >= parameters.merge_m):
+            return None
+        own = self._draw(best.poses)
+        shifted = (self._score_both(best.poses + shift, own, shift)[0] for shift in parameters.shift_m * _SHIFTS)
+        return None if any(likelihood - best.squared_sigmas > limit for likelihood in shifted) else best
 
     def track_component(self, group: list[SearchHit]) -> Hypothesis:
         """Track a component through the map from the best hit to both of its ends, correcting where a scan matches."""
         graph = self.closure_state.graph
         begin = max(group, key=lambda hit: hit.score)
         poses = np.empty((len(self.keys), 3))
-        log_likelihood = 0.0
         at = int(np.searchsorted(self.keys, begin.key))
         for way in (range(at, len(self.keys)), range(at - 1, -1, -1)):
             pose = begin.pose
             last = begin.key
             for index in way:
                 key = int(self.keys[index])
-                beams = self.closure_state.scans.key(key)
                 guess = compose(pose, between(graph.tracked[last], graph.tracked[key]))
-                pose = self._match_key_scan(beams, guess, np.array(graph.variances[max(key, last)]) + _MATCH_VARIANCES)
+                variances = np.array(graph.variances[max(key, last)]) + _MATCH_VARIANCES
+                pose = self._match_key_scan(self.closure_state.scans.key(key), guess, variances)
                 poses[index] = pose
                 last = key
-                if len(beams) >= self.parameters.matcher.min_beams:
-                    log_likelihood += self.scorer.score_scan(self.maps, pose, beams.ends)
-        plausible = any(hit.plausible for hit in group)
-        return Hypothesis(poses, log_likelihood, plausible, sum(hit.distinct for hit in group))
+        likelihood, overlap, agreement = self._score_both(poses, self._draw(poses))
+        return Hypothesis(poses, likelihood, min(hit.squared_sigmas for hit in group), overlap, agreement)
 
     def _match_key_scan(self, beams: BeamEnds, guess: FloatArray, variances: FloatArray) -> FloatArray:
         """Pose (3,) of a key scan matched near a guess; the guess if it sees little of the map or moves too far."""
         if len(beams) < self.parameters.matcher.min_beams:
             return guess
-        if np.mean(self.maps.is_known(0, beams.ends, guess)) < _MIN_OVERLAP:
+        if np.mean(self.known.maps.is_known(0, beams.ends, guess)) < _MIN_OVERLAP:
             return guess
-        match = self.parameters.matcher(self.maps, ROW, guess[None], _LOOSE, beams)
+        match = self.parameters.matcher(self.known.maps, ROW, guess[None], _LOOSE, beams)
         x, y, turn = between(guess, match.poses[0]).tolist()
         squared = (x * x + y * y) / variances[0] + turn * turn / variances[1]
         return match.poses[0] if squared < self.parameters.tracking_gate_sigmas**2 else guess
 
-    def evidence(self, hypothesis: Hypothesis) -> tuple[float, float]:
-        """Ratio of the beams of all key scans that end in what the map knows, and how well these agree with it."""
-        known = beams = 0
-        for key, pose in zip(self.keys.tolist(), hypothesis.poses, strict=True):
-            ends = self.closure_state.scans.key(key).ends
-            known += int(np.count_nonzero(self.maps.is_known(0, ends, pose))) if len(ends) else 0
-            beams += len(ends)
-        scorer = self.scorer
-        agreement = hypothesis.log_likelihood / (scorer.tempering * max(known, 1)) + scorer.neutral
-        return known / max(beams, 1), agreement
+    def _draw(self, poses: FloatArray) -> TileMaps:
+        """Build the map of the component's key scans at poses (K, 3)."""
+        return build_map(self.mapper, self.closure_state.scans, self.keys, poses)
 
-    def is_self_similar(self, own: Pyramid) -> bool:
-        """Whether a component also matches its own map elsewhere (self-similarity)."""
-        search = self.parameters.search
-        within = replace(search, window_m=search.window_m / 2, window_rad=0.35)
-        keys = self.keys
-        ratios = []
-        for key in keys[min(self.parameters.query_key_scans, len(keys)) - 1 :: max(len(keys) // 8, 1)].tolist():
-            found = within.search(own, self.closure_state.graph.poses[key], None, self._collect_points(key))
-            ratios.append(0.0 if found is None else found.runner_up_score / found.score)
-        return float(np.quantile(ratios, 0.75)) >= self.parameters.self_similarity_ratio
+    def _score_both(
+        self, poses: FloatArray, own: TileMaps, shift: FloatArray | float = 0.0
+    ) -> tuple[float, float, float]:
+        """Log likelihood at poses (K, 3), the lesser of both directions; overlap and agreement of the component.
 
-    def match_constraints(self, best: Hypothesis, old_poses: FloatArray, old_keys: IntArray) -> list[Constraint]:
-        """Constraints from key scans of an aligned component to the nearest submaps of the other; none of too few.
-
-        `old_keys` (L,) are the key scans of the other that are in the map, and `old_poses` (T, 3) has their poses.
+        `own` is the component's map, in the frame of the other one but for a `shift` (3,).
         """
+        scans, old_poses, old, maps = self.known
+        likelihood, overlap, agreement = self._score(maps, poses, self.closure_state.scans, self.keys)
+        away = np.full(len(old), np.inf)
+        for pose in poses[:: KEY_SCANS_PER_SUBMAP // 2]:
+            away = np.minimum(away, np.hypot(*(old_poses[old] - pose)[:, :2].T))
+        near = old[away < _REACH_M]
+        back, _, _ = self._score(own, old_poses[near] - shift, scans, near)
+        return min(likelihood, back), overlap, agreement
+
+    def _score(
+        self, maps: TileMaps, poses: FloatArray, scans: ScanArchive, keys: IntArray
+    ) -> tuple[float, float, float]:
+        """Log likelihood of key scans (K,) at poses (K, 3) given a map, and their overlap and agreement with it."""
+        stride = max(1, -(-len(keys) // _MOST_SCORED))
+        agreeing, known, beams = 0.0, 0, 0
+        for key, pose in zip(keys[::stride].tolist(), poses[::stride], strict=True):
+            ends = scans.key(key).ends
+            if len(ends):
+                own, number = self.scorer.agreement(maps, pose, ends)
+                agreeing += own
+                known += number
+                beams += len(ends)
+        likelihood = stride * self.scorer.log_likelihood(agreeing, known)
+        return likelihood, known / max(beams, 1), agreeing / max(known, 1)
+
+    def match_constraints(self, best: Hypothesis) -> list[Constraint]:
+        """Constraints from key scans of an aligned component to the nearest submaps of the other; none of too few."""
         closure_state = self.closure_state
+        _, old_poses, old, maps = self.known
         lenient = replace(self.places, inlier_ratio=self.parameters.inlier_ratio)
-        submaps = np.unique(old_keys // KEY_SCANS_PER_SUBMAP)
-        submaps = submaps[np.isin(anchor_of(0) + submaps * KEY_SCANS_PER_SUBMAP, old_keys)]
+        submaps = np.unique(old // KEY_SCANS_PER_SUBMAP)
+        submaps = submaps[np.isin(anchor_of(0) + submaps * KEY_SCANS_PER_SUBMAP, old)]
         if not len(submaps):
             return []
         anchors = old_poses[[anchor_of(submap) for submap in submaps.tolist()]]
         found = []
-        for index in range(0, len(self.keys), self.parameters.search_interval):
+        for index in range(0, len(self.keys), self.parameters.constraint_interval):
             key = int(self.keys[index])
             pose = best.poses[index]
             if len(closure_state.scans.key(key)) < self.parameters.matcher.min_beams:
@@ -363,7 +365,7 @@ class Alignment:
             anchor = anchors[nearest]
             constraint = lenient.match(
                 closure_state,
-                self.maps,
+                maps,
                 key,
                 int(submaps[nearest]),
                 between(anchor, pose),
@@ -377,9 +379,9 @@ class Alignment:
 
 
 def group_hits(graph: KeyGraph, hits: list[SearchHit]) -> list[list[SearchHit]]:
-    """Group hits that are consistent with the tracked motion."""
+    """Group hits that are consistent with the tracked motion, those of the greatest sum of scores first."""
     groups: list[list[SearchHit]] = []
-    for hit in hits:
+    for hit in sorted(hits, key=lambda hit: hit.key):
         for group in groups:
             last = group[-1]
             moved = between(graph.tracked[last.key], graph.tracked[hit.key])
@@ -390,4 +392,4 @@ def group_hits(graph: KeyGraph, hits: list[SearchHit]) -> list[list[SearchHit]]:
                 break
         else:
             groups.append([hit])
-    return groups
+    return sorted(groups, key=lambda group: -sum(hit.score for hit in group))

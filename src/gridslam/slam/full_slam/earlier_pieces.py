@@ -9,13 +9,19 @@ from typing import final
 
 import numpy as np
 
-from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.se2 import between, compose, transform_points
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.branch_and_bound import Pyramid, thin_points
-from gridslam.slam.full_slam.component_alignment import Alignment, ComponentAlignment, SearchHit, group_hits
+from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid, thin_points
+from gridslam.slam.full_slam.component_alignment import (
+    Alignment,
+    ComponentAlignment,
+    KnownMap,
+    SearchHit,
+    group_hits,
+)
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
 from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
-from gridslam.slam.loop_closure.place_matching import PlaceMatching, collect_recent_points
+from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.loop_closure.state import FoundPiece, LoopClosureState
 from gridslam.slam.loop_closure.submaps import build_map
 from gridslam.types import FloatArray, IntArray
@@ -24,6 +30,14 @@ __all__ = ["EarlierPieces"]
 
 _WINDOW_M = 50.0
 """Half the side of a square that is searched at a time; a larger map is searched square by square."""
+_SEARCH = BranchAndBound(window_m=_WINDOW_M, window_rad=math.pi, gate_sigmas=2.5, min_score=0.45)
+_SEARCH_INTERVAL = 3
+"""Key scans from one search to the next."""
+_QUERY_KEY_SCANS = 8
+"""Key scans whose points are searched together."""
+_SIMILAR = 0.85
+"""A drive is self-similar if, in its own map, the runner-up of a quarter of its key scans reaches so much of the best
+score."""
 
 _NEAR_M = 5.0
 _NEAR_RAD = 0.5
@@ -93,8 +107,7 @@ class EarlierPieces:
         self.pieces = list(pieces)
         self._mapper = mapper
         self._places = places
-        window = replace(alignment.search, window_m=_WINDOW_M, window_rad=math.pi)
-        self._alignment = replace(alignment, search=window)
+        self._alignment = alignment
         self._scorer = scorer
         self._begin = begin
         self._maps = [piece.build_map(mapper) for piece in self.pieces]
@@ -139,10 +152,9 @@ class EarlierPieces:
             return None
         if len(groups) > 1 and len(groups[1]) > _MAX_RUNNER_UP_RATIO * len(groups[0]):
             return None
-        alignment = Alignment(self._alignment, closure_state, self._places, self._scorer, keys, self._maps[number])
+        alignment = self._begin_alignment(closure_state, number, keys)
         best = alignment.track_component(groups[0])
-        piece = self.pieces[number]
-        constraints = alignment.match_constraints(best, piece.poses, np.arange(len(piece)))
+        constraints = alignment.match_constraints(best)
         return PieceMatch(best.poses, constraints) if constraints else None
 
     def align(
@@ -157,29 +169,41 @@ class EarlierPieces:
         agreeing = max((len(group) for group in group_hits(closure_state.graph, hits)), default=0)
         if agreeing < parameters.min_constraints:
             return None
-        alignment = Alignment(parameters, closure_state, self._places, self._scorer, keys, self._maps[number])
+        alignment = self._begin_alignment(closure_state, number, keys)
         best = alignment.select_hypothesis(hits)
-        if best is None:
+        if best is None or best.overlap < _MIN_OVERLAP or best.agreement < _MIN_AGREEMENT:
             return None
-        overlap, agreement = alignment.evidence(best)
-        if overlap < _MIN_OVERLAP or agreement < _MIN_AGREEMENT:
+        if self._is_self_similar(closure_state, keys):
             return None
-        own = build_map(self._mapper, closure_state.scans, keys, np.array(closure_state.graph.poses)[keys])
-        if alignment.is_self_similar(Pyramid.of(own, 0)):
-            return None
-        piece = self.pieces[number]
-        constraints = alignment.match_constraints(best, piece.poses, np.arange(len(piece)))
+        constraints = alignment.match_constraints(best)
         return PieceMatch(best.poses, constraints) if constraints else None
+
+    def _begin_alignment(self, closure_state: LoopClosureState, number: int, keys: IntArray) -> Alignment:
+        piece = self.pieces[number]
+        known = KnownMap(piece.scans, piece.poses, np.arange(len(piece)), self._maps[number])
+        return Alignment(self._alignment, closure_state, self._mapper, self._places, self._scorer, keys, known)
+
+    def _is_self_similar(self, closure_state: LoopClosureState, keys: IntArray) -> bool:
+        """Whether key scans (K,) also match their own map elsewhere."""
+        poses = np.array(closure_state.graph.poses)
+        own = Pyramid.of(build_map(self._mapper, closure_state.scans, keys, poses[keys]), 0)
+        within = replace(_SEARCH, window_m=15.0, window_rad=0.35)
+        ratios = []
+        for key in keys[min(_QUERY_KEY_SCANS, len(keys)) - 1 :: max(len(keys) // 8, 1)].tolist():
+            points = thin_points(collect_recent_points(closure_state, key, _QUERY_KEY_SCANS), _SEARCH.max_points)
+            found = within.search(own, poses[key], None, points)
+            ratios.append(0.0 if found is None else found.runner_up_score / found.score)
+        return float(np.quantile(ratios, 0.75)) >= _SIMILAR
 
     def _is_searched(self, key: int) -> bool:
         """Whether a key scan is one of those that are searched."""
-        interval = self._alignment.search_interval * 2 ** min(key // _PATIENCE, 3)
+        interval = _SEARCH_INTERVAL * 2 ** min(key // _PATIENCE, 3)
         return bool((key + 1) % interval == 0)
 
     def _search(self, closure_state: LoopClosureState, number: int, key: int) -> list[SearchHit]:
         """The two best places of a key scan's points in a piece."""
-        points = collect_recent_points(closure_state, key, self._alignment.query_key_scans)
-        few = thin_points(points, self._alignment.search.max_points)
+        points = collect_recent_points(closure_state, key, _QUERY_KEY_SCANS)
+        few = thin_points(points, _SEARCH.max_points)
         expected = None
         if self._begin is not None:
             poses = closure_state.graph.poses
@@ -196,16 +220,15 @@ class EarlierPieces:
 
     def _search_near(self, number: int, key: int, points: FloatArray, expected: FloatArray) -> Iterator[SearchHit]:
         """Search a piece about the pose (3,) where the key scan is expected."""
-        search = replace(self._alignment.search, window_m=_NEAR_M, window_rad=_NEAR_RAD)
+        search = replace(_SEARCH, window_m=_NEAR_M, window_rad=_NEAR_RAD)
         found = search.search(self._pyramids[number], expected, None, points)
         if found is not None:
-            distinct = found.runner_up_score <= self._alignment.same_place_ratio * found.score
-            yield SearchHit(key, found.pose, found.score, True, distinct)
+            yield SearchHit(key, found.pose, found.score)
 
     def _search_everywhere(self, number: int, key: int, points: FloatArray) -> Iterator[SearchHit]:
-        """Search a piece square by square; a place is distinct if none in any square scores nearly as high."""
+        """Search a piece square by square."""
         places: list[tuple[float, FloatArray]] = []
-        search = self._alignment.search
+        search = _SEARCH
         for centre in self._centres(number):
             found = search.search(self._pyramids[number], centre, None, points)
             if found is not None:
@@ -217,10 +240,8 @@ class EarlierPieces:
         for score, pose in places:  # squares overlap by nothing, but a place on their border may be found in both
             if not any(np.hypot(*(pose - other)[:2]) < search.runner_up_distance_m for _, other in best):
                 best.append((score, pose))
-        for rank, (score, pose) in enumerate(best[:2]):
-            runner_up = best[1][0] if len(best) > 1 else 0.0
-            distinct = rank == 0 and runner_up <= self._alignment.same_place_ratio * score
-            yield SearchHit(key, pose, score, True, distinct)
+        for score, pose in best[:2]:
+            yield SearchHit(key, pose, score)
 
     def _centres(self, number: int) -> Iterator[FloatArray]:
         """Poses (3,) in the middle of the squares that cover a piece's map."""
@@ -231,3 +252,17 @@ class EarlierPieces:
         for column in range(across):
             for row in range(up):
                 yield np.append(low + sides * [(column + 0.5) / across, (row + 0.5) / up], 0.0)
+
+
+def collect_recent_points(closure_state: LoopClosureState, key: int, scans: int) -> FloatArray:
+    """Points (B, 2) of a key scan and those before it, `scans` in all at most, seen from it.
+
+    Stops at a gap in the laser data.
+    """
+    graph = closure_state.graph
+    keys = graph.select_without_gap(np.arange(max(key - scans + 1, 0), key + 1), key)
+    tracked = graph.tracked_poses_from(key, keys)
+    points = [
+        transform_points(pose, closure_state.scans.key(k).ends) for k, pose in zip(keys.tolist(), tracked, strict=True)
+    ]
+    return np.concatenate(points)

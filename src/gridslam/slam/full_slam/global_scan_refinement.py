@@ -219,6 +219,7 @@ class GlobalScanRefinement:
             max(searched, graph.frozen),
             [c for c in graph.constraints if c.source is ConstraintSource.TRACKED],
             closure_state.pairs.copy(),
+            SubmapPairs(),
         )
         selection = refinement.select(trajectory)
         scans = closure_state.scans
@@ -241,7 +242,8 @@ class _Refinement:
     """One run of the refinement; it goes from candidate to candidate in the key graph of its state.
 
     `known` are constraints between frozen key scans, which are not matched again; the first `searched` key scans are
-    not searched for again; `tracked` are revisits that the robot knew of while it drove.
+    not searched for again; `tracked` are revisits that the robot knew of while it drove; `pairs` are submaps of all of
+    the way, `stretches` short ones, of stretches without a gap in the laser data.
     """
 
     parameters: GlobalScanRefinement
@@ -253,6 +255,7 @@ class _Refinement:
     searched: int
     tracked: list[Constraint]
     pairs: SubmapPairs
+    stretches: SubmapPairs
 
     @property
     def graph(self) -> KeyGraph:
@@ -272,16 +275,21 @@ class _Refinement:
         return selection
 
     def _close_loops(self, selection: CandidateSelection) -> None:
-        """Repeatedly recognize more places, starting from the best candidate, as long as the score improves."""
-        best = selection.best
+        """Repeatedly recognize more places, starting from the best candidate.
+
+        As long as the score improves, or components are joined: one that is joined shows where others belong.
+        """
+        last = selection.best
         for search in range(self.parameters.max_searches):
-            found = self._add_closures(f"closed {search + 1}", best)
+            components = len(np.unique(self.graph.label_rigid_components()))
+            found = self._add_closures(f"closed {search + 1}", last)
             if found is None:
                 return
             selection.add(found)
-            if selection.best is not found:
+            is_joined = len(np.unique(self.graph.label_rigid_components())) < components
+            if selection.best is not found and not is_joined:
                 return
-            best = found
+            last = found
 
     def _add_closures(self, name: str, begin: Candidate) -> Candidate | None:
         """Add newly found closures to a candidate; None if there are none.
@@ -300,7 +308,13 @@ class _Refinement:
         pairs = {constraint.pair for constraint in known}
         new = [constraint for constraint in found if constraint.pair not in pairs]
         new += parameters.component_alignment(
-            closure_state, self.mapper, self.closure.places, parameters.score, self.on_progress, self.searched
+            closure_state,
+            self.mapper,
+            self.stretches,
+            self.closure.places,
+            parameters.score,
+            self.on_progress,
+            self.searched,
         )
         if not new:
             return None

@@ -116,18 +116,15 @@ class TrajectoryScorer:
             beams += len(known)
             on_progress()
         motion = self._motion(tracked, np.array(graph.variances), poses)
-        likelihood = self._log_likelihood(agreeing, beams) + motion
+        likelihood = self.log_likelihood(agreeing, beams) + motion
         return TrajectoryScore(likelihood, beams, agreeing / beams if beams else float("nan"), motion), maps
 
-    def score_scan(self, maps: TileMaps, pose: FloatArray, ends: FloatArray) -> float:
-        """Log likelihood (nats) of ends of beams (B, 2) seen from a pose (3,), given the one map of `maps`."""
-        return self._log_likelihood(*self._agreement(maps, pose, ends))
-
-    def _log_likelihood(self, agreeing: float, beams: int) -> float:
+    def log_likelihood(self, agreeing: float, beams: int) -> float:
+        """Log likelihood (nats) of beams, given the sum of their agreement and their number."""
         return self.tempering * (agreeing - self.neutral * beams)
 
-    def _agreement(self, maps: TileMaps, pose: FloatArray, ends: FloatArray) -> tuple[float, int]:
-        """Sum of the agreement of those beams that end in what the map knows, and their number."""
+    def agreement(self, maps: TileMaps, pose: FloatArray, ends: FloatArray) -> tuple[float, int]:
+        """Sum of the agreement of those ends of beams (B, 2) that the one map knows, and their number."""
         weights = weigh_known_beams(maps, ROW, pose, ends, self.scale_m)
         return float(weights.sum(dtype=np.float64)), len(weights)
 

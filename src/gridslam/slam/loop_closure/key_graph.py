@@ -32,6 +32,7 @@ __all__ = [
     "SubmapDistance",
     "anchor_of",
     "first_key_scan",
+    "position_sigmas",
     "submap_of",
 ]
 
@@ -78,6 +79,12 @@ def anchor_of(submap: int) -> int:
     return first_key_scan(submap) + KEY_SCANS_PER_SUBMAP // 2
 
 
+def position_sigmas(covariances: FloatArray) -> FloatArray:
+    """Greatest standard deviations (K,) of the position, of covariances (K, 3, 3)."""
+    xx, xy, yy = covariances[:, [0, 0, 1], [0, 1, 1]].T
+    return np.asarray(np.sqrt(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)), np.float64)
+
+
 @final
 class SubmapDistance(NamedTuple):
     """A submap with the relative pose of a key scan along the least uncertain path."""
@@ -89,8 +96,7 @@ class SubmapDistance(NamedTuple):
     @property
     def sigma_m(self) -> float:
         """Greatest standard deviation of the position."""
-        (xx, xy, _), (_, yy, _), _ = self.covariance.tolist()
-        return math.sqrt(0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy))
+        return float(position_sigmas(self.covariance[None])[0])
 
 
 @final
@@ -113,8 +119,7 @@ class NearbySubmaps:
     @property
     def sigmas_m(self) -> FloatArray:
         """Greatest standard deviations of the position, (K,)."""
-        xx, xy, yy = self.covariances[:, [0, 0, 1], [0, 1, 1]].T
-        return np.asarray(np.sqrt(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)), np.float64)
+        return position_sigmas(self.covariances)
 
     def select(self, chosen: NDArray[np.bool_]) -> NearbySubmaps:
         """Those that are chosen (K,)."""

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gridslam.geometry.se2 import between, compose, transform_points
+from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, cauchy_weights
@@ -23,7 +23,7 @@ from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
 from gridslam.slam.loop_closure.submaps import ROW
 from gridslam.types import FloatArray
 
-__all__ = ["PlaceMatching", "collect_recent_points"]
+__all__ = ["PlaceMatching", "squared_sigmas"]
 
 _MATCH_COVARIANCE = np.diag([0.05, 0.05, 0.02]) ** 2
 """Variances of what two matches of one scan differ by (m^2, m^2, rad^2)."""
@@ -119,8 +119,7 @@ class PlaceMatching:
 
     def is_within_gate(self, covariance: FloatArray, innovation: FloatArray) -> bool:
         """Whether the drift explains the innovation (3,) of a match, map frame."""
-        squared = float(innovation @ np.linalg.solve(covariance + _MATCH_COVARIANCE, innovation))
-        return squared < self.gate_sigmas**2
+        return squared_sigmas(covariance, innovation) < self.gate_sigmas**2
 
     def match_tracked_revisit(self, closure_state: LoopClosureState, mapper: OccupancyGridMapping) -> bool:
         """Match the newest key scan to an old submap at its tracked or filtered pose; return whether that was certain.
@@ -187,18 +186,9 @@ class PlaceMatching:
         return (submap, between(anchors[submap], here)) if away[submap] < self.max_distance_m else None
 
 
-def collect_recent_points(closure_state: LoopClosureState, key: int, scans: int) -> FloatArray:
-    """Points (B, 2) of a key scan and those before it, `scans` in all at most, seen from it.
-
-    Stops at a gap in the laser data.
-    """
-    graph = closure_state.graph
-    keys = graph.select_without_gap(np.arange(max(key - scans + 1, 0), key + 1), key)
-    tracked = graph.tracked_poses_from(key, keys)
-    points = [
-        transform_points(pose, closure_state.scans.key(k).ends) for k, pose in zip(keys.tolist(), tracked, strict=True)
-    ]
-    return np.concatenate(points)
+def squared_sigmas(covariance: FloatArray, innovation: FloatArray) -> float:
+    """Squared Mahalanobis distance of the innovation (3,) of a match, given the covariance (3, 3) of the drift."""
+    return float(innovation @ np.linalg.solve(covariance + _MATCH_COVARIANCE, innovation))
 
 
 def _innovation(graph: KeyGraph, way: SubmapDistance, constraint: Constraint) -> FloatArray:

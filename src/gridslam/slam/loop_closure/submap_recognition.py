@@ -13,13 +13,14 @@ from gridslam.geometry.se2 import between, compose, rotate_covariances
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.parameters import bounded, parameters
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
-from gridslam.slam.loop_closure.key_graph import KeyGraph, first_key_scan, submap_of
+from gridslam.slam.loop_closure.key_graph import KeyGraph, first_key_scan, position_sigmas, submap_of
+from gridslam.slam.loop_closure.place_matching import squared_sigmas
 from gridslam.slam.loop_closure.state import LoopClosureState, SubmapPrior
 from gridslam.slam.loop_closure.submap_matching import SubmapMatch, SubmapMatching
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["SubmapRecognition"]
+__all__ = ["SubmapRecognition", "drift_distance"]
 
 _MATCH_SIGMA_M = 0.25
 _MATCH_SIGMA_RAD = 0.03
@@ -185,7 +186,8 @@ class SubmapRecognition:
         way = graph.driven_m()
         labels = graph.label_rigid_components()
         radii = np.array([submap.radius_m for submap in pairs.submaps[: newer + 1]])
-        poses, sigmas_m, sigmas_rad = _locate(graph, anchors, key)
+        poses, covariances = _locate_anchors(graph, anchors, key)
+        sigmas_m, sigmas_rad = position_sigmas(covariances), np.sqrt(covariances[:, 2, 2])
         driven = way[key] - way[anchors]
         is_rigid = labels[anchors] == labels[key]
         explained_m = self.gate_sigmas * sigmas_m + self.margin_m
@@ -207,8 +209,18 @@ class SubmapRecognition:
     def _verify(
         self, graph: KeyGraph, pairs: SubmapPairs, prior: SubmapPrior, newer: int, allowed: list[int]
     ) -> list[Constraint]:
-        matches = pairs.verify(self.matching, prior.older, newer, allowed)
-        return [self._make_constraint(graph, pairs, prior.older, newer, match) for match in matches]
+        """Verify proposed poses; across a gap in the laser data the shape of the drift must explain them, too."""
+        found = [
+            self._make_constraint(graph, pairs, prior.older, newer, match)
+            for match in pairs.verify(self.matching, prior.older, newer, allowed)
+        ]
+        if not found:
+            return []
+        labels = graph.label_rigid_components()
+        from_, to = found[0].pair
+        if labels[from_] == labels[to]:
+            return found
+        return [it for it in found if drift_distance(graph, from_, to, it.measurement) < self.gate_sigmas**2]
 
     def accept(self, graph: KeyGraph, candidates: Sequence[Constraint]) -> NDArray[np.bool_]:
         """Accept candidates (C,) that belong to a large set of consistent ones without a runner-up."""
@@ -255,8 +267,11 @@ class SubmapRecognition:
         return Constraint(from_, to, found.pose, weight, ConstraintSource.RECOGNIZED, True)
 
 
-def _locate(graph: KeyGraph, anchors: IntArray, key: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Poses (A, 3) of a key scan seen from others, (A,), along the least uncertain ways, and their deviations (A,)."""
+def _locate_anchors(graph: KeyGraph, anchors: IntArray, key: int) -> tuple[FloatArray, FloatArray]:
+    """Poses (A, 3) of a key scan seen from others, (A,), along the least uncertain ways, and covariances (A, 3, 3).
+
+    Covariances are in the map frame, and those of the drift model's bounds.
+    """
     nearby = graph.find_nearby_submaps(key, math.inf, len(graph))
     place = np.empty(submap_of(len(graph)) + 1, np.int64)
     place[nearby.submaps] = np.arange(len(nearby))
@@ -264,8 +279,16 @@ def _locate(graph: KeyGraph, anchors: IntArray, key: int) -> tuple[FloatArray, F
     ways = place[submaps]
     firsts = np.array([graph.tracked[key] for key in first_key_scan(submaps).tolist()])
     tracked = np.array([graph.tracked[key] for key in anchors.tolist()])
-    poses = compose(between(tracked, firsts), nearby.poses[ways])
-    return poses, nearby.sigmas_m[ways], np.sqrt(nearby.covariances[ways, 2, 2])
+    return compose(between(tracked, firsts), nearby.poses[ways]), nearby.covariances[ways]
+
+
+def drift_distance(graph: KeyGraph, older: int, key: int, pose: FloatArray) -> float:
+    """Squared Mahalanobis distance of a key scan's pose (3,), seen from an older one, from where it is expected."""
+    (expected,), (covariance,) = _locate_anchors(graph, np.array([older]), key)
+    frame = graph.poses[older]
+    guess = compose(frame, expected)
+    found = compose(frame, pose)
+    return squared_sigmas(covariance, np.append((found - guess)[:2], between(guess, found)[2]))
 
 
 def _clique_size(consistent: NDArray[np.bool_], first: int) -> int:
