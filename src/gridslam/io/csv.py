@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.geometry.angles import wrap
+from gridslam.geometry.angles import find_wrong_beam_angles, wrap
 from gridslam.io.log_statistics import LogStatistics, Mounting
 from gridslam.io.measurement import FARTHEST_LASER_M, FARTHEST_M, Measurement
 from gridslam.io.output import open_for_writing, write_atomically
@@ -71,7 +71,6 @@ _OF_LASER = (
 """Columns of what scans of one laser have in common."""
 
 _DEFAULTS = {"sensor": "laser", "frame": "laser", "range_max_m": "inf"} | dict.fromkeys((*LASER, "range_min_m"), "0")
-_TURN_RAD = 6.3
 _Cells: TypeAlias = Mapping[str, str]
 
 
@@ -206,9 +205,8 @@ class _Rows:
         cells = {name: _utf8(name, text.strip()) or _DEFAULTS.get(name, "") for name, text in texts.items()}
         start = _number(cells, "angle_min_rad")
         step = _number(cells, "angle_increment_rad")
-        if abs(start) > 2 * _TURN_RAD or abs(step) * (beams - 1) > _TURN_RAD + abs(step) or (step == 0 and beams > 1):
-            got = f"{beams} beams from {start:g} in steps of {step:g}"
-            raise _CellError("angle_increment_rad", "beams within one turn, in radians", got)
+        if problem := find_wrong_beam_angles(start, step, beams):
+            raise ValueError(f"columns angle_min_rad, angle_increment_rad: {problem}")
         x, y, z, *angles = (_within(FARTHEST_LASER_M, cells, name) for name in LASER)
         mounting = np.eye(4)
         mounting[:3, :3] = rotation_of_angles(*angles)

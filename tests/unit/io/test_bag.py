@@ -294,7 +294,7 @@ def test_memory_does_not_grow_with_the_length_of_the_log(tmp_path):
     """The same to 1 MB, about a chunk, for 400 and 1600 scans of 1000 beams, whose messages alone are 5.9 MB more."""
     peaks = []
     for count in (400, 1600):
-        said = [scan("/scan", 0.1 * step, np.ones(1000)) for step in range(count)]
+        said = [scan("/scan", 0.1 * step, np.ones(1000), angles=(-3.0, 0.006)) for step in range(count)]
         said += [odometry("/odom", 0.1 * step, (0, 0, 0)) for step in range(count)]
         log = log_of(tmp_path, sorted(said, key=lambda each: each.time_ns))
         assert len(list(log)) == count  # what is imported and cached once
