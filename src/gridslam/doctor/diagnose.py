@@ -35,6 +35,8 @@ _QUICK_SCANS = 300
 _RANGE_SCANS = 3000  # after which no motion is waited for: a robot that is parked
 
 _ONLY_WHOLE = ("standing_still",)
+_OF_READER_AT_ONCE = ("missing_files", "missing_transform")
+_TOLD_ANYWAY = ("unreadable",)
 
 
 @final
@@ -330,6 +332,11 @@ class EarlyCheck:
         whole = self._doctor.findings() if self._reported is None else self._doctor.range_findings()
         return self._report(whole)
 
+    @property
+    def is_first_minute_over(self) -> bool:
+        """Whether more than the ranges has been looked at."""
+        return self._reported is not None
+
     def _report(self, findings: Iterable[Finding]) -> tuple[Finding, ...]:
         reported = self._reported or set()
         found = [f for f in findings if f.is_fault and f.code not in _ONLY_WHOLE]
@@ -341,7 +348,7 @@ class EarlyCheck:
 @final
 @checked
 class CheckedLog:
-    """A log that is checked over its begin while it is read; see `EarlyCheck`.
+    """A log that is checked over its begin while it is read, see `EarlyCheck`, and what its reader met.
 
     Parameters
     ----------
@@ -378,11 +385,24 @@ class CheckedLog:
         for count, measurement in enumerate(measurements, 1):
             if count > self._checked:
                 self._checked = count
-                self._report(partial(self._check.take, measurement))
+                self._report(partial(self._take, measurement))
             yield measurement
             if self._check.is_complete:
                 yield from measurements
         self._report(self._check.end)
+        self._report(self._of_reader)
+
+    def _take(self, measurement: Measurement) -> tuple[Finding, ...]:
+        was_over = self._check.is_first_minute_over
+        found = self._check.take(measurement)
+        if was_over or not self._check.is_first_minute_over:
+            return found
+        return *found, *(finding for finding in self._of_reader() if finding.code in _OF_READER_AT_ONCE)
+
+    def _of_reader(self) -> tuple[Finding, ...]:
+        """Warnings of the reader that were not reported."""
+        found = (finding for finding in reader_findings(self._log.statistics) if finding.is_fault)
+        return tuple(f for f in found if f.code not in self._faults and f.code not in _TOLD_ANYWAY)
 
     def _report(self, check: Callable[[], tuple[Finding, ...]]) -> None:
         try:
