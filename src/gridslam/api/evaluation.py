@@ -9,7 +9,12 @@ from typing import Any
 from gridslam.arguments import require_instance
 from gridslam.errors import ArgumentError, InputError
 from gridslam.evaluation.self_consistency import measure_self_consistency
-from gridslam.evaluation.trajectory import absolute_errors, relation_errors, relative_errors_by_distance
+from gridslam.evaluation.trajectory import (
+    MAX_GAP_NS,
+    absolute_errors,
+    relation_errors,
+    relative_errors_by_distance,
+)
 from gridslam.io.log import detect_log_format, open_log
 from gridslam.io.trajectories import read_relations, read_tum
 from gridslam.types import Trajectory
@@ -67,10 +72,19 @@ def score_against_reference(
 
 
 def score_against_truth(estimate: Trajectory, truth: Trajectory, distance_m: float = 1.0) -> dict[str, Any]:
-    """Absolute errors after alignment, and relative ones over `distance_m` of the truth's path, as JSON values."""
+    """Absolute errors after alignment, and relative ones over `distance_m` of the truth's path, as JSON values.
+
+    Also how many poses the estimate has, of which those without partner do not count, and up to which gap between its
+    poses the truth was interpolated.
+    """
     absolute = absolute_errors(estimate, truth)
     relative = relative_errors_by_distance(estimate, truth, distance_m)
-    return {"ate": asdict(absolute), "rpe": {"distance_m": distance_m, **asdict(relative)}}
+    return {
+        "ate": asdict(absolute),
+        "rpe": {"distance_m": distance_m, **asdict(relative)},
+        "poses": len(estimate),
+        "max_gap_s": MAX_GAP_NS / 1e9,
+    }
 
 
 def _is_log(path: str | Path) -> bool:

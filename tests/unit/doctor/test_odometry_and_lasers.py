@@ -219,7 +219,7 @@ def test_an_odometry_in_another_unit_is_named_by_its_speed(factor, unit):
 
 def test_one_jump_is_no_other_unit():
     jumped = [
-        m._replace(odometry=Odometry.at(m.scan.stamp_ns, m.odometry.pose + (500.0 * (k > 50), 0, 0)))
+        m._replace(odometry=Odometry.at(m.scan.stamp_ns, m.odometry.pose + np.array([500.0 * (k > 50), 0, 0])))
         for k, m in enumerate(drive())
     ]
     assert "odometry_units" not in findings(jumped)
