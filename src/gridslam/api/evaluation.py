@@ -16,7 +16,7 @@ from gridslam.evaluation.trajectory import (
     relative_errors_by_distance,
 )
 from gridslam.io.log import detect_log_format, open_log
-from gridslam.io.trajectories import read_relations, read_tum
+from gridslam.io.trajectories import read_relations, read_trajectory
 from gridslam.types import Trajectory
 
 __all__ = ["EVALUATION_SCHEMA", "evaluate_trajectory", "score_against_reference", "score_against_truth"]
@@ -30,10 +30,10 @@ def evaluate_trajectory(trajectory: str | Path, reference: str | Path, distance_
     Parameters
     ----------
     trajectory : str or Path
-        A file in TUM format.
+        A file in TUM or EuRoC format.
     reference : str or Path
         True relations if its name ends in .relations; the log that the trajectory is of, in any format; or else the
-        true trajectory, a file in TUM format.
+        true trajectory, a file in TUM, EuRoC or KITTI format; one of KITTI has a pose for each of the trajectory.
     distance_m : float, m, > 0
         Path length between the pairs of poses of the RPE.
 
@@ -49,7 +49,7 @@ def evaluate_trajectory(trajectory: str | Path, reference: str | Path, distance_
     InputError
         A file cannot be read, or the two have no times in common.
     """
-    scores = score_against_reference(read_tum(trajectory), trajectory, reference, distance_m)
+    scores = score_against_reference(read_trajectory(trajectory), trajectory, reference, distance_m)
     return {"schema": EVALUATION_SCHEMA, "trajectory": str(trajectory), "reference": str(reference), **scores}
 
 
@@ -64,7 +64,7 @@ def score_against_reference(
         if _is_log(reference):
             agreement = measure_self_consistency(estimate, (scan for _, scan in open_log(reference)))
             return {"self_consistency": asdict(agreement)}
-        return score_against_truth(estimate, read_tum(reference), distance_m)
+        return score_against_truth(estimate, read_trajectory(reference, estimate.stamps_ns), distance_m)
     except ArgumentError as error:
         if error.argument == "distance_m":
             raise
