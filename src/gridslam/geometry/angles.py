@@ -101,7 +101,8 @@ def find_wrong_beam_angles(start: float, step: float, beams: int, end: float = m
         came += ", more than one turn"
     elif not in_degrees:
         return ""
-    return f"expected angles in rad that fit each other, got {came}{': the angles look like degrees' * in_degrees}"
+    came += ": the angles look like degrees" if in_degrees else ""
+    return f"expected angles in rad that fit each other, got {came}"
 
 
 @checked
