@@ -36,7 +36,7 @@ _RANGE_SCANS = 3000  # after which no motion is waited for: a robot that is park
 
 _ONLY_WHOLE = ("standing_still",)
 _OF_READER_AT_ONCE = ("missing_files", "missing_transform")
-_TOLD_ANYWAY = ("unreadable",)
+_REPORTED_ELSEWHERE = ("unreadable",)
 
 
 @final
@@ -402,7 +402,7 @@ class CheckedLog:
     def _of_reader(self) -> tuple[Finding, ...]:
         """Warnings of the reader that were not reported."""
         found = (finding for finding in reader_findings(self._log.statistics) if finding.is_fault)
-        return tuple(f for f in found if f.code not in self._faults and f.code not in _TOLD_ANYWAY)
+        return tuple(f for f in found if f.code not in self._faults and f.code not in _REPORTED_ELSEWHERE)
 
     def _report(self, check: Callable[[], tuple[Finding, ...]]) -> None:
         try:

@@ -26,7 +26,7 @@ def contradicts_its_heading(odometry: FloatArray) -> bool:
     """Whether a path leads where the headings would if they had the other sign, and not where they point.
 
     A robot with wheels mostly drives where it points, up to a constant, for the base may be turned. A straight path
-    fits both signs, and that of a robot which drives sideways, or as often backward, neither: these tell nothing.
+    fits both signs, and that of a robot which drives sideways, or as often backward, neither: they decide nothing.
 
     Parameters
     ----------

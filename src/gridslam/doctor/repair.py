@@ -85,7 +85,7 @@ class Repair:
         """What is taken out, in words."""
         if self.reflected:
             yield (
-                "laser or odometry is mirrored, the log does not tell which: the beam order is reversed (a clockwise "
+                "laser or odometry is mirrored, undecided which: the beam order is reversed (a clockwise "
                 "or upside-down laser); if it is the odometry, the map is a mirror image"
             )
         if self.mirrored:

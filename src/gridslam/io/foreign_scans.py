@@ -32,7 +32,7 @@ _OF_A_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 _OF_A_SECOND = {"s": 0, "ms": 3, "us": 6, "ns": 9}  # powers of ten
 _MOST_RAD = 7.0  # of an angle without unit: more are degrees
 _MOST_M = 100.0  # of the median of ranges without unit: more are millimetres
-_BACK = 0.5  # of what a scan has swept, from which on the angle begins anew: some jitter
+_BACK = 0.5  # of what a scan has swept, from which on the angle starts over: some jitter
 _MOST_BEAMS = 100_000
 _PERIOD_NS = 100_000_000  # of scans without stamps
 
@@ -150,7 +150,7 @@ def _geometry(start: float, step: float, beams: int) -> ScanGeometry:
 
 @final
 class _PointRows:
-    """A beam in each row: an angle, a distance, and mostly a time. A scan ends where the angle begins anew.
+    """A beam in each row: an angle, a distance, and mostly a time. A scan ends where the angle starts over.
 
     Units are those that the names state. Without, angles are degrees where one is beyond 7, and distances millimetres
     where their median in the first scan is beyond 100.
@@ -184,18 +184,18 @@ class _PointRows:
         distance = _number(words, self._distance[0], self._names[self._distance[0]])
         if not math.isfinite(angle):
             raise ValueError(f"column {self._names[self._angle[0]]}: expected a finite angle, got {angle}")
-        finished = self._finish() if self._begins_anew(angle) else None
+        finished = self._finish() if self._starts_over(angle) else None
         if not self._beams:
             self._stamp_ns = self._stamp(words)
         if len(self._beams) >= _MOST_BEAMS:
-            raise ValueError(f"expected at most {_MOST_BEAMS} beams before the angle begins anew, got more")
+            raise ValueError(f"expected at most {_MOST_BEAMS} beams before the angle starts over, got more")
         self._beams.append((angle, distance))
         return finished
 
     def end(self) -> Measurement | None:
         return self._finish() if self._beams else None
 
-    def _begins_anew(self, angle: float) -> bool:
+    def _starts_over(self, angle: float) -> bool:
         """Whether a beam goes back against the direction of its scan."""
         if len(self._beams) < 2:
             return False

@@ -109,7 +109,7 @@ def read_rows(
     parse_stamp : callable
         Reads a stamp.
     split : callable, optional
-        Splits a line into its cells, where not by blanks or commas as said above.
+        Splits a line into its cells, where not by blanks or commas.
 
     Raises
     ------
