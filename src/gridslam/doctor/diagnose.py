@@ -202,11 +202,11 @@ class Doctor:
             yield from laser.examiner.findings(sensor)
 
     def findings(self) -> Iterator[Finding]:
-        """Yield the findings so far; a laser that tilts, or whose ranges are wrong, is no reference of the motion."""
+        """Yield the findings so far; a laser that tilts, sees a person or whose ranges are wrong is no reference."""
         for sensor, laser in self._lasers.items():
             yield from laser.stamps.findings(sensor)
-        for sensor, laser in self._lasers.items():
-            yield from laser.beams.findings(sensor)
+        of_beams = [found for sensor, laser in self._lasers.items() for found in laser.beams.findings(sensor)]
+        yield from of_beams
         implausible = list(self.range_findings())
         yield from implausible
         for sensor, laser in self._lasers.items():
@@ -217,6 +217,7 @@ class Doctor:
         yield from (f for f in self._odometry.findings() if not (random and f.code == "odometry_frozen"))
         if self._motion is not None:
             no_reference = {finding.sensor for finding in mounted if finding.code == "tilting_laser"}
+            no_reference |= {finding.sensor for finding in of_beams if finding.code == "single_object"}
             no_reference |= {finding.sensor for finding in implausible}
             yield from (finding for finding in self._motion.findings() if finding.sensor not in no_reference)
 
