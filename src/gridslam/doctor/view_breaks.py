@@ -12,7 +12,7 @@ import numpy as np
 from gridslam.doctor.finding import Finding, Severity
 from gridslam.doctor.odometry import share_changed
 from gridslam.doctor.range_units import polar_scan
-from gridslam.doctor.scan_prediction import PolarScan, disagreements, move_laser
+from gridslam.doctor.scan_prediction import PolarScan, disagreements, log_ratios_as_reported, move_laser
 from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
 from gridslam.types import FloatArray, LaserScan
@@ -23,9 +23,12 @@ _SMALL_M = 0.3  # odometry between two scans: after more the view is another one
 _SMALL_RAD = 0.3
 _MOST_CHANGED = 0.5  # of the beams: where fewer ranges change nothing is looked at
 _OTHER = 0.2  # median logarithm of the ratio of predicted and measured range; on real logs a hundredth to a tenth
-_SAME = 0.15
+_STILL_OTHER = 0.15
+_SAME = 0.1
+_MANY = 0.2  # of the beams
+_SIDE = 0.05  # of the logarithms: that much nearer, or farther
 _WATCHED = 10  # scans after a break: who passes closely is gone by then, or the view from before is back
-_FEWEST = 5  # of them that have enough in common with the view from before to differ from it
+_FEWEST = 8  # of them that have enough in common with the view from before to differ from it
 _MOSTLY = 0.75  # of the scans after it that agree with the one before: a laser that fails sees another room in each
 _SHOWN = 5
 
@@ -43,6 +46,18 @@ class _View(NamedTuple):
         if view is None:
             return math.nan
         return float(disagreements(before, view, move_laser(before, view, between(pose, self.pose)), np.ones(1))[0])
+
+    def is_both_sides_of(self, before: PolarScan, pose: FloatArray) -> bool:
+        """Whether many beams end nearer, and many farther than by the view from before.
+
+        Who passes a door sees farther in most directions, or nearer.
+        """
+        view = polar_scan(self.scan)
+        if view is None:
+            return False
+        ratios = log_ratios_as_reported(before, view, move_laser(before, view, between(pose, self.pose)))
+        low, high = np.quantile(ratios, [_MANY, 1 - _MANY]) if len(ratios) else (0.0, 0.0)
+        return bool(low < -_SIDE and high > _SIDE)
 
 
 @final
@@ -64,7 +79,7 @@ class _Candidate:
         step = math.nan if latest is None else view.differs_from(latest, self.latest.pose)
         self.from_step_to_step.append(step)
         self.latest = view
-        if self.from_before[-1] < _OTHER:
+        if self.from_before[-1] < _STILL_OTHER:
             return False
         if len(self.from_before) < _WATCHED:
             return None
@@ -119,16 +134,19 @@ class ViewBreaks:
         self._agreed = True
         if last is None:
             return
+        if share_changed(last.scan, view.scan) <= _MOST_CHANGED:
+            return
         x, y, turn = between(last.pose, view.pose).tolist()
-        is_near = math.hypot(x, y) < _SMALL_M and abs(turn) < _SMALL_RAD
-        if not is_near or share_changed(last.scan, view.scan) <= _MOST_CHANGED:
+        if math.hypot(x, y) > _SMALL_M or abs(turn) > _SMALL_RAD:
             return
         if last.scan.beams(0.0, math.inf).shows_one_thing or view.scan.beams(0.0, math.inf).shows_one_thing:
             return
         before = polar_scan(last.scan)
-        difference = math.nan if before is None else view.differs_from(before, last.pose)
+        if before is None or not view.is_both_sides_of(before, last.pose):
+            return
+        difference = view.differs_from(before, last.pose)
         self._agreed = difference < _SAME
-        if agreed and before is not None and difference > _OTHER:
+        if agreed and difference > _OTHER:
             self._candidate = _Candidate(before, last.pose, view, view, [difference])
 
     def _note(self, view: _View) -> None:
