@@ -15,7 +15,7 @@ from gridslam.doctor.stamps import LogHistogram
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, LaserScan
 
-__all__ = ["OdometryExaminer", "share_changed"]
+__all__ = ["OdometryExaminer"]
 
 _WINDOW_S = 1.0
 _STILL = 0.01  # m, and rad, in a second: slower than any robot drives, more than encoders flicker
@@ -144,7 +144,7 @@ class OdometryExaminer:
         self._watched_s += seconds
         moved, turned = _motion(start, place)
         if moved < _STILL and turned < _STILL:
-            frozen = share_changed(first, scan) > _MOST_CHANGED
+            frozen = _share_changed(first, scan) > _MOST_CHANGED
             self._frozen += frozen
             self._frozen_s += frozen * seconds
             self._still_s += (not frozen) * seconds
@@ -251,7 +251,7 @@ def _motion(before: _Place, after: _Place) -> tuple[float, float]:
     return math.dist(before[:2], after[:2]), abs((after[2] - before[2] + math.pi) % math.tau - math.pi)
 
 
-def share_changed(before: LaserScan, after: LaserScan) -> float:
+def _share_changed(before: LaserScan, after: LaserScan) -> float:
     """Ratio of beams with two hits whose ranges differ by more than noise; 0 if there are too few."""
     if len(before) != len(after):
         return 0.0
