@@ -70,6 +70,14 @@ def test_who_passes_closely_is_none():
     assert breaks(measurements) == []
 
 
+def test_who_sees_farther_in_all_directions_has_passed_a_door():
+    measurements = [
+        m._replace(scan=replace(m.scan, ranges=2 * m.scan.ranges)) if k > 60 else m
+        for k, m in enumerate(log(scans=100)[0])
+    ]
+    assert breaks(measurements) == []
+
+
 def test_a_laser_that_fails_is_none():
     """From a scan on each one is of another place."""
     rng = np.random.default_rng(0)
