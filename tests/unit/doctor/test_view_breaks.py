@@ -72,7 +72,7 @@ def test_who_passes_closely_is_none():
 
 def test_who_sees_farther_in_all_directions_has_passed_a_door():
     measurements = [
-        m._replace(scan=replace(m.scan, ranges=2 * m.scan.ranges)) if k > 60 else m
+        m._replace(scan=replace(m.scan, ranges=2 * m.scan.ranges)) if k > 40 else m
         for k, m in enumerate(log(scans=100)[0])
     ]
     assert breaks(measurements) == []
