@@ -97,6 +97,8 @@ class ScanGeometry:
         return cls(bearings, from_planar(freeze(base_from_laser, np.float64, (3,), "base_from_laser")))
 
 
+_LITTLE = 1 / 3  # of a scan's beams
+_ONE_THING_M = 0.5  # root mean square distance of its ends from their middle; walls spread over metres
 _STRAIGHT = 1e-12  # rad/s: a turn below this moves nothing by a rounding error
 
 
@@ -138,6 +140,20 @@ class Beams:
     def reach_m(self) -> float:
         """Distance of the farthest end or of the laser from the base; what a map must cover around the pose."""
         return _reach_m(self.ends, self.origin)
+
+    @property
+    def shows_one_thing(self) -> bool:
+        """Whether all that is seen, over a third of the view at most, is one thing of a person's size.
+
+        Such a thing may move by itself, and the beams that hit it are no independent evidence of the robot's motion.
+        """
+        if not 0 < len(self) < _LITTLE * len(self.scan):
+            return False
+        return bool(self.ends.var(axis=0).sum() < _ONE_THING_M**2)
+
+    def without_beams(self) -> Beams:
+        """The same scan with none of its beams."""
+        return Beams(self.scan, self.indices[:0], self.ends[:0], self.origin)
 
     def deskew(self, twist: FloatArray) -> Beams:
         """Undo the robot's motion during the scan: all beams as if they had been measured at the scan's stamp.

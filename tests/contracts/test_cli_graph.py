@@ -99,6 +99,7 @@ def test_json(call, graph, tmp_path):
         "vertices": 60,
         "edges": 119,
         "loop_closures": 60,
+        "landmarks": 0,
         "fixed": 100,
         "skipped": {},
     }
@@ -175,16 +176,16 @@ def test_too_few_iterations_are_told(call, graph, tmp_path):
 
 def test_unknown_tags(call, graph, tmp_path):
     path, _ = graph
-    path.write_text(path.read_text() + "VERTEX_XY 7 1 2\nVERTEX_XY 8 1 2\nPARAMS\n")
+    path.write_text(path.read_text() + "VERTEX_CAM 7 1 2\nVERTEX_CAM 8 1 2\nPARAMS\n")
     status, _, err = call(path, "-o", tmp_path / "out")
     assert status == 2
     assert err.startswith(f"gridslam: {path}, line 181: ")
     assert "--skip-unknown" in err
     status, text, _ = call(path, "-o", tmp_path / "out", "--skip-unknown")
     assert status == 0
-    assert "skipped lines: 2 VERTEX_XY, 1 PARAMS" in text
+    assert "skipped lines: 2 VERTEX_CAM, 1 PARAMS" in text
     document = json.loads((tmp_path / "out" / "graph.json").read_text())
-    assert document["input"]["skipped"] == {"VERTEX_XY": 2, "PARAMS": 1}
+    assert document["input"]["skipped"] == {"VERTEX_CAM": 2, "PARAMS": 1}
 
 
 @pytest.mark.parametrize("text", ["VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 0 0 0\n", "no graph\n", ""])

@@ -50,7 +50,7 @@ from gridslam.io.sessions.archive_file import write_sealed_arrays
 from gridslam.io.sessions.drives import DrivenLog
 from gridslam.io.sessions.saved_localization import SavedLocalization, read_localization, write_localization
 from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session, write_session
-from gridslam.io.trajectories import read_relations, read_trajectory_csv, read_tum
+from gridslam.io.trajectories import read_relations, read_trajectory, read_trajectory_csv, read_tum
 from gridslam.live.history_file import read_history
 from gridslam.live.replay import Replay
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
@@ -370,6 +370,15 @@ def _tables(folder: Path) -> Iterator[Family]:
     header = (
         "stamp_s,x_m,y_m,theta_rad,cov_xx_m2,cov_xy_m2,cov_xtheta_m_rad,cov_yy_m2,cov_ytheta_m_rad,cov_thetatheta_rad2"
     )
+    euroc = ["#timestamp,p_x,p_y,p_z,q_w,q_x,q_y,q_z,v_x"] + [
+        f"{1700000000000000000 + 10**8 * k},{x:.6f},{y:.6f},0,{math.cos(t / 2):.9f},0,0,{math.sin(t / 2):.9f},0.1"
+        for k, (x, y, t) in enumerate(poses.tolist())
+    ]
+    turns = [(math.cos(t), math.sin(t)) for t in poses[:, 2].tolist()]
+    kitti = [
+        f"{c:.9f} {-s:.9f} 0 {x:.6f} {s:.9f} {c:.9f} 0 {y:.6f} 0 0 1 0"
+        for (c, s), (x, y) in zip(turns, poses[:, :2].tolist(), strict=True)
+    ]
     relations = [f"{k}.5 {k + 1}.5 0.5 0.1 0 0 0 0.2" for k in range(20)]
     parameters = (
         "amcl:\n  ros__parameters:\n    max_particles: 2000\n    laser_model_type: likelihood_field\n"
@@ -379,6 +388,8 @@ def _tables(folder: Path) -> Iterator[Family]:
     packed = [(gzip.compress, ".gz"), (bz2.compress, ".bz2")]
     for name, lines, read in (
         ("a.tum", rows, read_tum),
+        ("a.euroc", euroc, read_trajectory),
+        ("a.kitti", kitti, partial(read_trajectory, stamps_ns=np.arange(30))),
         ("a.csv", [header, *table], read_trajectory_csv),
         ("a.relations", relations, read_relations),
         ("a.yaml", [parameters], read_parameter_file),
@@ -411,8 +422,12 @@ def _graphs(folder: Path) -> Iterator[Family]:
     whole = (folder / "whole.g2o").read_bytes()
     edges = b"".join(line for line in whole.splitlines(keepends=True) if line.startswith(b"EDGE"))
 
+    landmarks = b"VERTEX_XY 99 1 2\nEDGE_SE2_XY 0 99 1 2 100 0 100\nEDGE_SE2_XY 5 99 3 -2 100 10 100\n"
+    toro = b"VERTEX2 98 1 2 0.5\nEDGE2 0 98 1 2 0.5 100 0 100 400 0 0\n"
+
     def prepare(to: Path, rng: np.random.Generator) -> None:
-        (to / "a.g2o").write_bytes(damage(whole, OF_TEXT, rng)[0])
+        content = whole + [b"", landmarks, toro, landmarks + toro][rng.integers(4)]
+        (to / "a.g2o").write_bytes(damage(content, OF_TEXT, rng)[0])
 
     def prepare_edges(to: Path, rng: np.random.Generator) -> None:
         lines = edges.splitlines(keepends=True)

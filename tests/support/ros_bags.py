@@ -44,15 +44,19 @@ def scan(
     time_increment: float = 0.0,
     limits: tuple[float, float] = (0.1, 30.0),
     stamped: bool = True,
+    angle_max: float | None = None,
+    intensities: Sequence[float] = (),
 ) -> Said:
-    """A scan; its stamp is the time of recording unless told."""
+    """A scan; its stamp is the time of recording, and its last angle that of the last beam, unless told."""
 
     def make(maker: Maker) -> object:
         header = maker.header((at_s if stamp_s is None else stamp_s) if stamped else None, frame)
         values = np.array(ranges, dtype=np.float32)
         start, step = angles
+        end = start + step * (len(values) - 1) if angle_max is None else angle_max
+        bright = np.array(intensities, dtype=np.float32)
         return maker.types["sensor_msgs/msg/LaserScan"](
-            header, start, start + step * (len(values) - 1), step, time_increment, 0.1, *limits, values, values[:0]
+            header, start, end, step, time_increment, 0.1, *limits, values, bright
         )
 
     return Said(topic, ns(at_s), "sensor_msgs/msg/LaserScan", make)

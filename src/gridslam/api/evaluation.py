@@ -9,9 +9,14 @@ from typing import Any
 from gridslam.arguments import require_instance
 from gridslam.errors import ArgumentError, InputError
 from gridslam.evaluation.self_consistency import measure_self_consistency
-from gridslam.evaluation.trajectory import absolute_errors, relation_errors, relative_errors_by_distance
+from gridslam.evaluation.trajectory import (
+    MAX_GAP_NS,
+    absolute_errors,
+    relation_errors,
+    relative_errors_by_distance,
+)
 from gridslam.io.log import detect_log_format, open_log
-from gridslam.io.trajectories import read_relations, read_tum
+from gridslam.io.trajectories import read_relations, read_trajectory
 from gridslam.types import Trajectory
 
 __all__ = ["EVALUATION_SCHEMA", "evaluate_trajectory", "score_against_reference", "score_against_truth"]
@@ -25,10 +30,10 @@ def evaluate_trajectory(trajectory: str | Path, reference: str | Path, distance_
     Parameters
     ----------
     trajectory : str or Path
-        A file in TUM format.
+        A file in TUM or EuRoC format.
     reference : str or Path
         True relations if its name ends in .relations; the log that the trajectory is of, in any format; or else the
-        true trajectory, a file in TUM format.
+        true trajectory, a file in TUM, EuRoC or KITTI format; one of KITTI has a pose for each of the trajectory.
     distance_m : float, m, > 0
         Path length between the pairs of poses of the RPE.
 
@@ -44,7 +49,7 @@ def evaluate_trajectory(trajectory: str | Path, reference: str | Path, distance_
     InputError
         A file cannot be read, or the two have no times in common.
     """
-    scores = score_against_reference(read_tum(trajectory), trajectory, reference, distance_m)
+    scores = score_against_reference(read_trajectory(trajectory), trajectory, reference, distance_m)
     return {"schema": EVALUATION_SCHEMA, "trajectory": str(trajectory), "reference": str(reference), **scores}
 
 
@@ -59,7 +64,7 @@ def score_against_reference(
         if _is_log(reference):
             agreement = measure_self_consistency(estimate, (scan for _, scan in open_log(reference)))
             return {"self_consistency": asdict(agreement)}
-        return score_against_truth(estimate, read_tum(reference), distance_m)
+        return score_against_truth(estimate, read_trajectory(reference, estimate.stamps_ns), distance_m)
     except ArgumentError as error:
         if error.argument == "distance_m":
             raise
@@ -67,10 +72,19 @@ def score_against_reference(
 
 
 def score_against_truth(estimate: Trajectory, truth: Trajectory, distance_m: float = 1.0) -> dict[str, Any]:
-    """Absolute errors after alignment, and relative ones over `distance_m` of the truth's path, as JSON values."""
+    """Absolute errors after alignment, and relative ones over `distance_m` of the truth's path, as JSON values.
+
+    Also how many poses the estimate has, of which those without partner do not count, and up to which gap between its
+    poses the truth was interpolated.
+    """
     absolute = absolute_errors(estimate, truth)
     relative = relative_errors_by_distance(estimate, truth, distance_m)
-    return {"ate": asdict(absolute), "rpe": {"distance_m": distance_m, **asdict(relative)}}
+    return {
+        "ate": asdict(absolute),
+        "rpe": {"distance_m": distance_m, **asdict(relative)},
+        "poses": len(estimate),
+        "max_gap_s": MAX_GAP_NS / 1e9,
+    }
 
 
 def _is_log(path: str | Path) -> bool:

@@ -24,7 +24,7 @@ from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.maps import write_map
 from gridslam.io.output import OutputFolder
 from gridslam.io.text import compute_digest
-from gridslam.io.trajectories import read_tum
+from gridslam.io.trajectories import read_trajectory
 from gridslam.kernels import FARTHEST
 from gridslam.mapping.beam_counts import BeamCounts, bayes_map, counting_map
 from gridslam.mapping.known_poses import KnownPoses, NoPoseReason
@@ -228,7 +228,7 @@ def map_with_poses(
     watch = stopwatch or Stopwatch()
     source = open_repaired(log, options, repair)
     path = None if isinstance(trajectory, Trajectory) else Path(trajectory)
-    given = trajectory if isinstance(trajectory, Trajectory) else read_tum(trajectory)
+    given = trajectory if isinstance(trajectory, Trajectory) else read_trajectory(trajectory)
     _check_size(given, path, config)
     poses = KnownPoses(given, max_gap_s)
     counts = BeamCounts(config.mapper.resolution_m, half_life_scans, threads)

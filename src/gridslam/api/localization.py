@@ -166,7 +166,7 @@ class LocalizationResult(Result):
         """Yield what the user should know of log and map, a sentence each."""
         for fault in self.repair.describe():
             yield f"{self.source}: {fault}: corrected (disable with --repair none; details: gridslam doctor)"
-        yield from (f"{self.map_path}: {remark} (--strict-thresholds reads literally)" for remark in self.remarks)
+        yield from (f"{self.map_path}: {remark}" for remark in self.remarks)
         if self.lost.all():
             yield (
                 f"{self.source}: the robot was never localized with confidence: the drive is too short, or the "

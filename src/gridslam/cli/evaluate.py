@@ -33,10 +33,14 @@ def format_scores(scores: dict[str, Any]) -> list[str]:
         return [_format_self_consistency(SelfConsistency(**scores["self_consistency"]))]
     rpe = dict(scores["rpe"])
     distance_m = rpe.pop("distance_m")
-    return [
+    lines = [
         f"ATE: {_format_pose_errors(PoseErrors(**scores['ate']))} (aligned)",
         f"RPE: {_format_pose_errors(PoseErrors(**rpe))} (over {distance_m:g} m)",
     ]
+    if left := scores["poses"] - scores["ate"]["n"]:
+        gap = f"the reference has no poses around them that are {scores['max_gap_s']:g} s apart or less"
+        lines.append(f"{left} of {scores['poses']} poses are not compared: {gap}")
+    return lines
 
 
 def _format_pose_errors(errors: PoseErrors) -> str:

@@ -85,7 +85,8 @@ def _document(
             "sha256": compute_digest(file),
             "vertices": len(graph.poses),
             "edges": len(graph.edges),
-            "loop_closures": int((~graph.trusted).sum()),
+            "loop_closures": int((~graph.trusted & ~source.is_landmark[graph.edges[:, 1]]).sum()),
+            "landmarks": int(source.is_landmark.sum()),
             "fixed": int(source.ids[0]),
             "skipped": source.skipped,
         },
@@ -112,7 +113,7 @@ def _write(
     watch: Stopwatch,
 ) -> None:
     """Write the files, and how long that took into the document."""
-    write_g2o(folder.file(_GRAPH), solution.graph, source.ids, source.order)
+    write_g2o(folder.file(_GRAPH), solution.graph, source.ids, source.order, source.is_landmark)
     if rejected is not None:
         _write_weights(folder.file(_WEIGHTS), source, solution)
     watch.lap("write")
@@ -140,11 +141,16 @@ def _write_weights(path: Path, source: G2oGraph, solution: GraphSolution) -> Non
         file.writelines(f"{first},{second},{weight:.6g},{off:.6g}\n" for (first, second), weight, off in rows)
 
 
+def _format_vertices(graph: dict[str, Any]) -> str:
+    landmarks = graph["landmarks"]
+    return f"{graph['vertices'] - landmarks} poses" + (f", {landmarks} landmarks" if landmarks else "")
+
+
 def _caption(document: dict[str, Any]) -> list[str]:
     graph = document["input"]
     rejected = f", {len(document['rejected'])} rejected" if document["robust"] else ""
     return [
-        f"{graph['vertices']} poses, {graph['edges']} edges, {graph['loop_closures']} of them loop closures{rejected}",
+        f"{_format_vertices(graph)}, {graph['edges']} edges, {graph['loop_closures']} of them loop closures{rejected}",
         f"{document['iterations']} iterations in {document['seconds']:.3f} s: gridslam {__version__}",
     ]
 
@@ -154,7 +160,7 @@ def _summarize(document: dict[str, Any], out: Path) -> list[str]:
     graph = document["input"]
     rejected = document.get("rejected", [])
     lines = [
-        f"{Path(graph['path']).name}: {graph['vertices']} poses, {graph['edges']} edges, "
+        f"{Path(graph['path']).name}: {_format_vertices(graph)}, {graph['edges']} edges, "
         f"{graph['loop_closures']} of them loop closures",
         f"chi2 {document['chi2_before']:.6g} before, {document['chi2_after']:.6g} after, "
         f"{document['iterations']} iterations in {document['seconds']:.3f} s",

@@ -95,7 +95,7 @@ class SessionOptions:
             session = Session(configuration, seed=seed, threads=threads)
         if self.prior is not None:
             try:
-                session.add_map(read_map(self.prior))
+                session.add_map(read_map(self.prior, on_remark=lambda remark: warn(f"{self.prior}: {remark}")))
             except ArgumentError as error:
                 raise click.ClickException(f"{self.prior}: {error}") from None
         return session

@@ -16,14 +16,16 @@ Source: Censi, Franchi, Marchionni, Oriolo, Simultaneous calibration of odometry
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, final
 
 import numpy as np
 
 from gridslam.doctor.intervals import Intervals, cumulative_headings, differences, interpolate_odometry, intervals
 from gridslam.doctor.laser_motion import LaserMotion
+from gridslam.doctor.mirrored_odometry import Mirrored, contradicts_its_heading, unmirror_odometry
 from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import adjoint
 from gridslam.types import FloatArray
 
 __all__ = ["Fit", "MotionCalibration", "ParameterEstimate", "calibrate", "robust_fit"]
@@ -46,6 +48,9 @@ _JITTER_S = 0.005  # of stamps, and what interpolation between them costs
 
 _WAYS = (0.5, 0.6, 2.0)
 _SCALE_FLOOR = 0.002  # scan matching itself: see `laser_odometry`
+
+_SURE_OF_SIGN = 0.6  # correlation of the turns
+_STEP_M = 0.1  # of odometry: shorter ways have no direction
 
 _CAUCHY = 2.385  # 95 % efficient for normal noise
 _PASSES = 15
@@ -146,6 +151,10 @@ class MotionCalibration:
         Residual of the odometry after calibration: x and y in m in the base frame, rad.
     noise : (2,) float64
         Standard deviations of the residuals of an interval, m and rad.
+    mirrored : "", "heading" or "path"
+        What of the odometry has the wrong sign, because its path contradicts its headings; all else is as without it.
+    yaw_improves : bool
+        Whether the ways agree with the odometry by `yaw_rad`, and do not as declared.
     """
 
     reflected: bool
@@ -165,11 +174,21 @@ class MotionCalibration:
     intervals: Intervals
     residuals: FloatArray
     noise: FloatArray
+    mirrored: Mirrored = ""
+    yaw_improves: bool = False
 
 
 def calibrate(motion: LaserMotion) -> MotionCalibration:
-    """Compare a laser's motion with its odometry; estimates that the log does not determine are marked."""
+    """Compare a laser's motion with its odometry; estimates that the log does not determine are marked.
+
+    Where the odometry's path contradicts its headings, the laser's turns decide which of the two is mirrored.
+    """
     turns = _fit_turns(motion)
+    mirrored: Mirrored = ""
+    if abs(turns.agreement) > _SURE_OF_SIGN and contradicts_its_heading(motion.odometry):
+        mirrored = "heading" if turns.agreement < 0 else "path"
+        motion = replace(motion, odometry=unmirror_odometry(motion.odometry, mirrored))
+        turns = _fit_turns(motion)
     reflected = bool(turns.agreement < 0)
     odometry = interpolate_odometry(motion, turns.skew.value if turns.skew.determined else 0.0)
     ways = intervals(motion, odometry, _WAYS)
@@ -203,7 +222,19 @@ def calibrate(motion: LaserMotion) -> MotionCalibration:
         ways,
         residuals,
         noise,
+        mirrored,
+        _improves(reported, predicted, yaw.value),
     )
+
+
+def _improves(reported: FloatArray, predicted: FloatArray, yaw_rad: float) -> bool:
+    """Whether ways (N, 2) are as predicted with a yaw offset, and differ at least twice as much without it."""
+    moved = np.hypot(*reported.T) > _STEP_M
+    if np.count_nonzero(moved) < _FEWEST:
+        return False
+    declared = predicted @ adjoint([0.0, 0.0, yaw_rad])[:2, :2]
+    with_offset, without = (float(np.median(np.hypot(*(reported - way)[moved].T))) for way in (predicted, declared))
+    return 2 * with_offset < without
 
 
 def _chords(ways: Intervals, laser: FloatArray) -> FloatArray:

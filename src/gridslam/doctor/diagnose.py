@@ -19,6 +19,7 @@ from gridslam.doctor.range_checks import RangeExaminer
 from gridslam.doctor.range_limits import RangeCounts
 from gridslam.doctor.reader import estimate_cost, reader_findings
 from gridslam.doctor.stamps import StampStatistics
+from gridslam.doctor.view_breaks import ViewBreaks
 from gridslam.errors import InputError
 from gridslam.io.log import Log, LogOptions, LogSource, open_if_path
 from gridslam.io.log_statistics import LogStatistics
@@ -34,7 +35,9 @@ _QUICK_SCANS = 300
 
 _RANGE_SCANS = 3000  # after which no motion is waited for: a robot that is parked
 
-_ONLY_WHOLE = ("standing_still",)
+_ONLY_WHOLE = ("standing_still", "robot_carried")
+_OF_READER_AT_ONCE = ("missing_files", "missing_transform")
+_REPORTED_ELSEWHERE = ("unreadable",)
 
 
 @final
@@ -128,6 +131,7 @@ class _Laser:
     ranges: RangeCounts = field(default_factory=RangeCounts)
     examiner: RangeExaminer = field(default_factory=RangeExaminer)
     mounting: Mounting = field(default_factory=Mounting)
+    breaks: ViewBreaks = field(default_factory=ViewBreaks)
 
     def take(self, measurement: Measurement) -> None:
         scan = measurement.scan
@@ -136,6 +140,7 @@ class _Laser:
         self.ranges.take(scan)
         self.examiner.take(measurement)
         self.mounting.take(scan.geometry)
+        self.breaks.take(measurement)
 
     def facts(self) -> LaserFacts:
         beams = max(self.beams.beams, 1)
@@ -200,11 +205,11 @@ class Doctor:
             yield from laser.examiner.findings(sensor)
 
     def findings(self) -> Iterator[Finding]:
-        """Yield the findings so far; a laser that tilts, or whose ranges are wrong, is no reference of the motion."""
+        """Yield the findings so far; a laser that tilts, sees a person or whose ranges are wrong is no reference."""
         for sensor, laser in self._lasers.items():
             yield from laser.stamps.findings(sensor)
-        for sensor, laser in self._lasers.items():
-            yield from laser.beams.findings(sensor)
+        of_beams = [found for sensor, laser in self._lasers.items() for found in laser.beams.findings(sensor)]
+        yield from of_beams
         implausible = list(self.range_findings())
         yield from implausible
         for sensor, laser in self._lasers.items():
@@ -213,9 +218,12 @@ class Doctor:
         yield from mounted
         random = any(finding.code == "random_ranges" for finding in implausible)  # which change while the robot stands
         yield from (f for f in self._odometry.findings() if not (random and f.code == "odometry_frozen"))
+        no_reference = {finding.sensor for finding in mounted if finding.code == "tilting_laser"}
+        no_reference |= {finding.sensor for finding in of_beams if finding.code == "single_object"}
+        no_reference |= {finding.sensor for finding in implausible}
+        for sensor in set(self._lasers) - no_reference:
+            yield from self._lasers[sensor].breaks.findings(sensor)
         if self._motion is not None:
-            no_reference = {finding.sensor for finding in mounted if finding.code == "tilting_laser"}
-            no_reference |= {finding.sensor for finding in implausible}
             yield from (finding for finding in self._motion.findings() if finding.sensor not in no_reference)
 
     def cost(self) -> Finding:
@@ -330,6 +338,11 @@ class EarlyCheck:
         whole = self._doctor.findings() if self._reported is None else self._doctor.range_findings()
         return self._report(whole)
 
+    @property
+    def is_first_minute_over(self) -> bool:
+        """Whether more than the ranges has been looked at."""
+        return self._reported is not None
+
     def _report(self, findings: Iterable[Finding]) -> tuple[Finding, ...]:
         reported = self._reported or set()
         found = [f for f in findings if f.is_fault and f.code not in _ONLY_WHOLE]
@@ -341,7 +354,9 @@ class EarlyCheck:
 @final
 @checked
 class CheckedLog:
-    """A log that is checked over its begin while it is read; see `EarlyCheck`.
+    """A log that is checked while it is read: its begin by `EarlyCheck`, and where the robot was carried to its end.
+
+    What its reader met is reported, too.
 
     Parameters
     ----------
@@ -357,7 +372,9 @@ class CheckedLog:
         self._log = log
         self._on_findings = on_findings
         self._check = EarlyCheck()
+        self._breaks: defaultdict[str, ViewBreaks] = defaultdict(ViewBreaks)
         self._checked = 0
+        self._has_failed = False
         self._faults: dict[str, str] = {}
 
     @property
@@ -374,21 +391,36 @@ class CheckedLog:
 
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start."""
-        measurements = iter(self._log)
-        for count, measurement in enumerate(measurements, 1):
+        for count, measurement in enumerate(self._log, 1):
             if count > self._checked:
                 self._checked = count
-                self._report(partial(self._check.take, measurement))
+                self._report(partial(self._take, measurement))
             yield measurement
-            if self._check.is_complete:
-                yield from measurements
         self._report(self._check.end)
+        self._report(self._of_reader)
+
+    def _take(self, measurement: Measurement) -> tuple[Finding, ...]:
+        was_over = self._check.is_first_minute_over
+        found = list(self._check.take(measurement))
+        if self._check.is_first_minute_over and not was_over:
+            found += (finding for finding in self._of_reader() if finding.code in _OF_READER_AT_ONCE)
+        sensor = measurement.scan.sensor
+        if self._breaks[sensor].take(measurement):
+            found += self._breaks[sensor].findings(sensor)
+        return tuple(found)
+
+    def _of_reader(self) -> tuple[Finding, ...]:
+        """Warnings of the reader that were not reported."""
+        found = (finding for finding in reader_findings(self._log.statistics) if finding.is_fault)
+        return tuple(f for f in found if f.code not in self._faults and f.code not in _REPORTED_ELSEWHERE)
 
     def _report(self, check: Callable[[], tuple[Finding, ...]]) -> None:
+        if self._has_failed:
+            return
         try:
             found = check()
         except Exception as error:  # a check must not end the map
-            self._check.is_complete = True
+            self._has_failed = True
             found = (Finding("checks_failed", Severity.WARNING, describe_error(error)),)
         if found:
             self._faults |= {f"{f.code} ({f.sensor})" if f.sensor else f.code: f.message for f in found}

@@ -45,7 +45,7 @@ def planar_mounting(geometry: ScanGeometry) -> FloatArray:
 @final
 @dataclass(slots=True)
 class BeamStatistics:
-    """The beams of one laser, over all its scans: finds beam_count_varies, invalid_beams and few_hits."""
+    """The beams of one laser: finds beam_count_varies, invalid_beams, few_hits and single_object."""
 
     scans: int = 0
     counts: Counter[int] = field(default_factory=Counter)
@@ -56,6 +56,7 @@ class BeamStatistics:
     zeros: int = 0
     scattered: int = 0
     scans_without_hits: int = 0
+    scans_of_one_thing: int = 0
     _lost: dict[int, IntArray] = field(default_factory=dict)
     _invalid_trace: Trace = field(default_factory=Trace)
 
@@ -70,6 +71,7 @@ class BeamStatistics:
         self.invalid += invalid
         self.no_return += count - invalid - hits
         self.scans_without_hits += hits < _FEW_HITS
+        self.scans_of_one_thing += 0 < 2 * hits < count and scan.beams(0.0, math.inf).shows_one_thing
         self._invalid_trace.add(float(self.scans), invalid / max(count, 1))
         self.scans += 1
         if invalid:
@@ -98,6 +100,8 @@ class BeamStatistics:
             yield self._invalid(sensor)
         if self.scans_without_hits > _OFTEN * self.scans:
             yield self._few_hits(sensor)
+        if self.scans_of_one_thing > _OFTEN * self.scans:
+            yield self._single_object(sensor)
 
     def _varies(self, sensor: str) -> Finding:
         least = min(self.counts)
@@ -149,6 +153,19 @@ class BeamStatistics:
             remedy if many else "",
             sensor,
             Figure("Invalid beams", "scan", "share", (course,)) if many else None,
+        )
+
+    def _single_object(self, sensor: str) -> Finding:
+        share = self.scans_of_one_thing / self.scans
+        return Finding(
+            "single_object",
+            Severity.WARNING,
+            f"In {percent(share)} of the scans all that is seen is one thing of a person's size: what is seen may move "
+            "by itself, as a person who is followed. Such scans are not matched, the odometry is taken for them.",
+            share,
+            "share",
+            "Drive where walls are within the laser's reach, and let nobody fill its view.",
+            sensor,
         )
 
     def _few_hits(self, sensor: str) -> Finding:

@@ -161,8 +161,8 @@ def motion_findings(motion: LaserMotion, calibration: MotionCalibration | None =
 
     A fault is reported only if it is larger than what every robot has, and than four standard deviations of its
     estimate.
-    Reads `calibration` where that of `motion` is known already. Codes: reflected_laser, yaw_offset, clock_skew,
-    odometry_scale, odometry_rotation_bias, odometry_drift, wheel_slip, odometry_unrelated.
+    Reads `calibration` where that of `motion` is known already. Codes: reflected_laser, odometry_mirrored, yaw_offset,
+    clock_skew, odometry_scale, odometry_rotation_bias, odometry_drift, wheel_slip, odometry_unrelated.
     """
     if len(motion) < 2 or motion.tracks[-1] + 1 > max(3, _CONFUSED * len(motion)):
         return []
@@ -188,6 +188,8 @@ def _unrelated(motion: LaserMotion, found: MotionCalibration) -> Finding:
 
 def _laser_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Finding]:
     """Direction, yaw and clock of the laser."""
+    if found.mirrored:
+        yield _mirrored(motion, found)
     if found.agreement < _OPPOSITE and found.laser_rad >= _TURNED_RAD:
         cause = (
             "the log declares the laser upside-down, and its beams come in the order of an upright one"
@@ -197,8 +199,9 @@ def _laser_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[F
         yield Finding(
             "reflected_laser",
             Severity.ERROR,
-            f"The laser sees the robot turn the other way than odometry does (correlation {found.agreement:+.2f} over "
-            f"{found.laser_rad:.0f} rad): {cause}; the map would be a mirror image.",
+            "Laser or odometry is mirrored: the laser sees the robot turn the other way than odometry does "
+            f"(correlation {found.agreement:+.2f} over {found.laser_rad:.0f} rad), whose path does not contradict its "
+            f"headings. Mostly {cause}; or all of the odometry is mirrored. The map would be a mirror image.",
             found.agreement,
             "1",
             "Reverse the signs of angle_min, angle_max and angle_increment, or mount it upside-down in /tf_static.",
@@ -240,6 +243,24 @@ def _laser_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[F
             motion.sensor,
             _turns_figure(motion, -1.0 if found.reflected else 1.0),
         )
+
+
+def _mirrored(motion: LaserMotion, found: MotionCalibration) -> Finding:
+    wrong, right, remedy = (
+        ("headings", "path", "Reverse the sign of the yaw where the odometry is computed")
+        if found.mirrored == "heading"
+        else ("path", "headings", "Reverse the sign of y where the odometry is computed")
+    )
+    return Finding(
+        "odometry_mirrored",
+        Severity.ERROR,
+        f"Odometry is mirrored: its path bends the other way than its headings turn, and the laser, which turned by "
+        f"{found.laser_rad:.0f} rad, agrees with its {right}: the {wrong} have the wrong sign.",
+        1.0,
+        "yes or no",
+        f"{remedy}; mapping corrects it.",
+        motion.sensor,
+    )
 
 
 def _odometry_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Finding]:

@@ -11,6 +11,7 @@ from typing import TypeAlias, final
 import numpy as np
 
 from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity, Trace, percent
+from gridslam.doctor.stamps import LogHistogram
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, LaserScan
 
@@ -30,6 +31,9 @@ _LEAP_M = 1.0  # between scans, and faster than any robot with wheels that maps 
 _LEAP_RAD = 1.0
 _LEAP_M_S = 10.0
 _LEAP_RAD_S = 12.0
+_UNITS = {"centimetres": 100, "millimetres": 1000}
+_SPEEDS_M_S = (0.1, 2.0)  # at which robots are driven while they map
+_FEWEST_MOVES = 20  # between scans, from which on their speeds show the unit
 _LEAST_S = 0.05  # between scans whose stamps jitter, go back or repeat
 _KEY_M = 0.5  # when the particles are stepped, or from
 _KEY_RAD = 0.25
@@ -43,7 +47,7 @@ _Place: TypeAlias = tuple[float, float, float]  # x m, y m, theta rad
 @final
 @dataclass(slots=True)
 class OdometryExaminer:
-    """Finds no_odometry, odometry_jumps, odometry_frozen, standing_still and fast_turning.
+    """Finds no_odometry, odometry_units, odometry_jumps, odometry_frozen, standing_still and fast_turning.
 
     Counts way and turns, without those of jumps, and key scans.
     """
@@ -60,6 +64,8 @@ class OdometryExaminer:
     _first_ns: int | None = None
     _last: tuple[int, _Place] | None = None
     _jumps: list[tuple[float, float, float]] = field(default_factory=list)  # s, m, rad
+    _moves: int = 0
+    _speeds: LogHistogram = field(default_factory=LogHistogram)
     _key: _Place | None = None
     _window: tuple[_Place, LaserScan] | None = None
     _frozen: int = 0
@@ -92,6 +98,9 @@ class OdometryExaminer:
             self._first_ns = stamp_ns
         moved, turned = _motion(before, place)
         seconds = max((stamp_ns - last_ns) * 1e-9, _LEAST_S)
+        if moved > _STILL:
+            self._moves += 1
+            self._speeds.add(moved / seconds)
         if moved > max(_LEAP_M, _LEAP_M_S * seconds) or turned > max(_LEAP_RAD, _LEAP_RAD_S * seconds):
             self._jumps.append(((stamp_ns - self._first_ns) * 1e-9, moved, turned))
         else:
@@ -145,7 +154,9 @@ class OdometryExaminer:
         """Yield the findings on the odometry, and on how the robot was driven."""
         if self.without:
             yield self._no_odometry()
-        if self._jumps:
+        if self._moves >= _FEWEST_MOVES and self._speeds.quantile(0.5) > _LEAP_M_S:
+            yield self._odometry_units(self._speeds.quantile(0.5))
+        elif self._jumps:
             yield self._odometry_jumps()
         if self._frozen >= _FROZEN_WINDOWS:
             yield self._odometry_frozen()
@@ -164,6 +175,19 @@ class OdometryExaminer:
             remedy = "See to it that odometry is recorded from before the first scan until after the last."
         severity = Severity.WARNING if share > 0.02 else Severity.INFO
         return Finding("no_odometry", severity, message, share, "share", remedy if share > 0.02 else "")
+
+    def _odometry_units(self, speed: float) -> Finding:
+        low, high = _SPEEDS_M_S
+        units = [name for name, of_a_metre in _UNITS.items() if low <= speed / of_a_metre <= high]
+        name = " or ".join(units) or "another unit"
+        return Finding(
+            "odometry_units",
+            Severity.WARNING,
+            f"The odometry is in {name}, not in metres: in metres the robot would mostly drive at {speed:.0f} m/s.",
+            speed,
+            "m/s",
+            "Convert the positions to metres where the odometry is computed; map with --no-odometry until then.",
+        )
 
     def _odometry_jumps(self) -> Finding:
         at_s, metres, radians = max(self._jumps, key=lambda jump: jump[1] / _LEAP_M + jump[2] / _LEAP_RAD)

@@ -21,6 +21,10 @@ _MUCH_BYTES = 2e9  # more than a small computer on a robot may have to spare
 
 def reader_findings(statistics: LogStatistics) -> Iterator[Finding]:
     """Yield the findings from the statistics of a log that was read to its end."""
+    if statistics.missing_files:
+        yield _missing_files(statistics.missing_files)
+    if statistics.clock_offset_s:
+        yield _two_clocks(statistics.clock_offset_s)
     for reason, scans in statistics.missing_transforms.most_common():
         chain = f" ({statistics.odometry_source})" if reason.startswith("odometry") else ""
         yield _missing(reason + chain, scans, statistics.scan_count)
@@ -37,6 +41,32 @@ def reader_findings(statistics: LogStatistics) -> Iterator[Finding]:
         times = f" ({count} times)" if count > 1 else ""
         yield Finding("remark", Severity.INFO, f"{remark[:1].upper()}{remark[1:]}{times}.", count, "times")
     yield _topics(statistics)
+
+
+def _missing_files(names: tuple[str, ...]) -> Finding:
+    shown = ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
+    absent = "is not there" if len(names) == 1 else "are not there"
+    return Finding(
+        "missing_files",
+        Severity.WARNING,
+        f"The bag's metadata.yaml lists {shown}, which {absent}: what was recorded in it is not read.",
+        len(names),
+        "files",
+        "Copy the whole folder of the bag; ros2 bag reindex writes the metadata of what is left.",
+    )
+
+
+def _two_clocks(offset_s: float) -> Finding:
+    side = "ahead of" if offset_s > 0 else "behind"
+    return Finding(
+        "clock_skew",
+        Severity.WARNING,
+        f"The stamps of the odometry are {abs(offset_s):.1f} s {side} those of the scans recorded at the same time: "
+        "they come from two clocks, and odometry cannot be assigned to the scans.",
+        -offset_s,
+        "s",
+        "Synchronize the clocks of the computers (NTP, chrony), or stamp both by one; --no-odometry until then.",
+    )
 
 
 def _missing(reason: str, scans: int, of: int) -> Finding:

@@ -15,6 +15,7 @@ import numpy as np
 from gridslam.checked import checked
 from gridslam.doctor.calibration import MotionCalibration, ParameterEstimate, calibrate
 from gridslam.doctor.laser_motion import LaserMotionEstimator, laser_motion
+from gridslam.doctor.mirrored_odometry import Mirrored, unmirror_odometry
 from gridslam.doctor.range_limits import RangeCounts
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import adjoint, between, compose, exp, log
@@ -63,6 +64,8 @@ class Repair:
         What odometry turns too much to the left for each metre driven forward.
     range_max_m : float or None, m
         Hits from this range on are beams that hit nothing; None: there are none.
+    mirrored : "", "heading" or "path"
+        What of the odometry has the wrong sign: its headings, or y.
     """
 
     reflected: bool = False
@@ -72,6 +75,7 @@ class Repair:
     turn_scale: float = 1.0
     drift_rad_per_m: float = 0.0
     range_max_m: float | None = None
+    mirrored: Mirrored = ""
 
     def __bool__(self) -> bool:
         """Whether there is anything to take out."""
@@ -80,7 +84,13 @@ class Repair:
     def describe(self) -> Iterator[str]:
         """What is taken out, in words."""
         if self.reflected:
-            yield "the beam order is reversed (a clockwise or upside-down laser)"
+            yield (
+                "laser or odometry is mirrored, undecided which: the beam order is reversed (a clockwise "
+                "or upside-down laser); if it is the odometry, the map is a mirror image"
+            )
+        if self.mirrored:
+            what = "its headings have" if self.mirrored == "heading" else "its y has"
+            yield f"odometry is mirrored, its path contradicts its headings: {what} the wrong sign"
         if self.yaw_rad:
             yield f"the mounting yaw of the laser is off by {math.degrees(self.yaw_rad):+.1f} degrees"
         if self.skew_s:
@@ -97,16 +107,17 @@ class Repair:
 
 
 def find_needed_repair(calibration: MotionCalibration, range_max_m: float | None = None) -> Repair:
-    """What would make any map wrong: a reflected laser, or one that looks 20 degrees and more past where it should.
+    """What would make any map wrong: laser or odometry mirrored, or a laser that looks 20 degrees past where it should.
 
-    Matching compensates for all other errors, but these two it cannot detect: it relies on the odometry there. Hits
-    from
-    `range_max_m` on that are none follow the robot around, and hold it back along a corridor.
+    Matching compensates for all other errors, but these it cannot detect: it relies on the odometry there. The yaw is
+    corrected only where that brings laser and odometry together. Hits from `range_max_m` on that are none follow the
+    robot around, and hold it back along a corridor.
     """
     reflected = calibration.agreement < _SURELY_REFLECTED and calibration.laser_rad > _TURNED_RAD
     yaw = calibration.yaw_rad
-    large = yaw.differs(0.0, _SPOILING_YAW_RAD, _SIGMAS)
-    return Repair(bool(reflected), yaw.value if large else 0.0, range_max_m=range_max_m)
+    large = yaw.differs(0.0, _SPOILING_YAW_RAD, _SIGMAS) and calibration.yaw_improves
+    yaw_rad = yaw.value if large else 0.0
+    return Repair(bool(reflected), yaw_rad, range_max_m=range_max_m, mirrored=calibration.mirrored)
 
 
 def _is_clean(calibration: MotionCalibration) -> bool:
@@ -130,6 +141,7 @@ def find_full_repair(calibration: MotionCalibration, range_max_m: float | None =
         sure(calibration.turn_scale, 1.0),
         sure(calibration.drift_rad_per_m, 0.0),
         range_max_m,
+        calibration.mirrored,
     )
 
 
@@ -200,10 +212,9 @@ def repair_measurements(
                 false = (scan.status == BeamStatus.HIT) & (scan.ranges >= repair.range_max_m)
                 scan = replace(scan, status=np.where(false, np.uint8(BeamStatus.NO_RETURN), scan.status))
         if odometry is not None:
-            pose = (
-                odometry.pose if reported is None else compose(pose, _true_increment(reported, odometry.pose, repair))
-            )
-            reported = odometry.pose
+            now = unmirror_odometry(odometry.pose, repair.mirrored) if repair.mirrored else odometry.pose
+            pose = now if reported is None else compose(pose, _true_increment(reported, now, repair))
+            reported = now
             odometry = replace(odometry, pose=pose)
         yield Measurement(odometry, scan)
 

@@ -17,7 +17,14 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import adjoint
 from gridslam.types import FloatArray, LaserScan
 
-__all__ = ["FEWEST_BEAMS", "PolarScan", "disagreement_as_reported", "disagreements", "move_laser"]
+__all__ = [
+    "FEWEST_BEAMS",
+    "PolarScan",
+    "disagreement_as_reported",
+    "disagreements",
+    "log_ratios_as_reported",
+    "move_laser",
+]
 
 FEWEST_BEAMS = 10
 """A scan of fewer ranges predicts nothing."""
@@ -117,6 +124,16 @@ def disagreements(first: PolarScan, second: PolarScan, motion: FloatArray, scale
 def disagreement_as_reported(first: PolarScan, second: PolarScan, motion: FloatArray) -> float:
     """As `disagreements` for ranges in m, with the turn of the motion and no other."""
     return float(_medians(second, *_predict(first, motion, np.ones(1)), np.zeros((1, 1)))[0, 0])
+
+
+def log_ratios_as_reported(first: PolarScan, second: PolarScan, motion: FloatArray) -> FloatArray:
+    """Logarithms (K,) of the ratios of predicted and measured range, for ranges in m and the turn of the motion.
+
+    Those of beams in view of both; below 0 where the second scan sees farther than the first one.
+    """
+    ranges, bearings = _predict(first, motion, np.ones(1))
+    ratios = np.log(ranges[0] * second.nearness_at(bearings[0]))
+    return np.asarray(ratios[np.isfinite(ratios)])
 
 
 def _predict(first: PolarScan, motion: FloatArray, scales: FloatArray) -> tuple[FloatArray, FloatArray]:

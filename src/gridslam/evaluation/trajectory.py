@@ -15,6 +15,7 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.types import FloatArray, IntArray, Trajectory
 
 __all__ = [
+    "MAX_GAP_NS",
     "PoseErrors",
     "RelationErrors",
     "Relations",
@@ -28,6 +29,9 @@ __all__ = [
     "relative_errors_by_distance",
     "relative_errors_by_step",
 ]
+
+MAX_GAP_NS = 1_000_000_000
+"""Between poses of a reference that are farther apart in time nothing is interpolated: a robot may turn in it."""
 
 
 @final
@@ -155,11 +159,39 @@ def associate(
     return paired, order[nearest[paired]]
 
 
-def _pair_poses(estimate: Trajectory, reference: Trajectory, tolerance_ns: int) -> tuple[FloatArray, FloatArray]:
+def _pair_poses(
+    estimate: Trajectory, reference: Trajectory, tolerance_ns: int, max_gap_ns: int
+) -> tuple[FloatArray, FloatArray]:
+    """Poses of the estimate, and those of the reference at their stamps.
+
+    These are the reference's own where it has that stamp, else interpolated where it has poses before and after that
+    are `max_gap_ns` apart or less, else the nearest within `tolerance_ns`.
+    """
     of_estimate, of_reference = associate(estimate, reference, tolerance_ns=tolerance_ns)
-    if len(of_estimate) == 0:
-        raise ArgumentError("estimate", f"a stamp within {tolerance_ns} ns of one of the reference", "none")
-    return estimate.poses[of_estimate], reference.poses[of_reference]
+    truth = np.full((len(estimate), 3), np.nan)
+    truth[of_estimate] = reference.poses[of_reference]
+    exact = np.zeros(len(estimate), np.bool_)
+    exact[of_estimate] = reference.stamps_ns[of_reference] == estimate.stamps_ns[of_estimate]
+    stamps = np.sort(reference.stamps_ns)
+    if len(stamps):
+        low, high = _neighbours(stamps, estimate.stamps_ns)
+        enclosed = (stamps[low] < estimate.stamps_ns) & (estimate.stamps_ns < stamps[high])
+        enclosed &= ~exact & (stamps[high] - stamps[low] <= max_gap_ns)
+        truth[enclosed] = interpolate(reference, estimate.stamps_ns[enclosed])[0]
+    paired = np.isfinite(truth[:, 0])
+    if not paired.any():
+        times = f"a stamp within {tolerance_ns} ns of one of the reference, or between two of {max_gap_ns} ns or less"
+        raise ArgumentError("estimate", times, _compare_spans(estimate, stamps))
+    return estimate.poses[paired], truth[paired]
+
+
+def _compare_spans(estimate: Trajectory, stamps: IntArray) -> str:
+    """Describe times that have nothing in common."""
+    if not len(stamps) or not len(estimate):
+        return "none"
+    spans = ((times.min() / 1e9, times.max() / 1e9) for times in (estimate.stamps_ns, stamps))
+    (first, last), (begin, end) = spans
+    return f"none: from {first:.3f} to {last:.3f} s, and the reference from {begin:.3f} to {end:.3f} s"
 
 
 @checked
@@ -194,7 +226,12 @@ def align(source: FloatArray, target: FloatArray) -> FloatArray:
 
 @checked
 def absolute_errors(
-    estimate: Trajectory, reference: Trajectory, *, aligned: bool = True, tolerance_ns: int = 20_000_000
+    estimate: Trajectory,
+    reference: Trajectory,
+    *,
+    aligned: bool = True,
+    tolerance_ns: int = 20_000_000,
+    max_gap_ns: int = MAX_GAP_NS,
 ) -> PoseErrors:
     """Absolute trajectory error (ATE): how far the poses lie from the reference's, after alignment on SE(2).
 
@@ -206,6 +243,8 @@ def absolute_errors(
         Whether the estimate is first moved as a whole to where it fits best; False where both share one map frame.
     tolerance_ns : int, ns, >= 0
         For `associate`; poses without partner do not count (compare `n`).
+    max_gap_ns : int, ns, >= 0
+        The reference is interpolated between poses that are no farther apart.
 
     Raises
     ------
@@ -216,7 +255,7 @@ def absolute_errors(
     ----------
     J. Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012.
     """
-    ours, truth = _pair_poses(estimate, reference, tolerance_ns)
+    ours, truth = _pair_poses(estimate, reference, tolerance_ns, max_gap_ns)
     if aligned:
         ours = compose(align(ours[:, :2], truth[:, :2]), ours)
     return PoseErrors.of(between(truth, ours))
@@ -224,7 +263,12 @@ def absolute_errors(
 
 @checked
 def relative_errors_by_step(
-    estimate: Trajectory, reference: Trajectory, step: int = 1, *, tolerance_ns: int = 20_000_000
+    estimate: Trajectory,
+    reference: Trajectory,
+    step: int = 1,
+    *,
+    tolerance_ns: int = 20_000_000,
+    max_gap_ns: int = MAX_GAP_NS,
 ) -> PoseErrors:
     """Relative pose error (RPE) over pairs of poses `step` >= 1 apart, in the estimate's order.
 
@@ -234,7 +278,7 @@ def relative_errors_by_step(
     """
     if step < 1:
         raise ArgumentError("step", "at least 1", step)
-    ours, truth = _pair_poses(estimate, reference, tolerance_ns)
+    ours, truth = _pair_poses(estimate, reference, tolerance_ns, max_gap_ns)
     if len(ours) <= step:
         raise ArgumentError("step", f"less than the {len(ours)} associated poses", step)
     first = np.arange(len(ours) - step)
@@ -243,7 +287,12 @@ def relative_errors_by_step(
 
 @checked
 def relative_errors_by_distance(
-    estimate: Trajectory, reference: Trajectory, distance_m: float, *, tolerance_ns: int = 20_000_000
+    estimate: Trajectory,
+    reference: Trajectory,
+    distance_m: float,
+    *,
+    tolerance_ns: int = 20_000_000,
+    max_gap_ns: int = MAX_GAP_NS,
 ) -> PoseErrors:
     """Relative pose error (RPE) from each pose to the first that lies `distance_m` > 0 farther along the reference.
 
@@ -253,7 +302,7 @@ def relative_errors_by_distance(
     """
     if not distance_m > 0:
         raise ArgumentError("distance_m", "a length above 0 m", distance_m)
-    ours, truth = _pair_poses(estimate, reference, tolerance_ns)
+    ours, truth = _pair_poses(estimate, reference, tolerance_ns, max_gap_ns)
     path = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))])
     second = np.searchsorted(path, path + distance_m)
     first = np.flatnonzero(second < len(path))

@@ -12,9 +12,14 @@ from gridslam.arguments import describe
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 
-__all__ = ["normalize_weights", "wrap"]
+__all__ = ["find_wrong_beam_angles", "normalize_weights", "wrap"]
 
 FloatArray = NDArray[np.float64]
+
+_ONE_WAY_RAD = 1e-4  # a laser's beams are spread over more
+_MOST_TURNS = 2.0  # larger angles were never meant in radians
+_UNEVEN = 0.02  # of the sweep: drivers round the increment, and some count other beams than they send
+_OFF_BY_ONE = 1.5  # increments: angle_max is that of the last beam, or of the one that would follow
 
 
 @overload
@@ -55,6 +60,49 @@ def wrap(angle: float | NDArray[Any]) -> Any:
     remainder = angle if greatest < 1.5 * math.tau else np.fmod(angle, math.tau, dtype=np.float64)
     turns = np.subtract(remainder >= math.pi, remainder < -math.pi, dtype=np.float64)
     return remainder - math.tau * turns
+
+
+def find_wrong_beam_angles(start: float, step: float, beams: int, end: float = math.nan) -> str:
+    """Describe why no laser has such beams; empty for those of one.
+
+    Parameters
+    ----------
+    start, step : float, rad
+        Bearing of the first beam (angle_min), and from each beam to the next (angle_increment).
+    beams : int
+        Their number.
+    end : float, rad
+        Bearing of the last beam as stated (angle_max); NaN, or that of the first, where nothing is stated. It may be
+        that of the beam that would follow, and a whole turn away.
+
+    Returns
+    -------
+    str
+        What was expected and what came: angles that are not finite or in degrees, beams that all point one way or over
+        more than a turn, or a stated end that contradicts the others.
+    """
+    if beams < 2:
+        return ""
+    sweep = step * (beams - 1)
+    came = f"{beams} beams from angle_min {start:g} in steps of angle_increment {step:g} rad"
+    if not math.isfinite(start + sweep):
+        return f"expected finite angles, got {came}"
+    if not abs(sweep) > _ONE_WAY_RAD:
+        return f"expected beams in different directions, got {came}: all point one way"
+    slack = _OFF_BY_ONE * abs(step) + _UNEVEN * abs(sweep)
+    is_wide = abs(sweep) > math.tau + slack
+    stated = 0.0 if math.isnan(end) else end - start
+    turns = (0,) if is_wide else (-1, 0, 1)
+    agrees = stated == 0 or any(abs(stated + turn * math.tau - sweep) <= slack for turn in turns)
+    in_degrees = max(abs(start), abs(sweep), abs(stated)) > _MOST_TURNS * math.tau
+    if not agrees:
+        came += f", which end at {start + sweep:g} rad, not at angle_max {end:g}"
+    elif is_wide:
+        came += ", more than one turn"
+    elif not in_degrees:
+        return ""
+    came += ": the angles look like degrees" if in_degrees else ""
+    return f"expected angles in rad that fit each other, got {came}"
 
 
 @checked

@@ -1,10 +1,10 @@
-"""Logs as tables of comma-separated values, one scan a row; see docs/logs.md for the columns."""
+"""Logs as tables of text, most with one scan a row; see docs/logs.md for the columns."""
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import TypeAlias, final
@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.geometry.angles import wrap
+from gridslam.geometry.angles import find_wrong_beam_angles, wrap
+from gridslam.io.foreign_scans import ForeignRows, find_foreign_rows
 from gridslam.io.log_statistics import LogStatistics, Mounting
 from gridslam.io.measurement import FARTHEST_LASER_M, FARTHEST_M, Measurement
 from gridslam.io.output import open_for_writing, write_atomically
 from gridslam.io.tables import format_stamp_ns, parse_stamp_ns
-from gridslam.io.text import TextSource
+from gridslam.io.text import TextSource, read_head
 from gridslam.scan import LONGEST_SCAN_S
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
@@ -70,8 +71,8 @@ _OF_LASER = (
 )
 """Columns of what scans of one laser have in common."""
 
+_HEAD_BYTES = 1 << 16
 _DEFAULTS = {"sensor": "laser", "frame": "laser", "range_max_m": "inf"} | dict.fromkeys((*LASER, "range_min_m"), "0")
-_TURN_RAD = 6.3
 _Cells: TypeAlias = Mapping[str, str]
 
 
@@ -101,6 +102,8 @@ def angles_of_rotation(rotation: ArrayLike) -> tuple[float, float, float]:
 @final
 class CsvLog:
     """Scans in CSV (plain, gzip or bzip2), one row each; iterating yields a `Measurement` for each row.
+
+    Tables of other programs, by `gridslam.io.foreign_scans`, are read, too.
 
     The first line names the columns, in any order; those that are not in `REQUIRED` may be missing, and their cells may
     be empty. Lines that begin with # are comments. Rows come in file order, whatever their stamps are.
@@ -135,24 +138,26 @@ class CsvLog:
         self.keep_truncated = keep_truncated
         self.statistics = LogStatistics(total_bytes=TextSource(path).total_bytes)
 
+    def _new_rows(self, statistics: LogStatistics) -> ForeignRows:
+        head = read_head(self.path, _HEAD_BYTES).decode("utf-8", "replace")
+        return find_foreign_rows(head, statistics) or _Rows(statistics)
+
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start."""
         source = TextSource(self.path)
         statistics = self.statistics = LogStatistics(total_bytes=source.total_bytes)
-        rows = _Rows(statistics)
+        try:
+            rows = self._new_rows(statistics)
+        except ValueError as error:
+            raise InputError(self.path, str(error), 1) from None
         for lines in source:
             statistics.bytes_read = source.bytes_read
             if source.unterminated:
                 break
             for line in lines:
                 statistics.lines += 1
-                try:
-                    measurement = rows.parse(line)
-                except ValueError as error:
-                    raise InputError(self.path, str(error), statistics.lines) from None
-                if measurement is not None:
-                    statistics.count(measurement)
-                    yield measurement
+                yield from self._counted(partial(rows.parse, line))
+        yield from self._counted(rows.end)
         statistics.bytes_read = source.bytes_read
         statistics.truncated = source.is_truncated or source.unterminated
         if statistics.truncated and not self.keep_truncated:
@@ -160,6 +165,15 @@ class CsvLog:
             raise InputError(self.path, f"{what} is cut off; {statistics.scan_count} scans were read before")
         if statistics.scan_count == 0:
             raise InputError(self.path, "expected a row for each scan, got none")
+
+    def _counted(self, take: Callable[[], Measurement | None]) -> Iterator[Measurement]:
+        try:
+            measurement = take()
+        except ValueError as error:
+            raise InputError(self.path, str(error), self.statistics.lines) from None
+        if measurement is not None:
+            self.statistics.count(measurement)
+            yield measurement
 
 
 class _CellError(ValueError):
@@ -206,9 +220,8 @@ class _Rows:
         cells = {name: _utf8(name, text.strip()) or _DEFAULTS.get(name, "") for name, text in texts.items()}
         start = _number(cells, "angle_min_rad")
         step = _number(cells, "angle_increment_rad")
-        if abs(start) > 2 * _TURN_RAD or abs(step) * (beams - 1) > _TURN_RAD + abs(step) or (step == 0 and beams > 1):
-            got = f"{beams} beams from {start:g} in steps of {step:g}"
-            raise _CellError("angle_increment_rad", "beams within one turn, in radians", got)
+        if problem := find_wrong_beam_angles(start, step, beams):
+            raise ValueError(f"columns angle_min_rad, angle_increment_rad: {problem}")
         x, y, z, *angles = (_within(FARTHEST_LASER_M, cells, name) for name in LASER)
         mounting = np.eye(4)
         mounting[:3, :3] = rotation_of_angles(*angles)
@@ -231,6 +244,10 @@ class _Rows:
             frame=cells["frame"],
             beam_times_s=times,
         )
+
+    def end(self) -> Measurement | None:
+        """Return no scan: each row was one."""
+        return None
 
 
 def _parse_header(text: str) -> list[str]:

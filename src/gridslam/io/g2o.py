@@ -1,4 +1,4 @@
-"""Planar pose graphs in g2o's text form: lines VERTEX_SE2, EDGE_SE2 and FIX."""
+"""Planar pose graphs as text: g2o's lines VERTEX_SE2, EDGE_SE2, FIX, and of landmarks; TORO's VERTEX2 and EDGE2."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.angles import wrap
@@ -27,8 +27,25 @@ __all__ = ["G2oGraph", "read_g2o", "write_g2o"]
 _VERTEX = "VERTEX_SE2"
 _EDGE = "EDGE_SE2"
 _FIX = "FIX"
-_IDS = {_VERTEX: "id", _EDGE: "from to", _FIX: "id"}
-_VALUES = {_VERTEX: "x y theta", _EDGE: "x y theta I_xx I_xy I_xt I_yy I_yt I_tt", _FIX: ""}
+_POINT = "VERTEX_XY"
+_POINT_EDGE = "EDGE_SE2_XY"
+_TORO_VERTEX = "VERTEX2"
+_TORO_EDGE = "EDGE2"
+_IDS = {_VERTEX: "id", _EDGE: "from to", _FIX: "id", _POINT: "id", _POINT_EDGE: "from to"}
+_IDS |= {_TORO_VERTEX: "id", _TORO_EDGE: "from to"}
+_VALUES = {
+    _VERTEX: "x y theta",
+    _EDGE: "x y theta I_xx I_xy I_xt I_yy I_yt I_tt",
+    _FIX: "",
+    _POINT: "x y",
+    _POINT_EDGE: "x y I_xx I_xy I_yy",
+    _TORO_VERTEX: "x y theta",
+    _TORO_EDGE: "x y theta I_xx I_xy I_yy I_tt I_xt I_yt",
+}
+_SAME_AS = {_POINT: _VERTEX, _POINT_EDGE: _EDGE, _TORO_VERTEX: _VERTEX, _TORO_EDGE: _EDGE}
+"""As what lines of other tags are kept: a landmark is a pose whose heading is nearly free."""
+_TAGS = {(1, False): _VERTEX, (1, True): _POINT, (2, False): _EDGE, (2, True): _POINT_EDGE}
+_FREE_HEADING = 1e-9  # information about a landmark's heading, of that about its place: it moves nothing
 _FIELDS = {tag: f"{ids} {_VALUES[tag]}".strip() for tag, ids in _IDS.items()}
 _MOST = 1e18  # standard deviations of a nanometre
 _LEAST = 1e-18
@@ -50,12 +67,15 @@ class G2oGraph:
         Places in `graph` of the vertices in the file's order.
     skipped : dict
         How many lines of each unknown tag were passed over.
+    is_landmark : (N,) bool
+        Which poses of `graph` are landmarks, whose headings mean nothing.
     """
 
     graph: PoseGraph
     ids: IntArray
     order: IntArray
     skipped: dict[str, int]
+    is_landmark: NDArray[np.bool_]
 
     @property
     def edge_ids(self) -> IntArray:
@@ -65,6 +85,9 @@ class G2oGraph:
 
 def read_g2o(path: str | Path, *, skip_unknown: bool = False) -> G2oGraph:
     """Read a planar pose graph; plain text, gzip or bzip2; lines in any order, those that begin with # are left out.
+
+    TORO's VERTEX2 and EDGE2 are read as VERTEX_SE2 and EDGE_SE2. Landmarks, VERTEX_XY with EDGE_SE2_XY, become poses
+    with a heading of hardly any information.
 
     The vertex that a FIX line names is pose 0, else the first vertex of the file. Of a file that has edges alone, the
     vertices are what the edges name, in the order in which they do; the fixed one is at the origin, and the others are
@@ -87,9 +110,11 @@ def read_g2o(path: str | Path, *, skip_unknown: bool = False) -> G2oGraph:
         or has neither vertices nor edges.
     """
     tables, skipped = _read_lines(path, skip_unknown)
-    edges = tables[_EDGE]
-    is_guessed = not tables[_VERTEX].lines and len(edges.lines) > 0
-    vertices = _name_vertices(edges) if is_guessed else tables[_VERTEX]
+    edges = _merge(tables, _EDGE)
+    landmarks = np.concatenate([tables[_POINT].ids[:, 0], tables[_POINT_EDGE].ids[:, 1]])
+    vertices = _merge(tables, _VERTEX)
+    is_guessed = not vertices.lines and len(edges.lines) > 0
+    vertices = _name_vertices(edges) if is_guessed else vertices
     names = vertices.ids[:, 0].tolist()
     row_of = dict(zip(reversed(names), reversed(range(len(names))), strict=True))  # the first row of each name
     _check_vertices(path, vertices, row_of)
@@ -107,17 +132,24 @@ def read_g2o(path: str | Path, *, skip_unknown: bool = False) -> G2oGraph:
         order[pairs],
         _wrapped(edges.values[:, :3]),
         information,
-        np.abs(edges.ids[:, 1] - edges.ids[:, 0]) == 1,
+        (np.abs(edges.ids[:, 1] - edges.ids[:, 0]) == 1) & ~np.isin(edges.ids[:, 1], landmarks),
     )
     if is_guessed:
         try:
             graph = graph.with_poses(_wrapped(initial_guess(graph)))
         except ArgumentError as error:
             raise InputError(path, str(error)) from None
-    return G2oGraph(graph, vertices.ids[by_place, 0], order, skipped)
+    ids = vertices.ids[by_place, 0]
+    return G2oGraph(graph, ids, order, skipped, np.isin(ids, landmarks))
 
 
-def write_g2o(path: str | Path, graph: PoseGraph, ids: ArrayLike | None = None, order: ArrayLike | None = None) -> None:
+def write_g2o(
+    path: str | Path,
+    graph: PoseGraph,
+    ids: ArrayLike | None = None,
+    order: ArrayLike | None = None,
+    is_landmark: ArrayLike | None = None,
+) -> None:
     """Write a pose graph, its pose 0 fixed; every number is written so that it is read back exactly.
 
     Parameters
@@ -130,6 +162,8 @@ def write_g2o(path: str | Path, graph: PoseGraph, ids: ArrayLike | None = None, 
         Names of the poses, >= 0 and all different; their places if not given.
     order : (N,) int, optional
         Places of the poses in the order in which they are written, by default their own.
+    is_landmark : (N,) bool, optional
+        Which poses are written as landmarks, and the edges to them as their measurements; none if not given.
 
     Raises
     ------
@@ -146,16 +180,19 @@ def write_g2o(path: str | Path, graph: PoseGraph, ids: ArrayLike | None = None, 
     if not np.array_equal(np.sort(written), places):
         raise ArgumentError("order", f"a permutation of the places 0 to {len(places) - 1}", written.tolist())
     edges = np.concatenate([graph.measurements, upper_of_symmetric(graph.information)], axis=1)
-    lines = _format(_VERTEX, names[written, None], graph.poses[written])
+    points = np.zeros(len(places), np.bool_) if is_landmark is None else np.asarray(is_landmark, np.bool_)
+    lines = [_format(points[place], names[place, None], graph.poses[place]) for place in written]
     lines.insert(int(np.flatnonzero(written == 0)[0]) + 1, f"{_FIX} {names[0]}\n")  # after its vertex
     with write_atomically(path) as aside, aside.open("w", encoding="ascii", newline="\n") as file:
         file.writelines(lines)
-        file.writelines(_format(_EDGE, names[graph.edges], edges))
+        file.writelines(map(_format, points[graph.edges[:, 1]], names[graph.edges], edges))
 
 
-def _format(tag: str, ids: IntArray, values: FloatArray) -> list[str]:
-    rows = zip(ids.tolist(), values.tolist(), strict=True)
-    return [f"{tag} {' '.join(map(repr, [*names, *numbers]))}\n" for names, numbers in rows]
+def _format(is_landmark: bool, ids: IntArray, values: FloatArray) -> str:
+    """The line of a vertex (one id) or an edge (two)."""
+    tag = _TAGS[len(ids), bool(is_landmark)]
+    kept = values[[0, 1, 3, 4, 6][: len(_VALUES[tag].split())]] if is_landmark else values
+    return f"{tag} {' '.join(map(repr, [*ids.tolist(), *kept.tolist()]))}\n"
 
 
 class _Rows(NamedTuple):
@@ -182,7 +219,7 @@ def _read_lines(path: str | Path, skip_unknown: bool) -> tuple[dict[str, _Rows],
         elif skip_unknown:
             skipped[tag] += 1
         else:
-            problem = f"expected the tag {_VERTEX}, {_EDGE} or {_FIX}, got {textwrap.shorten(tag, 40)!r}"
+            problem = f"expected the tag {', '.join(_FIELDS)}, got {textwrap.shorten(tag, 40)!r}"
             raise InputError(path, f"{problem} (--skip-unknown passes over such lines and counts them)", number)
     return {tag: _table(path, tag, ids[tag], values[tag], lines[tag]) for tag in _FIELDS}, dict(skipped)
 
@@ -191,11 +228,35 @@ def _table(path: str | Path, tag: str, ids: array[int], values: array[float], li
     width = len(_VALUES[tag].split())
     names = np.array(ids).reshape(len(lines), len(_IDS[tag].split()))
     rows = _Rows(names, np.array(values).reshape(len(lines), width), lines)
-    possible = (np.abs(rows.values) <= ([FARTHEST_M] * 3 + [_MOST] * 6)[:width]).all(axis=1)
-    most = f"numbers up to {FARTHEST_M:g} m and rad" + f", information up to {_MOST:g}" * (tag == _EDGE)
+    is_information = np.array([name.startswith("I_") for name in _VALUES[tag].split()], np.bool_)
+    possible = (np.abs(rows.values) <= np.where(is_information, _MOST, FARTHEST_M)).all(axis=1)
+    most = f"numbers up to {FARTHEST_M:g} m and rad" + f", information up to {_MOST:g}" * bool(is_information.any())
     expected = f"expected {most} for {tag} {_FIELDS[tag]}"
     check_rows(path, lines, possible, lambda row: f"{expected}, got {' '.join(f'{x:g}' for x in rows.values[row])}")
     return rows
+
+
+def _merge(tables: dict[str, _Rows], tag: str) -> _Rows:
+    """The lines that are kept as those of a tag, in the order of the file."""
+    parts = [_as(other, tables[other]) for other in _FIELDS if _SAME_AS.get(other, other) == tag]
+    lines = [line for part in parts for line in part.lines]
+    order = np.argsort(np.array(lines, np.int64))
+    ids, values = (np.concatenate([part[k] for part in parts])[order] for k in (0, 1))
+    return _Rows(ids, values, [lines[k] for k in order.tolist()])
+
+
+def _as(tag: str, rows: _Rows) -> _Rows:
+    """The rows with the columns of the tag as which they are kept."""
+    values = rows.values
+    nothing = np.zeros(len(values))
+    if tag == _POINT:
+        values = np.column_stack([values, nothing])
+    elif tag == _POINT_EDGE:
+        x, y, xx, xy, yy = values.T
+        values = np.column_stack([x, y, nothing, xx, xy, nothing, yy, nothing, _FREE_HEADING * 0.5 * (xx + yy)])
+    elif tag == _TORO_EDGE:
+        values = values[:, [0, 1, 2, 3, 4, 7, 5, 8, 6]]
+    return rows._replace(values=values)
 
 
 def _wrapped(poses: FloatArray) -> FloatArray:

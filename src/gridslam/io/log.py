@@ -14,6 +14,7 @@ from gridslam.errors import ArgumentError, InputError
 from gridslam.io.carmen.lines import SCAN_TAGS
 from gridslam.io.carmen.reader import CarmenLog
 from gridslam.io.csv import CsvLog
+from gridslam.io.foreign_scans import is_foreign_table
 from gridslam.io.remote import fetch, is_url
 from gridslam.io.selection import Log, LogOptions, select
 from gridslam.io.text import open_for_reading, read_head
@@ -39,6 +40,7 @@ _OTHER_MAGIC = {
     b"\x89HDF": "an HDF5 file",
     b"PAR1": "a Parquet file",
     b"# .PCD": "a point cloud",
+    b"#ROSRECORD V": "a ROS 1 bag of the old format V1 (rosbag filter OLD.bag NEW.bag True writes it as V2.0)",
     b"version https://git-lfs": "a pointer of Git LFS (fetch the file itself: git lfs pull)",
 }
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
@@ -125,7 +127,7 @@ def detect_log_format(path: str | Path) -> LogFormat:
     if not head or _has_carmen_tag(head):  # empty: cut off or damaged in the first block; reported by the reader
         return LogFormat.CARMEN
     first = _first_line(head)
-    if _is_scan_csv(first):
+    if _is_scan_csv(first) or is_foreign_table(head.decode("utf-8", "replace")):
         return LogFormat.CSV
     raise InputError(path, f"expected {_LOG_FORMATS}, got {_looks_like(head, first)}")
 

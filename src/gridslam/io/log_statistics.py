@@ -94,6 +94,11 @@ class LogStatistics:
         All topics of a bag.
     missing_transforms : Counter of str
         Scans that had to be left out, or to go without odometry, by what is missing.
+    missing_files : tuple of str
+        Files of a bag that are not there.
+    clock_offset_s : float, s
+        How far the odometry's stamps are ahead of those of the scans that were recorded at the same time, where that is
+        more than recorders and networks delay messages: they are of two clocks. Else 0.
     odometry_source : str
         Topic or frames of a bag that the odometry is taken from; empty where there is none.
     moving_mountings : Counter of str
@@ -129,6 +134,8 @@ class LogStatistics:
     mountings: dict[str, Mounting] = field(default_factory=dict)
     topics: dict[str, Topic] = field(default_factory=dict)
     missing_transforms: Counter[str] = field(default_factory=Counter)
+    missing_files: tuple[str, ...] = ()
+    clock_offset_s: float = 0.0
     odometry_source: str = ""
     moving_mountings: Counter[str] = field(default_factory=Counter)
     remarks: Counter[str] = field(default_factory=Counter)

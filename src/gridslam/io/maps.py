@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Any, TypeAlias, final
 
 import numpy as np
@@ -49,6 +49,7 @@ _MODES = ("trinary", "scale", "raw")
 _FARTHEST_CELL = 1 << 30  # rows and columns of cells are numbers of 32 bits
 _FINEST_M = 0.001  # what lies outside is another unit, or a slip
 _COARSEST_M = 10.0
+_TINY_YAW_RAD = 1e-3  # half a cell of 5 cm in 25 m
 _Fields: TypeAlias = Mapping[str, tuple[Any, int]]
 
 
@@ -60,7 +61,8 @@ class MapDescription:
     Attributes
     ----------
     image : str
-        Path of the image, relative to the YAML file.
+        Path of the image, relative to the YAML file. One that is not there is replaced by the file of the same name
+        beside the YAML file, if there is one.
     resolution_m : float
         Side of a cell.
     origin : (float, float), m
@@ -71,6 +73,8 @@ class MapDescription:
         Probabilities above and below which a pixel is occupied and free.
     mode : str
         "trinary", "scale" or "raw".
+    remarks : tuple of str
+        What was made of odd values, a sentence each.
     """
 
     image: str
@@ -80,6 +84,7 @@ class MapDescription:
     occupied_thresh: float = OCCUPIED_THRESH
     free_thresh: float = FREE_THRESH
     mode: str = "trinary"
+    remarks: tuple[str, ...] = ()
 
     def to_yaml(self) -> str:
         """Text of the YAML file."""
@@ -169,6 +174,8 @@ def read_map(
         is not grey.
     """
     description = read_map_description(yaml_path)
+    for remark in description.remarks:
+        on_remark(remark)
     image = read_map_image(Path(yaml_path).parent / description.image)
     percent = occupancy_percent(image, description, strict_thresholds=strict_thresholds)
     probability = (1 - _SURE) / 2 + _SURE * np.arange(101) / 100.0
@@ -178,7 +185,7 @@ def read_map(
     if spared:
         on_remark(
             f"free_thresh {description.free_thresh:g} makes the pixel 205 free, by which map savers mean unknown: "
-            f"its {spared} cells are taken as unknown"
+            f"its {spared} cells are taken as unknown (--strict-thresholds reads literally)"
         )
     return grid
 
@@ -198,6 +205,8 @@ def read_map_description(path: str | Path) -> MapDescription:
     image, line = fields["image"]
     if not isinstance(image, str):
         raise InputError(path, f"expected the name of an image, got {image!r}", line)
+    remarks: list[str] = []
+    image = _find_image(Path(path).parent, image, remarks)
     resolution = _finite(path, "resolution", *fields["resolution"])
     if not _FINEST_M <= resolution <= _COARSEST_M:
         problem = f"expected a resolution from {_FINEST_M:g} to {_COARSEST_M:g} m, got {resolution:g}"
@@ -216,14 +225,41 @@ def read_map_description(path: str | Path) -> MapDescription:
     origin, line = fields["origin"]
     if not (isinstance(origin, list) and len(origin) == 3):
         raise InputError(path, f"expected origin: [x, y, yaw], got {origin!r}", line)
-    x, y, yaw = (_finite(path, "origin", word, line) for word in origin)
+    x, y = (_finite(path, "origin", word, line) for word in origin[:2])
+    _check_yaw(path, origin[2], line, remarks)
     if not max(abs(x), abs(y)) <= _FARTHEST_CELL * resolution:
         problem = f"expected an origin within {_FARTHEST_CELL * resolution:g} m (2^30 cells) of 0, got [{x:g}, {y:g}]"
         raise InputError(path, problem, line)
-    if yaw != 0:
-        raise InputError(path, f"expected a map that is not rotated (yaw 0), got yaw {yaw:g}", line)
     negated = negate.lower() in ("1", "true")
-    return MapDescription(image, resolution, (x, y), negated, high, low, mode)
+    return MapDescription(image, resolution, (x, y), negated, high, low, mode, tuple(remarks))
+
+
+def _find_image(folder: Path, name: str, remarks: list[str]) -> str:
+    """The image as it is named; where it is not there, the one of its name beside the YAML file, with a remark.
+
+    Maps are often moved with an absolute path, one of Windows or one from the home folder in them.
+    """
+    beside = PureWindowsPath(name).name  # which knows both separators
+    try:
+        if (folder / name).exists() or not (folder / beside).is_file():
+            return name
+    except (OSError, ValueError):  # no name that a file can have
+        return name
+    remarks.append(f"the image {name} is not there: {beside} beside the YAML file is read")
+    return beside
+
+
+def _check_yaw(path: str | Path, word: str, line: int, remarks: list[str]) -> None:
+    """Take a yaw that is not a number, or turns no map visibly, as 0, with a remark; refuse others."""
+    try:
+        is_number = not math.isnan(float(word.replace(".nan", "nan")))  # YAML's spelling, and C's
+    except ValueError:
+        is_number = True
+    yaw = _finite(path, "origin", word, line) if is_number else 0.0
+    if abs(yaw) > _TINY_YAW_RAD:
+        raise InputError(path, f"expected a map that is not rotated (yaw 0), got yaw {yaw:g}", line)
+    if yaw or not is_number:
+        remarks.append(f"the yaw {word} of the origin is taken as 0")
 
 
 def _read_fields(path: str | Path) -> _Fields:

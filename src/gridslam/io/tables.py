@@ -8,7 +8,7 @@ from array import array
 from collections.abc import Callable, Iterator, Sequence
 from decimal import Context, Decimal
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +25,7 @@ __all__ = [
     "format_stamp_ns",
     "parse_stamp_ns",
     "parse_tagged",
+    "parse_whole_ns",
     "read_rows",
     "read_table",
     "symmetric_of_upper",
@@ -76,7 +77,22 @@ def format_stamp_ns(stamp_ns: int, decimals: int = 6) -> str:
     return f"{'-' if stamp_ns < 0 else ''}{seconds}.{f'{nanoseconds:09d}'[:digits]}"
 
 
-def read_rows(path: str | Path, columns: str, stamps: int = 0, *, in_order: bool = False) -> Iterator[Row]:
+def parse_whole_ns(text: str) -> int:
+    """A stamp that is written in whole nanoseconds; raises ValueError, with what was expected."""
+    if text.strip().isdecimal() and len(text) <= 20 and int(text) < _STAMPS_NS[1]:
+        return int(text)
+    raise ValueError(f"expected a stamp in whole nanoseconds that fits 64 bits, got {text!r:.60}")
+
+
+def read_rows(
+    path: str | Path,
+    columns: str,
+    stamps: int = 0,
+    *,
+    in_order: bool = False,
+    parse_stamp: Callable[[str], int] = parse_stamp_ns,
+    split: Callable[[str], list[str]] | None = None,
+) -> Iterator[Row]:
     """Read rows of finite numbers, a piece at a time.
 
     Parameters
@@ -90,6 +106,10 @@ def read_rows(path: str | Path, columns: str, stamps: int = 0, *, in_order: bool
         How many of the columns, from the left, are stamps in seconds; they are read exactly.
     in_order : bool
         Whether the first stamp must never go back.
+    parse_stamp : callable
+        Reads a stamp.
+    split : callable, optional
+        Splits a line into its cells, where not by blanks or commas.
 
     Raises
     ------
@@ -104,11 +124,11 @@ def read_rows(path: str | Path, columns: str, stamps: int = 0, *, in_order: bool
     width = len(columns.split(separator))
     last_ns = -(2**63)
     for number, line in lines:
-        words = line.split(separator)
+        words = split(line) if split else line.split(separator)
         if len(words) != width:
             raise InputError(path, f"expected {width} numbers ({columns}), got {len(words)}", number)
         try:
-            stamps_ns = [parse_stamp_ns(word) for word in words[:stamps]]
+            stamps_ns = [parse_stamp(word) for word in words[:stamps]]
         except ValueError as error:
             raise InputError(path, str(error), number) from None
         try:
@@ -157,13 +177,13 @@ def parse_tagged(path: str | Path, number: int, line: str, ids: str, values: str
     raise InputError(path, f"expected '{expected}', got {textwrap.shorten(line, 100)!r}", number)
 
 
-def read_table(path: str | Path, columns: str, stamps: int = 0, *, in_order: bool = False) -> Table:
+def read_table(path: str | Path, columns: str, stamps: int = 0, **how: Any) -> Table:  # noqa: ANN401
     """Read all rows of a table; as `read_rows`, and raises InputError where there is none."""
     stamps_ns = array("q")
     values = array("d")
     lines = array("q")
     most = max_memory_bytes() // 2  # the arrays are copied once
-    for row in read_rows(path, columns, stamps, in_order=in_order):
+    for row in read_rows(path, columns, stamps, **how):
         stamps_ns.extend(row.stamps_ns)
         values.extend(row.values)
         lines.append(row.line)

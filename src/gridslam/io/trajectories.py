@@ -1,4 +1,4 @@
-"""Trajectories as text: TUM (stamp and pose), and CSV with the covariance of each pose; relations between poses."""
+"""Trajectories as text: TUM, EuRoC and KITTI, and CSV with the covariance of each pose; relations between poses."""
 
 from __future__ import annotations
 
@@ -8,12 +8,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gridslam.errors import ArgumentError
+from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.angles import wrap
 from gridslam.io.measurement import FARTHEST_M
-from gridslam.io.tables import Table, check_rows, read_table, symmetric_of_upper, upper_of_symmetric
+from gridslam.io.tables import (
+    Table,
+    check_rows,
+    parse_stamp_ns,
+    parse_whole_ns,
+    read_table,
+    symmetric_of_upper,
+    upper_of_symmetric,
+)
+from gridslam.io.text import read_numbered_lines
 from gridslam.kernels import backend
-from gridslam.types import FloatArray, Trajectory
+from gridslam.types import FloatArray, IntArray, Trajectory
 
 if TYPE_CHECKING:
     from gridslam.evaluation.trajectory import Relations
@@ -22,6 +31,7 @@ __all__ = [
     "CSV_HEADER",
     "columns_of_trajectory",
     "read_relations",
+    "read_trajectory",
     "read_trajectory_csv",
     "read_tum",
     "write_trajectory_csv",
@@ -37,6 +47,7 @@ _FIXED_IN_TUM = np.array([True, True, False, False, False, True, True])
 _FIXED_IN_CSV = np.arange(9) < 3
 """Columns of nine decimals, the poses; others have nine significant digits, or are 0."""
 _PLANAR = (1e-3, 1e-3, 1e-3)  # m, rad, rad
+_DIGITS_OF_NS = 17  # since 1973; in s it would be a time of a billion years
 
 
 def write_tum(path: str | Path, trajectory: Trajectory) -> None:
@@ -59,8 +70,66 @@ def write_tum(path: str | Path, trajectory: Trajectory) -> None:
     Path(path).write_bytes(backend.format_rows(trajectory.stamps_ns, values, _FIXED_IN_TUM, " "))
 
 
+def read_trajectory(path: str | Path, stamps_ns: IntArray | None = None) -> Trajectory:
+    """Read a trajectory in the form that its first row has, in file order.
+
+    - TUM: as `read_tum`.
+    - EuRoC: commas, a stamp in ns, position, quaternion with w first; further columns are left out.
+    - KITTI: twelve numbers, the upper three rows of a pose's matrix, in the axes of a robot or of a camera (z ahead, y
+      down), by which of y and z is the more constant. These rows have no stamps: they are `stamps_ns`.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    stamps_ns : (N,) int64, ns, optional
+        Stamps of rows without any.
+
+    Raises
+    ------
+    InputError
+        As `read_tum`; and of KITTI where there are no stamps for it, or not as many as it has rows.
+    """
+    first = next(read_numbered_lines(path), (0, ""))[1]
+    words = first.replace(",", " ").split()
+    if "," in first and len(words) >= 8 and _is_ns(words[0]):
+        columns = "timestamp x y z qw qx qy qz"
+        table = read_table(path, columns, 1, parse_stamp=parse_whole_ns, split=lambda line: line.split(",")[:8])
+        return _of_quaternions(path, table._replace(values=table.values[:, [0, 1, 2, 4, 5, 6, 3]]))
+    return _read_kitti(path, stamps_ns) if "," not in first and len(words) == 12 else read_tum(path)
+
+
+def _is_ns(stamp: str) -> bool:
+    """Whether a stamp is one in ns."""
+    return stamp.isdecimal() and len(stamp) >= _DIGITS_OF_NS
+
+
+def _read_kitti(path: str | Path, stamps_ns: IntArray | None) -> Trajectory:
+    table = read_table(path, "r11 r12 r13 x r21 r22 r23 y r31 r32 r33 z")
+    if stamps_ns is None or len(stamps_ns) != len(table.lines):
+        wanted = (
+            "stamps, which poses in the form of KITTI do not have" if stamps_ns is None else f"{len(stamps_ns)} poses"
+        )
+        got = f"{len(table.lines)} poses" + ("" if stamps_ns is None else ", in a form without stamps (KITTI)")
+        raise InputError(path, f"expected {wanted}, got {got}")
+    matrices = table.values.reshape(-1, 3, 4)
+    rotations = matrices[:, :, :3]
+    proper = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) <= 0.01
+    check_rows(path, table.lines, proper, lambda row: "expected the matrix of a rotation in the first three columns")
+    axes = [2, 0] if np.ptp(matrices[:, 1, 3]) < np.ptp(matrices[:, 2, 3]) else [0, 1]  # a camera's, or a robot's
+    sign = -1.0 if axes == [2, 0] else 1.0
+    x, y = matrices[:, axes, 3].T * [[1.0], [sign]]
+    ahead = matrices[:, axes, axes[0]]
+    table = table._replace(values=np.column_stack([x, y]))
+    _check_positions(path, table)
+    yaw = wrap(np.arctan2(sign * ahead[:, 1], ahead[:, 0]))
+    return Trajectory(stamps_ns, np.column_stack([x, y, yaw]))
+
+
 def read_tum(path: str | Path) -> Trajectory:
     """Read a trajectory, in file order; the heading is the yaw of the quaternion.
+
+    Stamps are in s, or in ns where the first one is a whole number of 17 digits or more.
 
     Raises
     ------
@@ -68,7 +137,13 @@ def read_tum(path: str | Path) -> Trajectory:
         Where the file cannot be read, holds no pose, or a line is not eight finite numbers with a position within 1e9 m
         and a quaternion of unit norm (within 1 %).
     """
-    table = read_table(path, "stamp x y z qx qy qz qw", stamps=1)
+    first = next(read_numbered_lines(path), (0, ""))[1].split()
+    parse = parse_whole_ns if first and _is_ns(first[0]) else parse_stamp_ns
+    return _of_quaternions(path, read_table(path, "stamp x y z qx qy qz qw", 1, parse_stamp=parse))
+
+
+def _of_quaternions(path: str | Path, table: Table) -> Trajectory:
+    """Planar poses of rows x y z qx qy qz qw."""
     x, y, _, qx, qy, qz, qw = table.values.T
     norm = np.sqrt(qx**2 + qy**2 + qz**2 + qw**2)
     unit = abs(norm - 1) <= 0.01

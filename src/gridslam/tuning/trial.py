@@ -14,7 +14,7 @@ from gridslam.evaluation.self_consistency import measure_self_consistency
 from gridslam.evaluation.trajectory import absolute_errors, clip_relations, relation_errors
 from gridslam.io.limits import limit_memory
 from gridslam.io.log import LogOptions, open_log
-from gridslam.io.trajectories import read_relations, read_tum
+from gridslam.io.trajectories import read_relations, read_trajectory
 from gridslam.types import Trajectory
 
 __all__ = ["TARGET", "find_reference", "run_trial"]
@@ -83,6 +83,6 @@ def _measure_error(trajectory: Trajectory, log: str, reference: Path) -> float:
             raise InputError(reference, f"expected a relation within the time of this part of {log}, got none")
         return relation_errors(trajectory, relations).trans_mean_m
     try:
-        return absolute_errors(trajectory, read_tum(reference)).trans_rmse_m
+        return absolute_errors(trajectory, read_trajectory(reference, trajectory.stamps_ns)).trans_rmse_m
     except ArgumentError as error:
         raise InputError(reference, f"cannot be compared with {log}: {error}") from None

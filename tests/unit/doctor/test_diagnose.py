@@ -254,3 +254,18 @@ def test_whatever_a_reader_gives_is_diagnosed(data):
     for finding in diagnosis.findings:
         if finding.figure is not None:
             draw_chart(finding.figure)
+
+
+def test_what_the_reader_misses_is_reported_at_once_and_kept():
+    """An unknown mounting and a missing file by the first minute's end, other warnings at the end; each once."""
+    source, told = Memory(drive(100)), []
+    log = CheckedLog(source, lambda found: told.extend((source.statistics.scan_count, f.code) for f in found))
+    for k, _ in enumerate(log):
+        statistics = source.statistics
+        statistics.missing_transforms["mounting: no transform names laser: taken to be at the robot's base"] = k + 1
+        statistics.missing_files = ("split_1.db3",)
+        statistics.clock_offset_s = 2.5 if k == 499 else 0.0
+    assert told == [(300, "missing_files"), (300, "missing_transform"), (500, "clock_skew")]
+    assert set(log.statistics.faults) == {"missing_files", "missing_transform", "clock_skew"}
+    assert "split_1.db3" in log.statistics.faults["missing_files"]
+    assert "odometry are 2.5 s ahead" in log.statistics.faults["clock_skew"]

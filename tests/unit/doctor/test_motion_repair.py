@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from gridslam.api.mapping import map_log
 from gridslam.config import Configuration
 from gridslam.doctor.calibration import calibrate
 from gridslam.doctor.laser_motion import laser_motion
+from gridslam.doctor.motion_findings import motion_findings
 from gridslam.doctor.repair import (
     Repair,
     RepairedLog,
@@ -171,3 +174,40 @@ def test_what_a_repair_takes_out_is_told_before_the_first_measurement(tmp_path):
     assert abs(source.repair.yaw_rad) == pytest.approx(np.pi, abs=0.1)
     assert first.scan.stamp_ns == measurements[0].scan.stamp_ns
     assert not list(Repair().describe())
+
+
+def mirrored(measurements, sign):
+    """The log with the signs of its odometry (x, y, theta) changed."""
+    return [m._replace(odometry=replace(m.odometry, pose=m.odometry.pose * sign)) for m in measurements]
+
+
+@pytest.mark.parametrize(("sign", "what"), [((1, 1, -1), "heading"), ((1, -1, 1), "path")])
+def test_an_odometry_that_contradicts_itself_is_mirrored_and_not_the_laser(sign, what):
+    measurements, truth = log(scans=300)
+    faulty = mirrored(measurements, np.array(sign))
+    repair = find_needed_repair(calibrate_early(faulty))
+    assert repair == Repair(mirrored=what)
+    (finding,) = (f for f in motion_findings(laser_motion(faulty)) if f.is_fault)
+    assert finding.code == "odometry_mirrored"
+    clean, mended = (error_m(m, truth) for m in (measurements, repair_measurements(faulty, repair)))
+    assert mended < clean + 0.03
+
+
+def test_an_odometry_that_is_mirrored_as_a_whole_is_not_told_from_a_mirrored_laser():
+    faulty = mirrored(log(scans=300)[0], np.array([1, -1, -1]))
+    assert find_needed_repair(calibrate_early(faulty)) == Repair(reflected=True)
+    (finding,) = (f for f in motion_findings(laser_motion(faulty)) if f.is_fault)
+    assert finding.code == "reflected_laser"
+    assert "Laser or odometry is mirrored" in finding.message
+
+
+def test_a_yaw_that_brings_laser_and_odometry_no_nearer_is_not_corrected():
+    """A laser whose matches are noise about the robot's start: some yaw always fits best."""
+    found = calibrate(perfect(60.0, declared_yaw=0.2 - 2.0))
+    assert found.yaw_improves
+    assert find_needed_repair(found).yaw_rad == pytest.approx(2.0, abs=0.01)
+    assert find_needed_repair(replace(found, yaw_improves=False)) == Repair()
+    unrelated = perfect(60.0, declared_yaw=0.2 - 2.0)
+    noise = 0.05 * np.random.default_rng(0).standard_normal((len(unrelated), 2))
+    poses = np.column_stack([noise, unrelated.poses[:, 2]])
+    assert not calibrate(replace(unrelated, poses=poses)).yaw_improves

@@ -13,7 +13,7 @@ from gridslam.doctor import Severity
 from gridslam.doctor.reader import estimate_cost, reader_findings
 from gridslam.io.log_statistics import LogStatistics, Topic
 from gridslam.io.measurement import Measurement
-from gridslam.types import ScanGeometry
+from gridslam.types import Odometry, ScanGeometry
 from support.hand_logs import BEARINGS, drive, findings, seen, view
 
 
@@ -205,3 +205,21 @@ def test_the_expected_cost_is_that_of_logs_that_were_measured(scans, key_scans, 
     assert found.size == pytest.approx(cpu_s, rel=0.5)
     told = float(found.message.split(" MB")[0].split()[-1])
     assert told == pytest.approx(memory_mb, rel=0.25)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000, "millimetres"), (100, "centimetres")])
+def test_an_odometry_in_another_unit_is_named_by_its_speed(factor, unit):
+    far = [m._replace(odometry=Odometry.at(m.scan.stamp_ns, m.odometry.pose * (factor, factor, 1))) for m in drive()]
+    found = findings(far)
+    assert found["odometry_units"].size == pytest.approx(0.3 * factor, rel=0.05)
+    assert f"in {unit}, not in metres" in found["odometry_units"].message
+    assert "odometry_jumps" not in found
+    assert "odometry_units" not in findings(drive(v=1.5))
+
+
+def test_one_jump_is_no_other_unit():
+    jumped = [
+        m._replace(odometry=Odometry.at(m.scan.stamp_ns, m.odometry.pose + np.array([500.0 * (k > 50), 0, 0])))
+        for k, m in enumerate(drive())
+    ]
+    assert "odometry_units" not in findings(jumped)

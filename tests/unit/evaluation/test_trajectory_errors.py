@@ -135,7 +135,26 @@ def test_rotation_errors_cross_the_seam():
 
 def test_poses_without_partner_do_not_count():
     late = trajectory(straight(1.0).poses, straight(1.0).stamps_ns + np.where(np.arange(11) < 4, 0, 30_000_000))
-    assert absolute_errors(late, straight(1.0)).n == 4
+    assert absolute_errors(late, straight(1.0), max_gap_ns=0).n == 4
+
+
+def test_the_reference_is_interpolated_up_to_a_gap():
+    """Where it has poses around a stamp, each a second from the next; not in a gap of two, and not beyond its ends."""
+    truth = straight(1.0)
+    between_them = trajectory(truth.poses + np.array([0.3, 0.0, 0.0]), truth.stamps_ns + 300_000_000)
+    found = absolute_errors(between_them, truth, aligned=False)
+    assert found.n == 10, "the last one lies behind the reference"
+    assert found.trans_max_m < 1e-9
+    left = np.arange(11) != 5
+    holed = trajectory(truth.poses[left], truth.stamps_ns[left])
+    assert absolute_errors(between_them, holed).n == 8
+    assert absolute_errors(between_them, holed, max_gap_ns=2_000_000_000).n == 10
+
+
+def test_times_without_anything_in_common_are_described():
+    late = trajectory(straight(1.0).poses, straight(1.0).stamps_ns + 1_700_000_000_000_000_000)
+    with pytest.raises(ArgumentError, match=r"to 1700000010\.000 s, and the reference from 0\.000"):
+        absolute_errors(late, straight(1.0))
     with pytest.raises(ArgumentError, match="estimate"):
         absolute_errors(trajectory(np.zeros((1, 3)), [100 * SECOND]), straight(1.0))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError
-from gridslam.geometry.angles import normalize_weights, wrap
+from gridslam.geometry.angles import find_wrong_beam_angles, normalize_weights, wrap
 
 TURN = 2 * math.pi
 
@@ -53,3 +53,42 @@ def test_shares_sum_to_one_at_the_ends_of_the_number_range() -> None:
 def test_bad_weights_are_refused(weights: object) -> None:
     with pytest.raises(ArgumentError, match="weights"):
         normalize_weights(weights)
+
+
+@pytest.mark.parametrize(
+    ("start", "step", "beams", "end"),
+    [
+        (-math.pi, TURN / 360, 360, math.nan),  # nothing stated
+        (-math.pi, TURN / 360, 360, math.pi),  # the beam that would follow the last one
+        (-math.pi, TURN / 359, 360, math.pi),
+        (-math.pi, TURN / 360, 361, math.pi),
+        (0.0, TURN / 360, 360, 0.0),  # left at 0
+        (math.pi / 2, TURN / 360, 360, math.pi / 2 - TURN / 360),  # a whole turn away
+        (2.5, 0.01, 200, 2.5 + 1.99 - TURN),  # across the cut at pi
+        (math.pi, -TURN / 720, 720, -math.pi),  # clockwise
+        (-2.0, 0.0175, 230, 2.0),  # rounded to a few digits
+        (0.0, 0.0, 1, 0.0),
+        (0.0, 0.1, 0, 0.0),
+    ],
+)
+def test_the_angles_of_drivers_that_are_used_are_right(start, step, beams, end):
+    assert find_wrong_beam_angles(start, step, beams, end) == ""
+
+
+@pytest.mark.parametrize(
+    ("start", "step", "beams", "end", "problem"),
+    [
+        (-math.pi, math.pi / 360, 360, math.pi, "not at angle_max 3.14159"),
+        (-math.pi, 4 * math.pi / 360, 360, math.pi, "not at angle_max 3.14159"),
+        (-math.pi, -TURN / 360, 360, math.pi, "not at angle_max 3.14159"),  # turned the other way
+        (-math.pi, TURN / 360, 360, 180.0, "look like degrees"),
+        (-180.0, TURN / 360, 360, 180.0, "look like degrees"),
+        (-180.0, 1.0, 360, 179.0, "more than one turn: the angles look like degrees"),
+        (-180.0, 0.01, 360, math.nan, "look like degrees"),
+        (0.0, 2 * TURN / 360, 360, math.nan, "more than one turn"),
+        (0.0, 0.0, 360, 3.0, "all point one way"),
+        (math.nan, 0.1, 360, 3.0, "expected finite angles"),
+    ],
+)
+def test_angles_that_no_laser_has_are_described_by_their_numbers(start, step, beams, end, problem):
+    assert problem in find_wrong_beam_angles(start, step, beams, end)

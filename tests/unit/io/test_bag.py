@@ -54,6 +54,40 @@ def test_mounting_and_beams(tmp_path):
     assert (laser.range_min_m, laser.range_max_m) == (0.5, 3.5)
 
 
+@pytest.mark.parametrize("ahead_s", [1000.0, -3.0, 2.0])
+@pytest.mark.parametrize("on_tf", [False, True])
+def test_two_clocks_are_named_with_their_offset(tmp_path, ahead_s, on_tf):
+    """Recorded at the same time, stamped by clocks that differ; recorded by their stamps, one after the other."""
+    said = [transform(0.0, "base_link", "laser", (0.1, 0, 0))]
+    for k in range(100):
+        if on_tf:
+            said.append(transform(k / 10, "odom", "base_link", topic="/tf", stamp_s=100 + k / 10 + ahead_s))
+        else:
+            said.append(odometry("/odom", k / 10, (0, 0, 0), stamp_s=100 + k / 10 + ahead_s))
+        said.append(scan("/scan", k / 10, FOUR, stamp_s=100 + k / 10))
+    log = log_of(tmp_path, said)
+    assert log.statistics.clock_offset_s == 0
+    list(log)
+    assert log.statistics.clock_offset_s == pytest.approx(ahead_s, abs=0.11)
+
+
+def test_two_clocks_are_named_where_messages_are_recorded_by_their_stamps(tmp_path):
+    said = [odometry("/odom", 100 + k / 10, (0, 0, 0)) for k in range(50)]
+    said += [scan("/scan", 200 + k / 10, FOUR) for k in range(50)]
+    log = log_of(tmp_path, said)
+    list(log)
+    assert log.statistics.clock_offset_s == pytest.approx(-100)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.4, -0.4])
+def test_messages_that_come_late_are_of_one_clock(tmp_path, late_s):
+    said = [odometry("/odom", k / 10, (0, 0, 0), stamp_s=100 + k / 10 - late_s) for k in range(50)]
+    said += [scan("/scan", k / 10, FOUR, stamp_s=100 + k / 10) for k in range(50)]
+    log = log_of(tmp_path, sorted(said, key=lambda each: each.time_ns))
+    list(log)
+    assert log.statistics.clock_offset_s == 0
+
+
 @pytest.mark.parametrize("increment", [2.5, 3e38, math.inf])
 def test_beam_times_that_mean_nothing_are_told(tmp_path, increment):
     log = log_of(tmp_path, [*drive(scans=False), scan("/scan", 1.0, FOUR, time_increment=increment)])
@@ -294,7 +328,7 @@ def test_memory_does_not_grow_with_the_length_of_the_log(tmp_path):
     """The same to 1 MB, about a chunk, for 400 and 1600 scans of 1000 beams, whose messages alone are 5.9 MB more."""
     peaks = []
     for count in (400, 1600):
-        said = [scan("/scan", 0.1 * step, np.ones(1000)) for step in range(count)]
+        said = [scan("/scan", 0.1 * step, np.ones(1000), angles=(-3.0, 0.006)) for step in range(count)]
         said += [odometry("/odom", 0.1 * step, (0, 0, 0)) for step in range(count)]
         log = log_of(tmp_path, sorted(said, key=lambda each: each.time_ns))
         assert len(list(log)) == count  # what is imported and cached once

@@ -197,3 +197,33 @@ def test_a_chain_with_a_hole_is_told(tmp_path):
     message = refused(tmp_path, said)
     assert "no transform joins the frames base_footprint and laser" in message
     assert "odom <- base_footprint and base_link <- laser" in message
+
+
+def scans(count=4, **fields):
+    return [scan("/scan", step / 10, FOUR, **fields) for step in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("fields", "problem"),
+    [
+        (
+            {"angles": (-1.0, 0.25), "angle_max": 0.6},
+            "angle_min -1 in steps of angle_increment 0.25 rad, which end at -0.25 rad, not at angle_max 0.6",
+        ),
+        ({"angles": (-90.0, 60.0)}, "look like degrees"),
+        ({"angles": (-1.0, 0.0), "angle_max": 1.0}, "all point one way"),
+    ],
+)
+def test_angles_that_no_map_can_be_made_of_are_refused_with_all_numbers(tmp_path, fields, problem):
+    said = refused(tmp_path, scans(**fields))
+    assert "the scans of /scan" in said
+    assert problem in said
+
+
+def test_one_scan_of_other_angles_among_many_is_no_reason(tmp_path):
+    assert choice_of(tmp_path, [*scans(), scan("/scan", 1.0, FOUR, angle_max=2.0)]).scans == ("/scan",)
+
+
+def test_intensities_without_ranges_are_named(tmp_path):
+    said = refused(tmp_path, [scan("/scan", step / 10, [], intensities=FOUR) for step in range(4)])
+    assert "the scans of /scan: expected ranges, got none, and 4 intensities" in said

@@ -78,6 +78,34 @@ def test_files_of_one_bag_follow_each_other_by_time(tmp_path):
     assert bag.topics["/odom"].messages == 61
 
 
+def split_bag(folder):
+    """A bag of two files, with the metadata that lists both."""
+    said = ros_bags.drive(2.0)
+    whole = ros_bags.write(folder, "db3", said)
+    (whole / "log.db3").rename(whole / "log_0.db3")
+    text = (whole / "metadata.yaml").read_text()
+    assert text.count("- log.db3") == 1
+    (whole / "metadata.yaml").write_text(text.replace("- log.db3", "- log_0.db3\n  - log_1.db3"))
+    return whole
+
+
+def test_a_file_of_a_bag_that_is_not_there_is_named(tmp_path):
+    folder = split_bag(tmp_path)
+    assert Ros2Bag(folder).missing_files == ("log_1.db3",)
+    shutil.copy(folder / "log_0.db3", folder / "log_1.db3")
+    assert Ros2Bag(folder).missing_files == ()
+
+
+def test_files_by_other_names_and_damaged_metadata_miss_nothing(tmp_path):
+    folder = split_bag(tmp_path)
+    shutil.copy(folder / "log_0.db3", folder / "renamed.db3")
+    assert Ros2Bag(folder).missing_files == ()
+    (folder / "renamed.db3").unlink()
+    for text in ("", "a: [", "- 1", "rosbag2_bagfile_information: 3", "\0", "rosbag2_bagfile_information: {}"):
+        (folder / "metadata.yaml").write_text(text)
+        assert Ros2Bag(folder).missing_files == ()
+
+
 def test_topics_written_one_after_another_are_merged(tmp_path):
     said = sorted(ros_bags.drive(300.0), key=lambda each: each.topic)  # as converters write: all odometry, all scans
     bag = Ros1Bag(ros_bags.write(tmp_path, "ros1", said))

@@ -267,11 +267,20 @@ def test_rear_offset_in_the_lines(read, yaw_in_line):
 
 
 @pytest.mark.parametrize(
-    ("start", "step"), [("1e300", "0.01"), ("1e8", "0.01"), ("0", "1e308"), ("nan", "0.01"), ("0", "-1")]
+    ("start", "step", "problem"),
+    [
+        ("1e300", "1.5", "look like degrees"),
+        ("-90", "1.5", "look like degrees"),
+        ("0", "1e308", "expected finite angles"),
+        ("0", "0.75", "which end at 1.5 rad, not at angle_max 3"),
+        ("nan", "1.5", "expected finite angles"),
+        ("0", "0", "expected a positive angular resolution"),
+        ("0", "-1", "expected a positive angular resolution"),
+    ],
 )
-def test_angles_that_no_laser_has_name_file_and_line(tmp_path, start, step):
+def test_angles_that_no_laser_has_name_file_and_line(tmp_path, start, step, problem):
     good = "ROBOTLASER1 0 -1.5 3 1.5 80 0.01 0 3 1 1 1 0 0 0 0 0 0 0 0 0 0 0 0 {} a {}\n"
     bad = good.replace("0 -1.5 3 1.5", f"0 {start} 3 {step}")
     (tmp_path / "log.clf").write_text(good.format(1, 1) + bad.format(2, 2))
-    with pytest.raises(InputError, match=r"log\.clf, line 2: expected a start angle and a positive angular resolution"):
+    with pytest.raises(InputError, match=rf"log\.clf, line 2: .*{problem}"):
         list(CarmenLog(tmp_path / "log.clf"))

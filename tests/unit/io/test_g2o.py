@@ -109,8 +109,8 @@ def test_line_ends_of_other_systems(file):
 
 
 def test_unknown_tags_are_counted(file):
-    read = read_g2o(file(f"{SMALL}VERTEX_XY 1 2 3\nPARAMS a\nVERTEX_XY 2 2 3"), skip_unknown=True)
-    assert read.skipped == {"VERTEX_XY": 2, "PARAMS": 1}
+    read = read_g2o(file(f"{SMALL}VERTEX_CAM 1 2 3\nPARAMS a\nVERTEX_CAM 2 2 3"), skip_unknown=True)
+    assert read.skipped == {"VERTEX_CAM": 2, "PARAMS": 1}
 
 
 def test_one_vertex_is_a_graph(file):
@@ -171,7 +171,7 @@ def test_many_lonely_vertices_are_not_all_named(file):
 
 def test_lines_that_are_passed_over_do_not_join(file):
     with pytest.raises(InputError, match="cannot be reached"):
-        read_g2o(file(f"{TWO}EDGE_SE2_XY 0 1 2 3 4 5\n"), skip_unknown=True)
+        read_g2o(file(f"{TWO}EDGE_SE2_XYZ 0 1 2 3 4 5\n"), skip_unknown=True)
 
 
 def test_no_file_and_a_cut_off_one(tmp_path):
@@ -251,3 +251,51 @@ def test_real_graphs(data_dir, name, vertices, edges, closures):
     graph = read_g2o(data_dir / "graphs" / f"{name}.g2o.gz").graph
     assert (len(graph.poses), len(graph.edges), (~graph.trusted).sum()) == (vertices, edges, closures)
     assert np.isfinite(graph.chi2())
+
+
+SQUARE = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0.1\nVERTEX_SE2 2 1.1 1 1.5\n"
+SQUARE_EDGES = "EDGE_SE2 0 1 1 0 0.05 1 2 3 40 5 60\nEDGE_SE2 1 2 0.1 1 1.5 1 0.2 0.3 4 0.5 6\n"
+
+
+def test_a_graph_in_the_form_of_toro_is_the_same_graph(file):
+    """TORO names its tags otherwise, and has the information in the order xx xy yy tt xt yt."""
+    of_g2o = read_g2o(file(SQUARE + SQUARE_EDGES)).graph
+    edges = "EDGE2 0 1 1 0 0.05 1 2 40 60 3 5\nEDGE2 1 2 0.1 1 1.5 1 0.2 4 6 0.3 0.5\n"
+    of_toro = read_g2o(file(SQUARE.replace("VERTEX_SE2", "VERTEX2") + edges)).graph
+    for name in ("poses", "edges", "measurements", "information", "trusted"):
+        np.testing.assert_array_equal(getattr(of_toro, name), getattr(of_g2o, name))
+
+
+def test_landmarks_are_where_their_measurements_put_them(file, tmp_path):
+    """Two measurements of one place, each as certain: their mean. The poses stay as if there were no landmark."""
+    poses = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 1e6 0 0 1e6 0 1e6\n"
+    seen = "EDGE_SE2_XY 0 7 2 2.2 1 0 1\nEDGE_SE2_XY 1 7 1 2 1 0 1\n"
+    source = read_g2o(file(f"{poses}VERTEX_XY 7 5 5\n{seen}"))
+    assert source.is_landmark.tolist() == [False, False, True]
+    assert source.graph.trusted.tolist() == [True, False, False]
+    solution = GraphSlam().solve(source.graph)
+    np.testing.assert_allclose(solution.graph.poses[2, :2], [2.0, 2.1], atol=1e-5)
+    np.testing.assert_allclose(solution.graph.poses[:2], [[0, 0, 0], [1, 0, 0]], atol=1e-5)
+    write_g2o(tmp_path / "b.g2o", solution.graph, source.ids, source.order, source.is_landmark)
+    text = (tmp_path / "b.g2o").read_text()
+    assert text.count("VERTEX_XY 7 ") == 1
+    assert "EDGE_SE2_XY 0 7 2.0 2.2 1.0 0.0 1.0\n" in text
+    again = read_g2o(tmp_path / "b.g2o")
+    np.testing.assert_array_equal(again.is_landmark, source.is_landmark)
+    np.testing.assert_array_equal(again.graph.information, source.graph.information)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("VERTEX_XY 7 1\n", "expected 'VERTEX_XY id x y'"),
+        ("EDGE_SE2_XY 0 1 2 2 1 5 1\n", "positive definite"),
+        ("EDGE_SE2_XY 0 1 2 2 1e30 0 1\n", "information up to 1e+18"),
+        ("EDGE2 0 1 2 2 0 1 0 1\n", "expected 'EDGE2 from to x y theta I_xx I_xy I_yy I_tt I_xt I_yt'"),
+    ],
+)
+def test_lines_of_other_forms_are_checked_as_others(file, line, said):
+    with pytest.raises(InputError) as caught:
+        read_g2o(file(TWO + line))
+    assert said in str(caught.value)
+    assert caught.value.line == 3

@@ -122,6 +122,9 @@ def test_ways_to_say_the_same(tmp_path, yaml):
         (YAML.replace("0.05", "wide"), 2, "number for resolution"),
         (YAML.replace("[-1.5, 2, 0]", "[-1.5, 2]"), 3, "origin"),
         (YAML.replace("2, 0]", "2, 0.5]"), 3, "rotated"),
+        (YAML.replace("2, 0]", "2, -3.14159]"), 3, "rotated"),
+        (YAML.replace("2, 0]", "2, inf]"), 3, "number for origin"),
+        (YAML.replace("2, 0]", "nan, 0]"), 3, "number for origin"),
         (YAML.replace("negate: 0", "negate: maybe"), 4, "negate"),
         (YAML.replace("0.196", "0.7"), 6, "free_thresh"),
         (YAML + "mode: grey\n", 7, "mode"),
@@ -134,6 +137,34 @@ def test_bad_yaml(tmp_path, yaml, line, problem):
     with pytest.raises(InputError, match=problem) as caught:
         read_map(write(tmp_path, [[0]], yaml))
     assert caught.value.line == line
+
+
+@pytest.mark.parametrize("name", ["/home/user/map.pgm", "~/map.pgm", r"C:\Users\me\map.pgm", "../maps/map.pgm"])
+def test_an_image_that_was_moved_is_found_beside_its_yaml(tmp_path, name):
+    told = []
+    path = write(tmp_path, [[0, 254]], YAML.replace("map.pgm", name))
+    assert states(read_map(path, on_remark=told.append)) == [[1, 0]]
+    assert told == [f"the image {name} is not there: map.pgm beside the YAML file is read"]
+    (tmp_path / "map.pgm").rename(tmp_path / "other.pgm")
+    with pytest.raises(InputError, match="no such file"):
+        read_map(path)
+
+
+def test_an_image_that_is_where_it_is_named_is_read(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    path = write(tmp_path, [[0, 254]], YAML.replace("map.pgm", str(tmp_path / "elsewhere" / "map.pgm")))
+    write(tmp_path / "elsewhere", [[254, 254]])
+    told = []
+    assert states(read_map(path, on_remark=told.append)) == [[0, 0]]
+    assert told == []
+
+
+@pytest.mark.parametrize("yaw", ["0.0001", "-0.001", ".nan", "nan", "-nan"])
+def test_a_yaw_that_turns_nothing_is_taken_as_0(tmp_path, yaw):
+    told = []
+    path = write(tmp_path, [[0, 254]], YAML.replace("2, 0]", f"2, {yaw}]"))
+    assert states(read_map(path, on_remark=told.append)) == [[1, 0]]
+    assert told == [f"the yaw {yaw} of the origin is taken as 0"]
 
 
 def test_bad_images(tmp_path):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from gridslam.errors import InputError
 from gridslam.io.tables import format_stamp_ns
-from gridslam.io.trajectories import read_relations, read_tum, write_trajectory_csv, write_tum
+from gridslam.io.trajectories import read_relations, read_trajectory, read_tum, write_trajectory_csv, write_tum
 from gridslam.types import Trajectory
 
 stamps = st.integers(-(10**18), 4 * 10**18)
@@ -57,6 +57,74 @@ def test_bad_tum(tmp_path, text, line):
     (tmp_path / "t.tum").write_text(text)
     with pytest.raises(InputError) as caught:
         read_tum(tmp_path / "t.tum")
+    assert caught.value.line == line
+
+
+STAMPS = np.array([1_700_000_000_000_000_000, 1_700_000_000_200_000_001])
+POSES = np.array([[1.0, -2.5, 0.3], [1.2, -2.4, 3.1]])
+QUATERNIONS = [(np.sin(t / 2), np.cos(t / 2)) for t in POSES[:, 2].tolist()]
+
+
+def in_form(form):
+    """The same two poses in a form of text."""
+    lines = {
+        "tum": [
+            f"{format_stamp_ns(s)} {x} {y} 0 0 0 {z} {w}"
+            for s, (x, y, _), (z, w) in zip(STAMPS.tolist(), POSES.tolist(), QUATERNIONS, strict=True)
+        ],
+        "tum_ns": [
+            f"{s} {x} {y} 0 0 0 {z} {w}" for s, (x, y, _), (z, w) in zip(STAMPS, POSES, QUATERNIONS, strict=True)
+        ],
+        "euroc": ["#timestamp,p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []"]
+        + [f"{s},{x},{y},0,{w},0,0,{z}" for s, (x, y, _), (z, w) in zip(STAMPS, POSES, QUATERNIONS, strict=True)],
+        "euroc_17": [
+            f"{s},{x},{y},0,{w},0,0,{z}" + ",0" * 9
+            for s, (x, y, _), (z, w) in zip(STAMPS, POSES, QUATERNIONS, strict=True)
+        ],
+        "kitti": [
+            f"{np.cos(t)} {-np.sin(t)} 0 {x} {np.sin(t)} {np.cos(t)} 0 {y} 0 0 1 0" for x, y, t in POSES.tolist()
+        ],
+        # A camera looks along z, x points to the right and y down: the robot's x, -y and -z.
+        "kitti_camera": [
+            f"{np.cos(t)} 0 {-np.sin(t)} {-y} 0 1 0 0 {np.sin(t)} 0 {np.cos(t)} {x}" for x, y, t in POSES.tolist()
+        ],
+    }[form]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("form", ["tum", "tum_ns", "euroc", "euroc_17", "kitti", "kitti_camera"])
+def test_the_same_trajectory_in_every_form(tmp_path, form):
+    (tmp_path / "t.txt").write_text(in_form(form))
+    back = read_trajectory(tmp_path / "t.txt", STAMPS)
+    assert back.stamps_ns.tolist() == STAMPS.tolist()
+    np.testing.assert_allclose(back.poses, POSES, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "problem"),
+    [(None, "expected stamps, which poses in the form of KITTI do not have"), (STAMPS[:1], "expected 1 poses, got 2")],
+)
+def test_kitti_needs_the_stamps_of_each_pose(tmp_path, stamps, problem):
+    (tmp_path / "t.txt").write_text(in_form("kitti"))
+    with pytest.raises(InputError, match=problem):
+        read_trajectory(tmp_path / "t.txt", stamps)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("1700000000000000000,0,0,0,1,0,0,0\n1.5,0,0,0,1,0,0,0\n", 2),
+        ("1700000000000000000,0,0,0,2,0,0,0\n", 1),
+        ("1700000000000000000,0,0,0,1,0,0,x\n", 1),
+        ("1700000000000000000 0 0 0 0 0 0 1\n9999999999999999999 0 0 0 0 0 0 1\n", 2),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n2 0 0 0 0 1 0 0 0 0 1 0\n", 2),
+        ("1 0 0 1e12 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 0\n", 1),
+    ],
+)
+def test_bad_rows_of_other_forms(tmp_path, text, line):
+    (tmp_path / "t.txt").write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_trajectory(tmp_path / "t.txt", STAMPS)
     assert caught.value.line == line
 
 

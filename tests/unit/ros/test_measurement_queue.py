@@ -249,10 +249,11 @@ def test_every_third_scan_is_taken_where_that_is_asked_for():
         ({"frame": ""}, "expected the name of a frame"),
         ({"frame": "laser\nfake"}, "expected the name of a frame"),
         ({"range_min": math.inf}, "range_min is infinite"),
-        ({"angle_min": math.nan}, "expected beams within one turn"),
-        ({"angle_increment": math.inf}, "expected beams within one turn"),
-        ({"angle_increment": 0.0}, "expected beams within one turn"),
-        ({"angle_increment": 1.0}, "expected beams within one turn"),
+        ({"angle_min": math.nan}, "expected finite angles"),
+        ({"angle_increment": math.inf}, "expected finite angles"),
+        ({"angle_increment": 0.0}, "all point one way"),
+        ({"angle_increment": 1.0}, "look like degrees"),
+        ({"angle_max": 2.0}, "not at angle_max 2"),
     ],
 )
 def test_a_wrong_scan_is_refused_by_name_and_the_next_one_is_taken(change, says):

@@ -22,7 +22,7 @@ from gridslam.io.text import open_for_reading
 from gridslam.transforms import Coverage
 from gridslam.types import FloatArray, LaserScan, Odometry, ScanGeometry
 
-__all__ = ["BagLog", "BagScanBuilder"]
+__all__ = ["BagLog", "BagScanBuilder", "ClockComparison"]
 
 _ALL = LogOptions()
 _LATE_S = 1.0  # transforms on /tf are published at least this often
@@ -80,9 +80,11 @@ class BagLog:
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start."""
         statistics = self.statistics = self._new_statistics()
-        yield from _BagReading(self._source, self._seen, self.choice, statistics).measurements()
+        reading = _BagReading(self._source, self._seen, self.choice, statistics)
+        yield from reading.measurements()
         statistics.bytes_read = self._source.bytes_read
         statistics.truncated = self._source.is_truncated
+        statistics.clock_offset_s = reading.clocks.offset_s
         if not statistics.scan_count:
             raise InputError(self.path, f"there are no scans on {', '.join(self.choice.scans)}")
 
@@ -90,6 +92,7 @@ class BagLog:
         source = self._source
         choice = self.choice
         statistics = LogStatistics(total_bytes=source.total_bytes, topics=dict(source.topics))
+        statistics.missing_files = source.missing_files
         statistics.truncated = source.is_truncated
         if choice.odometry_frame:
             statistics.odometry_source = choice.odometry or f"{choice.odometry_frame} to {choice.base_frame} on /tf"
@@ -142,6 +145,7 @@ class _BagReading:
         self._statistics = statistics
         self._rig = Rig(choice, seen)
         self._maker = BagScanBuilder()
+        self.clocks = ClockComparison()
         self._waiting: deque[_Waiting] = deque()
         self._latest_ns = dict.fromkeys(choice.scans, -1)
         wanted = {*choice.scans, choice.odometry, *self._rig.topics}
@@ -160,14 +164,17 @@ class _BagReading:
             self._await(name, message, time_ns)
             return True
         try:
+            news = False
             if isinstance(message, list):
-                news = False
                 for transform in message:
                     news |= self._rig.add_transform(transform)
-                return news
-            stamped = self._seen.odometry[name].stamped
-            self._rig.add_odometry(message if stamped else message._replace(stamp_ns=time_ns))
-            return True
+            else:
+                stamped = self._seen.odometry[name].stamped
+                self._rig.add_odometry(message if stamped else message._replace(stamp_ns=time_ns))
+                news = True
+            if news:
+                self.clocks.add_odometry(self._rig.latest_ns, time_ns)
+            return news
         except ArgumentError:
             self._statistics.remarks[f"a reading of {name} is no pose: left out"] += 1
             return False
@@ -176,6 +183,7 @@ class _BagReading:
         """Put a scan in the queue: behind those of its own laser, and by its stamp among those of others."""
         stamp_ns = message.stamp_ns if self._seen.scans[name].stamped else time_ns
         self._latest_ns[name] = max(stamp_ns, self._latest_ns[name])
+        self.clocks.add_scan(stamp_ns, time_ns)
         waiting = self._waiting
         place = len(waiting)
         while place and waiting[place - 1].stamp_ns > stamp_ns and waiting[place - 1].topic != name:
@@ -217,6 +225,45 @@ class _BagReading:
         statistics.count(measurement)
         statistics.bytes_read = self._source.bytes_read
         return measurement
+
+
+@final
+class ClockComparison:
+    """Compares the clocks that stamp scans and odometry, by the times at which both were recorded."""
+
+    def __init__(self) -> None:
+        """Nothing was recorded."""
+        self._latest: tuple[int, int] | None = None  # of the odometry: stamp and time of recording, ns
+        self._least_ns: int | None = None
+        self._spans: dict[str, tuple[int, int]] = {}
+
+    def add_odometry(self, stamp_ns: int, time_ns: int) -> None:
+        """Take the stamp of a reading, and when it was recorded."""
+        self._latest = stamp_ns, time_ns
+        self._extend("odometry", stamp_ns)
+
+    def add_scan(self, stamp_ns: int, time_ns: int) -> None:
+        """Take the stamp of a scan, and when it was recorded."""
+        self._extend("scans", stamp_ns)
+        if self._latest is not None:
+            apart_ns = self._latest[0] - stamp_ns - (self._latest[1] - time_ns)
+            if self._least_ns is None or abs(apart_ns) < abs(self._least_ns):
+                self._least_ns = apart_ns
+
+    def _extend(self, what: str, stamp_ns: int) -> None:
+        first, last = self._spans.get(what, (stamp_ns, stamp_ns))
+        self._spans[what] = min(first, stamp_ns), max(last, stamp_ns)
+
+    @property
+    def offset_s(self) -> float:
+        """How far the odometry's stamps are ahead, s; 0 where the messages' delays may be all there is."""
+        if len(self._spans) < 2:
+            return 0.0
+        (first, last), (begin, end) = self._spans["scans"], self._spans["odometry"]
+        apart_ns = self._least_ns or 0
+        if abs(apart_ns) <= _PATIENCE_NS and (end < first or begin > last):  # written in the order of their stamps
+            apart_ns = begin - first
+        return apart_ns / 1e9 if abs(apart_ns) > _PATIENCE_NS else 0.0
 
 
 @final

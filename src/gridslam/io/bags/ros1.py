@@ -113,6 +113,7 @@ class Ros1Bag:
         self.path = path
         self.is_ros1 = True
         self.is_truncated = False
+        self.missing_files: tuple[str, ...] = ()
         self.bytes_read = 0
         self._keep_truncated = keep_truncated
         self._connections: dict[int, _Connection] = {}

@@ -7,7 +7,7 @@ has a %, # or ? in it, and unpack whatever a file claims to hold.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import final
@@ -26,7 +26,8 @@ from gridslam.io.bags.source import (
 from gridslam.io.bags.sqlite import SQLITE_MAGIC, SqliteFile
 from gridslam.io.limits import UnpackingLimit
 from gridslam.io.log_statistics import Topic
-from gridslam.io.text import open_for_reading
+from gridslam.io.text import open_for_reading, read_text
+from gridslam.io.yaml import YamlError, parse_yaml
 
 __all__ = ["Ros2Bag"]
 
@@ -55,6 +56,7 @@ class Ros2Bag:
         self.path = path
         self.bytes_read = 0
         files = _files(path) if path.is_dir() else [path]
+        self.missing_files = _missing_files(path, files) if path.is_dir() else ()
         self._storages = [_Storage(file, keep_truncated) for file in files]
         self._storages.sort(key=lambda storage: storage.start_ns)
         self.is_ros1 = any(storage.is_ros1 for storage in self._storages)
@@ -80,8 +82,24 @@ class Ros2Bag:
         self.bytes_read = before
 
 
+def _missing_files(folder: Path, files: Sequence[Path]) -> tuple[str, ...]:
+    """Files that the metadata.yaml of a bag lists and that are not there; none without it, or where it is damaged.
+
+    As many files beside it that it does not list are taken for the same ones by other names.
+    """
+    try:
+        tree = parse_yaml(read_text(folder / "metadata.yaml"))
+        listed = tree["rosbag2_bagfile_information"]["relative_file_paths"]
+        names = [Path(name).name for name in listed]
+    except (InputError, YamlError, TypeError, KeyError, ValueError):
+        return ()
+    present = {file.name for file in files}
+    missing = [name for name in names if name not in present]
+    return tuple(missing) if len(present.difference(names)) < len(missing) else ()
+
+
 def _files(folder: Path) -> list[Path]:
-    """Files of a bag; its metadata.yaml, which a killed recorder never writes, has no further information."""
+    """Files of a bag, by their suffix: a recorder that is killed never writes its metadata.yaml."""
     found = sorted({path for name in _NAMES for path in folder.glob(name)})
     if not found:
         raise InputError(folder, "expected the folder of a ROS 2 bag, got one without .db3 or .mcap files")

@@ -54,7 +54,10 @@ class MessageError(ValueError):
 
 
 class ScanMessage(NamedTuple):
-    """sensor_msgs/LaserScan, without its intensities: angles in rad, times in s, ranges (B,) float32 in m."""
+    """sensor_msgs/LaserScan: angles in rad, times in s, ranges (B,) float32 in m, and how many intensities there are.
+
+    `angle_max` is NaN where it is not stated.
+    """
 
     stamp_ns: int
     frame: str
@@ -64,6 +67,8 @@ class ScanMessage(NamedTuple):
     range_min: float
     range_max: float
     ranges: NDArray[np.float32]
+    angle_max: float = math.nan
+    intensities: int = 0
 
 
 class OdometryMessage(NamedTuple):
@@ -161,14 +166,26 @@ def decode_scan(data: bytes, wire: Wire) -> ScanMessage:
         frame, end = wire.string(data, 12)
         if wire.aligned:
             end = (end + 3) & ~3
-        angle_min, _, increment, time_increment, _, range_min, range_max, count = wire.scan.unpack_from(data, end)
+        start, stop, increment, time_increment, _, range_min, range_max, count = wire.scan.unpack_from(data, end)
         ranges = np.frombuffer(data, wire.order + "f4", count, end + 32)
+        behind = end + 32 + 4 * count
+        intensities = wire.count.unpack_from(data, behind)[0] if len(data) >= behind + 4 else 0
     except (struct.error, ValueError) as error:
         raise MessageError(str(error)) from None
-    if not math.isfinite(angle_min + increment):
-        raise MessageError(f"its angles are from {angle_min} in steps of {increment} rad")
-    stamp_ns = seconds * 1_000_000_000 + nanoseconds
-    return ScanMessage(stamp_ns, frame, angle_min, increment, time_increment, range_min, range_max, ranges)
+    if not math.isfinite(start + increment):
+        raise MessageError(f"its angles are from {start} in steps of {increment} rad")
+    return ScanMessage(
+        seconds * 1_000_000_000 + nanoseconds,
+        frame,
+        start,
+        increment,
+        time_increment,
+        range_min,
+        range_max,
+        ranges,
+        stop,
+        intensities,
+    )
 
 
 def decode_odometry(data: bytes, wire: Wire) -> OdometryMessage:

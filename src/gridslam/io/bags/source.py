@@ -61,6 +61,8 @@ class BagSource(Protocol):
         Size, and how much of it the latest reading has taken in.
     is_truncated : bool
         Whether a part is missing, at the end or behind a damage; known at the latest once all has been read.
+    missing_files : tuple of str
+        Files that belong to it by its own list, and are not there.
     """
 
     path: Path
@@ -68,6 +70,7 @@ class BagSource(Protocol):
     is_ros1: bool
     total_bytes: int
     bytes_read: int
+    missing_files: tuple[str, ...]
 
     @property
     def is_truncated(self) -> bool:

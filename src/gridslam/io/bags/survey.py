@@ -14,6 +14,7 @@ import numpy as np
 
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry import rigid
+from gridslam.geometry.angles import find_wrong_beam_angles
 from gridslam.geometry.rigid import Rigid
 from gridslam.io.bags.ros_messages import (
     MessageError,
@@ -73,13 +74,21 @@ class Step(NamedTuple):
 @final
 @dataclass(slots=True)
 class TopicInfo:
-    """A topic of scans or odometry: frames of its first messages, and whether they are stamped."""
+    """A topic of scans or odometry: frames of its first messages, whether they are stamped, and what is wrong."""
 
     frame: str
     child_frame: str
     first_stamp_ns: int
     samples: list[tuple[int, Rigid]] = field(default_factory=list)
     stamped: bool = False
+    messages: int = 0
+    problems: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def problem(self) -> str:
+        """What is wrong with most of the messages; empty where nothing is."""
+        found, count = next(iter(self.problems.most_common(1)), ("", 0))
+        return found if 2 * count > self.messages else ""
 
 
 @final
@@ -242,11 +251,22 @@ def _note(found: Survey, name: str, message: Decoded) -> bool:
         topics[name] = TopicInfo(message.frame, child, message.stamp_ns)
     topic = topics[name]
     topic.stamped = topic.stamped or message.stamp_ns != 0
+    topic.messages += 1
+    if isinstance(message, ScanMessage) and (problem := _scan_problem(message)):
+        topic.problems[problem] += 1
     if isinstance(message, OdometryMessage) and len(topic.samples) < _SAMPLES:
         pose = found.pose(message.pose, name)
         if pose is not None:
             topic.samples.append((message.stamp_ns, pose))
     return new
+
+
+def _scan_problem(message: ScanMessage) -> str:
+    """Why no map can be made of such scans; empty where nothing is wrong."""
+    beams = len(message.ranges)
+    if not beams and message.intensities:
+        return f"expected ranges, got none, and {message.intensities} intensities: record the ranges"
+    return find_wrong_beam_angles(message.angle_min, message.angle_increment, beams, message.angle_max)
 
 
 @final
@@ -292,6 +312,9 @@ def choose(source: BagSource, seen: Survey, options: LogOptions) -> Choice:
     """
     remarks: list[str] = []
     scans = _scans(source, seen, options, remarks)
+    for name in scans:
+        if problem := seen.scans[name].problem:
+            raise InputError(source.path, f"the scans of {name}: {problem}")
     odometry = "" if options.no_odometry else _odometry_topic(source, seen, options, scans, remarks)
     above = [seen.ancestors(seen.scans[name].frame) for name in scans]
     if odometry:

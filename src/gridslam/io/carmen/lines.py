@@ -8,6 +8,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.geometry.angles import find_wrong_beam_angles
 from gridslam.io.measurement import FARTHEST_M
 from gridslam.kernels import backend
 from gridslam.types import FloatArray
@@ -18,7 +19,6 @@ SCAN_TAGS = {"FLASER": "front", "RLASER": "rear", "REMISSIONFLASER": "front", "R
 """Tags of lines that hold a scan, with the name of the sensor they are from."""
 
 _POSE = f"expected a finite x y theta of less than {FARTHEST_M:g}"
-_LARGEST_ANGLE = 1e4  # degrees may be meant, which the doctor reports
 _ROBOTLASER_TAIL = 11  # laser pose, robot pose, tv, rv, forward and side safety distance, turn axis
 
 
@@ -171,8 +171,10 @@ def _robotlaser(tag: str, values: FloatArray) -> ScanRows:
         _check_length(tag, values, n, n + 9 + _ROBOTLASER_TAIL)
     end = n + 9 + _count(tag, values, n + 8)
     _check_length(tag, values, n, end + _ROBOTLASER_TAIL)
-    start, step, max_m = values[0, [1, 3, 4]].tolist()
-    if not (abs(start) <= _LARGEST_ANGLE and 0 < step * n <= _LARGEST_ANGLE):
-        raise LineError(f"expected a start angle and a positive angular resolution in rad, got {start:g} and {step:g}")
+    start, field_of_view, step, max_m = values[0, 1:5].tolist()
+    if not step > 0:
+        raise LineError(f"expected a positive angular resolution in rad, got {step:g}")
+    if problem := find_wrong_beam_angles(start, step, n, start + field_of_view):
+        raise LineError(problem)
     layout = BeamLayout(start, step, max_m)
     return ScanRows(values[:, 8 : n + 8], values[:, end : end + 3], values[:, end + 3 : end + 6], layout)

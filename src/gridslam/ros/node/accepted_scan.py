@@ -16,6 +16,7 @@ from typing import IO, NamedTuple, final
 import numpy as np
 
 from gridslam.errors import OutputError
+from gridslam.geometry.angles import find_wrong_beam_angles
 from gridslam.io.bags.ros_messages import ScanMessage
 from gridslam.io.csv import COLUMNS, angles_of_rotation, rotation_of_angles
 from gridslam.io.measurement import Measurement
@@ -25,7 +26,6 @@ from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeom
 __all__ = ["AcceptedScan", "MeasurementBuilder", "ScanRecorder", "find_refusal_reason"]
 
 _MAX_GEOMETRIES = 64  # cheap lidars rotate unevenly, so each scan has its own angles
-_TURN_RAD = 6.3
 _NO_HIT = np.array([0.0, np.inf, np.nan])  # by status, of beams that hit nothing
 _MOUNTING_NOISE_M = 0.005  # and rad: noise of a mounting on /tf
 
@@ -68,12 +68,7 @@ def find_refusal_reason(message: ScanMessage, min_beams: int, max_beams: int) ->
         return f"expected a stamp of more than 0 s, got {message.stamp_ns} ns"
     if message.range_min == math.inf:
         return "range_min is infinite, so no range is valid"
-    start = message.angle_min
-    step = message.angle_increment
-    span = abs(step) * (beams - 1)
-    if not (abs(start) <= 2 * _TURN_RAD and 0 < span <= _TURN_RAD + abs(step) < math.inf):
-        return f"expected beams within one turn, got {beams} from {start:g} rad in steps of {step:g} rad"
-    return ""
+    return find_wrong_beam_angles(message.angle_min, message.angle_increment, beams, message.angle_max)
 
 
 @final

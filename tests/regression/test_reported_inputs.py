@@ -1,0 +1,82 @@
+"""Inputs as users have reported them, imitated from one simulated drive, and logs of robots that follow a person."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gridslam.api.evaluation import score_against_truth
+from gridslam.api.mapping import map_log
+from gridslam.doctor import diagnose
+from gridslam.errors import InputError
+from gridslam.io.log import open_log
+from gridslam.io.trajectories import read_tum
+from gridslam.types import Trajectory
+
+START_NS = 1_700_000_000_000_000_000
+
+
+def reports(data_dir):
+    folder = data_dir / "reports"
+    if not folder.is_dir():
+        pytest.skip("needs reports/ of the shared data")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        ("inc_half", r"angle_min -3\.14159 in steps of angle_increment 0\.00872665 .* not at angle_max 3\.14159"),
+        ("inc_double", r"angle_min -3\.14159 in steps of angle_increment 0\.0349066 .* not at angle_max 3\.14159"),
+        ("angles_deg", "the angles look like degrees"),
+        ("deg_noodom", "the angles look like degrees"),
+        ("inc0", "all point one way"),
+        ("intensities_only", "expected ranges, got none, and 360 intensities"),
+    ],
+)
+def test_scans_that_no_map_can_be_made_of_are_refused(data_dir, name, problem):
+    with pytest.raises(InputError, match=problem):
+        open_log(reports(data_dir) / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "codes"),
+    [
+        ("kidnapped", {"robot_carried"}),
+        ("split_missing2", {"missing_files"}),
+        ("scan_frame_unknown", {"missing_transform"}),
+        ("empty_frame", {"missing_transform"}),
+        ("odom_yawneg", {"odometry_mirrored"}),
+        ("odom_mirror", {"reflected_laser"}),
+        ("person_follower_gazebo", {"single_object"}),
+    ],
+)
+def test_the_cause_is_named_and_nothing_else(data_dir, name, codes):
+    diagnosis = diagnose(reports(data_dir) / name)
+    assert {finding.code for finding in diagnosis.faults} == codes
+
+
+@pytest.mark.parametrize(("name", "most_m"), [("odom_yawneg", 0.01), ("rostopic_p.csv", 0.03), ("points.csv", 0.03)])
+def test_the_map_is_right(data_dir, name, most_m):
+    """Of tables the path is the laser's, 0.1 m ahead of the base of the truth."""
+    folder = reports(data_dir)
+    result = map_log(folder / name)
+    truth = read_tum(folder / "truth.tum")
+    estimate = result.trajectory
+    shift = START_NS if estimate.stamps_ns[0] >= START_NS else 0
+    ahead = 0.1 * np.column_stack([np.cos(truth.poses[:, 2]), np.sin(truth.poses[:, 2]), 0 * truth.poses[:, 2]])
+    poses = truth.poses + (ahead if name.endswith(".csv") else 0)
+    scores = score_against_truth(estimate, Trajectory(truth.stamps_ns + shift, poses))
+    assert scores["ate"]["n"] == len(estimate)
+    assert scores["ate"]["trans_rmse_m"] < most_m
+
+
+@pytest.mark.parametrize("name", ["gazebo_krish_person", "gazebo_mtong_person"])
+def test_a_robot_that_follows_a_person_does_not_jump(data_dir, name):
+    """The simulator's odometry is the truth."""
+    path = data_dir / "neato" / name
+    if not path.exists():
+        pytest.skip("needs neato/ of the shared data")
+    stamps, poses = zip(*((o.stamp_ns, o.pose) for o, _ in open_log(path) if o is not None), strict=True)
+    scores = score_against_truth(map_log(path).trajectory, Trajectory(np.array(stamps), np.array(poses)))
+    assert scores["ate"]["trans_max_m"] < 0.01

@@ -1,0 +1,100 @@
+"""A robot that was carried is named with time and place; what only looks like it is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from doctor import MadeLog
+from gridslam.doctor import CheckedLog, Doctor, Severity, quick_check
+from gridslam.doctor.view_breaks import ViewBreaks
+from gridslam.geometry.se2 import between, compose
+from gridslam.types import Odometry
+from support.laser_drives import log
+
+LOST = slice(100, 180)  # of the scans: while it is carried nothing is recorded
+
+
+def carried(odometry_knows=False):
+    """A drive from which a part is left out, of which the odometry does not know."""
+    measurements = log(scans=300)[0]
+    before, after = measurements[: LOST.start], measurements[LOST.stop :]
+    if odometry_knows:
+        return [*before, *after]
+    last, first = before[-1].odometry.pose, after[0].odometry.pose
+    late_ns = after[0].scan.stamp_ns - before[-1].scan.stamp_ns - 200_000_000
+    moved = []
+    for odometry, scan in after:
+        pose = compose(last, between(first, odometry.pose))
+        stamp_ns = scan.stamp_ns - late_ns
+        moved.append(after[0]._replace(odometry=Odometry.at(stamp_ns, pose), scan=replace(scan, stamp_ns=stamp_ns)))
+    return [*before, *moved]
+
+
+def breaks(measurements):
+    found = ViewBreaks()
+    for measurement in measurements:
+        found.take(measurement)
+    return found.found
+
+
+def test_a_carried_robot_is_named_with_time_and_place():
+    measurements = carried()
+    ((at_s, place),) = breaks(measurements)
+    assert at_s == pytest.approx(20.0, abs=0.01)
+    start = measurements[0].odometry.pose
+    np.testing.assert_allclose(place, between(start, measurements[LOST.start].odometry.pose))
+    doctor = Doctor(matching=False)
+    for measurement in measurements:
+        doctor.take(measurement)
+    (finding,) = (found for found in doctor.findings() if found.is_fault)
+    assert (finding.code, finding.severity) == ("robot_carried", Severity.ERROR)
+    assert f"after 20.0 s at x {place[0]:.2f} m, y {place[1]:.2f} m" in finding.message
+    assert "--duration 20 --save FILE" in finding.remedy
+
+
+def test_the_rest_of_a_drive_and_an_odometry_that_knows_are_no_break():
+    assert breaks(log(scans=300)[0]) == []
+    assert breaks(carried(odometry_knows=True)) == []
+
+
+def test_who_passes_closely_is_none():
+    """Most of the view is covered for a second: the view from before comes back."""
+    measurements = list(log(scans=100)[0])
+    for k in range(40, 45):
+        scan = measurements[k].scan
+        ranges = np.where(np.arange(len(scan)) < 0.7 * len(scan), 0.5, scan.ranges)
+        measurements[k] = measurements[k]._replace(scan=replace(scan, ranges=ranges))
+    assert breaks(measurements) == []
+
+
+def test_who_sees_farther_in_all_directions_has_passed_a_door():
+    measurements = [
+        m._replace(scan=replace(m.scan, ranges=2 * m.scan.ranges)) if k > 40 else m
+        for k, m in enumerate(log(scans=100)[0])
+    ]
+    assert breaks(measurements) == []
+
+
+def test_a_laser_that_fails_is_none():
+    """From a scan on each one is of another place."""
+    rng = np.random.default_rng(0)
+    measurements = list(log(scans=300)[0])
+    other = rng.permutation(len(measurements))
+    failed = [m._replace(scan=measurements[other[k]].scan) if k > 100 else m for k, m in enumerate(measurements)]
+    assert breaks(failed) == []
+
+
+def test_it_is_reported_while_the_log_is_read_long_after_the_first_minute():
+    """Once, ten scans later, whatever the reader has read before."""
+    standing = [carried()[0]] * 400
+    measurements = [*standing, *carried()]
+    told, given = [], []
+    checked = CheckedLog(MadeLog(measurements), lambda found: told.extend((len(given), f.code) for f in found))
+    for measurement in checked:
+        given.append(measurement)
+    assert [entry for entry in told if entry[1] == "robot_carried"] == [(400 + LOST.start + 9, "robot_carried")]
+    assert "view is another one" in checked.statistics.faults["robot_carried (laser)"]
+    assert "robot_carried" not in {finding.code for finding in quick_check(MadeLog(carried()))}

@@ -1,0 +1,109 @@
+"""Scans in tables of other programs: `rostopic echo -p`, and rows of an angle and a distance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gridslam.errors import InputError
+from gridslam.io.log import LogFormat, detect_log_format, open_log
+from gridslam.types import BeamStatus
+from support.broken_logs import drive_about, point_rows, rostopic_rows
+
+SCANS = drive_about(4)
+
+
+def read(folder, text, name="log.csv"):
+    (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    log = open_log(folder / name)
+    return list(log), log.statistics
+
+
+@pytest.mark.parametrize("rows", [rostopic_rows, point_rows])
+def test_a_drive_is_read_back_without_odometry(tmp_path, rows):
+    back, statistics = read(tmp_path, rows(SCANS))
+    assert detect_log_format(tmp_path / "log.csv") is LogFormat.CSV
+    assert statistics.scan_count == statistics.without_odometry == len(back) == len(SCANS)
+    assert not statistics.remarks
+    for (odometry, scan), (_, true) in zip(back, SCANS, strict=True):
+        assert odometry is None
+        assert abs(scan.stamp_ns - true.stamp_ns) < 1_000_000
+        np.testing.assert_allclose(scan.geometry.bearings, true.geometry.bearings, atol=1e-6)
+        hit = true.status == BeamStatus.HIT
+        np.testing.assert_allclose(scan.ranges[hit], true.ranges[hit], rtol=1e-5, atol=1e-6)
+
+
+RPLIDAR = "#RPLIDAR SCAN DATA\n#COUNT=4\n#Angle\tDistance\tQuality\n"
+
+
+def test_units_that_are_not_stated_are_said(tmp_path):
+    rows = "".join(f"{angle}.0\t{distance}\t47\n" for angle, distance in ((0, 1500), (90, 0), (180, 2000), (359, 99)))
+    (first, second), statistics = read(tmp_path, RPLIDAR + 2 * rows)
+    np.testing.assert_allclose(np.degrees(first.scan.geometry.bearings), [0, 90, 180, 359])
+    np.testing.assert_allclose(first.scan.ranges, [1.5, 0, 2, 0.099])
+    assert first.scan.status.tolist() == [BeamStatus.HIT, BeamStatus.INVALID, BeamStatus.HIT, BeamStatus.HIT]
+    assert (first.scan.stamp_ns, second.scan.stamp_ns) == (0, 100_000_000)
+    assert first.scan.geometry is second.scan.geometry
+    assert sorted(statistics.remarks) == [
+        "the scans have no stamps: they are taken as 0.1 s apart",
+        "the units are not stated: angles are taken as deg, distances as mm",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "bearings", "ranges", "stamp_ns"),
+    [
+        ("angle_rad,range_m", "0,1\n1,2\n2,3\n", [0, 1, 2], [1, 2, 3], 0),
+        ("angle;distance", "0;1\n1;2\n2;3\n", [0, 1, 2], [1, 2, 3], 0),
+        ("timestamp_ms theta[deg] dist(cm)", "1500 0 100\n1500 90 200\n", [0, np.pi / 2], [1, 2], 1_500_000_000),
+        ("time,angle,dist", "1700000000000000001,180,500\n1700000000000000001,90,500\n", [np.pi, np.pi / 2], [0.5, 0.5],
+         1700000000000000001),
+    ],
+)  # fmt: skip
+def test_units_are_those_of_the_names(tmp_path, header, rows, bearings, ranges, stamp_ns):
+    ((_, scan),), _ = read(tmp_path, f"{header}\n{rows}")
+    np.testing.assert_allclose(scan.geometry.bearings, bearings)
+    np.testing.assert_allclose(scan.ranges, ranges)
+    assert scan.stamp_ns == stamp_ns
+
+
+def test_a_scan_ends_where_the_angle_begins_anew_in_either_direction(tmp_path):
+    up = "".join(f"{k},{angle},1\n" for k in range(3) for angle in (-40, -20, 0, 19, 40))
+    down = "".join(f"{k},{angle},1\n" for k in range(3) for angle in (40, 20, 0, -19, -40))
+    for rows in (up, down):
+        measurements, _ = read(tmp_path, "t,angle_deg,dist_m\n" + rows)
+        assert [len(m.scan) for m in measurements] == [5, 5, 5]
+        assert [m.scan.stamp_ns for m in measurements] == [0, 10**9, 2 * 10**9]
+
+
+ROSTOPIC = rostopic_rows(SCANS).decode()
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "problem"),
+    [
+        ("t,angle_deg,dist_mm\n0,1,x\n", 2, "column dist_mm: expected a number, got 'x'"),
+        ("t,angle_deg,dist_mm\n0,nan,1\n", 2, "column angle_deg: expected a finite angle"),
+        ("t,angle_deg,dist_mm\n0,1\n", 2, "expected 3 values"),
+        ("t,angle_deg,dist_mm\nx,1,1\n", 2, "column t: expected a stamp"),
+        ("t,angle_rad,dist_mm\n0,0,1\n0,100,1\n0,200,1\n", 4, "look like degrees"),
+        ("t,angle_deg,dist_mm\n0,5,1\n0,5,1\n0,5,1\n", 4, "all point one way"),
+        ("t,angle_deg,dist_mm\n", None, "expected a row for each scan, got none"),
+        (ROSTOPIC.replace("field.angle_increment", "field.angle_step"), 1, "none named angle_increment"),
+        (ROSTOPIC.replace(",laser,", ",laser,1,", 1), 2, "cells as in the first line"),
+        (ROSTOPIC.replace("laser,-", "laser,x", 1), 2, "column angle_min: expected a number"),
+    ],
+)
+def test_what_is_wrong_is_said_with_its_line(tmp_path, text, line, problem):
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, text)
+    assert problem in str(caught.value)
+    assert caught.value.line == line
+
+
+def test_contradicting_angles_are_refused_as_in_bags(tmp_path):
+    lines = ROSTOPIC.splitlines()
+    cells = lines[1].split(",")
+    cells[lines[0].split(",").index("field.angle_max")] = "0.1"
+    with pytest.raises(InputError, match=r"line 2: expected angles in rad that fit each other.*not at angle_max 0\.1"):
+        read(tmp_path, "\n".join([lines[0], ",".join(cells), ""]))
