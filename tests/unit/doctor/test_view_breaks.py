@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from doctor import MadeLog
+
 from gridslam.doctor import CheckedLog, Doctor, Severity, quick_check
 from gridslam.doctor.view_breaks import ViewBreaks
 from gridslam.geometry.se2 import between, compose
