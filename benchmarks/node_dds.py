@@ -15,7 +15,7 @@ import numpy as np
 from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.ros.node.messages import GridMessage, Level, ScanMessage, StampedTransform
 from gridslam.ros.node.outputs import EncodedOutputs
-from gridslam.ros.ros2.dds import DdsParticipant
+from gridslam.ros.ros2_dds.participant import DdsParticipant
 from gridslam.ros.rtps.qos import Qos
 from load import LATENCY, MOUNTING, START_S, Load, drive, resident_mb
 from measure import GRIDSLAM

@@ -21,7 +21,7 @@ import sys, threading, time
 from contextlib import nullcontext
 from gridslam.cli.output import handle_signals, stop_if_interrupted
 from gridslam.ros.node.parameters import node_parameters
-from gridslam.ros.node.transport import RosNode
+from gridslam.ros.node.ros_node import RosNode
 from support.node_faults import QUICK, SHIFT_NS, make_drive
 from support.ros_node import LocalTransport, mounting, play
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gridslam.io.measurement import Measurement
-from gridslam.ros.ros2.dds import service_encoder
+from gridslam.ros.node.service_types import service_encoder
 from support.ros_node import mounting, odometry_message, scan_message
 
 LOOPBACK = (

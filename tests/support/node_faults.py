@@ -27,8 +27,8 @@ from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.mapping_session import Session
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.rendering import MapRenderer
+from gridslam.ros.node.ros_node import RosNode
 from gridslam.ros.node.state_publisher import StatePublisher
-from gridslam.ros.node.transport import RosNode
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement
 from gridslam.slam.grid_fastslam.map_limit import MapLimit

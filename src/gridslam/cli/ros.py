@@ -68,15 +68,15 @@ def ros2(
     given = _collect_parameters(**options)
     open_viewers = make_viewer_opener("ROS 2", live, rerun)
     if transport == "dds" or (transport == "auto" and importlib.util.find_spec("rclpy") is None):
-        from gridslam.ros.ros2.ros2_dds import run_dds
+        from gridslam.ros.ros2_dds.dds_transport import run_dds
 
         run_dds(arguments, given=given, interfaces=interfaces, open_viewers=open_viewers, on_poll=stop_if_interrupted)
         return
     if interfaces:
         raise ConfigurationError("--interface: only without ROS; where there is one, its middleware decides")
-    from gridslam.ros.ros2.ros2 import run_ros2
+    from gridslam.ros.ros2_rclpy.rclpy_transport import run_rclpy
 
-    run_ros2(arguments, given=given, open_viewers=open_viewers, on_poll=stop_if_interrupted)
+    run_rclpy(arguments, given=given, open_viewers=open_viewers, on_poll=stop_if_interrupted)
 
 
 def make_viewer_opener(title: str, live: LiveOptions | None, rerun: str | None) -> ViewerOpener:

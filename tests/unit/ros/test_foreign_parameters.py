@@ -10,9 +10,9 @@ from gridslam.errors import ConfigurationError
 from gridslam.io.maps import write_map
 from gridslam.ros.node.foreign_parameters import flatten
 from gridslam.ros.node.parameters import node_parameters
-from gridslam.ros.node.transport import RosNode
+from gridslam.ros.node.ros_node import RosNode
 from gridslam.ros.ros2.arguments import find_foreign_files, parse_ros_arguments
-from gridslam.ros.ros2.ros2 import run_ros2
+from gridslam.ros.ros2_rclpy.rclpy_transport import run_rclpy
 from support import fake_rclpy
 from support.localization_world import flat_map
 from support.ros_node import LocalTransport
@@ -179,7 +179,7 @@ def test_dotted_names_pass_rclpy(monkeypatch, amcl):
     world.spun = script
     started = []
     monkeypatch.setattr(RosNode, "start", lambda self: started.append(self.core.configuration.initial_pose))
-    run_ros2([])
+    run_rclpy([])
     assert started[0][0].tolist() == [1.5, 0.0, 0.0]
     assert "qos_overrides" not in str(world.logged)
 
@@ -202,7 +202,7 @@ def test_a_file_for_another_node_is_named_in_one_line(slam_toolbox, amcl, tmp_pa
 def test_it_is_named_by_rclpy_s_node_too(monkeypatch, slam_toolbox):
     world = fake_rclpy.installed(monkeypatch, {})
     world.running = False
-    run_ros2(["--ros-args", "--params-file", str(slam_toolbox)])
+    run_rclpy(["--ros-args", "--params-file", str(slam_toolbox)])
     assert any("has parameters of /slam_toolbox, none of /gridslam" in text for _, text in world.logged)
 
 

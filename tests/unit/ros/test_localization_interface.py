@@ -17,7 +17,8 @@ from gridslam.ros.node.messages import CloudMessage, GridMessage
 from gridslam.ros.node.outputs import EncodedOutputs, grid_values
 from gridslam.ros.node.parameters import NodeSettings, node_parameters
 from gridslam.ros.node.rendering import find_update, make_grid_message
-from gridslam.ros.node.transport import ALL_TOPICS, RosNode
+from gridslam.ros.node.ros_node import RosNode
+from gridslam.ros.node.transport import ALL_TOPICS
 from gridslam.ros.ros2.arguments import parse_ros_arguments
 from gridslam.ros.ros2.lifecycle_services import LifecycleServices
 from gridslam.ros.rtps.qos import Qos
@@ -149,18 +150,18 @@ def test_a_map_may_be_set_by_a_service_with_a_pose(map_file, log):
         encoder.encode("geometry_msgs/PoseWithCovarianceStamped", ((0, 0), "map"), (((x, y, 0.0), turn), covariance)),
     )
     grid.data = np.where(grid.data == 0, 1, grid.data)  # another map
-    assert transport.services["set_map"](SimpleNamespace(map=grid, initial_pose=pose)) is True
+    assert transport.services["set_map"](SimpleNamespace(map=grid, initial_pose=pose)) == (True,)
     assert until(lambda: "localizing in a map of" in transport.outputs.warnings())
     play(node.core, transport.outputs, log.measurements[:20], shift_ns=SHIFT_NS)
     assert until(lambda: len(transport.outputs.poses) == 20)
     assert np.hypot(*(transport.outputs.poses[-1].pose - log.truth.poses[19])[:2]) < 0.3
     again = SimpleNamespace(map=grid, initial_pose=pose)  # the same map: only the pose is set
-    assert transport.services["set_map"](again) is True
+    assert transport.services["set_map"](again) == (True,)
     assert until(lambda: node.core._session._next_state is not None)
     assert np.hypot(*(node.core._session._next_state.poses.mean(axis=0) - log.truth.poses[0])[:2]) < 0.1
     assert transport.outputs.warnings().count("localizing in a map of") == 1
     grid.header.frame_id = "elsewhere"
-    assert transport.services["set_map"](SimpleNamespace(map=grid, initial_pose=pose)) is False
+    assert transport.services["set_map"](SimpleNamespace(map=grid, initial_pose=pose)) == (False,)
     node.close()
 
 
@@ -281,7 +282,11 @@ def test_a_managed_node_changes_its_state_as_ros_s():
     assert change(5)
     assert lifecycle.state == "finalized"
     assert calls == [False, True, False, "cleaned", False]
-    assert events[1] == (5, (3, "activate"), (2, "inactive"), (3, "active"))
-    assert len(services["get_transition_graph"][1](None)[0]) == 7
+    assert events[2:4] == [
+        (5, (3, "activate"), (2, "inactive"), (13, "activating")),
+        (5, (30, "transition_success"), (13, "activating"), (3, "active")),
+    ]
+    assert len(services["get_available_states"][1](None)[0]) == 11
+    assert len(services["get_transition_graph"][1](None)[0]) == 25
     encoder = ENCODERS["ROS 2"]
     assert encoder.encode("lifecycle_msgs/TransitionEvent", *events[1])[4:12] == struct.pack("<Q", 5)

@@ -15,7 +15,7 @@ from gridslam.io.maps import write_map
 from gridslam.ros import NodeCore
 from gridslam.ros.node.messages import Level
 from gridslam.ros.node.parameters import node_parameters
-from gridslam.ros.node.transport import set_pose_from_message
+from gridslam.ros.node.ros_node import set_pose_from_message
 from support.localization_world import drive, flat_map
 from support.ros_bytes import encode_message
 from support.ros_node import RecordedOutputs, mounting, play, until

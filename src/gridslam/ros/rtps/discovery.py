@@ -66,7 +66,9 @@ def encode_participant(
     return PL_CDR_LE + encode_parameters(values)
 
 
-def encode_endpoint(guid: Guid, topic: str, type_name: str, qos: Qos, user: Sequence[Address]) -> bytes:
+def encode_endpoint(
+    guid: Guid, topic: str, type_name: str, qos: Qos, user: Sequence[Address], user_data: bytes = b""
+) -> bytes:
     """Return the payload by which a reader or writer is announced."""
     values = [
         (ENDPOINT_GUID, guid),
@@ -75,6 +77,7 @@ def encode_endpoint(guid: Guid, topic: str, type_name: str, qos: Qos, user: Sequ
         (_TYPE, _text(type_name)),
         (_REPRESENTATION, struct.pack("<Ihxx", 1, 0)),
         *qos.parameters(),
+        (_USER_DATA, _octets(user_data)),
         *((_LOCATOR, encode_locator(address)) for address in user),
     ]
     return PL_CDR_LE + encode_parameters(values)

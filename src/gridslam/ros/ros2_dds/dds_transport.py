@@ -9,32 +9,27 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from typing import Any, final
-
-import numpy as np
+from typing import Any, Final, final
 
 from gridslam.errors import ConfigurationError
-from gridslam.io.bags.encoder import Values
-from gridslam.io.bags.ros_messages import MessageError, Wire, wire_of_cdr
-from gridslam.ros.node.core import NodeCore
-from gridslam.ros.node.messages import GridMessage, Level, Outputs
-from gridslam.ros.node.outputs import EncodedOutputs, grid_values
+from gridslam.io.bags.ros_messages import MessageError
+from gridslam.ros.node.messages import Level
 from gridslam.ros.node.parameters import node_parameters
-from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, TypedService, ViewerOpener
+from gridslam.ros.node.transport import POLL_S, Handler, Serve, ViewerOpener
 from gridslam.ros.ros2.arguments import RosArguments, parse_ros_arguments
-from gridslam.ros.ros2.dds import DdsParticipant
-from gridslam.ros.ros2.lifecycle_services import TRANSITION_EVENT, LifecycleServices
-from gridslam.ros.ros2.parameter_services import ParameterServices
+from gridslam.ros.ros2.transport import Ros2Transport
+from gridslam.ros.ros2_dds.participant import DdsParticipant
 from gridslam.ros.rtps.qos import Qos
 
 __all__ = ["DdsTransport", "run_dds"]
 
-_LEVELS = {Level.OK: "INFO", Level.WARN: "WARN", Level.ERROR: "ERROR"}
-_EMPTY_GRID = GridMessage(0, "", 0.0, (0.0, 0.0), np.zeros((0, 0), np.int8))
+_ROSOUT, _LOG, _LOG_DEPTH = "/rosout", "rcl_interfaces/Log", 1000
+_LEVELS: Final = {Level.OK: (20, "INFO"), Level.WARN: (30, "WARN"), Level.ERROR: (40, "ERROR")}
+"""Numbers of rcl_interfaces/Log, and names."""
 
 
 @final
-class DdsTransport:
+class DdsTransport(Ros2Transport):
     """Writers, readers and services of the node.
 
     Parameters
@@ -51,8 +46,6 @@ class DdsTransport:
         Addresses of machines that multicast does not reach.
     """
 
-    global_localization = "reinitialize_global_localization"
-
     def __init__(
         self,
         arguments: RosArguments,
@@ -62,36 +55,20 @@ class DdsTransport:
         simulated: bool = False,
         peers: Sequence[str] = (),
     ) -> None:
+        node = arguments.namespace, arguments.node
+        super().__init__(f"{node[0].rstrip('/')}/{node[1]}", simulated=simulated)
         self._refuse: Callable[[str, str], None] = lambda kind, problem: None
         self._arguments = arguments
-        self._clock_ns: int | None = 0 if simulated else None
-        node = arguments.namespace, arguments.node
-        self._participant = DdsParticipant(domain, interfaces, self._on_mismatch, node, peers)
-        self._encoder = self._participant.encoder
-        self.outputs: Outputs = EncodedOutputs(self._encoder, self._publish, self._now_ns, self._log, arguments.node)
+        self._clock_ns = 0
+        self._listens_to_clock = False
+        self._participant = DdsParticipant(domain, interfaces, self._on_mismatch, node, peers, self.encoder)
+        self._writers: dict[str, str] = {}
+        self._add_publisher(_ROSOUT, _LOG, latched=True, depth=_LOG_DEPTH)
         if arguments.ignored:
             self._log(Level.WARN, f"arguments that are ignored, as there is no ROS: {', '.join(arguments.ignored)}")
         for sentence in arguments.foreign_files:
             self._log(Level.WARN, sentence)
-        self._writers: dict[str, str] = {}
-        self._parameters: ParameterServices | None = None
-
-    def connect(self, refuse: Callable[[str, str], None], topics: Mapping[str, str] = TOPICS) -> None:
-        """Create the writers; `refuse` is called with kind and problem of what cannot be received."""
-        self._refuse = refuse
-        self.outputs.topics = tuple(topics)
-        for topic, kind in topics.items():
-            name = self.resolve(topic)
-            self._writers[topic] = f"rt{name}"
-            latched = topic in LATCHED
-            qos = self._arguments.override_qos(name, "publisher", Qos(latched=latched, depth=1 if latched else 10))
-            self._participant.add_writer(self._writers[topic], kind, qos)
-        if self._clock_ns is not None:
-            self.subscribe("/clock", "rosgraph_msgs/Clock", self._on_clock, reliable=False, depth=1)
-
-    def wire_of(self, data: bytes) -> Wire:
-        """Return the encoding of a message; raises MessageError if it has none."""
-        return wire_of_cdr(data)
+        self._use_sim_time(simulated)
 
     def resolve(self, topic: str) -> str:
         """Return the full name of a topic, after remapping."""
@@ -105,58 +82,14 @@ class DdsTransport:
         qos = self._arguments.override_qos(name, "subscription", Qos(reliable=reliable, latched=latched, depth=depth))
         self._participant.add_reader(f"rt{name}", kind, handle, qos)
 
-    def advertise(self, service: str, kind: str, serve: Callable[[Any], Sequence[Any]], *, slow: bool = False) -> None:
+    def advertise(self, service: str, kind: str, serve: Serve, *, slow: bool = False) -> None:
         """Offer a service; a slow one answers in a thread of its own."""
         name = self.resolve(service)
-        self._add_service(name, kind, lambda request: serve(getattr(request, "data", None)), slow=slow)
 
-    def advertise_parameters(
-        self, values: Mapping[str, Any], change: Callable[[str, Any], str], settable: Sequence[str]
-    ) -> None:
-        """Offer the parameters to `ros2 param`."""
-        values = {**values, "use_sim_time": self._clock_ns is not None}
-        self._parameters = ParameterServices(values, change, settable)
-        for name, (kind, serve) in self._parameters.services().items():
-            self._add_service(self.resolve(f"~/{name}"), kind, serve)
-
-    def advertise_typed(self, package: str, services: Mapping[str, TypedService]) -> bool:
-        """Return False: types of packages differ between versions, and none is installed here."""
-        return False
-
-    def advertise_set_map(self, service: str, serve: Callable[[Any], bool]) -> None:
-        """Offer a service of nav_msgs/SetMap."""
-        self._add_service(self.resolve(service), "nav_msgs/SetMap", lambda request: (serve(request),), slow=True)
-
-    def advertise_lifecycle(self, core: NodeCore) -> None:
-        """Offer the services of a managed node: it maps while it is active, and forgets when it is cleaned up."""
-        topic = f"rt{self.resolve('~/transition_event')}"
-        self._participant.add_writer(topic, TRANSITION_EVENT)
-
-        def publish(values: Values) -> None:
-            self._participant.publish(topic, self._encoder.encode(TRANSITION_EVENT, *values))
-
-        lifecycle = LifecycleServices(lambda active: core.pause(not active), core.reset, publish, self._now_ns)
-        for name, (kind, serve) in lifecycle.services().items():
-            self._add_service(self.resolve(f"~/{name}"), kind, serve)
-
-    def save_parameters(self, values: Mapping[str, float]) -> None:
-        """Set parameters of the node."""
-        if self._parameters is not None:
-            self._parameters.store(values)
-
-    def _add_service(self, name: str, kind: str, serve: Callable[[Any], Sequence[Any]], *, slow: bool = False) -> None:
         def refuse(problem: str) -> None:
             self._refuse("request", f"{name}: {problem}")
 
         self._participant.add_service(name, kind, serve, refuse, slow=slow)
-
-    def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
-        """Offer the map by a service; without a map the response is empty."""
-
-        def serve_values(request: Any) -> Sequence[Any]:  # noqa: ANN401
-            return (grid_values(self._encoder, service, serve() or _EMPTY_GRID),)
-
-        self.advertise(service, "nav_msgs/GetMap", serve_values)
 
     def spin(self, ended: threading.Event) -> Iterator[None]:
         """Deliver messages until the event is set."""
@@ -168,22 +101,41 @@ class DdsTransport:
         """Shut down."""
         self._participant.close()
 
+    def _add_publisher(self, topic: str, kind: str, *, latched: bool, depth: int) -> bool:
+        name = self.resolve(topic)
+        qos = self._arguments.override_qos(name, "publisher", Qos(latched=latched, depth=depth))
+        self._writers[topic] = f"rt{name}"
+        self._participant.add_writer(self._writers[topic], kind, qos)
+        return True
+
+    def _use_sim_time(self, simulated: bool) -> None:
+        self._simulated = simulated
+        if simulated and not self._listens_to_clock:
+            self._listens_to_clock = True
+            self.subscribe("/clock", "rosgraph_msgs/Clock", self._on_clock, reliable=False, depth=1)
+
     def _publish(self, topic: str, data: bytes) -> None:
         if topic in self._writers:
             self._participant.publish(self._writers[topic], data)
 
     def _now_ns(self) -> int:
-        return time.time_ns() if self._clock_ns is None else self._clock_ns
+        return self._clock_ns if self._simulated else time.time_ns()
 
     def _log(self, level: Level, text: str) -> None:
-        print(f"[{_LEVELS[level]}] [{time.time():.3f}] [{self._arguments.node}]: {text}", file=sys.stderr, flush=True)
+        """Log to the console, in one piece, and to /rosout."""
+        number, label = _LEVELS[level]
+        name = self._name[1:].replace("/", ".")
+        sys.stderr.write(f"[{label}] [{time.time():.3f}] [{name}]: {text}\n")
+        sys.stderr.flush()
+        stamp = divmod(time.time_ns(), 1_000_000_000)
+        self._publish(_ROSOUT, self.encoder.encode(_LOG, stamp, number, name, text, "", "", 0))
 
     def _on_mismatch(self, what: str, topic: str, problem: str) -> None:
         self._refuse(f"{what} of {topic[2:]}", problem)
 
     def _on_clock(self, data: bytes, publisher: str) -> None:
         try:
-            clock = self._encoder.decode("rosgraph_msgs/Clock", data).clock
+            clock = self.encoder.decode("rosgraph_msgs/Clock", data).clock
         except MessageError as error:
             self._refuse("message", f"{self.resolve('/clock')}: {error}")
         else:
@@ -246,8 +198,4 @@ def run_dds(
     where = interfaces or (["127.0.0.1"] if _is_local(os.environ) else [])
     peers = _static_peers(os.environ)
     transport = DdsTransport(ros, domain=domain, interfaces=where, simulated=simulated, peers=peers)
-    node = RosNode(transport, parameters)
-    if parameters.lifecycle:
-        node.core.pause(True)
-        transport.advertise_lifecycle(node.core)
-    node.run(open_viewers, on_poll)
+    transport.run(parameters, open_viewers, on_poll)
