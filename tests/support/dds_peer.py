@@ -196,12 +196,16 @@ class Robot:
 class Node:
     """The command, in a process of its own."""
 
-    def __init__(self, domain: int, log: Path, *arguments: str, interface: str = "127.0.0.1") -> None:
+    def __init__(
+        self, domain: int, log: Path, *arguments: str, interface: str = "127.0.0.1", transport: str = "dds"
+    ) -> None:
         others = "ROS", "CYCLONE", "FASTRTPS", "PYTHON"
         environment = {name: value for name, value in os.environ.items() if not name.startswith(others)}
         environment["ROS_DOMAIN_ID"] = str(domain)
-        command = [sys.executable, "-m", "gridslam.cli.main", "ros2", "--transport", "dds"]
-        if interface:
+        command = [sys.executable, "-m", "gridslam.cli.main", "ros2", "--transport", transport]
+        if transport == "rclpy":
+            environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+        elif interface:
             command += ["--interface", interface]
         else:
             environment["ROS_LOCALHOST_ONLY"] = "1"
@@ -213,10 +217,10 @@ class Node:
         """Wait for words in its log."""
         return until(lambda: words in self.log.read_text(), seconds)
 
-    def end(self) -> int:
-        """Ctrl-C."""
+    def end(self, number: int = signal.SIGINT) -> int:
+        """Ctrl-C, or another signal."""
         if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
+            self.process.send_signal(number)
         return self.process.wait(60)
 
     def kill(self) -> None:

@@ -173,7 +173,7 @@ def test_quality_of_service(monkeypatch):
     assert told(world.publishers["map"][1]) == ("RELIABLE", "TRANSIENT_LOCAL", 1)
     assert told(world.publishers["map_metadata"][1]) == ("RELIABLE", "TRANSIENT_LOCAL", 1)
     assert told(world.publishers["/tf"][1]) == ("RELIABLE", "VOLATILE", 10)
-    assert told(world.subscriptions["scan"][1]) == ("BEST_EFFORT", "VOLATILE", 10)
+    assert told(world.subscriptions["scan"][1]) == ("BEST_EFFORT", "VOLATILE", 200)
     assert told(world.subscriptions["/tf_static"][1]) == ("RELIABLE", "TRANSIENT_LOCAL", 100)
 
 

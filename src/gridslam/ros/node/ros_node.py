@@ -35,7 +35,7 @@ __all__ = ["RosNode", "save_results", "set_pose_from_message"]
 
 _PAUSED = "paused_new_measurements"
 _SAVE_AS = "save_as"
-_SCANS_DEPTH: Final = 200
+_SCANS_DEPTH, _TRANSFORMS_DEPTH = 200, 1000  # what a pause of some seconds may hold up
 _PLANAR = np.ix_((0, 1, 5), (0, 1, 5))  # x, y and yaw of x, y, z, roll, pitch, yaw
 _EMPTY_MAP: Final = GridMessage(0, "", 0.0, (0.0, 0.0), np.zeros((0, 0), np.int8))
 
@@ -117,7 +117,7 @@ class RosNode:
             self._log(Level.OK, f"waiting for a map on {self._transport.resolve(self._map_topic)}")
         on_static_transforms = partial(on_transforms, static=True)
         self._subscribe("/tf_static", "tf2_msgs/TFMessage", on_static_transforms, latched=True, depth=100)
-        self._subscribe("/tf", "tf2_msgs/TFMessage", on_transforms, depth=100)
+        self._subscribe("/tf", "tf2_msgs/TFMessage", on_transforms, depth=_TRANSFORMS_DEPTH)
         self._subscribe(self._scan_topic, "sensor_msgs/LaserScan", on_scan, reliable=False, depth=_SCANS_DEPTH)
         settings = core.settings
         odometry = "" if settings.odometry == "none" else f" and for {settings.base_frame} in {settings.odom_frame}"

@@ -139,7 +139,7 @@ def parse_endpoint(
         return None
     address = _best(parameters, _LOCATOR, order, participant.user[0]) or participant.user
     user_data = parameters.get(_USER_DATA, [b""])[0][4:]
-    return RemoteEndpoint(guid, topic, type_name, qos, address, user_data)
+    return RemoteEndpoint(guid, topic, type_name, qos, address, user_data, participant.vendor)
 
 
 def _best(parameters: Parameters, name: int, order: str, source: str) -> Address | None:

@@ -305,7 +305,7 @@ class Participant:
                 endpoint = RemoteEndpoint(found.prefix + reader, "", "", qos, found.discovery)
                 self._writers[writer].match(endpoint)
             if found.endpoints & writes:
-                endpoint = RemoteEndpoint(found.prefix + writer, "", "", qos, found.discovery)
+                endpoint = RemoteEndpoint(found.prefix + writer, "", "", qos, found.discovery, vendor=found.vendor)
                 self._readers[reader].match(endpoint)
 
     def _lose(self, prefix: bytes) -> None:
