@@ -6,7 +6,7 @@ Source: the public documentation of the ROS package gmapping, http://wiki.ros.or
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
@@ -267,7 +267,7 @@ class NodeParameters:
     lifecycle : bool
         Whether it is a managed node.
     values : dict
-        The parameters that have an effect, by their ROS names.
+        The parameters by their ROS names: those that have an effect, and all others that were given.
     files : SessionFiles
         What the first mapping session goes on from, and where it is saved.
     """
@@ -308,9 +308,12 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
     InputError
         The file of the map or of the configuration cannot be read.
     """
-    given, spelled, foreign = translate_parameters(flatten(given))
+    original = flatten(given)
+    given, spelled, foreign = translate_parameters(original)
     try:
-        return _node_parameters(given, foreign, preset_name)
+        found = _node_parameters(given, foreign, preset_name)
+        same = {spelled[name]: value for name, value in found.values.items() if name in spelled}
+        return replace(found, values={**original, **found.values, **same})
     except ConfigurationError as error:
         name, mark, problem = str(error).partition(": ")
         if name not in spelled:
@@ -350,6 +353,7 @@ def _node_parameters(given: Mapping[str, Any], foreign: Mapping[str, str], prese
     settings = _read_settings(given)
     effective = {**values, **{name: getattr(settings, attribute) for name, attribute in _NODE.items()}}
     if isinstance(configuration, Configuration):
+        effective["preset"] = values["preset"] or preset_name
         there = set(names(configuration))
         effective |= {name: value_of(configuration, path) for name, path in _FILTER.items() if path in there}
     else:
