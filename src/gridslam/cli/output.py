@@ -121,6 +121,10 @@ def write_apart() -> Iterator[Callable[..., bool]]:
         raise click.exceptions.Exit(1)
 
 
+class _Interrupted(KeyboardInterrupt):
+    """A signal that has come. Where KeyboardInterrupt itself leaves `exec`, Python ends the process by SIGINT later."""
+
+
 @contextmanager
 def handle_signals(*, until_exit: bool = False) -> Iterator[None]:
     """Turn the first SIGINT, SIGTERM or SIGHUP into KeyboardInterrupt; later ones must not disturb the cleaning up.
@@ -179,7 +183,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     if not _interrupted:
         _interrupted = True
         if not _held:
-            raise KeyboardInterrupt
+            raise _Interrupted
 
 
 @contextmanager
@@ -202,7 +206,7 @@ def is_interrupted() -> bool:
 def stop_if_interrupted() -> None:
     """Repeat an interrupt which came while a destructor ran: Python swallows it there."""
     if _interrupted:
-        raise KeyboardInterrupt
+        raise _Interrupted
 
 
 @contextmanager

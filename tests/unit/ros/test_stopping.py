@@ -28,23 +28,39 @@ def test_sigint_ends_a_node_that_a_script_has_started_in_its_background(tmp_path
         signal.signal(signal.SIGINT, handler)
     try:
         assert node.says("waiting for scans")
-        assert node.end(signal.SIGINT) == 0
+        assert node.end(signal.SIGINT) == 0, node.log.read_text()
     finally:
         node.kill()
 
 
 READS_FOR_LONG = """
-import sys, time
+import os, sys, time
 import gridslam.ros.node.parameters as parameters
 from gridslam.cli.main import main
 
 def known_map(*arguments):
-    print("reading", flush=True)
+    os.write(1, b"reading\\n")
     time.sleep(60)
 
 parameters.known_map = known_map
 sys.exit(main())
 """
+
+
+IN_GENERATED_CODE = """
+import os, signal, sys
+from gridslam.cli.output import end_by_signal, handle_signals
+
+with handle_signals(until_exit=True), end_by_signal():
+    exec("os.kill(os.getpid(), signal.SIGINT); sys.exit(3)")
+sys.exit(0)
+"""
+
+
+def test_a_signal_amid_code_that_is_being_generated_ends_the_process_as_any_other(tmp_path):
+    """As encoders of messages are made when they are first used: Python itself would end the process by SIGINT."""
+    (tmp_path / "generated.py").write_text(IN_GENERATED_CODE)
+    assert subprocess.run([sys.executable, "-m", "generated"], cwd=tmp_path).returncode == 0
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
