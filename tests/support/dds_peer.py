@@ -214,8 +214,9 @@ class Node:
             self.process = subprocess.Popen([*command, *arguments], env=environment, stderr=out, start_new_session=True)
 
     def says(self, words: str, seconds: float = 60.0) -> bool:
-        """Wait for words in its log."""
-        return until(lambda: words in self.log.read_text(), seconds)
+        """Wait for words in its log, as long as it runs."""
+        until(lambda: words in self.log.read_text() or self.process.poll() is not None, seconds)
+        return words in self.log.read_text()
 
     def end(self, number: int = signal.SIGINT) -> int:
         """Ctrl-C, or another signal."""

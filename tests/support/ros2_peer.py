@@ -98,14 +98,15 @@ def scan(measurement: Measurement, shift_ns: int) -> LaserScan:
 class Robot(Peer):
     """Publishes what a robot does, and hears what the node says of it."""
 
-    def __init__(self, domain: int, scans: str = "/scan") -> None:
+    def __init__(self, domain: int, scans: str = "/scan", *, fixed: bool = True) -> None:
         super().__init__(domain, "robot")
         make = self.node.create_publisher
         self.scans = make(LaserScan, scans, BEST_EFFORT)
         self.moving = make(TFMessage, "/tf", 100)
         self.fixed = make(TFMessage, "/tf_static", LATCHED)
         self.clock = make(Clock, "/clock", BEST_EFFORT)
-        self.fixed.publish(transform(mounting()))
+        if fixed:
+            self.fixed.publish(transform(mounting()))
         self.poses = self.hear("/gridslam/pose", PoseWithCovarianceStamped)
         self.links = self.hear("/tf", TFMessage, 1000)
         self.status = self.hear("/diagnostics", DiagnosticArray)

@@ -18,6 +18,7 @@ from rcl_interfaces.srv import (
 )
 from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from slam_toolbox.srv import Pause, SerializePoseGraph
 from std_srvs.srv import Empty, SetBool, Trigger
 
 from gridslam.io.maps import read_map, write_map
@@ -107,6 +108,12 @@ def test_services_answer_beside_the_scans(start, domain, drive, tmp_path):
         assert robot.ask("/gridslam/reset", Empty) is not None
     finally:
         robot.close()
+
+
+def test_slam_toolbox_s_services_are_there_by_their_names_and_types(start, peer, tmp_path):
+    start()
+    assert peer.ask("/slam_toolbox/pause_new_measurements", Pause).status
+    assert peer.ask("/slam_toolbox/serialize_map", SerializePoseGraph, filename=str(tmp_path / "none")).result == 255
 
 
 def test_a_known_map_is_given_and_replaced(start, peer, tmp_path):

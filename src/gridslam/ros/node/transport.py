@@ -74,9 +74,9 @@ def import_ros(ros: str, hint: str, name: str, folder: str = "msg") -> Any:  # n
     package, _, kind = name.partition("/")
     try:
         module = importlib.import_module(f"{package}.{folder}" if kind else name)
-    except ImportError as error:
+        return getattr(module, kind) if kind else module
+    except (ImportError, AttributeError) as error:
         raise ConfigurationError(f"{ros} is not available ({error}): {hint}") from None
-    return getattr(module, kind) if kind else module
 
 
 class Transport(Protocol):
