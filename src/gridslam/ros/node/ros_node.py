@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 import os
-import struct
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -21,18 +19,19 @@ from gridslam.io.bags.ros_messages import MessageError, Wire, decode_scan, decod
 from gridslam.io.output import OutputFolder
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.core import NodeCore
-from gridslam.ros.node.grid_input import decode_grid, grid_of
+from gridslam.ros.node.grid_input import grid_of, pose_of
 from gridslam.ros.node.live_autosave import keep_other
 from gridslam.ros.node.mapping_session import SessionCopy
 from gridslam.ros.node.messages import GridMessage, Level
 from gridslam.ros.node.outputs import grid_values
 from gridslam.ros.node.parameters import NodeParameters
-from gridslam.ros.node.session import InitialPose
 from gridslam.ros.node.session_services import SessionServices
 from gridslam.ros.node.transport import LOCALIZATION_TOPICS, MAPPING_TOPICS, TOPICS, Serve, Transport, ViewerOpener
+from gridslam.types import FloatArray
 
 __all__ = ["RosNode", "save_results", "set_pose_from_message"]
 
+_POSE = TOPICS["~/pose"]
 _PAUSED = "paused_new_measurements"
 _SAVE_AS = "save_as"
 _SCANS_DEPTH, _TRANSFORMS_DEPTH = 200, 1000  # what a pause of some seconds may hold up
@@ -96,7 +95,7 @@ class RosNode:
         core = self.core
         core.start()
         self._advertise_services()
-        scans = self._transport.resolve(self._scan_topic)
+        scans, decode = self._transport.resolve(self._scan_topic), self._transport.encoder.decode
 
         def on_transforms(data: bytes, wire: Wire, publisher: str, static: bool = False) -> None:
             core.on_transforms(decode_transforms(data, wire), static=static, publisher=publisher)
@@ -105,15 +104,15 @@ class RosNode:
             core.on_scan(decode_scan(data, wire), scans)
 
         def on_pose(data: bytes, wire: Wire, publisher: str) -> None:
-            set_pose_from_message(core, data, wire)
+            set_pose_from_message(core, decode(_POSE, data))
 
         def on_map(data: bytes, wire: Wire, publisher: str) -> None:
-            core.set_map(decode_grid(data, wire), only_first=self._takes_first_map_only)
+            core.set_map(grid_of(decode(TOPICS["map"], data)), only_first=self._takes_first_map_only)
 
         if core.localizes:
-            self._subscribe("initialpose", "geometry_msgs/PoseWithCovarianceStamped", on_pose, depth=1)
+            self._subscribe("initialpose", _POSE, on_pose, depth=1)
         if self._map_topic:
-            self._subscribe(self._map_topic, "nav_msgs/OccupancyGrid", on_map, latched=True, depth=1)
+            self._subscribe(self._map_topic, TOPICS["map"], on_map, latched=True, depth=1)
             self._log(Level.OK, f"waiting for a map on {self._transport.resolve(self._map_topic)}")
         on_static_transforms = partial(on_transforms, static=True)
         self._subscribe("/tf_static", "tf2_msgs/TFMessage", on_static_transforms, latched=True, depth=100)
@@ -217,7 +216,9 @@ class RosNode:
 
         def set_map(request: Any) -> tuple[bool]:  # noqa: ANN401
             try:
-                core.set_map(grid_of(request.map), _pose_of(request.initial_pose.pose))
+                given = request.initial_pose.pose
+                covariance = _covariance_of(given)
+                core.set_map(grid_of(request.map), (pose_of(given.pose), covariance) if covariance.any() else None)
             except (ArgumentError, MessageError) as error:
                 core.refuse_message("request", f"set_map: {error}")
                 return (False,)
@@ -315,33 +316,20 @@ def save_results(core: NodeCore, folder: Path) -> tuple[bool, str]:
     return True, f"{document['scans']['read']} scans: {folder.resolve()}"
 
 
-def set_pose_from_message(core: NodeCore, data: bytes, wire: Wire) -> None:
+def set_pose_from_message(core: NodeCore, message: Any) -> None:  # noqa: ANN401
     """Set the pose of the robot from geometry_msgs/PoseWithCovarianceStamped, as RViz sends it on `initialpose`.
 
     Raises MessageError if it is not a pose in the node's map.
     """
-    try:
-        frame, end = wire.string(data, 12)
-        if wire.aligned:
-            end += (4 - end) & 7
-        x, y, _, qx, qy, qz, qw = wire.pose.unpack_from(data, end)
-        covariance = np.array(struct.unpack_from(f"{wire.order}36d", data, end + wire.pose.size)).reshape(6, 6)
-    except struct.error as error:
-        raise MessageError(str(error)) from None
+    frame = message.header.frame_id
     if frame != core.settings.map_frame:
         raise MessageError(f"expected a pose in the frame {core.settings.map_frame}, got {frame!r}")
-    yaw = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
     try:
-        core.set_pose((np.array([x, y, yaw]), covariance[_PLANAR]))
+        core.set_pose((pose_of(message.pose.pose), _covariance_of(message.pose)))
     except ArgumentError as error:
         raise MessageError(str(error)) from None
 
 
-def _pose_of(message: Any) -> InitialPose:  # noqa: ANN401
-    """Pose and covariance of a decoded geometry_msgs/PoseWithCovariance; None if it has no covariance."""
-    covariance = np.asarray(message.covariance, np.float64).reshape(6, 6)[_PLANAR]
-    if not covariance.any():
-        return None
-    place, turn = message.pose.position, message.pose.orientation
-    yaw = math.atan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y**2 + turn.z**2))
-    return np.array([place.x, place.y, yaw]), covariance
+def _covariance_of(message: Any) -> FloatArray:  # noqa: ANN401
+    """Return the covariance (3, 3) in the plane of a decoded geometry_msgs/PoseWithCovariance."""
+    return np.asarray(message.covariance, np.float64).reshape(6, 6)[_PLANAR]

@@ -19,6 +19,7 @@ from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.continued import Continued
 from gridslam.ros.node.core import NodeCore
+from gridslam.ros.node.grid_input import pose_of
 from gridslam.ros.node.messages import Level
 from gridslam.ros.node.session import InitialPose
 from gridslam.types import FloatArray, OccupancyGrid
@@ -93,7 +94,7 @@ class SessionServices:
         def deserialize(request: Any) -> tuple[int]:  # noqa: ANN401
             try:
                 match = MatchType(request.match_type)
-                self.deserialize(request.filename, match, _read_pose(request.initial_pose))
+                self.deserialize(request.filename, match, pose_of(request.initial_pose))
             except (GridslamError, ValueError) as error:
                 self._refuse(error)
                 named = isinstance(error, InputError) and request.filename
@@ -230,12 +231,3 @@ def _make_folder(path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ArgumentError("name", "a file that can be written", f"{path}: {error.strerror or error}") from None
-
-
-def _read_pose(message: Any) -> FloatArray:  # noqa: ANN401
-    """Pose (3,) of a decoded geometry_msgs/Pose or Pose2D."""
-    if hasattr(message, "theta"):
-        return np.array([message.x, message.y, message.theta])
-    turn = message.orientation
-    yaw = np.arctan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y**2 + turn.z**2))
-    return np.array([message.position.x, message.position.y, yaw])

@@ -67,11 +67,6 @@ class LifecycleServices:
         Called with the values of lifecycle_msgs/TransitionEvent at each transition.
     now_ns : callable
         The node's clock.
-
-    Attributes
-    ----------
-    state : str
-        Label of the state.
     """
 
     def __init__(
@@ -86,11 +81,6 @@ class LifecycleServices:
         self._publish = publish
         self._now_ns = now_ns
         self._state = 1
-
-    @property
-    def state(self) -> str:
-        """Return the label of the state."""
-        return _STATES[self._state]
 
     def services(self) -> dict[str, tuple[str, Callable[[Any], Sequence[Any]]]]:
         """Return type and answer of each service, by its name below the node's."""
