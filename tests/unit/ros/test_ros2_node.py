@@ -12,6 +12,7 @@ import pytest
 
 from gridslam.errors import ConfigurationError
 from gridslam.io.sessions.session_file import read_session
+from gridslam.ros.node.transport import RunOptions
 from gridslam.ros.ros2_rclpy.rclpy_transport import run_rclpy
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support import fake_rclpy
@@ -59,7 +60,7 @@ def run(world, script, **options):
             world.running = False
 
     world.spun = spun
-    run_rclpy([], **options)
+    run_rclpy([], RunOptions(**options))
     if failed:
         raise failed[0]
 
@@ -136,7 +137,7 @@ def test_ctrl_c_leaves_time_to_tell_the_last_map(monkeypatch, drive, tmp_path):
             raise KeyboardInterrupt
 
     world.spun = spun
-    run_rclpy([], given={"out": str(tmp_path / "out")}, on_poll=interrupted)
+    run_rclpy([], RunOptions({"out": str(tmp_path / "out")}, on_poll=interrupted))
     assert world.signals == "NO"
     assert (tmp_path / "out" / "map.pgm").is_file()
     assert f"writing 40 scans to {tmp_path / 'out'}" in world.logged[-1][1]

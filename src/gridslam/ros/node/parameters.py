@@ -254,18 +254,8 @@ class NodeParameters:
         The ignored parameters with the reasons; empty if there are none.
     record, out : Path or None
         File for the accepted scans, and output folder.
-    scan_topic : str
-        Name of the topic of the scans, before remapping.
-    paused : bool
-        Whether the node begins paused.
     map_topic : str
         Topic of the map to localize in; empty: it is known, or built.
-    first_map_only : bool
-        Whether later maps on that topic are ignored.
-    save_pose_rate_hz : float, Hz
-        How often a localization stores its pose in the parameters; 0: never.
-    lifecycle : bool
-        Whether it is a managed node.
     values : dict
         The parameters by their ROS names: those that have an effect, and all others that were given.
     files : SessionFiles
@@ -277,12 +267,7 @@ class NodeParameters:
     warning: str
     record: Path | None
     out: Path | None
-    scan_topic: str = "scan"
-    paused: bool = False
     map_topic: str = ""
-    first_map_only: bool = False
-    save_pose_rate_hz: float = 0.0
-    lifecycle: bool = False
     values: Mapping[str, Any] = field(default_factory=dict)
     files: SessionFiles = field(default_factory=SessionFiles)
 
@@ -358,21 +343,7 @@ def _node_parameters(given: Mapping[str, Any], foreign: Mapping[str, str], prese
         effective |= {name: value_of(configuration, path) for name, path in _FILTER.items() if path in there}
     else:
         effective |= {name: value for name, value in given.items() if name in AMCL_NAMES}
-    return NodeParameters(
-        settings,
-        configuration,
-        warning,
-        record,
-        out,
-        values["scan_topic"],
-        values["paused_new_measurements"],
-        map_topic,
-        values["first_map_only"],
-        max(float(values["save_pose_rate"]), 0.0),
-        values["lifecycle"],
-        effective,
-        files,
-    )
+    return NodeParameters(settings, configuration, warning, record, out, map_topic, effective, files)
 
 
 def _check_node_values(values: Mapping[str, Any]) -> None:

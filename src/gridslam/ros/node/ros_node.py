@@ -26,7 +26,7 @@ from gridslam.ros.node.messages import GridMessage, Level
 from gridslam.ros.node.outputs import grid_values
 from gridslam.ros.node.parameters import NodeParameters
 from gridslam.ros.node.session_services import SessionServices
-from gridslam.ros.node.transport import LOCALIZATION_TOPICS, MAPPING_TOPICS, TOPICS, Serve, Transport, ViewerOpener
+from gridslam.ros.node.transport import LOCALIZATION_TOPICS, MAPPING_TOPICS, TOPICS, RunOptions, Serve, Transport
 from gridslam.types import FloatArray
 
 __all__ = ["RosNode", "save_results", "set_pose_from_message"]
@@ -64,10 +64,9 @@ class RosNode:
         self._log = transport.outputs.log
         self._out = parameters.out
         self._files = parameters.files
-        self._scan_topic = parameters.scan_topic
+        self._scan_topic = str(parameters.values["scan_topic"])
         self._values = parameters.values
         self._map_topic = parameters.map_topic
-        self._takes_first_map_only = parameters.first_map_only
         self._saving: list[threading.Thread] = []
         self._saved: set[Path] = set()
         self.core = NodeCore(
@@ -82,11 +81,12 @@ class RosNode:
             self.core.results_folder = self._out
         self._services = SessionServices(self.core, self.core.results_folder, self._log)
         self._services.save_as = str(parameters.values.get(_SAVE_AS, ""))
-        if parameters.paused:
+        if parameters.values[_PAUSED]:
             self.core.pause(True)
         transport.connect(self.core.refuse_message, self._topics(parameters))
-        if parameters.save_pose_rate_hz and self.core.localizes:
-            self.core.add_timer(1.0 / parameters.save_pose_rate_hz, self._save_pose)
+        rate_hz = float(parameters.values["save_pose_rate"])
+        if rate_hz > 0 and self.core.localizes:
+            self.core.add_timer(1.0 / rate_hz, self._save_pose)
         if parameters.warning:
             self._log(Level.WARN, parameters.warning)
 
@@ -107,7 +107,7 @@ class RosNode:
             set_pose_from_message(core, decode(_POSE, data))
 
         def on_map(data: bytes, wire: Wire, publisher: str) -> None:
-            core.set_map(grid_of(decode(TOPICS["map"], data)), only_first=self._takes_first_map_only)
+            core.set_map(grid_of(decode(TOPICS["map"], data)), only_first=self._values["first_map_only"])
 
         if core.localizes:
             self._subscribe("initialpose", _POSE, on_pose, depth=1)
@@ -174,27 +174,14 @@ class RosNode:
         self._saving.append(thread)
         thread.start()
 
-    def run(self, open_viewers: ViewerOpener, on_poll: Callable[[], None]) -> None:
-        """Run until the transport or a KeyboardInterrupt ends it.
-
-        Parameters
-        ----------
-        open_viewers : callable
-            Called with the core before it starts.
-        on_poll : callable
-            Called several times a second; may raise KeyboardInterrupt.
-
-        Raises
-        ------
-        GridslamError
-            The filter failed.
-        """
+    def run(self, options: RunOptions) -> None:
+        """Run until the transport or a KeyboardInterrupt ends it; raises GridslamError if the filter failed."""
         core = self.core
-        with open_viewers(core):
+        with options.open_viewers(core):
             try:
                 self.start()
                 for _ in self._transport.spin(core.ended):
-                    on_poll()
+                    options.on_poll()
             except KeyboardInterrupt:  # the usual end of a node
                 pass
             finally:
@@ -206,13 +193,8 @@ class RosNode:
         core = self.core
         transport = self._transport
 
-        def reset(request: Any) -> tuple[()]:  # noqa: ANN401
+        def reset(request: Any) -> None:  # noqa: ANN401
             core.reset()
-            return ()
-
-        def update_once(request: Any) -> tuple[()]:  # noqa: ANN401
-            core.update_once()
-            return ()
 
         def set_map(request: Any) -> tuple[bool]:  # noqa: ANN401
             try:
@@ -241,7 +223,7 @@ class RosNode:
         if core.localizes:
             own |= {
                 transport.global_localization: ("std_srvs/Empty", reset, False),
-                "request_nomotion_update": ("std_srvs/Empty", update_once, False),
+                "request_nomotion_update": ("std_srvs/Empty", lambda request: core.update_once(), False),
                 "set_map": ("nav_msgs/SetMap", set_map, True),
             }
         for name, (kind, serve, slow) in own.items():

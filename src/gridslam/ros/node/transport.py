@@ -5,8 +5,9 @@ from __future__ import annotations
 import importlib
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
-from typing import Any, Final, Protocol, TypeAlias
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+from typing import Any, Final, Protocol, TypeAlias, final
 
 from gridslam.errors import ConfigurationError
 from gridslam.io.bags.encoder import MessageEncoder
@@ -19,9 +20,11 @@ __all__ = [
     "LATCHED",
     "LOCALIZATION_TOPICS",
     "MAPPING_TOPICS",
+    "NO_OPTIONS",
     "POLL_S",
     "TOPICS",
     "Handler",
+    "RunOptions",
     "Serve",
     "Transport",
     "ViewerOpener",
@@ -59,11 +62,34 @@ POLL_S: Final = 0.2
 Handler: TypeAlias = Callable[[bytes, str], None]
 """Called with the bytes of a message, and the name of its publisher if known."""
 
-Serve: TypeAlias = Callable[[Any], Sequence[Any]]
-"""Called with a request; returns the values of the response's fields in their order."""
+Serve: TypeAlias = Callable[[Any], Sequence[Any] | None]
+"""Called with a request; returns the values of the response's fields in their order, nothing if it has none."""
 
 ViewerOpener: TypeAlias = Callable[[NodeCore], AbstractContextManager[object]]
 """Opens the viewers of a core: a context entered before the core starts and left after it has stopped."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What those who run a node give beside ROS's arguments.
+
+    Attributes
+    ----------
+    given : mapping
+        Parameters that override those of ROS.
+    open_viewers : callable
+        Called with the core before it starts: see `ViewerOpener`.
+    on_poll : callable
+        Called several times a second; may raise KeyboardInterrupt.
+    """
+
+    given: Mapping[str, Any] = field(default_factory=dict)
+    open_viewers: ViewerOpener = nullcontext
+    on_poll: Callable[[], None] = lambda: None
+
+
+NO_OPTIONS: Final = RunOptions()
 
 
 def import_ros(ros: str, hint: str, name: str, folder: str = "msg") -> Any:  # noqa: ANN401

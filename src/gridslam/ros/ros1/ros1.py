@@ -11,7 +11,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from functools import partial
 from typing import IO, Any, final
 
@@ -22,7 +21,7 @@ from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.node.parameters import GMAPPING_DEFAULTS, NODE_DEFAULTS, node_parameters
 from gridslam.ros.node.ros_node import RosNode
 from gridslam.ros.node.service_types import BODY, service_encoder
-from gridslam.ros.node.transport import LATCHED, POLL_S, Handler, Serve, ViewerOpener, import_ros
+from gridslam.ros.node.transport import LATCHED, NO_OPTIONS, POLL_S, Handler, RunOptions, Serve, import_ros
 
 __all__ = ["NODE_NAME", "Ros1Transport", "check_ros1_arguments", "run_ros1"]
 
@@ -102,7 +101,7 @@ class Ros1Transport:
             self._read_parameters()
             response = Answer()
             try:
-                response.encoded = self.encoder.encode(f"{kind}_Response{BODY}", *serve(request))
+                response.encoded = self.encoder.encode(f"{kind}_Response{BODY}", *(serve(request) or ()))
             except GridslamError as error:
                 raise self._rospy.ServiceException(str(error)) from None
             return response
@@ -222,25 +221,15 @@ def _wait_for_master(on_poll: Callable[[], None]) -> None:
         on_poll()
 
 
-def run_ros1(
-    arguments: Sequence[str] = (),
-    *,
-    given: Mapping[str, Any] | None = None,
-    open_viewers: ViewerOpener = nullcontext,
-    on_poll: Callable[[], None] = lambda: None,
-) -> None:
+def run_ros1(arguments: Sequence[str] = (), options: RunOptions = NO_OPTIONS) -> None:
     """Run the node until ROS or Ctrl-C shuts it down, then write the results to `out`.
 
     Parameters
     ----------
     arguments : sequence of str
         ROS arguments: ``scan:=base_scan``, ``_particles:=80``, ``__name:=mapper``.
-    given : mapping, optional
-        Parameters of the node that override its private parameters.
-    open_viewers : callable
-        Called with the core before it starts: see `gridslam.ros.node.transport.ViewerOpener`.
-    on_poll : callable
-        Called several times a second; may raise KeyboardInterrupt.
+    options : RunOptions
+        Parameters and viewers.
 
     Raises
     ------
@@ -251,10 +240,10 @@ def run_ros1(
     """
     rospy = _import("rospy")
     check_ros1_arguments(arguments)
-    _wait_for_master(on_poll)
+    _wait_for_master(options.on_poll)
     try:
         rospy.init_node(NODE_NAME, argv=["gridslam", *arguments], disable_signals=True)
     except rospy.ROSInitException as error:
         raise GridslamError(f"the node cannot be started: {error}") from None
-    parameters = node_parameters({**rospy.get_param("~", {}), **(given or {})})
-    RosNode(Ros1Transport(), parameters).run(open_viewers, on_poll)
+    parameters = node_parameters({**rospy.get_param("~", {}), **options.given})
+    RosNode(Ros1Transport(), parameters).run(options)

@@ -14,7 +14,8 @@ from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.node.parameters import NodeParameters
 from gridslam.ros.node.ros_node import RosNode
 from gridslam.ros.node.service_types import service_encoder
-from gridslam.ros.node.transport import LATCHED, Transport, ViewerOpener
+from gridslam.ros.node.transport import LATCHED, RunOptions, Transport
+from gridslam.ros.ros2.arguments import find_foreign_files
 from gridslam.ros.ros2.lifecycle_services import LifecycleServices
 from gridslam.ros.ros2.parameter_services import ParameterServices
 
@@ -25,7 +26,6 @@ _TYPES: Final = {
     _PARAMETER_EVENTS: "rcl_interfaces/ParameterEvent",
     _TRANSITION_EVENT: "lifecycle_msgs/TransitionEvent",
 }
-_EVENTS_DEPTH: Final = 1000
 _SIM_TIME: Final = "use_sim_time"
 
 
@@ -55,13 +55,12 @@ class Ros2Transport(Transport):
     def connect(self, refuse: Callable[[str, str], None], topics: Mapping[str, str]) -> None:
         """Create the publishers; `refuse` is called with kind and problem of what cannot be received."""
         self._refuse = refuse
-        offered = []
-        for topic, kind in topics.items():
-            latched = topic in LATCHED
-            if self._add_publisher(topic, kind, latched=latched, depth=1 if latched else 10):
-                offered.append(topic)
-        self.outputs.topics = tuple(offered)
-        self._add_publisher(_PARAMETER_EVENTS, _TYPES[_PARAMETER_EVENTS], latched=False, depth=_EVENTS_DEPTH)
+        self.outputs.topics = tuple(
+            topic
+            for topic, kind in topics.items()
+            if self._add_publisher(topic, kind, latched=topic in LATCHED, depth=1 if topic in LATCHED else 10)
+        )
+        self._add_publisher(_PARAMETER_EVENTS, _TYPES[_PARAMETER_EVENTS], latched=False, depth=1000)
 
     def wire_of(self, data: bytes) -> Wire:
         """Return the encoding of a message; raises MessageError if it has none."""
@@ -91,18 +90,15 @@ class Ros2Transport(Transport):
         if self._parameters is not None:
             self._parameters.store(values)
 
-    def run(
-        self,
-        parameters: NodeParameters,
-        open_viewers: ViewerOpener,
-        on_poll: Callable[[], None],
-    ) -> None:
+    def run(self, arguments: Sequence[str], parameters: NodeParameters, options: RunOptions) -> None:
         """Run the node until it is stopped; a managed one begins unconfigured."""
+        for sentence in find_foreign_files(arguments, self._name):
+            self.outputs.log(Level.WARN, sentence)
         node = RosNode(self, parameters)
-        if parameters.lifecycle:
+        if parameters.values["lifecycle"]:
             node.core.pause(True)
             self._advertise_lifecycle(node.core)
-        node.run(open_viewers, on_poll)
+        node.run(options)
 
     def _advertise_lifecycle(self, core: NodeCore) -> None:
         """Offer the services of a managed node: it maps while it is active, and forgets when it is cleaned up."""

@@ -8,14 +8,13 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
-from typing import Any, Final, final
+from typing import Final, final
 
 from gridslam.errors import ConfigurationError
 from gridslam.io.bags.ros_messages import MessageError
 from gridslam.ros.node.messages import Level
 from gridslam.ros.node.parameters import node_parameters
-from gridslam.ros.node.transport import POLL_S, Handler, Serve, ViewerOpener
+from gridslam.ros.node.transport import NO_OPTIONS, POLL_S, Handler, RunOptions, Serve
 from gridslam.ros.ros2.arguments import RosArguments, parse_ros_arguments
 from gridslam.ros.ros2.transport import Ros2Transport
 from gridslam.ros.ros2_dds.participant import DdsParticipant
@@ -66,8 +65,6 @@ class DdsTransport(Ros2Transport):
         self._add_publisher(_ROSOUT, _LOG, latched=True, depth=_LOG_DEPTH)
         if arguments.ignored:
             self._log(Level.WARN, f"arguments that are ignored, as there is no ROS: {', '.join(arguments.ignored)}")
-        for sentence in arguments.foreign_files:
-            self._log(Level.WARN, sentence)
         self._use_sim_time(simulated)
 
     def resolve(self, topic: str) -> str:
@@ -159,28 +156,17 @@ def _static_peers(environment: Mapping[str, str]) -> list[str]:
     return found
 
 
-def run_dds(
-    arguments: Sequence[str] = (),
-    *,
-    given: Mapping[str, Any] | None = None,
-    interfaces: Sequence[str] = (),
-    open_viewers: ViewerOpener = nullcontext,
-    on_poll: Callable[[], None] = lambda: None,
-) -> None:
+def run_dds(arguments: Sequence[str] = (), options: RunOptions = NO_OPTIONS, interfaces: Sequence[str] = ()) -> None:
     """Run the node until Ctrl-C, then write the results to `out`.
 
     Parameters
     ----------
     arguments : sequence of str
         ROS arguments, see `parse_ros_arguments`.
-    given : mapping, optional
-        Parameters that override the arguments.
+    options : RunOptions
+        Parameters and viewers.
     interfaces : sequence of str
         Network interfaces by address or name; if empty, ROS's environment variables or the library choose them.
-    open_viewers : callable
-        Called with the core before it starts: see `gridslam.ros.node.transport.ViewerOpener`.
-    on_poll : callable
-        Called several times a second; may raise KeyboardInterrupt.
 
     Raises
     ------
@@ -188,7 +174,7 @@ def run_dds(
         No port or interface is there, or an argument or parameter is invalid.
     """
     ros = parse_ros_arguments(arguments)
-    values = {**ros.parameters, **(given or {})}
+    values = {**ros.parameters, **options.given}
     simulated = values.pop("use_sim_time", False) is True
     parameters = node_parameters(values, "default")
     try:
@@ -198,4 +184,4 @@ def run_dds(
     where = interfaces or (["127.0.0.1"] if _is_local(os.environ) else [])
     peers = _static_peers(os.environ)
     transport = DdsTransport(ros, domain=domain, interfaces=where, simulated=simulated, peers=peers)
-    transport.run(parameters, open_viewers, on_poll)
+    transport.run(arguments, parameters, options)

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any, final
 
@@ -17,17 +16,14 @@ from gridslam.pipeline import describe_error
 from gridslam.ros.node.messages import Level
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.service_types import BODY
-from gridslam.ros.node.transport import POLL_S, TOPICS, Handler, Serve, ViewerOpener, import_ros
-from gridslam.ros.ros2.arguments import find_foreign_files
+from gridslam.ros.node.transport import NO_OPTIONS, POLL_S, TOPICS, Handler, RunOptions, Serve, import_ros
 from gridslam.ros.ros2.transport import Ros2Transport
 
 __all__ = ["NODE_NAME", "RclpyTransport", "run_rclpy"]
 
 NODE_NAME = "gridslam"
 
-_ROS_S = ("use_sim_time", "start_type_description_service")
-"""Parameters that rclpy handles."""
-
+_ROS_S = "use_sim_time", "start_type_description_service"  # parameters that rclpy handles
 _TYPES_S = 2.0  # between two looks at the types of others' topics, of which rmw_fastrtps reports none
 
 _import = partial(import_ros, "ROS 2", "source a ROS 2's setup.bash, or use --transport dds")
@@ -87,17 +83,17 @@ class RclpyTransport(Ros2Transport):
             return partial(answer, request, response)
 
         offered = self._node.create_service(service_class, service, begin if slow else answer)
-        if slow:
-            send = offered.send_response
+        send = offered.send_response
 
-            def finish(work: Callable[[], Any], header: Any) -> None:  # noqa: ANN401
+        def start(work: Callable[[], Any], header: Any) -> None:  # noqa: ANN401
+            def finish() -> None:
                 response = work()
                 if self._rclpy.ok():
                     send(response, header)
 
-            def start(work: Callable[[], Any], header: Any) -> None:  # noqa: ANN401
-                threading.Thread(target=finish, args=(work, header), name="gridslam-service", daemon=True).start()
+            threading.Thread(target=finish, name="gridslam-service", daemon=True).start()
 
+        if slow:
             offered.send_response = start
 
     def spin(self, ended: threading.Event) -> Iterator[None]:
@@ -192,10 +188,8 @@ class RclpyTransport(Ros2Transport):
 
 def _read_parameters(node: Any) -> dict[str, Any]:  # noqa: ANN401
     """Return the parameters set by launch files and arguments; no others are declared, so presets apply."""
-    there = node.get_parameters_by_prefix("")
-    return {
-        name: held.value for name, held in there.items() if name not in _ROS_S and not name.startswith("qos_overrides.")
-    }
+    there = node.get_parameters_by_prefix("").items()
+    return {name: one.value for name, one in there if name not in _ROS_S and not name.startswith("qos_overrides.")}
 
 
 def _init_rclpy(rclpy: Any, arguments: list[str]) -> None:  # noqa: ANN401
@@ -206,25 +200,15 @@ def _init_rclpy(rclpy: Any, arguments: list[str]) -> None:  # noqa: ANN401
     rclpy.init(args=arguments, signal_handler_options=_import("rclpy.signals").SignalHandlerOptions.NO)
 
 
-def run_rclpy(
-    arguments: Sequence[str] = (),
-    *,
-    given: Mapping[str, Any] | None = None,
-    open_viewers: ViewerOpener = nullcontext,
-    on_poll: Callable[[], None] = lambda: None,
-) -> None:
+def run_rclpy(arguments: Sequence[str] = (), options: RunOptions = NO_OPTIONS) -> None:
     """Run the node until ROS or Ctrl-C shuts it down, then write the results to `out`.
 
     Parameters
     ----------
     arguments : sequence of str
         ROS arguments: ``--ros-args -p particles:=80 -r scan:=front/scan --params-file robot.yaml``.
-    given : mapping, optional
-        Parameters that override those of ROS.
-    open_viewers : callable
-        Called with the core before it starts: see `gridslam.ros.node.transport.ViewerOpener`.
-    on_poll : callable
-        Called several times a second; may raise KeyboardInterrupt.
+    options : RunOptions
+        Parameters and viewers.
 
     Raises
     ------
@@ -238,8 +222,5 @@ def run_rclpy(
         automatically_declare_parameters_from_overrides=True,
         start_parameter_services=False,
     )
-    parameters = node_parameters({**_read_parameters(node), **(given or {})}, "default")
-    transport = RclpyTransport(node)
-    for sentence in find_foreign_files(arguments, node.get_fully_qualified_name()):
-        transport.outputs.log(Level.WARN, sentence)
-    transport.run(parameters, open_viewers, on_poll)
+    parameters = node_parameters({**_read_parameters(node), **options.given}, "default")
+    RclpyTransport(node).run(arguments, parameters, options)
