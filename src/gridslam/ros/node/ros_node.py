@@ -240,7 +240,7 @@ class RosNode:
         return offered
 
     def _give_map(self, request: Any) -> Sequence[Any]:  # noqa: ANN401
-        """Give the map that was published last; raises GridslamError without one, if the transport can say so."""
+        """Give the map that was published last; raises GridslamError without one, if the transport can report that."""
         latest = self.core.dynamic_map()
         if latest is None and not self._transport.gives_empty_map:
             raise GridslamError("there is no map yet")
