@@ -101,7 +101,8 @@ class Ros1Transport:
             self._read_parameters()
             response = Answer()
             try:
-                response.encoded = self.encoder.encode(f"{kind}_Response{BODY}", *(serve(request) or ()))
+                if values := serve(request):
+                    response.encoded = self.encoder.encode(f"{kind}_Response{BODY}", *values)
             except GridslamError as error:
                 raise self._rospy.ServiceException(str(error)) from None
             return response
