@@ -25,6 +25,7 @@ TIERS = {
         "contracts/test_fastdds_peer.py",
         "unit/ros/test_dds_transport.py",
     ),
+    "ros2": ("contracts/ros2/",),
     "long": ("long/", "fuzz/test_thousands_of_files.py"),
 }
 """Tests of another tier than the default, by where they are."""

@@ -19,7 +19,7 @@ setup(
     install_requires=["setuptools"],
     zip_safe=True,
     maintainer="The gridslam developers",
-    maintainer_email="gridslam@localhost",
+    maintainer_email="gridslam@example.org",
     description="Launch files, parameters and layouts for the ROS 2 node of gridslam.",
     license="BSD-3-Clause",
     entry_points={"console_scripts": [f"node = {NAME}.node:main"]},

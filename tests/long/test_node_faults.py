@@ -21,7 +21,8 @@ import sys, threading, time
 from contextlib import nullcontext
 from gridslam.cli.output import handle_signals, stop_if_interrupted
 from gridslam.ros.node.parameters import node_parameters
-from gridslam.ros.node.transport import RosNode
+from gridslam.ros.node.ros_node import RosNode
+from gridslam.ros.node.transport import RunOptions
 from support.node_faults import QUICK, SHIFT_NS, make_drive
 from support.ros_node import LocalTransport, mounting, play
 
@@ -37,7 +38,7 @@ with handle_signals(until_exit=True):
     node = RosNode(transport, node_parameters(parameters, "default"))
     node.core.on_transforms([mounting()], static=True)
     threading.Thread(target=drive, daemon=True).start()
-    node.run(lambda core: nullcontext(), stop_if_interrupted)
+    node.run(RunOptions(on_poll=stop_if_interrupted))
 """
 
 

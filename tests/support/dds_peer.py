@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gridslam.io.measurement import Measurement
-from gridslam.ros.ros2.dds import service_encoder
+from gridslam.ros.node.service_types import service_encoder
 from support.ros_node import mounting, odometry_message, scan_message
 
 LOOPBACK = (
@@ -196,12 +196,16 @@ class Robot:
 class Node:
     """The command, in a process of its own."""
 
-    def __init__(self, domain: int, log: Path, *arguments: str, interface: str = "127.0.0.1") -> None:
+    def __init__(
+        self, domain: int, log: Path, *arguments: str, interface: str = "127.0.0.1", transport: str = "dds"
+    ) -> None:
         others = "ROS", "CYCLONE", "FASTRTPS", "PYTHON"
         environment = {name: value for name, value in os.environ.items() if not name.startswith(others)}
         environment["ROS_DOMAIN_ID"] = str(domain)
-        command = [sys.executable, "-m", "gridslam.cli.main", "ros2", "--transport", "dds"]
-        if interface:
+        command = [sys.executable, "-m", "gridslam.cli.main", "ros2", "--transport", transport]
+        if transport == "rclpy":
+            environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+        elif interface:
             command += ["--interface", interface]
         else:
             environment["ROS_LOCALHOST_ONLY"] = "1"
@@ -210,13 +214,14 @@ class Node:
             self.process = subprocess.Popen([*command, *arguments], env=environment, stderr=out, start_new_session=True)
 
     def says(self, words: str, seconds: float = 60.0) -> bool:
-        """Wait for words in its log."""
-        return until(lambda: words in self.log.read_text(), seconds)
+        """Wait for words in its log, as long as it runs."""
+        until(lambda: words in self.log.read_text() or self.process.poll() is not None, seconds)
+        return words in self.log.read_text()
 
-    def end(self) -> int:
-        """Ctrl-C."""
+    def end(self, number: int = signal.SIGINT) -> int:
+        """Ctrl-C, or another signal."""
         if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
+            self.process.send_signal(number)
         return self.process.wait(60)
 
     def kill(self) -> None:

@@ -6,11 +6,15 @@ The interface is that of Humble to Jazzy, as their documentation has it.
 from __future__ import annotations
 
 import sys
+import time
 import types
 from collections.abc import Callable
 from enum import Enum
+from queue import Queue
 from types import SimpleNamespace
 from typing import Any
+
+from gridslam.ros.node.service_types import service_encoder
 
 TYPES = {
     "sensor_msgs.msg": ["LaserScan"],
@@ -22,6 +26,13 @@ TYPES = {
     "nav_msgs.srv": ["GetMap", "SetMap"],
     "diagnostic_msgs.msg": ["DiagnosticArray"],
     "std_srvs.srv": ["Empty", "SetBool", "Trigger"],
+    "rcl_interfaces.msg": ["ParameterEvent"],
+    "rcl_interfaces.srv": [
+        *("ListParameters", "GetParameters", "GetParameterTypes"),
+        *("DescribeParameters", "SetParameters", "SetParametersAtomically"),
+    ],
+    "lifecycle_msgs.msg": ["TransitionEvent"],
+    "lifecycle_msgs.srv": ["GetState", "GetAvailableStates", "GetAvailableTransitions", "ChangeState"],
 }
 
 
@@ -29,7 +40,8 @@ class World:
     """What went through the stand-in, and what tests put into it."""
 
     def __init__(self, parameters: dict[str, Any]) -> None:
-        self.parameters = parameters
+        self.parameters = {"use_sim_time": False, **parameters}
+        self.others: dict[str, list[str]] = {}
         self.published: dict[str, list[bytes]] = {}
         self.publishers: dict[str, tuple[str, Any]] = {}
         self.subscriptions: dict[str, tuple[str, Any, Callable[[bytes], None]]] = {}
@@ -76,6 +88,7 @@ class Node:
         assert options == {
             "allow_undeclared_parameters": True,
             "automatically_declare_parameters_from_overrides": True,
+            "start_parameter_services": False,
         }
         self.name, self.destroyed = name, False
         self.world.nodes.append(self)
@@ -123,22 +136,23 @@ class Node:
         assert raw
         self.world.subscriptions[topic] = kind.__name__, profile, callback
 
-    def create_service(
-        self, kind: type, name: str, callback: Callable[[Any, Any], Any], *, callback_group: Any = None
-    ) -> None:
-        self.world.services[name] = callback
+    def create_service(self, kind: type, name: str, callback: Callable[[Any, Any], Any]) -> Any:
+        answers: Queue[Any] = Queue()
+        offered = SimpleNamespace(send_response=lambda response, header: answers.put(response))
 
-    def declare_parameter(self, name: str, value: Any) -> None:
-        assert name not in self.world.parameters
-        assert isinstance(value, bool | int | float | str)
-        self.world.parameters[name] = value
+        def call(request: Any) -> Any:
+            """Do what an executor does, and wait for what is sent."""
+            offered.send_response(callback(request, SimpleNamespace()), "header")
+            return answers.get(timeout=60)
 
-    def add_on_set_parameters_callback(self, callback: Callable[[list[Any]], Any]) -> None:
-        self.world.on_set = callback
+        self.world.services[name] = call
+        return offered
+
+    def get_publishers_info_by_topic(self, topic: str) -> list[Any]:
+        return [SimpleNamespace(topic_type=kind) for kind in self.world.others.get(topic, ())]
 
     def set_parameters(self, parameters: list[Any]) -> None:
-        if self.world.on_set(parameters).successful:
-            self.world.parameters.update({one.name: one.value for one in parameters})
+        self.world.parameters.update({one.name: one.value for one in parameters})
 
     def get_clock(self) -> Any:
         return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=self.world.clock_ns))
@@ -148,23 +162,6 @@ class Node:
 
     def destroy_node(self) -> None:
         self.destroyed = True
-
-
-class LifecycleNode(Node):
-    def on_configure(self, state: Any) -> str:
-        return "success"
-
-    def on_cleanup(self, state: Any) -> str:
-        return "success"
-
-    def on_activate(self, state: Any) -> str:
-        return "success"
-
-    def on_deactivate(self, state: Any) -> str:
-        return "success"
-
-    def on_shutdown(self, state: Any) -> str:
-        return "success"
 
 
 SLAM_TOOLBOX = ["SerializePoseGraph", "DeserializePoseGraph", "SaveMap", "Pause", "Clear", "Reset"]
@@ -178,15 +175,21 @@ def installed(monkeypatch: Any, parameters: dict[str, Any], slam_toolbox: bool =
     class ExternalShutdownException(Exception):  # noqa: N818 - rclpy's name
         pass
 
-    class MultiThreadedExecutor:
-        def __init__(self, threads: int) -> None:
-            assert threads == 2
-
+    class SingleThreadedExecutor:
         def add_node(self, node: Node) -> None:
             assert node in world.nodes
 
         def spin_once(self, timeout_sec: float) -> None:
             world.spun()
+            time.sleep(0.01)
+
+        def shutdown(self) -> None:
+            pass
+
+    encoder = service_encoder()
+
+    def deserialize_message(data: bytes, kind: type) -> Any:
+        return encoder.decode(f"{kind.service}_ResponseBody", data)
 
     def module(name: str, **contents: Any) -> None:
         made = types.ModuleType(name)
@@ -200,18 +203,14 @@ def installed(monkeypatch: Any, parameters: dict[str, Any], slam_toolbox: bool =
     module("rclpy.utilities", remove_ros_args=lambda args: args[: [*args, "--ros-args"].index("--ros-args")])
     module("rclpy.node", Node=Node)
     module("rclpy.signals", SignalHandlerOptions=Enum("SignalHandlerOptions", "NO SIGINT SIGTERM ALL"))
-    module(
-        "rclpy.lifecycle",
-        LifecycleNode=LifecycleNode,
-    )
+    module("rclpy.serialization", deserialize_message=deserialize_message)
     module(
         "rclpy.executors",
-        MultiThreadedExecutor=MultiThreadedExecutor,
+        SingleThreadedExecutor=SingleThreadedExecutor,
         ExternalShutdownException=ExternalShutdownException,
     )
     module("rclpy.qos_overriding_options", QoSOverridingOptions=tuple)
     module("rclpy.parameter", Parameter=lambda name, value: SimpleNamespace(name=name, value=value))
-    module("rclpy.callback_groups", MutuallyExclusiveCallbackGroup=object)
     module(
         "rclpy.qos",
         QoSProfile=lambda **policies: SimpleNamespace(**policies),
@@ -220,10 +219,12 @@ def installed(monkeypatch: Any, parameters: dict[str, Any], slam_toolbox: bool =
         ReliabilityPolicy=Enum("ReliabilityPolicy", "RELIABLE BEST_EFFORT"),
         DurabilityPolicy=Enum("DurabilityPolicy", "VOLATILE TRANSIENT_LOCAL"),
     )
-    module("rcl_interfaces")
-    module("rcl_interfaces.msg", SetParametersResult=lambda **fields: SimpleNamespace(**fields))
     more = {"slam_toolbox.srv": SLAM_TOOLBOX} if slam_toolbox else {}
     for name, kinds in {**TYPES, **more}.items():
         module(name.partition(".")[0])
-        module(name, **{kind: type(kind, (), {}) for kind in kinds})
+        package = name.partition(".")[0]
+        made = {
+            kind: type(kind, (), {"Response": type("Response", (), {"service": f"{package}/{kind}"})}) for kind in kinds
+        }
+        module(name, **made)
     return world

@@ -7,7 +7,6 @@ import inspect
 import json
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +26,9 @@ from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.mapping_session import Session
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.rendering import MapRenderer
+from gridslam.ros.node.ros_node import RosNode
 from gridslam.ros.node.state_publisher import StatePublisher
-from gridslam.ros.node.transport import RosNode
+from gridslam.ros.node.transport import NO_OPTIONS
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement
 from gridslam.slam.grid_fastslam.map_limit import MapLimit
@@ -99,7 +99,7 @@ class RunningNode:
 
     def run(self) -> None:
         try:
-            self.node.run(lambda core: nullcontext(), lambda: None)
+            self.node.run(NO_OPTIONS)
         except Exception as error:
             self.error = error
 

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
+from gridslam.errors import ConfigurationError
+from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.io.bags.ros_messages import MessageError, Wire
 from gridslam.io.measurement import Measurement
 from gridslam.ros import NodeCore
@@ -47,7 +49,8 @@ class RecordedOutputs:
         return self.clock_ns
 
     def map(self, message: GridMessage) -> None:
-        self.maps.append(message)
+        if not self.topics or "map" in self.topics:  # as a transport, which publishes what was announced
+            self.maps.append(message)
         if self.hold is not None:
             self.hold.wait(10)
 
@@ -83,18 +86,18 @@ class LocalTransport:
     """A transport without a network: `RosNode` runs on it, and `play` reaches its core."""
 
     global_localization = "global_localization"
+    gives_empty_map = True
+    encoder = MessageEncoder(is_ros1=False)
 
     def __init__(self) -> None:
         self.outputs = RecordedOutputs()
         self.shut_down = threading.Event()
         self.services: dict[str, Callable[[object], Sequence[object]]] = {}
 
-    def connect(self, refuse: Callable[[str, str], None], topics: object) -> None:
+    def connect(self, refuse: Callable[[str, str], None], topics: dict[str, str]) -> None:
         self.refuse = refuse
         self.published = topics
-
-    def advertise_set_map(self, service: str, serve: Callable[[object], bool]) -> None:
-        self.services[service] = serve
+        self.outputs.topics = tuple(topics)
 
     def save_parameters(self, values: dict[str, float]) -> None:
         self.saved = values
@@ -109,13 +112,9 @@ class LocalTransport:
         pass
 
     def advertise(self, service: str, kind: str, serve: Callable[[object], Sequence[object]], **options: bool) -> None:
+        if kind.startswith("slam_toolbox/"):
+            raise ConfigurationError("its types are not installed")
         self.services[service] = serve
-
-    def advertise_typed(self, package: str, services: dict[str, tuple[str, object]]) -> bool:
-        return False
-
-    def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
-        pass
 
     def advertise_parameters(self, values: object, change: object, settable: object) -> None:
         self.parameters = values

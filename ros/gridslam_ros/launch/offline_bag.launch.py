@@ -6,7 +6,7 @@
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchDescription
+from launch import LaunchContext, LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
     EmitEvent,
@@ -17,11 +17,19 @@ from launch.actions import (
 )
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
+from launch.events.process import ProcessExited
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 
 ARGUMENTS = {"scan": "scan", "out": "gridslam-map", "rate": "1.0", "rviz": "false"}
 START_S, END_S = 3.0, 2.0  # until the node listens, and until its last scans are mapped
+
+
+def end(event: ProcessExited, context: LaunchContext) -> list[TimerAction]:
+    """End all when the bag has ended; an exception, as of a bag that could not be played, makes launch's status 1."""
+    if event.returncode:
+        raise RuntimeError(f"the bag is not played: ros2 bag play has ended with status {event.returncode}")
+    return [TimerAction(period=END_S, actions=[EmitEvent(event=Shutdown(reason="the bag has ended"))])]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -45,7 +53,6 @@ def generate_launch_description() -> LaunchDescription:
         LaunchConfiguration("rate"),
     ]
     player = ExecuteProcess(cmd=command, output="screen")
-    end = TimerAction(period=END_S, actions=[EmitEvent(event=Shutdown(reason="the bag has ended"))])
     declared = [DeclareLaunchArgument(name, default_value=value) for name, value in ARGUMENTS.items()]
     return LaunchDescription(
         [
@@ -53,6 +60,6 @@ def generate_launch_description() -> LaunchDescription:
             *declared,
             mapping,
             TimerAction(period=START_S, actions=[player]),
-            RegisterEventHandler(OnProcessExit(target_action=player, on_exit=[end])),
+            RegisterEventHandler(OnProcessExit(target_action=player, on_exit=end)),
         ]
     )

@@ -185,7 +185,7 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
     """Serve the page of a node that is not started yet, until it has ended."""
     from gridslam.live.control import NO_COMMANDS, RobotCommands, RobotControl
     from gridslam.live.page import LivePage
-    from gridslam.ros.node.transport import save_results
+    from gridslam.ros.node.ros_node import save_results
 
     commands = NO_COMMANDS
     if live.controls and core.localizes:

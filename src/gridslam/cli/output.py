@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final, final
@@ -28,6 +28,7 @@ __all__ = [
     "TARGETS",
     "Progress",
     "elapsed_progress",
+    "end_by_signal",
     "handle_signals",
     "is_interrupted",
     "mapping_progress",
@@ -120,6 +121,10 @@ def write_apart() -> Iterator[Callable[..., bool]]:
         raise click.exceptions.Exit(1)
 
 
+class _Interrupted(KeyboardInterrupt):
+    """A signal that has come. Where KeyboardInterrupt itself leaves `exec`, Python ends the process by SIGINT later."""
+
+
 @contextmanager
 def handle_signals(*, until_exit: bool = False) -> Iterator[None]:
     """Turn the first SIGINT, SIGTERM or SIGHUP into KeyboardInterrupt; later ones must not disturb the cleaning up.
@@ -140,6 +145,18 @@ def handle_signals(*, until_exit: bool = False) -> Iterator[None]:
     finally:
         for number in before:  # the results are written, or gone
             signal.signal(number, signal.SIG_IGN if until_exit else before[number])
+
+
+@contextmanager
+def end_by_signal() -> Iterator[None]:
+    """Let a signal end what runs until it is stopped: that is no failure, and SIGINT does so behind a shell's `&`, too.
+
+    A shell without job control lets programs that it starts with `&` ignore SIGINT, by which ROS ends nodes.
+    """
+    if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, _interrupt)
+    with suppress(KeyboardInterrupt):
+        yield
 
 
 @contextmanager
@@ -166,7 +183,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     if not _interrupted:
         _interrupted = True
         if not _held:
-            raise KeyboardInterrupt
+            raise _Interrupted
 
 
 @contextmanager
@@ -189,7 +206,7 @@ def is_interrupted() -> bool:
 def stop_if_interrupted() -> None:
     """Repeat an interrupt which came while a destructor ran: Python swallows it there."""
     if _interrupted:
-        raise KeyboardInterrupt
+        raise _Interrupted
 
 
 @contextmanager

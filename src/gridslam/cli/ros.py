@@ -10,12 +10,12 @@ from typing import Any
 
 from gridslam.api.beginning import Place
 from gridslam.cli.live import node_page, rerun_recording
-from gridslam.cli.output import stop_if_interrupted
+from gridslam.cli.output import end_by_signal, stop_if_interrupted
 from gridslam.errors import ConfigurationError
 from gridslam.live.options import LiveOptions
 from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.session import Localization
-from gridslam.ros.node.transport import ViewerOpener
+from gridslam.ros.node.transport import RunOptions, ViewerOpener
 
 __all__ = ["make_viewer_opener", "ros1", "ros2"]
 
@@ -41,6 +41,7 @@ def _collect_parameters(
     return {name: value for name, value in given.items() if value is not None}
 
 
+@end_by_signal()
 def ros1(
     arguments: Sequence[str],
     *,
@@ -51,10 +52,11 @@ def ros1(
     """Run the ROS 1 node until it is stopped."""
     from gridslam.ros.ros1.ros1 import run_ros1
 
-    open_viewers = make_viewer_opener("ROS 1", live, rerun)
-    run_ros1(arguments, given=_collect_parameters(**options), open_viewers=open_viewers, on_poll=stop_if_interrupted)
+    viewers = make_viewer_opener("ROS 1", live, rerun)
+    run_ros1(arguments, RunOptions(_collect_parameters(**options), viewers, stop_if_interrupted))
 
 
+@end_by_signal()
 def ros2(
     arguments: Sequence[str],
     *,
@@ -65,18 +67,18 @@ def ros2(
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Run the ROS 2 node until it is stopped: by rclpy if a ROS 2 is sourced, otherwise by DDS itself."""
-    given = _collect_parameters(**options)
-    open_viewers = make_viewer_opener("ROS 2", live, rerun)
+    viewers = make_viewer_opener("ROS 2", live, rerun)
+    shared = RunOptions(_collect_parameters(**options), viewers, stop_if_interrupted)
     if transport == "dds" or (transport == "auto" and importlib.util.find_spec("rclpy") is None):
-        from gridslam.ros.ros2.ros2_dds import run_dds
+        from gridslam.ros.ros2_dds.dds_transport import run_dds
 
-        run_dds(arguments, given=given, interfaces=interfaces, open_viewers=open_viewers, on_poll=stop_if_interrupted)
+        run_dds(arguments, shared, interfaces)
         return
     if interfaces:
         raise ConfigurationError("--interface: only without ROS; where there is one, its middleware decides")
-    from gridslam.ros.ros2.ros2 import run_ros2
+    from gridslam.ros.ros2_rclpy.rclpy_transport import run_rclpy
 
-    run_ros2(arguments, given=given, open_viewers=open_viewers, on_poll=stop_if_interrupted)
+    run_rclpy(arguments, shared)
 
 
 def make_viewer_opener(title: str, live: LiveOptions | None, rerun: str | None) -> ViewerOpener:

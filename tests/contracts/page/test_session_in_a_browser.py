@@ -7,7 +7,7 @@ import numpy as np
 from gridslam.cli.live import node_page
 from gridslam.live.options import LiveOptions
 from gridslam.ros.node.parameters import node_parameters
-from gridslam.ros.node.transport import RosNode
+from gridslam.ros.node.ros_node import RosNode
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support.browsing import shown, text, wait
 from support.node_faults import QUICK, SHIFT_NS, RunningNode, is_prepared

@@ -16,7 +16,7 @@ from gridslam.live.options import LiveOptions
 from gridslam.live.run import LiveRun
 from gridslam.pipeline import run
 from gridslam.ros.node.parameters import node_parameters
-from gridslam.ros.node.transport import RosNode
+from gridslam.ros.node.ros_node import RosNode
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support.node_faults import QUICK, SHIFT_NS, RunningNode, is_prepared
 from support.page_client import PageClient

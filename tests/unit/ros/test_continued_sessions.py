@@ -11,7 +11,7 @@ from gridslam.config import override, preset
 from gridslam.errors import ConfigurationError, InputError
 from gridslam.io.sessions.session_file import SavedSession, read_session, write_session
 from gridslam.ros.node.parameters import node_parameters
-from gridslam.ros.node.transport import RosNode
+from gridslam.ros.node.ros_node import RosNode
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support.node_faults import RunningNode, is_prepared
 from support.ros_node import LocalTransport, until

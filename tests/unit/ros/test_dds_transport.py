@@ -12,11 +12,13 @@ from hypothesis import strategies as st
 from gridslam.ros.node.messages import GridMessage
 from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.node.parameters import node_parameters
-from gridslam.ros.node.transport import TOPICS, RosNode
+from gridslam.ros.node.ros_node import RosNode
+from gridslam.ros.node.service_types import service_encoder
+from gridslam.ros.node.transport import TOPICS
 from gridslam.ros.ros2.arguments import RosArguments
-from gridslam.ros.ros2.dds import DdsParticipant, service_encoder
 from gridslam.ros.ros2.parameter_services import ParameterServices
-from gridslam.ros.ros2.ros2_dds import DdsTransport
+from gridslam.ros.ros2_dds.dds_transport import DdsTransport
+from gridslam.ros.ros2_dds.participant import DdsParticipant
 from gridslam.ros.rtps.endpoints import RemoteEndpoint, Sample
 from gridslam.ros.rtps.qos import Qos
 from support.dds_peer import free_domain

@@ -14,8 +14,8 @@ from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.io.bags.ros_messages import MessageError, decode_transforms, wire_of_cdr, wire_of_ros1
 from gridslam.ros.node.messages import CloudMessage, Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
 from gridslam.ros.node.outputs import EncodedOutputs
+from gridslam.ros.node.service_types import service_encoder
 from gridslam.ros.node.transport import TOPICS
-from gridslam.ros.ros2.dds import service_encoder
 
 STAMP = 1_700_000_000_123_456_789
 ENCODERS = {"ROS 1": MessageEncoder(is_ros1=True), "ROS 2": service_encoder()}

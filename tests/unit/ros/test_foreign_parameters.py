@@ -10,9 +10,9 @@ from gridslam.errors import ConfigurationError
 from gridslam.io.maps import write_map
 from gridslam.ros.node.foreign_parameters import flatten
 from gridslam.ros.node.parameters import node_parameters
-from gridslam.ros.node.transport import RosNode
+from gridslam.ros.node.ros_node import RosNode
 from gridslam.ros.ros2.arguments import find_foreign_files, parse_ros_arguments
-from gridslam.ros.ros2.ros2 import run_ros2
+from gridslam.ros.ros2_rclpy.rclpy_transport import run_rclpy
 from support import fake_rclpy
 from support.localization_world import flat_map
 from support.ros_node import LocalTransport
@@ -103,7 +103,7 @@ def test_a_file_of_slam_toolbox_is_understood(slam_toolbox):
     settings, configuration = found.settings, found.configuration
     assert (settings.odom_frame, settings.map_frame, settings.base_frame) == ("wheel_odom", "world", "base_footprint")
     assert (settings.transform_wait_s, settings.map_update_interval_s, settings.throttle_scans) == (0.2, 4.0, 2)
-    assert (settings.transform_publish_period_s, found.scan_topic) == (0.02, "/front/scan")
+    assert (settings.transform_publish_period_s, found.values["scan_topic"]) == (0.02, "/front/scan")
     for path, value in (
         ("mapper.resolution_m", 0.1),
         ("range_min_m", 0.2),
@@ -149,13 +149,14 @@ def test_wrong_values_are_named_as_they_were_given(given, says):
 
 
 def test_a_file_of_nav2_places_the_robot(amcl):
-    ros = parse_ros_arguments(["--ros-args", "-r", "__node:=amcl", "--params-file", str(amcl)])
-    assert ros.foreign_files == ()
+    arguments = ["--ros-args", "-r", "__node:=amcl", "--params-file", str(amcl)]
+    ros = parse_ros_arguments(arguments)
+    assert find_foreign_files(arguments, "/amcl") == ()
     found = node_parameters(ros.parameters, "default")
     pose, _ = found.configuration.initial_pose
     np.testing.assert_array_equal(pose, [1.5, 2.5, 0.5])
     assert found.configuration.configuration.kld.particles_max == 900
-    assert (found.scan_topic, found.settings.tf_delay_s) == ("front/scan", 1.0)
+    assert (found.values["scan_topic"], found.settings.tf_delay_s) == ("front/scan", 1.0)
     assert "scan_topic" not in found.warning
 
 
@@ -179,7 +180,7 @@ def test_dotted_names_pass_rclpy(monkeypatch, amcl):
     world.spun = script
     started = []
     monkeypatch.setattr(RosNode, "start", lambda self: started.append(self.core.configuration.initial_pose))
-    run_ros2([])
+    run_rclpy([])
     assert started[0][0].tolist() == [1.5, 0.0, 0.0]
     assert "qos_overrides" not in str(world.logged)
 
@@ -196,13 +197,12 @@ def test_a_file_for_another_node_is_named_in_one_line(slam_toolbox, amcl, tmp_pa
     )
     assert "has parameters of /amcl, /map_server, none of /gridslam" in two
     assert "names no node" in three
-    assert parse_ros_arguments(["--ros-args", *arguments]).foreign_files == (one, two, three)
 
 
-def test_it_is_named_by_rclpy_s_node_too(monkeypatch, slam_toolbox):
+def test_it_is_named_by_the_node(monkeypatch, slam_toolbox):
     world = fake_rclpy.installed(monkeypatch, {})
     world.running = False
-    run_ros2(["--ros-args", "--params-file", str(slam_toolbox)])
+    run_rclpy(["--ros-args", "--params-file", str(slam_toolbox)])
     assert any("has parameters of /slam_toolbox, none of /gridslam" in text for _, text in world.logged)
 
 

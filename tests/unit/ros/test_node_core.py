@@ -25,7 +25,7 @@ from gridslam.ros import NodeCore, NodeSettings
 from gridslam.ros.node import rendering
 from gridslam.ros.node.messages import GridMessage, Level
 from gridslam.ros.node.rendering import make_grid_message, map_cells
-from gridslam.ros.node.transport import save_results
+from gridslam.ros.node.ros_node import save_results
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support.ros_node import BASE, ODOM, RecordedOutputs, mounting, odometry_message, play, scan_message, until
 

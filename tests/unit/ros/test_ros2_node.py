@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -11,7 +12,8 @@ import pytest
 
 from gridslam.errors import ConfigurationError
 from gridslam.io.sessions.session_file import read_session
-from gridslam.ros.ros2.ros2 import run_ros2
+from gridslam.ros.node.transport import RunOptions
+from gridslam.ros.ros2_rclpy.rclpy_transport import run_rclpy
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support import fake_rclpy
 from support.ros_bytes import encode_message
@@ -47,15 +49,20 @@ def send(world, measurement):
 
 def run(world, script, **options):
     """Run the node, whose executor runs the script once."""
+    failed = []
 
     def spun():
         try:
             script()
+        except BaseException as error:
+            failed.append(error)
         finally:
             world.running = False
 
     world.spun = spun
-    run_ros2([], **options)
+    run_rclpy([], RunOptions(**options))
+    if failed:
+        raise failed[0]
 
 
 def test_a_drive_by_way_of_bytes(monkeypatch, drive, tmp_path):
@@ -68,20 +75,13 @@ def test_a_drive_by_way_of_bytes(monkeypatch, drive, tmp_path):
         assert until(lambda: len(world.published.get("~/pose", ())) == len(drive)), world.logged
         assert until(lambda: len(world.published.get("map", ())) >= 2)
         world.subscriptions["scan"][2](b"\0\1\0\0nonsense")
-        grid = SimpleNamespace(
-            header=SimpleNamespace(stamp=SimpleNamespace()),
-            info=SimpleNamespace(
-                map_load_time=SimpleNamespace(),
-                origin=SimpleNamespace(position=SimpleNamespace(), orientation=SimpleNamespace()),
-            ),
-        )
-        response = world.services["dynamic_map"](None, SimpleNamespace(map=grid)).map
-        assert len(response.data) == response.info.width * response.info.height
-        assert response.header.frame_id == "map"
-        saved = world.services["~/save"](None, SimpleNamespace())
+        grid = world.services["dynamic_map"](None).map
+        assert len(grid.data) == grid.info.width * grid.info.height
+        assert grid.header.frame_id == "map"
+        saved = world.services["~/save"](None)
         assert saved.success, saved.message
-        assert world.services["~/pause"](SimpleNamespace(data=True), SimpleNamespace()).message == "paused"
-        world.services["~/reset"](None, SimpleNamespace())
+        assert world.services["~/pause"](SimpleNamespace(data=True)).message == "paused"
+        world.services["~/reset"](None)
         assert until(lambda: "starting a new map: reset" in str(world.logged))
 
     run(world, script, given={"out": str(tmp_path / "out")})
@@ -101,12 +101,9 @@ def test_services_of_slam_toolbox_by_its_own_names_and_types(monkeypatch, drive,
             send(world, one)
         assert until(lambda: len(world.published.get("~/pose", ())) == len(drive)), world.logged
         request = SimpleNamespace(filename=str(tmp_path / "floor"))
-        assert world.services["slam_toolbox/serialize_map"](request, SimpleNamespace(result=9)).result == 0
-        old = world.services["slam_toolbox/serialize_map"](request, SimpleNamespace())  # up to Foxy without a result
-        assert vars(old) == {}
-        pause = world.services["slam_toolbox/pause_new_measurements"]
-        assert pause(SimpleNamespace(), SimpleNamespace(status=False)).status
-        assert world.services["slam_toolbox/clear_changes"](SimpleNamespace(), SimpleNamespace()) is not None
+        assert world.services["slam_toolbox/serialize_map"](request).result == 0
+        assert world.services["slam_toolbox/pause_new_measurements"](SimpleNamespace()).status
+        assert world.services["slam_toolbox/clear_changes"](SimpleNamespace()) is not None
         assert {"~/serialize_map", "~/reset"} <= set(world.services)  # the node has another name
 
     run(world, script)
@@ -128,11 +125,19 @@ def test_ctrl_c_leaves_time_to_tell_the_last_map(monkeypatch, drive, tmp_path):
             send(world, one)
         assert until(lambda: len(world.published.get("~/pose", ())) == len(drive)), world.logged
 
-    def interrupted():
-        raise KeyboardInterrupt
+    played = threading.Event()
 
-    world.spun = script
-    run_ros2([], given={"out": str(tmp_path / "out")}, on_poll=interrupted)
+    def spun():
+        if not played.is_set():
+            script()
+            played.set()
+
+    def interrupted():
+        if played.is_set():
+            raise KeyboardInterrupt
+
+    world.spun = spun
+    run_rclpy([], RunOptions({"out": str(tmp_path / "out")}, on_poll=interrupted))
     assert world.signals == "NO"
     assert (tmp_path / "out" / "map.pgm").is_file()
     assert f"writing 40 scans to {tmp_path / 'out'}" in world.logged[-1][1]
@@ -169,45 +174,55 @@ def test_quality_of_service(monkeypatch):
     assert told(world.publishers["map"][1]) == ("RELIABLE", "TRANSIENT_LOCAL", 1)
     assert told(world.publishers["map_metadata"][1]) == ("RELIABLE", "TRANSIENT_LOCAL", 1)
     assert told(world.publishers["/tf"][1]) == ("RELIABLE", "VOLATILE", 10)
-    assert told(world.subscriptions["scan"][1]) == ("BEST_EFFORT", "VOLATILE", 10)
+    assert told(world.subscriptions["scan"][1]) == ("BEST_EFFORT", "VOLATILE", 200)
     assert told(world.subscriptions["/tf_static"][1]) == ("RELIABLE", "TRANSIENT_LOCAL", 100)
 
 
 def test_a_managed_node_maps_while_it_is_active(monkeypatch, drive):
     world = fake_rclpy.installed(monkeypatch, {"lifecycle": True, "particles": 4})
 
+    def change(label):
+        transition = SimpleNamespace(transition=SimpleNamespace(id=0, label=label))
+        assert world.services["~/change_state"](transition).success
+
+    def says(name):
+        return dict(world.cores[0].diagnostics().values)[name]
+
+    @contextmanager
+    def open_viewers(core):
+        world.cores = [core]
+        yield
+
     def script():
-        node = world.nodes[-1]
         world.subscriptions["/tf_static"][2](transforms(mounting()))
-        node.on_configure(None)
+        change("configure")
         send(world, drive[0])
-        assert node.core.diagnostics().values["paused"] == "1"
-        node.on_activate(None)
+        assert says("paused") == "1"
+        change("activate")
         send(world, drive[1])
         assert until(lambda: len(world.published.get("~/pose", ())) == 1)
-        node.on_deactivate(None)
+        change("deactivate")
         send(world, drive[2])
-        assert node.core.diagnostics().values["paused"] == "2"
-        node.on_cleanup(None)
+        assert says("paused") == "2"
+        change("cleanup")
         assert until(lambda: "starting a new map: reset" in str(world.logged))
-        node.on_activate(None)
-        node.on_shutdown(None)
+        change("shutdown")
         send(world, drive[3])
-        assert node.core.diagnostics().values["paused"] == "3"
+        assert says("paused") == "3"
+        assert len(world.published["~/transition_event"]) == 10
 
-    run(world, script)
-    assert world.nodes[0].destroyed
+    run(world, script, open_viewers=open_viewers)
 
 
 def test_what_ros_would_not_understand_is_refused(monkeypatch):
     fake_rclpy.installed(monkeypatch, {})
     with pytest.raises(ConfigurationError, match="after --ros-args, got --particle 3"):
-        run_ros2(["--particle", "3", "--ros-args", "-p", "seed:=1"])
+        run_rclpy(["--particle", "3", "--ros-args", "-p", "seed:=1"])
 
 
 def test_without_ros_the_other_way_is_named():
     with pytest.raises(ConfigurationError, match=r"ROS 2 is not available .*--transport dds"):
-        run_ros2()
+        run_rclpy()
 
 
 def scan_bytes(measurement, **changes):
@@ -244,25 +259,38 @@ def test_what_is_no_scan_is_named_and_the_next_one_is_taken(monkeypatch, drive, 
     assert says in str(world.logged)
 
 
-def test_parameters_are_declared_and_what_is_read_at_the_start_cannot_be_set(monkeypatch):
+def test_of_the_parameters_only_those_can_be_set_that_are_no_settings_of_the_start(monkeypatch):
     world = fake_rclpy.installed(monkeypatch, {"particles": 4})
     results = []
 
     def script():
-        node = world.nodes[-1]
+        def ask(name, kind, **value):
+            given = SimpleNamespace(name=name, value=SimpleNamespace(type=kind, **value))
+            results.extend(world.services["~/set_parameters"](SimpleNamespace(parameters=[given])).results)
 
-        def ask(name, value):
-            results.append(world.on_set([SimpleNamespace(name=name, value=value)]))
-
-        ask("particles", 5)
-        ask("paused_new_measurements", True)
-        ask("use_sim_time", True)
-        results.append(node)
+        ask("particles", 2, integer_value=5)
+        ask("anything", 2, integer_value=3)
+        ask("paused_new_measurements", 1, bool_value=True)
+        ask("use_sim_time", 1, bool_value=True)
 
     run(world, script)
     assert world.parameters["particles"] == 4
-    assert world.parameters["map_update_interval"] == 5.0
-    refused, paused, other, _ = results
-    assert (refused.successful, "start it with -p particles:=" in refused.reason) == (False, True)
-    assert paused.successful
-    assert other.successful
+    assert world.parameters["use_sim_time"] is True
+    assert [result.successful for result in results] == [False, False, True, True]
+    assert "start it with -p particles:=" in results[0].reason
+    assert results[1].reason == "there is no parameter anything"
+
+
+def test_a_publisher_of_another_type_is_named(monkeypatch):
+    world = fake_rclpy.installed(monkeypatch, {})
+    world.others["/scan"] = ["sensor_msgs/msg/LaserScan", "std_msgs/msg/Float64"]
+    begun = []
+
+    def spun():
+        begun.append(True)
+        world.running = len(begun) < 3
+
+    world.spun = spun
+    run_rclpy([])
+    says = "message type of /scan refused: a publisher sends std_msgs/msg/Float64, this node expects sensor_msgs/msg/"
+    assert says in str(world.logged)

@@ -38,7 +38,7 @@ def launched(monkeypatch):
     """The function that runs a launch file with stand-ins for what it imports."""
     contents = {
         "ament_index_python.packages": {"get_package_share_directory": lambda name: str(PACKAGE)},
-        "launch": {"LaunchDescription": list},
+        "launch": {"LaunchDescription": list, "LaunchContext": SimpleNamespace},
         "launch.actions": {
             name: kept(name)
             for name in (
@@ -53,6 +53,7 @@ def launched(monkeypatch):
         "launch.conditions": {"IfCondition": kept("IfCondition")},
         "launch.event_handlers": {"OnProcessExit": kept("OnProcessExit")},
         "launch.events": {"Shutdown": kept("Shutdown")},
+        "launch.events.process": {"ProcessExited": SimpleNamespace},
         "launch.launch_description_sources": {"PythonLaunchDescriptionSource": kept("source")},
         "launch.substitutions": {
             "LaunchConfiguration": LaunchConfiguration,
@@ -113,6 +114,10 @@ def test_a_bag_is_played_and_its_end_ends_all(launched):
     assert "--clock" in player.cmd
     (handler,) = found(actions, "RegisterEventHandler")
     assert handler.values[0].target_action is player
+    (timer,) = handler.values[0].on_exit(SimpleNamespace(returncode=0), None)
+    assert timer.actions[0].event.reason == "the bag has ended"
+    with pytest.raises(RuntimeError, match="ros2 bag play has ended with status 1"):
+        handler.values[0].on_exit(SimpleNamespace(returncode=1), None)
 
 
 def test_the_layouts_show_topics_of_the_node():

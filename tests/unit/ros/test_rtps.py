@@ -100,6 +100,20 @@ def test_a_late_reader_gets_the_last_latched_sample_and_nothing_that_is_not(pair
     assert [list(map(number_of, one)) for one in (maps, others, volatile_maps)] == [[2, 4], [3], [4]]
 
 
+@pytest.mark.parametrize(("vendor", "base"), [(b"\1\x0f", 0), (b"\1\x10", 1), (b"\1\1", 1), (b"", 1)])
+def test_a_new_writer_is_asked_for_its_samples_as_its_vendor_expects(vendor, base):
+    """Fast DDS answers at once only where nothing is acknowledged, from 0 on, which no other needs to accept."""
+    sent = []
+    reader = Reader(
+        b"r" * 16, "rt/a", KIND, Qos(latched=True), lambda parts, *to: sent.extend(parts), lambda sample: None
+    )
+    reader.match(RemoteEndpoint(b"w" * 16, "rt/a", KIND, Qos(latched=True), ("127.0.0.1", 1), vendor=vendor))
+    (submessage,) = wire.parse_message(wire.encode_message(b"p" * 12, sent))
+    assert submessage.kind == wire.ACKNACK
+    assert not submessage.flags & 2  # an answer is expected
+    assert wire.parse_set(submessage.body, 8, submessage.order)[:2] == (base, [])
+
+
 def test_what_does_not_fit_is_named(pair):
     sender, receiver, mismatches = pair
     sender.add_writer("rt/a", KIND, Qos(reliable=False))

@@ -9,7 +9,7 @@ import pytest
 from gridslam.errors import OutputError
 from gridslam.io.csv import CsvLog
 from gridslam.ros.node.parameters import node_parameters
-from gridslam.ros.node.transport import RosNode
+from gridslam.ros.node.ros_node import RosNode
 from support.node_faults import RunningNode, make_drive, run_fault
 from support.ros_node import LocalTransport
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections import Counter
 from typing import Any, Final, NamedTuple, TypeAlias, final
 
@@ -86,8 +87,12 @@ class MessageEncoder:
         deserialize = self.store.deserialize_ros1 if self.is_ros1 else self.store.deserialize_cdr
         try:
             return deserialize(data, _full_name(message_type))
-        except SerdeError as error:
+        except (SerdeError, struct.error, ValueError, IndexError) as error:
             raise MessageError(str(error)) from None
+
+    def type_hash(self, message_type: str) -> str:
+        """Return the hash by which ROS 2 from Iron on compares types: RIHS01_ and 64 hexadecimal digits."""
+        return self.store.hash_rihs01(_full_name(message_type))
 
     def fields(self, message_type: str) -> list[Field]:
         """Return the fields of a type in their order."""

@@ -162,8 +162,7 @@ class NodeCore:
     def start(self) -> None:
         """Start the node's threads and accept messages."""
         if isinstance(self.configuration, Localization) and self.configuration.known is not None:
-            self._known_map = make_grid_message(self.configuration.known.grid, self.settings, self._outputs.now_ns())
-            self._outputs.map(self._known_map)
+            self._show_known_map(make_grid_message(self.configuration.known.grid, self.settings, 0))
         self._threads += [
             threading.Thread(target=self._run_timer, args=(period_s, callback), name=f"gridslam-{name}", daemon=True)
             for name, period_s, callback in self._timers
@@ -276,7 +275,7 @@ class NodeCore:
             start = before.initial_pose if before.known is None and pose is None else pose
             if start is not None:
                 known.require(start[0])
-            self._known_map = message
+            self._show_known_map(message)
             self.configuration = Localization(known, configuration, start)
             self._outputs.log(
                 Level.OK, f"localizing in a map of {message.cells.shape[1]} x {message.cells.shape[0]} cells"
@@ -284,6 +283,11 @@ class NodeCore:
             self._queue.end_session(SessionEnd.MAP)
 
         self._queue.post(apply)
+
+    def _show_known_map(self, message: GridMessage) -> None:
+        """Publish a map, stamped now: 0 as long as simulated time has not begun, and once more then."""
+        self._known_map = message._replace(stamp_ns=self._outputs.now_ns())
+        self._outputs.map(self._known_map)
 
     def update_once(self) -> None:
         """Update the particles of a localization at the next scan, even if the robot does not move."""
@@ -367,8 +371,7 @@ class NodeCore:
         self.configuration = Localization(known, configuration, pose)
         if self._renderer is not None:
             self._renderer.finish()
-        self._known_map = make_grid_message(known.grid, self.settings, self._outputs.now_ns())
-        self._outputs.map(self._known_map)
+        self._show_known_map(make_grid_message(known.grid, self.settings, 0))
         self._queue.end_session(SessionEnd.SWITCH)
 
     def resume_mapping(self) -> None:
@@ -448,10 +451,8 @@ class NodeCore:
             self._session.run(chain([first], source), observers, self._report_failure)
         if self._session_end is SessionEnd.CLOSED:
             return False
-        level = Level.OK if self._session_end is SessionEnd.SWITCH else Level.WARN
-        what = "" if level is Level.OK else f"{self._session.restart_message}: "
-        goal = (" localizing" if self.localizes else " mapping goes on") if level is Level.OK else ""
-        self._outputs.log(level, f"{what}{self._session_end.value}{goal}")
+        if self._session_end is not SessionEnd.SWITCH:  # which is reported by whoever serves the request
+            self._outputs.log(Level.WARN, f"{self._session.restart_message}: {self._session_end.value}")
         return True
 
     def _go_on_elsewhere(self) -> None:
@@ -525,6 +526,9 @@ class NodeCore:
             self._publisher.publish_map(self._session.state)
 
     def _publish_diagnostics(self) -> None:
+        known = self._known_map
+        if known is not None and not known.stamp_ns and self._outputs.now_ns():
+            self._show_known_map(known)
         diagnostics = self._publisher.diagnostics()
         self._outputs.diagnostics(diagnostics)
         self._publisher.log_state()

@@ -1,49 +1,40 @@
-"""Maps that come as messages: by a topic, or with a request."""
+"""Maps and poses that come as messages: by a topic, or with a request."""
 
 from __future__ import annotations
 
 import math
-import struct
 from typing import Any, Final
 
 import numpy as np
 
-from gridslam.io.bags.ros_messages import MessageError, Wire
+from gridslam.io.bags.ros_messages import MessageError
 from gridslam.ros.node.messages import GridMessage
-from gridslam.types import OccupancyGrid
+from gridslam.types import FloatArray, OccupancyGrid
 
-__all__ = ["decode_grid", "grid_of", "make_occupancy_grid"]
+__all__ = ["grid_of", "make_occupancy_grid", "pose_of"]
 
 _SURE: Final = 0.98  # probability between a cell of 0 and one of 100
 _MAX_CELLS: Final = 1 << 28
 _ALMOST_ZERO_RAD: Final = 1e-6
 
 
-def decode_grid(data: bytes, wire: Wire) -> GridMessage:
-    """Decode nav_msgs/OccupancyGrid; raises MessageError if it is none, or a rotated one."""
-    try:
-        stamp = struct.unpack_from(f"{wire.order}II", data, 4)
-        frame, at = wire.string(data, 12)
-        at = (at + 3) & ~3 if wire.aligned else at
-        resolution, width, height = struct.unpack_from(f"{wire.order}8xfII", data, at)
-        at += 20
-        at = at + (4 - at) % 8 if wire.aligned else at
-        origin = wire.pose.unpack_from(data, at)
-        at += wire.pose.size
-        (count,) = wire.count.unpack_from(data, at)
-        cells = np.frombuffer(data, np.int8, count, at + 4)
-    except (struct.error, ValueError) as error:
-        raise MessageError(str(error)) from None
-    return _make(stamp[0] * 1_000_000_000 + stamp[1], frame, resolution, (width, height), origin, cells)
-
-
 def grid_of(message: Any) -> GridMessage:  # noqa: ANN401
-    """Convert a decoded nav_msgs/OccupancyGrid of rospy, rclpy or rosbags; raises MessageError if it is rotated."""
+    """Convert a decoded nav_msgs/OccupancyGrid, without its stamp; raises MessageError if it is none, or rotated."""
     info = message.info
     place, turn = info.origin.position, info.origin.orientation
     origin = place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w
     cells = np.asarray(message.data, np.int8)
-    return _make(0, message.header.frame_id.lstrip("/"), info.resolution, (info.width, info.height), origin, cells)
+    frame = message.header.frame_id.lstrip("/")
+    return _make(frame, info.resolution, (info.width, info.height), origin, cells)
+
+
+def pose_of(message: Any) -> FloatArray:  # noqa: ANN401
+    """Return the pose (3,) in the plane of a decoded geometry_msgs/Pose or Pose2D."""
+    if hasattr(message, "theta"):
+        return np.array([message.x, message.y, message.theta])
+    place, turn = message.position, message.orientation
+    yaw = math.atan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y**2 + turn.z**2))
+    return np.array([place.x, place.y, yaw])
 
 
 def make_occupancy_grid(message: GridMessage) -> OccupancyGrid:
@@ -54,7 +45,6 @@ def make_occupancy_grid(message: GridMessage) -> OccupancyGrid:
 
 
 def _make(
-    stamp_ns: int,
     frame: str,
     resolution: float,
     size: tuple[int, int],
@@ -70,4 +60,4 @@ def _make(
         raise MessageError("a rotated map: rotate its image instead")
     if cells.min() < -1 or cells.max() > 100:
         raise MessageError("a map with values that are not between -1 and 100")
-    return GridMessage(stamp_ns, frame, float(resolution), (origin[0], origin[1]), cells.reshape(height, width))
+    return GridMessage(0, frame, float(resolution), (origin[0], origin[1]), cells.reshape(height, width))

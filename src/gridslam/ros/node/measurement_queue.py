@@ -44,7 +44,7 @@ class SessionEnd(Enum):
     RESET = "reset"
     MAP = "a new map"
     SESSION = "another session"
-    SWITCH = "switched:"
+    SWITCH = "mapping and localizing in turn"
     JUMP = "time jumped back, and the robot is elsewhere"
     CLOSED = "closed"
 

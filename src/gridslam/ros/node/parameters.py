@@ -6,7 +6,7 @@ Source: the public documentation of the ROS package gmapping, http://wiki.ros.or
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
@@ -228,20 +228,10 @@ class NodeParameters:
         The ignored parameters with the reasons; empty if there are none.
     record, out : Path or None
         File for the accepted scans, and output folder.
-    scan_topic : str
-        Name of the topic of the scans, before remapping.
-    paused : bool
-        Whether the node begins paused.
     map_topic : str
         Topic of the map to localize in; empty: it is known, or built.
-    first_map_only : bool
-        Whether later maps on that topic are ignored.
-    save_pose_rate_hz : float, Hz
-        How often a localization stores its pose in the parameters; 0: never.
-    lifecycle : bool
-        Whether it is a managed node.
     values : dict
-        The parameters that have an effect, by their ROS names.
+        The parameters by their ROS names: those that have an effect, and all others that were given.
     files : SessionFiles
         What the first mapping session goes on from, and where it is saved.
     """
@@ -251,12 +241,7 @@ class NodeParameters:
     warning: str
     record: Path | None
     out: Path | None
-    scan_topic: str = "scan"
-    paused: bool = False
     map_topic: str = ""
-    first_map_only: bool = False
-    save_pose_rate_hz: float = 0.0
-    lifecycle: bool = False
     values: Mapping[str, Any] = field(default_factory=dict)
     files: SessionFiles = field(default_factory=SessionFiles)
 
@@ -282,9 +267,12 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
     InputError
         The file of the map or of the configuration cannot be read.
     """
-    given, spelled, foreign = translate_parameters(flatten(given))
+    original = flatten(given)
+    given, spelled, foreign = translate_parameters(original)
     try:
-        return _node_parameters(given, foreign, preset_name)
+        found = _node_parameters(given, foreign, preset_name)
+        same = {spelled[name]: value for name, value in found.values.items() if name in spelled}
+        return replace(found, values={**original, **found.values, **same})
     except ConfigurationError as error:
         name, mark, problem = str(error).partition(": ")
         if name not in spelled:
@@ -324,25 +312,12 @@ def _node_parameters(given: Mapping[str, Any], foreign: Mapping[str, str], prese
     settings = _read_settings(given)
     effective = {**values, **{name: getattr(settings, attribute) for name, attribute in _NODE.items()}}
     if isinstance(configuration, Configuration):
+        effective["preset"] = values["preset"] or preset_name
         there = set(names(configuration))
         effective |= {name: value_of(configuration, path) for name, path in _FILTER.items() if path in there}
     else:
         effective |= {name: value for name, value in given.items() if name in AMCL_NAMES}
-    return NodeParameters(
-        settings,
-        configuration,
-        warning,
-        record,
-        out,
-        values["scan_topic"],
-        values["paused_new_measurements"],
-        map_topic,
-        values["first_map_only"],
-        max(float(values["save_pose_rate"]), 0.0),
-        values["lifecycle"],
-        effective,
-        files,
-    )
+    return NodeParameters(settings, configuration, warning, record, out, map_topic, effective, files)
 
 
 def _check_node_values(values: Mapping[str, Any]) -> None:

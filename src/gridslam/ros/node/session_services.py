@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import IntEnum
 from pathlib import Path
@@ -19,6 +19,7 @@ from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.continued import Continued
 from gridslam.ros.node.core import NodeCore
+from gridslam.ros.node.grid_input import pose_of
 from gridslam.ros.node.messages import Level
 from gridslam.ros.node.session import InitialPose
 from gridslam.types import FloatArray, OccupancyGrid
@@ -73,55 +74,57 @@ class SessionServices:
         self._log = log
 
     def standard(self) -> dict[str, tuple[str, Callable[[Any], Answer]]]:
-        """Services of std_srvs by name: their types, and what serves the request's value."""
+        """Services of std_srvs by name: their types, and what serves a request."""
         return {
             "~/serialize_map": ("std_srvs/Trigger", lambda request: self._try(self.serialize, self.save_as)),
             "~/deserialize_map": ("std_srvs/Trigger", lambda request: self._try(self.deserialize, self.save_as)),
             "~/save_map": ("std_srvs/Trigger", lambda request: self._try(self.save_map, self.save_as)),
-            "~/localize": ("std_srvs/SetBool", lambda on: self._try(self.localize, bool(on))),
+            "~/localize": ("std_srvs/SetBool", lambda request: self._try(self.localize, bool(request.data))),
         }
 
-    def of_slam_toolbox(self) -> dict[str, tuple[str, Callable[[Any], Mapping[str, Any]]]]:
-        """Services of slam_toolbox by name: their types, and what serves a request with the response's fields."""
+    def of_slam_toolbox(self) -> dict[str, tuple[str, Callable[[Any], Sequence[Any]]]]:
+        """Services of slam_toolbox by name: their types, and what serves a request."""
 
-        def serialize(request: Any) -> dict[str, Any]:  # noqa: ANN401
-            return {"result": 0 if self._try(self.serialize, request.filename)[0] else _FAILED}
+        def serialize(request: Any) -> tuple[int]:  # noqa: ANN401
+            return (0 if self._try(self.serialize, request.filename)[0] else _FAILED,)
 
-        def save(request: Any) -> dict[str, Any]:  # noqa: ANN401
-            return {"result": 0 if self._try(self.save_map, request.name.data)[0] else _FAILED}
+        def save(request: Any) -> tuple[int]:  # noqa: ANN401
+            return (0 if self._try(self.save_map, request.name.data)[0] else _FAILED,)
 
-        def deserialize(request: Any) -> dict[str, Any]:  # noqa: ANN401
+        def deserialize(request: Any) -> tuple[int]:  # noqa: ANN401
             try:
                 match = MatchType(request.match_type)
-                self.deserialize(request.filename, match, _read_pose(request.initial_pose))
+                self.deserialize(request.filename, match, pose_of(request.initial_pose))
             except (GridslamError, ValueError) as error:
                 self._refuse(error)
                 named = isinstance(error, InputError) and request.filename
-                return {"result": _UNREADABLE if named else _INVALID_NAME}
-            return {"result": 0}
+                return (_UNREADABLE if named else _INVALID_NAME,)
+            return (0,)
 
-        def pause(request: Any) -> dict[str, Any]:  # noqa: ANN401
+        def pause(request: Any) -> tuple[bool]:  # noqa: ANN401
             self._core.pause(not self._core.is_paused)
-            return {"status": True}
+            return (True,)
 
-        def reset(request: Any) -> dict[str, Any]:  # noqa: ANN401
+        def reset(request: Any) -> tuple[int]:  # noqa: ANN401
             self._core.reset()
             self._core.pause(bool(getattr(request, "pause_new_measurements", False)))
-            return {"result": 0}
+            return (0,)
 
         return {
-            "serialize_map": ("SerializePoseGraph", serialize),
-            "deserialize_map": ("DeserializePoseGraph", deserialize),
-            "save_map": ("SaveMap", save),
-            "pause_new_measurements": ("Pause", pause),
-            "clear_changes": ("Clear", lambda request: {}),  # nobody moves nodes by hand: there is none to undo
-            "reset": ("Reset", reset),
+            "slam_toolbox/serialize_map": ("slam_toolbox/SerializePoseGraph", serialize),
+            "slam_toolbox/deserialize_map": ("slam_toolbox/DeserializePoseGraph", deserialize),
+            "slam_toolbox/save_map": ("slam_toolbox/SaveMap", save),
+            "slam_toolbox/pause_new_measurements": ("slam_toolbox/Pause", pause),
+            "slam_toolbox/clear_changes": ("slam_toolbox/Clear", lambda request: ()),  # nobody moves nodes by hand
+            "slam_toolbox/reset": ("slam_toolbox/Reset", reset),
         }
 
     def serialize(self, name: str = "") -> str:
         """Write the session to NAME.gridslam; returns what was done. Raises GridslamError where it cannot be."""
         path = self._session_path(name)
-        self._core.copy_session().save_session(path)
+        copied = self._core.copy_session()
+        _make_folder(path)
+        copied.save_session(path)
         return f"session saved: {path.resolve()}"
 
     def deserialize(self, name: str = "", match: MatchType = MatchType.UNSET, pose: FloatArray | None = None) -> str:
@@ -163,8 +166,8 @@ class SessionServices:
         path = Path(name).expanduser() if name else self._folder / "map"
         yaml = path.with_name(f"{path.name.removesuffix('.yaml')}.yaml")
         grid = self._copy_map()[0]
+        _make_folder(yaml)
         try:
-            yaml.parent.mkdir(parents=True, exist_ok=True)
             write_map(yaml, grid)
         except OSError as error:
             raise ArgumentError("name", "a file that can be written", f"{yaml}: {error.strerror or error}") from None
@@ -222,10 +225,9 @@ class SessionServices:
         self._log(Level.WARN, str(error) if isinstance(error, GridslamError) else describe_error(error))
 
 
-def _read_pose(message: Any) -> FloatArray:  # noqa: ANN401
-    """Pose (3,) of a decoded geometry_msgs/Pose or Pose2D."""
-    if hasattr(message, "theta"):
-        return np.array([message.x, message.y, message.theta])
-    turn = message.orientation
-    yaw = np.arctan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y**2 + turn.z**2))
-    return np.array([message.position.x, message.position.y, yaw])
+def _make_folder(path: Path) -> None:
+    """Make the folder of a file that somebody asks for; raises ArgumentError where it cannot be."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ArgumentError("name", "a file that can be written", f"{path}: {error.strerror or error}") from None

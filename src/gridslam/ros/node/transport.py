@@ -1,50 +1,34 @@
-"""What all transports share: the node's topics, its services, and its life from the parameters to the last file."""
+"""What a transport of the node is: the topics that it publishes, and the Protocol behind which each stands."""
 
 from __future__ import annotations
 
 import importlib
-import math
-import os
-import struct
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
-from functools import partial
-from itertools import count
-from pathlib import Path
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
 from typing import Any, Final, Protocol, TypeAlias, final
 
-import numpy as np
-
-from gridslam.api.mapping import MapResult
-from gridslam.errors import ArgumentError, ConfigurationError, GridslamError
-from gridslam.io.bags.ros_messages import MessageError, Wire, decode_scan, decode_transforms
-from gridslam.io.output import OutputFolder
-from gridslam.pipeline import describe_error
+from gridslam.errors import ConfigurationError
+from gridslam.io.bags.encoder import MessageEncoder
+from gridslam.io.bags.ros_messages import Wire
 from gridslam.ros.node.core import NodeCore
-from gridslam.ros.node.grid_input import decode_grid, grid_of
-from gridslam.ros.node.live_autosave import keep_other
-from gridslam.ros.node.mapping_session import SessionCopy
-from gridslam.ros.node.messages import GridMessage, Level, Outputs
-from gridslam.ros.node.parameters import NodeParameters
-from gridslam.ros.node.session import InitialPose
-from gridslam.ros.node.session_services import SessionServices
+from gridslam.ros.node.messages import Outputs
 
 __all__ = [
     "ALL_TOPICS",
     "LATCHED",
     "LOCALIZATION_TOPICS",
     "MAPPING_TOPICS",
+    "NO_OPTIONS",
     "POLL_S",
     "TOPICS",
     "Handler",
-    "RosNode",
+    "RunOptions",
+    "Serve",
     "Transport",
-    "TypedService",
     "ViewerOpener",
     "import_ros",
-    "save_results",
-    "set_pose_from_message",
 ]
 
 TOPICS: Final = {
@@ -78,15 +62,34 @@ POLL_S: Final = 0.2
 Handler: TypeAlias = Callable[[bytes, str], None]
 """Called with the bytes of a message, and the name of its publisher if known."""
 
-TypedService: TypeAlias = tuple[str, Callable[[Any], Mapping[str, Any]]]
-"""Type of a service within its package, and what serves a request with the values of the response's fields."""
+Serve: TypeAlias = Callable[[Any], Sequence[Any] | None]
+"""Called with a request; returns the values of the response's fields in their order, nothing if it has none."""
 
 ViewerOpener: TypeAlias = Callable[[NodeCore], AbstractContextManager[object]]
 """Opens the viewers of a core: a context entered before the core starts and left after it has stopped."""
 
-_PAUSED = "paused_new_measurements"
-_SAVE_AS = "save_as"
-_PLANAR = np.ix_((0, 1, 5), (0, 1, 5))  # x, y and yaw of x, y, z, roll, pitch, yaw
+
+@final
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What those who run a node give beside ROS's arguments.
+
+    Attributes
+    ----------
+    given : mapping
+        Parameters that override those of ROS.
+    open_viewers : callable
+        Called with the core before it starts: see `ViewerOpener`.
+    on_poll : callable
+        Called several times a second; may raise KeyboardInterrupt.
+    """
+
+    given: Mapping[str, Any] = field(default_factory=dict)
+    open_viewers: ViewerOpener = nullcontext
+    on_poll: Callable[[], None] = lambda: None
+
+
+NO_OPTIONS: Final = RunOptions()
 
 
 def import_ros(ros: str, hint: str, name: str, folder: str = "msg") -> Any:  # noqa: ANN401
@@ -97,9 +100,9 @@ def import_ros(ros: str, hint: str, name: str, folder: str = "msg") -> Any:  # n
     package, _, kind = name.partition("/")
     try:
         module = importlib.import_module(f"{package}.{folder}" if kind else name)
-    except ImportError as error:
+        return getattr(module, kind) if kind else module
+    except (ImportError, AttributeError) as error:
         raise ConfigurationError(f"{ros} is not available ({error}): {hint}") from None
-    return getattr(module, kind) if kind else module
 
 
 class Transport(Protocol):
@@ -109,14 +112,20 @@ class Transport(Protocol):
     ----------
     outputs : Outputs
         Publishes what the node reports.
+    encoder : MessageEncoder
+        Of its messages, requests and responses.
     global_localization : str
         Name of the service that makes the pose unknown.
+    gives_empty_map : bool
+        Whether a request for a map that is not there yet is answered, by an empty one.
     """
 
     outputs: Outputs
+    encoder: MessageEncoder
     global_localization: str
+    gives_empty_map: bool
 
-    def connect(self, refuse: Callable[[str, str], None], topics: Mapping[str, str] = TOPICS) -> None:
+    def connect(self, refuse: Callable[[str, str], None], topics: Mapping[str, str]) -> None:
         """Announce the published topics with their types, and set `outputs.topics`.
 
         `refuse` is called with kind and problem of what cannot be received.
@@ -127,7 +136,7 @@ class Transport(Protocol):
         ...
 
     def resolve(self, topic: str) -> str:
-        """Return the full name of a topic, after remapping."""
+        """Return the full name of a topic or service, after remapping."""
         ...
 
     def subscribe(
@@ -135,25 +144,11 @@ class Transport(Protocol):
     ) -> None:
         """Subscribe to the messages of a type; `latched`: also to the last one of a publisher that was there before."""
 
-    def advertise(self, service: str, kind: str, serve: Callable[[Any], Sequence[Any]], *, slow: bool = False) -> None:
-        """Offer a service of std_srvs: `serve` gets the request's value, if it has one, and returns the response's.
+    def advertise(self, service: str, kind: str, serve: Serve, *, slow: bool = False) -> None:
+        """Offer a service, of which a slow one must not delay scans.
 
-        A slow service must not delay scans.
+        Raises ConfigurationError if its type is not installed.
         """
-
-    def advertise_typed(self, package: str, services: Mapping[str, TypedService]) -> bool:
-        """Offer services of a package's own types, named PACKAGE/NAME; returns whether the types are installed.
-
-        `services` has the type of each and what serves a request with the values of the response's fields. None of them
-        may delay scans.
-        """
-        ...
-
-    def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
-        """Offer the map by a service of nav_msgs/GetMap."""
-
-    def advertise_set_map(self, service: str, serve: Callable[[Any], bool]) -> None:
-        """Offer a service of nav_msgs/SetMap: `serve` gets the request, and returns whether the map was taken."""
 
     def save_parameters(self, values: Mapping[str, float]) -> None:
         """Set parameters of the node, where it finds them when it is started again."""
@@ -169,299 +164,3 @@ class Transport(Protocol):
 
     def close(self) -> None:
         """Shut down."""
-
-
-@final
-class RosNode:
-    """The node on a transport.
-
-    Parameters
-    ----------
-    transport : Transport
-        Carries its messages.
-    parameters : NodeParameters
-        Settings and configuration from the node's parameters.
-
-    Raises
-    ------
-    OutputError
-        Results or the record cannot be written.
-    """
-
-    def __init__(self, transport: Transport, parameters: NodeParameters) -> None:
-        if parameters.out is not None:  # before the run rather than after it
-            with OutputFolder(parameters.out, MapResult.all_names()):
-                pass
-        self._transport = transport
-        self._log = transport.outputs.log
-        self._out = parameters.out
-        self._files = parameters.files
-        self._scan_topic = parameters.scan_topic
-        self._values = parameters.values
-        self._map_topic = parameters.map_topic
-        self._takes_first_map_only = parameters.first_map_only
-        self._saving: list[threading.Thread] = []
-        self._saved: set[Path] = set()
-        self.core = NodeCore(
-            parameters.settings,
-            parameters.configuration,
-            transport.outputs,
-            record=parameters.record,
-            on_jump=None if self._out is None else self._save_earlier,
-            files=parameters.files,
-        )
-        if self._out is not None:
-            self.core.results_folder = self._out
-        self._services = SessionServices(self.core, self.core.results_folder, self._log)
-        self._services.save_as = str(parameters.values.get(_SAVE_AS, ""))
-        if parameters.paused:
-            self.core.pause(True)
-        transport.connect(self.core.refuse_message, self._topics(parameters))
-        if parameters.save_pose_rate_hz and self.core.localizes:
-            self.core.add_timer(1.0 / parameters.save_pose_rate_hz, self._save_pose)
-        if parameters.warning:
-            self._log(Level.WARN, parameters.warning)
-
-    def start(self) -> None:
-        """Start the core, services and subscriptions."""
-        core = self.core
-        core.start()
-        self._advertise_services()
-        scans = self._transport.resolve(self._scan_topic)
-
-        def on_transforms(data: bytes, wire: Wire, publisher: str, static: bool = False) -> None:
-            core.on_transforms(decode_transforms(data, wire), static=static, publisher=publisher)
-
-        def on_scan(data: bytes, wire: Wire, publisher: str) -> None:
-            core.on_scan(decode_scan(data, wire), scans)
-
-        def on_pose(data: bytes, wire: Wire, publisher: str) -> None:
-            set_pose_from_message(core, data, wire)
-
-        def on_map(data: bytes, wire: Wire, publisher: str) -> None:
-            core.set_map(decode_grid(data, wire), only_first=self._takes_first_map_only)
-
-        if core.localizes:
-            self._subscribe("initialpose", "geometry_msgs/PoseWithCovarianceStamped", on_pose, depth=1)
-        if self._map_topic:
-            self._subscribe(self._map_topic, "nav_msgs/OccupancyGrid", on_map, latched=True, depth=1)
-            self._log(Level.OK, f"waiting for a map on {self._transport.resolve(self._map_topic)}")
-        on_static_transforms = partial(on_transforms, static=True)
-        self._subscribe("/tf_static", "tf2_msgs/TFMessage", on_static_transforms, latched=True, depth=100)
-        self._subscribe("/tf", "tf2_msgs/TFMessage", on_transforms, depth=100)
-        self._subscribe(self._scan_topic, "sensor_msgs/LaserScan", on_scan, reliable=False)
-        settings = core.settings
-        odometry = "" if settings.odometry == "none" else f" and for {settings.base_frame} in {settings.odom_frame}"
-        self._log(Level.OK, f"waiting for scans on {scans}{odometry}")
-
-    def close(self) -> None:
-        """Stop the core, write its map if a folder was given and there is a map, and shut the transport down."""
-        try:
-            session = self.core.close()
-            if session is not None:
-                self._write(session)
-        finally:
-            for thread in self._saving:
-                thread.join()
-            self._transport.close()
-
-    def _write(self, session: SessionCopy) -> None:
-        """Write what was mapped: first the session, as a node that takes long to end may be killed."""
-        try:
-            self._write_session(session)
-        finally:
-            if self._out is not None:
-                self._log(Level.OK, f"writing {session.log.scan_count} scans to {self._out.resolve()}")
-                session.save(self._out)
-
-    def _write_session(self, session: SessionCopy) -> None:
-        save = self._files.save
-        if save is None:
-            return
-        autosave = self._files.autosave
-        if autosave != save:
-            keep_other(save, session.continued, self._log)
-        session.save_session(save)
-        self._log(Level.OK, f"session saved: {save.resolve()}")
-        if autosave is not None and autosave != save and autosave.exists() and not os.path.samefile(autosave, save):
-            autosave.unlink()
-
-    def _save_earlier(self, session: SessionCopy) -> None:
-        """Save a session to OUT-1, or the next number that is free, while the next session is mapped."""
-        assert self._out is not None
-        out = self._out.resolve()
-        numbered = (out.with_name(f"{out.name}-{number}") for number in count(1))
-        folder = next(path for path in numbered if path not in self._saved and not os.path.lexists(path))
-        self._saved.add(folder)
-
-        def save() -> None:
-            try:
-                self._log(Level.OK, f"writing {session.log.scan_count} scans of the session before to {folder}")
-                session.save(folder)
-                session.save_session(folder / "session.gridslam")
-            except Exception as error:
-                self._log(Level.ERROR, f"the session before is not saved: {describe_error(error)}")
-
-        thread = threading.Thread(target=save, name="gridslam-save")
-        self._saving.append(thread)
-        thread.start()
-
-    def run(self, open_viewers: ViewerOpener, on_poll: Callable[[], None]) -> None:
-        """Run until the transport or a KeyboardInterrupt ends it.
-
-        Parameters
-        ----------
-        open_viewers : callable
-            Called with the core before it starts.
-        on_poll : callable
-            Called several times a second; may raise KeyboardInterrupt.
-
-        Raises
-        ------
-        GridslamError
-            The filter failed.
-        """
-        core = self.core
-        with open_viewers(core):
-            try:
-                self.start()
-                for _ in self._transport.spin(core.ended):
-                    on_poll()
-            except KeyboardInterrupt:  # the usual end of a node
-                pass
-            finally:
-                self.close()
-        if core.failure is not None:
-            raise GridslamError(f"the filter failed: {core.failure}") from core.failure
-
-    def _advertise_services(self) -> None:
-        core = self.core
-        transport = self._transport
-
-        def reset(request: Any) -> tuple[()]:  # noqa: ANN401
-            core.reset()
-            return ()
-
-        def update_once(request: Any) -> tuple[()]:  # noqa: ANN401
-            core.update_once()
-            return ()
-
-        def set_map(request: Any) -> bool:  # noqa: ANN401
-            try:
-                core.set_map(grid_of(request.map), _pose_of(request.initial_pose.pose))
-            except (ArgumentError, MessageError) as error:
-                core.refuse_message("request", f"set_map: {error}")
-                return False
-            return True
-
-        def pause(paused: bool) -> tuple[bool, str]:
-            core.pause(paused)
-            return True, "paused" if paused else "mapping"
-
-        if not self._map_topic:
-            transport.advertise_map("dynamic_map", core.dynamic_map)
-        typed = self._advertise_slam_toolbox()
-        if "reset" not in typed:
-            transport.advertise("~/reset", "std_srvs/Empty", reset)
-        if core.localizes:
-            transport.advertise(transport.global_localization, "std_srvs/Empty", reset)
-            transport.advertise("request_nomotion_update", "std_srvs/Empty", update_once)
-            transport.advertise_set_map("set_map", set_map)
-        transport.advertise("~/pause", "std_srvs/SetBool", pause)
-        for name, (kind, serve) in self._services.standard().items():
-            if name.removeprefix("~/") not in typed:
-                transport.advertise(name, kind, serve, slow=True)
-        transport.advertise_parameters(self._values, self._change_parameter, (_PAUSED, _SAVE_AS))
-        save = partial(save_results, core, core.results_folder)
-        transport.advertise("~/save", "std_srvs/Trigger", lambda request: save(), slow=True)
-
-    def _advertise_slam_toolbox(self) -> set[str]:
-        """Offer slam_toolbox's services where its types are installed; returns those that take the node's own names."""
-        services = self._services.of_slam_toolbox()
-        if not self._transport.advertise_typed("slam_toolbox", services):
-            return set()
-        resolve = self._transport.resolve
-        return {name for name in services if resolve(f"~/{name}") == resolve(f"slam_toolbox/{name}")}
-
-    def _topics(self, parameters: NodeParameters) -> dict[str, str]:
-        """Topics that are published, and their types."""
-        if not self.core.localizes:
-            return {**TOPICS, **(MAPPING_TOPICS if parameters.settings.map_updates else {})}
-        topics = {**TOPICS, **LOCALIZATION_TOPICS}
-        if parameters.map_topic:  # another program publishes it
-            del topics["map"], topics["map_metadata"]
-        return topics
-
-    def _save_pose(self) -> None:
-        """Keep the pose where a node that is started again finds it, as AMCL does."""
-        if (known := self.core.latest_pose) is None:
-            return
-        pose, covariance = known
-        values = dict(zip(("initial_pose_x", "initial_pose_y", "initial_pose_a"), pose.tolist(), strict=True))
-        names = "initial_cov_xx", "initial_cov_yy", "initial_cov_aa"
-        self._transport.save_parameters({**values, **dict(zip(names, np.diag(covariance).tolist(), strict=True))})
-
-    def _change_parameter(self, name: str, value: Any) -> str:  # noqa: ANN401
-        """Set a parameter while the node runs."""
-        if name == _SAVE_AS:
-            if not isinstance(value, str):
-                return f"{name}: expected the name of a file, got {value!r}"
-            self._services.save_as = value
-        else:
-            assert name == _PAUSED
-            self.core.pause(bool(value))
-        return ""
-
-    def _subscribe(self, topic: str, kind: str, handle: Callable[[bytes, Wire, str], None], **qos: Any) -> None:  # noqa: ANN401
-        """Subscribe, and warn of bytes that are not a valid message."""
-        name = self._transport.resolve(topic)
-
-        def on_message(data: bytes, publisher: str) -> None:
-            try:
-                handle(data, self._transport.wire_of(data), publisher)
-            except Exception as error:  # the transport's thread goes on, whatever the bytes were
-                problem = str(error) if isinstance(error, MessageError) else describe_error(error)
-                self.core.refuse_message("message", f"{name}: {problem}")
-
-        self._transport.subscribe(topic, kind, on_message, **qos)
-
-
-def save_results(core: NodeCore, folder: Path) -> tuple[bool, str]:
-    """Save; return whether it succeeded, and a message."""
-    try:
-        document = core.save(folder)
-    except GridslamError as error:
-        return False, str(error)
-    return True, f"{document['scans']['read']} scans: {folder.resolve()}"
-
-
-def set_pose_from_message(core: NodeCore, data: bytes, wire: Wire) -> None:
-    """Set the pose of the robot from geometry_msgs/PoseWithCovarianceStamped, as RViz sends it on `initialpose`.
-
-    Raises MessageError if it is not a pose in the node's map.
-    """
-    try:
-        frame, end = wire.string(data, 12)
-        if wire.aligned:
-            end += (4 - end) & 7
-        x, y, _, qx, qy, qz, qw = wire.pose.unpack_from(data, end)
-        covariance = np.array(struct.unpack_from(f"{wire.order}36d", data, end + wire.pose.size)).reshape(6, 6)
-    except struct.error as error:
-        raise MessageError(str(error)) from None
-    if frame != core.settings.map_frame:
-        raise MessageError(f"expected a pose in the frame {core.settings.map_frame}, got {frame!r}")
-    yaw = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
-    try:
-        core.set_pose((np.array([x, y, yaw]), covariance[_PLANAR]))
-    except ArgumentError as error:
-        raise MessageError(str(error)) from None
-
-
-def _pose_of(message: Any) -> InitialPose:  # noqa: ANN401
-    """Pose and covariance of a decoded geometry_msgs/PoseWithCovariance; None if it has no covariance."""
-    covariance = np.asarray(message.covariance, np.float64).reshape(6, 6)[_PLANAR]
-    if not covariance.any():
-        return None
-    place, turn = message.pose.position, message.pose.orientation
-    yaw = math.atan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y**2 + turn.z**2))
-    return np.array([place.x, place.y, yaw]), covariance

@@ -11,26 +11,17 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from functools import partial
 from typing import IO, Any, final
 
 from gridslam.errors import ConfigurationError, GridslamError
-from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.io.bags.ros_messages import Wire, kind_of, wire_of_ros1
-from gridslam.ros.node.messages import GridMessage, Level, Outputs
-from gridslam.ros.node.outputs import EncodedOutputs, grid_values
+from gridslam.ros.node.messages import Level, Outputs
+from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.node.parameters import GMAPPING_DEFAULTS, NODE_DEFAULTS, node_parameters
-from gridslam.ros.node.transport import (
-    LATCHED,
-    POLL_S,
-    TOPICS,
-    Handler,
-    RosNode,
-    TypedService,
-    ViewerOpener,
-    import_ros,
-)
+from gridslam.ros.node.ros_node import RosNode
+from gridslam.ros.node.service_types import BODY, service_encoder
+from gridslam.ros.node.transport import LATCHED, NO_OPTIONS, POLL_S, Handler, RunOptions, Serve, import_ros
 
 __all__ = ["NODE_NAME", "Ros1Transport", "check_ros1_arguments", "run_ros1"]
 
@@ -51,16 +42,17 @@ class Ros1Transport:
     """Publishers, subscribers and services of the node, after `rospy.init_node`."""
 
     global_localization = "global_localization"
+    gives_empty_map = False
 
     def __init__(self) -> None:
         self._rospy = _import("rospy")
-        self._encoder = MessageEncoder(is_ros1=True)
+        self.encoder = service_encoder(is_ros1=True)
         self._publishers: dict[str, Any] = {}
         self._settable: dict[str, Any] = {}
         name = self._rospy.get_name().lstrip("/")
-        self.outputs: Outputs = EncodedOutputs(self._encoder, self._publish, self._now_ns, self._log, name)
+        self.outputs: Outputs = EncodedOutputs(self.encoder, self._publish, self._now_ns, self._log, name)
 
-    def connect(self, refuse: Callable[[str, str], None], topics: Mapping[str, str] = TOPICS) -> None:
+    def connect(self, refuse: Callable[[str, str], None], topics: Mapping[str, str]) -> None:
         """Create the publishers; `refuse` is called with kind and problem of what cannot be received."""
         self._refuse = refuse
         topics = {topic: kind for topic, kind in topics.items() if not kind.startswith("nav2_msgs/")}
@@ -92,24 +84,9 @@ class Ros1Transport:
         options = {"queue_size": None, "buff_size": 1 << 24, "tcp_nodelay": True}
         self._rospy.Subscriber(_name(topic), self._rospy.AnyMsg, on_message, **options)
 
-    def advertise(self, service: str, kind: str, serve: Callable[[Any], Sequence[Any]], *, slow: bool = False) -> None:
-        """Offer a service of std_srvs; rospy answers each request in a thread of its own."""
+    def advertise(self, service: str, kind: str, serve: Serve, *, slow: bool = False) -> None:
+        """Offer a service; rospy answers each request in a thread of its own."""
         service_class = _import(kind, "srv")
-
-        def answer(request: Any) -> Any:  # noqa: ANN401
-            self._read_parameters()
-            return service_class._response_class(*serve(getattr(request, "data", None)))
-
-        self._rospy.Service(_name(service), service_class, answer)
-
-    def advertise_typed(self, package: str, services: Mapping[str, TypedService]) -> bool:
-        """Return False: in ROS 1 the node has slam_gmapping's interface."""
-        return False
-
-    def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
-        """Offer the map by a service, which fails where there is none."""
-        service_class = _import("nav_msgs/GetMap", "srv")
-
         base: Any = service_class._response_class
 
         class Answer(base):  # type: ignore[misc]
@@ -121,19 +98,16 @@ class Ros1Transport:
                 buff.write(self.encoded)
 
         def answer(request: Any) -> Any:  # noqa: ANN401
-            latest = serve()
-            if latest is None:
-                raise self._rospy.ServiceException("there is no map yet")
+            self._read_parameters()
             response = Answer()
-            response.encoded = self._encoder.encode(TOPICS["map"], *grid_values(self._encoder, service, latest))
+            try:
+                if values := serve(request):
+                    response.encoded = self.encoder.encode(f"{kind}_Response{BODY}", *values)
+            except GridslamError as error:
+                raise self._rospy.ServiceException(str(error)) from None
             return response
 
-        self._rospy.Service(service, service_class, answer)
-
-    def advertise_set_map(self, service: str, serve: Callable[[Any], bool]) -> None:
-        """Offer a service of nav_msgs/SetMap."""
-        service_class = _import("nav_msgs/SetMap", "srv")
-        self._rospy.Service(service, service_class, lambda request: service_class._response_class(serve(request)))
+        self._rospy.Service(_name(service), service_class, answer)
 
     def save_parameters(self, values: Mapping[str, float]) -> None:
         """Set parameters of the node."""
@@ -248,25 +222,15 @@ def _wait_for_master(on_poll: Callable[[], None]) -> None:
         on_poll()
 
 
-def run_ros1(
-    arguments: Sequence[str] = (),
-    *,
-    given: Mapping[str, Any] | None = None,
-    open_viewers: ViewerOpener = nullcontext,
-    on_poll: Callable[[], None] = lambda: None,
-) -> None:
+def run_ros1(arguments: Sequence[str] = (), options: RunOptions = NO_OPTIONS) -> None:
     """Run the node until ROS or Ctrl-C shuts it down, then write the results to `out`.
 
     Parameters
     ----------
     arguments : sequence of str
         ROS arguments: ``scan:=base_scan``, ``_particles:=80``, ``__name:=mapper``.
-    given : mapping, optional
-        Parameters of the node that override its private parameters.
-    open_viewers : callable
-        Called with the core before it starts: see `gridslam.ros.node.transport.ViewerOpener`.
-    on_poll : callable
-        Called several times a second; may raise KeyboardInterrupt.
+    options : RunOptions
+        Parameters and viewers.
 
     Raises
     ------
@@ -277,10 +241,10 @@ def run_ros1(
     """
     rospy = _import("rospy")
     check_ros1_arguments(arguments)
-    _wait_for_master(on_poll)
+    _wait_for_master(options.on_poll)
     try:
         rospy.init_node(NODE_NAME, argv=["gridslam", *arguments], disable_signals=True)
     except rospy.ROSInitException as error:
         raise GridslamError(f"the node cannot be started: {error}") from None
-    parameters = node_parameters({**rospy.get_param("~", {}), **(given or {})})
-    RosNode(Ros1Transport(), parameters).run(open_viewers, on_poll)
+    parameters = node_parameters({**rospy.get_param("~", {}), **options.given})
+    RosNode(Ros1Transport(), parameters).run(options)

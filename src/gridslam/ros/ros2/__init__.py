@@ -1,1 +1,1 @@
-"""The node in ROS 2, by rclpy or by DDS."""
+"""What both ways into ROS 2 share: its arguments, parameters and the lifecycle."""

@@ -51,8 +51,6 @@ class RosArguments:
         Name and namespace of the node; the latter begins with a slash.
     ignored : tuple of str
         Arguments that have an effect only in ROS.
-    foreign_files : tuple of str
-        A sentence for each parameter file that has nothing for this node.
     qos_overrides : dict
         Values by topic, "publisher" or "subscription", and policy.
     """
@@ -62,7 +60,6 @@ class RosArguments:
     node: str = "gridslam"
     namespace: str = "/"
     ignored: tuple[str, ...] = ()
-    foreign_files: tuple[str, ...] = ()
     qos_overrides: Mapping[tuple[str, str, str], Any] = field(default_factory=dict)
 
     def resolve(self, name: str) -> str:
@@ -135,10 +132,9 @@ def parse_ros_arguments(arguments: Sequence[str], node: str = "gridslam") -> Ros
         elif kind is _PARAMETER:
             of, name, value = _split(text)
             parameters |= {name: _parse_value(value)} if of in ("", named) else {}
-    foreign = find_foreign_files(arguments, f"{space.rstrip('/')}/{named}")
     found = {name: _OVERRIDE.fullmatch(name) for name in parameters}
     overrides = {(match[1], match[2], match[3]): parameters.pop(name) for name, match in found.items() if match}
-    return RosArguments(parameters, remaps, named, space, tuple(ignored), foreign, overrides)
+    return RosArguments(parameters, remaps, named, space, tuple(ignored), overrides)
 
 
 def find_foreign_files(arguments: Sequence[str], node: str) -> tuple[str, ...]:

@@ -10,21 +10,47 @@ from typing import Any, Final, final
 
 from gridslam.io.bags.encoder import Values
 
-__all__ = ["TRANSITION_EVENT", "LifecycleServices"]
+__all__ = ["LifecycleServices"]
 
-TRANSITION_EVENT: Final = "lifecycle_msgs/TransitionEvent"
-
-_STATES: Final = {1: "unconfigured", 2: "inactive", 3: "active", 4: "finalized"}
-_TRANSITIONS: Final = (
-    (1, "configure", 1, 2),
-    (2, "cleanup", 2, 1),
-    (3, "activate", 2, 3),
-    (4, "deactivate", 3, 2),
-    (5, "shutdown", 1, 4),
-    (6, "shutdown", 2, 4),
-    (7, "shutdown", 3, 4),
+_STATES: Final = {
+    0: "unknown",
+    1: "unconfigured",
+    2: "inactive",
+    3: "active",
+    4: "finalized",
+    10: "configuring",
+    11: "cleaningup",
+    12: "shuttingdown",
+    13: "activating",
+    14: "deactivating",
+    15: "errorprocessing",
+}
+_ERROR: Final = 15
+_REQUESTS: Final = (
+    (1, "configure", 1, 10),
+    (2, "cleanup", 2, 11),
+    (3, "activate", 2, 13),
+    (4, "deactivate", 3, 14),
+    (5, "shutdown", 1, 12),
+    (6, "shutdown", 2, 12),
+    (7, "shutdown", 3, 12),
 )
-"""Number, label, and the states from and to which they lead."""
+"""Transitions that can be asked for: number, label, and the states from and to which they lead."""
+
+_ENDS: Final = {10: (10, 2, 1), 11: (20, 1, 2), 12: (50, 4, 4), 13: (30, 3, 2), 14: (40, 2, 3), _ERROR: (60, 1, 4)}
+"""For each state in between the number of the transition that ends it well, and the states after that and a failure."""
+
+_RESULTS: Final = tuple(
+    (number + k, label, state, end)
+    for state, (number, well, badly) in _ENDS.items()
+    for k, (label, end) in enumerate(
+        (
+            ("transition_success", well),
+            ("transition_failure", badly),
+            ("transition_error", 4 if state == _ERROR else _ERROR),
+        )
+    )
+)
 
 
 @final
@@ -38,14 +64,9 @@ class LifecycleServices:
     clean_up : callable
         Called when the node is to forget what it has.
     publish : callable
-        Called with the values of lifecycle_msgs/TransitionEvent after each transition.
+        Called with the values of lifecycle_msgs/TransitionEvent at each transition.
     now_ns : callable
         The node's clock.
-
-    Attributes
-    ----------
-    state : str
-        Label of the state.
     """
 
     def __init__(
@@ -60,11 +81,6 @@ class LifecycleServices:
         self._publish = publish
         self._now_ns = now_ns
         self._state = 1
-
-    @property
-    def state(self) -> str:
-        """Return the label of the state."""
-        return _STATES[self._state]
 
     def services(self) -> dict[str, tuple[str, Callable[[Any], Sequence[Any]]]]:
         """Return type and answer of each service, by its name below the node's."""
@@ -83,23 +99,29 @@ class LifecycleServices:
     def _list_transitions(self, state: int | None) -> list[Values]:
         return [
             ((number, label), _describe(begin), _describe(end))
-            for number, label, begin, end in _TRANSITIONS
+            for number, label, begin, end in (*_REQUESTS, *_RESULTS)
             if state in (None, begin)
         ]
 
     def _change(self, wanted: Any) -> bool:  # noqa: ANN401
         """Make a transition, which is given by its number or its label; return whether it is possible."""
-        for number, label, begin, end in _TRANSITIONS:
+        for number, label, begin, between in _REQUESTS:
             if begin != self._state or not (wanted.id == number or (not wanted.id and wanted.label == label)):
                 continue
+            self._enter(between, number, label)
             if label == "cleanup":
                 self._clean_up()
             else:
                 self._activate(label == "activate")
-            self._state = end
-            self._publish((self._now_ns(), (number, label), _describe(begin), _describe(end)))
+            number, well, _ = _ENDS[between]
+            self._enter(well, number, "transition_success")
             return True
         return False
+
+    def _enter(self, state: int, number: int, label: str) -> None:
+        """Enter a state, and report the transition to it."""
+        before, self._state = self._state, state
+        self._publish((self._now_ns(), (number, label), _describe(before), _describe(state)))
 
 
 def _describe(state: int) -> Values:

@@ -6,15 +6,20 @@ Source: the interfaces of the package rcl_interfaces, https://github.com/ros2/rc
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, final
+from typing import Any, Final, TypeAlias, final
 
 from gridslam.io.bags.encoder import Values
 
 __all__ = ["ParameterServices"]
 
-_NOT_SET, _BOOL, _INTEGER, _DOUBLE, _STRING = range(5)
+_NOT_SET, _BOOL, _INTEGER, _DOUBLE, _STRING, _ARRAYS = range(6)
 _FIELDS: Final = ("bool_value", "integer_value", "double_value", "string_value")
 _NOTHING: Final[Values] = (False, 0, 0.0, "", [], [], [], [], [])
+_AT_START: Final = "read when the node starts"
+
+Report: TypeAlias = Callable[[Sequence[Values], Sequence[Values]], None]
+"""Called with the parameters that are new, and with those that have changed, as values of rcl_interfaces/Parameter."""
+
 _MAX_INTEGER: Final = 2**63
 
 
@@ -25,23 +30,32 @@ class ParameterServices:
     Parameters
     ----------
     values : mapping
-        Parameters by name: bool, int, float or str.
+        Parameters by name: bool, int, float, str, or sequences of those.
     change : callable
         Called with name and value; returns why it cannot be set, or "". Names in `settable` only.
     settable : collection of str
         Parameters that can be set while the node runs.
+    report : callable
+        Called with all parameters at once, and with those that change from then on.
     """
 
     def __init__(
-        self, values: Mapping[str, Any], change: Callable[[str, Any], str], settable: Sequence[str] = ()
+        self,
+        values: Mapping[str, Any],
+        change: Callable[[str, Any], str],
+        settable: Sequence[str] = (),
+        report: Report = lambda new, changed: None,
     ) -> None:
         self._values = dict(values)
         self._change = change
         self._settable = frozenset(settable)
+        self._report = report
+        report(self._encode(self._values), [])
 
     def store(self, values: Mapping[str, Any]) -> None:
         """Set values that the node itself has found."""
         self._values = {**self._values, **values}
+        self._report([], self._encode(values))
 
     def services(self) -> dict[str, tuple[str, Callable[[Any], Sequence[Any]]]]:
         """Return type and answer of each service, by its name below the node's."""
@@ -77,8 +91,9 @@ class ParameterServices:
     def _describe(self, request: Any) -> Sequence[Any]:  # noqa: ANN401
         described: list[Values] = []
         for name in request.names:
-            read_only = name not in self._settable
-            described.append((name, _kind_of(self._values.get(name)), "", "", read_only, False, [], []))
+            read_only = name in self._values and name not in self._settable
+            constraint = _AT_START if read_only else ""
+            described.append((name, _kind_of(self._values.get(name)), "", constraint, read_only, False, [], []))
         return (described,)
 
     def _set(self, request: Any) -> Sequence[Any]:  # noqa: ANN401
@@ -96,15 +111,20 @@ class ParameterServices:
     def _set_one(self, name: str, value: Any) -> Values:  # noqa: ANN401
         problem = self._find_problem(name, value) or self._change(name, value)
         if not problem:
-            self._values[name] = value
+            self.store({name: value})
         return not problem, problem
+
+    @staticmethod
+    def _encode(values: Mapping[str, Any]) -> list[Values]:
+        """Return the values of rcl_interfaces/Parameter."""
+        return [(name, _encode_value(value)) for name, value in values.items()]
 
     def _find_problem(self, name: str, value: Any) -> str:  # noqa: ANN401
         """Return why a parameter cannot be set; empty if it can."""
         if name not in self._values:
             return f"there is no parameter {name}"
         if name not in self._settable:
-            return f"{name} is read when the node starts: start it with -p {name}:=VALUE"
+            return f"{name} is {_AT_START}: start it with -p {name}:=VALUE"
         now = self._values[name]
         if _kind_of(value) != _kind_of(now):
             return f"{name}: expected a value like {now!r}, got {value!r}"
@@ -119,6 +139,9 @@ def _kind_of(value: Any) -> int:  # noqa: ANN401
         return _INTEGER
     if isinstance(value, float):
         return _DOUBLE
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        kinds = {_kind_of(one) for one in value}
+        return _ARRAYS + kinds.pop() if len(kinds) == 1 and kinds <= {_BOOL, _INTEGER, _DOUBLE} else _ARRAYS + _STRING
     return _NOT_SET if value is None else _STRING
 
 
@@ -126,11 +149,13 @@ def _encode_value(value: Any) -> Values:  # noqa: ANN401
     """Return the fields of rcl_interfaces/ParameterValue."""
     kind = _kind_of(value)
     fields = list(_NOTHING)
-    if kind != _NOT_SET:
+    if kind == _ARRAYS + _STRING:
+        fields[kind - 1] = [str(one) for one in value]
+    elif kind != _NOT_SET:
         fields[kind - 1] = str(value) if kind == _STRING else value
     return kind, *fields
 
 
 def _decode_value(value: Any) -> Any:  # noqa: ANN401
-    """Return the value of rcl_interfaces/ParameterValue; None for lists, which no parameter is."""
+    """Return the value of rcl_interfaces/ParameterValue; None for lists, which no settable parameter is."""
     return getattr(value, _FIELDS[value.type - 1]) if _NOT_SET < value.type <= _STRING else None

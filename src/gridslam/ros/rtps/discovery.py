@@ -66,7 +66,9 @@ def encode_participant(
     return PL_CDR_LE + encode_parameters(values)
 
 
-def encode_endpoint(guid: Guid, topic: str, type_name: str, qos: Qos, user: Sequence[Address]) -> bytes:
+def encode_endpoint(
+    guid: Guid, topic: str, type_name: str, qos: Qos, user: Sequence[Address], user_data: bytes = b""
+) -> bytes:
     """Return the payload by which a reader or writer is announced."""
     values = [
         (ENDPOINT_GUID, guid),
@@ -75,6 +77,7 @@ def encode_endpoint(guid: Guid, topic: str, type_name: str, qos: Qos, user: Sequ
         (_TYPE, _text(type_name)),
         (_REPRESENTATION, struct.pack("<Ihxx", 1, 0)),
         *qos.parameters(),
+        (_USER_DATA, _octets(user_data)),
         *((_LOCATOR, encode_locator(address)) for address in user),
     ]
     return PL_CDR_LE + encode_parameters(values)
@@ -136,7 +139,7 @@ def parse_endpoint(
         return None
     address = _best(parameters, _LOCATOR, order, participant.user[0]) or participant.user
     user_data = parameters.get(_USER_DATA, [b""])[0][4:]
-    return RemoteEndpoint(guid, topic, type_name, qos, address, user_data)
+    return RemoteEndpoint(guid, topic, type_name, qos, address, user_data, participant.vendor)
 
 
 def _best(parameters: Parameters, name: int, order: str, source: str) -> Address | None:

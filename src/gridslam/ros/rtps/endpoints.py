@@ -51,7 +51,7 @@ class Sample(NamedTuple):
 
 @final
 class RemoteEndpoint(NamedTuple):
-    """A reader or writer of another participant."""
+    """A reader or writer of another participant, with the vendor (2 bytes) of that."""
 
     guid: Guid
     topic: str
@@ -59,6 +59,7 @@ class RemoteEndpoint(NamedTuple):
     qos: Qos
     address: Address
     user_data: bytes = b""
+    vendor: bytes = b""
 
 
 @final

@@ -120,6 +120,7 @@ class Participant:
         type_name: str,
         qos: Qos,
         only: Callable[[RemoteEndpoint], bool] = lambda reader: True,
+        user_data: bytes = b"",
     ) -> Writer:
         """Add a writer and announce it; `only` decides which of the readers that fit get its samples."""
         with self._lock:
@@ -127,19 +128,21 @@ class Participant:
             writer = Writer(guid, topic, type_name, qos, self._send)
             self._writers[guid[12:]] = writer
             self._filters[guid] = only
-            self._announce(self._publications, guid, topic, type_name, qos)
+            self._announce(self._publications, guid, topic, type_name, qos, user_data)
             for endpoint, is_reader in list(self._known.values()):
                 if is_reader:
                     self._match_writer(writer, endpoint)
         return writer
 
-    def add_reader(self, topic: str, type_name: str, qos: Qos, handle: Callable[[Sample], None]) -> Reader:
+    def add_reader(
+        self, topic: str, type_name: str, qos: Qos, handle: Callable[[Sample], None], user_data: bytes = b""
+    ) -> Reader:
         """Add a reader and announce it."""
         with self._lock:
             guid = self._next_guid(4)
             reader = Reader(guid, topic, type_name, qos, self._send, handle)
             self._readers[guid[12:]] = reader
-            self._announce(self._subscriptions, guid, topic, type_name, qos)
+            self._announce(self._subscriptions, guid, topic, type_name, qos, user_data)
             for endpoint, is_reader in list(self._known.values()):
                 if not is_reader:
                     self._match_reader(reader, endpoint)
@@ -302,7 +305,7 @@ class Participant:
                 endpoint = RemoteEndpoint(found.prefix + reader, "", "", qos, found.discovery)
                 self._writers[writer].match(endpoint)
             if found.endpoints & writes:
-                endpoint = RemoteEndpoint(found.prefix + writer, "", "", qos, found.discovery)
+                endpoint = RemoteEndpoint(found.prefix + writer, "", "", qos, found.discovery, vendor=found.vendor)
                 self._readers[reader].match(endpoint)
 
     def _lose(self, prefix: bytes) -> None:
@@ -376,9 +379,10 @@ class Participant:
             return
         reader.match(writer)
 
-    def _announce(self, announcer: Writer, guid: Guid, topic: str, type_name: str, qos: Qos) -> None:
+    def _announce(self, announcer: Writer, guid: Guid, topic: str, type_name: str, qos: Qos, user_data: bytes) -> None:
         """Announce an endpoint."""
-        sequence = announcer.store(discovery.encode_endpoint(guid, topic, type_name, qos, self._sockets.user))
+        payload = discovery.encode_endpoint(guid, topic, type_name, qos, self._sockets.user, user_data)
+        sequence = announcer.store(payload)
         announcer.send_all(announcer.datagrams(sequence))
 
     def _next_guid(self, kind: int) -> Guid:

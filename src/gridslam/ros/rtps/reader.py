@@ -15,6 +15,10 @@ __all__ = ["Reader"]
 RELATED: Final = (0x0083, 0x800F)
 """Identity of a related sample: of DDS-RPC, and of eProsima before."""
 
+_FIRST_BASES: Final = {b"\1\x0f": 0}
+"""Base of the first acknowledgement by vendor, where it is not 1: eProsima's writers answer only to 0 before their next
+heartbeat, 3 s later. The standard has 1 as the least (8.3.5.5)."""
+
 _STATUS: Final = 0x71
 _MAX_SAMPLE_BYTES: Final = 1 << 26
 _MAX_ASSEMBLIES: Final = 8
@@ -99,7 +103,7 @@ class Reader:
             return
         proxy = self.writers[endpoint.guid] = _Proxy(endpoint)
         if self._is_reliable(proxy):
-            self._acknowledge(proxy, 1, [], final=False)
+            self._acknowledge(proxy, _FIRST_BASES.get(endpoint.vendor, 1), [], final=False)
 
     def unmatch(self, guid: Guid) -> None:
         """Remove a writer."""

@@ -8,79 +8,31 @@ from __future__ import annotations
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Final, TypeAlias, final
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final, final
 
 from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.io.bags.ros_messages import MessageError
 from gridslam.pipeline import describe_error
+from gridslam.ros.node.service_types import BODY, service_encoder
+from gridslam.ros.node.transport import Handler, Serve
 from gridslam.ros.rtps.endpoints import RemoteEndpoint, Sample
 from gridslam.ros.rtps.participant import Participant
 from gridslam.ros.rtps.qos import Qos
 from gridslam.ros.rtps.reader import RELATED
 from gridslam.ros.rtps.writer import Writer
 
-__all__ = ["DdsParticipant", "Handler", "service_encoder"]
+__all__ = ["DdsParticipant"]
 
 _CYCLONE: Final = b"\1\x10"
 """Vendor of Eclipse Cyclone DDS, whose rmw puts a header before requests and replies."""
 
-_REQUEST_HEADER = "uint64 guid\nint64 sequence\n"
-_BODY = "Body"  # suffix of the types without that header
-_EMPTY = "uint8 structure_needs_at_least_one_member"
-_SERVICES: Final[Mapping[str, str]] = {
-    "nav_msgs/GetMap_Request": _EMPTY,
-    "nav_msgs/GetMap_Response": "nav_msgs/OccupancyGrid map",
-    "nav_msgs/SetMap_Request": "nav_msgs/OccupancyGrid map\ngeometry_msgs/PoseWithCovarianceStamped initial_pose",
-    "nav_msgs/SetMap_Response": "bool success",
-    "std_srvs/Empty_Request": _EMPTY,
-    "std_srvs/Empty_Response": _EMPTY,
-    "std_srvs/SetBool_Request": "bool data",
-    "std_srvs/SetBool_Response": "bool success\nstring message",
-    "std_srvs/Trigger_Request": _EMPTY,
-    "std_srvs/Trigger_Response": "bool success\nstring message",
-    "lifecycle_msgs/GetState_Request": _EMPTY,
-    "lifecycle_msgs/GetState_Response": "lifecycle_msgs/State current_state",
-    "lifecycle_msgs/GetAvailableStates_Request": _EMPTY,
-    "lifecycle_msgs/GetAvailableStates_Response": "lifecycle_msgs/State[] available_states",
-    "lifecycle_msgs/GetAvailableTransitions_Request": _EMPTY,
-    "lifecycle_msgs/GetAvailableTransitions_Response": "lifecycle_msgs/TransitionDescription[] available_transitions",
-    "lifecycle_msgs/ChangeState_Request": "lifecycle_msgs/Transition transition",
-    "lifecycle_msgs/ChangeState_Response": "bool success",
-    "rcl_interfaces/ListParameters_Request": "string[] prefixes\nuint64 depth",
-    "rcl_interfaces/ListParameters_Response": "rcl_interfaces/ListParametersResult result",
-    "rcl_interfaces/GetParameters_Request": "string[] names",
-    "rcl_interfaces/GetParameters_Response": "rcl_interfaces/ParameterValue[] values",
-    "rcl_interfaces/GetParameterTypes_Request": "string[] names",
-    "rcl_interfaces/GetParameterTypes_Response": "uint8[] types",
-    "rcl_interfaces/DescribeParameters_Request": "string[] names",
-    "rcl_interfaces/DescribeParameters_Response": "rcl_interfaces/ParameterDescriptor[] descriptors",
-    "rcl_interfaces/SetParameters_Request": "rcl_interfaces/Parameter[] parameters",
-    "rcl_interfaces/SetParameters_Response": "rcl_interfaces/SetParametersResult[] results",
-    "rcl_interfaces/SetParametersAtomically_Request": "rcl_interfaces/Parameter[] parameters",
-    "rcl_interfaces/SetParametersAtomically_Response": "rcl_interfaces/SetParametersResult result",
-}
 _GRAPH, _GRAPH_TYPE = "ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"
 _GID_BYTES = 24, 16  # up to Humble; from Iron on, whose endpoints state the hash of their type
 _TYPE_HASH: Final = b"typehash="
 _MATCH_S: Final = 1.0
 
 _DEFAULT: Final = Qos()
-
-Handler: TypeAlias = Callable[[bytes, str], None]
-"""Called with the bytes of a message and a name of its sender."""
-
-Serve: TypeAlias = Callable[[Any], Sequence[Any]]
-"""Called with a request; returns the values of the reply's fields."""
-
-
-def service_encoder() -> MessageEncoder:
-    """Return an encoder that knows the requests and replies of the node's services, with and without a header."""
-    encoder = MessageEncoder(is_ros1=False)
-    for name, definition in _SERVICES.items():
-        encoder.define(name, _REQUEST_HEADER + definition)
-        encoder.define(name + _BODY, definition)
-    return encoder
 
 
 @final
@@ -100,6 +52,8 @@ class DdsParticipant:
         Namespace and name of the node, as others list it; no name: it is not listed.
     peers : sequence of str
         Addresses of machines that multicast does not reach.
+    encoder : MessageEncoder, optional
+        Of the messages, requests and replies; a new one if not given.
 
     Attributes
     ----------
@@ -119,8 +73,9 @@ class DdsParticipant:
         on_mismatch: Callable[[str, str, str], None] = lambda *unused: None,
         node: tuple[str, str] = ("/", ""),
         peers: Sequence[str] = (),
+        encoder: MessageEncoder | None = None,
     ) -> None:
-        self.encoder = service_encoder()
+        self.encoder = encoder or service_encoder()
         self._participant = Participant(domain, interfaces, node[1] or "gridslam", on_mismatch, peers)
         self._writers: dict[str, Writer] = {}
         self._node = node
@@ -134,7 +89,8 @@ class DdsParticipant:
 
     def add_writer(self, topic: str, message_type: str, qos: Qos = _DEFAULT) -> None:
         """Add a writer for a DDS topic."""
-        writer = self._writers[topic] = self._participant.add_writer(topic, _type_name(message_type), qos)
+        writer = self._participant.add_writer(topic, _type_name(message_type), qos, user_data=self._hash(message_type))
+        self._writers[topic] = writer
         self._guids[1].append(writer.guid)
         self._publish_graph()
 
@@ -145,7 +101,7 @@ class DdsParticipant:
             if not sample.is_gone:
                 handle(sample.payload, f"publisher {sample.writer.hex()}")
 
-        self._add_reader(topic, message_type, qos, take)
+        self._add_reader(topic, message_type, qos, take, self._hash(message_type))
 
     def add_service(
         self, name: str, service_type: str, serve: Serve, refuse: Callable[[str], None], *, slow: bool = False
@@ -182,13 +138,13 @@ class DdsParticipant:
             else:
                 identity = _identity(sample)
                 parameters = [(parameter, identity) for parameter in RELATED]
-                self._participant.write(reply, self.encoder.encode(kind + _BODY, *values), parameters)
+                self._participant.write(reply, self.encoder.encode(kind + BODY, *values), parameters)
 
         def take(sample: Sample) -> None:
             if sample.is_gone:
                 return
             try:
-                body = "" if sample.vendor == _CYCLONE else _BODY
+                body = "" if sample.vendor == _CYCLONE else BODY
                 request = self.encoder.decode(f"{service_type}_Request{body}", sample.payload)
             except MessageError as error:
                 refuse(str(error))
@@ -212,10 +168,16 @@ class DdsParticipant:
         """Stop the thread."""
         self._participant.close()
 
-    def _add_reader(self, topic: str, message_type: str, qos: Qos, take: Callable[[Sample], None]) -> None:
-        reader = self._participant.add_reader(topic, _type_name(message_type), qos, take)
+    def _add_reader(
+        self, topic: str, message_type: str, qos: Qos, take: Callable[[Sample], None], user_data: bytes = b""
+    ) -> None:
+        reader = self._participant.add_reader(topic, _type_name(message_type), qos, take, user_data)
         self._guids[0].append(reader.guid)
         self._publish_graph()
+
+    def _hash(self, message_type: str) -> bytes:
+        """Return the user data by which an endpoint states the hash of its type."""
+        return _TYPE_HASH + self.encoder.type_hash(message_type).encode() + b";"
 
     def _publish_graph(self) -> None:
         """State which readers and writers are the node's, by which `ros2 node list` knows it."""

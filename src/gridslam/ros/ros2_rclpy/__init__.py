@@ -1,0 +1,1 @@
+"""The node in ROS 2 by rclpy."""

@@ -1,0 +1,158 @@
+"""Much at once, for long, and from the first moment on: no scan is lost, and none comes late."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import statistics
+import time
+
+import pytest
+from nav_msgs.msg import Odometry
+from rcl_interfaces.srv import GetParameters
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from support.ros2_peer import Peer, Robot, scan, stamped, transform, values
+from support.ros_node import odometry_message, until
+
+WITHIN_S = 1.0
+"""Median from the first scan to its pose, though the static transform was told long before, or of an answer."""
+
+
+@pytest.fixture
+def robot(domain):
+    robot = Robot(domain)
+    yield robot
+    robot.close()
+
+
+def cpu_s(process):
+    with open(f"/proc/{process.pid}/stat", encoding="ascii") as stat:
+        fields = stat.read().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def check(robot, node, sent, record_property):
+    """Check that all scans are mapped, but for one that is older than the first transform."""
+    assert robot.tells("accepted", sent - 1), (values(robot.status[-1]), node.log.read_text())
+    told = values(robot.status[-1])
+    for name in ("accepted", "latency median, ms", "latency 99 of 100, ms", "latency longest, ms"):
+        record_property(name, told[name])
+    record_property("CPU, s", cpu_s(node.process))
+    assert told["dropped"] == "0"
+    assert float(told["latency median, ms"]) < 50  # 5 on a machine that does nothing else
+
+
+@pytest.mark.parametrize("clock_hz", [0, 500])
+def test_transforms_at_200_hz_and_scans_at_40_hz(start, robot, drive, clock_hz, record_property):
+    node = start(*(("-p", "use_sim_time:=true") if clock_hz else ()))
+    assert robot.meets()
+    sent = load(robot, drive[0], 8.0, clock_hz)
+    check(robot, node, sent, record_property)
+
+
+@pytest.mark.long
+def test_half_an_hour_at_40_hz(start, robot, drive, record_property):
+    seconds = float(os.environ.get("GRIDSLAM_ROS2_SECONDS", "1800"))
+    node = start()
+    assert robot.meets()
+    sent = load(robot, drive[0], seconds, 0)
+    check(robot, node, sent, record_property)
+
+
+def load(robot, measurement, seconds, clock_hz):
+    """Send what a resting robot sends; returns the number of scans."""
+    rates = {"transform": 200.0, "scan": 40.0, **({"clock": float(clock_hz)} if clock_hz else {})}
+    begin = time.monotonic()
+    due, sent = dict.fromkeys(rates, begin), 0
+    offset_ns = time.time_ns() - int(begin * 1e9)
+    message = scan(measurement, 0)
+    link = odometry_message(measurement)
+    while (now := time.monotonic()) < begin + seconds:
+        for kind in [kind for kind, at in due.items() if at <= now]:
+            at_ns = int(due[kind] * 1e9) + offset_ns
+            if kind == "transform":
+                robot.moving.publish(transform(link._replace(stamp_ns=at_ns)))
+            elif kind == "clock":
+                robot.tell_time(at_ns)
+            else:
+                stamped(message.header.stamp, at_ns - 20_000_000)
+                robot.scans.publish(message)
+                sent += 1
+            due[kind] += 1 / rates[kind]
+        time.sleep(max(0.0, min(due.values()) - time.monotonic()))
+    return sent
+
+
+@pytest.mark.parametrize("rate", [pytest.param(1.0, marks=pytest.mark.long), 3.0])
+def test_a_bag_of_a_turtlebot_is_mapped_scan_by_scan(start, domain, data_dir, rate, record_property):
+    node, peer = start("-p", "use_sim_time:=true"), Robot(domain, fixed=False)
+    try:
+        sent = play(peer, data_dir / "bags" / "turtlebot4_floor", rate)
+        check(peer, node, sent, record_property)
+        assert peer.links_of("map")
+    finally:
+        peer.close()
+
+
+def play(robot, bag, rate):
+    """Play a bag as `ros2 bag play --clock` does; returns the number of scans."""
+    odometry = robot.node.create_publisher(Odometry, "/odom", 50)
+    publishers = {"/scan": robot.scans, "/odom": odometry, "/tf": robot.moving, "/tf_static": robot.fixed}
+    assert robot.meets()
+    sent = 0
+    with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        messages = (
+            (one.topic, at_ns, bytes(data)) for one, at_ns, data in reader.messages() if one.topic in publishers
+        )
+        first = next(messages)
+        begin, told_ns = time.monotonic(), 0
+        for topic, at_ns, data in itertools.chain([first], messages):
+            time.sleep(max(0.0, begin + (at_ns - first[1]) * 1e-9 / rate - time.monotonic()))
+            if at_ns - told_ns > 5_000_000:
+                robot.tell_time(at_ns)
+                told_ns = at_ns
+            publishers[topic].publish(data)
+            sent += topic == "/scan"
+    return sent
+
+
+@pytest.mark.parametrize("times", [pytest.param(20, marks=pytest.mark.long), 3])
+def test_a_node_maps_within_a_second_of_its_start(start, robot, drive, times, record_property):
+    """The static transform is latched: from Fast DDS it came up to 3 s late."""
+    link, message, took = odometry_message(drive[0]), scan(drive[0], 0), []
+    for _ in range(times):
+        before = len(robot.poses)
+        node = start()
+        begin = time.monotonic()
+        while len(robot.poses) == before and time.monotonic() < begin + 10:
+            now_ns = time.time_ns()
+            robot.moving.publish(transform(link._replace(stamp_ns=now_ns)))
+            stamped(message.header.stamp, now_ns - 10_000_000)
+            robot.scans.publish(message)
+            time.sleep(0.02)
+        took.append(time.monotonic() - begin)
+        assert node.end() == 0
+        robot.poses.clear()
+    record_property("longest, s", max(took))
+    assert statistics.median(took) < WITHIN_S, took
+
+
+@pytest.mark.parametrize("times", [pytest.param(60, marks=pytest.mark.long), 10])
+def test_the_first_request_of_a_new_client_is_answered_at_once(start, domain, times, record_property):
+    start()
+    peer, took = Peer(domain), []
+    try:
+        for _ in range(times):
+            client = peer.node.create_client(GetParameters, "/gridslam/get_parameters")
+            assert client.wait_for_service(10)
+            begin = time.monotonic()
+            answered = client.call_async(GetParameters.Request(names=["particles"]))
+            assert until(answered.done, 10)
+            took.append(time.monotonic() - begin)
+            peer.node.destroy_client(client)
+    finally:
+        peer.close()
+    record_property("longest, s", max(took))
+    assert statistics.median(took) < WITHIN_S, took

@@ -1,0 +1,230 @@
+"""Parameters, services, the lifecycle and the log, as the verbs of `ros2` ask for them."""
+
+from __future__ import annotations
+
+import pytest
+from lifecycle_msgs.msg import Transition, TransitionEvent
+from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
+from nav_msgs.msg import OccupancyGrid
+from nav_msgs.srv import SetMap
+from rcl_interfaces.msg import Log, Parameter, ParameterEvent, ParameterType, ParameterValue
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    GetParameterTypes,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
+from rclpy.lifecycle import LifecycleNode
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from slam_toolbox.srv import Pause, SerializePoseGraph
+from std_srvs.srv import Empty, SetBool, Trigger
+
+from gridslam.io.maps import read_map, write_map
+from gridslam.io.sessions.session_file import read_session
+from support.localization_world import flat_map
+from support.ros2_peer import LATCHED, Peer, Robot, last_map, nanoseconds, values
+from support.ros_node import until
+
+
+@pytest.fixture
+def peer(domain):
+    peer = Peer(domain)
+    yield peer
+    peer.close()
+
+
+def parameter(name, value):
+    kind = {bool: ("BOOL", "bool_value"), int: ("INTEGER", "integer_value"), str: ("STRING", "string_value")}
+    number, field = kind[type(value)]
+    given = ParameterValue(type=getattr(ParameterType, f"PARAMETER_{number}"), **{field: value})
+    return Parameter(name=name, value=given)
+
+
+def set_one(peer, name, value):
+    (result,) = peer.ask("/gridslam/set_parameters", SetParameters, parameters=[parameter(name, value)]).results
+    return result.successful, result.reason
+
+
+def test_parameters_are_listed_read_described_and_set(start, peer):
+    node = start("-p", "resolution:=0.1", "-p", "preset:=fast")
+    names = peer.ask("/gridslam/list_parameters", ListParameters).result.names
+    assert {"particles", "resolution", "preset", "use_sim_time", "save_as"} <= set(names)
+    asked = ["particles", "delta", "resolution", "preset", "use_sim_time", "nothing"]
+    got = peer.ask("/gridslam/get_parameters", GetParameters, names=asked).values
+    assert [one.type for one in got] == [2, 3, 3, 4, 1, 0]
+    assert [one.type for one in got] == list(
+        peer.ask("/gridslam/get_parameter_types", GetParameterTypes, names=asked).types
+    )
+    assert (got[0].integer_value, got[1].double_value, got[2].double_value) == (4, 0.1, 0.1)
+    assert (got[3].string_value, got[4].bool_value) == ("fast", False)
+    described = peer.ask(
+        "/gridslam/describe_parameters", DescribeParameters, names=["particles", "save_as"]
+    ).descriptors
+    assert [(one.name, one.type, one.read_only) for one in described] == [("particles", 2, True), ("save_as", 4, False)]
+    events = peer.hear("/parameter_events", ParameterEvent)
+    assert until(lambda: peer.node.count_publishers("/parameter_events") >= 2)
+    assert set_one(peer, "anything", 3) == (False, "there is no parameter anything")
+    refused, why = set_one(peer, "particles", 3)
+    assert (refused, "start it with -p particles:=" in why) == (False, True)
+    assert set_one(peer, "save_as", 3)[0] is False
+    assert set_one(peer, "save_as", "floors/first") == (True, "")
+    both = [parameter("paused_new_measurements", True), parameter("nothing", 1)]
+    assert not peer.ask(
+        "/gridslam/set_parameters_atomically", SetParametersAtomically, parameters=both
+    ).result.successful
+    assert set_one(peer, "use_sim_time", True) == (True, "")
+    changed = [one.name for event in list(events) if event.node == "/gridslam" for one in event.changed_parameters]
+    assert until(lambda: len(events) >= 2)
+    assert set(changed) <= {"save_as", "use_sim_time"}
+    assert "save_as" in [one.name for event in events for one in event.changed_parameters]
+    assert node.process.poll() is None
+
+
+def test_services_answer_beside_the_scans(start, domain, drive, tmp_path):
+    node = start(options=("-o", str(tmp_path / "out")))
+    robot = Robot(domain)
+    try:
+        assert robot.meets()
+        assert not robot.ask("/gridslam/serialize_map", Trigger).success
+        robot.drive(drive[:60])
+        assert until(lambda: len(robot.poses) >= 59)
+        assert robot.ask("/gridslam/save", Trigger).success
+        assert (tmp_path / "out" / "map.pgm").is_file()
+        assert set_one(robot, "save_as", str(tmp_path / "floors" / "first")) == (True, "")
+        assert robot.ask("/gridslam/serialize_map", Trigger).success, node.log.read_text()
+        assert len(read_session(tmp_path / "floors" / "first.gridslam").run.trajectory.keys) >= 59
+        assert robot.ask("/gridslam/save_map", Trigger).success
+        assert read_map(tmp_path / "floors" / "first.yaml").known.any()
+        answer = robot.ask("/gridslam/pause", SetBool, data=True)
+        assert (answer.success, answer.message) == (True, "paused")
+        assert robot.ask("/gridslam/pause", SetBool, data=False).message == "mapping"
+        assert robot.ask("/gridslam/localize", SetBool, data=True).message == "localizing in the map so far"
+        until(lambda: False, 0.2)
+        assert node.log.read_text().count("localizing") == 1
+        robot.drive(drive[60:80])
+        assert robot.ask("/gridslam/localize", SetBool, data=False).message
+        assert robot.ask("/gridslam/reset", Empty) is not None
+    finally:
+        robot.close()
+
+
+def test_slam_toolbox_s_services_are_there_by_their_names_and_types(start, peer, tmp_path):
+    start()
+    assert peer.ask("/slam_toolbox/pause_new_measurements", Pause).status
+    assert peer.ask("/slam_toolbox/serialize_map", SerializePoseGraph, filename=str(tmp_path / "none")).result == 255
+
+
+def test_a_known_map_is_given_and_replaced(start, peer, tmp_path):
+    """As nav2's map_server gives it: latched, and stamped by the clock once that is there."""
+    write_map(tmp_path / "flat.yaml", flat_map())
+    start(options=("--map", str(tmp_path / "flat.yaml")))
+    grid = last_map(peer)
+    assert nanoseconds(grid.header.stamp) > 0
+    grid.info.origin.position.x += 1.0
+    assert peer.ask("/set_map", SetMap, map=grid).success
+    assert until(lambda: last_map(peer).info.origin.position.x == grid.info.origin.position.x)
+    grid.header.frame_id = "elsewhere"
+    assert not peer.ask("/set_map", SetMap, map=grid).success
+
+
+def test_a_known_map_has_a_stamp_as_soon_as_simulated_time_has_begun(start, domain, tmp_path):
+    write_map(tmp_path / "flat.yaml", flat_map())
+    start("-p", "use_sim_time:=true", options=("--map", str(tmp_path / "flat.yaml")))
+    robot = Robot(domain)
+    try:
+        grids = robot.hear("/map", OccupancyGrid, LATCHED)
+        assert until(lambda: bool(grids))
+        assert until(lambda: robot.matched(robot.clock))
+
+        def stamped():
+            robot.tell_time(1_700_000_000 * 10**9)
+            return bool(grids) and nanoseconds(grids[-1].header.stamp) == 1_700_000_000 * 10**9
+
+        assert until(stamped)
+    finally:
+        robot.close()
+
+
+def test_the_lifecycle_is_that_of_rclpy_s_own_nodes(start, domain):
+    """nav2's lifecycle_manager starts it; each state in between is told."""
+    start("-p", "lifecycle:=true")
+    robot = Robot(domain)
+    theirs = LifecycleNode("theirs", context=robot.context)
+    robot._executor.add_node(theirs)
+    try:
+
+        def graph(node, service):
+            found = robot.ask(f"/{node}/{service}", GetAvailableTransitions).available_transitions
+            return {
+                (
+                    one.transition.id,
+                    one.transition.label,
+                    *((at.id, at.label) for at in (one.start_state, one.goal_state)),
+                )
+                for one in found
+            }
+
+        for service in ("get_transition_graph", "get_available_transitions"):
+            assert graph("gridslam", service) == graph("theirs", service)
+        states = [
+            [
+                (one.id, one.label)
+                for one in robot.ask(f"/{name}/get_available_states", GetAvailableStates).available_states
+            ]
+            for name in ("gridslam", "theirs")
+        ]
+        assert states[0] == states[1]
+        events = {name: robot.hear(f"/{name}/transition_event", TransitionEvent) for name in ("gridslam", "theirs")}
+        assert until(lambda: all(robot.node.count_publishers(f"/{name}/transition_event") for name in events))
+        until(lambda: False, 0.5)
+        for name in events:
+            for number in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+                assert robot.ask(f"/{name}/change_state", ChangeState, transition=Transition(id=number)).success
+
+        def told(name):
+            return [(one.start_state.label, one.goal_state.label) for one in events[name]]
+
+        assert until(lambda: len(events["gridslam"]) >= 4)
+        assert until(lambda: told("gridslam") == told("theirs")), (told("gridslam"), told("theirs"))
+        assert robot.ask("/gridslam/get_state", GetState).current_state.label == "active"
+        impossible = Transition(id=Transition.TRANSITION_CONFIGURE)
+        assert not robot.ask("/gridslam/change_state", ChangeState, transition=impossible).success
+    finally:
+        robot._executor.remove_node(theirs)
+        theirs.destroy_node()
+        robot.close()
+
+
+def test_a_managed_node_maps_while_it_is_active(start, domain, drive):
+    node = start("-p", "lifecycle:=true")
+    robot = Robot(domain)
+    try:
+        assert robot.meets()
+        robot.drive(drive[:5])
+        assert robot.tells("paused", 5)
+        for label in ("configure", "activate"):
+            assert robot.ask("/gridslam/change_state", ChangeState, transition=Transition(label=label)).success
+        robot.drive(drive[5:25])
+        assert until(lambda: len(robot.poses) >= 19)
+        assert robot.ask("/gridslam/change_state", ChangeState, transition=Transition(label="deactivate")).success
+        robot.drive(drive[25:30])
+        assert robot.tells("paused", 10), values(robot.status[-1])
+        assert robot.ask("/gridslam/change_state", ChangeState, transition=Transition(label="cleanup")).success
+        assert node.says("starting a new map: reset")
+    finally:
+        robot.close()
+
+
+def test_the_log_is_on_rosout(start, domain):
+    peer = Peer(domain)
+    try:
+        lines = peer.hear("/rosout", Log, QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+        start()
+        assert until(lambda: any(one.name == "gridslam" and one.msg.startswith("waiting for scans") for one in lines))
+        (line,) = (one for one in lines if one.msg.startswith("waiting for scans"))
+        assert line.level in (20, bytes([20]))
+        assert nanoseconds(line.stamp) > 0
+    finally:
+        peer.close()
