@@ -10,6 +10,7 @@ import pytest
 from gridslam.evaluation import absolute_errors
 from gridslam.geometry.se2 import between, compose
 from gridslam.matching.surfaces import Surfaces
+from gridslam.slam.full_slam.key_covariances import key_covariances
 from gridslam.slam.full_slam.surface_adjustment import SurfaceAdjustment
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -64,7 +65,7 @@ def test_key_scans_end_up_where_their_surfaces_fit(seen, archive, seed):
 
 
 def adjusted(graph, surfaces, adjustment=ADJUSTMENT):
-    return adjustment.adjust_key_scans(graph, surfaces)
+    return adjustment.adjust_key_scans(graph, surfaces).poses
 
 
 def test_without_normals_it_would_not(seen, archive):
@@ -78,6 +79,30 @@ def test_without_normals_it_would_not(seen, archive):
     assert (
         errors(adjusted(graph, worse), seen.truth[:90])[0] > 2 * errors(adjusted(graph, surfaces), seen.truth[:90])[0]
     )
+
+
+def test_covariances_of_the_adjusted_graph_are_of_the_errors_size(seen, archive):
+    """Of six numbers in a room, by the normalized squares of the errors: 3 is expected; the lap's are not independent.
+
+    If a scan counted fully in each of its pairs, they would be of a tenth of the errors' squares and less.
+    """
+    until = 60
+    surfaces = Surfaces.of(archive.batch(archive.keys[:until]))
+    truth = between(seen.truth[0], seen.truth[:until])
+    claimed, bold = [], []
+    for seed in range(4):
+        graph = graph_about(truth, seed)
+        found = ADJUSTMENT.adjust_key_scans(graph, surfaces)
+        assert len(found.edges) > 3 * len(graph.edges)
+        counts = np.bincount(found.edges[len(graph.edges) :].ravel()).mean()
+        whole = found.information.copy()
+        whole[len(graph.edges) :] *= counts
+        for squares, by in ((claimed, found), (bold, replace(found, information=whole))):
+            errors = between(truth, found.poses)[1:]
+            errors[:, :2] = (found.poses - truth)[1:, :2]
+            covariances = key_covariances(by)[1:]
+            squares.append(np.einsum("ki,kij,kj->k", errors, np.linalg.inv(covariances), errors).mean())
+    assert 0.3 < np.mean(claimed) < 4.5 < np.mean(bold)
 
 
 def test_scans_between_key_scans_are_matched_to_those_about_them(seen, archive):

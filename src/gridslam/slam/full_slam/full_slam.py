@@ -191,7 +191,7 @@ def _refine(
     changed = closure_state.snapshot()
     refined = final_refinement(changed, trajectory, drives, mapper, closure, on_progress, searched)
     graph = scale_information(refined.best.graph, refined.best.weights)
-    covariances = scan_covariances(graph, key_covariances(graph), refined.poses, drives, closure.drift)
+    covariances = scan_covariances(graph, key_covariances(refined.measured), refined.poses, drives, closure.drift)
     loops = _summarize(closure_state, changed, refined, trajectory)
     piece = _make_piece(closure_state, refined)
     return FullSlam(refined.poses, covariances, graph, refined.maps.tiled(0), loops, piece)

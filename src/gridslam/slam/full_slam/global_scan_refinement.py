@@ -98,17 +98,21 @@ class CandidateSelection:
         self.scores[candidate.name] = score
         return score.log_likelihood
 
-    def adjust_best(self, poses: FloatArray) -> None:
-        """Move the key scans of the best candidate to poses (T, 3), unless visits then clearly agree less.
+    def adjust_best(self, poses: FloatArray) -> bool:
+        """Move the key scans of the best candidate to poses (T, 3), unless visits then clearly agree less; whether.
 
         Along corridors of hundreds of metres surfaces can pull where only their noise differs. The score of these poses
         is that of "adjusted".
         """
         adjusted, maps = self._score(poses)
         self.scores["adjusted"] = adjusted
-        if not adjusted.beams or adjusted.agreement >= self.scores[self.best.name].agreement - _AGREEMENT_MARGIN:
+        is_taken = not adjusted.beams or (
+            adjusted.agreement >= self.scores[self.best.name].agreement - _AGREEMENT_MARGIN
+        )
+        if is_taken:
             self.best = replace(self.best, graph=self.best.graph.with_poses(poses))
             self.maps = maps
+        return is_taken
 
 
 @final
@@ -126,12 +130,16 @@ class RefinementResult:
         One map, drawn from the key scans.
     scores : dict of str to TrajectoryScore
         Of all candidates, by name; the first of the greatest log likelihood is the best.
+    measured : PoseGraph
+        All that determines the best trajectory, by which its poses are uncertain: its graph, with the weights of the
+        robust estimate and the surfaces.
     """
 
     best: Candidate
     poses: FloatArray
     maps: TileMaps
     scores: dict[str, TrajectoryScore]
+    measured: PoseGraph
 
 
 @final
@@ -226,14 +234,15 @@ class GlobalScanRefinement:
         surfaces = Surfaces.of(scans.batch(scans.keys))
         on_progress()
         weighted = scale_information(selection.best.graph, selection.best.weights)
-        selection.adjust_best(self.surfaces.adjust_key_scans(weighted, surfaces))
+        adjusted = self.surfaces.adjust_key_scans(weighted, surfaces)
+        measured = adjusted if selection.adjust_best(adjusted.poses) else weighted
         key_poses = selection.best.graph.poses
         graph.poses = list(key_poses)
         poses = full_trajectories(key_poses, drives)
         frozen = sum(len(drive.keys) for drive in drives if int(drive.keys[-1]) < graph.frozen)
         keys = np.concatenate([drive.keys for drive in drives])[frozen:]
         poses[frozen:] = self.surfaces.match_scans(poses[frozen:], keys, scans, surfaces, key_poses)
-        return RefinementResult(selection.best, poses, selection.maps, selection.scores)
+        return RefinementResult(selection.best, poses, selection.maps, selection.scores, measured)
 
 
 @final
