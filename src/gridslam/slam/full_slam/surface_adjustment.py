@@ -82,7 +82,7 @@ class SurfaceAdjustment:
             whole = self._measure(graph.with_poses(poses), surfaces, pairs, gate_m)
             if len(whole.edges) == len(graph.edges):
                 break
-            poses = GraphSlam(first_guess="given", robust=None, max_iterations=3).solve(whole).poses
+            poses = GraphSlam(first_guess="given", robust=None, max_iterations=1).solve(whole).poses
         return self._measure(graph.with_poses(poses), surfaces, pairs, _GATES_M[-1], shared=True)
 
     def _measure(
