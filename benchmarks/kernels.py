@@ -29,7 +29,7 @@ __all__ = ["ELSEWHERE", "Call", "Situation", "fork_join_us", "kernel_times", "re
 
 ELSEWHERE = {
     *("begin_update", "end_update", "draw_scans", "known_cells", "match_scans", "select_beams", "shortest_ways"),
-    *("parse_numbers", "format_rows", "hamming_distances", "match_surfaces"),
+    *("parse_numbers", "format_rows", "hamming_distances", "fit_surfaces", "match_surfaces", "match_to_surfaces"),
     *("draw_gaussians", "kalman_update", "predict_landmarks", "are_true", "mean_shift", "slots_of"),
 }
 """Kernels that no particle's map needs in one thread: of many scans in one map, reading, places, landmarks, beliefs."""

@@ -132,8 +132,8 @@ def test_it_is_the_map_of_slam_where_its_trajectory_is_known(log):
     """SLAM's map is made of its key scans; with one particle and clamps that nothing reaches it is their sum."""
     config = override(
         Configuration(particles=1, loop_closure=None),
-        "key_scan_m=0.1",
-        "key_scan_rad=0.1",
+        "key_scan_m=0.12",
+        "key_scan_rad=0.12",
         "mapper.inverse_sensor.log_odds_min=-150",
         "mapper.inverse_sensor.log_odds_max=150",
     )

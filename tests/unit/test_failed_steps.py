@@ -104,7 +104,7 @@ def farthest_m(trajectory, log):
 def test_a_step_that_fails_anywhere_is_left_out(log, measurements, monkeypatch, owner, name):
     """All other scans have poses, as exact as those of a log without the failed scans, and two runs give the same.
 
-    As exact as that log is by one of three seeds, and half a cell: 0.13 to 0.24 m beside 0.12 to 0.24 m.
+    As exact as that log is by one of three seeds, by half: seeds differ by as much, 0.12 to 0.19 m.
     """
     found = []
     for _ in range(2):
@@ -123,7 +123,7 @@ def test_a_step_that_fails_anywhere_is_left_out(log, measurements, monkeypatch, 
     without = [TrajectoryRecorder() for _ in range(3)]
     for seed, healthy in enumerate(without, start=3):
         map_all(left, recorder=healthy, seed=seed)
-    assert farthest_m(trajectory, log) < max(farthest_m(w.online_trajectory(), log) for w in without) + 0.025
+    assert farthest_m(trajectory, log) < 1.5 * max(farthest_m(w.online_trajectory(), log) for w in without)
 
 
 CLOSURE = "closure_state"

@@ -106,6 +106,8 @@ _RETIRED = {
 """Parameters of earlier versions, by table ..."""
 _RETIRED_BY = "recent_submaps"
 """... and one of `loop_closure.recognition` that it has had in all of them."""
+_PLACES_SEARCHED = "search_interval"
+"""Of `final_refinement.component_alignment` as it was before components were aligned by submaps."""
 _LARGEST_TEXT: Final = 1 << 20  # characters
 _RESAMPLERS: Final[Mapping[str, type[Resampler]]] = {
     "systematic": Systematic,
@@ -219,6 +221,10 @@ def loads_saved(text: str) -> Configuration:
         for name, retired in _RETIRED.items():
             for parameter in retired:
                 _part_of(table, name).pop(parameter, None)
+    refinement = _part_of(table, "final_refinement")
+    _part_of(refinement, "surfaces").pop("gates_m", None)
+    if _PLACES_SEARCHED in _part_of(refinement, "component_alignment"):
+        refinement.pop("component_alignment")
     return replace_parameters(Configuration(), table)
 
 

@@ -18,6 +18,11 @@ __all__ = ["SurfaceMatching"]
 
 _GATES_M = np.array([0.15, 0.08])
 """Largest residual of a point, in each step: a match to cells of 5 cm is off by less than the first."""
+_MIN_POINTS = 20
+_MAX_CORRECTION_M = 0.1
+"""Where fewer points are matched, or the scan would move farther, it stays."""
+_PRIOR_SIGMAS = np.array([0.02, 0.02, 0.01])
+"""Standard deviations (m, m, rad) of the match to the map."""
 
 
 @final
@@ -34,12 +39,6 @@ class SurfaceMatching:
         How many of the newest scans in the local map.
     sigma_m : float, m
         Standard deviation of a point; where the residual is as large, it weighs half.
-    min_points : int
-        Matched points, at least.
-    max_correction_m : float, m
-        Where the scan would move farther it stays.
-    prior_sigma_m, prior_sigma_rad : float
-        Standard deviations of the match to the map, or of the odometry where it reports smaller ones.
 
     References
     ----------
@@ -49,15 +48,11 @@ class SurfaceMatching:
 
     scans: int = bounded(8, ge=2, le=1000)
     sigma_m: float = bounded(0.02, ge=1e-6, le=100)
-    min_points: int = bounded(20, ge=1, le=1_000_000)
-    max_correction_m: float = bounded(0.1, ge=1e-6, le=1e6)
-    prior_sigma_m: float = bounded(0.02, ge=1e-6, le=100)
-    prior_sigma_rad: float = bounded(0.01, ge=1e-6, le=100)
 
     def __call__(self, recent: RecentScans, own: Surfaces, found: PoseEstimate) -> Pose:
         """Match the surfaces of one scan, from where it was found in the map; gives its pose."""
         guess, predicted = found.pose, found.prediction
-        sigmas = np.array([self.prior_sigma_m, self.prior_sigma_m, self.prior_sigma_rad])
+        sigmas = _PRIOR_SIGMAS
         if predicted.covariance is not None:  # reported by the odometry, and part of what was found
             sigmas = np.minimum(sigmas, [predicted.sigma_m, predicted.sigma_m, predicted.sigma_rad])
         pose, count = backend.match_to_surfaces(
@@ -71,5 +66,5 @@ class SurfaceMatching:
             self.sigma_m,
             LEAST_INFORMATION,
         )
-        is_near = math.hypot(pose[0] - guess[0], pose[1] - guess[1]) < self.max_correction_m
-        return pose if count >= self.min_points and is_near else guess
+        is_near = math.hypot(pose[0] - guess[0], pose[1] - guess[1]) < _MAX_CORRECTION_M
+        return pose if count >= _MIN_POINTS and is_near else guess

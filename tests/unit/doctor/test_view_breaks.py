@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from doctor import MadeLog
 
 from gridslam.doctor import CheckedLog, Doctor, Severity, quick_check
 from gridslam.doctor.view_breaks import ViewBreaks
 from gridslam.geometry.se2 import between, compose
 from gridslam.types import Odometry
+from support.hand_logs import MadeLog
 from support.laser_drives import log
 
 LOST = slice(100, 180)  # of the scans: while it is carried nothing is recorded

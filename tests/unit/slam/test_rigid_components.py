@@ -7,6 +7,7 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose, transform_points
 from gridslam.serialization import from_arrays, to_arrays
+from gridslam.slam.full_slam.earlier_pieces import collect_recent_points
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import (
     BLIND_SIGMA_M,
@@ -15,7 +16,6 @@ from gridslam.slam.loop_closure.key_graph import (
     KeyGraph,
     anchor_of,
 )
-from gridslam.slam.loop_closure.place_matching import collect_recent_points
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submaps import key_scans_of
 from gridslam.types import StoredScan

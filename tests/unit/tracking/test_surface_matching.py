@@ -90,8 +90,10 @@ def test_what_has_few_points_or_would_move_far_stays():
     guess = (2.02, 0.48, 0.6)
     assert SurfaceMatching()(recent, own, at(guess)) != guess
     assert SurfaceMatching()(RecentScans(), own, at(guess)) == guess
-    assert SurfaceMatching(min_points=100_000)(recent, own, at(guess)) == guess
-    assert SurfaceMatching(max_correction_m=0.01)(recent, own, at(guess)) == guess
+    few = own._replace(points=own.points[::20], normals=own.normals[::20])
+    assert SurfaceMatching()(RecentScans(recent.scans[-1:]), few, at(guess)) == guess
+    far = (2.12, 0.5, 0.6)
+    assert SurfaceMatching()(recent, own, at(far)) == pytest.approx(far, abs=1e-3)
     assert SurfaceMatching()(recent, fit(StoredScan(np.empty((0, 2)), np.zeros(2))), at(guess)) == guess
 
 

@@ -40,8 +40,8 @@ from gridslam.types import IntArray
 
 __all__ = ["SESSION_SCHEMA", "SavedRun", "SavedSession", "SessionHead", "read_head", "read_session", "write_session"]
 
-SESSION_SCHEMA = "gridslam.session/2"
-_EARLIER = ("gridslam.session/1",)
+SESSION_SCHEMA = "gridslam.session/3"
+_EARLIER = ("gridslam.session/1", "gridslam.session/2")
 _WHAT = "a session of gridslam"
 
 
