@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
@@ -27,6 +28,8 @@ __all__ = ["PlaceMatching", "squared_sigmas"]
 
 _MATCH_COVARIANCE = np.diag([0.05, 0.05, 0.02]) ** 2
 """Variances of what two matches of one scan differ by (m^2, m^2, rad^2)."""
+_TRACKED_MAX_TURN_RAD = 0.05
+"""The heading is known from tracking: what would turn a key scan farther has been moved since."""
 
 
 @parameters(frozen=True)
@@ -140,6 +143,8 @@ class PlaceMatching:
         maps = closure_state.submap(submap, mapper)
         constraint = self.match(closure_state, maps, newest, submap, guess, max_correction_m, ConstraintSource.TRACKED)
         if isinstance(constraint, RejectionReason):
+            return False
+        if abs(wrap(constraint.measurement[2] - guess[2])) > _TRACKED_MAX_TURN_RAD:
             return False
         if tracked is None:
             way = graph.find_distance_to(submap, newest, self.max_sigma_m, 256)
