@@ -30,8 +30,8 @@ Increment between(const double* from, const double* to) {
   return {c * dx + s * dy, c * dy - s * dx, to[2] - from[2]};
 }
 
-constexpr int64_t kLineBeside = 2;      // neighbours on either side with which a line is fitted
-constexpr double kLongestGapM = 0.4;    // between neighbours on one surface
+constexpr int64_t kLineBeside = 2;         // neighbours on either side with which a line is fitted
+constexpr double kLongestGapM = 0.4;       // between neighbours on one surface
 constexpr double kLongestGapRatio = 0.05;  // and for each metre of range
 constexpr double kMostSpread2 = 0.0036;    // m^2, of the points about their line
 constexpr double kReach2 = 900.0;          // m^2
@@ -71,7 +71,8 @@ void project_on_determined(double least_information, double* sums) {
   const double along = 0.5 * std::atan2(2 * sums[1], sums[0] - sums[3]);  // of the strongest direction
   const double c = std::cos(along), s = std::sin(along);
   const double strongest = half + radius < least ? 0.0 : half + radius;
-  const double turn = strongest > 0 ? c * sums[2] + s * sums[4] : 0.0, right = strongest > 0 ? c * sums[6] + s * sums[7] : 0.0;
+  const double turn = strongest > 0 ? c * sums[2] + s * sums[4] : 0.0,
+               right = strongest > 0 ? c * sums[6] + s * sums[7] : 0.0;
   sums[0] = strongest * c * c, sums[1] = strongest * c * s, sums[3] = strongest * s * s;
   sums[2] = turn * c, sums[4] = turn * s;
   sums[6] = right * c, sums[7] = right * s;

@@ -35,8 +35,8 @@ struct SurfaceMatching {
   double least_information;
 };
 
-// Moves `pose` (3,), where scan 0 of `moved` is, to where its points fit lines of the `count` scans of `fixed` at `poses`;
-// gives the number of points matched in the step where they were the fewest.
+// Moves `pose` (3,), where scan 0 of `moved` is, to where its points fit lines of the `count` scans of `fixed` at
+// `poses`; gives the number of points matched in the step where they were the fewest.
 int64_t match_to_surfaces(const Surfaces& fixed, const double* poses, int64_t count, const Surfaces& moved,
                           const SurfaceMatching& how, double* pose);
 
