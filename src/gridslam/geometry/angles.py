@@ -72,8 +72,8 @@ def find_wrong_beam_angles(start: float, step: float, beams: int, end: float = m
     beams : int
         Their number.
     end : float, rad
-        Bearing of the last beam as stated (angle_max); NaN, or that of the first, where nothing is stated. It may be
-        that of the beam that would follow, and a whole turn away.
+        Bearing of the last beam as stated (angle_max); NaN, 0 or that of the first, where nothing is stated: drivers
+        leave it out. It may be that of the beam that would follow, and a whole turn away.
 
     Returns
     -------
@@ -91,7 +91,7 @@ def find_wrong_beam_angles(start: float, step: float, beams: int, end: float = m
         return f"expected beams in different directions, got {came}: all point one way"
     slack = _OFF_BY_ONE * abs(step) + _UNEVEN * abs(sweep)
     is_wide = abs(sweep) > math.tau + slack
-    stated = 0.0 if math.isnan(end) else end - start
+    stated = 0.0 if math.isnan(end) or end == 0 else end - start
     turns = (0,) if is_wide else (-1, 0, 1)
     agrees = stated == 0 or any(abs(stated + turn * math.tau - sweep) <= slack for turn in turns)
     in_degrees = max(abs(start), abs(sweep), abs(stated)) > _MOST_TURNS * math.tau
