@@ -201,6 +201,7 @@ def test_a_log_of_an_odd_name_is_mapped_and_recognized(logs, tmp_path, call, nam
     assert (tmp_path / "out" / row["folder"] / "map.yaml").exists()
 
 
+@pytest.mark.dev  # fsspec
 @pytest.mark.parametrize("part", ["describe_remote", "measure_size", "Journal.digest"])
 def test_a_log_whose_description_raises_anything_is_left_to_its_job(logs, tmp_path, call, monkeypatch, part):
     def fail(*arguments, **options):
