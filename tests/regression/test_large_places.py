@@ -19,7 +19,7 @@ def test_the_corridors_of_a_hospital_are_not_doubled(data_dir, tmp_path):
     relations.write_bytes(gzip.decompress((data_dir / "large" / "hospital.relations.gz").read_bytes()))
     result = gridslam.map_log(data_dir / "large" / "hospital.clf.bz2", seed=0)
     errors = relation_errors(result.trajectory, read_relations(relations))
-    assert errors.trans_mean_m < 0.13
+    assert errors.trans_mean_m < 0.15  # 0.12 to 0.13 by the tracker
     assert errors.trans_max_m < 2.5  # 6.2 where corridors are doubled
 
 
