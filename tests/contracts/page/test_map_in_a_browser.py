@@ -163,10 +163,13 @@ def test_several_look_at_one_run_each_as_it_likes(browser, drive):
         strip = browser.find_element("id", "weights")
         strip.click()
         wait(lambda: told(browser)["selected"] == "4", "one is chosen")
-        browser.close()
+        second = browser.current_window_handle
         browser.switch_to.window(first)
         wait(lambda: told(browser)["stage"] == "paused", "paused for the other, too")
         assert told(browser)["selected"] == ""
+        browser.switch_to.window(second)
+        browser.close()  # which ends its pause
+        browser.switch_to.window(first)
         wait(lambda: page.viewers == 1, "one has gone")
         page.control.end()
         mapping.join(PATIENCE_S)
