@@ -387,16 +387,21 @@ auto py_hamming_distances(Array<const uint64_t, 2> a, Array<const uint64_t, 2> b
   return out;
 }
 
-// Surfaces of scans, which belong together.
-Surfaces view_surfaces(const Points& points, const Points& normals, const Vector& bearings, const Starts& starts,
-                       const Points& origins) {
-  const size_t size = points.shape(0), scans = origins.shape(0);
+// Where each of some scans, and the last one, ends among `size` points.
+void require_starts(const Starts& starts, size_t scans, size_t size) {
   const int64_t* const s = starts.data();
-  require(normals.shape(0) == size && bearings.shape(0) == size, "normals, bearings: expected one for each point");
   require(starts.shape(0) == scans + 1 && s[0] >= 0 && std::is_sorted(s, s + scans + 1) &&
               static_cast<size_t>(s[scans]) <= size,
           "starts, origins: expected those of as many scans");
-  return {points.data(), normals.data(), bearings.data(), s, origins.data()};
+}
+
+// Surfaces of scans, which belong together.
+Surfaces view_surfaces(const Points& points, const Points& normals, const Vector& bearings, const Starts& starts,
+                       const Points& origins) {
+  const size_t size = points.shape(0);
+  require(normals.shape(0) == size && bearings.shape(0) == size, "normals, bearings: expected one for each point");
+  require_starts(starts, origins.shape(0), size);
+  return {points.data(), normals.data(), bearings.data(), starts.data(), origins.data()};
 }
 
 auto py_match_surfaces(Points points, Points normals, Vector bearings, Starts starts, Points origins, Poses poses,
@@ -418,15 +423,12 @@ auto py_match_surfaces(Points points, Points normals, Vector bearings, Starts st
 
 auto py_fit_surfaces(Points ends, Starts starts, Points origins) {
   const size_t size = ends.shape(0), scans = origins.shape(0);
-  const int64_t* const s = starts.data();
-  require(starts.shape(0) == scans + 1 && s[0] >= 0 && std::is_sorted(s, s + scans + 1) &&
-              static_cast<size_t>(s[scans]) <= size,
-          "starts, origins: expected those of as many scans");
+  require_starts(starts, scans, size);
   std::vector<double> points(2 * size), normals(2 * size), bearings(size);
   auto out_starts = fresh<int64_t, 1>({scans + 1});
   {
     nb::gil_scoped_release release;
-    fit_surfaces(ends.data(), s, origins.data(), static_cast<int64_t>(scans), points.data(), normals.data(),
+    fit_surfaces(ends.data(), starts.data(), origins.data(), static_cast<int64_t>(scans), points.data(), normals.data(),
                  bearings.data(), out_starts.data());
   }
   const auto found = static_cast<size_t>(out_starts.data()[scans]);
@@ -485,10 +487,8 @@ auto py_kalman_update(Array<double, 2> means, Array<double, 3> covariances, Star
 
 Scans scans_of(const Poses& poses, const Points& ends, const Starts& starts, const Points& origins) {
   const size_t k = poses.shape(0);
-  const int64_t* const s = starts.data();
-  require(starts.shape(0) == k + 1 && origins.shape(0) == k && s[0] >= 0 && std::is_sorted(s, s + k + 1) &&
-              s[k] <= static_cast<int64_t>(ends.shape(0)),
-          "starts, origins: expected those of as many scans as poses");
+  require(origins.shape(0) == k, "starts, origins: expected those of as many scans as poses");
+  require_starts(starts, k, ends.shape(0));
   return {poses.data(), ends.data(), starts.data(), origins.data(), static_cast<int>(poses.shape(0))};
 }
 

@@ -385,7 +385,7 @@ class Tracker:
 
     def _remember(self, state: TrackerState, beams: Beams, own: Surfaces | None) -> None:
         """Let later scans be matched to the surfaces of this one, which has its own if they are fitted already."""
-        if self.surfaces is not None:
+        if self.surfaces is not None and len(state.sensors) == 1:
             own = Surfaces.of(ScanBatch.of([beams])) if own is None else own
             state.recent = state.recent.insert(beams, own, state.pose, self.surfaces.scans)
 

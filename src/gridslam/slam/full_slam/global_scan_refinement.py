@@ -99,7 +99,7 @@ class CandidateSelection:
         return score.log_likelihood
 
     def adjust_best(self, poses: FloatArray) -> bool:
-        """Move the key scans of the best candidate to poses (T, 3), unless visits then clearly agree less; whether.
+        """Move the best candidate to poses (T, 3), unless visits then clearly agree less; return whether it was.
 
         Along corridors of hundreds of metres surfaces can pull where only their noise differs. The score of these poses
         is that of "adjusted".
