@@ -1,0 +1,38 @@
+"""Each stage is as exact as the page on scan matching states, against exact truth and beside the bound of the beams."""
+
+from __future__ import annotations
+
+import pytest
+
+from error_budget import judge
+
+TARGETS = {"rooms": (0.006, 0.06), "random": (0.010, 0.06)}
+"""ATE of the final trajectory, m and degrees."""
+
+
+@pytest.fixture(scope="module", params=TARGETS)
+def budget(request):
+    return request.param, judge(request.param, 301)
+
+
+def test_the_final_trajectory_is_exact(budget):
+    world, stages = budget
+    ate_m, ate_deg, rpe_m, _ = stages["final"]
+    assert stages["bound"][0] < ate_m < TARGETS[world][0]
+    assert ate_deg < TARGETS[world][1]
+    assert rpe_m < 0.006
+
+
+def test_surfaces_make_the_tracker_twice_as_exact(budget):
+    """Without them, as one sees, it would not be."""
+    _, stages = budget
+    assert stages["bound"][2] < stages["tracker"][2] < 0.5 * stages["tracker, cells"][2]
+    assert stages["tracker"][3] < 0.5 * stages["tracker, cells"][3]
+
+
+def test_the_online_trajectory_is_smoother_than_the_odometry(budget):
+    """By a control that ended with the odometry since the last scan it was off by 0.02 to 0.03 m over a metre."""
+    _, stages = budget
+    assert stages["online"][2] < 0.7 * stages["odometry"][2]
+    assert stages["online"][2] < 0.014
+    assert stages["online"][3] < 0.2
