@@ -11,12 +11,12 @@ import pytest
 
 from gridslam.api.session import Session
 from gridslam.cli.commands import gridslam
-from gridslam.cli.option_types import OUT, OUTPUT_FILE, OUTPUT_FOLDER, RECORDING
+from gridslam.cli.option_types import OUT, OUTPUT_FILE, OUTPUT_FOLDER
 from gridslam.errors import OutputError
 
 FEW = "--particles", "2", "--duration", "4"
 FOLDERS = OUT, OUTPUT_FOLDER
-TARGETS = *FOLDERS, OUTPUT_FILE, RECORDING
+TARGETS = *FOLDERS, OUTPUT_FILE
 
 
 def commands(group=gridslam, names=()):
@@ -85,7 +85,6 @@ def test_every_option_that_is_written_is_checked():
         ["map", "log.clf", "-o", "x", "--save", "x"],
         ["map", "log.clf", "--save", "new", "-o", "new/out"],
         ["merge", "a", "b", "-o", "out", "--save", "./out"],
-        ["map", "log.clf", "-o", "out", "--save", "a.rrd", "--rerun", "a.rrd"],
     ],
 )
 def test_two_targets_in_one_place_are_refused(call, tmp_path, monkeypatch, arguments):

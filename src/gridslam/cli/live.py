@@ -1,4 +1,4 @@
-"""Those who look on at a run: a page in the browser, and a recording for Rerun; each is imported where it is wanted."""
+"""The page of a run in the browser, and its history; each is imported where it is wanted."""
 
 from __future__ import annotations
 
@@ -27,9 +27,8 @@ if TYPE_CHECKING:
     from gridslam.ros import NodeCore
     from gridslam.ros.node.messages import Diagnostics
     from gridslam.types import OccupancyGrid
-    from gridslam.viz.rerun_recording import RerunRecording
 
-__all__ = ["NOBODY", "Viewers", "node_page", "open_viewers", "rerun_recording", "serve_page", "view"]
+__all__ = ["NOBODY", "Viewers", "node_page", "open_viewers", "serve_page", "view"]
 
 _Page = TypeVar("_Page")
 _MOST_MOMENTS = 512
@@ -37,10 +36,9 @@ _KEYS_BETWEEN_MOMENTS = 8  # at first
 
 
 class Viewers(NamedTuple):
-    """The page of a run, its recording and its history, or None for each that is not wanted."""
+    """The page of a run and its history, or None for each that is not wanted."""
 
     page: LivePage | None
-    recording: RerunRecording | None
     history: HistoryRecorder | None = None
 
     def watch(self, source: Log, watch: Stopwatch) -> dict[str, Any]:
@@ -52,10 +50,9 @@ class Viewers(NamedTuple):
             paced = iter(measurements) if self.page is None else self.page.pace(measurements, watch)
             if self.page is None and self.history is not None:
                 paced = self.history.follow(paced)
-            return paced if self.recording is None else self.recording.followed(paced)
+            return paced
 
         viewers = [] if self.page is None else [isolate(self.page.observer, _warn_once("the page"))]
-        viewers += [] if self.recording is None else [isolate(self.recording, _warn_once("the recording"))]
         if self.page is None and self.history is not None:
             viewers.append(isolate(self.history, _warn_once("the history")))
         return {"observers": viewers, "gate": gate}
@@ -88,15 +85,14 @@ class Viewers(NamedTuple):
         """Show what a run came to in the end."""
         loops = result.loop_summary
         ends = np.zeros((0, 4)) if loops is None else result.closure_ends(loops.shown)
-        for viewer in (self.page, self.recording):
-            if viewer is not None:
-                try:
-                    viewer.finish(result.map, result.graph.poses, ends)
-                except Exception as error:  # the results are more than who looks at them
-                    warn(f"the final map cannot be shown: {describe_error(error)}")
+        if self.page is not None:
+            try:
+                self.page.finish(result.map, result.graph.poses, ends)
+            except Exception as error:  # the results are more than who looks at them
+                warn(f"the final map cannot be shown: {describe_error(error)}")
 
 
-NOBODY = Viewers(None, None)
+NOBODY = Viewers(None)
 
 
 def _warn_once(viewer: str) -> Callable[[str], None]:
@@ -115,7 +111,6 @@ def _warn_once(viewer: str) -> Callable[[str], None]:
 @contextmanager
 def open_viewers(
     live: LiveOptions | None,
-    rerun: str | None,
     title: str,
     range_max_m: float,
     known: OccupancyGrid | None = None,
@@ -123,18 +118,18 @@ def open_viewers(
     is_localization: bool = False,
     has_history: bool = True,
 ) -> Iterator[Viewers]:
-    """Give those who look on; in the end the page stays as long as someone looks, and the recording is complete.
+    """Give those who look on; in the end the page stays as long as someone looks.
 
     The known map is needed where a localization is looked at.
     """
-    with rerun_recording(rerun, title, range_max_m, known) as recording, ExitStack() as stack:
+    with ExitStack() as stack:
         if live is None:
-            yield Viewers(None, recording, _record_history(range_max_m, is_localization) if has_history else None)
+            yield Viewers(None, _record_history(range_max_m, is_localization) if has_history else None)
             return
         from gridslam.live.page import LivePage
 
         page = stack.enter_context(serve_page(LivePage(title, live, range_max_m=range_max_m, known=known)))
-        viewers = Viewers(page, recording, page.observer.history if has_history else None)
+        viewers = Viewers(page, page.observer.history if has_history else None)
         announce(page.url, live)
         viewers.wait(live.wait_s or 0.0)
         yield viewers
@@ -153,20 +148,6 @@ def _record_history(range_max_m: float, is_localization: bool) -> HistoryRecorde
     return HistoryRecorder(
         range_max_m, is_localization=is_localization, most=_MOST_MOMENTS, interval=_KEYS_BETWEEN_MOMENTS
     )
-
-
-@contextmanager
-def rerun_recording(
-    target: str | None, title: str, range_max_m: float, known: OccupancyGrid | None = None
-) -> Iterator[RerunRecording | None]:
-    """Give the recording of a run, or None where none is wanted; it is complete in the end."""
-    if target is None:
-        yield None
-        return
-    from gridslam.viz.rerun_recording import RerunRecording
-
-    with RerunRecording(target, title, range_max_m=range_max_m, known=known) as recording:
-        yield recording
 
 
 @contextmanager

@@ -45,18 +45,15 @@ def localize_to_folder(
     repair: Literal["needed", "all", "none"],
     live: LiveOptions | None,
     no_history: bool,
-    rerun: str | None,
     as_json: bool,
 ) -> None:
     """Localize a log in a map, write the results if a folder is given and print a summary."""
     watch = Stopwatch(STARTED_S, 0.0)
     read = read_parameters(preset, config, particles, assignments)
     source = check_log(open_log(log, options), options)
-    is_watched = live is not None or rerun is not None
-    known = read_map(map_path, strict_thresholds=strict_thresholds) if is_watched else None
+    known = read_map(map_path, strict_thresholds=strict_thresholds) if live is not None else None
     with open_viewers(
         live,
-        rerun,
         source.path.name,
         read.configuration.range_max_m,
         known,

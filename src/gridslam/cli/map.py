@@ -30,7 +30,6 @@ def map_to_folder(
     session: SessionOptions,
     live: LiveOptions | None,
     no_history: bool,
-    rerun: str | None,
     as_json: bool,
 ) -> None:
     """Map a log, write the results to a folder and print a summary."""
@@ -43,7 +42,7 @@ def map_to_folder(
     source = check_log(open_log(log, given.options), given.options, warn)
     with (
         write_apart() as write,
-        open_viewers(live, rerun, source.path.name, configuration.range_max_m, has_history=not no_history) as viewers,
+        open_viewers(live, source.path.name, configuration.range_max_m, has_history=not no_history) as viewers,
     ):
         session.make_room(out)
         if opened is not None and session.continued is not None:

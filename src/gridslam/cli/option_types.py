@@ -8,7 +8,6 @@ from __future__ import annotations
 import errno
 import math
 import os
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,7 +25,6 @@ __all__ = [
     "OUTPUT_FILE",
     "OUTPUT_FOLDER",
     "PATH",
-    "RECORDING",
     "SECONDS",
     "SEED",
     "THREADS",
@@ -160,15 +158,6 @@ class _Out(_TargetFolder):
 
 
 @final
-class _Recording(_Target):
-    """A file, or the address of a viewer."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
-        is_address = _may_be_url(value) or re.fullmatch(r"[\w.-]+:\d+|\[[\da-fA-F:]+\]:\d+", value)
-        return value if is_address else str(super().convert(value, param, ctx))
-
-
-@final
 class _Upload(click.types.StringParamType):
     """A URL that results are copied to."""
 
@@ -216,7 +205,6 @@ LOG = _Log()
 OUT = _Out()
 OUTPUT_FILE = _Target()
 OUTPUT_FOLDER = _TargetFolder()
-RECORDING = _Recording()
 UPLOAD = _Upload()
 SECONDS = Number(max=_MOST_S)
 TIME_LIMIT = Number(0, _MOST_S, above=True)

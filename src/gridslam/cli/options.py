@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import click
 
-from gridslam.cli.option_types import OUT, OUTPUT_FILE, PATH, RECORDING, SECONDS, SEED, THREADS, Number
+from gridslam.cli.option_types import OUT, OUTPUT_FILE, PATH, SECONDS, SEED, THREADS, Number
 from gridslam.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ __all__ = [
     "out_option",
     "read_pose",
     "repair_option",
-    "rerun_option",
     "robot_live_options",
     "seed_option",
     "session_options",
@@ -63,13 +62,6 @@ repair_option = functools.partial(
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object instead of text, and no progress."
 )
-rerun_option = click.option(
-    "--rerun",
-    type=RECORDING,
-    metavar="FILE|HOST:PORT",
-    help="Record the run for Rerun's viewer, or stream it there (extra: rerun).",
-)
-
 history_option = click.option("--no-history", is_flag=True, help="Do not record the past of the run for gridslam view.")
 
 _LOG_OPTIONS = (

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
 from gridslam.api.beginning import Place
-from gridslam.cli.live import node_page, rerun_recording
+from gridslam.cli.live import node_page
 from gridslam.cli.output import end_by_signal, stop_if_interrupted
 from gridslam.errors import ConfigurationError
 from gridslam.live.options import LiveOptions
@@ -46,13 +46,12 @@ def ros1(
     arguments: Sequence[str],
     *,
     live: LiveOptions | None = None,
-    rerun: str | None = None,
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Run the ROS 1 node until it is stopped."""
     from gridslam.ros.ros1.ros1 import run_ros1
 
-    viewers = make_viewer_opener("ROS 1", live, rerun)
+    viewers = make_viewer_opener("ROS 1", live)
     run_ros1(arguments, RunOptions(_collect_parameters(**options), viewers, stop_if_interrupted))
 
 
@@ -63,11 +62,10 @@ def ros2(
     transport: str = "auto",
     interfaces: Sequence[str] = (),
     live: LiveOptions | None = None,
-    rerun: str | None = None,
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Run the ROS 2 node until it is stopped: by rclpy if a ROS 2 is sourced, otherwise by DDS itself."""
-    viewers = make_viewer_opener("ROS 2", live, rerun)
+    viewers = make_viewer_opener("ROS 2", live)
     shared = RunOptions(_collect_parameters(**options), viewers, stop_if_interrupted)
     if transport == "dds" or (transport == "auto" and importlib.util.find_spec("rclpy") is None):
         from gridslam.ros.ros2_dds.dds_transport import run_dds
@@ -81,8 +79,8 @@ def ros2(
     run_rclpy(arguments, shared)
 
 
-def make_viewer_opener(title: str, live: LiveOptions | None, rerun: str | None) -> ViewerOpener:
-    """Let in those who look on at a node: its page, and its recording."""
+def make_viewer_opener(title: str, live: LiveOptions | None) -> ViewerOpener:
+    """Return what serves the page of a node, if one is wanted."""
 
     @contextmanager
     def open_viewers(core: NodeCore) -> Iterator[None]:
@@ -90,12 +88,7 @@ def make_viewer_opener(title: str, live: LiveOptions | None, rerun: str | None) 
         known = None
         if isinstance(configuration, Localization) and configuration.known is not None:
             known = configuration.known.grid
-        with ExitStack() as stack:
-            recording = stack.enter_context(rerun_recording(rerun, title, configuration.range_max_m, known))
-            if recording is not None:
-                core.add_observer(recording, recording.followed)
-            if live is not None:
-                stack.enter_context(node_page(live, title, core, known))
+        with nullcontext() if live is None else node_page(live, title, core, known):
             yield
 
     return open_viewers

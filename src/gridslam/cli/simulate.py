@@ -115,14 +115,14 @@ def _lidar(beams: int, fov_deg: float, range_max_m: float, rate_hz: float) -> Li
     return LidarConfig(beams=beams, field_of_view_rad=math.radians(fov_deg), range_max_m=range_max_m, rate_hz=rate_hz)
 
 
-def demo(out: Path, seed: int, live: LiveOptions | None, no_history: bool, rerun: str | None, as_json: bool) -> None:
+def demo(out: Path, seed: int, live: LiveOptions | None, no_history: bool, as_json: bool) -> None:
     """Simulate the world `demo`, map it and compare with the truth."""
     watch = Stopwatch(STARTED_S, 0.0)
     rng = np.random.default_rng(seed)
     configuration = Configuration()
     slowed = None if live is None else replace(live, speed=live.speed or _DEMO_SPEED, wait_s=None)
     wait_s = _DEMO_WAIT_S if live is None or live.wait_s is None else live.wait_s
-    with open_viewers(slowed, rerun, "demo", configuration.range_max_m, has_history=not no_history) as viewers:
+    with open_viewers(slowed, "demo", configuration.range_max_m, has_history=not no_history) as viewers:
         with open_output(out, MapResult.all_names()) as folder:
             simulated = simulate(make_world("demo", rng), RobotConfig(), OdometryNoise(), LidarConfig(), rng)
             write_carmen(folder.file(_DEMO_LOG), simulated.measurements)

@@ -120,7 +120,7 @@ def test_a_node_is_placed_by_its_page(capsys):
     known = Localization(KnownMap(flat_map()), MonteCarloConfiguration())
     core = NodeCore(NodeSettings(queue_s=60.0), known, outputs)
     core.on_transforms([mounting(0.0, 0.0)._replace(pose=(0.0,) * 6 + (1.0,))], static=True)
-    with make_viewer_opener("robot", LiveOptions(port=0, controls=True), None)(core):
+    with make_viewer_opener("robot", LiveOptions(port=0, controls=True))(core):
         url = capsys.readouterr().err.split("live at ")[1].split()[0]
         with connect(url.replace("http", "ws", 1) + "socket", max_size=None) as line:
 
@@ -147,14 +147,13 @@ def test_a_node_is_placed_by_its_page(capsys):
         core.close()
 
 
-def test_a_node_that_localizes_is_watched_and_recorded(tmp_path, capsys):
+def test_a_node_that_localizes_is_watched(capsys):
     """Placed by people meanwhile, it stays one session."""
-    pytest.importorskip("rerun", reason="Rerun (the extra rerun) is not installed")
     log, outputs, seen = localized_drive(3), RecordedOutputs(), PageClient()
     known = Localization(KnownMap(flat_map()), MonteCarloConfiguration())
     core = NodeCore(NodeSettings(queue_s=60.0), known, outputs)
     core.on_transforms([mounting(0.0, 0.0)._replace(pose=(0.0,) * 6 + (1.0,))], static=True)
-    with make_viewer_opener("robot", LiveOptions(port=0), str(tmp_path / "run.rrd"))(core):
+    with make_viewer_opener("robot", LiveOptions(port=0))(core):
         url = capsys.readouterr().err.split("live at ")[1].split()[0]
         with connect(url.replace("http", "ws", 1) + "socket", max_size=None) as line:
 
@@ -178,4 +177,3 @@ def test_a_node_that_localizes_is_watched_and_recorded(tmp_path, capsys):
             assert np.hypot(*(np.array(seen.status["pose"]) - log.truth.poses[59])[:2]) < 0.3
             assert len(seen.arrays["particles"]) <= 1000
         core.close()
-    assert (tmp_path / "run.rrd").stat().st_size > 1000

@@ -45,7 +45,7 @@ def test_a_node_shows_its_session_and_where_the_robot_was_found(drive, session, 
     node = RosNode(outputs, parameters)
     core = node.core
     core.on_transforms([mounting()], static=True)
-    with make_viewer_opener("robot", LiveOptions(port=0), None)(core):
+    with make_viewer_opener("robot", LiveOptions(port=0))(core):
         url = capsys.readouterr().err.split("live at ")[1].split()[0]
         with connect(url.replace("http", "ws", 1) + "socket", max_size=None) as line:
 

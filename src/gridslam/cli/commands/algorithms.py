@@ -16,7 +16,6 @@ from gridslam.cli.options import (
     out_option,
     read_pose,
     repair_option,
-    rerun_option,
     seed_option,
     threads_option,
 )
@@ -121,7 +120,6 @@ def grid_command(**options: Any) -> None:  # noqa: ANN401
 @localize_options
 @live_options
 @history_option
-@rerun_option
 @json_option
 def localize_command(**options: Any) -> None:  # noqa: ANN401
     """Localize a robot in a known map.

@@ -14,7 +14,6 @@ from gridslam.cli.options import (
     live_options,
     map_options,
     out_option,
-    rerun_option,
     session_options,
     threads_option,
 )
@@ -53,7 +52,6 @@ class _MapCommand(click.Command):
 @session_options
 @live_options
 @history_option
-@rerun_option
 @json_option
 def map_command(**options: Any) -> None:  # noqa: ANN401
     """Map LOG with grid-based FastSLAM and loop closure.
@@ -82,7 +80,6 @@ def map_command(**options: Any) -> None:  # noqa: ANN401
 )
 @live_options
 @history_option
-@rerun_option
 @json_option
 def demo_command(**options: Any) -> None:  # noqa: ANN401
     """Simulate a robot in a small office, and map it; needs no data.

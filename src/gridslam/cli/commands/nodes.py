@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from gridslam.cli.option_types import OUTPUT_FILE, OUTPUT_FOLDER, PATH, SEED, THREADS, Number
-from gridslam.cli.options import SETTINGS, add_options, assignment_option, read_pose, rerun_option, robot_live_options
+from gridslam.cli.options import SETTINGS, add_options, assignment_option, read_pose, robot_live_options
 
 __all__ = ["ros1_command", "ros2_command"]
 
@@ -46,7 +46,7 @@ _NODE_SETTINGS = {**SETTINGS, "ignore_unknown_options": True}
 
 def node_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of a node to its command."""
-    return add_options(robot_live_options(rerun_option(command)), _NODE_OPTIONS)
+    return add_options(robot_live_options(command), _NODE_OPTIONS)
 
 
 @click.command("ros1", context_settings=_NODE_SETTINGS)
