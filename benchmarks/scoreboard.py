@@ -1,15 +1,17 @@
 """The scoreboard, from a run of the public suite, as a file to be committed.
 
-    gridslam batch ../shared/data --suite public -o OUT --workers 1
+    python benchmarks/scoreboard.py suite.csv --manifest [--data FOLDER]
+    gridslam batch suite.csv -o OUT --workers 1
     python benchmarks/scoreboard.py OUT [--data FOLDER] [--beside benchmarks/results/COMMIT.json] [-o FILE]
 
-`python benchmarks/readme.py` then writes it into the README and docs/scoreboard.md. Other systems are those of the
-suite whose trajectories are below the folder of logs.
+`python benchmarks/readme.py` then writes it into the README and docs/scoreboard.md. Other systems are those of
+`SYSTEMS` whose trajectories are below the folder of logs.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,10 +22,19 @@ from scipy.stats import t as student
 
 from gridslam.api.evaluation import evaluate_trajectory
 from gridslam.batch.runs import Run, read_runs
-from gridslam.batch.suite import PUBLIC_SUITE, load_suite
 from measure import RESULTS, document
 
-__all__ = ["FIGURES", "collect", "interval", "main", "ratios"]
+__all__ = ["FIGURES", "collect", "interval", "main", "ratios", "write_manifest"]
+
+LOGS = {"intel": "intel.relations", "aces": "aces.relations", "mit-csail": ""}
+"""Public logs, each with its file of relations in the same folder, if it has one."""
+
+VARIANTS = {name: {"preset": name} for name in ("default", "fast", "accurate", "gmapping")}
+VARIANTS["filter"] = {"no-loop-closure": "true"}
+"""Options of `gridslam map` of each way in which a log is mapped."""
+
+SYSTEMS = {"gmapping-cpp": "systems/gmapping/{log}.tum", "lama": "systems/lama/{log}.tum"}
+"""Other systems: their trajectories in TUM format."""
 
 FIGURES = {"error_m": 6, "error_rad": 7, "worst_m": 6, "cpu_s": 2, "peak_memory_bytes": 0}
 """Figures of a run, and the decimals that are kept."""
@@ -35,20 +46,23 @@ _OLD_FIGURES = {"error_m": "translation_m", "cpu_s": "cpu_s"}
 def main(arguments: Sequence[str] | None = None) -> Path:
     """Collect, and write the file; returns its path."""
     parser = argparse.ArgumentParser(description="The scoreboard, with the commit and the machine.")
-    parser.add_argument("batch", type=Path, metavar="OUT", help="output folder of gridslam batch --suite")
-    parser.add_argument("--suite", default=PUBLIC_SUITE)
+    parser.add_argument(
+        "batch", type=Path, metavar="OUT", help="output folder of gridslam batch, or the manifest to write"
+    )
+    parser.add_argument("--manifest", action="store_true", help="write what gridslam batch is to run")
     parser.add_argument("--data", type=Path, default=RESULTS.parents[2] / "shared" / "data", help="folder of logs")
     parser.add_argument("--beside", type=Path, help="an earlier file, to which the ratios are")
     parser.add_argument("--commit", help="commit that was run, if it is not the present one")
     parser.add_argument("-o", "--out", type=Path, default=RESULTS / "suite.json")
     given = parser.parse_args(arguments)
-    suite = load_suite(given.suite)
+    if given.manifest:
+        return write_manifest(given.batch, given.data)
     runs = [_describe(run) for run in read_runs(given.batch)]
     cells = collect(runs)
     found = document(
-        "gridslam batch --suite public --workers 1; CPU time of the children, which Python's start is no part of",
+        "gridslam batch suite.csv --workers 1; CPU time of the children, which Python's start is no part of",
         cells=cells,
-        systems=_score_systems(suite.model_dump(), given.data),
+        systems=_score_systems(given.data),
         runs=runs,
     )
     found["commit"] = given.commit or found["commit"]
@@ -57,6 +71,21 @@ def main(arguments: Sequence[str] | None = None) -> Path:
         found["ratio"] = {"to": earlier["commit"], "logs": ratios(cells, earlier)}
     given.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     path: Path = given.out
+    return path
+
+
+def write_manifest(path: Path, data: Path, seeds: int = 10) -> Path:
+    """Write what `gridslam batch` is to run: the logs that there are, by each variant with each seed."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        rows = csv.DictWriter(file, ["log", "name", "reference", "seed", "preset", "no-loop-closure"])
+        rows.writeheader()
+        for seed in range(seeds):
+            for log, relations in LOGS.items():
+                row = {"log": (data / f"{log}.clf.bz2").absolute(), "seed": seed}
+                if relations and (data / relations).is_file():
+                    row["reference"] = (data / relations).absolute()
+                for variant, options in VARIANTS.items():
+                    rows.writerow(row | options | {"name": f"{log}-{variant}-seed{seed}"})
     return path
 
 
@@ -114,15 +143,14 @@ def _describe(run: Run) -> dict[str, Any]:
     return found
 
 
-def _score_systems(suite: Mapping[str, Any], data: Path) -> dict[str, dict[str, Any]]:
+def _score_systems(data: Path) -> dict[str, dict[str, Any]]:
     """Errors of other systems, where their trajectories are there; without a reference there is nothing to score."""
     found: dict[str, dict[str, Any]] = {}
-    for system in suite["systems"]:
-        for log in suite["logs"]:
-            trajectory = data / system["trajectories"].format(log=log["name"])
-            if log["reference"] and trajectory.is_file() and (data / log["reference"]).is_file():
-                scores = evaluate_trajectory(trajectory, data / log["reference"], 1.0)
-                found.setdefault(system["name"], {})[log["name"]] = scores
+    for system, pattern in SYSTEMS.items():
+        for log, relations in LOGS.items():
+            trajectory = data / pattern.format(log=log)
+            if relations and trajectory.is_file() and (data / relations).is_file():
+                found.setdefault(system, {})[log] = evaluate_trajectory(trajectory, data / relations, 1.0)
     return found
 
 

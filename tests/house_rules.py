@@ -33,7 +33,6 @@ ONLY_IN = {
     "websockets": set(),
     "fsspec": {"io"},
     "pandas": {"api"},
-    "pyarrow": {"batch"},
     "dask": {"batch"},
     "dask_jobqueue": {"batch"},
     "distributed": {"batch"},

@@ -232,38 +232,6 @@ def test_an_interrupt_ends_a_batch_cleanly_and_it_goes_on_later(logs, tmp_path):
     assert [row["folder"] for row in read_rows(out)] == ["a", "b"]
 
 
-def test_a_suite_maps_each_log_by_each_variant_and_seed_and_is_compared_with_itself(logs, tmp_path, call):
-    """Five seeds are the fewest that regress can compare."""
-    (tmp_path / "suite.toml").write_text(
-        'seeds = 5\nlogs = [{name = "a", file = "a.clf.bz2"}, {name = "c", file = "c.clf"}]\n'
-        'variants = [{name = "three", options = {particles = "3"}}]\n'
-    )
-    command = ("batch", logs, "--suite", tmp_path / "suite.toml", "-o")
-    for out in ("old", "new"):
-        status, _, err = call(*command, tmp_path / out, "--", "--duration", "4")
-        assert status == 0, err
-        assert err.startswith(f"gridslam: c: no c.clf in {logs}\n")
-        assert [row["folder"] for row in read_rows(tmp_path / out)] == [f"a-three-seed{k}" for k in range(5)]
-    status, out, _ = call("regress", tmp_path / "old", tmp_path / "new", "--cost-margin", 200)
-    assert (status, out.partition(" (")[0]) == (0, "nothing is worse beyond noise")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((), "Missing argument 'LOGS...'."),
-        (("--suite", "public", "--command", "doctor"), "--suite takes neither --command nor --reference"),
-        (("no-folder", "--suite", "public"), "no-folder: expected a folder with logs of the suite"),
-        (("--suite", "no-suite.toml"), "no-suite.toml: no such file"),
-    ],
-)
-def test_bad_use_of_a_suite_is_one_line(tmp_path, call, arguments, message):
-    status, _, err = call("batch", *arguments, "-o", tmp_path / "out")
-    assert status == 2
-    assert message in err
-    assert err.count("\n") == 1
-
-
 def test_a_log_that_grows_while_the_batch_runs_is_named_and_mapped_the_next_time(logs, tmp_path, call, monkeypatch):
     arguments = "batch", logs / "a.clf.bz2", "-o", tmp_path / "out", *FAST
     monkeypatch.setattr("gridslam.cli.batch.measure_size", lambda path: path.stat().st_size - 1)

@@ -12,7 +12,6 @@ import pytest
 from gridslam.api.session import Session
 from gridslam.cli.commands import gridslam
 from gridslam.cli.option_types import OUT, OUTPUT_FILE, OUTPUT_FOLDER
-from gridslam.errors import OutputError
 
 FEW = "--particles", "2", "--duration", "4"
 FOLDERS = OUT, OUTPUT_FOLDER
@@ -158,41 +157,19 @@ def test_where_the_results_cannot_be_written_the_session_is(call, log, tmp_path,
     assert call("session", saved)[0] == 0
 
 
-@pytest.mark.dev
-def test_results_that_cannot_be_uploaded_are_kept(call, log, tmp_path, monkeypatch):
-    def refuse(file, url):
-        raise OutputError(f"{url}: cannot be written: access denied")
-
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setattr("gridslam.io.remote.upload_file", refuse)
-    status, _, err = call("map", log, "-o", "memory://bucket/out", *FEW)
-    assert status == 1
-    assert "cannot be written: access denied" in err
-    kept = Path(re.search(r"the results are kept in (.*)", err)[1])
-    assert (kept / "map.yaml").exists()
+def test_where_the_page_of_a_batch_cannot_be_written_its_results_are(call, log, tmp_path, monkeypatch):
+    monkeypatch.setattr("gridslam.cli.batch.write_report", full_disk)
+    status, out, err = call("batch", log, "-o", tmp_path / "out", "--", *FEW)
+    assert (status, "1 done" in out, "report" in out, "No space left" in err) == (1, True, False, True)
+    assert list((tmp_path / "out").glob("*/map.yaml"))
 
 
-@pytest.mark.dev
-@pytest.mark.parametrize("option", ["-o", "--upload"])
-def test_a_server_that_does_not_answer_is_told_before_the_work(call, log, tmp_path, monkeypatch, option):
-    def refuse(*_, **__):
-        raise ConnectionError("no route to host")
-
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setattr("fsspec.implementations.memory.MemoryFileSystem.info", refuse)
-    command = ["map", log] if option == "-o" else ["batch", log, "-o", tmp_path / "out"]
-    status, out, err = call(*command, option, "memory://bucket/out")
-    assert (status, out) == (1, "")
-    assert err == "gridslam: memory://bucket/out: cannot be written: ConnectionError: no route to host\n"
+def test_results_are_written_to_this_machine(call, log, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, _, err = call("map", log, "-o", "s3://bucket/out", *FEW)
+    assert (status, err.count("\n")) == (2, 1)
+    assert "expected a path on this machine, got a URL" in err
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.dev
-def test_where_the_page_of_a_batch_cannot_be_written_the_table_is(call, log, tmp_path, monkeypatch):
-    monkeypatch.setattr("gridslam.batch.publish.write_report", full_disk)
-    status, out, err = call("batch", log, "-o", tmp_path / "out", "--parquet", "--", *FEW)
-    assert (status, "1 done" in out, "No space left" in err) == (1, True, True)
-    assert (tmp_path / "out" / "runs.parquet").exists()
 
 
 @pytest.mark.parametrize("value", ["inf", "-inf", "nan", "1e999", "1e300"])

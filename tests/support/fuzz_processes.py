@@ -243,7 +243,7 @@ def _change_option(case: _Case, here: Path, rng: np.random.Generator) -> None:
     for word in case.argv:
         if isinstance(command, click.Group):
             command = command.get_command(click.Context(command), word)
-    left_out = {"live", "live_opens", "scheduler", "suite", "url", "upload"}
+    left_out = {"live", "live_opens", "scheduler", "url"}
     options = [
         parameter
         for parameter in command.params

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from gridslam.api.amcl import override_configuration, read_amcl
-from gridslam.batch.suite import load_suite
 from gridslam.config import Configuration, load, override
 from gridslam.io.maps import read_map
 from gridslam.io.ros_parameters import read_parameter_file
@@ -54,10 +53,6 @@ _AMCL = (
     "    initial_pose: {x: 1.0, y: 2.0, yaw: 0.5}\n    set_initial_pose: true\n    scan_topic: [a, b]\n"
 )
 _CONFIGURATION = "particles = 10\n\n[motion]\nkind = 'DiffusionMotion'\n\n[tracker]\nmap_scans = 30\n"
-_SUITE = (
-    "seeds = 2\n\n[[logs]]\nname = 'log'\nfile = 'log.clf'\nreference = 'log.relations'\n\n"
-    "[[variants]]\nname = 'fast'\noptions = { preset = 'fast' }\n"
-)
 _NAMES = (
     "particles", "range_max_m", "loop_closure", "motion", "motion.kind", "sensor.kind", "resampler", "mapper",
     "tracker",
@@ -74,7 +69,6 @@ def values(folder: Path) -> Iterator[tuple[str, int, Prepare, Read, float]]:
         ("map.yaml", kept, read_map, f"localize {log} --map FILE -o OUT"),
         ("amcl.yaml", _AMCL, _read_parameters, f"localize {log} --map {folder / 'map.yaml'} --config FILE -o OUT"),
         ("run.toml", _CONFIGURATION, load, f"map {log} --config FILE --particles 2 -o OUT"),
-        ("suite.toml", _SUITE, lambda path: load_suite(str(path)), "batch --suite FILE -o OUT"),
     ):
         (folder / name).write_text(text)
         read(folder / name)  # else every case would be refused

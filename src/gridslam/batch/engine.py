@@ -64,7 +64,7 @@ def run_jobs(
     *,
     executor: Executor,
     timeout_s: float | None = None,
-    memory_bytes: int | Mapping[str, int] | None = None,
+    memory_bytes: int | None = None,
     retries: int = 1,
     on_row: Callable[[dict[str, Any]], None] = lambda row: None,
     on_poll: Callable[[], None] = lambda: None,
@@ -85,8 +85,8 @@ def run_jobs(
         Where they run; its context is entered and left here.
     timeout_s : float, optional
         Time limit of each job, s.
-    memory_bytes : int or mapping of str to int, optional
-        Limit of the address space of each job (Linux); or of each by its folder.
+    memory_bytes : int, optional
+        Limit of the address space of each job (Linux).
     retries : int, >= 0
         A job whose worker is lost is run again elsewhere, at most this many times.
     on_row : callable
@@ -161,9 +161,7 @@ def _run(
         while queue or pending:
             while queue and len(pending) < executor.capacity():
                 job = queue.popleft()
-                memory = limits["memory_bytes"]
-                own = limits | {"memory_bytes": memory[job.folder]} if isinstance(memory, Mapping) else limits
-                future = executor.submit(job.to_dict(), own)
+                future = executor.submit(job.to_dict(), limits)
                 pending[future] = job
                 future.add_done_callback(ended.put)
             rows = []
@@ -264,17 +262,14 @@ def _is_disk_full(row: Mapping[str, Any]) -> bool:
     return row["error"] in ("OutputError", "OSError") and any(text in message for text in _FULL)
 
 
-def _check(
-    jobs: Sequence[Job], timeout_s: float | None, memory_bytes: int | Mapping[str, int] | None, retries: int
-) -> None:
+def _check(jobs: Sequence[Job], timeout_s: float | None, memory_bytes: int | None, retries: int) -> None:
     twice = [name for name, count in Counter(job.folder for job in jobs).items() if count > 1]
     if twice:
         raise ArgumentError("jobs", "a folder for each", f"{twice[0]} twice")
     if timeout_s is not None and not 0 < timeout_s < float("inf"):
         raise ArgumentError("timeout_s", "a time > 0 s", timeout_s)
-    for limit in memory_bytes.values() if isinstance(memory_bytes, Mapping) else (memory_bytes,):
-        if limit is not None and limit < 1:
-            raise ArgumentError("memory_bytes", "a number >= 1", limit)
+    if memory_bytes is not None and memory_bytes < 1:
+        raise ArgumentError("memory_bytes", "a number >= 1", memory_bytes)
     if retries < 0:
         raise ArgumentError("retries", "a number >= 0", retries)
 

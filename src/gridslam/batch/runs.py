@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from gridslam.batch.journal import COLUMNS, JOURNAL
-from gridslam.errors import InputError, MissingDependencyError
+from gridslam.errors import InputError
 from gridslam.io.database import AS_IT_LIES, open_database
-from gridslam.io.output import write_atomically
 from gridslam.io.text import parse_json, refuse_unreadable
 
-__all__ = ["DONE", "Run", "read_runs", "write_parquet"]
+__all__ = ["DONE", "Run", "read_runs"]
 
 DONE: Final = "done"
 """Status of a run that ended well; that of any other run is "failed"."""
@@ -111,34 +110,6 @@ def _choose_mode(path: Path) -> str:
     if os.access(path, os.W_OK) and os.access(path.parent, os.W_OK):
         return "mode=rw"
     return "mode=ro" if path.with_name(f"{path.name}-wal").exists() else AS_IT_LIES
-
-
-def write_parquet(out: str | Path) -> Path:
-    """Write OUT/runs.parquet: the columns of the journal but the documents, and all figures; returns its path.
-
-    Raises
-    ------
-    MissingDependencyError
-        pyarrow is not installed.
-    InputError
-        As `read_runs`.
-    OutputError
-        The file cannot be written.
-    """
-    try:
-        import pyarrow as arrow  # an extra, and slow to import
-        from pyarrow import parquet
-    except ImportError:
-        raise MissingDependencyError("runs.parquet", "pyarrow", "parquet") from None
-    rows = [
-        run.row | run.figures | {"findings": [": ".join(finding) for finding in run.findings]} for run in read_runs(out)
-    ]
-    names = [name for name in COLUMNS if name != "document"]
-    names += sorted({name for row in rows for name in row} - set(names))
-    path = Path(out) / "runs.parquet"
-    with write_atomically(path) as target:
-        parquet.write_table(arrow.table({name: [row.get(name) for row in rows] for name in names}), target)
-    return path
 
 
 def _make_run(path: Path, row: dict[str, Any]) -> Run:

@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -15,22 +15,17 @@ from typing import Any, Literal, final
 import click
 
 from gridslam.api.amcl import AmclParameters
-from gridslam.batch.cost import estimate, limit_memory
 from gridslam.batch.engine import Executor, run_jobs
 from gridslam.batch.job import Job, compute_key
 from gridslam.batch.journal import Journal
 from gridslam.batch.manifest import COLUMNS, Entry, find_logs
 from gridslam.batch.pool import ProcessPool
-from gridslam.batch.publish import Publisher
-from gridslam.batch.runs import read_runs
-from gridslam.batch.suite import load_suite
+from gridslam.batch.report import REPORT, write_report
 from gridslam.cli.localize import read_parameters
 from gridslam.cli.options import MapOptions, evaluate_options, localize_options, log_options, map_options
 from gridslam.cli.output import open_display, stop_if_interrupted, warn, write_apart
 from gridslam.config.tables import suggest_names, to_table
 from gridslam.errors import ConfigurationError, GridslamError, InputError, OutputError
-from gridslam.evaluation.cost import Cost
-from gridslam.io.cache import LogCache
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions
 from gridslam.io.maps import read_map_description
@@ -54,70 +49,41 @@ def run_batch(
     workers: int | None,
     scheduler: str | None,
     timeout_s: float | None,
-    memory_mb: float | Literal["auto"] | None,
+    memory_mb: float | None,
     retries: int,
-    suite: str | None,
-    parquet: bool,
-    upload: str | None,
     as_json: bool,
     words: Sequence[str],
 ) -> int:
     """Run a command over many logs; returns the exit status."""
-    publisher = Publisher(out, upload, parquet=parquet)
     make = _Maker(command, words)
-    if suite is None:
-        entries = find_logs(logs, trajectories=command == "evaluate", reference=reference)
-    else:
-        entries = _find_suite(suite, logs, command, reference)
+    entries = find_logs(logs, trajectories=command == "evaluate", reference=reference)
     prepared = [make.prepare(entry) for entry in entries]
     executor = _open_executor(scheduler, workers)
     try:
         with Journal(out) as journal:
-            jobs = [publisher.wrap(job) for job in _make_jobs(command, entries, prepared, journal)]
+            jobs = _make_jobs(command, entries, prepared, journal)
     except OutputError as error:
         raise click.ClickException(str(error)) from None
-    costs = {job.folder: cost for job, cost in zip(jobs, estimate(jobs, read_runs(out)), strict=True)}
-    jobs.sort(key=lambda job: -costs[job.folder].cpu_s)  # the longest first: the last one is waited for alone
-    with _Progress({folder: cost.cpu_s for folder, cost in costs.items()}, as_json) as progress:
+    sizes = {job.folder: max(1, job.arguments["bytes"] or 0) for job in jobs}
+    jobs.sort(key=lambda job: -sizes[job.folder])  # the largest first: the last one is waited for alone
+    with _Progress(sizes, as_json) as progress:
         rows = run_jobs(
             jobs,
             out,
             executor=executor,
             timeout_s=timeout_s,
-            memory_bytes=_limit(memory_mb, costs),
+            memory_bytes=None if memory_mb is None else round(1e6 * memory_mb),
             retries=retries,
-            on_row=_call_both(progress.on_row, publisher.on_row),
+            on_row=progress.on_row,
             on_poll=progress.on_poll,
         )
     failed = sum(row["status"] == "failed" for row in rows)
     with write_apart() as write:
-        published = list[str]()
-        for part in publisher.parts():
-            write(lambda part=part: published.append(part()))
+        is_written = write(write_report, out)
         if not as_json:
-            click.echo("\n".join([*progress.summarize(out), *published]))
+            report = [f"report: {out / REPORT}"] if is_written else []
+            click.echo("\n".join([*progress.summarize(out), *report]))
     return 1 if failed else 0
-
-
-def _limit(memory_mb: float | Literal["auto"] | None, costs: Mapping[str, Cost]) -> int | dict[str, int] | None:
-    """Limit of memory: one for all jobs, or for each by its folder."""
-    if memory_mb == "auto":
-        return {folder: limit_memory(cost) for folder, cost in costs.items()}
-    return None if memory_mb is None else round(1e6 * memory_mb)
-
-
-def _find_suite(name: str, folders: Sequence[str], command: str, reference: str | None) -> list[Entry]:
-    """The runs of a suite; what is absent is named."""
-    if command != "map" or reference is not None:
-        raise click.UsageError("--suite takes neither --command nor --reference", click.get_current_context())
-    for folder in folders:
-        if not Path(folder).is_dir():
-            raise click.ClickException(f"{folder}: expected a folder with logs of the suite")
-    entries, absent = load_suite(name).find(
-        [Path(folder) for folder in folders], LogCache.default().folder / "datasets"
-    )
-    warn(*absent)
-    return entries
 
 
 def _open_executor(scheduler: str | None, workers: int | None) -> Executor:
@@ -320,26 +286,16 @@ def _compute_digests(paths: Collection[str], states: Mapping[str, str], journal:
         threads.shutdown(cancel_futures=True)
 
 
-def _call_both(
-    first: Callable[[dict[str, Any]], None], second: Callable[[dict[str, Any]], None]
-) -> Callable[[dict[str, Any]], None]:
-    def call(row: dict[str, Any]) -> None:
-        first(row)
-        second(row)
-
-    return call
-
-
 @final
 class _Progress:
     """Shows how far a batch is: on standard error a bar and a line for each failure, or JSON on standard output."""
 
-    def __init__(self, expected_s: Mapping[str, float], as_json: bool) -> None:
-        """Take the time that each job is expected to take, by its folder."""
-        self._total = len(expected_s)
-        self._expected_s = expected_s
-        self._left_s = sum(expected_s.values())
-        self._ended_s = 0.0
+    def __init__(self, sizes: Mapping[str, int], as_json: bool) -> None:
+        """Take the size of each log, by the folder of its job: the time that is left is estimated by it."""
+        self._total = len(sizes)
+        self._sizes = sizes
+        self._left_bytes = sum(sizes.values())
+        self._ended_bytes = 0
         self._as_json = as_json
         self._began = self._due = time.perf_counter()
         self._done = self._failed = self._resumed = 0
@@ -360,9 +316,9 @@ class _Progress:
         self._done += row["status"] == "done"
         self._failed += row["status"] == "failed"
         self._resumed += row["resumed"] and row["status"] == "done"
-        expected_s = self._expected_s[row["folder"]]
-        self._left_s -= expected_s
-        self._ended_s += 0.0 if row["resumed"] else expected_s
+        size = self._sizes[row["folder"]]
+        self._left_bytes -= size
+        self._ended_bytes += 0 if row["resumed"] else size
         if self._as_json:
             click.echo(json.dumps({name: value for name, value in row.items() if name != "document"}))
         elif row["status"] == "failed":
@@ -377,7 +333,7 @@ class _Progress:
         self._due = now + self._every_s
         ended = self._done + self._failed
         passed_s = now - self._began
-        left = f", {passed_s * self._left_s / self._ended_s:.0f} s left" if self._ended_s else ""
+        left = f", {passed_s * self._left_bytes / self._ended_bytes:.0f} s left" if self._ended_bytes else ""
         failed = f", {self._failed} failed" if self._failed else ""
         self._show(ended / self._total, f"{ended} of {self._total} logs{failed}{left}")
 

@@ -8,14 +8,12 @@ from __future__ import annotations
 import errno
 import math
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, final
 
 import click
 
-from gridslam.cli.output import TARGETS, hold_interrupts, warn, write_apart
+from gridslam.cli.output import TARGETS, hold_interrupts
 from gridslam.errors import OutputError
 
 __all__ = [
@@ -29,7 +27,6 @@ __all__ = [
     "SEED",
     "THREADS",
     "TIME_LIMIT",
-    "UPLOAD",
     "Number",
 ]
 
@@ -57,14 +54,6 @@ class Number(click.FloatRange):
     def _describe_range(self) -> str:
         """Describe the range for help, where there is one that concerns the user."""
         return "" if self.min is None else super()._describe_range()
-
-
-@final
-class _Memory(Number):
-    """A limit of memory, MB, or the word auto."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
-        return value if value == "auto" else super().convert(value, param, ctx)
 
 
 class _Path(click.Path):
@@ -112,6 +101,8 @@ class _Target(_Path):
     is_folder = False
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
+        if _may_be_url(value):
+            self.fail("expected a path on this machine, got a URL", param, ctx)
         path: Path = super().convert(value, param, ctx)
         from gridslam.io.output import require_writable
 
@@ -142,72 +133,16 @@ class _TargetFolder(_Target):
     is_folder = True
 
 
-@final
-class _Out(_TargetFolder):
-    """The path of an output folder; at a URL, that of a temporary folder, uploaded when the command has written it."""
-
-    name = "path or URL"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
-        if _may_be_url(value) and ctx is not None:
-            from gridslam.io.remote import is_url
-
-            if is_url(value):
-                return ctx.with_resource(_uploaded(value))
-        return super().convert(value, param, ctx)
-
-
-@final
-class _Upload(click.types.StringParamType):
-    """A URL that results are copied to."""
-
-    name = "URL"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ANN401
-        from gridslam.io.remote import connect, is_url, mask_url
-
-        if not is_url(value):
-            raise click.ClickException(f"{mask_url(value)}: expected a URL, such as s3://bucket/folder")
-        connect(value)
-        return value
-
-
 def _may_be_url(value: object) -> bool:
     return isinstance(value, str) and "://" in value
 
 
-@contextmanager
-def _uploaded(url: str) -> Iterator[Path]:
-    """Give a folder that does not exist yet; if it does at the end it is uploaded, and kept where that fails."""
-    import shutil
-    import tempfile
-
-    from gridslam.io.remote import connect, mask_url, upload_folder
-
-    connect(url)
-    out = Path(tempfile.mkdtemp(prefix="gridslam-")) / "out"
-    is_kept = False
-    try:
-        with write_apart() as write:
-            try:
-                yield out
-            finally:
-                if out.is_dir():  # complete, whatever has become of other targets
-                    is_kept = not write(upload_folder, out, url)
-                    warn(f"the results are kept in {out}" if is_kept else f"uploaded to {mask_url(url)}")
-    finally:
-        if not is_kept:
-            shutil.rmtree(out.parent, ignore_errors=True)
-
-
 PATH = _Path()
 LOG = _Log()
-OUT = _Out()
+OUT = OUTPUT_FOLDER = _TargetFolder()
 OUTPUT_FILE = _Target()
-OUTPUT_FOLDER = _TargetFolder()
-UPLOAD = _Upload()
 SECONDS = Number(max=_MOST_S)
 TIME_LIMIT = Number(0, _MOST_S, above=True)
-MEMORY = _Memory(500, 1e9)
+MEMORY = Number(500, 1e9)
 SEED = click.IntRange(min=0)
 THREADS = click.IntRange(1, 256)

@@ -17,7 +17,7 @@ from gridslam.doctor.motion_findings import MotionExaminer
 from gridslam.doctor.odometry import OdometryExaminer
 from gridslam.doctor.range_checks import RangeExaminer
 from gridslam.doctor.range_limits import RangeCounts
-from gridslam.doctor.reader import estimate_cost, reader_findings
+from gridslam.doctor.reader import reader_findings
 from gridslam.doctor.stamps import StampStatistics
 from gridslam.doctor.view_breaks import ViewBreaks
 from gridslam.errors import InputError
@@ -226,11 +226,6 @@ class Doctor:
         if self._motion is not None:
             yield from (finding for finding in self._motion.findings() if finding.sensor not in no_reference)
 
-    def cost(self) -> Finding:
-        """Estimate the cost of mapping these scans; without odometry as if each updated the particles."""
-        odometry = self._odometry
-        return estimate_cost(odometry.scans, odometry.key_scans + odometry.without)
-
     def diagnosis(self, log: Log, findings: Iterable[Finding]) -> Diagnosis:
         """Put findings and facts together."""
         ordered = sorted(findings, key=lambda finding: -finding.severity.rank)
@@ -286,7 +281,7 @@ def diagnose(
                 "a log that is cut off is mapped as far as it goes with --keep-truncated.",
             )
         )
-    return doctor.diagnosis(source, [*found, *doctor.findings(), *reader_findings(source.statistics), doctor.cost()])
+    return doctor.diagnosis(source, [*found, *doctor.findings(), *reader_findings(source.statistics)])
 
 
 @final

@@ -35,8 +35,6 @@ _UNITS = {"centimetres": 100, "millimetres": 1000}
 _SPEEDS_M_S = (0.1, 2.0)  # at which robots are driven while they map
 _FEWEST_MOVES = 20  # between scans, from which on their speeds show the unit
 _LEAST_S = 0.05  # between scans whose stamps jitter, go back or repeat
-_KEY_M = 0.5  # when the particles are stepped, or from
-_KEY_RAD = 0.25
 _OVERLAP = 0.5  # share of the field of view that two scans that follow each other must have in common
 _GUESS_RAD = 1.0  # odometry errs by 5 % of a turn: 0.5 m at 10 m, as far as matching reaches
 _FAST_SHARE = 0.005  # of all scans: from one in 200 on it is how the robot drives, not a hitch
@@ -49,12 +47,11 @@ _Place: TypeAlias = tuple[float, float, float]  # x m, y m, theta rad
 class OdometryExaminer:
     """Finds no_odometry, odometry_units, odometry_jumps, odometry_frozen, standing_still and fast_turning.
 
-    Counts way and turns, without those of jumps, and key scans.
+    Counts way and turns, without those of jumps.
     """
 
     metres: float = 0.0
     radians: float = 0.0
-    key_scans: int = 0
     scans: int = 0
     without: int = 0
     _fastest_rad: float = 0.0
@@ -66,7 +63,6 @@ class OdometryExaminer:
     _jumps: list[tuple[float, float, float]] = field(default_factory=list)  # s, m, rad
     _moves: int = 0
     _speeds: LogHistogram = field(default_factory=LogHistogram)
-    _key: _Place | None = None
     _window: tuple[_Place, LaserScan] | None = None
     _frozen: int = 0
     _watched_s: float = 0.0
@@ -86,7 +82,6 @@ class OdometryExaminer:
             return
         place = tuple(odometry.pose.tolist())
         self._note_way(scan.stamp_ns, place)
-        self._note_key(place)
         self._note_turn(scan, place)
         self._note_window(scan, place)
 
@@ -106,13 +101,6 @@ class OdometryExaminer:
         else:
             self.metres += moved
             self.radians += turned
-
-    def _note_key(self, place: _Place) -> None:
-        """Count the scans at which the particles will be stepped."""
-        moved, turned = (math.inf, 0.0) if self._key is None else _motion(self._key, place)
-        if moved > _KEY_M or turned > _KEY_RAD:
-            self._key = place
-            self.key_scans += 1
 
     def _note_turn(self, scan: LaserScan, place: _Place) -> None:
         """Compare the turn since this laser's scan before with what the two can have in common."""

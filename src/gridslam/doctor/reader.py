@@ -1,22 +1,17 @@
-"""What the reader of a log met: topics, missing transforms, a file that is cut off; and the cost of mapping it."""
+"""What the reader of a log met: topics, missing transforms, a file that is cut off."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 from gridslam.doctor.finding import Finding, Severity, percent
-from gridslam.evaluation.cost import DEFAULT_COSTS, Work
 from gridslam.io.log_statistics import LogStatistics
 
-__all__ = ["estimate_cost", "reader_findings"]
+__all__ = ["reader_findings"]
 
 _LATE = "no reading"  # a link that has readings, but none at the scan's time
 _FEW = 0.02  # share of the scans, as at the begin and the end of a recording: their neighbours show the same walls
 _SHOWN = 40
-
-_PARTICLES = 30
-_MUCH_BYTES = 2e9  # more than a small computer on a robot may have to spare
 
 
 def reader_findings(statistics: LogStatistics) -> Iterator[Finding]:
@@ -101,27 +96,3 @@ def _topics(statistics: LogStatistics) -> Finding:
     reported = ", ".join(f"{name} ({kind}): {count}" for name, kind, count in counted[:_SHOWN])
     more = f" and {len(counted) - _SHOWN} more" if len(counted) > _SHOWN else ""
     return Finding("topics", Severity.INFO, f"The log holds {reported}{more}.", len(counted), "topics")
-
-
-def estimate_cost(scans: int, key_scans: int) -> Finding:
-    """Predict the time and memory of `gridslam map` with 30 particles from the number of scans and of key scans."""
-    cost = DEFAULT_COSTS.estimate(Work(scans, key_scans, _PARTICLES))
-    is_much = cost.memory_bytes > _MUCH_BYTES
-    remedy = "If that is too much, map with --no-loop-closure or fewer --particles." if is_much else ""
-    return Finding(
-        "expected_cost",
-        Severity.INFO,
-        f"Mapping takes about {_rounded(cost.cpu_s)} s and {_rounded(cost.memory_bytes / 1e6)} MB: {scans} scans, some "
-        f"{_rounded(key_scans)} key scans.",
-        cost.cpu_s,
-        "s",
-        remedy,
-    )
-
-
-def _rounded(number: float) -> str:
-    """Two digits, the accuracy of the prediction."""
-    if number <= 0:
-        return "0"
-    digits = 1 - math.floor(math.log10(number))
-    return f"{round(number, digits):.{max(digits, 0)}f}"

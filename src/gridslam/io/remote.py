@@ -1,4 +1,4 @@
-"""Files at URLs: read through a cache on this machine, and results written there; by fsspec, an extra.
+"""Logs at URLs, read through a cache on this machine; by fsspec, an extra.
 
 Credentials in a URL, its user and its query, appear in no message and in no file (`mask_url`).
 """
@@ -13,19 +13,16 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Final
 from urllib.parse import parse_qsl, unquote, urlsplit
 
-from gridslam.errors import GridslamError, InputError, MissingDependencyError, OutputError
+from gridslam.errors import GridslamError, InputError, MissingDependencyError
 from gridslam.io.cache import Cached, LogCache
 
 __all__ = [
-    "connect",
     "describe_remote",
     "fetch",
     "is_url",
     "list_files",
     "mask_url",
     "mask_urls",
-    "upload_file",
-    "upload_folder",
 ]
 
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
@@ -59,24 +56,6 @@ def mask_urls(text: str) -> str:
     return re.sub(_URL.pattern + r"\S+", lambda found: mask_url(found[0]), text)
 
 
-def connect(url: str) -> None:
-    """Find the library for a URL, and whether its server answers, before long work.
-
-    Whether files can be written there is known when they are.
-
-    Raises
-    ------
-    MissingDependencyError, GridslamError
-        There is no library for it.
-    OutputError
-        The server cannot be reached.
-    """
-    with _translate(url, "written"):
-        system, path = _connect(url)
-        with suppress(FileNotFoundError, PermissionError, NotADirectoryError):
-            system.info(path)
-
-
 def describe_remote(url: str) -> str:
     """What distinguishes this content of a URL from another, as far as it is known without reading it.
 
@@ -87,7 +66,7 @@ def describe_remote(url: str) -> str:
     InputError
         There is no such file, or it cannot be reached.
     """
-    with _translate(url, "read"):
+    with _translate(url):
         system, path = _connect(url)
         return _state(_find(system, path, url))
 
@@ -115,7 +94,7 @@ def fetch(url: str, cache: LogCache | None = None) -> Cached:
         The cache cannot be written.
     """
     cache = cache or LogCache.default()
-    with _translate(url, "read"):
+    with _translate(url):
         system, path = _connect(url)
         files = _find(system, path, url)
         size = sum(int(info.get("size") or 0) for info in files.values())
@@ -143,7 +122,7 @@ def list_files(pattern: str) -> dict[str, str]:
     Each with what `describe_remote` returns of it, from the listing: that is one request for a thousand files. A ``?``
     in an http URL begins its query. Raises as `describe_remote`; there may be none.
     """
-    with _translate(pattern, "read"):
+    with _translate(pattern):
         system, path = _connect(pattern)
         wild = "*" in path or "[" in path
         found: dict[str, dict[str, Any]] = system.glob(path, detail=True) if wild else system.find(path, detail=True)
@@ -153,30 +132,6 @@ def list_files(pattern: str) -> dict[str, str]:
             for name, info in sorted(found.items())
             if info["type"] != "directory"
         }
-
-
-def upload_folder(folder: Path, url: str) -> None:
-    """Copy the files of a folder of results below a URL, run.json as the last: who finds it finds all.
-
-    Raises
-    ------
-    MissingDependencyError
-        The library for these URLs is not installed.
-    OutputError
-        A file cannot be written there.
-    """
-    files = sorted(file for file in folder.rglob("*") if file.is_file())
-    for file in sorted(files, key=lambda file: file.name == "run.json"):
-        upload_file(file, f"{url.rstrip('/')}/{file.relative_to(folder).as_posix()}")
-
-
-def upload_file(file: Path, url: str) -> None:
-    """Copy a file to a URL; raises as `upload_folder`."""
-    with _translate(url, "written"):
-        system, path = _connect(url)
-        if system.protocol in ("file", ("file", "local")):
-            system.makedirs(os.path.dirname(path), exist_ok=True)
-        system.put_file(os.fspath(file), path)
 
 
 def _connect(url: str) -> tuple[Any, str]:
@@ -216,19 +171,17 @@ def _download(system: Any, path: str, target: Path, info: dict[str, Any], url: s
 
 
 @contextmanager
-def _translate(url: str, verb: str) -> Iterator[None]:
+def _translate(url: str) -> Iterator[None]:
     """Turn whatever the libraries raise into one line without secrets."""
     try:
         yield
     except GridslamError:
         raise
     except ImportError as error:  # fsspec names the library that these URLs need
-        raise GridslamError(f"{mask_url(url)}: cannot be {verb}: {_without_secrets(error, url)}") from None
+        raise GridslamError(f"{mask_url(url)}: cannot be read: {_without_secrets(error, url)}") from None
     except Exception as error:
         problem = "no such file" if isinstance(error, FileNotFoundError) else _reason(error, url)
-        if verb == "read":
-            raise InputError(mask_url(url), problem) from None
-        raise OutputError(f"{mask_url(url)}: cannot be {verb}: {problem}") from None
+        raise InputError(mask_url(url), problem) from None
 
 
 def _reason(error: BaseException, url: str) -> str:

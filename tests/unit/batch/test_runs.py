@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from gridslam.batch.journal import COLUMNS, JOURNAL, Journal
-from gridslam.batch.runs import read_runs, write_parquet
-from gridslam.errors import InputError, MissingDependencyError
+from gridslam.batch.runs import read_runs
+from gridslam.errors import InputError
 from support.journals import make_document, make_rows, write_journal
 
 
@@ -64,24 +64,6 @@ def test_a_folder_without_a_journal_and_a_damaged_one_are_named(tmp_path):
         journal.execute("CREATE TABLE runs (key TEXT)")
     with pytest.raises(InputError, match="no such column: log"):
         list(read_runs(tmp_path))
-
-
-@pytest.mark.dev
-def test_parquet_has_a_row_for_each_run_and_a_column_for_each_figure(tmp_path):
-    import pyarrow.parquet as parquet
-
-    rows = make_rows(12, failed=3)
-    write_journal(tmp_path, rows)
-    table = parquet.read_table(write_parquet(tmp_path)).to_pydict()
-    assert table["log"] == [row["log"] for row in rows]
-    assert [status == "failed" for status in table["status"]] == [error is None for error in table["error_m"]]
-    assert "document" not in table
-
-
-def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
-    with pytest.raises(MissingDependencyError, match=r"gridslam\[parquet\]"):
-        write_parquet(tmp_path)
 
 
 def test_rows_of_a_transaction_are_written_together_or_not_at_all(tmp_path):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gridslam.doctor import Severity
-from gridslam.doctor.reader import estimate_cost, reader_findings
+from gridslam.doctor.reader import reader_findings
 from gridslam.io.log_statistics import LogStatistics, Topic
 from gridslam.io.measurement import Measurement
 from gridslam.types import Odometry, ScanGeometry
@@ -192,19 +192,6 @@ def test_the_reader_tells_topics_and_a_log_that_is_cut_off():
     assert "/rosout (rcl_interfaces/msg/Log): 3, /scan (sensor_msgs/msg/LaserScan): 90" in found["topics"].message
     assert found["remark"].message == "Scans of /back left out."
     assert found["unreadable"].severity is Severity.WARNING
-
-
-@pytest.mark.parametrize(
-    ("scans", "key_scans", "cpu_s", "memory_mb"),
-    [(13631, 1726, 15.2, 165), (7374, 810, 8.1, 175), (1988, 816, 7.8, 184), (63160, 25000, 190.0, 738)],
-)
-def test_the_expected_cost_is_that_of_logs_that_were_measured(scans, key_scans, cpu_s, memory_mb):
-    """Intel, ACES, CSAIL (means of ten seeds) and a fleet's 10 km: within a half, and a quarter for the memory."""
-    found = estimate_cost(scans, key_scans)
-    assert found.severity is Severity.INFO
-    assert found.size == pytest.approx(cpu_s, rel=0.5)
-    told = float(found.message.split(" MB")[0].split()[-1])
-    assert told == pytest.approx(memory_mb, rel=0.25)
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1000, "millimetres"), (100, "centimetres")])

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from gridslam.cli.option_types import MEMORY, OUTPUT_FILE, OUTPUT_FOLDER, TIME_LIMIT, UPLOAD, Number
+from gridslam.cli.option_types import MEMORY, OUTPUT_FILE, OUTPUT_FOLDER, TIME_LIMIT, Number
 from gridslam.cli.options import json_option, map_options
 
 __all__ = ["batch_command", "tune_command"]
@@ -27,7 +27,7 @@ class _BatchCommand(click.Command):
 
 
 @click.command("batch", cls=_BatchCommand)
-@click.argument("logs", nargs=-1)
+@click.argument("logs", nargs=-1, required=True)
 @click.option("-o", "--out", type=OUTPUT_FOLDER, required=True, help="Output folder; created if missing.")
 @click.option(
     "--command",
@@ -56,8 +56,8 @@ class _BatchCommand(click.Command):
     "--memory",
     "memory_mb",
     type=MEMORY,
-    metavar="MB|auto",
-    help="Limit of the address space for a log, MB (Linux only); auto: four times what it is estimated to need.",
+    metavar="MB",
+    help="Limit of the address space for a log, MB (Linux only).",
 )
 @click.option(
     "--retries",
@@ -67,14 +67,6 @@ class _BatchCommand(click.Command):
     metavar="N",
     help="Run a log whose worker is lost again elsewhere, at most N times.",
 )
-@click.option(
-    "--suite",
-    metavar="NAME|FILE",
-    help="Map the logs of a suite, public or a TOML file, by each of its variants and seeds; LOGS are folders with "
-    "them, or none: then public logs are downloaded (extra: datasets).",
-)
-@click.option("--parquet", is_flag=True, help="Write runs.parquet, too (extra: parquet).")
-@click.option("--upload", type=UPLOAD, metavar="URL", help="Copy all results to this URL, too (extra: remote).")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line for each log, and no progress.")
 def batch_command(**options: Any) -> int:  # noqa: ANN401
     """Map many logs, or run another command over them, each in a process of its own.
@@ -92,8 +84,6 @@ def batch_command(**options: Any) -> int:  # noqa: ANN401
     """
     from gridslam.cli.batch import run_batch
 
-    if not options["logs"] and options["suite"] is None:
-        raise click.UsageError("Missing argument 'LOGS...'.", click.get_current_context())
     return run_batch(**options, words=click.get_current_context().meta["gridslam.batch"])
 
 
