@@ -9,11 +9,11 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from aliasing_worlds import BARE_CORRIDORS, EQUAL_ROOMS, SYMMETRIC, make_world
+from closure_errors import false_closures
 from gridslam import Trajectory
 from gridslam.errors import ArgumentError
-from gridslam.evaluation import false_closures
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedStream, World, make_world, simulate_stream
-from gridslam.sim.aliasing import BARE_CORRIDORS, EQUAL_ROOMS, SYMMETRIC
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedStream, World, simulate_stream
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["DECEPTIVE", "Drive", "Verdict", "campus", "deceptive", "fleet", "judge", "returns"]

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from closure_errors import false_closures
 from closure_worlds import DECEPTIVE, Drive, campus, deceptive
 from gridslam.config import Configuration, build
-from gridslam.evaluation import false_closures
 from gridslam.geometry.se2 import between
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run

@@ -24,13 +24,14 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
+from aliasing_worlds import make_world
 from closure_worlds import campus
 from gridslam.config import Configuration, override
 from gridslam.evaluation import nees
 from gridslam.geometry.se2 import between
 from gridslam.io.log import open_log
 from gridslam.io.measurement import Measurement
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, simulate
 from gridslam.slam.full_slam.full_slam import FullSlam
 from gridslam.slam.full_slam.key_scan_matching import VISIT_GAP
 from gridslam.slam.pose_graph.graph_slam import GraphSlam

@@ -10,9 +10,10 @@ from typing import final
 
 import numpy as np
 
+from aliasing_worlds import make_world
 from gridslam import CarmenLog, Trajectory
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import box, join, place
 from gridslam.types import FloatArray
 

@@ -14,6 +14,7 @@ from typing import NamedTuple, final
 import numpy as np
 from scipy.ndimage import minimum_filter
 
+from aliasing_worlds import make_world
 from closure_worlds import DECEPTIVE, campus, deceptive
 from closure_worlds import Drive as Course
 from gridslam.errors import ArgumentError
@@ -24,7 +25,7 @@ from gridslam.io.measurement import Measurement
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching import BranchAndBound, Pyramid
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, degenerate_direction
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig
 from gridslam.types import Beams, FloatArray, IntArray, LaserScan, Odometry
 
 __all__ = ["APART_M", "HONEST", "KINDS", "Drive", "certain_revisits", "driven_m", "simulated"]

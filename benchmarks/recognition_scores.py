@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closure_errors import OPEN_M, closure_errors
 from gridslam.config import Configuration, build
-from gridslam.evaluation.closures import OPEN_M, closure_errors
 from gridslam.evaluation.trajectory import align
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.measurement import Measurement

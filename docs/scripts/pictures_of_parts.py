@@ -11,7 +11,6 @@ from panels import GAP, ORANGE, SIDE, VIOLET, Chart, Panel, row_of, save
 
 from gridslam import GridFastSlam, run
 from gridslam.geometry.se2 import between
-from gridslam.matching.correlative import Correlative
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.matching.hill_climbing import HillClimbing
 from gridslam.models import (
@@ -163,7 +162,6 @@ def scan_matching() -> None:
     for head, matcher, count in (
         ("Gauss-Newton", GaussNewton(), 1500),
         ("hill climbing", HillClimbing(), 1500),
-        ("correlative search", Correlative(), 250),
     ):
         offsets = rng.uniform([-1.2, -1.2, -0.6], [1.2, 1.2, 0.6], (count, 3))
         matched = matcher(maps, np.zeros(count, np.int32), truth + offsets, np.tile(prior, (count, 1, 1)), beams).poses

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import gridslam
+from aliasing_worlds import make_world
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.measurement import Measurement
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, simulate
 from gridslam.slam.full_slam import earlier_pieces
 
 ELSEWHERE = np.array([10.0, 0.0, 2.0])

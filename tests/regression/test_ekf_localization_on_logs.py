@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from gridslam.api.landmark_localization import localize_by_landmarks
-from gridslam.evaluation import check_consistency, nees
+from gridslam.evaluation import nees
 from gridslam.geometry.se2 import compose, inverse, transform_points
 from gridslam.io.landmark_logs import open_landmark_log
 from gridslam.localization.ekf import EkfLocalization, KnownLandmarks
 from gridslam.models.landmark import DepthBearing, RangeBearing
+from support.consistency import check_consistency
 from support.global_localization import INSIDE
 from support.landmark_drives import LandmarkDrive
 from support.landmark_world import MOTION, drive, ring

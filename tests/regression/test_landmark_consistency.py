@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from gridslam.evaluation import Consistency, check_consistency, nees
+from gridslam.evaluation import nees
 from gridslam.models.landmark import RangeBearing
 from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
+from support.consistency import Consistency, check_consistency
 from support.landmark_world import INCREMENT, MOTION, drive, ring
 
 RUNS, STEPS = 100, 200

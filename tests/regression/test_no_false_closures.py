@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from closure_errors import FALSE_CLOSURE_RAD, closure_errors, false_closures
 from closure_worlds import DECEPTIVE, deceptive
 from gridslam.config import Configuration, build
-from gridslam.evaluation import absolute_errors, closure_errors, false_closures
-from gridslam.evaluation.closures import FALSE_CLOSURE_RAD
+from gridslam.evaluation import absolute_errors
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.slam.full_slam.full_slam import FullSlam, full_slam

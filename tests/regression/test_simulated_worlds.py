@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from gridslam.evaluation import PoseErrors, absolute_errors, check_consistency
+from gridslam.evaluation import PoseErrors, absolute_errors
 from gridslam.geometry.se2 import between, transform_points
 from gridslam.grid import cell_centres
 from gridslam.observers import TrajectoryRecorder
@@ -16,6 +16,7 @@ from gridslam.sim import LidarConfig, OdometryNoise, PeopleConfig, RobotConfig, 
 from gridslam.sim.floor_plan import clearance
 from gridslam.slam import GridFastSlam
 from gridslam.types import Trajectory
+from support.consistency import check_consistency
 
 WORLDS = range(10)
 PARTICLES = 10

@@ -48,12 +48,11 @@ from gridslam.io.results.record import read_record
 from gridslam.io.ros_parameters import read_parameter_file
 from gridslam.io.sessions.archive_file import write_sealed_arrays
 from gridslam.io.sessions.drives import DrivenLog
-from gridslam.io.sessions.saved_localization import SavedLocalization, read_localization, write_localization
 from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session, write_session
 from gridslam.io.trajectories import read_relations, read_trajectory, read_trajectory_csv, read_tum
 from gridslam.live.history_file import read_history
 from gridslam.live.replay import Replay
-from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
+from gridslam.localization import KnownMap
 from gridslam.slam.full_slam.full_trajectory import full_trajectories
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -310,7 +309,7 @@ def _streams(folder: Path) -> Iterator[Family]:
     """Pipes, devices and directories in the place of files."""
     readers: list[Callable[[Path], object]] = [
         open_log, read_tum, read_g2o, read_map, read_session, read_record, read_history, open_landmark_log,
-        read_relations, read_parameter_file, read_localization, read_trajectory_csv
+        read_relations, read_parameter_file, read_trajectory_csv
     ]  # fmt: skip
 
     def prepare(to: Path, rng: np.random.Generator) -> None:
@@ -350,7 +349,6 @@ _READERS: dict[str, Callable[[Path], object]] = {
     "db3": _scan,
     "zst": _scan,
     "gridslam": read_session,
-    "npz": read_localization,
     "yaml": lambda path: (read_map if path.name == "map.yaml" else read_parameter_file)(path),
     "tum": read_tum,
     "g2o": read_g2o,
@@ -552,11 +550,7 @@ def _states(folder: Path) -> Iterator[Family]:
     session = Session.of(SavedSession(configuration, run=replace(begun, state=state)))
     whole = replace(session.saved, pieces=tuple(session.pieces))  # a run, and the same as a piece
     write_session(folder / "state.gridslam", whole)
-    known = KnownMap(map_log_of(measurements).map)
-    mcl = MonteCarloLocalization(known, MonteCarloConfiguration(max_beams=40))
-    believed = gridslam.run(measurements[:10], mcl, rng=rng, state=mcl.init())
-    write_localization(folder / "mcl.npz", SavedLocalization(mcl.configuration, believed, rng))
-    arrays = {name: dict(np.load(folder / name).items()) for name in ("state.gridslam", "mcl.npz")}
+    arrays = {"state.gridslam": dict(np.load(folder / "state.gridslam").items())}
     rest = measurements[35:]
 
     def prepare(to: Path, rng: np.random.Generator, name: str) -> None:
@@ -586,13 +580,7 @@ def _states(folder: Path) -> Iterator[Family]:
                 piece.piece.build_map(saved.configuration.mapper)
             full_trajectories(piece.piece.poses, piece.tracked_scans)
 
-    def read_belief(where: Path) -> None:
-        saved = read_localization(where / "mcl.npz")
-        with _refused_by_maps(where / "mcl.npz"):
-            gridslam.run(rest, MonteCarloLocalization(known, saved.configuration), rng=saved.rng, state=saved.state)
-
     yield Family("saved runs", 13, lambda to, rng: prepare(to, rng, "state.gridslam"), read_run, 3)
-    yield Family("saved localizations", 13, lambda to, rng: prepare(to, rng, "mcl.npz"), read_belief, 2)
 
 
 @contextmanager

@@ -26,9 +26,7 @@ from gridslam.geometry.se2 import between
 from gridslam.io.csv import write_csv_log
 from gridslam.io.sessions.archive_file import read_sealed_arrays, write_sealed_arrays
 from gridslam.io.sessions.drives import DrivenLog
-from gridslam.io.sessions.saved_localization import SavedLocalization, read_localization, write_localization
 from gridslam.io.sessions.session_file import SESSION_SCHEMA, SavedRun, SavedSession, write_session
-from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
 from support.loops import PROVOKED, loop_drive
 
@@ -60,7 +58,6 @@ def sessions(folder: Path) -> Iterator[tuple[str, int, _Prepare, Callable[[Path]
             (to / "other.gridslam").write_bytes((folder / "joined.gridslam").read_bytes())
 
     yield "resealed sessions", 4, prepare, _run_command, 3.0
-    yield from _localizations(folder)
 
 
 def change_session(arrays: _Arrays, rng: np.random.Generator) -> _Arrays:
@@ -263,30 +260,3 @@ def _save_while_closing(folder: Path, log: SimulatedLog) -> None:
             write_session(folder / f"{name}.gridslam", SavedSession(slow, run=run))
         if (folder / "correction.gridslam").exists():
             return
-
-
-def _localizations(folder: Path) -> Iterator[tuple[str, int, _Prepare, Callable[[Path], object], float]]:
-    """A saved localization, which goes on for some scans."""
-    log = simulate(
-        make_world("rooms", np.random.default_rng(0)),
-        RobotConfig(),
-        OdometryNoise(),
-        LidarConfig(beams=90),
-        np.random.default_rng(3),
-    )
-    known = KnownMap(Session.open(folder / "joined.gridslam").map)
-    mcl, rng = MonteCarloLocalization(known, MonteCarloConfiguration(max_beams=40)), np.random.default_rng(1)
-    believed = gridslam.run(log.measurements[:20], mcl, rng=rng, state=mcl.init())
-    write_localization(folder / "healthy.npz", SavedLocalization(mcl.configuration, believed, rng))
-    whole = dict(np.load(folder / "healthy.npz").items())
-    rest = log.measurements[20:30]
-
-    def prepare(to: Path, rng: np.random.Generator) -> None:
-        write_sealed_arrays(to / "mcl.npz", change_session(whole, rng))
-
-    def read(where: Path) -> None:
-        saved = read_localization(where / "mcl.npz")
-        gridslam.run(rest, MonteCarloLocalization(known, saved.configuration), rng=saved.rng, state=saved.state)
-        _require_frugal()
-
-    yield "resealed localizations", 4, prepare, read, 1.0

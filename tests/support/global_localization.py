@@ -9,13 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from aliasing_worlds import make_world
 from gridslam.evaluation.consistency import nees
 from gridslam.geometry.angles import wrap
 from gridslam.localization import KnownMap, LocalizationReport, MonteCarloLocalization
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.localization.state import MonteCarloState
 from gridslam.mapping import OccupancyGridMapping
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, simulate
 from support.faults import with_fault
 
 ORDINARY = ("demo", "rooms", "hall", "corridor", "loop", "random", "moved_furniture")

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from aliasing_worlds import ALIASED
 from gridslam.sim.worlds import DRAWN_WORLDS
 from support.global_localization import INSIDE, Building, GlobalRun
 
@@ -24,7 +25,7 @@ _BUILDINGS = 4
 
 def buildings(name: str, seeds: Sequence[int], *, backs_out: bool = False) -> Iterator[tuple[Building, int]]:
     """A building for each seed: one of four where they are drawn by chance, always the same otherwise."""
-    count = min(_BUILDINGS, len(seeds)) if name in DRAWN_WORLDS else 1
+    count = min(_BUILDINGS, len(seeds)) if name in {**DRAWN_WORLDS, **ALIASED} else 1
     drawn = [Building.of(name, seeds[k], backs_out=backs_out) for k in range(count)]
     yield from ((drawn[k % count], seed) for k, seed in enumerate(seeds))
 

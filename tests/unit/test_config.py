@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from gridslam.config import PARAMETERS, PRESETS, Configuration, build, dumps, load, loads, override, preset
-from gridslam.config.configuration import loads_saved
 from gridslam.config.tables import names, to_table, value_of
 from gridslam.errors import ConfigurationError
 from gridslam.models import GMappingEndPoint, GMappingMotion, OdometryMotion
@@ -249,16 +248,3 @@ def test_table_holds_every_parameter_by_name():
         for key in name.split("."):
             value = value[key]
         assert not isinstance(value, dict)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "loop_closure = 5",
-        "[loop_closure]\nrecognition = 3",
-        "final_refinement = 3\n[loop_closure.recognition]\nrecent_submaps = 3",
-    ],
-)
-def test_what_is_no_table_of_a_saved_configuration_is_refused(text):
-    with pytest.raises(ConfigurationError):
-        loads_saved(text)

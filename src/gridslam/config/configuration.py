@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, NamedTuple, final
+from typing import Annotated, Final, Literal, NamedTuple, final
 
 from gridslam.checked import checked
 from gridslam.config.tables import nest, parse_toml, read_assignments, replace_parameters, to_table
@@ -15,7 +15,6 @@ from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.endpoint import CauchyEndPoint, GMappingEndPoint, LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
 from gridslam.parameters import Kind, bounded, parameters
-from gridslam.particles.kld_sampling import FixedNumber, KldNumber
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold, NeverResample
 from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
 from gridslam.scan import Thinning
@@ -96,18 +95,6 @@ PARAMETERS: Final[Mapping[str, Parameter]] = {
 }
 """The parameters that face the user, by their short names."""
 
-_RETIRED = {
-    "final_refinement": {
-        *("ambiguity_ratio", "min_confirmations", "recognition", "matcher", "component_alignment"),
-        *("scan_inlier_ratio", "scan_max_correction_m", "scan_prior_information"),
-    },
-    "loop_closure": {"recognition"},
-}
-"""Parameters of earlier versions, by table ..."""
-_RETIRED_BY = "recent_submaps"
-"""... and one of `loop_closure.recognition` that it has had in all of them."""
-_PLACES_SEARCHED = "search_interval"
-"""Of `final_refinement.component_alignment` as it was before components were aligned by submaps."""
 _LARGEST_TEXT: Final = 1 << 20  # characters
 _RESAMPLERS: Final[Mapping[str, type[Resampler]]] = {
     "systematic": Systematic,
@@ -134,7 +121,7 @@ class Configuration:
         How many beams of a dense scan are used.
     resampler : str
         "systematic" (the least variance), "stratified", "residual", "multinomial" or "wheel".
-    tracker, motion, sensor, proposal, mapper, when_to_update, when_to_resample, particle_number, map_limit, reports
+    tracker, motion, sensor, proposal, mapper, when_to_update, when_to_resample, map_limit, reports
         The parts of `GridFastSlam`.
     loop_closure : LoopClosure or None
         How loop closures are detected and the trajectory is corrected while the robot drives; None for the filter only.
@@ -156,7 +143,6 @@ class Configuration:
     when_to_resample: Annotated[EffectiveSampleSizeBelow | AlwaysResample | NeverResample, Kind()] = (
         EffectiveSampleSizeBelow()
     )
-    particle_number: Annotated[FixedNumber | KldNumber, Kind()] = FixedNumber()
     map_limit: MapLimit = MapLimit()
     reports: ReportBuilder = ReportBuilder()
     loop_closure: Annotated[LoopClosure | None, Kind()] = LoopClosure()
@@ -182,7 +168,6 @@ def build(config: Configuration, threads: int = 1) -> GridFastSlam:
         resampler=_RESAMPLERS[config.resampler](),
         when_to_update=config.when_to_update,
         when_to_resample=config.when_to_resample,
-        particle_number=config.particle_number,
         map_limit=config.map_limit,
         reports=config.reports,
         loop_closure=config.loop_closure,
@@ -212,26 +197,6 @@ def loads(text: str, base: Configuration | None = None) -> Configuration:
         The text is no TOML, or a parameter is unknown, of a wrong type or out of range.
     """
     return replace_parameters(base or Configuration(), parse_toml(text))
-
-
-def loads_saved(text: str) -> Configuration:
-    """Read the TOML of a saved session as `loads` does; parameters that there are no more are passed over."""
-    table = parse_toml(text)
-    if _RETIRED_BY in _part_of(_part_of(table, "loop_closure"), "recognition"):
-        for name, retired in _RETIRED.items():
-            for parameter in retired:
-                _part_of(table, name).pop(parameter, None)
-    refinement = _part_of(table, "final_refinement")
-    _part_of(refinement, "surfaces").pop("gates_m", None)
-    if _PLACES_SEARCHED in _part_of(refinement, "component_alignment"):
-        refinement.pop("component_alignment")
-    return replace_parameters(Configuration(), table)
-
-
-def _part_of(table: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return a table within a table; an empty one where there is none, or something else, which is refused later."""
-    part = table.get(name)
-    return part if isinstance(part, dict) else {}
 
 
 @checked

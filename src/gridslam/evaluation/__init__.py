@@ -6,8 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gridslam.evaluation.closures import closure_errors, false_closures
-    from gridslam.evaluation.consistency import Consistency, check_consistency, chi_square_quantile, nees
+    from gridslam.evaluation.consistency import nees
     from gridslam.evaluation.maps import MapAgreement, compare_maps
     from gridslam.evaluation.self_consistency import SelfConsistency, measure_self_consistency
     from gridslam.evaluation.trajectory import (
@@ -20,11 +19,9 @@ if TYPE_CHECKING:
         interpolate,
         relation_errors,
         relative_errors_by_distance,
-        relative_errors_by_step,
     )
 
 __all__ = [
-    "Consistency",
     "MapAgreement",
     "PoseErrors",
     "RelationErrors",
@@ -33,22 +30,16 @@ __all__ = [
     "absolute_errors",
     "align",
     "associate",
-    "check_consistency",
-    "chi_square_quantile",
-    "closure_errors",
     "compare_maps",
-    "false_closures",
     "interpolate",
     "measure_self_consistency",
     "nees",
     "relation_errors",
     "relative_errors_by_distance",
-    "relative_errors_by_step",
 ]
 
 _HOMES = {
-    **dict.fromkeys(("closure_errors", "false_closures"), "closures"),
-    **dict.fromkeys(("Consistency", "check_consistency", "chi_square_quantile", "nees"), "consistency"),
+    "nees": "consistency",
     **dict.fromkeys(("MapAgreement", "compare_maps"), "maps"),
     **dict.fromkeys(("SelfConsistency", "measure_self_consistency"), "self_consistency"),
     **dict.fromkeys(
@@ -62,7 +53,6 @@ _HOMES = {
             "interpolate",
             "relation_errors",
             "relative_errors_by_distance",
-            "relative_errors_by_step",
         ),
         "trajectory",
     ),

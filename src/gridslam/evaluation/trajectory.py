@@ -27,7 +27,6 @@ __all__ = [
     "interpolate",
     "relation_errors",
     "relative_errors_by_distance",
-    "relative_errors_by_step",
 ]
 
 MAX_GAP_NS = 1_000_000_000
@@ -259,30 +258,6 @@ def absolute_errors(
     if aligned:
         ours = compose(align(ours[:, :2], truth[:, :2]), ours)
     return PoseErrors.of(between(truth, ours))
-
-
-@checked
-def relative_errors_by_step(
-    estimate: Trajectory,
-    reference: Trajectory,
-    step: int = 1,
-    *,
-    tolerance_ns: int = 20_000_000,
-    max_gap_ns: int = MAX_GAP_NS,
-) -> PoseErrors:
-    """Relative pose error (RPE) over pairs of poses `step` >= 1 apart, in the estimate's order.
-
-    Raises ArgumentError where `step` is less than 1 or no two associated poses are that far apart.
-
-    Source: J. Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012.
-    """
-    if step < 1:
-        raise ArgumentError("step", "at least 1", step)
-    ours, truth = _pair_poses(estimate, reference, tolerance_ns, max_gap_ns)
-    if len(ours) <= step:
-        raise ArgumentError("step", f"less than the {len(ours)} associated poses", step)
-    first = np.arange(len(ours) - step)
-    return _relative(ours, truth, first, first + step)
 
 
 @checked

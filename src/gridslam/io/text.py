@@ -21,7 +21,6 @@ from typing import IO, Any, cast, final
 from gridslam.arguments import require_plain
 from gridslam.errors import InputError, describe_failure
 from gridslam.io.limits import UnpackingLimit, describe_bytes
-from gridslam.io.read_ahead import read_ahead
 
 __all__ = [
     "TextSource",
@@ -263,7 +262,7 @@ class TextSource:
         """Yield blocks of lines; raises InputError for binary, damaged or unreadable files."""
         rest = b""
         blank = 0
-        for chunk, bytes_read, is_truncated in self._read_chunks():
+        for chunk, bytes_read, is_truncated in self._chunks():
             self.bytes_read, self.is_truncated = bytes_read, is_truncated
             blank = blank + len(chunk) if chunk.isspace() else 0
             if blank > _LONGEST_LINE_BYTES:
@@ -278,10 +277,6 @@ class TextSource:
         if rest:
             self.unterminated = True
             yield [rest.decode("latin-1")]
-
-    def _read_chunks(self) -> Iterator[tuple[bytes, int, bool]]:
-        """Yield blocks, how much of the file was read, and whether it has ended too early; unpack ahead."""
-        return read_ahead(self._chunks) if self._is_compressed else self._chunks()
 
     def _chunks(self) -> Iterator[tuple[bytes, int, bool]]:
         limit = UnpackingLimit(self.total_bytes)

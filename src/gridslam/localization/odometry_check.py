@@ -15,9 +15,9 @@ from gridslam.tracking.search import OdometrySearch
 from gridslam.tracking.tracker import Tracker, TrackerState
 from gridslam.types import Beams, FloatArray, MotionSampler, Odometry
 
-__all__ = ["LOCAL_MAPS", "OdometryCheck", "TrackedMotion"]
+__all__ = ["OdometryCheck", "TrackedMotion"]
 
-LOCAL_MAPS = OccupancyGridMapping()
+_LOCAL_MAPS = OccupancyGridMapping()
 """Makes the local maps of the tracker."""
 
 _TRACKED_VARIANCES = np.square([0.03, 0.03, 0.02])
@@ -75,7 +75,7 @@ class OdometryCheck:
         """Track one scan; updates the tracker in place."""
         stamp_ns = beams.scan.stamp_ns
         if tracked is None:
-            tracker = self.tracker.init(odometry, stamp_ns, beams, LOCAL_MAPS)
+            tracker = self.tracker.init(odometry, stamp_ns, beams, _LOCAL_MAPS)
             return TrackedMotion(tracker, tracker.pose)
         self.tracker.step(tracked.tracker, odometry, stamp_ns, beams)
         return tracked

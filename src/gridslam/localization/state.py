@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Annotated, Any, Protocol, final
+from typing import Annotated, Protocol, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gridslam import serialization
 from gridslam.arguments import COUNT, SHARE, Limits
-from gridslam.checked import checked
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
-from gridslam.grid.tiles import TileMaps
 from gridslam.localization.belief import NO_HYPOTHESES, PoseEstimate, PoseHypotheses, is_in_cluster
-from gridslam.localization.odometry_check import LOCAL_MAPS, TrackedMotion
+from gridslam.localization.odometry_check import TrackedMotion
 from gridslam.localization.place_verification import NO_SCANS, RecentScans
 from gridslam.localization.recovery import InlierRatioAverages
-from gridslam.particles.resampling import require_log_weights
 from gridslam.serialization import NOT_SAVED
 from gridslam.types import FloatArray, IntArray, Odometry, describe_pose, describe_time
 
@@ -153,20 +147,6 @@ class MonteCarloState:
     def odometry_rejected(self) -> bool:
         """Whether scans contradict the odometry since the last update."""
         return self.tracked is not None and self.tracked.replaces_odometry
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays, from which `from_arrays` restores a state with identical results."""
-        self._check()
-        return serialization.to_arrays(self)
-
-    @classmethod
-    @checked
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> MonteCarloState:
-        """Rebuild a state; ArgumentError if an array is missing or has an inconsistent shape."""
-        state = serialization.from_arrays(cls, arrays, {TileMaps: LOCAL_MAPS.restore})
-        if len(state.log_weights):
-            require_log_weights(state.log_weights)
-        return state
 
     def odometry_at_update(self, first: Odometry) -> FloatArray:
         """Odometry's pose (3,) at the last update; that of the `first` scan with odometry before there was any."""

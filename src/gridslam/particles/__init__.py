@@ -2,7 +2,7 @@
 
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose, sample_gaussian
-from gridslam.particles.kld_sampling import FixedNumber, KldNumber, ParticleNumber, kld_bound
+from gridslam.particles.kld_sampling import kld_bound
 from gridslam.particles.policies import (
     AlwaysResample,
     EffectiveSampleSizeBelow,
@@ -26,12 +26,9 @@ __all__ = [
     "AlwaysResample",
     "Ancestry",
     "EffectiveSampleSizeBelow",
-    "FixedNumber",
-    "KldNumber",
     "MotionThreshold",
     "Multinomial",
     "NeverResample",
-    "ParticleNumber",
     "ResamplingPolicy",
     "ResamplingWheel",
     "Residual",

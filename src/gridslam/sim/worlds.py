@@ -13,7 +13,6 @@ from gridslam.arguments import require_generator
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry import se2
-from gridslam.sim.aliasing import bare_corridors, equal_rooms, moved_furniture, symmetric
 from gridslam.sim.floor_plan import box, carve, clearance, furniture, join, pillar, place, polyline, room, wall
 from gridslam.sim.world import World, tour, wander
 from gridslam.types import FloatArray
@@ -321,10 +320,6 @@ WORLDS: Mapping[str, Callable[[], World]] = MappingProxyType(
 DRAWN_WORLDS: Mapping[str, Callable[[np.random.Generator], World]] = MappingProxyType(
     {
         "random": random_building,
-        "equal_rooms": equal_rooms,
-        "symmetric": symmetric,
-        "bare_corridors": bare_corridors,
-        "moved_furniture": moved_furniture,
         "campus": campus,
         "fleet": fleet,
     }

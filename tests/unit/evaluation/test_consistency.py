@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError
-from gridslam.evaluation import check_consistency, chi_square_quantile, nees
+from gridslam.evaluation import nees
+from support.consistency import check_consistency, chi_square_quantile
 
 
 # Printed tables of the chi-square distribution.

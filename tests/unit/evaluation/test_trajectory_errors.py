@@ -14,7 +14,6 @@ from gridslam.evaluation import (
     associate,
     interpolate,
     relative_errors_by_distance,
-    relative_errors_by_step,
 )
 from gridslam.geometry.se2 import compose, transform_points
 from gridslam.types import Trajectory
@@ -159,21 +158,6 @@ def test_times_without_anything_in_common_are_described():
         absolute_errors(trajectory(np.zeros((1, 3)), [100 * SECOND]), straight(1.0))
 
 
-@pytest.mark.parametrize("step", [1, 3, 10])
-def test_relative_error_by_step(step):
-    got = relative_errors_by_step(straight(1.1), straight(1.0), step)
-    assert got.n == 11 - step
-    assert got.trans_mean_m == pytest.approx(0.1 * step)
-    assert got.trans_std_m == pytest.approx(0, abs=1e-12)
-
-
-# Headings drift by 2 degrees a step.
-def test_relative_rotation_error():
-    truth = straight(0.0)
-    drifting = trajectory(truth.poses + np.outer(np.arange(11), [0, 0, math.radians(2)]))
-    assert relative_errors_by_step(drifting, truth, 4).rot_mean_deg == pytest.approx(8)
-
-
 def test_relative_error_by_distance():
     # 3.5 m are first exceeded after four steps of 1 m, from the first seven poses.
     got = relative_errors_by_distance(straight(1.1), straight(1.0), 3.5)
@@ -188,12 +172,6 @@ def test_relative_errors_do_not_depend_on_the_frame(motion):
     here, there = (relative_errors_by_distance(t, truth, 2.0) for t in (estimate, moved))
     assert here.trans_rmse_m == pytest.approx(there.trans_rmse_m, abs=1e-9)
     assert here.rot_rmse_deg == pytest.approx(there.rot_rmse_deg, abs=1e-7)
-
-
-@pytest.mark.parametrize("step", [0, -1, 11])
-def test_impossible_steps_raise(step):
-    with pytest.raises(ArgumentError, match="step"):
-        relative_errors_by_step(straight(1.0), straight(1.0), step)
 
 
 @pytest.mark.parametrize("distance", [0.0, -1.0, math.nan, 10.5])

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from gridslam.evaluation.consistency import chi_square_quantile
 from gridslam.localization.kld_sampling import KldSampling
 from gridslam.particles import Systematic
+from support.consistency import chi_square_quantile
 
 
 @pytest.mark.parametrize("bins", [2, 3, 10, 100, 3000])

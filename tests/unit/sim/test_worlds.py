@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from aliasing_worlds import BARE_CORRIDORS, EQUAL_ROOMS, SYMMETRIC, make_world
 from gridslam.errors import ArgumentError
 from gridslam.sim import Change, World
-from gridslam.sim.aliasing import BARE_CORRIDORS, EQUAL_ROOMS, SYMMETRIC
 from gridslam.sim.floor_plan import box, clearance, join, near
 from gridslam.sim.robot import RobotConfig
-from gridslam.sim.worlds import WORLDS, make_world
+from gridslam.sim.worlds import WORLDS
 from support.drives import drive, follow
 
 NAMES = [*((name, 0) for name in WORLDS), *(("random", seed) for seed in range(12))]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from closure_errors import false_closures
 from gridslam.config import build, override
-from gridslam.evaluation import absolute_errors, false_closures
+from gridslam.evaluation import absolute_errors
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.slam.full_slam.full_slam import full_slam

@@ -223,10 +223,10 @@ def _read_revisits(path: str | Path, arrays: dict[str, NDArray[Any]], steps: int
     return revisits
 
 
-def read_arrays(path: str | Path, schema: str, what: str, *earlier: str) -> dict[str, NDArray[Any]]:
+def read_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[Any]]:
     """All arrays of an .npz without pickles.
 
-    Raises InputError where the file is not `what`, neither of the schema nor of an earlier one, or unpacks to more than
+    Raises InputError where the file is not `what`, is of another schema, or unpacks to more than
     is allowed.
     """
     arrays: dict[str, NDArray[Any]] = {}
@@ -243,7 +243,7 @@ def read_arrays(path: str | Path, schema: str, what: str, *earlier: str) -> dict
             raise InputError(path, f"expected {what}, got: {error or type(error).__name__}") from None
     found = arrays.get("schema")
     got = "none" if found is None else str(found) if found.size == 1 else f"{found.dtype} of shape {found.shape}"
-    if got not in (schema, *earlier):
+    if got != schema:
         raise InputError(path, f"expected schema {schema}, got {got:.100}")
     return arrays
 

@@ -61,8 +61,8 @@ def write_sealed_arrays(path: str | Path, arrays: Arrays) -> None:
             file.write(digest)
 
 
-def read_sealed_arrays(path: str | Path, schema: str, what: str, *earlier: str) -> dict[str, NDArray[Any]]:
-    """Read what `write_sealed_arrays` wrote, the schema or an earlier one in its array `schema`.
+def read_sealed_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[Any]]:
+    """Read what `write_sealed_arrays` wrote, of this schema.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def read_sealed_arrays(path: str | Path, schema: str, what: str, *earlier: str) 
         file.seek(0)
         is_archive = file.read(4) == b"PK\x03\x04"
     try:
-        arrays = read_arrays(path, schema, what, *earlier)
+        arrays = read_arrays(path, schema, what)
     except InputError as error:
         if not is_archive or "schema" in str(error):
             raise

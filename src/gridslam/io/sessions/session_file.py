@@ -15,7 +15,7 @@ import numpy as np
 from gridslam import __version__, serialization
 from gridslam.arguments import require_instance, require_seed
 from gridslam.config import Configuration, dumps
-from gridslam.config.configuration import loads_saved
+from gridslam.config.configuration import loads
 from gridslam.errors import ArgumentError
 from gridslam.io.results.record import RecordWriter
 from gridslam.io.sessions.archive_file import (
@@ -41,7 +41,6 @@ from gridslam.types import IntArray
 __all__ = ["SESSION_SCHEMA", "SavedRun", "SavedSession", "SessionHead", "read_head", "read_session", "write_session"]
 
 SESSION_SCHEMA = "gridslam.session/3"
-_EARLIER = ("gridslam.session/1", "gridslam.session/2")
 _WHAT = "a session of gridslam"
 
 
@@ -230,10 +229,10 @@ def read_session(path: str | Path, threads: int = 1) -> SavedSession:
     InputError
         The file cannot be read, is damaged, has another schema, or its arrays do not belong together.
     """
-    arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT, *_EARLIER)
+    arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT)
     with name_file(path, _WHAT):
         head = _parse_head(arrays)
-        configuration = loads_saved(head["configuration"])
+        configuration = loads(head["configuration"])
         pieces = [
             _load_piece(select_part(arrays, f"pieces.{number}"), drives, configuration.mapper.resolution_m)
             for number, drives in enumerate(head["pieces"])
@@ -255,7 +254,7 @@ def read_session(path: str | Path, threads: int = 1) -> SavedSession:
 
 def read_head(path: str | Path) -> SessionHead:
     """Read what a session file holds, without restoring it; raises InputError as `read_session`."""
-    arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT, *_EARLIER)
+    arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT)
     with name_file(path, _WHAT):
         head = _parse_head(arrays)
         ends = "graph.poses", "run.state.ancestry.trunk", "run.state.ancestry.counts"

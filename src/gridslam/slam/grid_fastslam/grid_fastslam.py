@@ -23,7 +23,6 @@ from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.models.motion import DiffusionMotion
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose
-from gridslam.particles.kld_sampling import FixedNumber, ParticleNumber
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold, ResamplingPolicy, UpdatePolicy
 from gridslam.particles.resampling import Systematic, effective_sample_size
 from gridslam.scan import Thinning
@@ -81,8 +80,6 @@ class GridFastSlam:
         Which scans are key scans, at which the particles are stepped: by what moved since the last one of its laser.
     when_to_resample : ResamplingPolicy
         When resampling is worth its loss of diversity.
-    particle_number : ParticleNumber
-        How many particles there are after a key scan.
     map_limit : MapLimit
         How much the particles' maps may take.
     reports : ReportBuilder
@@ -95,7 +92,7 @@ class GridFastSlam:
     thinning : Thinning
         How many beams of a dense scan are used.
     particles : int, >= 1
-        Default number of particles of `init`, and the most that `particle_number` may choose.
+        Default number of particles of `init`.
     threads : int
         Threads of the kernels; never changes a result.
 
@@ -112,7 +109,6 @@ class GridFastSlam:
     resampler: Resampler = Systematic()
     when_to_update: UpdatePolicy = MotionThreshold()
     when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
-    particle_number: ParticleNumber = FixedNumber()
     map_limit: MapLimit = MapLimit()
     reports: ReportBuilder = ReportBuilder()
     loop_closure: LoopClosure | None = None
@@ -199,9 +195,8 @@ class GridFastSlam:
         state.accept(estimate)
         n_eff = effective_sample_size(state.log_weights)  # N_eff
         parents = None
-        count = self.particle_number(state.poses, state.log_weights, self.particles)
-        if count != len(state.poses) or self.when_to_resample(n_eff, count):  # resample
-            parents = self.resampler(np.exp(state.log_weights), count, rng)
+        if self.when_to_resample(n_eff, len(state.poses)):  # resample
+            parents = self.resampler(np.exp(state.log_weights), len(state.poses), rng)
             state.resample(parents)
         parents = self._bound(state, parents)
         report = self.reports.key_scan(state, scan, moved, estimate, n_eff, parents)  # report

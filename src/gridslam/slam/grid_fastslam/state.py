@@ -25,7 +25,6 @@ from gridslam.particles.resampling import normalize, relative_to_greatest, requi
 from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.drift_model import compute_step_moments
 from gridslam.slam.loop_closure.state import LoopClosureState
-from gridslam.tracking.recent_scans import RecentScans
 from gridslam.tracking.state import UnmatchedMotion
 from gridslam.tracking.tracker import TrackerState
 from gridslam.types import FloatArray, IntArray, describe_pose
@@ -33,8 +32,6 @@ from gridslam.types import FloatArray, IntArray, describe_pose
 __all__ = ["STATE_SCHEMA", "Estimate", "GridFastSlamState"]
 
 STATE_SCHEMA = "gridslam.state/13"
-_BEFORE_SUBMAPS = "gridslam.state/11"
-_BEFORE_SURFACES = "gridslam.state/12"
 
 _DECISIVE = 3.0
 """Nats, odds of 20 to 1, by which another particle is better before it is reported in place of the one that was: else
@@ -272,12 +269,7 @@ class GridFastSlamState:
     ) -> GridFastSlamState:
         """Rebuild the state of a filter with this mapper; ArgumentError for a wrong schema or a missing array."""
         schema = str(arrays.get("schema", "none"))
-        if schema == _BEFORE_SUBMAPS:
-            arrays = _let_search_begin(arrays)
-        if schema in (_BEFORE_SUBMAPS, _BEFORE_SURFACES):
-            nothing = serialization.to_arrays(RecentScans())
-            arrays = {**arrays, **{f"tracker.recent.{name}": values for name, values in nothing.items()}}
-        elif schema != STATE_SCHEMA:
+        if schema != STATE_SCHEMA:
             raise ArgumentError("arrays", f"a state of schema {STATE_SCHEMA}", schema)
         state = serialization.from_arrays(cls, arrays, {TileMaps: partial(mapper.restore, threads=threads)})
         require_log_weights(state.log_weights)
@@ -291,14 +283,3 @@ class GridFastSlamState:
 
 _contents = attrgetter(*(own.name for own in fields(GridFastSlamState)))
 """All fields of a state, in the order in which its class takes them."""
-
-
-def _let_search_begin(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Convert arrays of a state whose places were recognized scan by scan: submaps are compared from the first on."""
-    gone = "closure_state.search.", "closure_state.unconfirmed.", "closure_state.rejected"
-    kept = {name: values for name, values in arrays.items() if not name.startswith(gone)}
-    if len(kept) < len(arrays):
-        begun = serialization.to_arrays(LoopClosureState())
-        own = ("search.", "rejected")
-        kept |= {f"closure_state.{name}": values for name, values in begun.items() if name.startswith(own)}
-    return kept | {"best": np.array(np.argmax(kept["log_ancestry"]))}

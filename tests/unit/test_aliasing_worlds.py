@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from aliasing_worlds import cross, make_world, ring, serpentine, twins
 from gridslam.geometry import se2
-from gridslam.sim import RobotConfig, make_world
-from gridslam.sim.aliasing import cross, ring, serpentine, twins
+from gridslam.sim import RobotConfig
 from gridslam.sim.lidar import LidarConfig, cast_rays
 from support.drives import follow
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from closure_errors import closure_errors, false_closures
 from gridslam.errors import ArgumentError
-from gridslam.evaluation import closure_errors, false_closures
 from gridslam.geometry.se2 import between, compose
 
 TRUTH = np.array([[0.0, 0.0, 0.0], [2.0, 1.0, math.pi / 2], [2.0, 4.0, math.pi - 0.01], [-1.0, 0.0, -3.0]])

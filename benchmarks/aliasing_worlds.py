@@ -7,7 +7,7 @@ others it never does, and any loop closure is false. And rooms in which things h
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -15,9 +15,11 @@ import numpy as np
 
 from gridslam.sim.floor_plan import box, carve, clearance, furniture, join
 from gridslam.sim.world import Change, World, distinct, wander
+from gridslam.sim.worlds import make_world as make_plain_world
 from gridslam.types import FloatArray
 
 __all__ = [
+    "ALIASED",
     "BARE_CORRIDORS",
     "EQUAL_ROOMS",
     "SYMMETRIC",
@@ -28,6 +30,7 @@ __all__ = [
     "equal_rooms",
     "facing_corridors",
     "long_way_round",
+    "make_world",
     "moved_furniture",
     "ring",
     "serpentine",
@@ -454,3 +457,16 @@ BARE_CORRIDORS: tuple[Callable[[np.random.Generator], World], ...] = (serpentine
 
 EQUAL_ROOMS: tuple[Callable[[np.random.Generator], World], ...] = (facing_corridors, long_way_round)
 """What `equal_rooms` draws one of."""
+
+ALIASED: Mapping[str, Callable[[np.random.Generator], World]] = {
+    "equal_rooms": equal_rooms,
+    "symmetric": symmetric,
+    "bare_corridors": bare_corridors,
+    "moved_furniture": moved_furniture,
+}
+"""Kinds of worlds of which each seed draws another, by name."""
+
+
+def make_world(name: str, rng: np.random.Generator) -> World:
+    """World of that name: one of `ALIASED`, or of `gridslam.sim`."""
+    return ALIASED[name](rng) if name in ALIASED else make_plain_world(name, rng)
