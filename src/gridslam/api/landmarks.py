@@ -49,7 +49,6 @@ from gridslam.slam.landmarks.fastslam1 import FastSlam1
 from gridslam.slam.landmarks.fastslam2 import FastSlam2
 from gridslam.slam.landmarks.filters import LandmarkFilters
 from gridslam.slam.landmarks.graph_slam import LandmarkGraphSlam
-from gridslam.slam.landmarks.local_frame import FastSlam2WithLocalFrames
 from gridslam.slam.landmarks.particles import smooth_trajectory
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
@@ -445,7 +444,7 @@ def _associate(
     """Steps with estimated correspondences."""
     standard = model == SENSORS[ObservationKind.DEPTH_BEARING]
     filters = LandmarkFilters(_WIDE_SENSOR if standard else model, MaximumLikelihood(), _PATIENT)
-    slam: FastSlam2 = FastSlam2WithCalibration(filters) if has_noise else FastSlam2WithLocalFrames(filters)
+    slam: FastSlam2 = FastSlam2WithCalibration(filters) if has_noise else FastSlam2(filters)
     bias = SystematicErrors() if has_noise else COMMANDS
     smoothing = _SMOOTH_MOTION if motion == MOTION else motion
     associate = BatchAssociation(slam, _RELATIVE if standard else model, bias, smoothing)

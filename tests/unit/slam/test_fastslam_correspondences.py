@@ -12,7 +12,6 @@ from gridslam.particles.policies import NeverResample
 from gridslam.slam.landmarks.fastslam1 import FastSlam1
 from gridslam.slam.landmarks.fastslam2 import FastSlam2
 from gridslam.slam.landmarks.filters import LandmarkFilters, SampledPoses
-from gridslam.slam.landmarks.local_frame import FastSlam2WithLocalFrames
 
 ALL_AROUND = LandmarkExistence(
     detection=0.9, false_alarm=0.01, log_odds_confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
@@ -38,7 +37,7 @@ def test_correspondences_are_drawn_by_their_likelihood_and_weighed_by_its_sum():
 def test_neighbours_are_found_the_surest_first():
     """Only the right one of two neighbours is known: it keeps its landmark, whichever of them is told of first."""
     sensor = RelativePosition(sigma_x_m=0.05, sigma_y_m=0.05)
-    for kind in (FastSlam1, FastSlam2, FastSlam2WithLocalFrames):
+    for kind in (FastSlam1, FastSlam2):
         for seen in ([[3.0, 0.0], [3.0, 0.18]], [[3.0, 0.18], [3.0, 0.0]]):
             slam, rng = kind(LandmarkFilters(sensor, MaximumLikelihood(), ALL_AROUND)), np.random.default_rng(17)
             state, _ = slam.step(slam.init(5), STILL, LandmarkObservations.of([[3.0, 0.0]]), rng)

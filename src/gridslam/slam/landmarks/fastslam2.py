@@ -4,7 +4,7 @@ Where the motion is noisier than the sensor, most poses sampled from the motion 
 particles are lost by resampling. Here the Gaussian of the motion is first corrected by the observations, as in an EKF,
 for each particle with its own map.
 
-Two variants sample less of the path: `FastSlam2WithLocalFrames` and `FastSlam2WithCalibration`.
+A variant samples less of the path: `FastSlam2WithCalibration`.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class FastSlam2:
             columns[:, k], log_p, seen = self.landmarks.correspond(state, observations, k, proposal, columns, rng)
             log_weights += log_p  # w = N(z; h, L), or p_0 for a new landmark
             proposal.correct(seen)  # covariance and mean of proposal: Sigma_x, mu_x
-        sampled = self._sample(proposal, observations, columns, rng)  # sample pose: x_t ~ N(mu_x, Sigma_x)
+        sampled = proposal.sample(rng)  # sample pose: x_t ~ N(mu_x, Sigma_x)
         state.advance(proposal.mean, proposal.covariance, log_weights)
         for k in range(len(observations)):  # update Kalman filters
             rows = np.flatnonzero(columns[:, k] >= 0)  # observed landmark: K = Sigma_j H_m' Q_j^-1
@@ -169,8 +169,3 @@ class FastSlam2:
 
     def _propose(self, state: LandmarkParticles, mean: FloatArray, covariance: FloatArray) -> PoseProposal:
         return PoseProposal(mean, covariance)
-
-    def _sample(
-        self, proposal: PoseProposal, observations: LandmarkObservations, columns: IntArray, rng: np.random.Generator
-    ) -> SampledPoses:
-        return proposal.sample(rng)

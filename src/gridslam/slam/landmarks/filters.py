@@ -299,7 +299,6 @@ class LandmarkFilters:
         state.evidence[of] = math.inf if known else 0.0
         state.confirmed[of] = known
         state.observations[of] = 0
-        state.landmark_in_local_frame[of] = state.in_local_frame[rows]
 
     def count(self, state: LandmarkParticles, columns: IntArray) -> None:
         """Count the observations of landmarks `columns` (N, K), update the evidence of all, and drop refuted ones.

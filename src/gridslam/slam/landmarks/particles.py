@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ConsumedStateError
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between, compose, lever_arm_jacobian
 from gridslam.kernels import backend
 from gridslam.models.association import NEW
 from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors
@@ -64,15 +63,6 @@ class LandmarkParticles:
         Confirmed landmarks.
     observations : (N, M) int64
         Number of observations of each.
-    local_frames, local_frame_covariances : (N, 3), (N, 3, 3) float64
-        Pose of each particle's local frame in the map frame, and its covariance: see
-        `gridslam.slam.landmarks.local_frame`.
-    in_local_frame, local_frame_step : (N,) bool, (N,) int64
-        Whether the robot is in it, and the step at which it was opened, 0 if there is none.
-    replaced_local_frames : (N, 5) float64 or None
-        Within a step that opens local frames: those before, as the ancestry keeps them.
-    landmark_in_local_frame : (N, M) bool
-        Landmarks kept in the local frame.
     ancestry : Ancestry
         Ancestry of all particles, step by step, including the first pose: `smooth_trajectory` computes
         trajectories from it.
@@ -91,13 +81,7 @@ class LandmarkParticles:
     evidence: FloatArray
     confirmed: NDArray[np.bool_]
     observations: IntArray
-    local_frames: FloatArray
-    local_frame_covariances: FloatArray
-    in_local_frame: NDArray[np.bool_]
-    local_frame_step: IntArray
-    landmark_in_local_frame: NDArray[np.bool_]
     ancestry: Ancestry
-    replaced_local_frames: FloatArray | None = None
     consumed: bool = False
 
     @classmethod
@@ -124,12 +108,7 @@ class LandmarkParticles:
             evidence=np.empty((particles, 0)),
             confirmed=np.empty((particles, 0), np.bool_),
             observations=np.empty((particles, 0), np.int64),
-            local_frames=np.zeros((particles, 3)),
-            local_frame_covariances=np.zeros((particles, 3, 3)),
-            in_local_frame=np.zeros(particles, np.bool_),
-            local_frame_step=np.zeros(particles, np.int64),
-            landmark_in_local_frame=np.empty((particles, 0), np.bool_),
-            ancestry=Ancestry.start(np.pad(poses, ((0, 0), (0, 6 + (5 + errors) * errors)))),
+            ancestry=Ancestry.start(np.pad(poses, ((0, 0), (0, 1 + (5 + errors) * errors)))),
         )
 
     def __len__(self) -> int:
@@ -194,14 +173,9 @@ class LandmarkParticles:
         """
         self.state_means = known
         self.state_covariances = spread
-        past = np.zeros((len(self), 9))  # the pose, its local frame, and whether it was drawn
+        past = np.zeros((len(self), 4))  # the pose, and whether it was drawn
         past[:, :3] = self.poses
-        if self.replaced_local_frames is not None:
-            past[:, 3:8] = self.replaced_local_frames
-        elif self.local_frame_step.any():
-            past[:, 3:8] = self._describe_local_frames()
-        past[:, 8] = log_weights is not None
-        self.replaced_local_frames = None
+        past[:, 3] = log_weights is not None
         if self.pose_by_bias.size:
             self.pose_by_bias = spread[:, :3, 3:] @ np.linalg.inv(spread[:, 3:, 3:])
             of_bias = known[:, 3:], *(part.reshape(len(self), -1) for part in (self.pose_by_bias, self.bias_before))
@@ -211,20 +185,6 @@ class LandmarkParticles:
             self.log_weights = normalize(self.log_weights + log_weights)
             accumulated = self.log_ancestry + log_weights
             self.log_ancestry = accumulated - accumulated.max()
-
-    def open_local_frames(self, rows: IntArray, poses: FloatArray) -> None:
-        """Open local frames at poses (R, 3) in particles `rows` (R,), with no landmark in them yet."""
-        self.in_local_frame[rows] = False
-        self.replaced_local_frames = self._describe_local_frames()
-        self.local_frames[rows] = poses
-        self.in_local_frame[rows] = True
-        self.landmark_in_local_frame[rows] = False
-        self.local_frame_step[rows] = self.ancestry.steps  # the step that is being taken
-
-    def _describe_local_frames(self) -> FloatArray:
-        """Pose (3), opening step and flag of the local frame of each particle (N, 5)."""
-        columns = [self.local_frames, self.local_frame_step, self.in_local_frame]
-        return np.column_stack(columns).astype(np.float64)
 
     def resample(self, drawn: IntArray) -> IntArray:
         """Let the particles `drawn` (N,) go on, with equal weights; returns the parents (N,), in another order.
@@ -251,7 +211,7 @@ class LandmarkParticles:
         _, _, total, squares, covariance = backend.mean_shift(
             self.poses, weights, all_of_them, self.poses[best], math.inf, math.inf, 1
         )
-        spread = self._pose_covariances()
+        spread = self.state_covariances[:, :3, :3]
         if spread.any():  # not where all are drawn
             covariance += np.einsum("n,nij->ij", weights, spread)
         columns = places[best]
@@ -271,20 +231,10 @@ class LandmarkParticles:
         arrays = {name: getattr(self, name).copy() for name in _ARRAYS}
         return LandmarkParticles(**arrays, ancestry=self.ancestry.snapshot())
 
-    def _pose_covariances(self) -> FloatArray:
-        """Covariance of each particle's pose (N, 3, 3), including that of its local frame where the robot is in it."""
-        if not self.in_local_frame.any():
-            return self.state_covariances[:, :3, :3]
-        levers = lever_arm_jacobian(self.local_frames, self.poses)
-        of_frame = transform_covariances(levers, self.local_frame_covariances)
-        return self.state_covariances[:, :3, :3] + self.in_local_frame[:, None, None] * of_frame
-
     def _landmark_covariances(self) -> FloatArray:
-        """Covariances of landmarks (N, M, 2, 2), including those of the odometry errors and of the local frame."""
-        levers = lever_arm_jacobian(self.local_frames[:, None], self.positions)
-        moved = transform_covariances(levers, self.local_frame_covariances[:, None])[..., :2, :2]
+        """Covariances of landmarks (N, M, 2, 2), including those of the odometry errors."""
         turned = transform_covariances(self.positions_by_bias, self.state_covariances[:, None, 3:, 3:])
-        return self.covariances + turned + self.landmark_in_local_frame[..., None, None] * moved
+        return self.covariances + turned
 
     def _grow(self) -> None:
         """Add free columns."""
@@ -308,7 +258,6 @@ _OF_LANDMARKS = {
     "evidence": -np.inf,
     "confirmed": False,
     "observations": 0,
-    "landmark_in_local_frame": False,
 }
 _OF_POSES = (
     "state_means",
@@ -316,10 +265,6 @@ _OF_POSES = (
     "pose_by_bias",
     "bias_before",
     "log_ancestry",
-    "local_frames",
-    "local_frame_covariances",
-    "in_local_frame",
-    "local_frame_step",
 )
 _OF_PARTICLES = *_OF_POSES, *_OF_LANDMARKS
 _ARRAYS = *_OF_PARTICLES, "log_weights", "names"
@@ -330,10 +275,9 @@ def smooth_trajectory(
 ) -> FloatArray:
     """Trajectory (1 + T, 3) of a particle, map frame: sampled poses, and smoothed poses between them.
 
-    Poses sampled in a local frame are transformed by its final pose, and all sampled poses are corrected by the final
-    estimate of the odometry errors. Poses that were not sampled, since nothing was observed, are the means of
-    p(x_t | u, the poses sampled before and after), by one pass of a Kalman smoother. For FastSLAM 1.0, which samples
-    every pose, the trajectory is the ancestry.
+    Sampled poses are corrected by the final estimate of the odometry errors. Poses that were not sampled, since nothing
+    was observed, are the means of p(x_t | u, the poses sampled before and after), by one pass of a Kalman smoother. For
+    FastSLAM 1.0, which samples every pose, the trajectory is the ancestry.
 
     Parameters
     ----------
@@ -351,17 +295,8 @@ def smooth_trajectory(
     """
     rows = state.ancestry.trajectory(particle)
     poses = rows[:, :3]
-    local_frames = rows[:, 3:6]
-    local_frame_step = rows[:, 6]
-    in_local_frame = rows[:, 7] > 0
-    drawn = rows[:, 8] > 0
-    errors = _smooth_bias(poses, rows[:, 9:], len(bias))
-    for frame in np.unique(local_frame_step[local_frame_step > 0]).astype(int).tolist():
-        mine = local_frame_step == frame
-        end = local_frames[mine][-1]
-        inside = mine & in_local_frame
-        poses[inside] = compose(end, between(local_frames[inside], poses[inside]))
-        poses[frame] = end  # it came to be where the robot was
+    drawn = rows[:, 3] > 0
+    errors = _smooth_bias(poses, rows[:, 4:], len(bias))
     drawn[0] = True
     keys = np.flatnonzero(drawn)
     for begin, end in zip(keys[:-1].tolist(), keys[1:].tolist(), strict=True):
