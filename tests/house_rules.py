@@ -22,7 +22,7 @@ ONLY_IN = {
     "pydantic_core": {"parameters", "config"},
     "numpy": set(RANKS),
     "scipy": {"slam", "localization", "evaluation", "tuning"},
-    "cmaes": {"tuning"},
+    "optuna": {"tuning"},
     "qdldl": {"slam"},
     "rosbags": {"io"},
     "lz4": {"io"},

@@ -34,7 +34,7 @@ from gridslam.io.trajectories import read_relations
 from gridslam.localization import KnownMap, MonteCarloLocalization
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig
-from gridslam.tuning.report import plot_convergence, plot_importance
+from gridslam.tuning.report import plot_convergence
 from gridslam.tuning.tune import Trial, Tuning
 from gridslam.types import FloatArray, StepReport
 from gridslam.viz import draw_graph
@@ -231,11 +231,10 @@ def tuning() -> None:
     labels = "log10 of the error as a ratio to the default's", "log10 of the score as a ratio to the default's"
     keep("self_consistency", draw_chart(Figure("30 configurations on each log", *labels, tuple(series))), 760)
     found = json.loads((RESULTS / "tuning.json").read_text())["from_spoiled"]
-    trials = tuple(Trial(stage, part, {}, {}, ratio or math.inf) for stage, part, ratio in found["trials"])
-    done = Tuning(Configuration(), None, (), trials[0], trials, found["importance"])
-    for name, plot in (("tuning_convergence", plot_convergence), ("tuning_importance", plot_importance)):
-        figure, caption = plot(done)
-        keep(name, draw_chart(figure, caption=[caption]), 760)
+    trials = tuple(Trial(part, {}, {}, ratio or math.inf) for _, part, ratio in found["trials"])
+    done = Tuning(Configuration(), None, (), trials[0], trials)
+    figure, caption = plot_convergence(done)
+    keep("tuning_convergence", draw_chart(figure, caption=[caption]), 760)
 
 
 def sessions() -> None:

@@ -25,11 +25,10 @@ from gridslam.errors import InputError, OutputError
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.output import write_atomically
-from gridslam.tuning.evolution import load_library
-from gridslam.tuning.report import describe_verdict, plot_convergence, plot_importance, to_document, to_toml
+from gridslam.tuning.report import describe_verdict, plot_convergence, to_document, to_toml
 from gridslam.tuning.search_space import SearchSpace
 from gridslam.tuning.trial import find_reference
-from gridslam.tuning.tune import Budget, Settings, Trial, TunedLog, Tuner
+from gridslam.tuning.tune import Budget, Settings, Trial, TunedLog, Tuner, load_optuna
 from gridslam.viz.chart import draw_chart
 
 __all__ = ["TuneOptions", "read_duration_s", "run_tune"]
@@ -97,7 +96,7 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
     folder = out.with_suffix(".tune")
     if folder == out:
         raise click.ClickException(f"{out}: expected the name of a file to write, as best.toml")
-    load_library()
+    load_optuna()
     read = tune.read_logs(logs, given.options)
     try:
         with Journal(folder) as journal:
@@ -128,8 +127,7 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
     with write_apart() as write:
         write(_write_text, out, to_toml(tuning, chosen))
         write(_write_text, folder / "tune.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
-        for name, plot in (("convergence.png", plot_convergence), ("importance.png", plot_importance)):
-            write(_draw, folder / name, *plot(tuning))
+        write(_draw, folder / "convergence.png", *plot_convergence(tuning))
         tried = len({tuple(trial.values.items()) for trial in tuning.trials})
         lines = [f"{tried} configurations were tried", *describe_verdict(tuning, chosen), f"{out}; details: {folder}"]
         print_result(document, lines, as_json)
@@ -182,7 +180,7 @@ class _Progress:
         done = self._tuner.trials
         whole = [one.ratio for one in done if one.part == 1.0]
         best = f", best {min(whole):.3f} times the start's error" if whole else ""
-        self._text = f"{trial.stage} on {trial.part:.0%} of the logs: trial {len(done)}{best}"
+        self._text = f"on {trial.part:.0%} of the logs: trial {len(done)}{best}"
 
     def on_poll(self) -> None:
         """Show how far it is, and stop if interrupted."""

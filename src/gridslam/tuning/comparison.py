@@ -13,7 +13,7 @@ import numpy as np
 from gridslam.errors import ArgumentError
 from gridslam.types import FloatArray
 
-__all__ = ["CONFIDENCE", "Comparison", "Pair", "compare", "measure_importance"]
+__all__ = ["CONFIDENCE", "Comparison", "Pair", "compare"]
 
 CONFIDENCE = 0.95
 
@@ -23,8 +23,6 @@ log are no independent evidence of that. With fewer, each pair of runs is one, a
 
 _FAILED = math.log(10.0)
 """Difference that is counted where one configuration fails and the other does not: an error ten times as large."""
-
-_BINS = 4
 
 
 @final
@@ -127,34 +125,3 @@ def _seed_deviation(pairs: Sequence[Pair]) -> float:
         return math.nan
     values, weights = zip(*variances, strict=True)
     return math.sqrt(float(np.average(values, weights=weights)))
-
-
-def measure_importance(points: FloatArray, losses: Sequence[float]) -> FloatArray:
-    """Share of the variance of the losses' ranks that each dimension explains by itself, (D,), [0, 1].
-
-    First-order sensitivity from given data: between the means in equally filled parts of the dimension, less what is
-    expected by chance. Zeros where there are fewer than 8 points.
-
-    Parameters
-    ----------
-    points : (N, D) float64
-        A spread over the unit cube, as a Latin hypercube.
-    losses : sequence of N float
-        Infinite ones rank last.
-
-    References
-    ----------
-    E. Plischke, E. Borgonovo, C. Smith, *Global sensitivity measures from given data*, EJOR 2013.
-    """
-    count, dimensions = points.shape
-    if count < 2 * _BINS:
-        return np.zeros(dimensions)
-    ranks = np.argsort(np.argsort(losses, kind="stable"), kind="stable").astype(np.float64)
-    total = float(ranks.var())
-    shares = []
-    for column in points.T:
-        parts = np.array_split(ranks[np.argsort(column, kind="stable")], _BINS)
-        between = sum(len(part) * (part.mean() - ranks.mean()) ** 2 for part in parts) / count / total
-        by_chance = (_BINS - 1) / (count - 1)
-        shares.append(max(0.0, (between - by_chance) / (1 - by_chance)))
-    return np.array(shares)

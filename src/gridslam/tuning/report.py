@@ -16,9 +16,9 @@ from gridslam.doctor.finding import Figure, Mark, Series
 from gridslam.tuning.comparison import CONFIDENCE, Comparison
 from gridslam.tuning.tune import Settings, TunedLog, Tuning
 
-__all__ = ["TUNING_SCHEMA", "describe_verdict", "plot_convergence", "plot_importance", "to_document", "to_toml"]
+__all__ = ["TUNING_SCHEMA", "describe_verdict", "plot_convergence", "to_document", "to_toml"]
 
-TUNING_SCHEMA: Final = "gridslam.tuning/1"
+TUNING_SCHEMA: Final = "gridslam.tuning/2"
 
 _HIGHEST = 3.0  # ratio to the start up to which trials are drawn
 
@@ -82,7 +82,6 @@ def to_document(tuning: Tuning, settings: Settings, logs: Sequence[TunedLog], tr
             for pair in tuning.pairs
         ],
         "best": tuning.best.values,
-        "importance": tuning.importance,
         "configuration": to_table(tuning.configuration),
         "trials": [
             {
@@ -115,20 +114,6 @@ def plot_convergence(tuning: Tuning) -> tuple[Figure, str]:
     )
     beyond = int(np.isnan(drawn).sum())
     return figure, f"{beyond} trials are above {_HIGHEST:g} times the start, or failed."
-
-
-def plot_importance(tuning: Tuning) -> tuple[Figure, str]:
-    """Figure with its caption: the share of the variance that each parameter explains by itself, the greatest first."""
-    ordered = sorted(tuning.importance.items(), key=lambda one: -one[1])
-    shares = np.array([share for _, share in ordered])
-    figure = Figure(
-        "Importance of parameters",
-        "parameter",
-        "share of the variance of ranks",
-        (Series("share", np.arange(1.0, len(ordered) + 1), shares, "bars"),),
-    )
-    key = ", ".join(f"{k} {name} ({share:.2f})" for k, (name, share) in enumerate(ordered, 1))
-    return figure, key
 
 
 def _interval(found: Comparison) -> str:

@@ -1,18 +1,14 @@
-"""The parameters that are searched, as points of the unit cube."""
+"""The parameters that are searched, as Optuna's distributions."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import final
-
-import numpy as np
+from typing import Any, final
 
 from gridslam.config import PARAMETERS, Configuration, Search, override
 from gridslam.config.tables import value_of
-from gridslam.errors import ArgumentError, ConfigurationError
-from gridslam.types import FloatArray
+from gridslam.errors import ConfigurationError
 
 __all__ = ["Dimension", "SearchSpace", "Value"]
 
@@ -29,19 +25,19 @@ class Dimension:
     search: Search
     switch: bool = False
 
-    def value_at(self, share: float) -> Value:
-        """Value at a share in [0, 1] of the range."""
-        if self.switch:
-            return share >= 0.5
-        low, high, log = self.search
-        value = math.exp(math.log(low) + share * math.log(high / low)) if log else low + share * (high - low)
-        return float(f"{value:.{_DIGITS}g}")
+    def distribution(self) -> Any:  # noqa: ANN401
+        """Return Optuna's distribution of it."""
+        import optuna  # an extra
 
-    def share_of(self, value: Value) -> float:
-        """Share of the range at which a value lies; one outside is at its end."""
-        low, high, log = self.search
-        share = math.log(max(value, low) / low) / math.log(high / low) if log else (value - low) / (high - low)
-        return min(max(share, 0.0), 1.0)
+        if self.switch:
+            return optuna.distributions.CategoricalDistribution([False, True])
+        return optuna.distributions.FloatDistribution(self.search.low, self.search.high, log=self.search.log)
+
+    def round(self, value: Value) -> Value:
+        """Return a value within the range, as it is written."""
+        if self.switch:
+            return bool(value)
+        return float(f"{min(max(value, self.search.low), self.search.high):.{_DIGITS}g}")
 
 
 @final
@@ -70,30 +66,14 @@ class SearchSpace:
             raise ConfigurationError(f"{unknown[0]}: cannot be tuned; expected one of {', '.join(known)}")
         return cls(tuple(known[name] for name in names or known))
 
-    def __len__(self) -> int:
-        """Return the number of dimensions."""
-        return len(self.dimensions)
+    def round(self, values: Mapping[str, Value]) -> dict[str, Value]:
+        """Return values within the ranges, as they are written."""
+        return {one.name: one.round(values[one.name]) for one in self.dimensions}
 
-    def values_at(self, point: FloatArray) -> dict[str, Value]:
-        """Values by short name at a point (D,) of the unit cube."""
-        shares = point.tolist()
-        return {one.name: one.value_at(share) for one, share in zip(self.dimensions, shares, strict=True)}
-
-    def point_of(self, base: Configuration) -> FloatArray:
-        """Point (D,) of the unit cube at, or nearest to, a configuration."""
-        values = [value_of(base, PARAMETERS[one.name].path) for one in self.dimensions]
-        return np.array([one.share_of(value) for one, value in zip(self.dimensions, values, strict=True)])  # type: ignore[arg-type]
+    def values_of(self, configuration: Configuration) -> dict[str, Value]:
+        """Return the values of a configuration; one outside its range is at the end of it."""
+        return self.round({one.name: value_of(configuration, PARAMETERS[one.name].path) for one in self.dimensions})  # type: ignore[misc]
 
     def apply(self, base: Configuration, values: Mapping[str, Value]) -> Configuration:
         """The configuration with these values; raises ConfigurationError where they do not go together."""
         return override(base, *(f"{name}={str(value).lower()}" for name, value in values.items()))
-
-    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
-        """Points (count, D) of a Latin hypercube: of each dimension every count-th part is drawn once.
-
-        Raises ArgumentError where `count` is negative. Source: M. McKay, R. Beckman, W. Conover, Technometrics 1979.
-        """
-        if count < 0:
-            raise ArgumentError("count", "at least 0", count)
-        strata = np.array([rng.permutation(count) for _ in self.dimensions]).reshape(len(self), count).T
-        return (strata + rng.random((count, len(self)))) / max(count, 1)

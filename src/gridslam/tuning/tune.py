@@ -1,4 +1,4 @@
-"""The search: halving, then evolution, then a comparison of the best with the start on runs that chose neither."""
+"""The search by Optuna, and a comparison of the best with the start on runs that chose neither."""
 
 from __future__ import annotations
 
@@ -12,21 +12,31 @@ import numpy as np
 from gridslam.batch.job import Job, compute_key
 from gridslam.config import Configuration
 from gridslam.config.tables import to_table
-from gridslam.errors import ArgumentError, InputError
+from gridslam.errors import ArgumentError, InputError, MissingDependencyError
 from gridslam.io.log import LogOptions
-from gridslam.tuning.comparison import Comparison, Pair, compare, measure_importance
-from gridslam.tuning.evolution import evolve
-from gridslam.tuning.halving import halve, plan_rungs
+from gridslam.tuning.comparison import Comparison, Pair, compare
 from gridslam.tuning.search_space import SearchSpace, Value
 from gridslam.tuning.trial import TARGET
 from gridslam.types import FloatArray
 
-__all__ = ["Budget", "Settings", "Trial", "TunedLog", "Tuner", "Tuning"]
+__all__ = ["Budget", "Settings", "Trial", "TunedLog", "Tuner", "Tuning", "load_optuna"]
 
 _RESERVE: Final = 1.3
 """Configurations that are tried cost more than the one that the search began with: finer cells, more key scans."""
 
 _FEWEST_TRIALS: Final = 4
+
+_PARTS: Final = {1: 1 / 9, 3: 1 / 3, 9: 1.0}
+"""Parts of the logs on which a configuration is tried, by Optuna's steps: the better third goes on to the next part.
+
+Less than a ninth of a log closes no loop.
+"""
+_SHARE: Final = 0.5
+"""Cost of a trial as a share of whole logs: a third if a third goes on, and the first ones always go on."""
+_BATCH: Final = 8
+"""Configurations that are asked for together, so that workers have something to do."""
+_WORST: Final = 1e6
+"""Ratio that stands for a configuration that fails."""
 
 Row = dict[str, Any]
 
@@ -98,7 +108,6 @@ class Trial:
     `ratio` is its loss as a ratio to the start's, geometric mean over the logs.
     """
 
-    stage: str
     part: float
     values: dict[str, Value]
     losses: dict[str, float]
@@ -126,8 +135,6 @@ class Tuning:
         The best on the logs of the search.
     trials : tuple of Trial
         All, in their order.
-    importance : dict
-        By short name, as `measure_importance`.
     """
 
     configuration: Configuration
@@ -135,7 +142,6 @@ class Tuning:
     pairs: tuple[Pair, ...]
     best: Trial
     trials: tuple[Trial, ...]
-    importance: dict[str, float]
     prefers_default: bool = False
 
     @property
@@ -189,25 +195,11 @@ class Tuner:
         space = settings.space
         self._require_base(1.0, [settings.seed], self._searched)
         self.planned = self._plan_trials()
-        rng = np.random.default_rng(settings.seed)
-        rungs = plan_rungs(max(1, round(self.planned / 2)))
-        drawn = space.draw(rungs[0].candidates, rng)
-        starts = [space.point_of(settings.base), space.point_of(Configuration())]
-        ordered = [*starts, *drawn][: rungs[0].candidates]
-        candidates = list({tuple(point.tolist()): point for point in ordered}.values())  # the start may be the default
-        finalists = halve(candidates, rungs, lambda points, part: self._try("halving", points, part))
-        first_rung = [trial for trial in self.trials if trial.part == rungs[0].part][: len(candidates)]
-        evolve(
-            finalists[0][0],
-            self.planned - rungs[0].candidates,
-            lambda points: self._try("evolution", list(points), 1.0),
-            seed=settings.seed,
-            goes_on=self._has_time,
-        )
+        start, default = (space.values_of(one) for one in (settings.base, Configuration()))
+        self._search(start, default)
         whole = [trial for trial in self.trials if trial.part == 1.0]
         best = min(whole, key=lambda trial: trial.ratio)
         chosen = best.values
-        start, default = (space.values_at(point) for point in starts)
         prefers_default = False
         pairs = list[Pair]()
         if best.ratio < 1:
@@ -216,16 +208,12 @@ class Tuner:
             pairs = self._judge(None, chosen)
         comparison = compare(pairs) if pairs else None
         gains = comparison is not None and comparison.gains
-        importance = measure_importance(
-            np.array([self._point_of(trial) for trial in first_rung]), [trial.ratio for trial in first_rung]
-        )
         return Tuning(
             space.apply(settings.base, chosen) if gains else settings.base,
             comparison,
             tuple(pairs),
             best,
             tuple(self.trials),
-            {one.name: round(share, 4) for one, share in zip(space.dimensions, importance.tolist(), strict=True)},
             prefers_default,
         )
 
@@ -238,10 +226,37 @@ class Tuner:
         """The logs that the best is judged on: those held out, else those of the search."""
         return [log for log in self.logs if log.held_out] or self._searched
 
-    def _try(self, stage: str, points: Sequence[FloatArray], part: float) -> list[float]:
-        """Evaluate points of the unit cube on a part of each log of the search; ratios to the start."""
+    def _search(self, *starts: dict[str, Value]) -> None:
+        """Try the configurations that Optuna asks for, these first, until all that are planned are tried."""
+        optuna = load_optuna()
+        space = self.settings.space
+        study = optuna.create_study(
+            sampler=optuna.samplers.TPESampler(seed=self.settings.seed),
+            pruner=optuna.pruners.SuccessiveHalvingPruner(min_resource=1, reduction_factor=3),
+        )
+        for values in starts:
+            study.enqueue_trial(values, skip_if_exists=True)
+        distributions = {one.name: one.distribution() for one in space.dimensions}
+        left = self.planned
+        while left and (left == self.planned or self._has_time()):
+            asked = [study.ask(distributions) for _ in range(min(_BATCH, left))]
+            left -= len(asked)
+            for step, part in _PARTS.items():
+                ratios = self._try([space.round(trial.params) for trial in asked], part)
+                going_on = []
+                for trial, ratio in zip(asked, ratios, strict=True):
+                    trial.report(min(ratio, _WORST), step)
+                    if part == 1.0:
+                        study.tell(trial, min(ratio, _WORST))
+                    elif trial.should_prune():
+                        study.tell(trial, state=optuna.trial.TrialState.PRUNED)
+                    else:
+                        going_on.append(trial)
+                asked = going_on
+
+    def _try(self, values: Sequence[dict[str, Value]], part: float) -> list[float]:
+        """Map a part of each log of the search with these values; returns ratios to the start."""
         settings = self.settings
-        values = [settings.space.values_at(point) for point in points]
         logs = self._searched
         base = self._require_base(part, [settings.seed], logs)
         configurations = [settings.space.apply(settings.base, one) for one in values]
@@ -249,7 +264,7 @@ class Tuner:
         ratios = np.exp(np.log(losses / base[:, 0]).mean(axis=1))
         for one, of_logs, ratio in zip(values, losses.tolist(), ratios.tolist(), strict=True):
             by_log = {log.name: loss for log, loss in zip(logs, of_logs, strict=True)}
-            self.trials.append(Trial(stage, part, one, by_log, ratio))
+            self.trials.append(Trial(part, one, by_log, ratio))
             self.on_trial(self.trials[-1])
         return [float(ratio) for ratio in ratios]
 
@@ -313,20 +328,16 @@ class Tuner:
         }
         return Job(TARGET, arguments, log.path, f"{log.name}-{key[:16]}", key, "tune")
 
-    def _point_of(self, trial: Trial) -> FloatArray:
-        return self.settings.space.point_of(self.settings.space.apply(self.settings.base, trial.values))
-
     def _plan_trials(self) -> int:
         """Number of trials: as given, or as many as the budget allows by what the start has cost."""
         trials = self.settings.trials
         if self.budget is None:
             return trials
         each = self._spent_s()
-        share = sum(rung.part * rung.candidates for rung in plan_rungs(max(1, trials // 2))) / trials + 0.5
         left = self.budget.seconds * self.budget.workers - each - self._judging_s()
-        affordable = math.floor(left / (_RESERVE * each * share)) if each else trials
+        affordable = math.floor(left / (_RESERVE * each * _SHARE)) if each else trials
         if affordable < _FEWEST_TRIALS:
-            needed = (each + self._judging_s() + _FEWEST_TRIALS * _RESERVE * each * share) / self.budget.workers
+            needed = (each + self._judging_s() + _FEWEST_TRIALS * _RESERVE * each * _SHARE) / self.budget.workers
             problem = f"the budget of {self.budget.seconds:.0f} s is too small: expected {math.ceil(needed)} s at least"
             raise InputError(self._searched[0].path, problem)
         return min(trials, affordable)
@@ -350,6 +361,16 @@ class Tuner:
         if self.budget is None:
             return True
         return self._spent_s() + self._judging_s() < self.budget.seconds * self.budget.workers
+
+
+def load_optuna() -> Any:  # noqa: ANN401
+    """Module optuna, without its log; raises MissingDependencyError where it is not installed (extra: tune)."""
+    try:
+        import optuna
+    except ImportError:
+        raise MissingDependencyError("gridslam tune", "optuna", "tune") from None
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    return optuna
 
 
 def _loss_of(row: Mapping[str, Any]) -> float:

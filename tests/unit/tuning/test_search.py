@@ -1,18 +1,11 @@
-"""The parts of a tuning: the space, halving, CMA-ES, and the importance of parameters."""
+"""The space that a tuning searches."""
 
 from __future__ import annotations
 
-import math
-from itertools import pairwise
-
-import numpy as np
 import pytest
 
 from gridslam.config import PARAMETERS, Configuration, override, preset
-from gridslam.errors import ArgumentError, ConfigurationError
-from gridslam.tuning.comparison import measure_importance
-from gridslam.tuning.evolution import evolve, population_of
-from gridslam.tuning.halving import REDUCTION, halve, plan_rungs
+from gridslam.errors import ConfigurationError
 from gridslam.tuning.search_space import SearchSpace
 
 DEFAULT = Configuration()
@@ -24,25 +17,23 @@ def test_all_parameters_with_a_range_are_searched_and_no_others():
     assert {"particles", "range_min_m", "lost_below"}.isdisjoint(one.name for one in space.dimensions)
 
 
-def test_point_and_values_are_inverse():
+@pytest.mark.parametrize("end", ["low", "high"])
+def test_ends_are_valid_and_the_default_is_itself(end):
     space = SearchSpace.of(DEFAULT)
-    for point in np.random.default_rng(0).random((50, len(space))):
-        values = space.values_at(point)
-        found = space.point_of(space.apply(DEFAULT, values))
-        assert space.values_at(found) == values
+    values = space.round({one.name: getattr(one.search, end) for one in space.dimensions})
+    assert space.values_of(space.apply(DEFAULT, values)) == values
+    assert space.apply(DEFAULT, space.values_of(DEFAULT)) == DEFAULT
 
 
-def test_corners_are_valid_and_the_default_is_itself():
-    space = SearchSpace.of(DEFAULT)
-    for corner in (np.zeros(len(space)), np.ones(len(space))):
-        space.apply(DEFAULT, space.values_at(corner))
-    assert space.apply(DEFAULT, space.values_at(space.point_of(DEFAULT))) == DEFAULT
-
-
-def test_values_outside_are_at_the_end_of_the_range():
+def test_values_outside_are_at_the_end_of_the_range_and_others_are_rounded():
     space = SearchSpace.of(DEFAULT, ["beam_sigma_m", "resample_below"])
+    sigma, below = space.dimensions
     far = override(DEFAULT, "beam_sigma_m=1.0", "resample_below=0.01")
-    assert space.point_of(far).tolist() == [1.0, 0.0]
+    assert space.values_of(far) == {"beam_sigma_m": sigma.search.high, "resample_below": below.search.low}
+    assert space.round({"beam_sigma_m": 0.0012345678, "resample_below": 0.5}) == {
+        "beam_sigma_m": 0.001235,
+        "resample_below": 0.5,
+    }
 
 
 def test_parameters_of_another_kind_are_left_out():
@@ -51,100 +42,3 @@ def test_parameters_of_another_kind_are_left_out():
     assert "key_scan_m" in of_gmapping
     with pytest.raises(ConfigurationError, match="beam_sigma_m: cannot be tuned; expected one of resolution_m"):
         SearchSpace.of(preset("gmapping"), ["beam_sigma_m"])
-
-
-def test_each_stratum_of_each_dimension_is_drawn_once():
-    drawn = SearchSpace.of(DEFAULT).draw(20, np.random.default_rng(0))
-    assert (np.sort(np.floor(drawn * 20), axis=0) == np.arange(20)[:, None]).all()
-    assert len(SearchSpace.of(DEFAULT).draw(0, np.random.default_rng(0))) == 0
-
-
-@pytest.mark.parametrize("candidates", [1, 2, 3, 8, 9, 27, 30, 100])
-def test_rungs_end_with_whole_logs_and_cost_about_the_same(candidates):
-    rungs = plan_rungs(candidates)
-    assert rungs[0].candidates == candidates
-    assert rungs[-1].part == 1.0
-    costs = [rung.candidates * rung.part for rung in rungs]
-    assert max(costs) <= candidates * rungs[0].part + 1e-9
-    for one, other in pairwise(rungs):
-        assert other.part == pytest.approx(REDUCTION * one.part)
-        assert other.candidates == max(1, candidates // REDUCTION ** (rungs.index(other)))
-    with pytest.raises(ArgumentError, match="candidates"):
-        plan_rungs(0)
-    with pytest.raises(ArgumentError, match="shortest_part"):
-        plan_rungs(1, 0.0)
-
-
-def test_halving_keeps_the_best_and_ranks_failures_last():
-    """Where parts rank as whole logs do the best of all survives; nobody is evaluated after it was left."""
-    rng = np.random.default_rng(0)
-    losses = rng.permutation(27).astype(float)
-    losses[losses > 20] = math.inf
-    asked = []
-
-    def evaluate(candidates, part):
-        asked.append((len(candidates), part))
-        return [losses[one] + part for one in candidates]
-
-    found = halve(range(27), plan_rungs(27), evaluate)
-    assert found[0][0] == int(np.argmin(losses))
-    assert [loss for _, loss in found] == sorted(loss for _, loss in found)
-    assert asked == [(27, 1 / 9), (9, 1 / 3), (3, 1.0)]
-
-
-def test_halving_with_noise_on_parts_mostly_finds_one_of_the_best():
-    """The noise of a part of 1/9 has the deviation of three ranks: the best of 27 stays among the 9 of the next rung
-    with a probability over 0.95; in 100 repetitions fewer than 80 finds of the best three have one below 1e-6."""
-    found = 0
-    for seed in range(100):
-        rng = np.random.default_rng(seed)
-
-        def evaluate(candidates, part, rng=rng):
-            return [one + 3 * (1 - part) * rng.standard_normal() for one in candidates]
-
-        order = rng.permutation(27).tolist()
-        found += halve(order, plan_rungs(27), evaluate)[0][0] < 3
-    assert found >= 80
-
-
-def test_evolution_finds_the_minimum_of_a_quadratic():
-    target = np.array([0.2, 0.7, 0.45, 0.6])
-    found = evolve(np.full(4, 0.5), 240, lambda points: np.square(points - target).sum(axis=1).tolist(), seed=0)
-    best = min(found, key=lambda one: one.loss)
-    assert len(found) == 240
-    assert best.loss < 1e-3 * 0.1425  # of the loss at the start
-    assert np.abs(best.point - target).max() < 0.02
-
-
-def test_evolution_is_reproducible_stays_in_the_cube_and_survives_failures():
-    def evaluate(points):
-        assert ((points >= 0) & (points <= 1)).all()
-        return [math.inf if point[0] < 0.3 else float(point[0]) for point in points]
-
-    first, second = (evolve(np.array([0.5, 0.5]), 60, evaluate, seed=3) for _ in range(2))
-    assert [one.loss for one in first] == [one.loss for one in second]
-    assert 0.3 <= min(one.loss for one in first) < 0.33
-    assert [one.loss for one in evolve(np.array([0.5, 0.5]), 60, evaluate, seed=4)] != [one.loss for one in first]
-
-
-def test_evolution_of_one_dimension_and_of_too_few_trials():
-    found = evolve(np.array([0.9]), 60, lambda points: np.abs(points[:, 0] - 0.25).tolist(), seed=0)
-    assert min(one.loss for one in found) < 0.01
-    assert evolve(np.array([0.9]), 3, lambda points: [0.0] * len(points), seed=0) == []
-    assert population_of(12, 1000) == 11
-    assert population_of(12, 20) == 5
-    calls = iter([True, False])
-    assert len(
-        evolve(np.full(2, 0.5), 40, lambda points: [0.0] * len(points), seed=0, goes_on=lambda: next(calls))
-    ) == (population_of(2, 40))
-
-
-def test_importance_finds_what_matters():
-    """Of 200 points the ranks of a loss that depends on one dimension: the others' shares are those of chance."""
-    rng = np.random.default_rng(0)
-    points = rng.random((200, 5))
-    shares = measure_importance(points, np.square(points[:, 2] - 0.3) + 0.3 * points[:, 4])
-    assert shares.argmax() in (2, 4)
-    assert shares[[2, 4]].min() > 0.2
-    assert shares[[0, 1, 3]].max() < 0.08
-    assert measure_importance(points[:7], np.arange(7.0)).tolist() == [0.0] * 5

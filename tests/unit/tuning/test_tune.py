@@ -13,7 +13,7 @@ import pytest
 from gridslam.config import PARAMETERS, Configuration, loads, override
 from gridslam.config.tables import value_of
 from gridslam.errors import ArgumentError, InputError
-from gridslam.tuning.report import describe_verdict, plot_convergence, plot_importance, to_document, to_toml
+from gridslam.tuning.report import describe_verdict, plot_convergence, to_document, to_toml
 from gridslam.tuning.search_space import SearchSpace
 from gridslam.tuning.tune import Budget, Settings, TunedLog, Tuner
 
@@ -116,11 +116,20 @@ def test_without_held_out_logs_those_of_the_search_judge_with_fresh_seeds():
     assert "5 runs on logs of the search, with other seeds" in describe_verdict(tuning, LOGS[:1])[0]
 
 
-def test_parts_are_the_beginnings_of_logs():
+def test_parts_are_the_beginnings_of_logs_and_few_go_on_to_longer_ones():
     runs = Runs()
-    Tuner(SETTINGS, LOGS, runs)()
+    tuning = Tuner(SETTINGS, LOGS, runs)()
     lengths = {job.arguments["options"]["duration_s"] for job in runs.jobs}
     assert lengths == {11.111, 33.333, None}
+    counts = [sum(trial.part == part for trial in tuning.trials) for part in (1 / 9, 1 / 3, 1.0)]
+    assert counts[0] == SETTINGS.trials
+    assert 2 <= counts[2] < counts[1] < counts[0] / 2
+
+
+def test_more_trials_find_better_values_than_the_first_ones_which_are_random():
+    """Without noise, 8 random configurations and 60: the search comes nearer than luck does."""
+    few, many = (Tuner(replace(SETTINGS, trials=trials), LOGS, Runs(noise=0.0))().best.ratio for trials in (8, 80))
+    assert many < 0.5 * few
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_one_others():
@@ -165,6 +174,3 @@ def test_the_file_is_a_configuration_and_the_figures_show_all_trials():
     convergence, caption = plot_convergence(tuning)
     assert sum(len(series.x) for series in convergence.series[:2]) == len(tuning.trials)
     assert "above 3 times the start" in caption
-    importance, key = plot_importance(tuning)
-    assert len(importance.series[0].x) == len(NAMES)
-    assert all(name in key for name in NAMES)

@@ -126,8 +126,8 @@ def batch_command(**options: Any) -> int:  # noqa: ANN401
 def tune_command(**options: Any) -> None:  # noqa: ANN401
     """Search parameters that suit LOGS better than those given by --preset, --config and --set.
 
-    LOGS are what gridslam batch accepts. Many configurations are tried on parts of the logs, the better ones on longer
-    parts (successive halving), and about the best one more are tried on whole logs (CMA-ES). The best is then compared
+    LOGS are what gridslam batch accepts. Configurations that Optuna proposes are tried on parts of the logs, the
+    better ones on longer parts (successive halving). The best is then compared
     with the start on held-out logs, or with other seeds. It is written only if it is better beyond the noise of seeds
     and logs; else the start is, and the exit status is 0 as well.
 
