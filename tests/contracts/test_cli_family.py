@@ -12,7 +12,7 @@ from gridslam.types import Trajectory
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["lop"], "WORLD: expected one of demo, loop, rooms, hall, corridor, random, campus, fleet"),
+        (["lop"], "WORLD: expected one of demo, loop, rooms, hall, corridor, random"),
         (["loop", "--fov", "0"], "'--fov': 0.0 is not in the range 0<x<=360"),
         (["loop", "--fov", "400"], "'--fov': 400.0 is not in the range 0<x<=360"),
         (["loop", "--fov", "nan"], "'--fov': expected a finite number, got nan"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import sys
 
 import numpy as np
 import pytest
@@ -114,25 +113,3 @@ def test_a_grid_is_shown_as_map_files_have_it(mapped):
     assert max(shrunk.shape) <= 1000
     assert (shrunk < 50).any()  # a wall of one cell is still there
     assert empty_grid()._repr_png_() is None
-
-
-@pytest.mark.dev
-def test_a_result_becomes_a_table(results):
-    import pandas
-
-    for name, result in results.items():
-        table, poses = result.to_dataframe(), result.trajectory
-        assert table["stamp_ns"].dtype == np.int64
-        assert np.array_equal(table["stamp_ns"], poses.stamps_ns), name
-        assert np.array_equal(table[["x_m", "y_m", "theta_rad"]], poses.poses), name
-    table = results["MapResult"].to_dataframe()
-    assert np.array_equal(table["cov_xtheta_m_rad"], results["MapResult"].covariances[:, 0, 2])
-    lost = results["LocalizationResult"].to_dataframe()["lost"]
-    assert lost.dtype == bool
-    assert isinstance(lost, pandas.Series)
-
-
-def test_without_pandas_the_extra_is_named(mapped, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(gridslam.GridslamError, match=r"needs pandas.*pip install 'gridslam\[pandas\]'"):
-        mapped.to_dataframe()

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -143,22 +142,3 @@ def test_a_batch_is_its_single_poses(pairs: list[tuple[np.ndarray, np.ndarray]])
     for function in (se2.compose_jacobians, se2.between_jacobians):
         for of_all, of_each in zip(function(a, b), zip(*(function(p, q) for p, q in pairs), strict=True), strict=True):
             np.testing.assert_allclose(of_all, of_each, rtol=1e-12, atol=METRES)
-
-
-@given(st.lists(st.floats(-1, 1), min_size=1, max_size=8), st.floats(-10, 10))
-def test_the_mean_heading_turns_with_its_angles(angles: list[float], turn: float) -> None:
-    # Within +-1 rad of a direction the sum of unit vectors is at least cos(1) = 0.54 long, hence well conditioned.
-    poses, weights = np.array([[0.0, 0.0, angle] for angle in angles]), np.ones(len(angles))
-    before, after = (se2.weighted_mean(given, weights)[2] for given in (poses, poses + np.array([0, 0, turn])))
-    assert wrap(float(after - before - turn)) == pytest.approx(0, abs=1e-13)
-
-
-@given(st.lists(half_circle_poses, min_size=2, max_size=8), small_poses)
-def test_mean_and_covariance_move_with_the_poses(members: list[tuple[float, float, float]], motion: np.ndarray) -> None:
-    cloud = np.array(members)
-    weights = np.arange(1.0, len(cloud) + 1)
-    moved = se2.compose(motion, cloud)
-    assert_same_pose(se2.weighted_mean(moved, weights), se2.compose(motion, se2.weighted_mean(cloud, weights)))
-    turn = se2.compose_jacobians(motion, IDENTITY)[1]
-    want = turn @ se2.weighted_covariance(cloud, weights) @ turn.T
-    np.testing.assert_allclose(se2.weighted_covariance(moved, weights), want, atol=1e-10)

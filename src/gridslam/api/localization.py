@@ -191,10 +191,6 @@ class LocalizationResult(Result):
 
         return draw_localization(self.map, self.trajectory, self.lost, title=self.source.name, caption=self.caption())
 
-    def _columns(self) -> dict[str, NDArray[Any]]:
-        names = ("lost", "lost_probability", "inlier_ratio", "particles")
-        return {name: np.array([getattr(report, name) for report in self.reports]) for name in names}
-
     def _write_files(self, out: OutputFolder) -> None:
         write_trajectory(out, self.trajectory, self.covariances)
         out.file("belief.csv").write_text("\n".join([BELIEF_HEADER, *self._belief(), ""]), encoding="ascii")

@@ -8,23 +8,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from numpy.typing import NDArray
-
 from gridslam import __version__
 from gridslam.api.peak_memory import return_freed_memory
 from gridslam.doctor.repair import Repair, RepairedLog
-from gridslam.errors import MissingDependencyError
 from gridslam.io.cache import find_origin
 from gridslam.io.log import Log
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.output import OutputFolder
-from gridslam.io.trajectories import columns_of_trajectory, write_trajectory_csv, write_tum
+from gridslam.io.trajectories import write_trajectory_csv, write_tum
 from gridslam.pipeline import Stopwatch, describe_error
 from gridslam.types import FloatArray, Trajectory
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from gridslam.viz.notebook import Picture
 
 __all__ = ["Result", "describe_input", "find_repair", "write_trajectory"]
@@ -125,29 +120,6 @@ class Result(ABC):
         """Build the content of run.json."""
         head = {"schema": self.schema, "version": __version__, "time": self.stopwatch.to_dict()}
         return head | self._describe() | {"failures": [*self.failures]}
-
-    def to_dataframe(self) -> DataFrame:
-        """Return a pandas.DataFrame with a row for each pose: stamp_ns and the columns of trajectory.csv.
-
-        Raises
-        ------
-        MissingDependencyError
-            pandas is not installed; the extra ``pandas`` brings it.
-        """
-        try:
-            import pandas  # only tables pay for its import
-        except ImportError:
-            raise MissingDependencyError("a table", "pandas", "pandas") from None
-        columns = {
-            "stamp_ns": self.trajectory.stamps_ns,
-            **columns_of_trajectory(self.trajectory.poses, self.covariances),
-            **self._columns(),
-        }
-        return pandas.DataFrame(columns)
-
-    def _columns(self) -> dict[str, NDArray[Any]]:
-        """Further columns of the table, by name."""
-        return {}
 
     def __repr__(self) -> str:
         """Return one line."""

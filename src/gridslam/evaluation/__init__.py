@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gridslam.evaluation.consistency import nees
-    from gridslam.evaluation.maps import MapAgreement, compare_maps
     from gridslam.evaluation.self_consistency import SelfConsistency, measure_self_consistency
     from gridslam.evaluation.trajectory import (
         PoseErrors,
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "MapAgreement",
     "PoseErrors",
     "RelationErrors",
     "Relations",
@@ -30,7 +28,6 @@ __all__ = [
     "absolute_errors",
     "align",
     "associate",
-    "compare_maps",
     "interpolate",
     "measure_self_consistency",
     "nees",
@@ -40,7 +37,6 @@ __all__ = [
 
 _HOMES = {
     "nees": "consistency",
-    **dict.fromkeys(("MapAgreement", "compare_maps"), "maps"),
     **dict.fromkeys(("SelfConsistency", "measure_self_consistency"), "self_consistency"),
     **dict.fromkeys(
         (

@@ -1,96 +1,24 @@
-"""Errors of maps: how far two occupancy grids agree, and landmarks against the true ones."""
+"""Errors of landmark maps: landmarks against the true ones."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
-from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.evaluation.trajectory import align
 from gridslam.geometry.se2 import transform_points
-from gridslam.types import FloatArray, IntArray, OccupancyGrid
+from gridslam.types import FloatArray, IntArray
 
 __all__ = [
     "LandmarkErrors",
-    "MapAgreement",
     "align_points",
-    "compare_maps",
     "landmark_errors",
     "pair_by_name",
     "pair_by_position",
 ]
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class MapAgreement:
-    """Comparison of an estimated with a reference map, over the cells that both know.
-
-    Attributes
-    ----------
-    cells : int
-        Cells known in both.
-    coverage : float
-        Their share of the cells that the reference knows.
-    agreement : float
-        Share of them that are occupied (log-odds above 0) in both or in neither.
-    correlation : float
-        Pearson's correlation of the occupancy probabilities; NaN where a map is the same everywhere.
-    """
-
-    cells: int
-    coverage: float
-    agreement: float
-    correlation: float
-
-
-@checked
-def compare_maps(estimate: OccupancyGrid, reference: OccupancyGrid) -> MapAgreement:
-    """Compare two grids of equal resolution in one frame; an offset of their origins is rounded to whole cells.
-
-    Raises
-    ------
-    ArgumentError
-        Resolutions differ, or no cell is known in both.
-    """
-    if not math.isclose(estimate.resolution_m, reference.resolution_m, rel_tol=1e-6):
-        raise ArgumentError("estimate", f"the reference's resolution {reference.resolution_m} m", estimate.resolution_m)
-    offset_m = np.subtract(estimate.origin, reference.origin)
-    columns, rows = np.round(offset_m / reference.resolution_m).astype(int)
-    ours, theirs = _overlap(estimate.known.shape, reference.known.shape, (rows, columns))
-    both = estimate.known[ours] & reference.known[theirs]
-    cells = int(both.sum())
-    if cells == 0:
-        raise ArgumentError("estimate", "a cell known in both maps", "none")
-    occupied = (estimate.log_odds[ours][both] > 0) == (reference.log_odds[theirs][both] > 0)
-    a = estimate.probability[ours][both].astype(np.float64)
-    b = reference.probability[theirs][both].astype(np.float64)
-    return MapAgreement(cells, cells / int(reference.known.sum()), float(occupied.mean()), _correlation(a, b))
-
-
-def _overlap(
-    ours: tuple[int, ...], theirs: tuple[int, ...], offset: tuple[int, int]
-) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """Slices of two grids that show the same cells, ours beginning at cell `offset` of theirs."""
-    in_ours = list[slice]()
-    in_theirs = list[slice]()
-    for shift, our_cells, their_cells in zip(offset, ours, theirs, strict=True):
-        begin = max(0, shift)
-        end = max(begin, min(shift + our_cells, their_cells))
-        in_ours.append(slice(begin - shift, end - shift))
-        in_theirs.append(slice(begin, end))
-    return tuple(in_ours), tuple(in_theirs)
-
-
-def _correlation(a: FloatArray, b: FloatArray) -> float:
-    a = a - a.mean()
-    b = b - b.mean()
-    scale = math.sqrt(float(a @ a) * float(b @ b))
-    return float(a @ b) / scale if scale > 0 else math.nan
 
 
 @final

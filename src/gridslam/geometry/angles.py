@@ -6,13 +6,12 @@ import math
 from typing import Any, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from gridslam.arguments import describe
-from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 
-__all__ = ["find_wrong_beam_angles", "normalize_weights", "wrap"]
+__all__ = ["find_wrong_beam_angles", "wrap"]
 
 FloatArray = NDArray[np.float64]
 
@@ -103,20 +102,3 @@ def find_wrong_beam_angles(start: float, step: float, beams: int, end: float = m
         return ""
     came += ": the angles look like degrees" if in_degrees else ""
     return f"expected angles in rad that fit each other, got {came}"
-
-
-@checked
-def normalize_weights(weights: ArrayLike) -> FloatArray:
-    """Divide weights (..., N) by their sum over the last axis.
-
-    They are divided by the greatest first, so that the sum neither overflows nor drowns in subnormal numbers. Raises
-    ArgumentError if there is none, one is negative or not finite, or all are 0.
-    """
-    given = np.asarray(weights, dtype=np.float64)
-    if given.ndim == 0 or given.shape[-1] == 0:
-        raise ArgumentError("weights", "shape (..., N) with N >= 1", given.shape)
-    greatest = given.max(axis=-1, keepdims=True)
-    if not (np.isfinite(given).all() and (given >= 0).all() and (greatest > 0).all()):
-        raise ArgumentError("weights", "finite values >= 0, not all 0", given)
-    scaled = given / greatest
-    return np.asarray(scaled / scaled.sum(axis=-1, keepdims=True))

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
-from gridslam.geometry.angles import normalize_weights, wrap
+from gridslam.geometry.angles import wrap
 
 __all__ = [
     "adjoint",
@@ -34,8 +34,6 @@ __all__ = [
     "lever_arm_jacobian",
     "log",
     "transform_points",
-    "weighted_covariance",
-    "weighted_mean",
 ]
 
 
@@ -279,60 +277,6 @@ def increment_covariance(
     by_moved, by_increment = compose_jacobians(moved, increment)
     noise = by_increment.T @ (both - by_moved @ covariance @ by_moved.T) @ by_increment  # a rotation
     return np.asarray(0.5 * (noise + noise.T))
-
-
-@checked
-def weighted_mean(poses: ArrayLike, weights: ArrayLike) -> FloatArray:
-    """Mean of weighted poses: the arithmetic mean of x and y, the circular mean of theta.
-
-    The circular mean is the angle of the weighted sum of unit vectors; where they cancel it is arbitrary.
-
-    Parameters
-    ----------
-    poses : (..., N, 3) float64
-    weights : (..., N) float64
-        >= 0, not all 0, of any scale.
-
-    Returns
-    -------
-    (..., 3) float64
-
-    Raises
-    ------
-    ArgumentError
-        If the shapes do not fit, a weight is negative or not finite, or all are 0.
-    """
-    return _mean(*_poses_and_shares(poses, weights))
-
-
-def _poses_and_shares(poses: ArrayLike, weights: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    given = _as_poses(poses, "poses")
-    share = normalize_weights(weights)
-    if given.ndim < 2 or given.shape[-2] != share.shape[-1]:
-        raise ArgumentError("weights", f"one for each pose of shape {given.shape}", f"shape {share.shape}")
-    return given, share
-
-
-def _mean(given: FloatArray, share: FloatArray) -> FloatArray:
-    """Mean (..., 3) of poses (..., N, 3), by shares (..., N) that sum to 1."""
-    position = (share[..., None] * given[..., :2]).sum(axis=-2)
-    theta = given[..., 2]
-    direction = np.arctan2((share * np.sin(theta)).sum(axis=-1), (share * np.cos(theta)).sum(axis=-1))
-    return np.concatenate([position, np.asarray(wrap(direction))[..., None]], axis=-1)
-
-
-@checked
-def weighted_covariance(poses: ArrayLike, weights: ArrayLike) -> FloatArray:
-    """Covariance (..., 3, 3) of weighted poses (..., N, 3) about their `weighted_mean`, in m^2, m rad and rad^2.
-
-    Residuals of theta are wrapped to [-pi, pi), so poses on both sides of +-pi are near each other. The weights
-    (..., N) are taken as probabilities: they are divided by their sum, with no correction for N. Raises as
-    `weighted_mean` does.
-    """
-    given, share = _poses_and_shares(poses, weights)
-    residual = given - _mean(given, share)[..., None, :]
-    residual[..., 2] = wrap(residual[..., 2])
-    return np.asarray(np.swapaxes(residual, -1, -2) @ (share[..., None] * residual))
 
 
 def _as_poses(values: ArrayLike, name: str, width: int = 3) -> FloatArray:

@@ -1,8 +1,7 @@
 """Simulated buildings, robots and lidars: logs whose truth is known.
 
 `make_world` knows, by name: buildings that are always the same (`demo`, `loop`, `rooms`, `hall`, `corridor`), and
-buildings drawn from a seed: `random`, and two large ones, `campus` (2 km of corridors up to 200 m long) and `fleet`
-(10 km in a warehouse, best streamed).
+buildings drawn from a seed: `random`.
 """
 
 from gridslam.sim.lidar import LidarConfig

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from gridslam.errors import ArgumentError
-from gridslam.geometry.angles import find_wrong_beam_angles, normalize_weights, wrap
+from gridslam.geometry.angles import find_wrong_beam_angles, wrap
 
 TURN = 2 * math.pi
 
@@ -42,17 +41,6 @@ def test_many_angles_are_wrapped_as_each_by_itself(most: float) -> None:
 def test_wrap_does_not_hide_nan() -> None:
     assert math.isnan(wrap(math.nan))
     assert np.isnan(wrap(np.array([math.nan]))).all()
-
-
-def test_shares_sum_to_one_at_the_ends_of_the_number_range() -> None:
-    np.testing.assert_allclose(normalize_weights([1e308, 1e308, 0]), [0.5, 0.5, 0])
-    np.testing.assert_allclose(normalize_weights([5e-324, 1.5e-323]), [0.25, 0.75])
-
-
-@pytest.mark.parametrize("weights", [[], [0.0, 0.0], [1.0, -1.0], [1.0, math.nan], [1.0, math.inf], 1.0])
-def test_bad_weights_are_refused(weights: object) -> None:
-    with pytest.raises(ArgumentError, match="weights"):
-        normalize_weights(weights)
 
 
 @pytest.mark.parametrize(

@@ -51,28 +51,7 @@ def test_arguments_are_left_alone() -> None:
     a = np.array([1.0, 2.0, 3.0])
     before = a.copy()
     se2.compose(a, a)[:] = 0
-    se2.weighted_covariance(a[None], [1.0])
     np.testing.assert_array_equal(a, before)
-
-
-def test_mean_heading_across_the_cut() -> None:
-    def mean_heading(thetas: list[float], weights: list[float]) -> float:
-        return float(se2.weighted_mean([[0, 0, theta] for theta in thetas], weights)[2])
-
-    assert abs(mean_heading([math.radians(179), math.radians(-179)], [1, 1])) == pytest.approx(math.pi, abs=1e-15)
-    # atan2 of the sums: (sin 0 + 3 sin 90, cos 0 + 3 cos 90) = (3, 1).
-    assert mean_heading([0.0, math.pi / 2], [1, 3]) == pytest.approx(math.atan2(3, 1), abs=1e-15)
-    assert mean_heading([3.1, -3.1], [1, 1]) == pytest.approx(-math.pi, abs=1e-14)
-
-
-def test_mean_and_covariance_across_the_cut() -> None:
-    poses = np.array([[0.0, 0.0, math.pi - 0.1], [2.0, 4.0, -math.pi + 0.1]])
-    np.testing.assert_allclose(se2.weighted_mean(poses, [1, 1])[:2], [1, 2])
-    residual = np.array([1, 2, 0.1])
-    np.testing.assert_allclose(se2.weighted_covariance(poses, [7, 7]), np.outer(residual, residual), atol=1e-14)
-    np.testing.assert_array_equal(se2.weighted_covariance(poses, [0, 1]), np.zeros((3, 3)))
-    batch = se2.weighted_covariance(np.stack([poses, poses]), [[1, 1], [0, 1]])
-    np.testing.assert_allclose(batch, [np.outer(residual, residual), np.zeros((3, 3))], atol=1e-14)
 
 
 @pytest.mark.parametrize("function", [se2.inverse, se2.exp, se2.log, se2.adjoint])
@@ -80,14 +59,6 @@ def test_mean_and_covariance_across_the_cut() -> None:
 def test_wrong_width_is_refused(function, bad: object) -> None:
     with pytest.raises(ArgumentError, match=r"shape \(..., 3\)"):
         function(bad)
-
-
-def test_mean_refuses_weights_that_do_not_fit() -> None:
-    for weights in ([1.0], [0.0, 0.0], [-1.0, 2.0], [math.nan, 1.0]):
-        with pytest.raises(ArgumentError, match="weights"):
-            se2.weighted_mean(np.zeros((2, 3)), weights)
-    with pytest.raises(ArgumentError, match="weights"):
-        se2.weighted_mean(np.zeros(3), [1.0])
 
 
 @pytest.mark.parametrize("covariance", [[4, 1, 0.5, 1, 2, -0.3, 0.5, -0.3, 1], [2, 0, 0, 0, 2, 0, 0, 0, 3]])

@@ -123,7 +123,6 @@ def simulate_command(**options: Any) -> None:  # noqa: ANN401
     WORLD is
       fixed: demo, loop, rooms, hall or corridor
       random, generated from the seed: random
-        large: campus (2 km), fleet (10 km)
 
     Also writes LOG.truth.tum, the true trajectory.
     """
