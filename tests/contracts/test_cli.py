@@ -343,7 +343,7 @@ def test_cut_off_log_is_refused_or_mapped_on_request(call, tmp_path, simulated, 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--preset", "gmaping"], "preset: expected default, fast, accurate, gmapping, got 'gmaping'; did you mean"),
+        (["--preset", "gmaping"], "preset: expected default, accurate, gmapping, got 'gmaping'; did you mean"),
         (["--set", "insrt_m=1"], "insrt_m: no such parameter; did you mean insert_m"),
         (["--set", "insert_m=-1"], "tracker.insert_m: expected a number greater than or equal to 0.000001, got -1"),
         (["--set", "insert_m"], "expected name=value, got 'insert_m'"),

@@ -60,8 +60,8 @@ def look(maps, rng):
     maps.is_known(0, poses[:, :2])
     directions = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
     maps.cast_rays(rows, poses, beams.origin, directions, float(rng.choice([0.0, 1.0, 30.0])))
-    matcher = GaussNewton(min_beams=0)
-    matcher(maps, rows, poses, np.abs(some_numbers(rng, (4, 3, 3), 1.0)), beams)
+    priors = np.abs(some_numbers(rng, (4, 3, 3), 1.0))
+    maps.match(rows, poses, priors, beams.ends, 10, *GaussNewton()._settings(maps))  # however few beams there are
     field, _ = maps.field(0, most_cells=512)
     table = FieldTable.of(np.pad(field.astype(np.float32), 1), some_numbers(rng, 2, 1.0), maps.resolution_m)
     table.sums(poses, beams.ends, maps.threads)

@@ -30,7 +30,7 @@ class Mapped(NamedTuple):
     @classmethod
     def of(cls, log: Path, folder: Path) -> Mapped:
         """Map a log, write the map, and read it again."""
-        result = gridslam.map_log(log, seed=0, preset="fast")
+        result = gridslam.map_log(log, seed=0, configuration=gridslam.Configuration(particles=15))
         write_map(folder / "map.yaml", result.map)
         return cls(list(open_log(log)), KnownMap(read_map(folder / "map.yaml")), result.trajectory.poses)
 

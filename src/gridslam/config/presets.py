@@ -21,11 +21,6 @@ from gridslam.tracking.tracker import OdometryTracker
 __all__ = ["LASERS", "PRESETS", "Laser", "apply_laser", "preset"]
 
 
-def _fast() -> Configuration:
-    """Half the particles: for a first look, or a small computer."""
-    return Configuration(particles=15)
-
-
 def _accurate() -> Configuration:
     """More particles and key scans: where loops are long and time does not matter."""
     return Configuration(particles=100, when_to_update=MotionThreshold(0.4, 0.25))
@@ -52,7 +47,6 @@ def _gmapping() -> Configuration:
 
 PRESETS: Final[Mapping[str, Callable[[], Configuration]]] = {
     "default": Configuration,
-    "fast": _fast,
     "accurate": _accurate,
     "gmapping": _gmapping,
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cache
-from typing import Annotated, NamedTuple, final
+from typing import Annotated, ClassVar, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,22 +63,25 @@ class GaussNewton:
         Linearizations at most; a good guess needs three, and 0 only evaluates the guess.
     cauchy_m : float, m
         Distance c at which a beam counts half: two cells of 5 cm, about the thickness of a mapped wall.
-    max_step_m, max_step_rad : float
-        A step is clipped to these, so that a bad linearization cannot throw the pose away.
-    stop_m, stop_rad : float
-        Steps below both end the iteration.
     min_information : float
         Least eigenvalue of the position's information, per agreeing beam, that counts as determined; along a
         direction with less (the axis of a bare corridor) the guess is kept.
-    min_beams : int
-        With fewer the guess is kept: a few beams fit almost anywhere. Of a full circle in a simulated office ten are
-        better than poor odometry, and eight are worse.
     point_to_line : bool
         Ends of beams on a straight wall count only across it: along it there is nothing to see, and what the map shows
         there are its cells, which move with the robot: every scan of a corridor hits them in the same places, and they
         would hold the robot where it is. Ends on a straight wall, in unknown cells, whose nearest obstacle lies along
         the wall do not count at all: it goes on where it is not mapped yet, and they would be pulled back to where its
         mapped part ends. Else all count as in the field.
+
+    Attributes
+    ----------
+    max_step_m, max_step_rad : float
+        A step is clipped to these, so that a bad linearization cannot throw the pose away.
+    stop_m, stop_rad : float
+        Steps below both end the iteration.
+    min_beams : int
+        With fewer the guess is kept: a few beams fit almost anywhere. Of a full circle in a simulated office ten are
+        better than poor odometry, and eight are worse.
 
     References
     ----------
@@ -88,12 +91,12 @@ class GaussNewton:
 
     max_iterations: int = bounded(10, ge=0, le=1000)
     cauchy_m: float = bounded(0.1, ge=1e-6, le=1e6)
-    max_step_m: float = bounded(0.1, ge=1e-6, le=1e6)
-    max_step_rad: float = bounded(0.1, ge=1e-6, le=100)
-    stop_m: float = bounded(0.001, ge=1e-6, le=1e6)
-    stop_rad: float = bounded(2e-4, ge=1e-6, le=100)
+    max_step_m: ClassVar = 0.1
+    max_step_rad: ClassVar = 0.1
+    stop_m: ClassVar = 0.001
+    stop_rad: ClassVar = 2e-4
+    min_beams: ClassVar = 10
     min_information: float = bounded(MIN_INFORMATION, ge=0, le=1e6)
-    min_beams: int = bounded(10, ge=0, le=1_000_000)
     point_to_line: bool = True
 
     def __call__(

@@ -198,11 +198,11 @@ def test_where_the_map_is_empty_the_guess_stands(room):
 def test_steps_are_clipped(room):
     """One pass moves at most max_step_m and max_step_rad, however far the linearization points."""
     truth, guess = np.zeros(3), np.array([0.3, 0.25, 0.0])
-    matcher = GaussNewton(max_iterations=1, max_step_m=0.02, max_step_rad=0.001)
+    matcher = GaussNewton(max_iterations=1)
     match = matcher(room, ROW, guess[None], prior(), scan_of_room(truth))
     moved = match.poses[0] - guess
-    assert np.hypot(*moved[:2]) == pytest.approx(0.02, rel=1e-6)
-    assert abs(moved[2]) <= 0.001 + 1e-12
+    assert np.hypot(*moved[:2]) == pytest.approx(GaussNewton.max_step_m, rel=1e-6)
+    assert abs(moved[2]) <= GaussNewton.max_step_rad + 1e-12
 
 
 def every_third(beams):

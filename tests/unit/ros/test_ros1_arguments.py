@@ -16,7 +16,7 @@ def test_arguments_of_ros_are_let_through():
     ("argument", "says"),
     [
         ("particles:=80", "a parameter is given as _particles:=80"),
-        ("preset:=fast", "a parameter is given as _preset:=fast"),
+        ("preset:=accurate", "a parameter is given as _preset:=accurate"),
         ("--particle", "got '--particle'"),
         ("--particle:=3", "got '--particle:=3'"),
         ("base_scan", "got 'base_scan'"),

@@ -19,7 +19,7 @@ def test_parameters_remappings_and_names():
             "-p",
             "use_sim_time:=True",
             "-p",
-            "preset:=fast",
+            "preset:=accurate",
             "-r",
             "scan:=front/scan",
             "-r",
@@ -30,7 +30,7 @@ def test_parameters_remappings_and_names():
             "/tf:=/tf_robot",
         ]
     )
-    assert found.parameters == {"particles": 80, "delta": 0.1, "use_sim_time": True, "preset": "fast"}
+    assert found.parameters == {"particles": 80, "delta": 0.1, "use_sim_time": True, "preset": "accurate"}
     assert (found.node, found.namespace) == ("mapper", "/robot1")
     assert found.resolve("scan") == "/robot1/front/scan"
     assert found.resolve("map") == "/robot1/map"

@@ -75,7 +75,7 @@ def batch_command(**options: Any) -> int:  # noqa: ANN401
     optionally name, reference and options of the command (seed, preset, ...), a line for each log.
 
     \b
-      gridslam batch logs -o OUT --workers 4 --timeout 600 -- --preset fast
+      gridslam batch logs -o OUT --workers 4 --timeout 600 -- --particles 15
       gridslam batch logs -o OUT --command doctor
 
     Writes to OUT a folder for each log, with the files of the command and run.json, report.html, the page of all of
