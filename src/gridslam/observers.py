@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from array import array
 from collections import Counter
 from collections.abc import Mapping
@@ -14,16 +13,12 @@ from numpy.typing import NDArray
 
 from gridslam.arguments import COUNT
 from gridslam.errors import ArgumentError
-from gridslam.serialization import read_array, select_part
+from gridslam.serialization import read_array
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectory
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, IntArray, SkipReason, StepReport, Trajectory
 
 __all__ = ["Latency", "RunStatistics", "StatisticsRecorder", "TrajectoryRecorder"]
-
-_LOG_STEP = math.log(1.01)
-_SHORTEST_S = 1e-7
-_MOST_BINS = 4000  # 1e17 s
 
 
 @final
@@ -146,44 +141,6 @@ class Latency:
 
 
 @final
-class _Durations:
-    """Histogram of durations in steps of 1 %, and their maximum: a day of scans takes no more memory than a minute."""
-
-    __slots__ = ("bins", "max_s")
-
-    def __init__(self) -> None:
-        self.bins: Counter[int] = Counter()
-        self.max_s = 0.0
-
-    def add(self, seconds: float) -> None:
-        self.bins[round(math.log(max(seconds, _SHORTEST_S)) / _LOG_STEP)] += 1
-        self.max_s = max(self.max_s, seconds)
-
-    def summarize(self) -> Latency:
-        """Median and 99th percentile within 0.5 %; zeros if there are none."""
-        if not self.bins:
-            return Latency(0.0, 0.0, 0.0)
-        bins = np.array(sorted(self.bins))
-        reached = np.cumsum([self.bins[each] for each in bins.tolist()])
-        median, p99 = np.exp(_LOG_STEP * bins[np.searchsorted(reached, np.array([0.5, 0.99]) * reached[-1])]).tolist()
-        return Latency(min(median, self.max_s), min(p99, self.max_s), self.max_s)
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return `bins` (B, 2) int64, number and count of each, and `max_s` float64."""
-        return {"bins": np.array(sorted(self.bins.items()), np.int64).reshape(-1, 2), "max_s": np.array(self.max_s)}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> _Durations:
-        self = cls()
-        bins = read_array(arrays, "bins", np.int64, (None, 2))
-        if (np.diff(bins[:, 0]) < 1).any() or (np.abs(bins[:, 0]) > _MOST_BINS).any() or (bins[:, 1] < 1).any():
-            raise ArgumentError("bins", f"ascending numbers up to {_MOST_BINS}, each with a count of 1 or more", bins)
-        self.bins = Counter(dict(bins.tolist()))
-        self.max_s = float(read_array(arrays, "max_s", np.float64, ()))
-        return self
-
-
-@final
 @dataclass(frozen=True, slots=True)
 class RunStatistics:
     """Statistics of a run.
@@ -218,7 +175,7 @@ class RunStatistics:
 
 @final
 class StatisticsRecorder:
-    """Counts and times the steps of a run; uses 16 bytes of memory per key scan."""
+    """Counts and times the steps of a run; uses 8 bytes of memory for a scan and 16 more for a key scan."""
 
     __slots__ = (
         "_corrections",
@@ -233,7 +190,7 @@ class StatisticsRecorder:
 
     def __init__(self) -> None:
         """Start without scans."""
-        self._seconds = _Durations()
+        self._seconds = array("d")
         self._key_seconds = array("d")
         self._n_eff = array("d")
         self._skipped: Counter[SkipReason] = Counter()
@@ -241,7 +198,7 @@ class StatisticsRecorder:
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Record one scan."""
-        self._seconds.add(seconds)
+        self._seconds.append(seconds)
         self._lost += report.lost
         if report.skipped is not None:
             self._skipped[report.skipped] += 1
@@ -253,27 +210,26 @@ class StatisticsRecorder:
         self._corrections += report.corrected
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return plain arrays: `n_eff` and `key_seconds` (K,) float64 of the key scans, `counts` int64, `seconds.*`.
+        """Return plain arrays: `n_eff` and `key_seconds` (K,) of the key scans, `seconds` (S,) of all, `counts` int64.
 
         The counts are resamplings, lost and undetermined scans, corrections, and scans skipped for each reason.
-        `seconds.bins` (B, 2) int64 and `seconds.max_s` float64 are the histogram of the times of all scans.
         """
         skipped = [self._skipped[reason] for reason in SkipReason]
         return {
+            "seconds": np.frombuffer(self._seconds.tobytes()),
             "n_eff": np.frombuffer(self._n_eff.tobytes()),
             "key_seconds": np.frombuffer(self._key_seconds.tobytes()),
             "counts": np.array(
                 [self._resamplings, self._lost, self._degenerate, self._corrections, *skipped], np.int64
             ),
-            **{f"seconds.{name}": values for name, values in self._seconds.to_arrays().items()},
         }
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> StatisticsRecorder:
         """Restore from the arrays of `to_arrays`; raises ArgumentError for other arrays."""
         self = cls()
-        self._seconds = _Durations.from_arrays(select_part(arrays, "seconds"))
         sizes: dict[str, int] = {}
+        self._seconds.frombytes(read_array(arrays, "seconds", np.float64, ("scans",), sizes).tobytes())
         self._n_eff.frombytes(read_array(arrays, "n_eff", np.float64, ("key scans",), sizes).tobytes())
         self._key_seconds.frombytes(read_array(arrays, "key_seconds", np.float64, ("key scans",), sizes).tobytes())
         counts = read_array(arrays, "counts", np.int64, (4 + len(SkipReason),))
@@ -286,7 +242,7 @@ class StatisticsRecorder:
         """Summarize the scans so far."""
         n_eff = np.frombuffer(self._n_eff.tobytes())
         return RunStatistics(
-            scans=len(n_eff) + self._skipped.total(),
+            scans=len(self._seconds),
             key_scans=len(n_eff),
             skipped=dict(self._skipped),
             resamplings=self._resamplings,
@@ -295,7 +251,7 @@ class StatisticsRecorder:
             corrections=self._corrections,
             n_eff_mean=float(n_eff.mean()) if len(n_eff) else 0.0,
             n_eff_min=float(n_eff.min()) if len(n_eff) else 0.0,
-            latency=self._seconds.summarize(),
+            latency=Latency.of(np.frombuffer(self._seconds.tobytes())),
             key_latency=Latency.of(np.frombuffer(self._key_seconds.tobytes())),
         )
 

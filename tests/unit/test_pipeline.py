@@ -176,17 +176,10 @@ def test_statistics_count_and_time_what_they_were_told():
         assert summary.skipped == {SkipReason.BETWEEN_KEY_SCANS: 97, SkipReason.NO_VALID_BEAM: 1}
         assert (summary.resamplings, summary.lost, summary.degenerate, summary.corrections) == (1, 2, 1, 1)
         assert (summary.n_eff_mean, summary.n_eff_min) == (3.0, 2.0)
-        assert summary.latency.median_s == pytest.approx(0.001, rel=0.005)
-        assert summary.latency.p99_s == pytest.approx(0.2, rel=0.005)
+        assert summary.latency.median_s == 0.001
+        assert summary.latency.p99_s == pytest.approx(0.202)
         assert summary.latency.max_s == 0.4
         assert (summary.key_latency.median_s, summary.key_latency.max_s) == (pytest.approx(0.3), 0.4)
-
-
-@pytest.mark.parametrize("bins", [[[3, 1], [3, 1]], [[3, 0]], [[10**9, 1]]])
-def test_a_histogram_that_no_run_leaves_is_refused(bins):
-    arrays = StatisticsRecorder().to_arrays() | {"seconds.bins": np.array(bins)}
-    with pytest.raises(ArgumentError, match="bins: expected ascending numbers up to 4000"):
-        StatisticsRecorder.from_arrays(arrays)
 
 
 def test_statistics_of_nothing_are_zero():

@@ -17,7 +17,6 @@ import numpy as np
 from gridslam.batch.runs import Run, read_runs
 from gridslam.errors import OutputError
 from gridslam.io.output import write_atomically
-from gridslam.types import FloatArray
 
 __all__ = ["COLUMNS", "REPORT", "write_report"]
 
@@ -45,9 +44,7 @@ COLUMNS: Final = (
 _PICTURES = ("map.png", "localization.png", "landmarks.png")
 _THUMBNAIL = "thumbnail.jpg"
 _SIDE = 250  # of the square that a trajectory is drawn in
-_SAMPLES = 800  # poses of a trajectory that are looked at
-_POINTS = 200  # at most, of a trajectory as it is drawn
-_TOLERANCE = 1.5  # by which a line may miss a pose, in units of the square
+_SAMPLES = 120  # poses of a trajectory that are drawn
 _TAIL_LETTERS = 600
 _DIGITS = 6
 
@@ -178,30 +175,8 @@ def _outline(path: Path) -> tuple[str | None, str | None]:
         return None, None
     size = np.ptp(points, axis=0)
     scaled = (points - points.min(axis=0) - size / 2) * (_SIDE / max(float(size.max()), 1e-9)) + _SIDE / 2
-    kept = _simplify(np.column_stack([scaled[:, 0], _SIDE - scaled[:, 1]]))
+    kept = np.column_stack([scaled[:, 0], _SIDE - scaled[:, 1]])
     return " ".join(f"{x:.0f},{y:.0f}" for x, y in kept.tolist()), f"{size[0]:.0f} x {size[1]:.0f} m"
-
-
-def _simplify(points: FloatArray) -> FloatArray:
-    """Leave out points that the line between the others misses by little (Douglas and Peucker 1973)."""
-    is_kept = np.zeros(len(points), bool)
-    is_kept[[0, -1]] = True
-    spans = [(0, len(points) - 1)]
-    while spans and is_kept.sum() < _POINTS:
-        first, last = spans.pop(0)
-        if last - first < 2:
-            continue
-        direction = points[last] - points[first]
-        offsets = points[first + 1 : last] - points[first]
-        along = np.clip(offsets @ direction / max(float(direction @ direction), 1e-9), 0.0, 1.0)
-        missed = np.linalg.norm(offsets - along[:, None] * direction, axis=1)
-        worst = int(missed.argmax())
-        if missed[worst] > _TOLERANCE:
-            middle = first + 1 + worst
-            is_kept[middle] = True
-            spans += [(first, middle), (middle, last)]
-    simplified: FloatArray = points[is_kept]
-    return simplified
 
 
 def _positions(lines: list[str]) -> Iterator[tuple[float, float]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from heapq import heappop, heappush
 from itertools import pairwise
 from typing import NamedTuple, TypeAlias, final
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.particles.ancestry import Ancestry
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import IntArray
 
 __all__ = ["NO_POINTS", "NO_TREE", "AncestryTree", "Float32Array", "full_tree", "thin_tree"]
 
@@ -45,17 +44,14 @@ NO_TREE = AncestryTree(NO_POINTS, np.zeros(0, np.int32), np.zeros(0, np.int32))
 
 
 def thin_tree(ancestry: Ancestry, max_nodes: int = _MAX_NODES) -> tuple[Float32Array, AncestryTree]:
-    """Return the path (T, 2) that all particles share, and the tree after it, thinned to about `max_nodes`.
-
-    The tree keeps the steps without which the first particle's path would change most.
-    """
+    """Return the path (T, 2) that all particles share, and the tree after it, thinned to about `max_nodes`."""
     arrays = ancestry.to_arrays()
     counts = arrays["counts"]
     parents = arrays["parents"]
     leaves = arrays["leaves"]
     trunk = arrays["trunk"][:, :2].astype(np.float32)
     begins = np.concatenate([[0], np.cumsum(counts)])
-    kept = _select_steps(ancestry.trajectory(0)[len(trunk) :, :2], counts, max_nodes)
+    kept = _select_steps(counts, max_nodes)
     nodes = np.concatenate([np.arange(begins[k], begins[k + 1]) for k in kept] or [leaves[:0]])
     number = np.full(len(parents), -1, np.int64)  # of each kept node among those that are kept
     number[nodes] = np.arange(len(nodes))
@@ -72,37 +68,13 @@ def thin_tree(ancestry: Ancestry, max_nodes: int = _MAX_NODES) -> tuple[Float32A
     return trunk, tree
 
 
-def _select_steps(path: FloatArray, counts: IntArray, max_nodes: int) -> list[int]:
-    """Select steps of a path (T, 2), the last one included, as long as their nodes (T,) are fewer than `max_nodes`.
-
-    Each further step is the one that is farthest from the line between those around it (Douglas and Peucker 1973).
-    """
-    if counts.sum() <= max_nodes:
-        return list(range(len(path)))
-    last = len(path) - 1
-    kept = [0, last]
-    nodes = int(counts[0] + counts[last])
-    queue = [_find_farthest(path, 0, last)] if last > 1 else []
-    while queue:
-        _, first, step, end = heappop(queue)
-        nodes += int(counts[step])
-        if nodes > max_nodes:
-            break
-        kept.append(step)
-        for a, b in ((first, step), (step, end)):
-            if b - a > 1:
-                heappush(queue, _find_farthest(path, a, b))
-    return sorted(set(kept))
-
-
-def _find_farthest(path: FloatArray, first: int, end: int) -> tuple[float, int, int, int]:
-    """Return the negative distance, m, of the step farthest from the line between two steps, and all three steps."""
-    chord = path[end] - path[first]
-    offsets = path[first + 1 : end] - path[first]
-    share = np.clip(offsets @ chord / max(float(chord @ chord), 1e-12), 0.0, 1.0)
-    distances = np.hypot(*(offsets - share[:, None] * chord).T)
-    farthest = int(np.argmax(distances))
-    return -float(distances[farthest]), first, first + 1 + farthest, end
+def _select_steps(counts: IntArray, max_nodes: int) -> list[int]:
+    """Select steps at even distances, the last one included, of which the nodes (T,) are at most `max_nodes`."""
+    last = len(counts) - 1
+    stride = 1
+    while stride < last and counts[last::-stride].sum() > max_nodes:
+        stride *= 2
+    return list(range(last, -1, -stride))[::-1]
 
 
 def full_tree(ancestry: Ancestry) -> AncestryTree:

@@ -29,7 +29,7 @@ _POSE = re.compile(
 _UNKNOWN = re.compile(r"(^|\.)(odometry|matched_odometry|begin_pose|begin_odometry)$")  # NaN where there is none
 _INFINITE = re.compile(r"(^|\.)(log_\w+|driven_since_found_m)$")
 _POSITIVE = re.compile(
-    r"(^|\.)((\w+_)?variances|\w*_m2|\w*_rad2|steps_m|key_seconds|max_s|n_eff|latency_s|mass|segments|mean_step|inlier_ratio)$"
+    r"(^|\.)((\w+_)?variances|\w*_m2|\w*_rad2|steps_m|(key_)?seconds|n_eff|latency_s|mass|segments|mean_step|inlier_ratio)$"
 )
 _LARGEST = 1e18
 _NEAR_M = 1000.0  # no scan reaches farther
