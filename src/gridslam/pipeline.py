@@ -161,10 +161,6 @@ def isolate(observer: Callable[..., None], on_failure: Callable[[str], None]) ->
 class Stopwatch:
     """Wall and CPU time (s) of the stages of a run; each `lap` ends a stage.
 
-    To read the CPU clock is a system call, which takes longer than many a stage of a single scan. Stages that `split`
-    ends only have their wall time measured; the CPU time up to the next lap is divided among them and the stage of the
-    lap in proportion to their wall times.
-
     Parameters
     ----------
     wall_s, cpu_s : float, optional
@@ -176,37 +172,23 @@ class Stopwatch:
         Wall and CPU seconds by stage, up to the last lap.
     """
 
-    __slots__ = ("_cpu_s", "_splits", "_wall_s", "stages")
+    __slots__ = ("_cpu_s", "_wall_s", "stages")
 
     def __init__(self, wall_s: float | None = None, cpu_s: float | None = None) -> None:
         """Start the first stage."""
         self.stages: dict[str, list[float]] = {}
         self._wall_s = time.perf_counter() if wall_s is None else wall_s
         self._cpu_s = time.process_time() if cpu_s is None else cpu_s
-        self._splits: list[tuple[str, float]] = []  # since the last lap
-
-    def split(self, stage: str) -> float:
-        """End a short stage, to which the wall time since the last one belongs; return its wall seconds."""
-        now = time.perf_counter()
-        passed_s = now - self._wall_s
-        self._wall_s = now
-        self._splits.append((stage, passed_s))
-        return passed_s
 
     def lap(self, stage: str) -> float:
         """End a stage, to which the time since the last one belongs; return its wall seconds."""
-        passed_s = self.split(stage)
-        now = time.process_time()
-        wall_s = sum([wall for _, wall in self._splits])
-        load = (now - self._cpu_s) / wall_s if wall_s else 0.0
-        self._cpu_s = now
-        for name, wall in self._splits:
-            times = self.stages.get(name)
-            if times is None:
-                times = self.stages[name] = [0.0, 0.0]
-            times[0] += wall
-            times[1] += load * wall
-        self._splits.clear()
+        wall_s, cpu_s = time.perf_counter(), time.process_time()
+        passed_s = wall_s - self._wall_s
+        times = self.stages.setdefault(stage, [0.0, 0.0])
+        times[0] += passed_s
+        times[1] += cpu_s - self._cpu_s
+        self._wall_s = wall_s
+        self._cpu_s = cpu_s
         return passed_s
 
     def resume(self) -> None:
@@ -309,7 +291,7 @@ def run(
     watch = stopwatch or Stopwatch()
     first_error: Exception | None = None
     for odometry, scan in _check_measurements(source):
-        watch.split("read")
+        watch.lap("read")
         try:
             if state is None:
                 state, report = algorithm.init(odometry, scan, particles)
@@ -321,7 +303,7 @@ def run(
             problem = describe_error(error)
             failure = _without_frames(error)
         else:
-            seconds = watch.split("track" if report.skipped else "step")
+            seconds = watch.lap("track" if report.skipped else "step")
             for observe in observers:
                 observe(report, state, seconds)
             watch.lap("observe")
