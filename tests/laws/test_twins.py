@@ -17,39 +17,6 @@ from gridslam.types import LaserScan, ScanGeometry
 
 compiled = pytest.importorskip("gridslam.kernels._compiled")
 
-KERNELS = (
-    "select_beams",
-    "tiles_on_rays",
-    "make_tiles_writable",
-    "update",
-    "begin_update",
-    "end_update",
-    "match",
-    "match_pose",
-    "distances",
-    "cast_rays",
-    "known_cells",
-    "max_pyramid",
-    "correlate",
-    "sum_at_ends",
-    "draw_scans",
-    "match_scans",
-    "shortest_ways",
-    "mean_shift",
-    "are_true",
-    "slots_of",
-    "hamming_distances",
-    "fit_surfaces",
-    "match_surfaces",
-    "match_to_surfaces",
-    "draw_gaussians",
-    "kalman_update",
-    "predict_landmarks",
-    "parse_numbers",
-    "format_rows",
-)
-"""Those from `max_pyramid` on in `test_branch_and_bound_laws.py`, `test_weighing_laws.py`, `test_many_scans_laws.py`,
-`test_shortest_ways_laws.py`, `test_landmark_kernels.py` and `test_number_laws.py`."""
 SEEDS = range(25)
 CELL = 0.05
 SINGLE = 4e-4
@@ -144,12 +111,6 @@ def assert_same_maps(one, other):
         np.testing.assert_array_equal(a, b, err_msg=name)
 
 
-def test_both_offer_the_same_functions():
-    assert all(callable(getattr(compiled, name)) and callable(getattr(reference, name)) for name in KERNELS)
-    assert set(reference.__all__) == set(KERNELS)
-    assert {name for name in dir(compiled) if not name.startswith("_")} == set(KERNELS)
-
-
 @pytest.mark.parametrize("seed", SEEDS)
 def test_touched_tiles(seed):
     rng = np.random.default_rng(seed)
@@ -157,12 +118,6 @@ def test_touched_tiles(seed):
     by_rays = [k.tiles_on_rays(ROWS, poses, ends, ORIGIN, CELL, 2) for k in (compiled, reference)]
     assert as_set(by_rays[0]) == as_set(by_rays[1])
     assert len(by_rays[0]) > 3
-
-
-def test_nothing_is_touched_without_poses():
-    for kernels in (compiled, reference):
-        none = kernels.tiles_on_rays(ROWS[:0], np.zeros((0, 3)), np.ones((4, 2)), ORIGIN, CELL, 1)
-        assert none.shape == (0, 3)
 
 
 @pytest.mark.parametrize("few", [3, 1000])
@@ -473,19 +428,6 @@ def test_scans_of_corridors_have_straight_walls():
     ]
     assert along[1][0, 0, 0] < 0.7 * along[0][0, 0, 0]
     assert along[3][0, 0, 0] < 0.7 * along[2][0, 0, 0]
-
-
-def test_matches_without_beams_stay_at_the_guess():
-    maps = random_maps(np.random.default_rng(0))
-    guess = np.array([[1.0, -2.0, 3.0]])
-    for prior in (np.zeros((1, 3, 3)), np.eye(3)[None]):
-        for kernels in (compiled, reference):
-            poses, information, score = kernels.match(
-                *maps._view, ROWS[:1], guess, prior, np.zeros((0, 2)), CELL, *settings_of(maps, 10, 0.02, True)
-            )
-            np.testing.assert_allclose(poses, guess, atol=1e-15)
-            assert not information.any()
-            assert not score.any()
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from gridslam.evaluation.consistency import nees
-from gridslam.geometry.se2 import between, compose
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.localization.match_covariance import MatchCovariance
-from gridslam.localization.place_verification import PlaceVerification
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.endpoint import LikelihoodField
 from support.global_localization import Building, GlobalRun
@@ -65,19 +63,6 @@ def test_nees_of_the_matched_pose():
     assert average(MonteCarloConfiguration(match_covariance=MatchCovariance(patch_m=0.01, residual_factor=0))) > 5
 
 
-def test_the_greatest_of_several_maxima_is_found():
-    """In a doorway few beams see how far the robot is; 5 cm ahead of it they fit nearly as well as where it is."""
-    building = Building.of("demo", 20)
-    truth, scan = building.log.truth.poses[89], building.log.measurements[89].scan
-    mcl, beams = MonteCarloLocalization(building.known), scan.beams(0.05, 30.0)
-    ahead = compose(truth, np.array([0.05, 0.0, 0.0]))
-    spread = np.diag([0.05, 0.05, 0.02]) ** 2
-    nearest = between(truth, mcl._match(ahead, spread, beams))
-    greatest = between(truth, mcl._match_from_several(ahead, spread, beams))
-    assert abs(nearest[0]) > 0.04
-    assert abs(greatest[0]) < 0.02
-
-
 @pytest.mark.long
 def test_covariances_in_five_buildings():
     """Seeds by which nothing was chosen, 20 runs each, tracked and found: 2 to 4.5 on average, 88 to 98 % inside.
@@ -108,14 +93,6 @@ def test_nobody_is_found_where_it_is_not_in_a_hundred_starts():
     ]
     assert len(runs) == 100
     assert describe_finds(runs)["false_starts"] == 0
-
-
-def test_a_place_is_verified_before_it_counts_as_found():
-    """A start in bare corridors at which the robot was found at 50 scans, where it was not."""
-    building = Building.of("bare_corridors", 0)
-    unverified = MonteCarloConfiguration(verification=PlaceVerification(scans=0))
-    assert building.localize_globally(8, configuration=unverified).false > 0.5
-    assert building.localize_globally(8).false == 0
 
 
 def test_who_is_told_to_be_found_is_there(known):

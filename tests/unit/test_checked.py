@@ -108,12 +108,6 @@ def test_what_is_not_annotated_is_refused_by_name(name, wrong):
     assert caught.value.argument == name
 
 
-def test_a_call_that_works_with_another_type_is_welcome():
-    assert take(scan="scan", many=3)[-1] == "scan"
-    with pytest.raises(TypeError, match="deep within"):
-        use(count=3)
-
-
 @pytest.mark.parametrize(
     ("poses", "rows", "named"),
     [
@@ -132,24 +126,6 @@ def test_a_call_that_works_with_another_type_is_welcome():
 def test_shapes_types_and_ranges_of_arrays(poses, rows, named):
     with pytest.raises(ArgumentError, match=f"^{named}: expected"):
         add(poses, rows)
-
-
-def test_a_wrong_number_of_arguments_is_a_type_error():
-    with pytest.raises(TypeError, match="missing a required argument"):
-        add(np.ones((2, 3)))
-    with pytest.raises(TypeError, match="unexpected keyword"):
-        take(other=1)
-
-
-def test_methods_know_the_length_of_their_object():
-    table = Table(np.arange(6.0).reshape(3, 2))
-    assert table.row(2).tolist() == [4, 5]
-    assert len(Table.of(2)) == Table.side(1) == 2
-    for call in (lambda: table.row(3), lambda: table.row(-1), lambda: Table.of("x"), lambda: Table.side(None)):
-        with pytest.raises(ArgumentError, match=r"number|count"):
-            call()
-    with pytest.raises(ArgumentError, match="rows: expected shape"):
-        Table(np.zeros(3))
 
 
 def test_what_is_called_from_within_is_not_checked_again():

@@ -9,12 +9,10 @@ import pytest
 
 from gridslam import CarmenLog
 from gridslam.geometry.se2 import between, compose
-from gridslam.io.maps import write_map
-from gridslam.io.trajectories import write_tum
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching import GaussNewton
-from gridslam.types import OccupancyGrid, Trajectory
-from support.doubled_walls import Walls, judge_folder, judge_walls
+from gridslam.types import OccupancyGrid
+from support.doubled_walls import Walls, judge_walls
 
 CELL_M, WIDE_M = 0.05, 1.0
 
@@ -85,30 +83,6 @@ def test_rooms_behind_the_walls_are_no_second_walls():
         drawing.fill(x + 0.5, 1.0, x + 1.5, 1.05, -2.0)
     drawing.fill(-1, -1.6, 1, -1.55, 3.0)
     assert judge_walls(drawing.grid, around(0.0)).walls is Walls.SINGLE
-
-
-def test_who_does_not_come_back_sees_nothing_twice():
-    drawing = Drawing()
-    drawing.corridor(-10, 9, 0.0)
-    assert judge_walls(drawing.grid, around(0.0, returns=False)).walls is Walls.NOT_SEEN_AGAIN
-
-
-def test_a_robot_that_only_turns_on_the_spot_follows_no_corridor():
-    with pytest.raises(ValueError, match="straight stretch"):
-        judge_walls(Drawing().grid, np.zeros((20, 3)))
-
-
-def test_folders_are_judged(tmp_path):
-    for name, beside in (("right", 0.0), ("wrong", 0.6)):
-        drawing, folder = Drawing(), tmp_path / name
-        drawing.corridor(-10, 9, 0.0)
-        drawing.corridor(-2, 12, beside)
-        folder.mkdir()
-        write_map(folder / "map.yaml", drawing.grid)
-        poses = around(beside)
-        write_tum(folder / "trajectory.tum", Trajectory(np.arange(len(poses)) * 10**8, poses))
-    verdicts = {name: judge_folder(tmp_path / name).walls for name in ("right", "wrong")}
-    assert verdicts == {"right": Walls.SINGLE, "wrong": Walls.DOUBLED}
 
 
 def test_a_real_corridor_drawn_once_and_drawn_twice(data_dir):

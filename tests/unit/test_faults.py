@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
-from gridslam.types import LaserScan, ScanGeometry
-from support.faults import FAULTS, tilted_laser, with_fault
+from support.faults import FAULTS, with_fault
 
 EXACT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -43,30 +40,3 @@ def test_all_faults_are_streams_that_one_seed_repeats(log):
         assert (stamps(first) == stamps(again)).all()
         endless = iter(with_fault(iter(log.measurements), name, np.random.default_rng(0)))
         assert isinstance(next(endless), Measurement)
-
-
-def test_stamps_go_backward_or_repeat(log):
-    count = len(log) - 1
-    for name, size, step_s, share in (("backward_stamps", 0.05, -0.05, 0.02), ("duplicate_stamps", 0.1, 0.0, 0.1)):
-        steps = np.diff(stamps(faulty(log, name, size)))
-        wrong = steps <= 0
-        assert (steps[wrong] == round(step_s * 1e9)).all()
-        assert wrong.mean() == pytest.approx(share, abs=5 * math.sqrt(share / count))  # a binomial share
-        assert wrong.any()
-
-
-def room_scan(bearings: np.ndarray) -> LaserScan:
-    """From the middle of a room 4 m x 4 m."""
-    return LaserScan.from_ranges(
-        0, 2.0 / np.maximum(np.abs(np.cos(bearings)), np.abs(np.sin(bearings))), ScanGeometry(bearings), range_max_m=9.0
-    )
-
-
-def test_a_tilted_laser_sees_the_floor_before_it_and_the_ceiling_behind():
-    scan = room_scan(np.linspace(-math.pi, math.pi, 721))
-    (_, tilted) = next(tilted_laser([Measurement(None, scan)], 0.2))
-    # Ahead the floor, 0.3 m down; aside the wall; behind the wall again, reached 0.4 m up, below the ceiling.
-    assert tilted.ranges[[360, 540, 0]] == pytest.approx([0.3 / math.sin(0.2), 2.0, 2.0 / math.cos(0.2)], rel=1e-6)
-    assert tilted.geometry is scan.geometry
-    (_, steep) = next(tilted_laser([Measurement(None, scan)], 1.4))
-    assert steep.ranges[0] == pytest.approx(2.2 / math.sin(1.4), rel=1e-6)

@@ -7,23 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from gridslam.config import LASERS, Configuration, apply_laser, build, override, preset
-from gridslam.errors import ConfigurationError
+from gridslam.config import Configuration, apply_laser, build, override, preset
 from gridslam.evaluation import absolute_errors
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
 from gridslam.types import Trajectory
 from support.faults import range_limits
-
-
-def test_limits_are_those_of_the_laser_whatever_the_preset():
-    for name, laser in LASERS.items():
-        for base in ("default", "fast", "accurate", "gmapping"):
-            config = apply_laser(preset(base), name)
-            assert (config.range_min_m, config.range_max_m) == (laser.range_min_m, laser.range_max_m)
-            assert 0 <= config.range_min_m < config.range_max_m <= 30
-            assert config.particles == preset(base).particles
 
 
 def test_exact_lasers_get_finer_cells_where_scans_are_matched_by_gauss_newton():
@@ -38,11 +28,6 @@ def test_exact_lasers_get_finer_cells_where_scans_are_matched_by_gauss_newton():
     assert fine == expected
     assert apply_laser(preset("gmapping"), "hokuyo-utm-30lx").mapper == preset("gmapping").mapper
     assert apply_laser(preset("default"), "rplidar-a1").mapper == Configuration().mapper
-
-
-def test_an_unknown_laser_is_refused_with_what_may_be_meant():
-    with pytest.raises(ConfigurationError, match=r"laser: expected sick-lms, .* got 'rplidar'; did you mean rplidar-a"):
-        apply_laser(Configuration(), "rplidar")
 
 
 def recorded(lidar: LidarConfig, seed: int) -> SimulatedLog:

@@ -67,11 +67,6 @@ def test_run_goes_on_from_a_state_and_consumes_it(measurements, slam):
         half.snapshot()
 
 
-def test_a_state_without_measurements_stays_as_it_is(measurements, slam):
-    state = run(measurements[:1], slam, particles=PARTICLES, rng=np.random.default_rng(1))
-    assert run([], slam, rng=np.random.default_rng(1), state=state) is state
-
-
 def test_source_must_give_something_and_odometry_where_the_tracker_needs_it(measurements, slam):
     with pytest.raises(ArgumentError, match="at least one measurement"):
         run([], slam, rng=np.random.default_rng(1))
@@ -129,36 +124,6 @@ def test_full_trajectory_follows_the_best_particles_own_past(measurements, slam)
     assert not np.array_equal(full, recorder.online_trajectory().poses)  # the best particle changed on the way
 
 
-def test_recorder_survives_arrays(measurements, slam):
-    recorder = TrajectoryRecorder()
-    state = run(measurements, slam, particles=2, rng=np.random.default_rng(4), observers=[recorder])
-    twin = TrajectoryRecorder.from_arrays(recorder.to_arrays())
-    assert np.array_equal(twin.best_trajectory(state).poses, recorder.best_trajectory(state).poses)
-    broken = recorder.to_arrays() | {"online": np.zeros((3, 3))}
-    with pytest.raises(ArgumentError, match="online: expected float64"):
-        TrajectoryRecorder.from_arrays(broken)
-    with pytest.raises(ArgumentError, match="an array named repeats"):
-        TrajectoryRecorder.from_arrays({"stamps_ns": np.zeros(1, np.int64)})
-
-
-def test_a_robot_that_stands_takes_8_bytes_a_scan():
-    """Of a thousand scans where the robot was, only their stamps are kept; the poses are given for all."""
-    recorder = TrajectoryRecorder()
-    recorder(report(), None, 0.01)
-    moved = StepReport(1, np.ones(3), np.eye(3), np.ones(3), skipped=SkipReason.BETWEEN_KEY_SCANS)
-    for _ in range(1000):
-        recorder(moved, None, 0.01)
-    assert sum(values.nbytes for values in recorder.to_arrays().values()) == 1001 * 8 + 2 * 64
-    twin = TrajectoryRecorder.from_arrays(recorder.to_arrays())
-    twin(moved, None, 0.01)
-    assert twin.to_arrays()["repeats"].tolist() == [1, 1001]
-    assert twin.keys.tolist() == [0] * 1002
-    np.testing.assert_array_equal(twin.key_from_base, np.concatenate([np.zeros((1, 3)), np.ones((1001, 3))]))
-    np.testing.assert_array_equal(twin.online_trajectory().poses, twin.key_from_base)
-    with pytest.raises(ArgumentError, match="repeats: expected positive numbers of 1001 scans in all, got 1002"):
-        TrajectoryRecorder.from_arrays(recorder.to_arrays() | {"repeats": np.array([1, 1001])})
-
-
 def report(skipped=None, **options):
     return StepReport(0, np.zeros(3), np.eye(3), np.zeros(3), skipped=skipped, **options)
 
@@ -182,18 +147,6 @@ def test_statistics_count_and_time_what_they_were_told():
         assert (summary.key_latency.median_s, summary.key_latency.max_s) == (pytest.approx(0.3), 0.4)
 
 
-@pytest.mark.parametrize("bins", [[[3, 1], [3, 1]], [[3, 0]], [[10**9, 1]]])
-def test_a_histogram_that_no_run_leaves_is_refused(bins):
-    arrays = StatisticsRecorder().to_arrays() | {"seconds.bins": np.array(bins)}
-    with pytest.raises(ArgumentError, match="bins: expected ascending numbers up to 4000"):
-        StatisticsRecorder.from_arrays(arrays)
-
-
-def test_statistics_of_nothing_are_zero():
-    summary = StatisticsRecorder().summary()
-    assert (summary.scans, summary.key_scans, summary.n_eff_mean, summary.latency.max_s) == (0, 0, 0.0, 0.0)
-
-
 def test_stopwatch_gives_every_moment_to_one_stage(measurements, slam, monkeypatch):
     ticks = itertools.count()
     monkeypatch.setattr(time, "perf_counter", lambda: float(next(ticks)))  # each look at the clock takes a second
@@ -211,21 +164,3 @@ def test_stopwatch_gives_every_moment_to_one_stage(measurements, slam, monkeypat
     watch.resume()
     watch.lap("write")
     assert watch.stages["write"][0] == 1
-
-
-def test_a_lap_divides_cpu_time_among_its_splits_by_their_wall_times(monkeypatch):
-    wall, cpu = iter([0.0, 1.0, 4.0, 10.0, 11.0, 12.0, 14.0]), iter([0.0, 3.0, 8.0, 8.25, 8.5])
-    monkeypatch.setattr(time, "perf_counter", lambda: next(wall))
-    monkeypatch.setattr(time, "process_time", lambda: next(cpu))
-    watch = Stopwatch()
-    assert watch.split("read") == 1
-    assert watch.lap("track") == 3
-    assert watch.stages == {"read": [1, 0.75], "track": [3, 2.25]}
-    watch.resume()  # after 6 s that are no stage's
-    watch.split("read")
-    assert watch.stages == {"read": [1, 0.75], "track": [3, 2.25]}
-    watch.lap("read")
-    assert watch.stages == {"read": [3, 1.0], "track": [3, 2.25]}
-    watch.lap("track")
-    assert watch.stages == {"read": [3, 1.0], "track": [5, 2.5]}
-    assert watch.total() == (8, 3.5)

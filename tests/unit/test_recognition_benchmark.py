@@ -7,9 +7,7 @@ import math
 import numpy as np
 import pytest
 
-import recognition
 import recognition_drives as drives
-import recognition_logs as harder
 import recognition_scores as scores
 from gridslam.geometry.se2 import between
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -37,13 +35,6 @@ def test_odometry_is_wrong_in_blackouts_and_nowhere_else(rooms):
     assert 0.05 < abs(longer - 1) < 0.13
 
 
-def test_a_drive_is_the_same_each_time(rooms):
-    again = drives.simulated("rooms", 0)
-    assert np.array_equal(again.dark, rooms.dark)
-    pairs = zip(again.everything, rooms.everything, strict=True)
-    assert all(np.array_equal(a.odometry.pose, b.odometry.pose) for a, b in pairs)
-
-
 def test_the_second_lap_is_a_certain_revisit(rooms):
     arcs, driven = drives.certain_revisits(rooms), drives.driven_m(rooms.truth)
     assert len(arcs)
@@ -53,12 +44,6 @@ def test_the_second_lap_is_a_certain_revisit(rooms):
         at = rooms.truth[(driven >= begin) & (driven <= end), :2]
         before = rooms.truth[driven <= begin - 20, :2]
         assert max(np.hypot(*(before - p).T).min() for p in at) < 3  # the laser sees farther than that
-
-
-@pytest.mark.parametrize(("kind", "seed"), [("bare_corridors", 0), ("symmetric", 2)])
-def test_alike_places_are_no_certain_revisits(kind, seed):
-    """A serpentine of bare corridors, in which the robot never returns; twins and rings whose wings are alike."""
-    assert len(drives.certain_revisits(drives.simulated(kind, seed))) == 0
 
 
 def lap() -> np.ndarray:
@@ -110,64 +95,3 @@ def test_an_answer_that_follows_a_wrong_constraint_has_a_false_one():
     answer[40:, 0] += 2.0
     found, drawn_in = ((a, a + 40, (0.0, 0.0, 0.0), SURE) for a in (5, 6))
     assert judged(truth, said(answer, found, drawn_in), [(44, 47)]) == (0, 0, 2, 1)
-
-
-def test_a_constraint_that_the_answer_contradicts_is_thrown_away():
-    truth = lap()
-    assert judged(truth, said(truth, (5, 45, (2.0, 0.0, 0.0), SURE)), [(44, 47)]) == (0, 0, 0, 0)
-
-
-def test_one_command_writes_the_report_and_a_curve(tmp_path, capsys, monkeypatch):
-    out, cache = tmp_path / "recognition.md", str(tmp_path / "cache")
-    given = ["--only", "a", "--kinds", "rooms", "--drives", "1", "--cache", cache]
-    recognition.main([*given, "--sweep", "loop_closure.places.inlier_ratio=0.9", "-o", str(out)])
-    text = out.read_text(encoding="utf-8")
-    for part in (
-        "commit",
-        "Simulated drives: as it is",
-        "loop_closure.places.inlier_ratio=0.9",
-        "## Curve",
-        "| honest |",
-    ):
-        assert part in text
-    assert "rooms 0" in capsys.readouterr().out
-    monkeypatch.setattr(recognition, "certain_revisits", lambda drive: pytest.fail("not taken from the cache"))
-    recognition.main(given)
-
-
-def test_a_parameter_that_does_not_exist_is_told_before_any_work(monkeypatch):
-    monkeypatch.setattr(recognition, "simulated", lambda *_: pytest.fail("began to work"))
-    with pytest.raises(SystemExit, match="no such parameter"):
-        recognition.main(["--only", "a", "--sweep", "loop_closure.recognition.shaer=0.6"])
-
-
-def test_logs_are_thinned_and_begun_anew(rooms):
-    scans, (one, two) = rooms.everything, np.random.default_rng(1).integers(0, 200, 2)
-    kept = harder._moved(scans)
-    poses = np.array([scans[k].odometry.pose for k in kept])
-    steps = between(poses[:-1], poses[1:])
-    assert ((np.hypot(steps[:, 0], steps[:, 1]) >= 0.5) | (np.abs(steps[:, 2]) >= 0.5)).all()
-    anew = harder._begun_anew(scans, np.random.default_rng(0))
-    half = len(scans) // 2
-    assert len(anew) == len(scans)
-    assert anew[half - 1] is scans[half - 1]
-    i, j = half + one, half + two
-    np.testing.assert_allclose(
-        between(anew[i].odometry.pose, anew[j].odometry.pose),
-        between(scans[i].odometry.pose, scans[j].odometry.pose),
-        atol=1e-9,
-    )
-    assert np.hypot(*(anew[half].odometry.pose - scans[half].odometry.pose)[:2]) > 1
-
-
-def test_logs_that_are_there(data_dir):
-    assert ("seattle", "as it is") in harder.variants("d", data_dir)
-    made = harder.variant("seattle", "as it is", data_dir, 0, lambda *_: pytest.fail("has no clean run"))
-    assert made.truth.shape == (len(made.measurements), 3)
-    assert {kind for _, kind in harder.variants("c", data_dir)} == {
-        "every 2",
-        "every 5",
-        "every 10",
-        "every 16",
-        "0.5 m or 0.5 rad",
-    }

@@ -37,17 +37,3 @@ def test_all_columns_fit(browser, site, width):
             assert max(browser.execute_script(RIGHT_EDGES)) > 10
     finally:
         browser.set_window_size(1400, 900)
-
-
-@pytest.mark.parametrize("reduced", [False, True])
-def test_animations_stand_still_where_motion_is_not_wanted(browser, site, reduced):
-    wanted = [{"name": "prefers-reduced-motion", "value": "reduce" if reduced else "no-preference"}]
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": wanted})
-    try:
-        browser.get((site / "ekf_slam.html").as_uri())
-        content = browser.execute_script(
-            """return getComputedStyle(document.querySelector('img[src$=".webp"]')).content"""
-        )
-        assert ("stills/covariance_ellipses.png" in content) == reduced
-    finally:
-        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})

@@ -11,7 +11,7 @@ import pytest
 
 from gridslam.batch.journal import COLUMNS, JOURNAL, Journal
 from gridslam.batch.runs import read_runs, write_parquet
-from gridslam.errors import InputError, MissingDependencyError
+from gridslam.errors import InputError
 from support.journals import make_document, make_rows, write_journal
 
 
@@ -46,13 +46,6 @@ def test_scores_and_reports_of_other_commands_are_read(tmp_path):
     assert diagnosed.findings == (("error", "frozen", "The laser is frozen."),)
 
 
-@pytest.mark.parametrize("document", [None, "[]", "3", '{"scans": 3, "input": [], "evaluation": {"ate": null}}'])
-def test_a_document_without_figures_is_no_failure(tmp_path, document):
-    write_journal(tmp_path, [make_rows(1)[0] | {"document": document}])
-    (run,) = read_runs(tmp_path)
-    assert (run.figures, run.findings) == ({}, ())
-
-
 def test_a_folder_without_a_journal_and_a_damaged_one_are_named(tmp_path):
     with pytest.raises(InputError, match=r"runs\.sqlite: no such file"):
         list(read_runs(tmp_path))
@@ -76,12 +69,6 @@ def test_parquet_has_a_row_for_each_run_and_a_column_for_each_figure(tmp_path):
     assert table["log"] == [row["log"] for row in rows]
     assert [status == "failed" for status in table["status"]] == [error is None for error in table["error_m"]]
     assert "document" not in table
-
-
-def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
-    with pytest.raises(MissingDependencyError, match=r"gridslam\[parquet\]"):
-        write_parquet(tmp_path)
 
 
 def test_rows_of_a_transaction_are_written_together_or_not_at_all(tmp_path):

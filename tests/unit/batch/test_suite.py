@@ -60,16 +60,6 @@ def test_each_log_is_run_by_each_variant_and_seed(suite, tmp_path):
     assert (entries[0].reference, entries[2].reference) == (str(tmp_path / "one.relations"), None)
 
 
-def test_what_is_absent_is_named_and_the_rest_is_run(suite, tmp_path):
-    (tmp_path / "one.clf").write_text("")
-    entries, absent = suite.find([tmp_path])
-    assert len(entries) == 4
-    assert [sentence.partition(":")[0] for sentence in absent] == ["one", "two"]
-    assert "no one.relations" in absent[0]
-    with pytest.raises(InputError, match=r"none of the suite's logs: one: no one\.clf in .*; two: no two\.clf in"):
-        suite.find([tmp_path / "suite.toml"])
-
-
 def test_without_folders_the_logs_are_downloaded(suite, tmp_path, monkeypatch):
     def fetch(name, folder):
         if name == "aces":
@@ -101,8 +91,3 @@ def test_a_file_that_is_no_suite_is_named_with_its_key(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(InputError, match=rf"suite\.toml: {message}"):
         load_suite(str(path))
-
-
-def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(InputError, match=r"absent\.toml: no such file"):
-        load_suite(str(tmp_path / "absent.toml"))

@@ -60,33 +60,6 @@ def test_the_rest_of_a_drive_and_an_odometry_that_knows_are_no_break():
     assert breaks(carried(odometry_knows=True)) == []
 
 
-def test_who_passes_closely_is_none():
-    """Most of the view is covered for a second: the view from before comes back."""
-    measurements = list(log(scans=100)[0])
-    for k in range(40, 45):
-        scan = measurements[k].scan
-        ranges = np.where(np.arange(len(scan)) < 0.7 * len(scan), 0.5, scan.ranges)
-        measurements[k] = measurements[k]._replace(scan=replace(scan, ranges=ranges))
-    assert breaks(measurements) == []
-
-
-def test_who_sees_farther_in_all_directions_has_passed_a_door():
-    measurements = [
-        m._replace(scan=replace(m.scan, ranges=2 * m.scan.ranges)) if k > 40 else m
-        for k, m in enumerate(log(scans=100)[0])
-    ]
-    assert breaks(measurements) == []
-
-
-def test_a_laser_that_fails_is_none():
-    """From a scan on each one is of another place."""
-    rng = np.random.default_rng(0)
-    measurements = list(log(scans=300)[0])
-    other = rng.permutation(len(measurements))
-    failed = [m._replace(scan=measurements[other[k]].scan) if k > 100 else m for k, m in enumerate(measurements)]
-    assert breaks(failed) == []
-
-
 def test_it_is_reported_while_the_log_is_read_long_after_the_first_minute():
     """Once, ten scans later, whatever the reader has read before."""
     standing = [carried()[0]] * 400

@@ -39,22 +39,6 @@ def test_rows_are_those_of_the_whole_map(first, last):
         assert rows.origin == pytest.approx((whole.origin[0], whole.origin[1] + first * CELL))
 
 
-def test_what_is_written_later_does_not_change_it():
-    maps, beams = maps_that_saw((5.05, 3.35))
-    tiled, before = maps.tiled(0), maps.occupancy(0)
-    maps.update(np.zeros(1, np.int32), np.array([[1.0, 2.0, 0.5]]), beams)
-    np.testing.assert_array_equal(tiled.whole().log_odds, before.log_odds)
-    assert maps.occupancy(0).known.sum() > before.known.sum()
-
-
-def test_of_an_empty_map_there_is_one_unknown_cell(tmp_path):
-    maps = TileMaps(1, resolution_m=CELL, reach_cells=4.0, evidence=Evidence(2.0, -0.4, -9.0, 9.0, 1.0))
-    assert maps.tiled(0).shape == (1, 1)
-    assert not maps.tiled(0).whole().known.any()
-    write_map(tmp_path / "m.yaml", maps.tiled(0))
-    assert (tmp_path / "m.pgm").read_bytes() == b"P5\n1 1\n255\n" + bytes([205])
-
-
 def test_a_large_map_is_written_without_unfolding_it(tmp_path):
     """Two walls 300 m apart each way: 9 million cells, of which a few thousand are known."""
     maps, _ = maps_that_saw((150.0, 150.0), (-150.0, -150.0))

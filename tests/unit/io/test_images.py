@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from gridslam.errors import InputError
-from gridslam.io.images import FORMATS, LONGEST_SIDE_PX, open_image
+from gridslam.io.images import LONGEST_SIDE_PX, open_image
 from gridslam.io.maps import read_map
 from gridslam.viz.thumbnail import write_thumbnail
 from support.fuzz_bombs import MAP_YAML
@@ -45,13 +45,6 @@ def test_a_map_never_starts_a_program(tmp_path, monkeypatch, name):
     assert not (tmp_path / "started").exists()
 
 
-@pytest.mark.parametrize("form", FORMATS)
-def test_formats_of_maps_are_read_whatever_their_names(tmp_path, form):
-    Image.fromarray(np.array([[0, 254], [254, 0]], np.uint8)).save(tmp_path / "map", form)
-    with open_image(tmp_path / "map", 1) as image:
-        assert (image.format, image.size) == (form, (2, 2))
-
-
 @pytest.mark.parametrize("form", ["WEBP", "TGA", "ICO", "PCX"])
 def test_other_formats_are_refused(tmp_path, form):
     Image.fromarray(np.zeros((16, 16), np.uint8)).convert("RGB").save(tmp_path / "map.png", form)
@@ -69,20 +62,6 @@ def test_a_side_that_no_map_has_is_refused_before_anything_is_decoded(tmp_path, 
     (tmp_path / "map.yaml").write_text(MAP_YAML.replace("map.pgm", "map.png"))
     with pytest.raises(InputError, match=f"at most 65536 pixels a side, got {size[0]} x {size[1]}"):
         read_map(tmp_path / "map.yaml")
-
-
-def test_a_large_image_that_python_would_decode_is_refused(tmp_path):
-    """A million pixels take Pillow a second where a PGM's largest value is not 255, and 20 ms where it is."""
-    head = b"P5\n4000 3000\n100\n"
-    (tmp_path / "map.pgm").write_bytes(head)
-    with (
-        pytest.raises(InputError, match="at most 10000000 pixels in this encoding"),
-        open_image(tmp_path / "map.pgm", 1),
-    ):
-        pass
-    (tmp_path / "map.pgm").write_bytes(head.replace(b"100", b"255"))
-    with open_image(tmp_path / "map.pgm", 1) as image:
-        assert image.size == (4000, 3000)
 
 
 def test_a_bitmap_encoded_in_runs_is_refused_before_it_is_decoded(tmp_path):

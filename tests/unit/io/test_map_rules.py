@@ -13,10 +13,7 @@ from gridslam.io.maps import (
     occupancy_percent,
     read_map,
     read_map_image,
-    unknown_read_as_free,
-    write_map,
 )
-from gridslam.types import OccupancyGrid
 
 THRESHOLDS = [(0.65, 0.196), (0.65, 0.25), (0.51, 0.49), (1.0, 0.0), (0.8, 0.2)]
 EVERY = np.arange(256)
@@ -68,15 +65,6 @@ def saved(folder, image, mode="trinary", thresholds=(0.65, 0.25), suffix="png", 
     return folder / "m.yaml"
 
 
-def test_what_nav2_saves_in_trinary_mode_comes_back(tmp_path):
-    cells = np.random.default_rng(0).choice([-1, 0, 100], (7, 9))
-    pixels = np.select([cells < 0, cells == 0], [205, 254], 0).astype(np.uint8)
-    for suffix in ("pgm", "png", "bmp"):
-        path = saved(tmp_path, Image.fromarray(pixels), suffix=suffix)  # nav2 writes free_thresh 0.25
-        grid = read_map(path)
-        assert (np.where(grid.known, np.where(grid.log_odds > 0, 100, 0), -1) == cells[::-1]).all()
-
-
 def test_what_nav2_saves_in_scale_mode_comes_back(tmp_path):
     cells = np.arange(-1, 101)[None]
     grey = np.where(cells < 0, 127, np.rint(255 * (100 - cells) / 100)).astype(np.uint8)
@@ -94,15 +82,6 @@ def test_what_nav2_saves_in_raw_mode_comes_back(tmp_path):
     np.testing.assert_allclose(grid.probability[0, 1:], 0.01 + 0.0098 * cells[0, 1:], atol=1e-6)
 
 
-def test_what_we_write_is_read_alike_by_every_rule(tmp_path):
-    cells = np.random.default_rng(1).integers(-1, 2, (6, 5))
-    write_map(tmp_path / "m.yaml", OccupancyGrid(np.float32(9) * (2 * cells - 1), cells >= 0, 0.05, (0.0, 0.0)))
-    for strict in (False, True):
-        grid, remarks = read(tmp_path / "m.yaml", strict_thresholds=strict)
-        assert (np.where(grid.known, grid.log_odds > 0, -1) == cells).all()
-        assert remarks == []
-
-
 def test_unknown_that_would_be_free_is_told_and_can_be_had(tmp_path):
     path = saved(tmp_path, Image.fromarray(np.array([[205, 205, 254, 0]], np.uint8)))
     grid, (remark,) = read(path)
@@ -115,19 +94,6 @@ def test_unknown_that_would_be_free_is_told_and_can_be_had(tmp_path):
     assert none == []
 
 
-def test_only_opaque_205_of_a_trinary_map_is_spared():
-    image = MapImage(np.array([[205.0, 205.0, 204.0]]), np.array([[True, False, True]]))
-    describe = {"image": "m.png", "resolution_m": 0.05, "origin": (0.0, 0.0), "free_thresh": 0.25}
-    assert unknown_read_as_free(image, MapDescription(**describe)).tolist() == [[True, False, False]]
-    for other in ({"mode": "scale"}, {"mode": "raw"}, {"negate": True}, {"free_thresh": 0.196}):
-        assert not unknown_read_as_free(image, MapDescription(**{**describe, **other})).any()
-
-
-def test_sixteen_bits_are_not_cut_off(tmp_path):
-    Image.fromarray(np.array([[0, 205 * 257, 65535]], np.uint16)).save(tmp_path / "m.png")
-    assert read_map_image(tmp_path / "m.png").brightness.tolist() == [[0, 205, 255]]
-
-
 @pytest.mark.parametrize("mode", ["RGB", "RGBA", "P", "1"])
 def test_grey_in_any_form_is_read(tmp_path, mode):
     pixels = np.array([[0, 255, 0]] if mode == "1" else [[0, 205, 254]], np.uint8)
@@ -137,32 +103,11 @@ def test_grey_in_any_form_is_read(tmp_path, mode):
     assert found.opaque.all()
 
 
-def test_transparency_of_a_palette_counts(tmp_path):
-    image = Image.fromarray(np.array([[0, 1]], np.uint8), "L").convert("P")
-    image.save(tmp_path / "m.png", transparency=0)
-    assert read_map_image(tmp_path / "m.png").opaque.tolist() == [[False, True]]
-
-
-def test_colours_are_refused(tmp_path):
-    path = saved(tmp_path, Image.fromarray(np.array([[[0, 0, 0], [9, 9, 8]]], np.uint8)))
-    with pytest.raises(InputError, match="expected a grey image, got colours in 1 of 2 pixels"):
-        read_map(path)
-
-
 def test_an_image_too_large_for_anything_is_refused(tmp_path, monkeypatch):
     path = saved(tmp_path, Image.fromarray(np.zeros((30, 30), np.uint8)))
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
     with pytest.raises(InputError, match="expected an image"):
         read_map(path)
-
-
-def test_the_turtlebot_map_is_told_about(data_dir):
-    grid, (remark,) = read(data_dir / "maps" / "mac_1st_floor_final.yaml")
-    unknown = int((~grid.known).sum())
-    assert f"its {unknown} cells" in remark
-    literal = read_map(data_dir / "maps" / "mac_1st_floor_final.yaml", strict_thresholds=True)
-    assert (literal.log_odds[~grid.known] < 0).all()
-    assert read(data_dir / "maps" / "meeting.yaml")[1] == []
 
 
 def test_whatever_happens_to_the_files_it_is_told_in_one_line(tmp_path):

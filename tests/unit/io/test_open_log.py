@@ -8,11 +8,7 @@ import gzip
 import pytest
 
 from gridslam.errors import InputError
-from gridslam.io.carmen.reader import CarmenLog
-from gridslam.io.csv import CsvLog
-from gridslam.io.log import LogFormat, LogOptions, detect_log_format, open_log
-from gridslam.io.selection import SelectedLog
-from gridslam.io.text import compute_digest
+from gridslam.io.log import LogFormat, detect_log_format, open_log
 from gridslam.io.trajectories import CSV_HEADER
 
 CARMEN = b"# a drive\nPARAM robot_length 0.5 host 1.0\nFLASER 1 1.0 0 0 0 0 0 0 1.0 host 1.0\n"
@@ -43,12 +39,6 @@ def test_bags(tmp_path, head):
     assert detect_log_format(tmp_path / "log.txt") is LogFormat.BAG
 
 
-@pytest.mark.parametrize("name", ["metadata.yaml", "a_0.db3", "a_0.mcap", "a_0.db3.zstd"])
-def test_folders_of_bags(tmp_path, name):
-    (tmp_path / name).touch()
-    assert detect_log_format(tmp_path) is LogFormat.BAG
-
-
 @pytest.mark.parametrize(
     ("content", "problem"),
     [
@@ -77,38 +67,8 @@ def test_what_is_no_log_is_told_in_one_line(tmp_path, content, problem):
     assert "\n" not in str(caught.value)
 
 
-def test_folders_and_files_that_are_none(tmp_path):
-    with pytest.raises(InputError, match=r"got a folder without metadata\.yaml, \.db3 or \.mcap"):
-        open_log(tmp_path)
-    with pytest.raises(InputError, match="no such file"):
-        open_log(tmp_path / "absent")
-
-
-def test_the_reader_and_its_options(tmp_path):
-    (tmp_path / "a").write_bytes(CARMEN)
-    (tmp_path / "b").write_bytes(CSV)
-    carmen, scans = open_log(tmp_path / "a", LogOptions(keep_truncated=True)), open_log(tmp_path / "b")
-    assert isinstance(carmen, CarmenLog)
-    assert carmen.keep_truncated
-    assert isinstance(scans, CsvLog)
-    assert isinstance(open_log(tmp_path / "a", LogOptions(every=2)), SelectedLog)
-    for options in (LogOptions(odometry_topic="/odom"), LogOptions(odometry_frame="odom"), LogOptions(base_frame="b")):
-        with pytest.raises(InputError, match="chosen in bags alone, and this is a CSV log"):
-            open_log(tmp_path / "b", options)
-
-
 def test_a_log_damaged_from_its_start_is_told_so(tmp_path):
     path = tmp_path / "log.clf.bz2"
     path.write_bytes(bz2.compress(CARMEN)[:30])
     with pytest.raises(InputError, match="cut off"):
         list(open_log(path))
-
-
-def test_the_digest_of_a_folder_is_that_of_its_list(tmp_path):
-    import subprocess
-
-    for name in ("b_0.db3", "metadata.yaml", "A.txt"):
-        (tmp_path / name).write_text(f"{name} holds this")
-    command = "LC_ALL=C; sha256sum * | sha256sum"
-    told = subprocess.run(["sh", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-    assert compute_digest(tmp_path) == told.split()[0]

@@ -9,7 +9,7 @@ import pytest
 
 from gridslam.errors import InputError
 from gridslam.io.read_ahead import read_ahead
-from gridslam.io.text import TextSource, read_numbered_lines
+from gridslam.io.text import TextSource
 
 
 def threads():
@@ -27,25 +27,6 @@ def test_items_come_in_order_from_another_thread():
     assert list(read_ahead(items)) == list(range(200))
     assert threading.current_thread() not in makers
     assert len(makers) == 1
-    assert not threads()
-
-
-def test_no_more_is_made_than_may_wait():
-    made = []
-    third = threading.Event()
-
-    def items():
-        for number in range(50):
-            made.append(number)
-            if number == 3:
-                third.set()
-            yield number
-
-    ahead = read_ahead(items, most=2)
-    assert next(ahead) == 0
-    assert third.wait(10)
-    assert made == [0, 1, 2, 3], "two wait, and one is to be put in line"
-    ahead.close()
     assert not threads()
 
 
@@ -69,12 +50,3 @@ def test_reading_that_stops_early_leaves_no_thread(tmp_path):
     assert len(threads()) == 1
     del lines
     assert not threads()
-
-
-def test_a_file_that_is_cut_off_is_read_up_to_there(tmp_path):
-    path = tmp_path / "cut.bz2"
-    path.write_bytes(bz2.compress(b"".join(b"%d\n" % number for number in range(400_000)))[:-4000])
-    lines = []
-    with pytest.raises(InputError, match="ends in the middle") as caught:
-        lines.extend(text for _, text in read_numbered_lines(path))
-    assert caught.value.line > 100_000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager
 
 import pytest
 from websockets.exceptions import ConnectionClosed
@@ -113,29 +113,6 @@ def test_of_3000_seeks_the_newest_wins_and_others_are_answered_meanwhile(page, c
         assert sum(len(viewer.commands) for viewer in content.viewers) < 300
 
 
-def test_the_newest_of_each_kind_is_executed_in_the_order_in_which_they_came(page, content):
-    with looking(page) as line:
-        send(line, do="busy")  # the others wait together
-        wait_until(lambda: len(content.viewers) == 1)
-        for number in range(5):
-            send(line, do="seek", at=number)
-            send(line, do="robot", command="save")
-            send(line, do="robot", command="reset", number=number)
-            send(line, do="pause")
-        send(line, do="seek", at=9)
-        wait_until(lambda: content.viewers[0].commands[-1:] == [{"do": "seek", "at": 9}])
-        *_, save, reset, pause, _ = content.viewers[0].commands
-        assert (save["command"], reset["command"], reset["number"], pause["do"]) == ("save", "reset", 4, "pause")
-
-
-def test_commands_of_ever_other_kinds_are_refused(page):
-    with looking(page) as line:
-        with suppress(ConnectionClosed):  # it may be closed before all are sent
-            for number in range(100):
-                send(line, do=f"kind {number}")
-        assert closing_code(line) == 4400
-
-
 def test_no_more_look_on_than_half_of_the_connections(monkeypatch, content):
     monkeypatch.setattr(connections.LimitedConnection, "most", 4)
     with PageServer(content, LiveOptions(port=0)) as page:
@@ -146,29 +123,6 @@ def test_no_more_look_on_than_half_of_the_connections(monkeypatch, content):
         with looking(page) as line:
             send(line, do="seek")
             line.recv(5)
-
-
-def test_those_who_are_there_do_not_wait_for_all_who_come(page, content, monkeypatch):
-    """Whoever comes is sent everything, which would take 4 s for all of these."""
-    with looking(page) as line, ExitStack() as stack:
-        send(line, do="pause")
-        line.recv(5)
-        line.send('{"do": "ack"}')
-        monkeypatch.setattr(content, "add_viewer", add_slowly(content.add_viewer))
-        for _ in range(20):
-            stack.enter_context(looking(page))
-        start = time.monotonic()
-        send(line, do="seek")
-        line.recv(5)
-        assert time.monotonic() - start < 1.0
-
-
-def add_slowly(add_viewer):
-    def add(notify):
-        time.sleep(0.2)
-        return add_viewer(notify)
-
-    return add
 
 
 def test_who_confirms_nothing_is_gone(monkeypatch, page, content):

@@ -64,32 +64,8 @@ def test_who_never_reads_is_dropped_and_who_reads_slowly_is_not(monkeypatch, tmp
             assert len(kept(page)) == 1
 
 
-def test_answers_to_pings_do_not_pile_up(page):
-    with connected(page, HANDSHAKE) as line:
-        assert line.recv(12) == b"HTTP/1.1 101"
-        for _ in range(1000):
-            line.sendall(frame(9, bytes(125)) * 100)  # 13 MB, of which the system keeps some
-        time.sleep(0.2)
-        (connection,) = kept(page)
-        assert connection.transport.get_write_buffer_size() < 1 << 20
-
-
 def test_a_message_in_many_pieces_ends_the_line(page):
     with connected(page, HANDSHAKE) as line:
         assert line.recv(12) == b"HTTP/1.1 101"
         line.sendall(frame(1, b"{", is_last=False) + frame(0, b"", is_last=False) * 100)
         wait_until(lambda: not kept(page))
-
-
-def test_little_is_taken_of_a_connection_before_it_is_the_turn_of_others(page, monkeypatch):
-    """256 KB of small frames, as many as there were, took the loop for seconds."""
-    sizes = []
-    receive = connections.LimitedSocket.data_received
-    monkeypatch.setattr(
-        connections.LimitedSocket, "data_received", lambda self, data: sizes.append(len(data)) or receive(self, data)
-    )
-    with connected(page, HANDSHAKE) as line:
-        assert line.recv(12) == b"HTTP/1.1 101"
-        line.sendall(frame(10, b"") * 50_000)
-        wait_until(lambda: sum(sizes) >= 300_000)
-    assert max(sizes) <= 1 << 14

@@ -72,29 +72,6 @@ def test_a_finished_map_is_seen_as_it_was(mapped):
     assert client.sees(read_map(out / "map.yaml"))
 
 
-def test_two_viewers_are_at_times_of_their_own(mapped):
-    out, seen = mapped
-    replay = Replay(out)
-    (one, first), (other, second) = looking(replay), looking(replay)
-    for early, late in ((5, 100), (6, 99), (40, 7)):
-        one.command({"do": "seek", "at": early})
-        other.command({"do": "seek", "at": late})
-        for viewer, client, at in ((one, first, early), (other, second, late)):
-            client.catch_up(viewer)
-            assert client.sees(seen[at][0])
-
-
-def test_a_step_in_the_past_is_little(mapped):
-    viewer, client = looking(Replay(mapped[0]))
-    viewer.command({"do": "seek", "at": 90})
-    client.catch_up(viewer)
-    before = client.bytes
-    viewer.command({"do": "step"})
-    client.catch_up(viewer)
-    assert client.status["at"] == 91
-    assert client.bytes - before < 12_000
-
-
 def test_a_localization_is_seen_with_its_particles_and_scans(tmp_path):
     write_map(tmp_path / "flat.yaml", flat_map())
     write_carmen(tmp_path / "flat.clf", localization_drive(1).measurements)

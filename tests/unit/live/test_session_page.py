@@ -9,12 +9,7 @@ import pytest
 from websockets.sync.client import connect
 
 from gridslam.cli.ros import make_viewer_opener
-from gridslam.config import build, preset
-from gridslam.live.control import Control
-from gridslam.live.monitor import MappingMonitor
 from gridslam.live.options import LiveOptions
-from gridslam.live.run import LiveRun
-from gridslam.pipeline import run
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.ros_node import RosNode
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
@@ -72,16 +67,3 @@ def test_a_node_shows_its_session_and_where_the_robot_was_found(drive, session, 
     assert logged is not None
     assert where["way_m"] == pytest.approx(logged.way_m, abs=1e-6)
     assert np.hypot(*(logged.pose - where["pose"])[:2]) < 0.3
-
-
-def test_a_log_that_goes_on_nowhere_shows_no_session(drive):
-    live = LiveRun("log", Control())
-    assert live.make_scene(0).status["goes_on"] is None
-    monitor, states = MappingMonitor(30.0), []
-
-    def observe(report, state, seconds):
-        monitor.record(report, None)
-        states.append(monitor.view(report, state).status)
-
-    run(drive[:40], build(preset("default")), particles=3, rng=np.random.default_rng(1), observers=[observe])
-    assert not any("found" in status or status["searches"] for status in states)

@@ -7,9 +7,8 @@ import time
 import numpy as np
 import pytest
 
-from gridslam.config import override, preset
 from gridslam.errors import ConfigurationError, InputError
-from gridslam.io.sessions.session_file import SavedSession, read_session, write_session
+from gridslam.io.sessions.session_file import read_session
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.ros_node import RosNode
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
@@ -106,14 +105,6 @@ def test_a_killed_node_has_left_its_session_and_the_next_one_says_so(drive, tmp_
     assert len(read_session(autosave).run.trajectory.keys) == 60
 
 
-def test_a_saved_session_leaves_no_autosave(drive, tmp_path):
-    node = RunningNode(out=str(tmp_path / "out"), save=str(tmp_path / "s.gridslam"), autosave=0.002)
-    node.play(drive[:30])
-    node.stop()
-    assert not (tmp_path / "out" / "autosave.gridslam").exists()
-    assert read_session(tmp_path / "s.gridslam").thumbnail[:4] == b"\x89PNG"
-
-
 def test_nothing_replaces_a_session_that_cannot_be_gone_on_from(drive, first_half, tmp_path, monkeypatch):
     def fail(*arguments, **options):
         raise RuntimeError("injected")
@@ -130,16 +121,6 @@ def test_nothing_replaces_a_session_that_cannot_be_gone_on_from(drive, first_hal
     assert "no session is saved" in log
     assert path.read_bytes() == first_half.read_bytes()
     assert (tmp_path / "out" / "map.pgm").exists()  # the drive is not lost, either
-
-
-def test_what_earlier_drives_have_left_stays_where_the_robot_is_not_found(drive, first_half, tmp_path):
-    save = tmp_path / "two.gridslam"
-    node = RunningNode(**{"continue": str(first_half)}, save=str(save), begin_at="elsewhere")
-    node.play(drive[:3], shift_s=3600.0)
-    node.stop()
-    saved = read_session(save)
-    assert [len(piece.drives) for piece in saved.pieces] == [1]
-    assert len(saved.run.trajectory.keys) == 3
 
 
 def test_where_time_jumps_back_the_next_drive_belongs_to_the_same_session(drive, first_half, tmp_path):
@@ -199,20 +180,6 @@ def test_a_session_that_is_none_is_refused_at_the_start(tmp_path):
         node_parameters({"continue": str(tmp_path / "s.gridslam")}, "default")
     with pytest.raises(InputError, match="no such file"):
         node_parameters({"continue": str(tmp_path / "other.gridslam")}, "default")
-
-
-def test_slam_toolboxs_parameters_name_a_session(tmp_path):
-    config = override(preset("default"), "particles=4")
-    write_session(tmp_path / "floor.gridslam", SavedSession(config, seed=5))
-    given = {"map_file_name": str(tmp_path / "floor"), "map_start_pose": [1.0, 2.0, 0.5]}
-    found = node_parameters(given, "default")
-    assert found.configuration == config
-    assert found.files.continued.pose.tolist() == [1.0, 2.0, 0.5]
-    other = node_parameters({"map_file_name": str(tmp_path / "other"), "map_start_pose": [1.0, 2.0, 0.5]}, "default")
-    assert other.files.continued is None
-    assert "pose graphs of slam_toolbox cannot be read" in other.warning
-    with pytest.raises(ConfigurationError, match="map_start_at_dock"):
-        node_parameters({"map_file_name": str(tmp_path / "floor"), "map_start_at_dock": True}, "default")
 
 
 def test_a_live_scan_is_not_held_up_while_the_session_is_written(drive, tmp_path):

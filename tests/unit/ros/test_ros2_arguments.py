@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gridslam.errors import ConfigurationError, InputError
-from gridslam.ros.ros2.arguments import RosArguments, parse_ros_arguments
+from gridslam.ros.ros2.arguments import parse_ros_arguments
 
 
 def test_parameters_remappings_and_names():
@@ -37,18 +37,6 @@ def test_parameters_remappings_and_names():
     assert found.resolve("/tf") == "/tf_robot"
     assert found.resolve("/tf_static") == "/tf_static"
     assert found.resolve("~/pose") == "/robot1/mapper/pose"
-
-
-def test_a_name_is_remapped_however_it_is_written():
-    found = parse_ros_arguments(["-r", "tf:=/tf_robot", "-r", "/map:=plan", "-r", "~/pose:=where"])
-    assert [found.resolve(name) for name in ("/tf", "map", "~/pose")] == ["/tf_robot", "/plan", "/where"]
-    found = parse_ros_arguments(["-r", "__ns:=robot1", "-r", "/tf:=tf", "-r", "/robot1/scan:=front"])
-    assert [found.resolve(name) for name in ("/tf", "scan")] == ["/robot1/tf", "/robot1/front"]
-
-
-def test_without_arguments():
-    assert parse_ros_arguments([]) == RosArguments({}, {}, "gridslam", "/")
-    assert RosArguments().resolve("map") == "/map"
 
 
 @pytest.mark.parametrize(
@@ -111,11 +99,6 @@ def test_a_file_of_parameters_tells_them_by_the_node_s_name(tmp_path, names, par
     assert parse_ros_arguments(arguments).parameters == parameters
     assert parse_ros_arguments([*arguments, "-p", "particles:=5"]).parameters["particles"] == 5
     assert parse_ros_arguments(["-p", "seed:=7", *arguments]).parameters["seed"] == 3
-
-
-def test_what_is_said_of_another_node_is_left_out():
-    found = parse_ros_arguments(["-p", "gridslam:seed:=1", "-p", "amcl:seed:=2", "-r", "amcl:scan:=other"])
-    assert (found.parameters, found.remaps) == ({"seed": 1}, {})
 
 
 def test_what_only_a_ros_understands_is_ignored_and_told():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 from contextlib import contextmanager
 from types import SimpleNamespace
@@ -11,7 +10,6 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ConfigurationError
-from gridslam.io.sessions.session_file import read_session
 from gridslam.ros.node.transport import RunOptions
 from gridslam.ros.ros2_rclpy.rclpy_transport import run_rclpy
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
@@ -91,30 +89,6 @@ def test_a_drive_by_way_of_bytes(monkeypatch, drive, tmp_path):
     assert world.nodes[0].destroyed
 
 
-def test_services_of_slam_toolbox_by_its_own_names_and_types(monkeypatch, drive, tmp_path):
-    world = fake_rclpy.installed(monkeypatch, {"particles": 4}, slam_toolbox=True)
-    path = tmp_path / "floor.gridslam"
-
-    def script():
-        world.subscriptions["/tf_static"][2](transforms(mounting()))
-        for one in drive:
-            send(world, one)
-        assert until(lambda: len(world.published.get("~/pose", ())) == len(drive)), world.logged
-        request = SimpleNamespace(filename=str(tmp_path / "floor"))
-        assert world.services["slam_toolbox/serialize_map"](request).result == 0
-        assert world.services["slam_toolbox/pause_new_measurements"](SimpleNamespace()).status
-        assert world.services["slam_toolbox/clear_changes"](SimpleNamespace()) is not None
-        assert {"~/serialize_map", "~/reset"} <= set(world.services)  # the node has another name
-
-    run(world, script)
-    assert len(read_session(path).run.trajectory.keys) == len(drive)
-    other = fake_rclpy.installed(monkeypatch, {"particles": 4})
-    monkeypatch.delitem(sys.modules, "slam_toolbox.srv", raising=False)
-    run(other, lambda: None)
-    assert not any(name.startswith("slam_toolbox/") for name in other.services)
-    assert "~/serialize_map" in other.services
-
-
 def test_ctrl_c_leaves_time_to_tell_the_last_map(monkeypatch, drive, tmp_path):
     """As rclpy's own handlers of signals would not: they shut the context down, and publishing raises from then on."""
     world = fake_rclpy.installed(monkeypatch, {"particles": 4, "map_update_interval": 60.0})
@@ -162,62 +136,6 @@ def test_a_context_that_others_shut_down_ends_the_node_well(monkeypatch, drive, 
 
     run(world, script, given={"out": str(tmp_path / "out")}, open_viewers=open_viewers)
     assert (tmp_path / "out" / "map.pgm").is_file()
-
-
-def test_quality_of_service(monkeypatch):
-    world = fake_rclpy.installed(monkeypatch, {})
-
-    def told(profile):
-        return profile.reliability.name, profile.durability.name, profile.depth
-
-    run(world, lambda: None)
-    assert told(world.publishers["map"][1]) == ("RELIABLE", "TRANSIENT_LOCAL", 1)
-    assert told(world.publishers["map_metadata"][1]) == ("RELIABLE", "TRANSIENT_LOCAL", 1)
-    assert told(world.publishers["/tf"][1]) == ("RELIABLE", "VOLATILE", 10)
-    assert told(world.subscriptions["scan"][1]) == ("BEST_EFFORT", "VOLATILE", 200)
-    assert told(world.subscriptions["/tf_static"][1]) == ("RELIABLE", "TRANSIENT_LOCAL", 100)
-
-
-def test_a_managed_node_maps_while_it_is_active(monkeypatch, drive):
-    world = fake_rclpy.installed(monkeypatch, {"lifecycle": True, "particles": 4})
-
-    def change(label):
-        transition = SimpleNamespace(transition=SimpleNamespace(id=0, label=label))
-        assert world.services["~/change_state"](transition).success
-
-    def says(name):
-        return dict(world.cores[0].diagnostics().values)[name]
-
-    @contextmanager
-    def open_viewers(core):
-        world.cores = [core]
-        yield
-
-    def script():
-        world.subscriptions["/tf_static"][2](transforms(mounting()))
-        change("configure")
-        send(world, drive[0])
-        assert says("paused") == "1"
-        change("activate")
-        send(world, drive[1])
-        assert until(lambda: len(world.published.get("~/pose", ())) == 1)
-        change("deactivate")
-        send(world, drive[2])
-        assert says("paused") == "2"
-        change("cleanup")
-        assert until(lambda: "starting a new map: reset" in str(world.logged))
-        change("shutdown")
-        send(world, drive[3])
-        assert says("paused") == "3"
-        assert len(world.published["~/transition_event"]) == 10
-
-    run(world, script, open_viewers=open_viewers)
-
-
-def test_what_ros_would_not_understand_is_refused(monkeypatch):
-    fake_rclpy.installed(monkeypatch, {})
-    with pytest.raises(ConfigurationError, match="after --ros-args, got --particle 3"):
-        run_rclpy(["--particle", "3", "--ros-args", "-p", "seed:=1"])
 
 
 def test_without_ros_the_other_way_is_named():
@@ -279,18 +197,3 @@ def test_of_the_parameters_only_those_can_be_set_that_are_no_settings_of_the_sta
     assert [result.successful for result in results] == [False, False, True, True]
     assert "start it with -p particles:=" in results[0].reason
     assert results[1].reason == "there is no parameter anything"
-
-
-def test_a_publisher_of_another_type_is_named(monkeypatch):
-    world = fake_rclpy.installed(monkeypatch, {})
-    world.others["/scan"] = ["sensor_msgs/msg/LaserScan", "std_msgs/msg/Float64"]
-    begun = []
-
-    def spun():
-        begun.append(True)
-        world.running = len(begun) < 3
-
-    world.spun = spun
-    run_rclpy([])
-    says = "message type of /scan refused: a publisher sends std_msgs/msg/Float64, this node expects sensor_msgs/msg/"
-    assert says in str(world.logged)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import checks
 import numpy as np
-import pytest
 
-from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.models.association import AMBIGUOUS, KnownCorrespondence, LandmarkExistence, MaximumLikelihood
-from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RangeBearing, RelativePosition
+from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RangeBearing
 from gridslam.models.motion import GaussianIncrement
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
 from support.landmark_world import INCREMENT, MOTION, drive, ring
@@ -87,26 +85,6 @@ def test_what_is_found_is_what_would_have_been_told_where_landmarks_are_far_apar
     assert np.abs(found.mean - told.mean).max() < 0.2
 
 
-def test_all_at_once_is_one_after_the_other_where_noise_is_small():
-    """Batch and sequence differ by relinearization alone, which vanishes with the errors."""
-    sensor = RangeBearing(sigma_range_m=1e-4, sigma_bearing_rad=1e-4)
-    slam, rng, landmarks = EkfSlam(sensor), np.random.default_rng(3), ring(4)
-    state = slam.init()
-    exact = sensor.linearize(np.zeros(3), landmarks)[0]
-    state, _ = slam.step(
-        state, GaussianIncrement.from_std(np.zeros(3), np.zeros(3)), LandmarkObservations.of(exact, range(4))
-    )
-    motion = GaussianIncrement.from_std(np.zeros(3), np.full(3, 1e-4))
-    seen = LandmarkObservations.of(exact + rng.normal(0, 1e-4, (4, 2)), range(4))
-    together, _ = slam.step(state.snapshot(), motion, seen)
-    state, _ = slam.step(state, motion, NO_OBSERVATIONS)
-    still = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
-    for k in range(4):
-        state, _ = slam.step(state, still, LandmarkObservations.of(seen.values[k : k + 1], [k]))
-    np.testing.assert_allclose(together.mean, state.mean, atol=1e-7)
-    np.testing.assert_allclose(together.covariance, state.covariance, rtol=1e-2, atol=1e-11)
-
-
 def test_the_pose_learns_nothing_from_a_provisional_landmark_but_the_landmark_does():
     slam = EkfSlam(SENSOR, MaximumLikelihood(), ALL_AROUND)
     seen = LandmarkObservations.of([[3.0, 0.3]])
@@ -170,34 +148,3 @@ def test_a_sighting_that_cannot_be_believed_changes_nothing():
     believing, report = EkfSlam(SENSOR, KnownCorrespondence(gate=1e9)).step(state, EXACT, wrong)
     assert report.landmarks.tolist() == [name]
     assert np.abs(believing.mean - other.mean).max() > 0.01
-
-
-def test_what_is_refused():
-    slam = EkfSlam(SENSOR)
-    state = slam.init()
-    with pytest.raises(ArgumentError, match="known correspondences"):
-        slam.step(state.snapshot(), EXACT, LandmarkObservations.of([[1.0, 0.0]]))
-    kept = state.snapshot()
-    slam.step(state, EXACT, NO_OBSERVATIONS)
-    for use in (lambda: slam.step(state, EXACT, NO_OBSERVATIONS), state.snapshot):
-        with pytest.raises(ConsumedStateError):
-            use()
-    slam.step(kept, EXACT, NO_OBSERVATIONS)
-    with pytest.raises(ArgumentError, match="pose"):
-        slam.init([0.0, 1.0])
-    with pytest.raises(ValueError, match="match_gate <= new_gate"):
-        MaximumLikelihood(match_gate=9, new_gate=8)
-    with pytest.raises(ValueError, match="false_alarm < detection"):
-        LandmarkExistence(detection=0.1, false_alarm=0.2)
-
-
-def test_what_is_seen_beside_a_landmark_at_the_same_time_is_another():
-    """0.18 m apart and 4 standard deviations: alone it may be an outlier, but not while the landmark is seen, too."""
-    slam = EkfSlam(RelativePosition(sigma_x_m=0.03, sigma_y_m=0.03), MaximumLikelihood(), ALL_AROUND)
-    state, _ = slam.step(slam.init(), EXACT, LandmarkObservations.of([[3.0, 0.0]]))
-    still = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
-    _, report = slam.step(state.snapshot(), still, LandmarkObservations.of([[3.0, 0.18]]))
-    assert report.landmarks.tolist() == [AMBIGUOUS]
-    for seen, names in (([[3.0, 0.0], [3.0, 0.18]], [0, 1]), ([[3.0, 0.18], [3.0, 0.0]], [1, 0])):
-        _, report = slam.step(state.snapshot(), still, LandmarkObservations.of(seen))
-        assert report.landmarks.tolist() == names

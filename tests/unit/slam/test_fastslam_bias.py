@@ -129,28 +129,6 @@ def test_a_path_is_told_from_what_the_errors_turned_out_to_be():
     np.testing.assert_allclose(way[-1], state.poses[0], atol=1e-12)
 
 
-def test_a_path_by_errors_that_change_is_one_that_odometry_without_noise_can_go():
-    """All that is drawn is how the errors changed: each pose follows from the one before by some error of the heading.
-
-    Were a pose told from what the errors are at another time, it would lie beside where the one before points to.
-    """
-    bias = SystematicErrors(sigma_per_m=0.01, sigma_per_rad=0.01, memory_m=4.0)
-    steps, _ = drive(ring(12), 80, np.random.default_rng(7), SENSOR, NO_NOISE)
-    slam, rng, told = (
-        FastSlam2WithCalibration(FILTERS, bias=bias),
-        _seed(),
-        GaussianIncrement.from_std(INCREMENT, np.zeros(3)),
-    )
-    state = slam.init(20)
-    for t, step in enumerate(steps):
-        state, _ = slam.step(state, told, step.observations if t % 5 == 0 else NO_OBSERVATIONS, rng)
-    way = smooth_trajectory(state, state.best, [told] * len(steps), bias)
-    turned = between(way[:-1], way[1:]) - INCREMENT
-    assert np.ptp(turned[:, 2]) > 1e-4
-    # Headings straightened by some mrad are linear to 1e-5, and 8 m away to 0.1 mm.
-    np.testing.assert_allclose(turned[:, :2], 0.0, atol=1e-4)
-
-
 def test_correspondences_are_sought_as_far_as_the_errors_reach():
     """The bound by which landmarks are left out never leaves out what the whole Gaussian would take."""
     steps, _ = drive(ring(12), 40, np.random.default_rng(5), SENSOR)

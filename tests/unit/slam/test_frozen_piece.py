@@ -11,15 +11,11 @@ from gridslam.config import build
 from gridslam.geometry.se2 import between, compose
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
-from gridslam.serialization import from_arrays, to_arrays
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
 from gridslam.slam.full_slam.full_slam import full_slam, refine_piece
 from gridslam.slam.full_slam.key_covariances import key_covariances
-from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
-from gridslam.slam.loop_closure.key_graph import KeyGraph, anchor_of
 from gridslam.slam.loop_closure.map_piece import MapPiece
-from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.linear import linearize
 from gridslam.slam.pose_graph.marginals import marginal_covariances
@@ -116,26 +112,6 @@ def test_known_poses_of_a_frozen_drive_are_kept(days):
     assert kept.poses[:count].tobytes() == known.poses.tobytes()
 
 
-def test_frozen_is_part_of_the_state(days):
-    piece, state, *_ = days
-    graph = from_arrays(KeyGraph, to_arrays(state.closure_state.graph))
-    assert graph.frozen == state.closure_state.graph.snapshot().frozen == len(piece)
-    assert piece.release().graph.frozen == 0
-    assert piece.graph.frozen == len(piece)
-    graph.truncate(5)
-    assert graph.frozen == 5
-
-
-def test_a_piece_that_is_not_frozen_moves(days):
-    """The same second day about the same piece, released: the old part follows what is new."""
-    piece, state, drives, *_ = days
-    free = replace(state, closure_state=state.closure_state.snapshot())
-    free.closure_state.graph.frozen = 0
-    answer = full_slam(free, drives, PROVOKED.mapper, PROVOKED.loop_closure, PROVOKED.final_refinement)
-    assert answer.graph.held == 1
-    assert np.abs(answer.graph.poses[: len(piece)] - piece.poses).max() > 1e-4
-
-
 def considered(graph):
     """Covariances of all poses, the held part's own and the others' given it with its error: dense, in closed form."""
     held, count = graph.held, len(graph.poses)
@@ -202,16 +178,3 @@ def test_covariances_of_a_frozen_part_are_not_lowered_by_what_it_does_not_follow
 def test_with_one_constraint_the_covariances_are_exact_there(walk):
     graph = walk([(5, 26)])
     np.testing.assert_allclose(key_covariances(graph)[26], considered(graph)[26], rtol=0.02, atol=1e-6)
-
-
-def test_a_constraint_from_any_key_scan_leads_on_to_the_submap_ahead():
-    """After pieces were joined a constraint starts at any key scan, not only at the anchor of a submap."""
-    graph = KeyGraph()
-    for k in range(61):
-        pose = np.array([0.5 * (k % 50), 0.0, 0.0])
-        graph.extend(pose, pose, (1e-4, 1e-6))
-    graph.add(Constraint(3, 55, np.array([2.0, 0.0, 0.0]), 1e4 * np.eye(3), ConstraintSource.RECOGNIZED, True))
-    submap, pose = PlaceMatching()._predict_from_last_constraint(graph, 2)
-    reached = 0.5 * 3 + 2.0 + 0.5 * (60 - 55)
-    np.testing.assert_allclose(pose, [reached - 0.5 * anchor_of(submap), 0, 0], atol=1e-12)
-    assert submap == 1

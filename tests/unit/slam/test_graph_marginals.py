@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between, between_jacobians
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.linear import BlockSystem, linearize
@@ -53,19 +52,6 @@ def test_relative_covariances_are_those_of_the_joint_distribution():
     )
 
 
-def test_a_straight_chain_in_closed_form():
-    """After n steps of length d: x by the steps alone, y by the headings before as well, sum of ((n - i) d)^2."""
-    n, d, sx, sy, st = 20, 0.5, 0.1, 0.2, 0.03
-    poses = np.column_stack((d * np.arange(n + 1), np.zeros((n + 1, 2))))
-    edges = np.column_stack((np.arange(n), np.arange(1, n + 1)))
-    information = np.tile(np.diag([sx**-2, sy**-2, st**-2]), (n, 1, 1))
-    graph = PoseGraph.of(poses, edges, np.tile([d, 0.0, 0.0], (n, 1)), information)
-    ahead = d * np.arange(n)[::-1]
-    expected = np.diag([n * sx**2, n * sy**2 + st**2 * (ahead**2).sum(), n * st**2])
-    expected[1, 2] = expected[2, 1] = st**2 * ahead.sum()
-    np.testing.assert_allclose(marginal_covariances(graph)[-1], expected, rtol=1e-9, atol=1e-12)
-
-
 def test_errors_are_as_great_as_they_say():
     """Over 100 graphs e' C^-1 e of the last pose has mean 3 and variance 6: four deviations of the mean are 0.98."""
     squares, relative = [], []
@@ -98,13 +84,3 @@ def test_innovations_are_what_chi2_grows_by():
         )
         grown = GraphSlam(first_guess="given", tolerance=1e-12).solve(more).chi2_after - solved.chi2()
         assert told[k] == pytest.approx(grown, rel=0.02)
-
-
-def test_one_pose_and_wrong_places():
-    alone = PoseGraph.of([[1.0, 2.0, 3.0]], np.empty((0, 2)), np.empty((0, 3)), np.empty((0, 3, 3)))
-    assert marginal_covariances(alone).tolist() == np.zeros((1, 3, 3)).tolist()
-    marginals = Marginals(random_graph(np.random.default_rng(0), 5, 2).graph)
-    with pytest.raises(ArgumentError, match=r"pose: expected a place in \[0, 5\), got 5"):
-        marginals.covariances_with(5)
-    with pytest.raises(ArgumentError, match="got -1"):
-        marginals.relative_covariances(0, [1, -1])

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from gridslam.geometry.se2 import between, compose, inverse, transform_points
 from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RangeBearing, RelativePosition
 from gridslam.models.motion import GaussianIncrement
 from gridslam.particles.policies import NeverResample
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
-from gridslam.slam.landmarks.fastslam1 import FastSlam1
-from gridslam.slam.landmarks.fastslam2 import FastSlam2
 from gridslam.slam.landmarks.filters import LandmarkFilters
 from gridslam.slam.landmarks.local_frame import FastSlam2WithLocalFrames, LocalFrameProposal
 from gridslam.slam.landmarks.particles import smooth_trajectory
@@ -107,33 +104,6 @@ def test_a_raft_turns_with_all_that_is_on_it():
     np.testing.assert_allclose(between(state.local_frames, belief.mean), before, atol=1e-12)
 
 
-def test_a_raft_gives_way_to_one_less_certain_and_its_particles_part():
-    slam, rng = FastSlam2WithLocalFrames(LandmarkFilters(SENSOR)), np.random.default_rng(2)
-    state, _ = slam.step(slam.init(5), STILL, LandmarkObservations.of([[1.0, 0.0]], [1]), rng)
-    for number, width in ((2, 0.5), (3, 0.2)):  # the second is known better than the first: it is drawn
-        wide = GaussianIncrement.from_std(AWAY, np.array([width, width, 0.1 * width]))
-        state, _ = slam.step(state, wide, LandmarkObservations.of([[1.0, 0.0]], [number]), rng)
-        assert (state.local_frame_step == 2).all()
-        assert state.landmark_in_local_frame[:, state.column(number)].all()
-    poses = state.poses.copy()
-    wide = GaussianIncrement.from_std(AWAY, np.array([2.0, 2.0, 0.5]))
-    state, _ = slam.step(state, wide, LandmarkObservations.of([[1.0, 0.0]], [4]), rng)
-    assert (state.local_frame_step == 4).all()
-    assert state.landmark_in_local_frame.sum(axis=1).tolist() == [1] * 5
-    assert np.std(state.poses[:, 0]) > np.std(poses[:, 0])  # where the first raft lay was drawn at last
-
-
-def test_a_local_frame_stays_while_nothing_is_seen():
-    slam, rng = FastSlam2WithLocalFrames(LandmarkFilters(SENSOR)), np.random.default_rng(7)
-    state, _ = slam.step(slam.init(3), STILL, LandmarkObservations.of([[1.0, 0.0]], [1]), rng)
-    state, _ = slam.step(state, BLIND, LandmarkObservations.of([[1.0, 0.0]], [2]), rng)
-    before = state.local_frame_covariances.copy()
-    assert before.any()
-    state, report = slam.step(state, BLIND, NO_OBSERVATIONS, rng)
-    np.testing.assert_array_equal(state.local_frame_covariances, before)
-    np.testing.assert_allclose(np.diag(report.covariance), [0.5, 0.18, 0.0], atol=1e-12)  # twice that of the motion
-
-
 def test_what_was_not_drawn_is_told_from_both_ends():
     """Two equal motions without a sighting between poses that are drawn: half of the second's error is the first's."""
     slam, rng = FastSlam2WithLocalFrames(LandmarkFilters(SENSOR)), np.random.default_rng(4)
@@ -150,20 +120,3 @@ def test_what_was_not_drawn_is_told_from_both_ends():
     np.testing.assert_allclose(way[[0, 1, 3]], told[[0, 1, 3]])
     np.testing.assert_allclose(way[2], told[3] / 2, atol=1e-12)
     np.testing.assert_allclose(way[4], compose(told[3], [1.0, 0.0, 0.0]), atol=1e-12)
-
-
-def test_fastslam1_draws_every_pose():
-    slam, rng = FastSlam1(LandmarkFilters(SENSOR)), np.random.default_rng(5)
-    state = slam.init(4)
-    for _ in range(3):
-        state, _ = slam.step(state, BLIND, NO_OBSERVATIONS, rng)
-    np.testing.assert_array_equal(smooth_trajectory(state, 2, [BLIND] * 3), state.ancestry.trajectory(2)[:, :3])
-
-
-@pytest.mark.parametrize("kind", [FastSlam1, FastSlam2, FastSlam2WithLocalFrames])
-def test_without_uncertainty_there_is_no_raft(kind):
-    slam, rng = kind(LandmarkFilters(SENSOR)), np.random.default_rng(6)
-    state, _ = slam.step(slam.init(4), STILL, LandmarkObservations.of([[1.0, 0.0]], [1]), rng)
-    state, _ = slam.step(state, BLIND, LandmarkObservations.of([[-3.0, 0.0], [2.0, 0.0]], [1, 2]), rng)
-    assert not state.local_frame_covariances.any()
-    assert not state.landmark_in_local_frame.any()

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.se2 import compose
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, anchor_of
 from gridslam.slam.loop_closure.state import LoopClosureState
-from gridslam.slam.loop_closure.submaps import ROW, SubmapCache, key_scans_of
+from gridslam.slam.loop_closure.submaps import SubmapCache, key_scans_of
 from support import hall
 
 COUNT = 65
@@ -32,15 +32,6 @@ def test_blocks_and_anchors_partition_the_key_scans(closure_state):
     )
     for submap in range(6):
         assert anchor_of(submap) in key_scans_of(submap, closure_state.graph)[1:-1]  # in its midst: all of it is near
-
-
-def test_a_submap_is_drawn_as_tracked_about_its_anchor(closure_state):
-    poses = np.array(closure_state.graph.tracked)
-    for submap in (0, 3, 5):
-        maps = hall.MAPPER.empty(1)
-        for key in key_scans_of(submap, closure_state.graph):
-            maps.update(ROW, between(poses[anchor_of(submap)], poses[key])[None], closure_state.scans.key(key))
-        assert contents(SubmapCache()(submap, hall.MAPPER, closure_state.scans, closure_state.graph)) == contents(maps)
 
 
 def test_what_is_kept_changes_nothing(closure_state):

@@ -92,12 +92,6 @@ def test_beam_times_that_are_none_are_noticed():
     assert np.abs(between(true_end, end)).max() < 0.05
 
 
-def test_scans_without_beam_times_are_not_touched():
-    log = driven(0.0)
-    runs = [track(Tracker(deskew=deskew), log.measurements)[0] for deskew in (True, False)]
-    assert runs[0].tobytes() == runs[1].tobytes()
-
-
 def test_particles_take_the_scan_as_it_was_sharpened(skewed):
     """Mapping the drive from blurred scans leaves more cells occupied: thicker walls."""
     occupied = []

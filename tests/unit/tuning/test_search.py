@@ -8,10 +8,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gridslam.config import PARAMETERS, Configuration, override, preset
-from gridslam.errors import ArgumentError, ConfigurationError
+from gridslam.config import PARAMETERS, Configuration
+from gridslam.errors import ArgumentError
 from gridslam.tuning.comparison import measure_importance
-from gridslam.tuning.evolution import evolve, population_of
+from gridslam.tuning.evolution import evolve
 from gridslam.tuning.halving import REDUCTION, halve, plan_rungs
 from gridslam.tuning.search_space import SearchSpace
 
@@ -37,26 +37,6 @@ def test_corners_are_valid_and_the_default_is_itself():
     for corner in (np.zeros(len(space)), np.ones(len(space))):
         space.apply(DEFAULT, space.values_at(corner))
     assert space.apply(DEFAULT, space.values_at(space.point_of(DEFAULT))) == DEFAULT
-
-
-def test_values_outside_are_at_the_end_of_the_range():
-    space = SearchSpace.of(DEFAULT, ["beam_sigma_m", "resample_below"])
-    far = override(DEFAULT, "beam_sigma_m=1.0", "resample_below=0.01")
-    assert space.point_of(far).tolist() == [1.0, 0.0]
-
-
-def test_parameters_of_another_kind_are_left_out():
-    of_gmapping = [one.name for one in SearchSpace.of(preset("gmapping")).dimensions]
-    assert "beam_sigma_m" not in of_gmapping
-    assert "key_scan_m" in of_gmapping
-    with pytest.raises(ConfigurationError, match="beam_sigma_m: cannot be tuned; expected one of resolution_m"):
-        SearchSpace.of(preset("gmapping"), ["beam_sigma_m"])
-
-
-def test_each_stratum_of_each_dimension_is_drawn_once():
-    drawn = SearchSpace.of(DEFAULT).draw(20, np.random.default_rng(0))
-    assert (np.sort(np.floor(drawn * 20), axis=0) == np.arange(20)[:, None]).all()
-    assert len(SearchSpace.of(DEFAULT).draw(0, np.random.default_rng(0))) == 0
 
 
 @pytest.mark.parametrize("candidates", [1, 2, 3, 8, 9, 27, 30, 100])
@@ -92,21 +72,6 @@ def test_halving_keeps_the_best_and_ranks_failures_last():
     assert asked == [(27, 1 / 9), (9, 1 / 3), (3, 1.0)]
 
 
-def test_halving_with_noise_on_parts_mostly_finds_one_of_the_best():
-    """The noise of a part of 1/9 has the deviation of three ranks: the best of 27 stays among the 9 of the next rung
-    with a probability over 0.95; in 100 repetitions fewer than 80 finds of the best three have one below 1e-6."""
-    found = 0
-    for seed in range(100):
-        rng = np.random.default_rng(seed)
-
-        def evaluate(candidates, part, rng=rng):
-            return [one + 3 * (1 - part) * rng.standard_normal() for one in candidates]
-
-        order = rng.permutation(27).tolist()
-        found += halve(order, plan_rungs(27), evaluate)[0][0] < 3
-    assert found >= 80
-
-
 def test_evolution_finds_the_minimum_of_a_quadratic():
     target = np.array([0.2, 0.7, 0.45, 0.6])
     found = evolve(np.full(4, 0.5), 240, lambda points: np.square(points - target).sum(axis=1).tolist(), seed=0)
@@ -125,18 +90,6 @@ def test_evolution_is_reproducible_stays_in_the_cube_and_survives_failures():
     assert [one.loss for one in first] == [one.loss for one in second]
     assert 0.3 <= min(one.loss for one in first) < 0.33
     assert [one.loss for one in evolve(np.array([0.5, 0.5]), 60, evaluate, seed=4)] != [one.loss for one in first]
-
-
-def test_evolution_of_one_dimension_and_of_too_few_trials():
-    found = evolve(np.array([0.9]), 60, lambda points: np.abs(points[:, 0] - 0.25).tolist(), seed=0)
-    assert min(one.loss for one in found) < 0.01
-    assert evolve(np.array([0.9]), 3, lambda points: [0.0] * len(points), seed=0) == []
-    assert population_of(12, 1000) == 11
-    assert population_of(12, 20) == 5
-    calls = iter([True, False])
-    assert len(
-        evolve(np.full(2, 0.5), 40, lambda points: [0.0] * len(points), seed=0, goes_on=lambda: next(calls))
-    ) == (population_of(2, 40))
 
 
 def test_importance_finds_what_matters():
