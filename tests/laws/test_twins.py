@@ -17,6 +17,39 @@ from gridslam.types import LaserScan, ScanGeometry
 
 compiled = pytest.importorskip("gridslam.kernels._compiled")
 
+KERNELS = (
+    "select_beams",
+    "tiles_on_rays",
+    "make_tiles_writable",
+    "update",
+    "begin_update",
+    "end_update",
+    "match",
+    "match_pose",
+    "distances",
+    "cast_rays",
+    "known_cells",
+    "max_pyramid",
+    "correlate",
+    "sum_at_ends",
+    "draw_scans",
+    "match_scans",
+    "shortest_ways",
+    "mean_shift",
+    "are_true",
+    "slots_of",
+    "hamming_distances",
+    "fit_surfaces",
+    "match_surfaces",
+    "match_to_surfaces",
+    "draw_gaussians",
+    "kalman_update",
+    "predict_landmarks",
+    "parse_numbers",
+    "format_rows",
+)
+"""Those from `max_pyramid` on in `test_branch_and_bound_laws.py`, `test_weighing_laws.py`, `test_many_scans_laws.py`,
+`test_shortest_ways_laws.py`, `test_landmark_kernels.py` and `test_number_laws.py`."""
 SEEDS = range(25)
 CELL = 0.05
 SINGLE = 4e-4
@@ -109,6 +142,12 @@ def as_set(table):
 def assert_same_maps(one, other):
     for name, a, b in zip(("roots", "first", "pages", "log_odds", "field"), one, other, strict=True):
         np.testing.assert_array_equal(a, b, err_msg=name)
+
+
+def test_both_offer_the_same_functions():
+    assert all(callable(getattr(compiled, name)) and callable(getattr(reference, name)) for name in KERNELS)
+    assert set(reference.__all__) == set(KERNELS)
+    assert {name for name in dir(compiled) if not name.startswith("_")} == set(KERNELS)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

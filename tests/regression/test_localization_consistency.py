@@ -8,6 +8,7 @@ import pytest
 from gridslam.evaluation.consistency import nees
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.localization.match_covariance import MatchCovariance
+from gridslam.localization.place_verification import PlaceVerification
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.endpoint import LikelihoodField
 from support.global_localization import Building, GlobalRun
@@ -93,6 +94,14 @@ def test_nobody_is_found_where_it_is_not_in_a_hundred_starts():
     ]
     assert len(runs) == 100
     assert describe_finds(runs)["false_starts"] == 0
+
+
+def test_a_place_is_verified_before_it_counts_as_found():
+    """A start in bare corridors at which the robot was found at 50 scans, where it was not."""
+    building = Building.of("bare_corridors", 0)
+    unverified = MonteCarloConfiguration(verification=PlaceVerification(scans=0))
+    assert building.localize_globally(8, configuration=unverified).false > 0.5
+    assert building.localize_globally(8).false == 0
 
 
 def test_who_is_told_to_be_found_is_there(known):

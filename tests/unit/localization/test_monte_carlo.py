@@ -187,6 +187,23 @@ def test_where_the_scan_fits_is_nearer_to_the_truth_than_the_mean_of_the_particl
     assert (np.sqrt(np.mean(told, axis=0)) < 0.8 * np.sqrt(np.mean(mean, axis=0))).all()
 
 
+def test_odometry_that_is_told_late_does_not_turn_the_pose(known):
+    """Odometry of 0.2 s before; at 1 rad/s it is 0.2 rad behind where the robot turns, and the mean with it."""
+    log = drive(1, rate_hz=5.0)
+    before = [log.measurements[0], *log.measurements[:-1]]
+    late = [
+        now._replace(odometry=Odometry.at(now.scan.stamp_ns, then.odometry.pose))
+        for now, then in zip(log.measurements, before, strict=True)
+    ]
+    (told, _), (mean, _) = (
+        follow(mcl, late, 0, log.truth.poses[0])
+        for mcl in (MonteCarloLocalization(known), MonteCarloLocalization(known, MEAN))
+    )
+    told_rad, mean_rad = (np.sqrt(np.mean(errors(r, log.truth.poses)[1] ** 2)) for r in (told, mean))
+    assert mean_rad > 0.03
+    assert told_rad < 0.5 * mean_rad
+
+
 def test_states(known, log):
     mcl, rng = MonteCarloLocalization(known), np.random.default_rng(0)
     state = mcl.init()

@@ -56,6 +56,18 @@ def test_every_ray_is_counted_once():
     assert by_cell(counted(scans)) == expected
 
 
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 10**6), st.permutations(range(8)))
+def test_the_order_of_the_scans_does_not_matter(seed, order):
+    scans = drawn(seed, 8)
+    first, second = counted(scans), counted([scans[k] for k in order])
+    for ours, theirs in zip(*(counts.unfold(counts.table()[0]) for counts in (first, second)), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert first.table()[1] == second.table()[1]
+    for model in (counting_map, lambda counts: bayes_map(counts, InverseSensorModel())):
+        assert_same_map(model(first), model(second))
+
+
 @settings(deadline=None, max_examples=10)
 @given(st.integers(0, 10**6))
 def test_the_sum_is_what_the_filter_of_slam_ends_with(seed):

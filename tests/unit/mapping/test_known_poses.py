@@ -36,6 +36,14 @@ def test_they_are_those_that_evaluation_takes(stamps, seed):
         np.testing.assert_allclose(known.at(stamp), expected, atol=1e-12)
 
 
+def test_nothing_is_extrapolated():
+    known = KnownPoses(way((10, 0, 0, 0), (10.5, 1, 0, 0)))
+    assert known.at(9 * S) is NoPoseReason.OUTSIDE
+    assert known.at(10 * S - 1_000_001) is NoPoseReason.OUTSIDE
+    assert known.at(round(10.5 * S) + 1_000_001) is NoPoseReason.OUTSIDE
+    assert known.span_ns == (10 * S, round(10.5 * S))
+
+
 def test_gaps_are_not_bridged():
     trajectory = way((0, 0, 0, 0), (1, 1, 0, 0), (3, 5, 0, 0))
     assert KnownPoses(trajectory).at(2 * S) is NoPoseReason.GAP

@@ -6,7 +6,7 @@ import checks
 import numpy as np
 
 from gridslam.models.association import AMBIGUOUS, KnownCorrespondence, LandmarkExistence, MaximumLikelihood
-from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RangeBearing
+from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RangeBearing, RelativePosition
 from gridslam.models.motion import GaussianIncrement
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
 from support.landmark_world import INCREMENT, MOTION, drive, ring
@@ -148,3 +148,15 @@ def test_a_sighting_that_cannot_be_believed_changes_nothing():
     believing, report = EkfSlam(SENSOR, KnownCorrespondence(gate=1e9)).step(state, EXACT, wrong)
     assert report.landmarks.tolist() == [name]
     assert np.abs(believing.mean - other.mean).max() > 0.01
+
+
+def test_what_is_seen_beside_a_landmark_at_the_same_time_is_another():
+    """0.18 m apart and 4 standard deviations: alone it may be an outlier, but not while the landmark is seen, too."""
+    slam = EkfSlam(RelativePosition(sigma_x_m=0.03, sigma_y_m=0.03), MaximumLikelihood(), ALL_AROUND)
+    state, _ = slam.step(slam.init(), EXACT, LandmarkObservations.of([[3.0, 0.0]]))
+    still = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
+    _, report = slam.step(state.snapshot(), still, LandmarkObservations.of([[3.0, 0.18]]))
+    assert report.landmarks.tolist() == [AMBIGUOUS]
+    for seen, names in (([[3.0, 0.0], [3.0, 0.18]], [0, 1]), ([[3.0, 0.18], [3.0, 0.0]], [1, 0])):
+        _, report = slam.step(state.snapshot(), still, LandmarkObservations.of(seen))
+        assert report.landmarks.tolist() == names

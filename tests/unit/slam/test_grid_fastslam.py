@@ -62,6 +62,10 @@ def usual(drive, play):
     return play(GridFastSlam(), drive.measurements)
 
 
+def test_the_undisturbed_drive_is_near_the_truth(usual, drive):
+    assert worst_error(usual[1], drive.truth) < BAND_M
+
+
 def test_a_consumed_state_raises_whatever_it_is_used_for(drive, play):
     state, _ = play(LIVELY, drive.measurements[:10])
     rng = np.random.default_rng(0)
@@ -97,6 +101,18 @@ def test_branches_do_not_write_into_each_other(drive, play, contents):
         second, _ = LIVELY.step(second, odometry, scan, rngs[1])
     assert contents(first) == expected
     assert contents(second) != expected
+
+
+@pytest.mark.parametrize("proposal", [ScanMatchedProposal(), ImprovedProposal()])
+def test_the_number_of_threads_never_changes_a_byte(drive, play, contents, proposal):
+    slam = replace(LIVELY, proposal=proposal)
+    alone, reports = play(slam, drive.measurements[:80], particles=7)
+    for threads in (2, 3, 7):
+        state, repeated = play(replace(slam, threads=threads), drive.measurements[:80], particles=7)
+        assert contents(state) == contents(alone)
+        for ours, theirs in zip(repeated, reports, strict=True):
+            assert ours.pose.tobytes() == theirs.pose.tobytes()
+            assert ours.covariance.tobytes() == theirs.covariance.tobytes()
 
 
 @pytest.mark.parametrize("at", [60, 61, 90])

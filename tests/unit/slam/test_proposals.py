@@ -132,6 +132,15 @@ def test_the_improved_proposal_is_the_kalman_filter_where_all_is_linear(linear):
     np.testing.assert_allclose(proposed.log_weights, MARGINAL, atol=1e-4)
 
 
+def test_plain_fastslam_weighs_the_same_on_average(linear):
+    """E[p(z | x)] over the prior is the marginal likelihood; within 5 standard errors of the sample itself."""
+    places = np.repeat(PLACE, DRAWS, 0)
+    proposed = MotionModelProposal()(linear, places, MOTION, linear.weigh, BEAMS, np.random.default_rng(0))
+    weights = np.exp(proposed.log_weights)
+    assert abs(weights.mean() - np.exp(MARGINAL)) < 5 * weights.std() / np.sqrt(DRAWS)
+    assert weights.std() > 0.5 * weights.mean()  # which is what the improved proposal saves
+
+
 def test_particles_are_told_apart_by_their_marginal_likelihoods():
     """At different places and headings, each with the motion's covariance turned to its own heading."""
     places = PLACE + np.array([[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [0.0, -0.1, 0.05], [0.1, 0.1, 1.3]])
