@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import functools
-import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,10 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from gridslam.arguments import Limits, index_of
+from gridslam.arguments import Limits
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
-from gridslam.types import FloatArray, LaserScan, Points, Poses, Rows
+from gridslam.types import LaserScan, Poses, Rows
 
 
 @checked
@@ -49,35 +47,6 @@ def take(
 def use(*arguments: object, **named: object) -> None:
     """Fail on whatever it gets, with the signature of `take`."""
     raise TypeError("deep within")
-
-
-@checked
-@dataclass
-class Table:
-    """Has rows."""
-
-    rows: Points
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def row(self, number: Annotated[int, index_of("self")]) -> FloatArray:
-        """One row."""
-        return self.rows[number]
-
-    def rows_of(self, numbers: Sequence[int]) -> list[FloatArray]:
-        """Several, by `row`, unchecked."""
-        return [self.row(number) for number in numbers]
-
-    @classmethod
-    def of(cls, count: int) -> Table:
-        """A table of zeros."""
-        return cls(np.zeros((count, 2)))
-
-    @staticmethod
-    def side(count: int) -> int:
-        """Twice a count."""
-        return 2 * count
 
 
 def test_what_is_annotated_passes():
@@ -126,31 +95,6 @@ def test_what_is_not_annotated_is_refused_by_name(name, wrong):
 def test_shapes_types_and_ranges_of_arrays(poses, rows, named):
     with pytest.raises(ArgumentError, match=f"^{named}: expected"):
         add(poses, rows)
-
-
-def test_what_is_called_from_within_is_not_checked_again():
-    table = Table(np.arange(6.0).reshape(3, 2))
-    assert table.rows_of([-1])[0].tolist() == [4, 5]
-    with pytest.raises(ArgumentError, match="number"):
-        table.row(-1)  # after it, and in another thread while a call is under way, all is checked
-    seen = []
-    begun, done = threading.Event(), threading.Event()
-
-    @checked
-    def wait() -> None:
-        begun.set()
-        done.wait(10)
-
-    thread = threading.Thread(target=wait)
-    thread.start()
-    begun.wait(10)
-    try:
-        table.row(-1)
-    except ArgumentError as error:
-        seen.append(error)
-    done.set()
-    thread.join()
-    assert seen
 
 
 def test_numbers_that_do_not_go_together_are_an_argument_error_and_faults_stay_what_they_are():

@@ -10,12 +10,10 @@ from gridslam.config import PARAMETERS, PRESETS, Configuration, build, dumps, lo
 from gridslam.config.configuration import loads_saved
 from gridslam.config.tables import names, to_table, value_of
 from gridslam.errors import ConfigurationError
-from gridslam.models import GMappingEndPoint, GMappingMotion, OdometryMotion
+from gridslam.models import OdometryMotion
 from gridslam.particles import Residual
-from gridslam.slam import GridFastSlam, OdometryTracker
+from gridslam.slam import GridFastSlam
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
-from gridslam.slam.pose_graph.graph_slam import GraphSlam
-from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -59,18 +57,6 @@ def test_loop_closure_is_one_field_that_a_word_switches():
         override(Configuration(), "loop_closure=never")
 
 
-def test_a_part_may_be_none():
-    config = override(Configuration(), "loop_closure.solver.robust.probability=0.99")
-    assert config.loop_closure.solver == GraphSlam("given", GraduatedNonConvexity(probability=0.99))
-    assert loads(dumps(config)) == config
-    without = override(config, "loop_closure.solver.robust.kind=none")
-    assert without.loop_closure.solver.robust is None
-    assert to_table(without)["loop_closure"]["solver"]["robust"] == {"kind": "none"}
-    assert loads(dumps(without), config) == without
-    with pytest.raises(ConfigurationError, match=r"loop_closure.solver.robust.growth: no such parameter"):
-        override(without, "loop_closure.solver.robust.growth=2")
-
-
 def test_build_passes_every_part_on():
     config = override(preset("gmapping"), "range_min_m=0.2", "resampler=residual", "lost_below=0.3")
     slam = build(config, threads=3)
@@ -79,15 +65,6 @@ def test_build_passes_every_part_on():
         assert getattr(slam, part) == getattr(config, part)
     assert (slam.range_min_m, slam.range_max_m, slam.threads) == (0.2, 80.0, 3)
     assert slam.resampler == Residual()
-
-
-def test_gmapping_preset_decides_as_gmapping():
-    config = preset("gmapping", 50)
-    assert config.tracker == OdometryTracker()
-    assert config.motion == GMappingMotion()
-    assert config.sensor == GMappingEndPoint(likelihood_gain=150.0)
-    assert preset("gmapping").sensor == GMappingEndPoint(likelihood_gain=90.0)
-    assert (config.when_to_update.translation_m, config.when_to_update.rotation_rad) == (1.0, 0.5)
 
 
 def test_at_most_fifteen_parameters_face_the_user_and_each_is_one():
@@ -110,13 +87,6 @@ def test_change_of_kind_starts_from_that_kinds_defaults_whatever_the_order():
     config = override(Configuration(), "motion.alpha1=0.5", "motion.kind=OdometryMotion")
     assert config.motion == OdometryMotion(alpha1=0.5)
     assert override(config, "motion.kind=OdometryMotion") == config
-
-
-def test_parameters_that_belong_together_are_checked_when_all_are_set():
-    config = override(
-        Configuration(), "mapper.inverse_sensor.true_occupied=0.6", "mapper.inverse_sensor.false_free=0.4"
-    )
-    assert config.mapper.inverse_sensor.true_occupied == 0.6
 
 
 @pytest.mark.parametrize(

@@ -73,18 +73,6 @@ def test_a_second_visit_beside_the_first_doubles_the_walls(beside, walls, askew)
         assert found.apart_m == pytest.approx(abs(beside), abs=0.35)
 
 
-def test_rooms_behind_the_walls_are_no_second_walls():
-    """Rooms of 1.5 m depth, seen through their doors; a niche; and a wall that stands behind a window."""
-    drawing = Drawing()
-    drawing.corridor(-10, 12, 0.0)
-    for x in (-3.0, 3.0):
-        drawing.fill(x + 0.5, 1.05, x + 1.5, 2.5, -2.0)
-        drawing.fill(x, 2.5, x + 2, 2.55, 3.0)
-        drawing.fill(x + 0.5, 1.0, x + 1.5, 1.05, -2.0)
-    drawing.fill(-1, -1.6, 1, -1.55, 3.0)
-    assert judge_walls(drawing.grid, around(0.0)).walls is Walls.SINGLE
-
-
 def test_a_real_corridor_drawn_once_and_drawn_twice(data_dir):
     """The first corridor of DP-SLAM's loop, each scan matched to those before it, and once more a little beside."""
     scans = list(islice(CarmenLog(data_dir / "loops" / "dpslam_loop5.clf.gz"), 40, 75))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -162,23 +160,6 @@ def test_where_memory_for_tiles_cannot_be_had_the_arena_stays_whole(log, measure
     used = np.frombuffer(arrays["maps.pages"], np.int32)
     assert sorted(set(used)) == list(range(len(arrays["maps.field"]) // TILE**2))  # each tile is there, and in use
     assert farthest_m(recorder.online_trajectory(), log) < 0.25
-
-
-def test_a_key_scan_that_fails_keeps_what_no_match_has_measured(measurements, monkeypatch):
-    """The next one covers the way since the last that succeeded, and all that is uncertain about it."""
-    slam = build(Configuration(particles=5))
-    state = run(measurements[:40], slam, rng=np.random.default_rng(0))
-    state.tracker.unmatched = replace(state.tracker.unmatched, position_m2=3.0)
-    with monkeypatch.context() as patched:
-        faults = Faults(patched, ReportBuilder, "estimate", [0])
-        faults.current = 0
-        failures = []
-        for measurement in measurements[40:]:
-            if failures:
-                break
-            state = run([measurement], slam, rng=np.random.default_rng(0), state=state, on_failure=failures.append)
-    assert len(failures) == 1
-    assert state.tracker.unmatched.position_m2 >= 3.0
 
 
 def test_localization_goes_on_after_a_step_that_failed(monkeypatch):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from gridslam.config import Configuration, build, override
-from gridslam.errors import ArgumentError, ConsumedStateError
-from gridslam.geometry.se2 import between, compose
+from gridslam.errors import ArgumentError
+from gridslam.geometry.se2 import between
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.pipeline import Stopwatch, run
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
@@ -56,17 +56,6 @@ def test_run_is_init_then_steps_and_tells_every_observer(measurements, slam):
     assert np.array_equal(end.poses, state.poses)
 
 
-def test_run_goes_on_from_a_state_and_consumes_it(measurements, slam):
-    whole = run(measurements, slam, particles=PARTICLES, rng=np.random.default_rng(1))
-    rng = np.random.default_rng(1)
-    half = run(measurements[:70], slam, particles=PARTICLES, rng=rng)
-    end = run(iter(measurements[70:]), slam, rng=rng, state=half)
-    assert np.array_equal(end.poses, whole.poses)
-    assert np.array_equal(end.log_weights, whole.log_weights)
-    with pytest.raises(ConsumedStateError):
-        half.snapshot()
-
-
 def test_source_must_give_something_and_odometry_where_the_tracker_needs_it(measurements, slam):
     with pytest.raises(ArgumentError, match="at least one measurement"):
         run([], slam, rng=np.random.default_rng(1))
@@ -95,33 +84,6 @@ def test_trajectory_of_one_particle_is_the_same_online_and_in_full(measurements,
     assert np.abs(between(full.poses, online.poses))[fixed].max() < 1e-12
     # between two key scans full may know better where the second one lies; the tracker is good to some centimetres
     assert np.abs(between(full.poses, online.poses)).max() < 0.15
-
-
-def test_full_trajectory_follows_the_best_particles_own_past(measurements, slam):
-    """Against brute force: each particle's whole history is copied at each resampling."""
-    recorder, reports = TrajectoryRecorder(), []
-    state = run(
-        measurements, slam, particles=PARTICLES, rng=np.random.default_rng(4), observers=[recorder, seen(reports)]
-    )
-    histories = [[] for _ in range(PARTICLES)]
-    for report, _ in reports:
-        if report.skipped is None:
-            for history, pose in zip(histories, report.poses, strict=True):
-                history.append(pose)
-            if report.parents is not None:
-                histories = [list(histories[parent]) for parent in report.parents]
-        else:
-            for history in histories:
-                history.append(report.key_from_base)
-    assert sum(report.parents is not None for report, _ in reports) >= 3  # else it would prove little
-    expected, key = [], np.zeros(3)
-    for (report, _), entry in zip(reports, histories[state.best], strict=True):
-        key = entry if report.skipped is None else key
-        expected.append(key if report.skipped is None else compose(key, entry))
-    full, fixed = recorder.best_trajectory(state).poses, fixed_by_the_particle(reports)
-    assert np.abs(between(np.array(expected), full))[fixed].max() < 1e-12
-    assert np.abs(between(np.array(expected), full)).max() < 0.1
-    assert not np.array_equal(full, recorder.online_trajectory().poses)  # the best particle changed on the way
 
 
 def report(skipped=None, **options):

@@ -186,15 +186,6 @@ def owner(**more):
     return Owner(table, ["a", "b", "c"], [2, 0], **more)
 
 
-def test_tables_and_what_points_into_them_come_back():
-    part = Table(np.zeros((2, 2)), [1, 0])
-    read = from_arrays(Owner, to_arrays(owner(of_mark=1, shelf=Shelf(7))))
-    assert (read.edges, read.table.marked, read.of_mark, read.part) == ([2, 0], (-1, 3), 1, None)
-    with pytest.raises(ArgumentError, match=r"part\.rows: expected float64 of shape \(3, 2\)"):
-        from_arrays(Owner, to_arrays(owner(part=part)))  # T is that of the state which holds it
-    assert from_arrays(Table, to_arrays(part)).parents == [1, 0]
-
-
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [

@@ -55,28 +55,6 @@ def test_a_folder_stands_for_the_logs_below_it(tree):
     }
 
 
-def test_patterns_files_and_urls(tree):
-    assert names("logs/mon/*", "runs.clf", "s3://bucket/a/b.bag", "absent.clf") == {
-        "run": "logs/mon/run.clf",
-        "run.1": "logs/mon/run.1.clf.gz",
-        "runs": "runs.clf",
-        "b": "s3://bucket/a/b.bag",
-        "absent": "absent.clf",
-    }
-    assert set(names("logs/**/*.clf")) == {"mon_run", "tue_run"}
-    assert set(names("logs/*")) == set(names("logs"))
-    (entry,) = find_logs(["runs.clf"])
-    assert entry.path == os.fspath(tree / "runs.clf")
-
-
-def test_names_do_not_depend_on_the_order_and_are_unique_whatever_their_case(tree):
-    assert names("logs/tue/run.clf", "logs/mon/run.clf") == names("logs/mon/run.clf", "logs/tue/run.clf")
-    (tree / "logs" / "RUN.clf").touch()
-    assert set(names("logs/RUN.clf", "logs/mon/run.clf")) == {"logs_RUN", "mon_run"}
-    (tree / "report.html.clf").touch()
-    assert set(names("report.html.clf", "runs.sqlite.clf")) == {"log_report.html", "log_runs.sqlite"}
-
-
 def test_a_manifest_is_relative_to_its_folder(tree):
     (tree / "logs" / "fleet.csv").write_text(
         '\ufefflog, name ,reference,seed\nmon/run.clf,a,../truth.tum,3\n\n"tue/run.clf",,,\n', encoding="utf-8"

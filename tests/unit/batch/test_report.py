@@ -64,16 +64,3 @@ def test_damaged_pictures_and_trajectories_hide_no_run(out):
     assert found[folders[0].name]["picture"] is None
     assert [found[folder.name]["path"] for folder in folders[1:3]] == [None, None]
     assert found[folders[3].name]["extent"] == "0 x 0 m"
-
-
-def test_a_long_drive_keeps_its_corners_and_a_straight_one_two_points(out):
-    """Rounds of a square of 20 m, whose corners must all be drawn; and a line with 5,000 poses."""
-    folders = sorted(path.parent for path in out.glob("*/map.png"))
-    sides = [(0, 0), (20, 0), (20, 20), (0, 20)]
-    corners = [(x, y + k / 10) for k in range(20) for x, y in sides]
-    rounds = [f"{i} {x} {y} 0 0 0 0 1\n" for i, (x, y) in enumerate(corners)]
-    (folders[0] / "trajectory.tum").write_text("".join(rounds))
-    (folders[1] / "trajectory.tum").write_text("".join(f"{i} {i} {2 * i} 0 0 0 0 1\n" for i in range(5000)))
-    found = {run["folder"]: run["path"].split() for run in data(write_report(out))["runs"] if run["path"]}
-    assert len(found[folders[0].name]) == 80
-    assert found[folders[1].name] == ["62,250", "188,0"]

@@ -8,8 +8,7 @@ import pytest
 
 from gridslam.batch.suite import PUBLIC_SUITE, load_suite
 from gridslam.errors import InputError
-from gridslam.io import datasets
-from gridslam.io.datasets import DATASETS, DatasetError
+from gridslam.io.datasets import DATASETS
 from measure import RESULTS
 
 SUITE = """
@@ -58,21 +57,6 @@ def test_each_log_is_run_by_each_variant_and_seed(suite, tmp_path):
     assert len({entry.name for entry in entries}) == len(entries) == 8
     assert entries[1].options == {"preset": "fast", "seed": "0"}
     assert (entries[0].reference, entries[2].reference) == (str(tmp_path / "one.relations"), None)
-
-
-def test_without_folders_the_logs_are_downloaded(suite, tmp_path, monkeypatch):
-    def fetch(name, folder):
-        if name == "aces":
-            raise DatasetError("aces: no connection")
-        return tmp_path / name
-
-    monkeypatch.setattr("gridslam.batch.suite.fetch_dataset", fetch)
-    entries, absent = load_suite(PUBLIC_SUITE).find([], tmp_path)
-    assert {entry.log for entry in entries} == {str(tmp_path / "intel"), str(tmp_path / "mit-csail")}
-    assert "aces: aces: no connection" in absent
-    with pytest.raises(InputError, match=r"one\.clf is none of those that gridslam dataset knows"):
-        suite.find([], tmp_path)
-    assert datasets.DATASETS == DATASETS
 
 
 @pytest.mark.parametrize(

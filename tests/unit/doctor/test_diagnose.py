@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import json
-import math
-from dataclasses import replace
-from itertools import islice
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gridslam.doctor import CheckedLog, Doctor, Finding, Severity, diagnose
+from gridslam.doctor import CheckedLog, Doctor, Severity, diagnose
 from gridslam.doctor.report import document, markdown, text, verdict
 from gridslam.errors import InputError
-from gridslam.io.log import Log
 from gridslam.io.log_statistics import LogStatistics
-from gridslam.io.measurement import Measurement
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate, simulate_stream
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.types import ScanGeometry
 from gridslam.viz.chart import draw_chart
 from support.faults import FAULTS, with_fault
@@ -82,29 +76,6 @@ def test_each_fault_that_needs_no_matching_is_named_with_its_size(rooms, fault):
     assert [other.code for other in found.values() if other.is_fault and other.code != fault] == []
 
 
-SPINNING = {"beams": 120, "field_of_view_rad": math.tau, "rate_hz": 10.0, "range_max_m": 12.0, "scan_time_s": 0.1}
-
-
-def skewed(backward=False, **lidar):
-    rng = np.random.default_rng(4)
-    robot, laser = RobotConfig(omega_max_rad_s=2.5), LidarConfig(**(SPINNING | lidar))
-    log = simulate_stream(make_world("demo", rng), robot, OdometryNoise(), laser, rng)
-    measurements = [
-        m._replace(scan=replace(m.scan, beam_times_s=m.scan.beam_times_s[::-1])) if backward else m
-        for m in islice(log.measurements, 900)
-    ]
-    return {finding.code: finding for finding in diagnose(Memory(measurements)).findings}
-
-
-def test_scans_that_take_time_and_do_not_tell_it_are_named():
-    found = skewed(reports_beam_times=False)
-    smear = found["skewed_while_turning"]
-    assert smear.severity is Severity.WARNING
-    assert smear.size == pytest.approx(2.5 * 0.1, rel=0.2)
-    assert "time_increment" in smear.remedy
-    assert "clock_skew" not in found, "that a scan looks half of its sweep early is the same fault"
-
-
 def test_a_log_that_breaks_off_is_diagnosed_as_far_as_it_goes():
     diagnosis = diagnose(Memory(drive(), breaks_off=True))
     assert (diagnosis.findings[0].code, diagnosis.findings[0].size) == ("unreadable", 200)
@@ -112,21 +83,6 @@ def test_a_log_that_breaks_off_is_diagnosed_as_far_as_it_goes():
     assert diagnosis.worst is Severity.ERROR
     with pytest.raises(InputError):
         diagnose(Memory([], breaks_off=True))
-
-
-@pytest.mark.parametrize("count", [50, 1000])
-def test_a_checked_log_gives_all_and_tells_early(count):
-    told, given = [], []
-    source = Memory(Measurement(None, m.scan) for m in drive(count / 5))
-    log = CheckedLog(source, lambda found: told.append((given[-1], found)))
-    for k, _ in enumerate(log):
-        given.append(k)
-    assert given == list(range(count))
-    ((at, (finding,)),) = told
-    assert finding.code == "no_odometry"
-    assert at <= 299
-    assert isinstance(log, Log)
-    assert log.statistics.scan_count == count
 
 
 def test_a_check_that_fails_ends_no_map(monkeypatch):
@@ -140,42 +96,6 @@ def test_a_check_that_fails_ends_no_map(monkeypatch):
     ((finding,),) = reported
     assert finding.code == "checks_failed"
     assert "RuntimeError: injected" in finding.message
-
-
-FINDINGS = (
-    Finding("topics", Severity.INFO, "It holds things.", 3, "topics"),
-    Finding("gaps", Severity.WARNING, "A gap.", np.float64(2.5), "s", "Mend it.", "front"),
-    Finding("few_hits", Severity.ERROR, "Nothing seen.", math.inf, "share"),
-)
-
-
-def diagnosis_of(*found):
-    log = SimpleNamespace(path=Path("a.log"), statistics=LogStatistics())
-    return Doctor(matching=False).diagnosis(log, found)
-
-
-def test_the_report_tells_the_worst_first_and_fits_into_json():
-    told = json.loads(json.dumps(document(diagnosis_of(*FINDINGS)), allow_nan=False))
-    assert [finding["code"] for finding in told["findings"]] == ["few_hits", "gaps", "topics"]
-    assert [finding["size"] for finding in told["findings"]] == [None, 2.5, 3.0]
-    assert told["counts"] == {"info": 1, "warning": 1, "error": 1}
-    lines = "\n".join(text(diagnosis_of(*FINDINGS)))
-    assert "Faults that make the map unusable:\n  few_hits: Nothing seen." in lines
-    assert "gaps (front): A gap.\n    -> Mend it." in lines
-    assert "## Warnings" in markdown(diagnosis_of(*FINDINGS))
-
-
-@pytest.mark.parametrize(
-    ("chosen", "words"),
-    [
-        ((0,), "This log is healthy"),
-        ((0, 1), "No fault makes the map unusable; 1 warning."),
-        ((2,), "The map would be unusable: 1 fault."),
-        ((1, 2), "The map would be unusable: 1 fault; 1 warning."),
-    ],
-)
-def test_the_verdict(chosen, words):
-    assert words in verdict(diagnosis_of(*(FINDINGS[k] for k in chosen)))
 
 
 @settings(max_examples=40, deadline=None)

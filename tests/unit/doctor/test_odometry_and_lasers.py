@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gridslam.doctor import Severity
-from gridslam.doctor.reader import reader_findings
-from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.types import Odometry, ScanGeometry
 from support.hand_logs import BEARINGS, drive, findings, seen
@@ -98,23 +95,6 @@ def test_a_tilted_laser_that_sees_the_floor():
     found = findings(tilted(lambda k: geometry))["tilting_laser"]
     assert (found.severity, found.size) == (Severity.WARNING, pytest.approx(0.1))
     assert f"{0.3 / math.sin(0.1):.1f} m" in found.message
-
-
-def test_the_reader_tells_missing_and_late_transforms_with_their_chain():
-    never = "mounting: no transform names laser: taken to be at the robot's base"
-    late, early = (f"odometry: no reading at or {when} the scan's stamp" for when in ("after", "before"))
-    missing = Counter({never: 90, late: 5, early: 1})
-    statistics = LogStatistics(scans=Counter({"/scan": 90}), missing_transforms=missing)
-    statistics.odometry_source = "odom to base_link on /tf"
-    found = list(reader_findings(statistics))[:3]
-    assert [(finding.code, finding.severity, finding.size) for finding in found] == [
-        ("missing_transform", Severity.WARNING, 90),
-        ("late_transform", Severity.WARNING, 5),
-        ("late_transform", Severity.INFO, 1),
-    ]
-    for reason, finding in zip((never, late, early), found, strict=True):
-        assert reason in finding.message
-    assert "(odom to base_link on /tf)" in found[1].message
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1000, "millimetres"), (100, "centimetres")])

@@ -95,14 +95,3 @@ def test_false_hits_are_those_that_would_be_used(value_m, is_false):
     assert (found is not None) is is_false
     if found is not None:
         assert found == pytest.approx(value_m - MARGIN_M, abs=0.01)
-
-
-@pytest.mark.parametrize(("share", "is_false"), [(0.0, False), (0.03, False), (0.08, True), (0.5, True)])
-def test_false_hits_are_taken_out_from_one_in_twenty_on(share, is_false):
-    """Of a laser that reaches every wall: fewer spoil no map."""
-    rng = np.random.default_rng(0)
-    counts = RangeCounts()
-    for _, scan in drive():
-        ranges = np.where(rng.random(len(scan)) < share, 20.0, np.minimum(scan.ranges, REACH_M * rng.random(len(scan))))
-        counts.take(LaserScan.from_ranges(scan.stamp_ns, ranges, scan.geometry, range_max_m=STATED_M))
-    assert (counts.false_hits_m() is not None) is is_false

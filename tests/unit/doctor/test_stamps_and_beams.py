@@ -6,11 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gridslam.doctor import Severity
-from gridslam.doctor.finding import Trace
 from gridslam.io.measurement import Measurement
 from support.hand_logs import drive, findings, seen
 
@@ -80,18 +77,6 @@ def test_invalid_beams(share, severity, value):
     assert {0: "zero", -1: "negative"}.get(value, "not a number") in found.message
 
 
-def test_beams_that_nothing_is_in_reach_of_are_not_lost():
-    """Some lasers say NaN there; such beams lie side by side, and others at each place."""
-    log = [
-        seen(m.scan.stamp_ns * 1e-9, np.where(m.scan.ranges > 3.2, np.nan, m.scan.ranges), tuple(m.odometry.pose))
-        for m in drive()
-    ]
-    found = findings(log)["invalid_beams"]
-    assert found.size > 0.15
-    assert found.severity is Severity.INFO
-    assert "side by side" in found.message
-
-
 @pytest.mark.parametrize(("hits", "severity"), [(10, Severity.ERROR), (60, None)])
 def test_scans_that_hit_nothing(hits, severity):
     log = [
@@ -119,31 +104,3 @@ def test_no_return_that_is_told_as_a_range(value_m, share, severity):
     if found:
         assert found.size == pytest.approx(2.0, abs=0.01)  # the stated limit over the true one
         assert found.figure is not None
-
-
-@pytest.mark.parametrize(("limit_m", "severity"), [(8.0, Severity.WARNING), (14.5, Severity.INFO), (20.0, None)])
-def test_a_limit_that_cuts_off_walls(limit_m, severity):
-    rng = np.random.default_rng(0)
-    log = [
-        seen(k / 5, m.scan.ranges * rng.uniform(1, 5, 181), tuple(m.odometry.pose), range_max_m=limit_m)
-        for k, m in enumerate(drive())
-    ]
-    found = findings(log).get("range_limits")
-    assert (found and found.severity) == severity
-    if found:
-        farthest = max(float(m.scan.ranges.max()) for m in log)
-        assert found.size == pytest.approx(limit_m / farthest, rel=0.01)
-
-
-@given(st.integers(1, 30_000), st.integers(0, 10**6))
-def test_a_trace_keeps_extremes_order_and_bounds(count, seed):
-    values = np.random.default_rng(seed).random(count)
-    trace = Trace()
-    for time, value in enumerate(values.tolist()):
-        trace.add(float(time), value)
-    times, kept = trace.arrays()
-    assert len(kept) <= 2000
-    assert len(kept) >= min(count, 1000)
-    assert (np.diff(times) > 0).all()
-    assert kept.max() == values.max()
-    assert np.array_equal(values[times.astype(int)], kept)

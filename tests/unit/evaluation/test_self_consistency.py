@@ -84,17 +84,6 @@ def test_a_wall_in_one_cell_is_the_beta_function(monkeypatch):
     assert found.nats_per_beam == pytest.approx(-(hit + 20 * missed) / 2, rel=1e-9)
 
 
-def test_scans_are_paired_with_the_poses_of_their_time(drive):
-    scans, beams, truth = drive
-    stamps = np.array([scan.stamp_ns for scan in scans])
-    order = np.random.default_rng(4).permutation(len(truth))
-    found = measure_self_consistency(Trajectory(stamps[order] + 900_000, truth[order]), scans)
-    assert found.nats_per_beam == _score(beams, truth)
-    assert (found.scans, found.beams) == (len(scans), sum(map(len, beams)))
-    half = measure_self_consistency(Trajectory(stamps[::2], truth[::2]), scans)
-    assert half.scans == len(scans[::2])
-
-
 def test_what_cannot_be_scored_is_refused(drive):
     scans, beams, truth = drive
     with pytest.raises(ArgumentError, match="a pose within 1 ms of a scan"):

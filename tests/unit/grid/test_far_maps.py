@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import gridslam
 from gridslam.errors import ArgumentError
 from gridslam.grid import Evidence, TileMaps
-from gridslam.kernels import FARTHEST, FREE_CELLS, PAGE, TILE
+from gridslam.kernels import FARTHEST, PAGE, TILE
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.types import LaserScan, ScanGeometry
@@ -112,16 +112,6 @@ def test_maps_that_span_too_much_are_refused_before_tables_are_allocated():
     assert_unchanged(maps, before)
 
 
-def test_a_beam_of_a_kilometre_frees_its_first_cells_and_hits_its_last():
-    maps = new_maps()
-    maps.update(ROW, np.zeros((1, 3)), beams_to([(999.0, 333.0)]))
-    cells = np.arange(16_000)
-    known = maps.is_known(0, (np.column_stack([cells, np.floor(cells / 3 + 0.5)]) + 0.5) * CELL)
-    assert known[:FREE_CELLS].all()
-    assert np.flatnonzero(known[FREE_CELLS:]).tolist() == [int(999 / CELL) - FREE_CELLS]
-    assert maps.tiles_used < 2 * FREE_CELLS // TILE + 10
-
-
 def test_maps_never_take_more_tiles_than_they_may():
     maps = new_maps(3, most_tiles=400)
     rows = np.arange(3, dtype=np.int32)
@@ -140,17 +130,6 @@ def test_maps_never_take_more_tiles_than_they_may():
         assert_same_map(maps.occupancy(row), grid)
     assert 300 < maps.tiles_used <= 400 + 3 * 60  # a ring about the ends of one scan
     maps.update(rows, np.zeros((3, 3)), room_from(8))  # what is mapped already costs nothing
-
-
-@pytest.mark.parametrize("count", [255, 256, 32_767, 32_768, 40_000, 65_535, 65_536, 70_000])
-def test_however_many_beams_pass_a_cell_it_is_free(count):
-    maps = new_maps()
-    maps.update(ROW, np.zeros((1, 3)), beams_to(np.tile([[5.0, 0.0]], (count, 1))))
-    grid = maps.occupancy(0)
-    row, column = np.rint(-np.array(grid.origin[::-1]) / CELL).astype(int)
-    passed = grid.log_odds[row, column : column + 80]
-    assert passed == pytest.approx(np.full(80, max(-0.4 * count, -16.0)))
-    assert grid.log_odds[row, column + 80] == pytest.approx(32.0)
 
 
 @pytest.mark.parametrize("place", [1e9, -1e300, math.nan])

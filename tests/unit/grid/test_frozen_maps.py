@@ -6,9 +6,7 @@ import threading
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from gridslam.errors import ArgumentError
 from gridslam.grid import Evidence, TileMaps
 from gridslam.types import LaserScan, ScanGeometry
 
@@ -51,20 +49,6 @@ def test_frozen_maps_stay_as_they_were_while_their_owner_grows_and_compacts():
     assert dump(maps) == dump(loose)
 
 
-def test_what_a_reader_drops_in_its_own_thread_is_free_again():
-    maps, loose = make_maps(), make_maps()
-    frozen = [maps.freeze()]
-    for own in (maps, loose):
-        drive(own, np.random.default_rng(1), 3)
-    assert maps.tiles_used > loose.tiles_used  # those that only the reader holds
-    reader = threading.Thread(target=frozen.clear)
-    reader.start()
-    reader.join()
-    for own in (maps, loose):
-        drive(own, np.random.default_rng(2), 1)
-    assert maps.tiles_used == loose.tiles_used
-
-
 def test_maps_are_read_while_they_are_written():
     """A reader of memory that moved would read other bytes, or end the process."""
     maps = make_maps()
@@ -81,10 +65,3 @@ def test_maps_are_read_while_they_are_written():
     for reader in readers:
         reader.join()
     assert problems == []
-
-
-def test_frozen_maps_cannot_be_written_to():
-    frozen = make_maps().freeze()
-    rng = np.random.default_rng(3)
-    with pytest.raises(ArgumentError, match="frozen"):
-        frozen.update(ROWS, rng.uniform(-20, 20, (4, 3)), seen(rng))

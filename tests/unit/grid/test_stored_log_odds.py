@@ -43,24 +43,6 @@ def contents(maps):
     return [array.tobytes() for array in maps.to_arrays().values()]
 
 
-@pytest.mark.parametrize(
-    ("values", "unit"),
-    [
-        (DEFAULT, 40),
-        (FULL, 1),
-        ((1.0, -1.0, -2.0, 2.0, 0.0), 100),
-        ((1.27, -1.0, -1.27, 1.28, 0.0), None),
-        ((1.27, -0.02, -1.27, 1.27, 0.0), None),  # the clamps and a miss are 256 apart
-        ((2.2, -0.4, -16.0, 32.0, 2.0), None),
-        ((2.4, -0.4, -163.0, 163.0, 2.0), None),
-    ],
-)
-def test_a_byte_holds_whole_multiples_of_a_unit(values, unit):
-    maps = make(values)
-    assert maps.evidence.byte_unit == unit
-    assert maps._arena.tile_bytes == (2 if unit else 3) * 1024
-
-
 @BACKENDS
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("values", [DEFAULT, FULL, (0.2, -0.1, -0.3, 0.5, 0.1)])

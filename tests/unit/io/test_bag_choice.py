@@ -42,12 +42,6 @@ def test_several_robots_must_be_told_apart(tmp_path):
     assert (chosen.odometry, chosen.base_frame) == ("/r2/odom", "r2/base_link")
 
 
-def test_lasers_of_one_robot_in_several_namespaces(tmp_path):
-    links = [transform(0.0, "base_link", frame, (x, 0, 0)) for frame, x in (("a", 0.2), ("b", -0.2))]
-    said = [*links, scan("/a/scan", 0.0, FOUR, frame="a"), scan("/b/scan", 0.0, FOUR, frame="b")]
-    assert choice_of(tmp_path, said).scans == ("/a/scan", "/b/scan")
-
-
 MOUNTED = [transform(0.0, "base_link", "laser")]
 
 
@@ -70,18 +64,6 @@ def test_of_several_topics_of_one_laser_one_is_taken_and_the_others_are_named(tm
     (tmp_path / "log.bag").unlink()
     other = min(set(counts) - {taken})
     assert choice_of(tmp_path, said, scan_topics=(other,)).scans == (other,)
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "problem"),
-    [
-        (("/a/scan", "laser"), ("/b/scan", "laser"), "maybe of several robots"),
-        (("/scan_a", ""), ("/scan_b", ""), "the mounting of /scan_a () is unknown"),
-    ],
-)
-def test_topics_that_may_be_of_different_lasers_are_not_taken_for_one(tmp_path, first, second, problem):
-    said = [scan(name, 0.0, FOUR, frame=frame) for name, frame in (first, second)]
-    assert problem in refused(tmp_path, said)
 
 
 def test_without_scans_the_topics_are_listed(tmp_path):
@@ -111,20 +93,6 @@ def test_ground_truth_alone_is_no_odometry_unless_it_is_named(tmp_path):
     assert choice_of(tmp_path, said).odometry_frame == ""
     (tmp_path / "log.bag").unlink()
     assert choice_of(tmp_path, said, odometry_topic="gt").odometry == "/gt"
-
-
-def test_of_several_odometries_the_one_of_the_transforms_is_taken(tmp_path):
-    links = [transform(step / 20, "odom", "base_link", (0.9 * step / 20, 0, 0), topic="/tf") for step in range(41)]
-    said = [*moving("/odom"), *moving("/odom_fused", 0.9), *links, transform(0.0, "base_link", "laser")]
-    said.append(scan("/scan", 1.0, FOUR))
-    assert choice_of(tmp_path, said).odometry == "/odom_fused"
-
-
-def test_an_odometry_that_does_not_say_whose_pose_it_is(tmp_path):
-    said = [*moving("/odom", frames=("odom", "")), transform(0.0, "body", "laser", (0.1, 0, 0))]
-    chosen = choice_of(tmp_path, [*said, scan("/scan", 1.0, FOUR)])
-    assert (chosen.odometry_child, chosen.base_frame) == ("body", "body")
-    assert any("has the child frame no frame" in remark for remark in chosen.remarks)
 
 
 def test_a_chain_with_a_hole_is_told(tmp_path):
@@ -158,8 +126,3 @@ def test_angles_that_no_map_can_be_made_of_are_refused_with_all_numbers(tmp_path
     said = refused(tmp_path, scans(**fields))
     assert "the scans of /scan" in said
     assert problem in said
-
-
-def test_intensities_without_ranges_are_named(tmp_path):
-    said = refused(tmp_path, [scan("/scan", step / 10, [], intensities=FOUR) for step in range(4)])
-    assert "the scans of /scan: expected ranges, got none, and 4 intensities" in said

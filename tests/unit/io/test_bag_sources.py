@@ -5,7 +5,6 @@ from __future__ import annotations
 import bz2
 import importlib
 import itertools
-import shutil
 import sqlite3
 import sys
 from contextlib import nullcontext
@@ -52,39 +51,6 @@ def test_messages_are_those_of_rosbags(tmp_path, kind, compression):
     assert {name: topic.messages for name, topic in bag.topics.items()} == {"/scan": 400, "/odom": 801, "/tf_static": 1}
     assert bag.bytes_read == bag.total_bytes > 0
     assert not bag.is_truncated
-
-
-def test_files_of_one_bag_follow_each_other_by_time(tmp_path):
-    said = ros_bags.drive(3.0)
-    later, earlier = said[len(said) // 2 :], said[: len(said) // 2]
-    for part, name in ((later, "a"), (earlier, "b")):
-        ros_bags.write(tmp_path, "mcap", part, name=name)
-        shutil.move(tmp_path / name / f"{name}.mcap", tmp_path / f"{name}.mcap")
-        shutil.rmtree(tmp_path / name)
-    bag = Ros2Bag(tmp_path)
-    assert [message[:2] for message in bag.messages(bag.topics)] == [(each.time_ns, each.topic) for each in said]
-    assert bag.topics["/odom"].messages == 61
-
-
-def split_bag(folder):
-    """A bag of two files, with the metadata that lists both."""
-    said = ros_bags.drive(2.0)
-    whole = ros_bags.write(folder, "db3", said)
-    (whole / "log.db3").rename(whole / "log_0.db3")
-    text = (whole / "metadata.yaml").read_text()
-    assert text.count("- log.db3") == 1
-    (whole / "metadata.yaml").write_text(text.replace("- log.db3", "- log_0.db3\n  - log_1.db3"))
-    return whole
-
-
-def test_files_by_other_names_and_damaged_metadata_miss_nothing(tmp_path):
-    folder = split_bag(tmp_path)
-    shutil.copy(folder / "log_0.db3", folder / "renamed.db3")
-    assert Ros2Bag(folder).missing_files == ()
-    (folder / "renamed.db3").unlink()
-    for text in ("", "a: [", "- 1", "rosbag2_bagfile_information: 3", "\0", "rosbag2_bagfile_information: {}"):
-        (folder / "metadata.yaml").write_text(text)
-        assert Ros2Bag(folder).missing_files == ()
 
 
 @given(st.lists(st.lists(st.integers(0, 20), min_size=1, max_size=5), max_size=6))
@@ -166,24 +132,6 @@ def test_of_a_ros2_file_that_is_cut_off_all_before_the_cut_is_kept(tmp_path, kin
     assert kept == whole[: len(kept)]
     assert len(whole) / 3 < len(kept) < len(whole)
     assert bag.is_truncated
-
-
-def test_an_mcap_file_that_rosbags_refuses_but_is_whole_is_read(tmp_path):
-    (path,) = ros_bags.write(tmp_path, "mcap", ros_bags.drive()).glob("*.mcap")
-    whole = list(Ros2Bag(path).messages({"/odom"}))
-    data = path.read_bytes()
-    path.write_bytes(data[:17].replace(b"\4\0\0\0ros2", b"\4\0\0\0????") + data[17:].replace(b"ros2", b"????", 1))
-    bag = Ros2Bag(path)
-    assert list(bag.messages({"/odom"})) == whole
-    assert not bag.is_truncated
-
-
-def test_messages_that_sqlite_has_not_merged_are_not_lost_without_a_word(tmp_path):
-    (path,) = ros_bags.write(tmp_path, "db3", ros_bags.drive()).glob("*.db3")
-    path.with_name(f"{path.name}-wal").write_bytes(b"messages")
-    with pytest.raises(InputError, match="-wal"):
-        Ros2Bag(path)
-    assert Ros2Bag(path, keep_truncated=True).is_truncated
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import QosDurability
 from rosbags.typesys import Stores, get_typestore
 
 from gridslam.errors import ArgumentError, OutputError
@@ -90,23 +89,6 @@ def test_what_is_written_is_read(tmp_path, name):
     np.testing.assert_allclose(matrix_of(mounting.transform), UPSIDE_DOWN, atol=1e-15)
 
 
-@pytest.mark.parametrize("name", ["log.bag", "log.mcap"])
-def test_the_static_transforms_are_kept_for_who_comes_late(tmp_path, name):
-    write_bag(tmp_path / name, log())
-    with AnyReader([tmp_path / name], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-        told = {connection.topic: connection.ext for connection in reader.connections}
-    if name == "log.bag":
-        assert {topic: ext.latching for topic, ext in told.items()} == {
-            "/odom": None,
-            "/tf": None,
-            "/tf_static": 1,
-            "/scan": None,
-        }
-    else:
-        assert [qos.durability for qos in told["/tf_static"].offered_qos_profiles] == [QosDurability.TRANSIENT_LOCAL]
-        assert told["/scan"].offered_qos_profiles == []
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_each_beam_keeps_its_status(tmp_path, name):
     # The greatest double below 30 is 30 in single precision.
@@ -167,26 +149,3 @@ def test_nothing_is_left_where_writing_fails(tmp_path, name):
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(OutputError, match="nowhere"):
         write_bag(tmp_path / "nowhere" / name, log())
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_file_is_replaced_and_a_folder_is_not(tmp_path, name):
-    path = tmp_path / name
-    if name != "log":
-        path.write_text("before")
-        write_bag(path, log())
-        assert len(of_topic(read(path), "/scan")) == 5
-        path.unlink()
-    path.mkdir()
-    (path / "thesis.tex").write_text("mine")
-    with pytest.raises(OutputError, match="there is a folder"):
-        write_bag(path, log())
-    assert [file.name for file in path.iterdir()] == ["thesis.tex"]
-
-
-@pytest.mark.parametrize("name", ["log#1", "log?.db3", "100%"])
-def test_paths_that_sqlite3_would_misread_are_refused(tmp_path, name):
-    with pytest.raises(OutputError, match="mcap"):
-        write_bag(tmp_path / name, log())
-    write_bag(tmp_path / f"{name}.mcap", log())
-    assert [path.name for path in tmp_path.iterdir()] == [f"{name}.mcap"]

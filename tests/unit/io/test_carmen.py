@@ -9,7 +9,6 @@ import pytest
 
 from gridslam.errors import InputError
 from gridslam.io.carmen.reader import CarmenLog
-from gridslam.types import BeamStatus, LaserScan
 
 
 def flaser(ranges, laser=(0, 0, 0), robot=(0, 0, 0), stamp="1.5", tag="FLASER"):
@@ -78,35 +77,11 @@ def test_bearings_cover_180_degrees(read, n, step):
     np.testing.assert_allclose(measurement.scan.geometry.bearings, expected, atol=1e-12)
 
 
-def test_status_of_each_beam_is_that_of_from_ranges(read):
-    values = ["1.0", "nan", "-1", "0.0", "inf", "-inf", "81.82", "81.83", "81.91"]
-    (measurement,), statistics = read(flaser(values))
-    scan = measurement.scan
-    reference = LaserScan.from_ranges(0, [float(v) for v in values], scan.geometry, range_max_m=scan.range_max_m)
-    np.testing.assert_array_equal(scan.status, reference.status)
-    hit, none, bad = BeamStatus.HIT, BeamStatus.NO_RETURN, BeamStatus.INVALID
-    assert scan.status.tolist() == [hit, bad, bad, bad, none, bad, hit, none, none]
-    assert (statistics.invalid_beams, statistics.no_return_beams) == (4, 3)
-
-
 @pytest.mark.parametrize(("stated", "limit"), [("50", 50.0), ("89", 81.83), ("0", 81.83)])
 def test_stated_maximum_range(read, stated, limit):
     (measurement,), _ = read(f"PARAM robot_front_laser_max {stated} h 0", flaser([49.9, 50.0]))
     assert measurement.scan.range_max_m == limit
     assert measurement.scan.status.tolist() == [0, int(limit == 50.0)]
-
-
-def test_robotlaser1_brings_its_own_angles_and_limits(read):
-    line = "ROBOTLASER1 0 -2.0 4.0 2.0 30.0 0.01 0 3 1.0 30.0 2.5 2 7 9 1.2 2 0.3 1.0 2 0.3 0 0 0 0 0 7.000001 host 7"
-    (measurement,), statistics = read(line)
-    odometry, scan = measurement
-    assert scan.geometry.bearings.tolist() == [-2.0, 0.0, 2.0]
-    assert scan.ranges.tolist() == [1.0, 30.0, 2.5]
-    assert scan.status.tolist() == [0, 1, 0]
-    assert odometry.pose.tolist() == [1.0, 2.0, 0.3]
-    assert scan.stamp_ns == 7_000_001_000
-    assert scan.sensor == "robotlaser1"
-    assert statistics.scans == {"ROBOTLASER1": 1}
 
 
 def test_lines_without_pose_take_the_last_odometry_before(read):
@@ -122,22 +97,6 @@ def test_lines_without_pose_take_the_last_odometry_before(read):
     assert (statistics.without_odometry, statistics.odometry_lines) == (1, 2)
 
 
-def test_tags_comments_and_parameters_are_counted(read):
-    _, statistics = read("# a", "", "SYNC x", "SYNC y", "TRUEPOS 0 0 0 0 0 0 1 h 1", "PARAM a b h 0", flaser([1.0]))
-    assert statistics.comments == 1
-    assert statistics.unused_tags == {"SYNC": 2, "TRUEPOS": 1}
-    assert statistics.parameters == {"a": "b"}
-    assert statistics.lines == 7
-
-
-def test_stamps_are_counted_in_file_order(read):
-    measurements, statistics = read(*(flaser([1.0], stamp=f"{t}.0") for t in (5, 7, 6, 6, 8)))
-    assert [m.scan.stamp_ns // 10**9 for m in measurements] == [5, 7, 6, 6, 8]
-    assert (statistics.backward_stamps, statistics.duplicate_stamps) == (1, 1)
-    assert (statistics.first_stamp_ns, statistics.last_stamp_ns) == (5 * 10**9, 8 * 10**9)
-    assert statistics.duration_s == 3.0
-
-
 def test_front_and_rear_keep_file_order_and_one_path(read):
     lines = [flaser([1.0, 2.0], (i, 0, 0), (i, 0, 0), f"{i}.0", tag) for i, tag in enumerate(["FLASER", "RLASER"] * 3)]
     measurements, statistics = read(*lines)
@@ -149,29 +108,6 @@ def test_a_constant_offset_in_the_lines_is_the_mounting(read):
     measurements, statistics = read(*moving(8, mounted(0.2, -0.05, 0.0)))
     assert statistics.mountings["front"].source == "line"
     np.testing.assert_allclose(measurements[0].scan.geometry.origin, [0.2, -0.05], atol=1e-9)
-
-
-def test_a_corrected_pose_in_the_lines_is_no_mounting(read):
-    def corrected(x, y, theta):  # a map frame that is turned and moved against the odometry's
-        return 0.1 + 0.95 * x - 0.31 * y, 0.31 * x + 0.95 * y, theta + 0.318
-
-    measurements, statistics = read(*moving(8, corrected))
-    assert statistics.mountings["front"].source == "assumed"
-    assert measurements[0].scan.geometry.origin.tolist() == [0, 0]
-
-
-def test_parameters_mount_the_laser_where_lines_are_silent(read):
-    measurements, statistics = read(
-        "PARAM robot_frontlaser_offset 0.3 h 0",
-        "PARAM robot_rearlaser_offset -0.4 h 0",
-        flaser([1.0, 2.0]),
-        flaser([1.0, 2.0], tag="RLASER"),
-    )
-    front, rear = (m.scan.geometry for m in measurements)
-    assert statistics.mountings["front"].source == "parameters"
-    np.testing.assert_allclose(front.origin, [0.3, 0])
-    np.testing.assert_allclose(rear.origin, [-0.4, 0])
-    np.testing.assert_allclose(front.directions, -rear.directions, atol=1e-12)  # the rear laser looks backwards
 
 
 @pytest.mark.parametrize("yaw_in_line", [0.0, math.pi])

@@ -43,16 +43,6 @@ def test_round_trip(tmp_path, suffix, n, fov):
     assert log.statistics.odometry_lines == 3
 
 
-def test_nothing_is_left_where_writing_fails(tmp_path):
-    def failing():
-        yield measurement()
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        write_carmen(tmp_path / "sim.log", failing())
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_what_cannot_be_said_is_refused(tmp_path):
     good = measurement()
     late = Odometry.at(good.scan.stamp_ns + 1, good.odometry.pose)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import bz2
 import gzip
 
 import numpy as np
@@ -65,17 +64,6 @@ def test_of_edges_alone_the_vertices_are_what_they_name_and_lie_where_they_agree
     assert fixed.ids.tolist() == [40, 30, 10, 20]
     assert fixed.graph.poses[0].tolist() == [0, 0, 0]
     assert fixed.graph.chi2() < 1e-12
-
-
-@pytest.mark.parametrize("pack", [gzip.compress, bz2.compress])
-def test_compressed_files_are_told_by_their_first_bytes(tmp_path, file, pack):
-    (tmp_path / "b.g2o").write_bytes(pack(SMALL.encode()))
-    np.testing.assert_array_equal(read_g2o(tmp_path / "b.g2o").graph.edges, read_g2o(file(SMALL)).graph.edges)
-
-
-def test_unknown_tags_are_counted(file):
-    read = read_g2o(file(f"{SMALL}VERTEX_CAM 1 2 3\nPARAMS a\nVERTEX_CAM 2 2 3"), skip_unknown=True)
-    assert read.skipped == {"VERTEX_CAM": 2, "PARAMS": 1}
 
 
 TWO = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n"
@@ -180,19 +168,6 @@ def test_real_graphs(data_dir, name, vertices, edges, closures):
     assert np.isfinite(graph.chi2())
 
 
-SQUARE = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0.1\nVERTEX_SE2 2 1.1 1 1.5\n"
-SQUARE_EDGES = "EDGE_SE2 0 1 1 0 0.05 1 2 3 40 5 60\nEDGE_SE2 1 2 0.1 1 1.5 1 0.2 0.3 4 0.5 6\n"
-
-
-def test_a_graph_in_the_form_of_toro_is_the_same_graph(file):
-    """TORO names its tags otherwise, and has the information in the order xx xy yy tt xt yt."""
-    of_g2o = read_g2o(file(SQUARE + SQUARE_EDGES)).graph
-    edges = "EDGE2 0 1 1 0 0.05 1 2 40 60 3 5\nEDGE2 1 2 0.1 1 1.5 1 0.2 4 6 0.3 0.5\n"
-    of_toro = read_g2o(file(SQUARE.replace("VERTEX_SE2", "VERTEX2") + edges)).graph
-    for name in ("poses", "edges", "measurements", "information", "trusted"):
-        np.testing.assert_array_equal(getattr(of_toro, name), getattr(of_g2o, name))
-
-
 def test_landmarks_are_where_their_measurements_put_them(file, tmp_path):
     """Two measurements of one place, each as certain: their mean. The poses stay as if there were no landmark."""
     poses = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 1e6 0 0 1e6 0 1e6\n"
@@ -210,19 +185,3 @@ def test_landmarks_are_where_their_measurements_put_them(file, tmp_path):
     again = read_g2o(tmp_path / "b.g2o")
     np.testing.assert_array_equal(again.is_landmark, source.is_landmark)
     np.testing.assert_array_equal(again.graph.information, source.graph.information)
-
-
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        ("VERTEX_XY 7 1\n", "expected 'VERTEX_XY id x y'"),
-        ("EDGE_SE2_XY 0 1 2 2 1 5 1\n", "positive definite"),
-        ("EDGE_SE2_XY 0 1 2 2 1e30 0 1\n", "information up to 1e+18"),
-        ("EDGE2 0 1 2 2 0 1 0 1\n", "expected 'EDGE2 from to x y theta I_xx I_xy I_yy I_tt I_xt I_yt'"),
-    ],
-)
-def test_lines_of_other_forms_are_checked_as_others(file, line, said):
-    with pytest.raises(InputError) as caught:
-        read_g2o(file(TWO + line))
-    assert said in str(caught.value)
-    assert caught.value.line == 3

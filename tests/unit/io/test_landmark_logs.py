@@ -142,25 +142,3 @@ def test_steps_of_victoria_park(park):
 def test_bad_lines_of_victoria_park(park, text, said):
     with pytest.raises(InputError, match=said):
         list(open_landmark_log(park(text)))
-
-
-@pytest.mark.parametrize(("robot", "observations", "robots", "unknown"), [(1, 1534, 407, 1), (3, 4348, 1277, 2)])
-def test_real_mrclam(data_dir, robot, observations, robots, unknown):
-    log = open_landmark_log(data_dir / "landmarks" / f"mrclam6_Robot{robot}_Odometry.dat.gz")
-    seen = np.concatenate([step.observations.landmarks for step in log])
-    assert (log.statistics.observations, log.statistics.robots, log.statistics.unknown) == (
-        observations,
-        robots,
-        unknown,
-    )
-    assert np.unique(seen).tolist() == log.truth.landmarks.tolist() == list(range(6, 21))
-    assert 880 < log.statistics.duration_s < 890
-
-
-def test_real_victoria_park(data_dir):
-    log = open_landmark_log(data_dir / "landmarks" / "victoria_park.txt.gz")
-    steps = list(log)
-    assert (log.statistics.odometry, log.statistics.observations, len(steps)) == (6968, 3640, 6969)
-    assert len(np.unique(np.concatenate([step.observations.landmarks for step in steps]))) == 151
-    driven = sum(math.hypot(*step.increment[:2]) for step in steps)
-    assert driven == pytest.approx(4026.6, abs=0.1)

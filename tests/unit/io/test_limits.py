@@ -9,36 +9,15 @@ import socket
 import sys
 import zipfile
 
-import numpy as np
 import pytest
 
-from gridslam.errors import ArgumentError, InputError
-from gridslam.io.limits import (
-    describe_bytes,
-    limit_memory,
-    max_memory_bytes,
-    require_memory,
-)
+from gridslam.errors import InputError
 from gridslam.io.log import open_log
 from gridslam.io.results.record import read_arrays
 from gridslam.io.text import open_for_reading
 from gridslam.io.trajectories import read_tum
 
 LINE = "PARAM laser_front_laser_resolution 1.0 nohost 0\n"
-
-
-def test_memory_is_limited_within_a_context():
-    before = max_memory_bytes()
-    require_memory("file", "its content", before)
-    with (
-        limit_memory(10**6),
-        pytest.raises(InputError, match=r"takes 1\.5 MB of memory, more than the 1 MB of --max-m"),
-    ):
-        require_memory("file", "its content", 1_500_000)
-    assert max_memory_bytes() == before
-    with pytest.raises(ArgumentError, match="size"), limit_memory(999):
-        pass
-    assert [describe_bytes(size) for size in (12, 1500, 2 * 10**6, 3 * 10**9)] == ["12 bytes", "1.5 KB", "2 MB", "3 GB"]
 
 
 @pytest.mark.parametrize(
@@ -69,16 +48,6 @@ def test_pipes_sockets_and_devices_are_refused_by_name(tmp_path):
         read_tum("/dev/zero")
     with pytest.raises(InputError, match="cannot be opened"):
         open_for_reading("a\0b")
-
-
-def test_an_archive_that_claims_too_much_is_refused(tmp_path):
-    path = tmp_path / "state.npz"
-    with path.open("wb") as file:
-        np.savez_compressed(file, schema=np.array("a/1"), zeros=np.zeros(10**8, np.uint8))
-    with pytest.raises(InputError, match="unpack to more than"):
-        read_arrays(path, "a/1", "a state")
-    with limit_memory(10**6), pytest.raises(InputError, match="--max-memory"):
-        read_arrays(path, "a/1", "a state")
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import subprocess
 import sys
 
@@ -74,32 +73,3 @@ def test_a_log_that_a_process_uses_stays(tmp_path):
     release()
     LogCache(tmp_path, 100).get("s3://b/c.clf", "", writer(b"x" * 30, "c.clf"))
     assert sorted(path.name for path in tmp_path.glob("*/*.clf")) == ["b.clf", "c.clf"]
-
-
-def test_a_damaged_entry_is_made_again(tmp_path):
-    cache = LogCache(tmp_path, 1000)
-    found = cache.get("s3://b/run.clf", "", writer())
-    release()
-    found.path.unlink()
-    assert cache.get("s3://b/run.clf", "", writer()).path.read_bytes() == b"a log"
-    release()
-    (found.path.parent / "entry.json").write_text("{")
-    assert cache.get("s3://b/run.clf", "", writer()).path.read_bytes() == b"a log"
-
-
-def fetch_in_child(folder, queue):
-    cache = LogCache(folder, 10_000)
-    queue.put([cache.get(f"s3://b/{k % 3}.clf", "", writer(b"y" * 900, f"{k % 3}.clf")).sha256 for k in range(30)])
-
-
-def test_processes_share_the_cache(tmp_path):
-    context = multiprocessing.get_context("spawn")
-    queue = context.Queue()
-    children = [context.Process(target=fetch_in_child, args=(tmp_path, queue)) for _ in range(3)]
-    for child in children:
-        child.start()
-    found = [queue.get(timeout=60) for _ in children]
-    for child in children:
-        child.join()
-    assert len({digest for digests in found for digest in digests}) == 1
-    assert len(list(tmp_path.iterdir())) == 3

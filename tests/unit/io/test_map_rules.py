@@ -12,7 +12,6 @@ from gridslam.io.maps import (
     MapImage,
     occupancy_percent,
     read_map,
-    read_map_image,
 )
 
 THRESHOLDS = [(0.65, 0.196), (0.65, 0.25), (0.51, 0.49), (1.0, 0.0), (0.8, 0.2)]
@@ -49,12 +48,6 @@ def test_every_pixel_is_read_by_the_rule(thresholds, mode, negate, strict):
     assert lower.tolist() == [rule(v, True, mode, negate, *thresholds, strict) for v in EVERY]
 
 
-def read(path, **options):
-    """A map, and what is told of its file."""
-    remarks = []
-    return read_map(path, **options, on_remark=remarks.append), remarks
-
-
 def saved(folder, image, mode="trinary", thresholds=(0.65, 0.25), suffix="png", more=""):
     image.save(folder / f"m.{suffix}")
     occupied, free = thresholds
@@ -63,44 +56,6 @@ def saved(folder, image, mode="trinary", thresholds=(0.65, 0.25), suffix="png", 
         f"occupied_thresh: {occupied}\nfree_thresh: {free}\n{more}"
     )
     return folder / "m.yaml"
-
-
-def test_what_nav2_saves_in_scale_mode_comes_back(tmp_path):
-    cells = np.arange(-1, 101)[None]
-    grey = np.where(cells < 0, 127, np.rint(255 * (100 - cells) / 100)).astype(np.uint8)
-    alpha = np.where(cells < 0, 0, 255).astype(np.uint8)
-    image = Image.fromarray(np.stack([grey, grey, grey, alpha], axis=-1))
-    grid = read_map(saved(tmp_path, image, "scale", (1.0, 0.0)))
-    assert (grid.known == (cells >= 0)).all()
-    np.testing.assert_allclose(grid.probability[0, 1:], 0.01 + 0.0098 * cells[0, 1:], atol=1e-6)
-
-
-def test_what_nav2_saves_in_raw_mode_comes_back(tmp_path):
-    cells = np.arange(-1, 101)[None]
-    grid = read_map(saved(tmp_path, Image.fromarray(np.where(cells < 0, 255, cells).astype(np.uint8)), "raw"))
-    assert (grid.known == (cells >= 0)).all()
-    np.testing.assert_allclose(grid.probability[0, 1:], 0.01 + 0.0098 * cells[0, 1:], atol=1e-6)
-
-
-def test_unknown_that_would_be_free_is_told_and_can_be_had(tmp_path):
-    path = saved(tmp_path, Image.fromarray(np.array([[205, 205, 254, 0]], np.uint8)))
-    grid, (remark,) = read(path)
-    assert grid.known.tolist() == [[False, False, True, True]]
-    assert "free_thresh 0.25" in remark
-    assert "2 cells" in remark
-    literal, none = read(path, strict_thresholds=True)
-    assert literal.known.all()
-    assert (literal.log_odds[0, :3] < 0).all()
-    assert none == []
-
-
-@pytest.mark.parametrize("mode", ["RGB", "RGBA", "P", "1"])
-def test_grey_in_any_form_is_read(tmp_path, mode):
-    pixels = np.array([[0, 255, 0]] if mode == "1" else [[0, 205, 254]], np.uint8)
-    Image.fromarray(pixels).convert(mode).save(tmp_path / "m.png")
-    found = read_map_image(tmp_path / "m.png")
-    assert (found.brightness == pixels).all()
-    assert found.opaque.all()
 
 
 def test_an_image_too_large_for_anything_is_refused(tmp_path, monkeypatch):

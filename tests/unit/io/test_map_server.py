@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from PIL import Image
 
 from gridslam.errors import InputError
 from gridslam.io.maps import read_map, write_map
@@ -97,17 +96,6 @@ def test_bad_yaml(tmp_path, yaml, line, problem):
     assert caught.value.line == line
 
 
-@pytest.mark.parametrize("name", ["/home/user/map.pgm", "~/map.pgm", r"C:\Users\me\map.pgm", "../maps/map.pgm"])
-def test_an_image_that_was_moved_is_found_beside_its_yaml(tmp_path, name):
-    told = []
-    path = write(tmp_path, [[0, 254]], YAML.replace("map.pgm", name))
-    assert states(read_map(path, on_remark=told.append)) == [[1, 0]]
-    assert told == [f"the image {name} is not there: map.pgm beside the YAML file is read"]
-    (tmp_path / "map.pgm").rename(tmp_path / "other.pgm")
-    with pytest.raises(InputError, match="no such file"):
-        read_map(path)
-
-
 def test_bad_images(tmp_path):
     yaml = write(tmp_path, [[0, 0]])
     (tmp_path / "map.pgm").write_bytes(b"P5\n200 200\n255\n123")
@@ -119,16 +107,3 @@ def test_bad_images(tmp_path):
     (tmp_path / "map.pgm").unlink()
     with pytest.raises(InputError, match="no such file"):
         read_map(yaml)
-
-
-@pytest.mark.parametrize("name", ["meeting", "mac_1st_floor_final"])
-def test_real_maps_have_all_three_states(data_dir, name):
-    path = data_dir / "maps" / f"{name}.yaml"
-    grid = read_map(path)
-    with Image.open(path.with_suffix(".pgm")) as image:
-        assert grid.log_odds.shape == image.size[::-1]
-        pixels = np.asarray(image)[::-1]
-    assert not grid.known[pixels == 205].any()
-    assert (grid.log_odds[pixels == 0] > 0).all()
-    assert (grid.log_odds[pixels == 254] < 0).all()
-    assert grid.known.any()

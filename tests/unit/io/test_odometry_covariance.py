@@ -7,7 +7,7 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose, compound_covariance, increment_covariance
 from gridslam.io.bags.bag import BagLog
-from gridslam.io.log import LogOptions, open_log
+from gridslam.io.log import LogOptions
 from support import ros_bags
 from support.ros_bags import KINDS, drive
 
@@ -89,12 +89,3 @@ def test_covariances_that_grow_tell_the_noise_from_scan_to_scan(tmp_path, kind):
 )
 def test_what_tells_nothing_is_absent(tmp_path, covariance):
     assert covariances(tmp_path, drive(covariance=covariance)) == [None] * 20
-
-
-def test_of_every_second_scan_the_noise_is_that_of_both(tmp_path):
-    path = ros_bags.write(tmp_path, "ros1", drive(covariance=grown))
-    every, others = ([m.odometry.covariance for m in open_log(path, LogOptions(every=n))] for n in (1, 2))
-    for k in range(2, 10):
-        first, second = (between(pose(at_s - 0.1), pose(at_s)) for at_s in (0.2 * k - 0.04, 0.2 * k + 0.06))
-        expected = compound_covariance(first, every[2 * k - 1], second, every[2 * k])
-        np.testing.assert_allclose(others[k], expected, rtol=1e-3)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import bz2
 import threading
 
 import pytest
 
 from gridslam.errors import InputError
 from gridslam.io.read_ahead import read_ahead
-from gridslam.io.text import TextSource
 
 
 def threads():
@@ -39,14 +37,4 @@ def test_an_error_comes_where_its_item_would_have_been():
     assert next(ahead) == 1
     with pytest.raises(InputError, match="damaged"):
         next(ahead)
-    assert not threads()
-
-
-def test_reading_that_stops_early_leaves_no_thread(tmp_path):
-    path = tmp_path / "long.bz2"
-    path.write_bytes(bz2.compress(b"".join(b"line %d\n" % number for number in range(200_000))))
-    lines = iter(TextSource(path))
-    assert next(lines)[0] == "line 0"
-    assert len(threads()) == 1
-    del lines
     assert not threads()

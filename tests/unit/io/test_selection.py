@@ -75,37 +75,6 @@ def test_stamps_that_go_back_leave_no_hole(jitter, start_s, duration_s):
     assert got[-1] == 39 or abs(got[-1] + 1 - (start_s + duration_s)) <= 2
 
 
-@pytest.mark.parametrize("astray", [-1e6, 0, 1e6])
-@pytest.mark.parametrize("place", [3, 10, 15, 25])
-def test_a_single_stamp_astray_decides_nothing(astray, place):
-    stamps = np.arange(100.0, 140.0)
-    stamps[place] = astray
-    got = places(Listed(stamps.tolist()), start_s=10, duration_s=10)
-    assert abs(got[0] - 10) <= 1
-    assert abs(got[-1] - 19) <= 1
-    assert got == list(range(got[0], got[-1] + 1))
-
-
-def test_every_so_many_th_scan_of_each_sensor():
-    log = Listed(list(range(12)), ["front", "rear"] * 6)
-    assert places(log, every=3) == [0, 1, 6, 7]
-    assert places(log, every=2, scan_topics=("rear",)) == [1, 5, 9]
-
-
-def test_statistics_are_of_the_chosen_scans_and_of_the_file():
-    log = Listed([0, 1, 2, 1.5, 4, 5, 6, 7, 8, 9])
-    part = select(log, LogOptions(start_s=1, duration_s=5, no_odometry=True))
-    measured = list(part)
-    assert [m.odometry for m in measured] == [None] * 5
-    statistics = part.statistics
-    assert (statistics.scan_count, statistics.without_odometry, statistics.invalid_beams) == (5, 5, 5)
-    assert statistics.selection == {"start_s": 1, "duration_s": 5, "no_odometry": True}
-    assert (statistics.first_stamp_ns, statistics.last_stamp_ns) == (10**9, 5 * 10**9)
-    assert (statistics.backward_stamps, statistics.odometry_length_m, statistics.total_bytes) == (1, 0.0, 1000)
-    assert statistics.share_read == pytest.approx(0.8)  # the last one chosen is 4 s into the 5 s
-    assert log.statistics.odometry_length_m > 0
-
-
 @pytest.mark.parametrize(
     ("options", "problem"),
     [

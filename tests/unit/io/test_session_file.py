@@ -84,14 +84,6 @@ def test_a_run_cut_anywhere_gives_the_same_bytes(measurements, tmp_path, name):
     assert ours.resamplings > 10  # else the generator and the shared tiles would hardly be tried
 
 
-def test_writing_does_not_consume_and_equal_runs_give_equal_files(measurements, tmp_path):
-    saved = go_on(begun(), measurements[:40])
-    write_session(tmp_path / "a.gridslam", saved)
-    write_session(tmp_path / "b.gridslam", saved)
-    assert (tmp_path / "a.gridslam").read_bytes() == (tmp_path / "b.gridslam").read_bytes()
-    go_on(saved, measurements[40:50])
-
-
 @pytest.fixture(scope="module")
 def file(measurements, tmp_path_factory):
     path = tmp_path_factory.mktemp("state") / "run.gridslam"
@@ -168,30 +160,6 @@ def test_what_is_wrong_with_a_file_is_told(file, tmp_path, name, value, message)
         read_session(tmp_path / "bad.gridslam")
     assert str(tmp_path / "bad.gridslam") in str(caught.value)
     assert message in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("part", "rows", "message"),
-    [
-        ("run.state.maps", 1, r"maps: expected a length of 5, as N has, got 1"),
-        ("run.state.maps", 6, r"maps: expected a length of 5, as N has, got 6"),
-        ("run.state.tracker.maps", 1, r"tracker.maps: expected a length of 2, got 1"),
-    ],
-)
-def test_each_particle_has_a_map_and_the_tracker_two(file, tmp_path, part, rows, message):
-    """Kernels read them by the number of the particle: a session with fewer made them read beside the table."""
-    with np.load(file) as archive:
-        arrays = dict(archive)
-    roots = arrays[f"{part}.roots"][np.arange(rows) % len(arrays[f"{part}.roots"])]
-    pages, inverse = np.unique(np.append(0, roots), return_inverse=True)
-    tiles, places = np.unique(np.append(0, arrays[f"{part}.pages"][pages]), return_inverse=True)
-    arrays[f"{part}.roots"] = inverse.reshape(-1)[1:].reshape(roots.shape).astype(np.int32)
-    arrays[f"{part}.pages"] = places.reshape(-1)[1:].reshape(-1, 16, 16).astype(np.int32)
-    for name in ("log_odds", "field"):
-        arrays[f"{part}.{name}"] = arrays[f"{part}.{name}"][tiles]
-    write_sealed_arrays(tmp_path / "bad.gridslam", arrays)
-    with pytest.raises(InputError, match=message):
-        read_session(tmp_path / "bad.gridslam")
 
 
 def test_every_changed_byte_is_found(file, tmp_path):

@@ -70,21 +70,6 @@ def test_path_and_tree_are_the_pasts(steps, seed, share):
         assert np.array_equal(walked(full_tree(ancestry), particle, trunk[:0]), expected)
 
 
-@settings(max_examples=40, deadline=None)
-@given(st.integers(2, 60), st.integers(0, 2**32 - 1), st.integers(5, 60))
-def test_a_thinned_tree_leaves_places_out_and_invents_none(steps, seed, most):
-    record = record_of(steps, seed, 0.1)
-    ancestry = ancestry_of(record, steps - 1)
-    trunk, tree = thin_tree(ancestry, most)
-    assert len(tree.positions) <= most + N * (1 + len(tree.positions) // most)
-    for particle in range(N):
-        full, thin = past_of(record, particle, steps - 1), walked(tree, particle, trunk)
-        kept = [int(np.flatnonzero((full == place).all(axis=1))[0]) for place in thin]
-        assert kept == sorted(kept)
-        assert kept[-1] == steps - 1
-        assert kept[: len(trunk)] == list(range(len(trunk)))
-
-
 @settings(max_examples=25, deadline=None)
 @given(st.integers(1, 150), st.lists(st.integers(0, 149), min_size=1, max_size=12), st.integers(0, 2**32 - 1))
 def test_pasts_at_any_time_in_any_order(steps, keys, seed):

@@ -11,7 +11,7 @@ import time
 import pytest
 
 from gridslam.live.connections import LimitedConnection
-from gridslam.live.limits import FileCache, Pace, PacedSelector, PacedThread
+from gridslam.live.limits import Pace, PacedSelector, PacedThread
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 
@@ -56,25 +56,6 @@ def test_idle_connections_give_way(page):
     finally:
         for one in sockets:
             one.close()
-
-
-def test_one_archive_is_made_at_a_time_and_given_to_all():
-    made = []
-
-    def make(grid):
-        made.append(grid)
-        time.sleep(0.05)
-        return b"archive"
-
-    async def find(channel):
-        return f"map {channel}"
-
-    async def ask() -> list[bytes | None]:
-        cache = FileCache(find, make, 0.1)
-        return await asyncio.gather(*(cache.find(0) for _ in range(20)))
-
-    assert asyncio.run(ask()) == [b"archive"] * 20
-    assert made == ["map 0"]
 
 
 def compute(seconds):

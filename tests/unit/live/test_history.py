@@ -49,26 +49,6 @@ def record(drive, most):
     return recorder, seen
 
 
-@pytest.mark.parametrize("interval", [1, 3])
-def test_the_beginning_is_kept_however_moments_are_joined(drive, interval):
-    recorder = HistoryRecorder(30.0, most=12, interval=interval)
-    keys = []
-
-    def note(report, state, seconds):
-        if report.skipped is None:
-            keys.append(len(keys) + 1)
-
-    slam = build(RESAMPLING)
-    run(recorder.follow(drive[:150]), slam, particles=4, rng=np.random.default_rng(3), observers=[recorder, note])
-    history = recorder.history
-    apart = history.interval
-    assert apart > interval
-    due = [1, *range(apart, len(keys) + 1, apart)]
-    found = [moment.keys for moment in history.moments]
-    assert found[: len(due)] == due
-    assert len(found) <= len(due) + 1, "at most one that is not joined yet"
-
-
 @pytest.mark.parametrize("most", [10_000, 40])
 def test_every_moment_is_as_it_was(drive, most):
     recorder, seen = record(drive, most)
@@ -89,24 +69,6 @@ def test_every_moment_is_as_it_was(drive, most):
         assert history.find(moment.keys) == index
         assert history.find(moment.keys - 1) == index - 1
     assert len(recorder.closures) >= recorder.recognized > 0
-
-
-def test_a_viewer_is_sent_what_differs_between_two_moments(drive):
-    recorder, _ = record(drive[:150], 10_000)
-    maps, replica = PastMaps(recorder.history), PastReplica()
-    replica.show(maps.at(60))
-    number, before = replica.sequence, looks(replica)
-    replica.show(maps.at(61))
-    at, _, last = replica.since(number, 10**6)
-    changed = {tuple(where) for where in at.tolist()}
-    assert 0 < len(changed) < len(before)
-    assert last == replica.sequence
-    assert all(before.get(where) == look for where, look in looks(replica).items() if where not in changed)
-    replica.show(maps.at(60))
-    assert looks(replica) == before
-    first, _, more = replica.since(0, 3)
-    assert len(first) == 3
-    assert more < replica.sequence
 
 
 def test_a_file_gives_the_same_moments(drive, tmp_path):

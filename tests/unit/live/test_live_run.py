@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from gridslam.config import build, override
-from gridslam.errors import ArgumentError
 from gridslam.live.control import Control
 from gridslam.live.monitor import CORRECTED, MappingMonitor
 from gridslam.live.observer import LiveObserver
@@ -75,29 +74,6 @@ def test_two_viewers_see_the_best_map_at_every_time(drive, every):
     assert np.array_equal(first.series, late.series)
     assert (first.series[:, 3].astype(int) & CORRECTED).any(), "the drive was to correct the past"
     assert first.status["closures"] >= len(first.arrays["closures"]) > 0
-
-
-def test_the_path_of_the_shown_particle_is_drawn_in_full(drive, monkeypatch):
-    """However large the tree is, which is thinned: else the path goes through walls."""
-    monkeypatch.setattr("gridslam.live.ancestry_tree.thin_tree.__defaults__", (6,))
-    observed, client = ObservedRun(every=5), PageClient()
-    viewer, compared, thinned = observed.live.add_viewer(lambda: None), [], []
-
-    def check(state):
-        client.catch_up(viewer)
-        selected = client.status["selected_particle"]
-        assert client.path == pytest.approx(state.ancestry.trajectory(state.best)[:, :2], abs=1e-5)
-        thinned.append(len(client.past_of(state.best)) < state.ancestry.steps)
-        if selected is None or selected < 0:
-            viewer.command({"do": "select", "particle": 3})
-        else:
-            assert client.selected == pytest.approx(state.ancestry.trajectory(selected)[:, :2], abs=1e-5)
-            compared.append(selected)
-
-    observed.check = check
-    observed.go(drive[:330])
-    assert len(compared) > 5
-    assert any(thinned)
 
 
 def test_the_filter_gives_the_same_bytes_with_and_without(drive):
@@ -176,25 +152,3 @@ def test_a_slow_reader_gets_fewer_snapshots_and_all_that_changed(drive):
     assert client.sees(state.maps.occupancy(state.best))
     assert client.status["scans"] == 120
     assert len(client.series) == client.status["keys"]
-
-
-def test_what_cannot_be_asked_is_refused(drive):
-    observed = ObservedRun()
-    viewer = observed.live.add_viewer(lambda: None)
-    with pytest.raises(ArgumentError, match="below 0"):
-        viewer.command({"do": "select", "particle": 0})
-    observed.go(drive[:10])
-    for command in ({"do": "fly"}, {"do": "select", "particle": 6}, {"do": "speed", "factor": 0}):
-        with pytest.raises(ArgumentError):
-            viewer.command(command)
-    with pytest.raises(KeyError):
-        viewer.command({"what": "pause"})
-    viewers = [observed.live.add_viewer(lambda: None) for _ in range(9)]
-    for other in viewers[:8]:
-        other.command({"do": "select", "particle": 1})
-    with pytest.raises(ArgumentError, match="at most 8"):
-        viewers[8].command({"do": "select", "particle": 1})
-    for other in viewers:
-        other.close()
-    viewer.command({"do": "select", "particle": 1})
-    assert observed.live.viewers == 1

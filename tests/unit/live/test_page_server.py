@@ -79,22 +79,6 @@ def test_several_viewers_get_the_whole_map_whenever_they_come(drive):
         assert client.status["stage"] == "final refinement"
 
 
-def test_a_restart_is_another_session_at_the_same_port():
-    with LivePage("one", FREE) as page:
-        url = page.url
-        with viewing(url) as (socket, client):
-            receive(socket, client)
-            port = int(url.rstrip("/").rpartition(":")[2])
-            page.__exit__()
-            with pytest.raises(ConnectionClosed):
-                receive(socket, client)
-    with LivePage("two", LiveOptions(port=port)) as page, viewing(url) as (socket, again):
-        receive(socket, again)
-        assert page.url == url
-        assert again.run_info["title"] == "two"
-        assert again.run_info["session"] != client.run_info["session"]
-
-
 def test_pause_and_step_hold_the_filter_and_its_stopwatch(drive):
     watch = Stopwatch()
     with LivePage("loop", FREE, range_max_m=30.0) as page, viewing(page.url) as (socket, client):
@@ -245,19 +229,3 @@ def test_a_port_that_is_taken_is_told_with_the_remedy():
         port = int(page.url.rstrip("/").rpartition(":")[2])
         with pytest.raises(OutputError, match=rf"port {port} of .* is taken; --live-port 0 takes one"):
             LivePage("two", LiveOptions(port=port)).__enter__()
-
-
-def test_the_page_stays_for_those_who_look_and_for_nobody_else(drive):
-    with LivePage("loop", FREE) as page:
-        began = time.monotonic()
-        page.serve_until_left()
-        assert not page.wait_for_viewer(0.05)
-        assert time.monotonic() - began < 1.0
-        with viewing(page.url):
-            assert page.wait_for_viewer(5)
-            waiting = threading.Thread(target=page.serve_until_left)
-            waiting.start()
-            waiting.join(0.3)
-            assert waiting.is_alive()
-        waiting.join(8)
-        assert not waiting.is_alive()

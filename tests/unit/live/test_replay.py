@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import shutil
 import time
 
@@ -12,7 +11,7 @@ import pytest
 
 from gridslam.api.mapping import map_log
 from gridslam.config import override
-from gridslam.errors import ArgumentError, InputError
+from gridslam.errors import InputError
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.g2o import read_g2o
 from gridslam.io.results.record import read_record
@@ -98,24 +97,6 @@ def test_playing_goes_on_with_the_clock_and_stops_at_the_end(replay, record, mon
     assert (client.status["at"], client.status["stage"]) == (len(record) - 1, "paused")
 
 
-def test_a_chosen_particle_keeps_its_line(replay):
-    viewer, client = looking(replay)
-    viewer.command({"do": "seek", "at": 80})
-    viewer.command({"do": "select", "particle": 3})
-    client.catch_up(viewer)
-    past = client.past_of(3)
-    viewer.command({"do": "seek", "at": 20})
-    client.catch_up(viewer)
-    assert np.array_equal(client.past_of(client.status["selected_particle"]), past[:21])
-    assert client.selected == pytest.approx(past[:21], abs=0.008)
-    assert len(client.selected) == 21
-    with pytest.raises(ArgumentError, match="below 5"):
-        viewer.command({"do": "select", "particle": 5})
-    for wrong in ({"do": "dance"}, {"do": "select", "particle": "3"}, {"do": "seek", "at": math.inf}, {"do": "seek"}):
-        with pytest.raises((ArgumentError, KeyError, OverflowError)):
-            viewer.command(wrong)
-
-
 def broken(out, tmp_path, name, text):
     folder = tmp_path / "broken"
     shutil.copytree(out, folder)
@@ -142,24 +123,6 @@ def broken(out, tmp_path, name, text):
 def test_what_is_missing_or_does_not_belong_together_is_told(out, tmp_path, name, text, says):
     with pytest.raises(InputError, match=says):
         Replay(broken(out, tmp_path, name, text))
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({"closures": [{"stamps_ns": [1, 2]}]}, r"closures\[0\].key_scans: expected two key scans, got None"),
-        ({"closures": [{"key_scans": [1, 2]}, {"key_scans": [1, "2"]}]}, r"closures\[1\].*got \[1, '2'\]"),
-        ({"closures": [7]}, r"closures\[0\]"),
-        ({"closures": 7}, "expected an object with a list of closures"),
-        ([7], "expected an object with a list of closures"),
-    ],
-)
-def test_closures_that_are_none_are_named(out, tmp_path, change, says):
-    shutil.copytree(out, tmp_path / "out")
-    document = json.loads((out / "run.json").read_text())
-    (tmp_path / "out" / "run.json").write_text(json.dumps(document | {"loop_closure": change}))
-    with pytest.raises(InputError, match=f"run.json: loop_closure.*{says}"):
-        Replay(tmp_path / "out")
 
 
 def test_json_that_is_nested_without_end_and_an_origin_beyond_all_cells_are_refused(out, tmp_path):

@@ -10,8 +10,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from gridslam.cli.live import node_page
-from gridslam.errors import ArgumentError, InputError
+from gridslam.errors import ArgumentError
 from gridslam.live.control import RobotCommands, RobotControl
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
@@ -107,40 +106,3 @@ def test_only_the_page_itself_commands(origin, is_obeyed):
             except ConnectionClosed:
                 assert not is_obeyed
     assert robot.done == ["locate"] * is_obeyed
-
-
-class Core:
-    """A node's core."""
-
-    is_paused, localizes, results_folder, session_file, mapped_session = False, False, None, None, None
-
-    class configuration:  # noqa: N801
-        range_max_m = 30.0
-
-    pause = reset = set_pose = save = add_observer = lambda *given: None
-
-
-def test_the_session_of_a_node_is_offered_once_it_is_saved(monkeypatch, tmp_path):
-    callbacks, pages = [], []
-    monkeypatch.setattr(LivePage, "__enter__", lambda self: pages.append(self) or self)
-    monkeypatch.setattr(LivePage, "__exit__", lambda self, *given: None)
-    monkeypatch.setattr(LivePage, "url", "here")
-    core = Core()
-    core.session_file = tmp_path / "autosave.gridslam"
-    core.add_observer = lambda observer, wrap, on_diagnostics: callbacks.append(on_diagnostics)
-    with node_page(LiveOptions(port=0), "robot", core, None):
-        run = pages[0]._run
-        monkeypatch.setattr(pages[0]._server, "call", lambda function, *given: function(*given))
-        diagnostics = type("Diagnostics", (), {"level": 0, "summary": ""})
-        callbacks[0](diagnostics)
-        assert run.open_session() is None
-        core.session_file.write_bytes(b"all there is")
-        for _ in range(2):
-            callbacks[0](diagnostics)
-        with run.open_session() as file:
-            assert file.read() == b"all there is"
-        run.reset()
-        assert run._run_info["layers"].count("session") == 1
-        core.session_file.unlink()
-        with pytest.raises(InputError, match="no such file"):
-            run.open_session()

@@ -101,37 +101,3 @@ def test_a_node_is_placed_by_its_page(capsys):
             assert seen.status["lost"] is False
             assert np.hypot(*(np.array(seen.status["pose"]) - log.truth.poses[39])[:2]) < 0.3
         core.close()
-
-
-def test_a_node_that_localizes_is_watched_and_recorded(tmp_path, capsys):
-    """Placed by people meanwhile, it stays one session."""
-    pytest.importorskip("rerun", reason="Rerun (the extra rerun) is not installed")
-    log, outputs, seen = localized_drive(3), RecordedOutputs(), PageClient()
-    known = Localization(KnownMap(flat_map()), MonteCarloConfiguration())
-    core = NodeCore(NodeSettings(queue_s=60.0), known, outputs)
-    core.on_transforms([mounting(0.0, 0.0)._replace(pose=(0.0,) * 6 + (1.0,))], static=True)
-    with make_viewer_opener("robot", LiveOptions(port=0), str(tmp_path / "run.rrd"))(core):
-        url = capsys.readouterr().err.split("live at ")[1].split()[0]
-        with connect(url.replace("http", "ws", 1) + "socket", max_size=None) as line:
-
-            def told():
-                seen.receive(line.recv(10))
-                line.send(json.dumps({"do": "ack"}))
-                return seen.status
-
-            told()
-            assert seen.sees(known.known.grid)
-            assert seen.run_info["mode"] == "robot"
-            core.start()
-            sent = play(core, outputs, log.measurements[:30], shift_ns=10**18, ahead=5)
-            assert until(lambda: told()["scans"] == sent), outputs.warnings()
-            session = seen.run_info["session"]
-            core.set_pose((np.array(log.truth.poses[29]), np.diag([0.04, 0.04, 0.03])))
-            play(core, outputs, log.measurements[30:60], shift_ns=10**18, ahead=5)
-            assert until(lambda: told()["scans"] == 60)
-            assert seen.run_info["session"] == session
-            assert seen.status["lost"] is False
-            assert np.hypot(*(np.array(seen.status["pose"]) - log.truth.poses[59])[:2]) < 0.3
-            assert len(seen.arrays["particles"]) <= 1000
-        core.close()
-    assert (tmp_path / "run.rrd").stat().st_size > 1000

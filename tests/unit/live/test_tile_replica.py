@@ -9,10 +9,8 @@ from hypothesis import strategies as st
 from gridslam.grid.cells import Evidence
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE, UNKNOWN
-from gridslam.live.protocol import levels
 from gridslam.live.tiles import EMPTY_BOX, Box, TileChangeDetector, TileChanges, TileReplica, split_into_tiles
 from gridslam.scan import StoredScan
-from gridslam.types import OccupancyGrid
 
 SIDE_M = 0.05
 FORM = {"resolution_m": SIDE_M, "reach_cells": 10.5, "evidence": Evidence(1.5, -0.4, -16.0, 32.0, 2.0)}
@@ -97,19 +95,3 @@ def test_a_new_map_replaces_the_old_one():
     assert grid.known.shape == (2 * TILE, TILE)
     where, looks, _ = replica.since(0, 100)
     assert not looks[where.tolist().index([0, 0])].any()
-
-
-@given(st.integers(-70, 70), st.integers(-70, 70), st.integers(1, 80), st.integers(1, 80), st.integers(0, 2**32 - 1))
-@settings(deadline=None)
-def test_a_rectangle_of_any_place_and_size_is_cut_into_tiles(row, column, height, width, seed):
-    rng = np.random.default_rng(seed)
-    known = rng.random((height, width)) < 0.7
-    log_odds = np.where(known, rng.integers(-400, 400, known.shape) * 0.01, 0).astype(np.float32)
-    changes = split_into_tiles(OccupancyGrid(log_odds, known, SIDE_M, (column * SIDE_M, row * SIDE_M)))
-    cells = {tuple(at): tile for at, tile in zip(changes.at.tolist(), changes.log_odds, strict=True)}
-    for r, c in np.ndindex(known.shape):
-        (tile_row, y), (tile_column, x) = divmod(row + r, TILE), divmod(column + c, TILE)
-        tile = cells.get((tile_row, tile_column))
-        got = UNKNOWN if tile is None else tile[y, x]
-        assert got == (round(100 * float(log_odds[r, c])) if known[r, c] else UNKNOWN)
-    assert sum(int((levels(tile) > 0).sum()) for tile in cells.values()) == known.sum()

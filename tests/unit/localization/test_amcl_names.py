@@ -6,12 +6,11 @@ import math
 
 import pytest
 
-from gridslam.api.amcl import AMCL_DEFAULTS, from_amcl, override_configuration, read_amcl
+from gridslam.api.amcl import AMCL_DEFAULTS, from_amcl, read_amcl
 from gridslam.errors import ConfigurationError, InputError
-from gridslam.localization import MonteCarloConfiguration
 from gridslam.models.endpoint import LikelihoodField
-from gridslam.models.motion import GMappingMotion, OdometryMotion
-from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow
+from gridslam.models.motion import OdometryMotion
+from gridslam.particles.policies import AlwaysResample
 
 
 def test_defaults_of_ros_1():
@@ -33,34 +32,6 @@ def test_defaults_of_ros_1():
     assert (configuration.resample_interval, configuration.max_beams, configuration.reach_m) == (2, 30, 2.0)
     assert (configuration.recovery.alpha_slow, configuration.recovery.alpha_fast) == (0.0, 0.0)
     assert isinstance(configuration.when_to_resample, AlwaysResample)
-
-
-def test_defaults_of_nav2():
-    configuration = from_amcl(AMCL_DEFAULTS["nav2"]).configuration
-    assert (configuration.kld.particles_min, configuration.kld.particles_max, configuration.kld.error) == (
-        500,
-        2000,
-        0.05,
-    )
-    assert (
-        configuration.sensor.z_hit,
-        configuration.sensor.z_rand,
-        configuration.max_beams,
-        configuration.range_max_m,
-    ) == (0.5, 0.5, 60, 100.0)
-
-
-def test_what_means_nothing_here_is_named():
-    read = from_amcl({"transform_tolerance": 0.2, "alpha5": 0.1, "laser_lambda_short": 0.2, "max_beams": 10})
-    assert set(read.ignored) == {"transform_tolerance", "alpha5", "laser_lambda_short"}
-    assert from_amcl({"selective_resampling": True}).configuration.when_to_resample == EffectiveSampleSizeBelow()
-
-
-def test_a_holonomic_robot_keeps_a_model_with_noise_across_the_motion():
-    nav2 = from_amcl(AMCL_DEFAULTS["nav2"]).configuration
-    read = from_amcl({"robot_model_type": "nav2_amcl::OmniMotionModel", "alpha1": 0.3, "alpha5": 0.1}, nav2)
-    assert isinstance(read.configuration.motion, GMappingMotion)
-    assert set(read.ignored) == {"alpha1", "alpha5"}
 
 
 ROS_1 = """
@@ -200,25 +171,3 @@ def test_files_that_are_refused(tmp_path, text, error, said):
 def test_what_is_refused(parameters, said):
     with pytest.raises(ConfigurationError, match=said):
         from_amcl(parameters)
-
-
-def test_assignments_by_both_kinds_of_names():
-    read = override_configuration(
-        MonteCarloConfiguration(),
-        ["laser_max_beams=40", "kld.z=1.5", "sensor.sigma_hit_m=0.07", "initial_pose_x=3", "tf_broadcast=true"],
-    )
-    assert (read.configuration.max_beams, read.configuration.kld.z, read.configuration.sensor.sigma_hit_m) == (
-        40,
-        1.5,
-        0.07,
-    )
-    assert read.pose.tolist() == [3, 0, 0]
-    assert read.ignored == ("tf_broadcast",)
-    kind = override_configuration(
-        MonteCarloConfiguration(), ["motion.kind=OdometryMotion", "motion.alpha1=0.3", "max_beams=9"]
-    )
-    assert kind.configuration.motion == OdometryMotion(alpha1=0.3)
-    assert kind.configuration.max_beams == 9
-    for wrong, said in (("max_beams", "name=value"), ("sensor.sigma=1", "sigma"), ("nonsense=1", "no such parameter")):
-        with pytest.raises(ConfigurationError, match=said):
-            override_configuration(MonteCarloConfiguration(), [wrong])

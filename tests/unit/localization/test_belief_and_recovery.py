@@ -10,7 +10,7 @@ import pytest
 from gridslam.geometry.angles import wrap
 from gridslam.localization import KnownMap
 from gridslam.localization.belief import estimate_pose, propagate_covariance
-from gridslam.localization.recovery import AugmentedRecovery, InlierRatioAverages, MeasurementProposal
+from gridslam.localization.recovery import MeasurementProposal
 from gridslam.models.endpoint import LikelihoodField
 from support.localization_world import drive, flat_map
 
@@ -35,16 +35,6 @@ def test_one_cluster(theta):
     # An entry of a sample's covariance has a deviation of at most sqrt(2 / 4000) of the greatest variance.
     np.testing.assert_allclose(told.covariance, TRUE, atol=5 * math.sqrt(2 / 4000) * 0.02)
     assert told.mass == pytest.approx(1.0)
-
-
-def test_the_heavier_of_two_clusters_is_told():
-    rng = np.random.default_rng(1)
-    poses = np.concatenate([cloud(rng, np.array([0.0, 0, 0]), 3000), cloud(rng, np.array([9.0, 4, 1]), 1000)])
-    weights = np.r_[np.full(3000, 0.3 / 3000), np.full(1000, 0.7 / 1000)]
-    told = estimate_pose(poses, weights)
-    np.testing.assert_allclose(told.pose, [9, 4, 1], atol=0.05)
-    assert told.mass == pytest.approx(0.7, abs=0.01)
-    np.testing.assert_allclose(told.covariance, TRUE, atol=0.004)
 
 
 def test_the_information_of_few_particles_is_unbiased():
@@ -72,18 +62,6 @@ def test_moved_covariance_by_finite_differences():
     np.testing.assert_allclose(propagate_covariance(TRUE, way, 0.1 * np.eye(3)), expected, atol=1e-9)
 
 
-def test_averages_are_those_of_the_table():
-    recovery = AugmentedRecovery(alpha_slow=0.01, alpha_fast=0.2, expected=0.6)
-    averages = recovery.begin()
-    slow = fast = 0.6
-    for inlier_ratio in (0.9, 0.8, 0.1, 0.1, 0.1):
-        averages, share = recovery(averages, inlier_ratio)
-        slow, fast = slow + 0.01 * (inlier_ratio - slow), fast + 0.2 * (inlier_ratio - fast)
-        assert averages == pytest.approx(InlierRatioAverages(slow, fast))
-        assert share == pytest.approx(max(0, 1 - fast / slow))
-    assert share > 0.3
-
-
 def test_weights_of_drawn_poses_add_up_to_the_evidence():
     """Their sum is the mean of p(z | x) over the free space, whatever they were drawn with: 40 draws against a grid."""
     known, log = KnownMap(flat_map()), drive(1)
@@ -100,13 +78,3 @@ def test_weights_of_drawn_poses_add_up_to_the_evidence():
             sums.append(np.exp(log_weights).sum())
         assert np.mean(sums) == pytest.approx(exact, abs=5 * np.std(sums) / math.sqrt(40))
         assert np.std(sums) < 0.3 * exact
-
-
-def test_a_particle_that_is_far_away_changes_nothing_and_takes_no_memory():
-    """Bins are counted where there are particles: one 1e9 m away lay 1e17 bins from the others."""
-    poses = np.random.default_rng(0).normal([3, 4, 0.5], [0.2, 0.2, 0.1], (100, 3))
-    weights = np.full(100, 0.01)
-    near = estimate_pose(poses, weights)
-    far = estimate_pose(np.vstack([poses, [1e9, -1e9, 0.5]]), np.append(0.999 * weights, 0.001))
-    np.testing.assert_allclose(far.pose, near.pose, atol=1e-9)
-    assert far.mass == pytest.approx(0.999 * near.mass)

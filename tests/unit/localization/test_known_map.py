@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gridslam.errors import ArgumentError
 from gridslam.localization import KnownMap
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.endpoint import CauchyEndPoint, LikelihoodField
@@ -93,19 +92,6 @@ def test_a_scan_is_matched_to_where_it_was_taken(seed):
     assert abs(found[2] - truth[2]) < 0.02
 
 
-def test_a_match_does_not_depend_on_where_the_map_lies():
-    grid, truth = grid_of(room()), np.array([2.0, 3.5, 0.4])
-    known, shift = KnownMap(grid), np.array([-7.123, 40.456, 0.0])
-    x, y = (np.array(grid.origin) + shift[:2]).tolist()
-    elsewhere = KnownMap(replace(grid, origin=(x, y)))
-    guess, beams = truth + np.array([0.05, -0.04, 0.03]), seen_from(known, truth)
-    here, there = (
-        one.match(LINES, at[None], np.eye(3), beams).poses[0]
-        for one, at in ((known, guess), (elsewhere, guess + shift))
-    )
-    np.testing.assert_allclose(there - shift, here, atol=1e-6)
-
-
 def test_free_space_is_only_what_is_known_to_be_free():
     cells = room()
     known, rng = KnownMap(grid_of(cells)), np.random.default_rng(2)
@@ -130,22 +116,3 @@ def test_a_cell_of_which_the_map_is_not_sure_is_neither_free_nor_occupied(log_od
     inside = np.array([[ORIGIN[0] + 2.5, ORIGIN[1] + 1.5, 0.0]])
     assert not known.is_free(inside)[0]
     assert known.distances(np.zeros(1), inside, np.zeros((1, 2)))[0, 0] > 0.9
-
-
-def test_maps_without_free_or_occupied_cells_are_refused():
-    for cells, missing in ((np.ones((5, 5), int), "free"), (np.zeros((5, 5), int), "occupied")):
-        with pytest.raises(ArgumentError, match=f"at least one {missing} cell"):
-            KnownMap(grid_of(cells))
-    with pytest.raises(ArgumentError, match="reach_m"):
-        KnownMap(grid_of(room()), reach_m=0.0)
-
-
-def test_spread_about_a_pose_is_that_of_poses_drawn_from_the_map():
-    free = np.zeros((40, 60), bool)
-    free[5:30, 10:50] = free[2:5, 3:8] = True
-    cells = np.where(free, -4, 4).astype(np.float32)
-    known = KnownMap(OccupancyGrid(cells, np.ones(free.shape, bool), 0.1, (-2.0, 1.0)))
-    pose = np.array([0.5, 2.0, 0.0])
-    away = known.sample_poses(200_000, np.random.default_rng(0)) - pose
-    # Cells count by their centres: they leave out the 0.1^2 / 12 that a cell is wide.
-    np.testing.assert_allclose(known.spread_about(pose), away.T @ away / len(away), atol=0.03)

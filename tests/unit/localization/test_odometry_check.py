@@ -7,8 +7,6 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose, inverse
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
-from gridslam.localization.odometry_check import OdometryCheck
-from gridslam.models.motion import GMappingMotion
 from gridslam.sim import OdometryNoise
 from gridslam.types import Odometry
 from support.faults import reflected_laser
@@ -110,16 +108,3 @@ def test_a_mirrored_laser_does_not_find_a_place_by_its_own_motion(known, seed):
         rejected += report.odometry_rejected
         assert report.lost
     assert rejected > 0.5 * len(log)
-
-
-def test_motion_within_the_noise_of_the_odometry_is_no_contradiction():
-    """The distance is that of the motion model's noise and of the tracker's together; the gate is a quantile."""
-    check = OdometryCheck()
-    measured = np.array([0.2, 0.0, 0.0])
-    noise = GMappingMotion()(measured).moments(np.zeros((1, 3)))[1][0]
-    for axis, own in enumerate((0.03, 0.03, 0.02)):
-        sigma = np.sqrt(noise[axis, axis] + own**2)
-        for sigmas, contradicts in ((0.99 * np.sqrt(check.gate), False), (1.01 * np.sqrt(check.gate), True)):
-            found = measured.copy()
-            found[axis] += sigmas * sigma
-            assert check._contradicts(found, measured, GMappingMotion()) == contradicts

@@ -7,9 +7,7 @@ import pytest
 
 from gridslam.geometry.angles import wrap
 from gridslam.grid import TileMaps
-from gridslam.mapping import OccupancyGridMapping
 from gridslam.matching import Correlative
-from gridslam.types import Match
 from support.oblong import map_room, scan_at
 
 ROW = np.zeros(1, np.int32)
@@ -49,12 +47,6 @@ class Stripes(TileMaps):
         return guesses, np.zeros((len(guesses), 3, 3)), np.zeros(len(guesses))
 
 
-@pytest.mark.parametrize(("peaks", "nearest"), [([-0.3, 0.2], 0.2), ([-0.1, 0.2], -0.1), ([-0.5, 0.4, 0.5], 0.4)])
-def test_of_equal_peaks_the_nearest_wins(peaks, nearest):
-    match: Match = Correlative()(Stripes(peaks), ROW, np.zeros((1, 3)), NO_PRIOR, scan_at(np.zeros(3)))
-    np.testing.assert_allclose(match.poses[0], [nearest, 0.0, 0.0], atol=1e-12)
-
-
 @pytest.mark.parametrize(("window", "step"), [(0.5, 0.1), (0.25, 0.1), (0.1, 0.1)])
 def test_the_window_is_covered_to_its_edges(window, step):
     """A peak at the edge is found, one well outside is not."""
@@ -63,13 +55,3 @@ def test_the_window_is_covered_to_its_edges(window, step):
         edge = np.ceil(abs(peak) / step - 1e-9) * step * np.sign(peak)
         match = search(Stripes([edge]), ROW, np.zeros((1, 3)), NO_PRIOR, scan_at(np.zeros(3)))
         assert (abs(match.poses[0, 0] - edge) < 1e-9) == found
-
-
-def test_each_guess_searches_its_own_map(room):
-    """Two maps, one of them empty: the guess in the empty one stands."""
-    both = OccupancyGridMapping().empty(2)
-    both.update(ROW, np.zeros((1, 3)), scan_at(np.zeros(3)))
-    guesses = np.array([[0.3, 0.2, 0.1], [0.3, 0.2, 0.1]])
-    match = Correlative()(both, np.array([0, 1], np.int32), guesses, np.zeros((2, 3, 3)), scan_at(np.zeros(3)))
-    np.testing.assert_allclose(match.poses[0], 0.0, atol=0.01)
-    np.testing.assert_allclose(match.poses[1], guesses[1], atol=1e-9)

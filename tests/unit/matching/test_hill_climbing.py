@@ -7,7 +7,7 @@ import pytest
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
-from gridslam.matching import GaussNewton, HillClimbing
+from gridslam.matching import HillClimbing
 from support.oblong import map_room, scan_at
 
 ROW = np.zeros(1, np.int32)
@@ -48,22 +48,3 @@ def test_no_move_of_the_last_step_scores_better(room, halvings):
     for move in np.concatenate([np.diag(last), -np.diag(last)]):
         # found's heading is wrapped after the search, and scores are summed in float32: a few last bits
         assert gmapping_score(room, compose(found, move), beams, matcher) < best + 1e-3
-
-
-def test_a_score_below_the_minimum_is_refused(room):
-    truth = np.array([0.3, -0.2, 0.7])
-    guess, beams = truth + np.array([0.05, 0.0, 0.0]), scan_at(truth)
-    found = HillClimbing()(room, ROW, guess[None], NO_PRIOR, beams).poses[0]
-    reached = gmapping_score(room, found, beams, HillClimbing())
-    accepted = HillClimbing(minimum_score=reached - 1)(room, ROW, guess[None], NO_PRIOR, beams)
-    np.testing.assert_array_equal(accepted.poses[0], found)
-    refused = HillClimbing(minimum_score=reached + 1)(room, ROW, guess[None], NO_PRIOR, beams)
-    np.testing.assert_allclose(refused.poses[0], guess, atol=1e-12)
-
-
-def test_what_is_told_of_the_pose_is_what_gauss_newton_tells(room):
-    truth = np.array([0.1, 0.2, 0.0])
-    match = HillClimbing()(room, ROW, truth[None] + 0.03, NO_PRIOR, scan_at(truth))
-    there = GaussNewton(max_iterations=0)(room, ROW, match.poses, NO_PRIOR, scan_at(truth))
-    np.testing.assert_array_equal(match.information, there.information)
-    np.testing.assert_array_equal(match.score, there.score)

@@ -99,20 +99,6 @@ def test_a_late_reader_gets_the_last_latched_sample_and_nothing_that_is_not(pair
     assert [list(map(number_of, one)) for one in (maps, others, volatile_maps)] == [[2, 4], [3], [4]]
 
 
-@pytest.mark.parametrize(("vendor", "base"), [(b"\1\x0f", 0), (b"\1\x10", 1), (b"\1\1", 1), (b"", 1)])
-def test_a_new_writer_is_asked_for_its_samples_as_its_vendor_expects(vendor, base):
-    """Fast DDS answers at once only where nothing is acknowledged, from 0 on, which no other needs to accept."""
-    sent = []
-    reader = Reader(
-        b"r" * 16, "rt/a", KIND, Qos(latched=True), lambda parts, *to: sent.extend(parts), lambda sample: None
-    )
-    reader.match(RemoteEndpoint(b"w" * 16, "rt/a", KIND, Qos(latched=True), ("127.0.0.1", 1), vendor=vendor))
-    (submessage,) = wire.parse_message(wire.encode_message(b"p" * 12, sent))
-    assert submessage.kind == wire.ACKNACK
-    assert not submessage.flags & 2  # an answer is expected
-    assert wire.parse_set(submessage.body, 8, submessage.order)[:2] == (base, [])
-
-
 def test_what_does_not_fit_is_named(pair):
     sender, receiver, mismatches = pair
     sender.add_writer("rt/a", KIND, Qos(reliable=False))
@@ -167,18 +153,6 @@ def test_one_that_was_lost_for_a_while_is_found_again_and_lost_samples_are_repea
     sender.write(writer, payload(6))
     assert until(lambda: got[-1:] == [6])
     assert lost
-
-
-@given(st.binary(max_size=300), st.integers(1, 2**40), st.binary(min_size=24, max_size=24))
-def test_data_is_read_back_with_its_inline_parameters(data, sequence, identity):
-    inline = wire.encode_parameters([(0x83, identity)])
-    message = wire.encode_message(b"p" * 12, [wire.encode_data(b"aaaa", b"bbbb", sequence, data, inline)], b"d" * 12)
-    (submessage,) = wire.parse_message(message)
-    found = wire.parse_data(submessage)
-    assert (submessage.prefix, submessage.destination) == (b"p" * 12, b"d" * 12)
-    assert (found.writer, found.sequence, found.parameters) == (b"bbbb", sequence, {0x83: [identity]})
-    assert found.payload.startswith(data)
-    assert len(found.payload) - len(data) < 4
 
 
 @settings(max_examples=300, deadline=None)

@@ -9,9 +9,6 @@ import pytest
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se3 import from_planar
-from gridslam.io.bags.bag import BagScanBuilder
-from gridslam.io.bags.ros_messages import ScanMessage
-from gridslam.ros.node import accepted_scan
 from gridslam.types import BeamStatus, LaserScan
 
 HIT, NO_RETURN, INVALID = (np.uint8(status) for status in BeamStatus)
@@ -60,18 +57,3 @@ def test_fields_that_are_none_are_refused(change, argument):
         LaserScan.from_ros(0, RANGES, **FIELDS | change)
     with pytest.raises(ArgumentError, match="ranges"):
         LaserScan.from_ros(0, [[1.0]], **FIELDS)
-
-
-def test_readers_and_nodes_make_the_same_of_a_message():
-    message = ScanMessage(7, "f", -1.5, 0.25, 1e-3, 0.1, 30.0, RANGES)
-    scans = [
-        LaserScan.from_ros(7, RANGES, **FIELDS, time_increment=1e-3),
-        BagScanBuilder().scan(message, 7, "/s", np.eye(4)),
-        accepted_scan.MeasurementBuilder().build(message, "/s", np.eye(4), None, 0.0).measurement.scan,
-    ]
-    hit = scans[0].status == HIT
-    for scan in scans:
-        assert np.array_equal(scan.status, scans[0].status)
-        assert np.array_equal(scan.ranges[hit], scans[0].ranges[hit])
-        assert np.array_equal(scan.geometry.directions, scans[0].geometry.directions)
-        assert np.array_equal(scan.beam_times_s, scans[0].beam_times_s)

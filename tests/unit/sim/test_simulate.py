@@ -8,17 +8,15 @@ import pytest
 from gridslam.geometry import se2
 from gridslam.geometry.angles import wrap
 from gridslam.sim import (
-    Change,
     LidarConfig,
     OdometryNoise,
     PeopleConfig,
     RobotConfig,
-    World,
     make_world,
     simulate,
     simulate_stream,
 )
-from gridslam.sim.floor_plan import box, clearance, join, polyline
+from gridslam.sim.floor_plan import clearance
 
 EXACT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 NOISELESS = LidarConfig(sigma_range_m=0.0, no_return_probability=0.0, x_m=0.15, y_m=-0.05, heading_rad=0.3, rate_hz=1.0)
@@ -71,24 +69,3 @@ def test_logs_are_what_they_always_were():
     log = _rooms(3, LidarConfig(rate_hz=2.0), OdometryNoise(), PeopleConfig(count=2))
     assert sum(m.scan.ranges.sum() for m in log.measurements) == pytest.approx(134993.2401222695, rel=1e-12)
     assert log.odometry.poses[-1] == pytest.approx([2.289778533159554, 2.6301774718074427, 2.7027081118604177])
-
-
-def test_walls_change_when_the_robot_leaves_the_waypoint():
-    """A shelf before the far end is moved back by half a metre when the robot turns around."""
-    shelf, moved = polyline([(9.0, 0.0), (9.0, 4.0)]), polyline([(9.5, 0.0), (9.5, 4.0)])
-    empty = box(0, 0, 10, 4)
-    world = World.of("w", join(empty, shelf), [(1, 2), (7, 2), (3, 2), (7, 2)], [Change(2, join(empty, moved))])
-    log = simulate(
-        world,
-        RobotConfig(),
-        EXACT,
-        LidarConfig(181, sigma_range_m=0, no_return_probability=0, x_m=0.0),
-        np.random.default_rng(0),
-    )
-    poses = log.truth.poses
-    east = np.abs(wrap(poses[:, 2])) < 1e-6
-    ahead = np.array([m.scan.ranges[90] for m in log.measurements]) + poses[:, 0]
-    turned = int(np.argmax(~east))
-    assert ahead[east][:turned] == pytest.approx(9.0)
-    assert ahead[east][turned:] == pytest.approx(9.5)
-    assert len(ahead[east]) > turned + 5

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError
-from gridslam.sim import Change, World
-from gridslam.sim.floor_plan import box, clearance, join, near
+from gridslam.sim.floor_plan import clearance, near
 from gridslam.sim.robot import RobotConfig
 from gridslam.sim.worlds import WORLDS, make_world
 from support.drives import drive, follow
@@ -63,13 +62,3 @@ def test_demo_is_an_office_with_a_drive_of_about_100_m():
 def test_unknown_world_is_refused_with_the_names_there_are():
     with pytest.raises(ArgumentError, match=r"demo.*random.*'castle'"):
         make_world("castle", np.random.default_rng(0))
-
-
-def test_stretches_of_a_drive_have_the_walls_that_stand():
-    """A door that is shut when the robot leaves the second waypoint, and gone when it leaves the fourth."""
-    door = box(0, 0, 1, 1)
-    changes = [Change(1, door), Change(3, join())]
-    world = World.of("w", join(), [(0, 0), (1, 0), (2, 0), (3, 0), (4, 0)], changes)
-    stretches = list(world.stretches(np.array([0, 0, 0, 0, 0, 1, 1, 2, 3]), 3))
-    assert [(part.start, part.stop) for part, _ in stretches] == [(0, 3), (3, 5), (5, 8), (8, 9)]
-    assert [len(walls) for _, walls in stretches] == [0, 0, 4, 0]

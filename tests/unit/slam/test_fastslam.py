@@ -168,35 +168,6 @@ def test_it_maps_a_ring_with_known_and_unknown_correspondences(kind):
         assert any(report.parents is not None for report in reports)
 
 
-def test_landmarks_that_are_not_seen_where_they_should_be_are_dropped_and_their_columns_used_again():
-    slam, rng = FastSlam1(FINDING), np.random.default_rng(12)
-    state, _ = slam.step(slam.init(5), STILL, LandmarkObservations.of([[2.0, 1.0], [3.0, -1.0]]), rng)
-    for _ in range(3):
-        state, _ = slam.step(state, STILL, LandmarkObservations.of([[2.0, 1.0]]), rng)
-    assert state.exists.sum(axis=1).tolist() == [1] * 5
-    assert state.observations[:, 0].tolist() == [4] * 5
-    state, report = slam.step(state, STILL, LandmarkObservations.of([[2.0, -2.0]]), rng)
-    assert state.exists[:, :2].all()
-    assert report.landmarks.tolist() == [1]
-    assert state.observations[:, 1].tolist() == [1] * 5
-
-
-@ALL
-def test_a_landmark_that_was_confirmed_is_held_for_real_until_it_is_dropped(kind):
-    """Hidden for a while, its evidence falls below what confirmed it: it is doubted, and not yet forgotten."""
-    slam, rng = kind(FINDING), np.random.default_rng(17)
-    state = slam.init(3)
-    for _ in range(4):
-        state, _ = slam.step(state, STILL, LandmarkObservations.of([[2.0, 1.0], [3.0, -1.0]]), rng)
-    held = []
-    for _ in range(6):
-        state, _ = slam.step(state, STILL, LandmarkObservations.of([[2.0, 1.0]]), rng)
-        hidden = state.evidence[state.best, 1]
-        held.append((hidden >= ALL_AROUND.log_odds_confirmed, len(slam.landmark_map(state))))
-    assert (False, 2) in held
-    assert held[-1] == (False, 1)
-
-
 @given(seed=st.integers(0, 1000), count=st.integers(1, 12))
 def test_resampling_keeps_what_is_drawn_and_copies_are_apart(seed, count):
     rng = np.random.default_rng(seed)

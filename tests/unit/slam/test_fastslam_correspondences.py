@@ -28,16 +28,3 @@ def test_correspondences_are_drawn_by_their_likelihood_and_weighed_by_its_sum():
     # A share p of 4,000 has a standard deviation of sqrt(p (1 - p) / 4000) < 0.008; five of them.
     assert np.mean(state.positions[np.arange(count), columns, 1] > 0) == pytest.approx(near / (near + far), abs=0.04)
     np.testing.assert_allclose(log_p, np.log(near + far + new), rtol=1e-9)
-
-
-def test_of_hundreds_of_landmarks_the_nearest_are_candidates():
-    """Where nothing is known of them all are near enough, and the time would grow with the square of their number."""
-    sensor = RelativePosition(sigma_x_m=0.05, sigma_y_m=0.05)
-    slam, rng = FastSlam1(LandmarkFilters(sensor, MaximumLikelihood())), np.random.default_rng(18)
-    places = [[3.0, 1.0 * k] for k in range(200)]
-    state, _ = slam.step(slam.init(3), STILL, LandmarkObservations.of(places), rng)
-    state.covariances[...] = 1e6 * np.eye(2)
-    seen = LandmarkObservations.of([[3.0, 0.1]])
-    candidates = slam.landmarks._may_match(state, seen, 0, SampledPoses(state.poses), 25.0)
-    for positions, chosen in zip(state.positions, candidates, strict=True):
-        assert sorted(positions[chosen, 1].round().tolist()) == list(range(64))

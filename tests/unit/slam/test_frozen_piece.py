@@ -86,32 +86,6 @@ def full_slam_of(piece, drives):
     return refine_piece(piece, drives, PROVOKED.mapper, PROVOKED.loop_closure, PROVOKED.final_refinement)
 
 
-def test_the_new_drive_is_aligned_with_the_frozen_one(days):
-    """Relations between scans of both days are within 0.04 m of the truth; those of a day alone are no better."""
-    piece, state, drives, answer, truth, later_truth = days
-    count = len(drives[0].keys)
-    constraints = state.closure_state.graph.constraints
-    assert any(c.from_ < len(piece) <= c.to for c in constraints)
-    missed = []
-    for new in range(0, len(later_truth), 5):
-        away = np.hypot(*(truth - later_truth[new])[:, :2].T)
-        old = int(away.argmin())
-        if away[old] < 3.0:
-            true = between(truth[old], later_truth[new])
-            found = between(answer.poses[old], answer.poses[count + new])
-            missed.append(np.hypot(*(found - true)[:2]))
-    assert len(missed) > 20
-    assert np.mean(missed) < 0.04
-
-
-def test_known_poses_of_a_frozen_drive_are_kept(days):
-    piece, _, drives, answer, *_ = days
-    count = len(drives[0].keys)
-    known = drives[0]._replace(poses=answer.poses[:count] + 1e-3)
-    kept = full_slam_of(piece, [known])
-    assert kept.poses[:count].tobytes() == known.poses.tobytes()
-
-
 def considered(graph):
     """Covariances of all poses, the held part's own and the others' given it with its error: dense, in closed form."""
     held, count = graph.held, len(graph.poses)
@@ -173,8 +147,3 @@ def test_covariances_of_a_frozen_part_are_not_lowered_by_what_it_does_not_follow
     traces, least, true = (np.trace(c[:, :2, :2], axis1=1, axis2=2) for c in (found, free, exact))
     assert (traces >= least * (1 - 1e-9)).all()
     np.testing.assert_allclose(traces[18:], true[18:], rtol=0.25)
-
-
-def test_with_one_constraint_the_covariances_are_exact_there(walk):
-    graph = walk([(5, 26)])
-    np.testing.assert_allclose(key_covariances(graph)[26], considered(graph)[26], rtol=0.02, atol=1e-6)

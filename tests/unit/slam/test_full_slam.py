@@ -36,19 +36,6 @@ def closed(loop):
     return answered(PROVOKED, loop.measurements)
 
 
-def test_the_filter_alone_is_the_best_particles_past(loop):
-    state, recorder, answer = answered(OFF, loop.measurements)
-    assert answer.loop_summary is None
-    assert answer.poses.tobytes() == recorder.best_trajectory(state).poses.tobytes()
-    assert answer.map.log_odds.tobytes() == state.maps.occupancy(state.best).log_odds.tobytes()
-    assert np.array_equal(answer.graph.poses, state.ancestry.trajectory(state.best))
-    assert answer.graph.trusted.all()
-    assert answer.graph.chi2() < 1e-12  # nothing contradicts the increments
-    # as it only drifts, it knows less and less
-    headings = answer.covariances[:, 2, 2]
-    assert headings[0] == 0 < headings[len(headings) // 2] < headings[-1]
-
-
 def test_loops_make_the_end_as_certain_as_what_it_was_matched_to(loop, closed):
     _, _, answer = closed
     _, _, alone = answered(OFF, loop.measurements)

@@ -18,7 +18,6 @@ from gridslam.slam.full_slam.full_trajectory import full_trajectory
 from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
 from gridslam.slam.full_slam.key_scan_matching import KeyScanMatching
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.types import Trajectory
@@ -63,12 +62,6 @@ def loop() -> Refined:
     return refine(loop_drive())
 
 
-@pytest.fixture(scope="module")
-def untied() -> Refined:
-    """The first half of a lap: no place is passed twice, and none is seen from far away in time."""
-    return refine(hall.drive(0), scans=110)
-
-
 def errors(run: Refined, poses: np.ndarray):
     truth = Trajectory(run.log.truth.stamps_ns, between(run.log.truth.poses[0], run.log.truth.poses))
     return absolute_errors(Trajectory(truth.stamps_ns, poses), truth)
@@ -106,40 +99,6 @@ def test_no_scan_is_moved_farther_from_the_key_scans_trajectory_than_allowed(hal
     moved = np.hypot(*(one.refinement.poses - bent)[:, :2].T)
     assert moved.max() <= REFINEMENT.surfaces.max_correction_m
     assert 0 < np.median(moved[moved > 0]) < 0.05
-
-
-def test_without_a_constraint_the_graph_is_a_chain(untied):
-    """From each key scan to the next as the filter has it, or as tracked: nothing else is measured but surfaces."""
-    graph, state = untied.refinement.best.graph, untied.state
-    assert untied.refinement.best.constraints == []
-    assert len(graph.edges) == len(graph.poses) - 1
-    assert (untied.refinement.best.weights == 1).all()
-    filtered, tracked = (
-        between(poses[:-1], poses[1:])
-        for poses in (state.ancestry.trajectory(state.best), np.array(state.closure_state.graph.tracked))
-    )
-    as_filtered, as_tracked = (
-        np.abs(between(graph.measurements, other)).max(axis=1) < 1e-6 for other in (filtered, tracked)
-    )
-    assert (as_filtered | as_tracked).all()
-
-
-def test_the_graph_holds_the_tracked_increments(halls):
-    """With their expected covariances: positions with less variance than that by which searches are bounded."""
-    for one in halls:
-        graph = one.refinement.best.graph
-        known = one.closure_state.graph
-        if one.refinement.best.name == "filter":
-            continue
-        count = len(graph.poses) - 1
-        tracked = np.array(known.tracked)
-        np.testing.assert_array_equal(graph.measurements[:count], between(tracked[:-1], tracked[1:]))
-        covariances = np.linalg.inv(graph.information[:count])
-        np.testing.assert_allclose(covariances, known.covariances[1:], rtol=1e-6, atol=1e-12)
-        position, heading = np.array(known.variances[1:]).T
-        assert (covariances[:, 2, 2] >= heading * (1 - 1e-9)).all()
-        assert np.median(covariances[:, 2, 2] / heading) == pytest.approx(1.0)
-        assert np.median(covariances[:, 0, 0] / position) == pytest.approx(DriftModel().position_ratio ** 2)
 
 
 def test_constraints_of_one_visit_share_the_information_of_one(halls, monkeypatch):

@@ -23,7 +23,6 @@ from gridslam.particles import (
     Residual,
     Stratified,
     Systematic,
-    sample_gaussian,
 )
 from gridslam.slam import (
     GridFastSlam,
@@ -33,27 +32,15 @@ from gridslam.slam import (
     ScanMatchedProposal,
     Tracker,
 )
-from gridslam.types import LaserScan, Odometry, SkipReason
+from gridslam.types import Odometry
 
 LIVELY = GridFastSlam(when_to_resample=AlwaysResample())
 """Resamples at every key scan, so that 24 s are enough to share, copy and free maps in every way."""
 
 
-def blind(scan):
-    """The same scan from a covered sensor: no beam says anything."""
-    nothing = np.full(len(scan), np.nan)
-    return LaserScan.from_ranges(scan.stamp_ns, nothing, scan.geometry, range_max_m=scan.range_max_m)
-
-
 def worst_error(reports, truth):
     """Greatest distance (m) of a pose told at the time from the true one, the whole being aligned."""
     return checks.worst_error(np.array([report.pose for report in reports]), truth.poses)
-
-
-def odometry_error(drive, start, end):
-    """Metres by which the odometry misses the true motion between two scans."""
-    missed = between(*(between(poses[start], poses[end]) for poses in (drive.odometry.poses, drive.truth.poses)))
-    return float(np.hypot(*missed[:2]))
 
 
 @pytest.fixture(scope="module")
@@ -128,31 +115,6 @@ def test_odometry_that_is_reset_does_not_move_the_robot(drive, play, at):
     assert not any(report.lost for report in reports)
 
 
-def test_a_key_scan_without_beams_waits_for_the_next_one(drive, play, usual):
-    key = next(k for k, report in enumerate(usual[1]) if k > 20 and report.skipped is None)
-    log = list(drive.measurements)
-    log[key] = (log[key][0], blind(log[key][1]))
-    _, reports = play(GridFastSlam(), log)
-    assert reports[key].skipped is SkipReason.NO_VALID_BEAM
-    assert reports[key].poses is None
-    assert reports[key + 1].skipped is None
-    assert worst_error(reports, drive.truth) < BAND_M
-
-
-def test_a_sensor_covered_for_a_while_leaves_the_odometry(drive, play):
-    """For 5 s the poses move as odometry does, to rounding, and then matching goes on.
-
-    What was learned of the odometry before makes that better; here nothing is.
-    """
-    log = [(o, blind(scan) if 40 <= k < 65 else scan) for k, (o, scan) in enumerate(drive.measurements)]
-    _, reports = play(GridFastSlam(tracker=Tracker(calibration=None)), log)
-    poses, odometry = np.array([report.pose for report in reports]), drive.odometry.poses
-    np.testing.assert_allclose(between(poses[40], poses[41:65]), between(odometry[40], odometry[41:65]), atol=1e-9)
-    assert {report.skipped for report in reports[55:65]} == {SkipReason.NO_VALID_BEAM}
-    assert all(report.poses is None for report in reports[40:65])
-    assert worst_error(reports, drive.truth) < BAND_M + odometry_error(drive, 39, 65)
-
-
 @pytest.mark.parametrize("threads", [1, 2])
 def test_the_number_of_particles_follows_their_spread(drive, play, threads):
     """They become fewer and more, and the answer stays as good as with all of them."""
@@ -167,22 +129,6 @@ def test_the_number_of_particles_follows_their_spread(drive, play, threads):
         assert report.parents is None or report.parents.max() < len(report.poses)
         assert report.best < len(later.poses)
     assert worst_error(reports, drive.truth) < BAND_M
-
-
-def test_particles_may_begin_anywhere(drive, play):
-    start = sample_gaussian(6, (3.0, -2.0, 1.0), np.diag([0.01, 0.01, 1e-4]), np.random.default_rng(0))
-    given = start.copy()
-    state, report = GridFastSlam().init(*drive.measurements[0], start)
-    np.testing.assert_array_equal(state.poses, given)
-    start[:] = 0.0  # the filter has its own copy
-    np.testing.assert_array_equal(state.poses, given)
-    assert report.n_eff == pytest.approx(6)
-    slam = GridFastSlam(when_to_resample=NeverResample())
-    state, reports = play(slam, drive.measurements[1:], state=state)
-    keys = np.flatnonzero([report.skipped is None for report in [report, *reports]])
-    for begin, past in zip(given, state.ancestry.trajectories(), strict=True):
-        np.testing.assert_array_equal(past[0], begin)
-        assert checks.worst_error(past, drive.truth.poses[keys]) < BAND_M
 
 
 def test_stamps_that_go_backwards_change_nothing(drive, play, contents, usual):

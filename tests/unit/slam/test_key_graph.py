@@ -14,7 +14,6 @@ from gridslam.serialization import from_arrays, to_arrays
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel, propagate_covariances
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, UNKNOWN_VARIANCES, KeyGraph
-from gridslam.tracking.state import UnmatchedMotion
 
 DRIFT = DriftModel()
 
@@ -67,25 +66,6 @@ def nearby(graph, limit_m=1e3, most=10**6):
     return {found.submap: found for found in graph.find_nearby_submaps(len(graph) - 1, limit_m, most)}
 
 
-def test_what_no_match_has_measured_is_added_to_the_covariance():
-    """An open direction along its axis, whatever the heading; a rejected match in all; the first in the heading."""
-    moved = np.array([0.5, 0.0, 0.1])
-    usual = DRIFT.covariance(moved)
-    axis = np.array([math.cos(0.7), math.sin(0.7)])  # in the tracker's frame
-    corridor = UnmatchedMotion(open_covariance=0.01 * np.outer(axis, axis))
-    added = DRIFT.covariance(moved, corridor, 0.2) - usual
-    seen = np.array([math.cos(0.5), math.sin(0.5)])  # from the heading 0.2
-    np.testing.assert_allclose(added[:2, :2], 0.01 * np.outer(seen, seen), atol=1e-12)
-    assert added[2, 2] == pytest.approx((DRIFT.open_heading_ratio**2 - 1) * usual[2, 2])
-    rejected = DRIFT.covariance(moved, UnmatchedMotion(0.02, 0.03)) - usual
-    np.testing.assert_allclose(rejected, DRIFT.rejected_match_sigmas**2 * np.diag([0.02, 0.02, 0.03]), atol=1e-12)
-    first = DRIFT.covariance(moved, first=True) - usual
-    np.testing.assert_allclose(first, np.diag([0, 0, DRIFT.first_sigma_rad**2]), atol=1e-15)
-    assert (
-        DRIFT.bounds(moved, corridor)[0] > np.linalg.eigvalsh(DRIFT.covariance(moved, corridor)[:2, :2]).max()
-    )  # searches are generous
-
-
 @pytest.mark.parametrize("count", [1, 7, 10, 11, 95])
 def test_along_a_chain_the_covariance_is_the_propagated_one(count):
     graph = chain(count)
@@ -113,31 +93,6 @@ def test_the_covariance_does_not_depend_on_where_the_map_has_its_origin(start):
         assert one.submap == other.submap
         expected = rotation @ one.covariance @ rotation.T
         np.testing.assert_allclose(other.covariance, expected, rtol=1e-6, atol=1e-9)
-
-
-def test_a_constraint_is_a_shortcut_and_the_pose_is_composed_along_it():
-    graph = chain(200)
-    before = nearby(graph)
-    closing = constraint(graph, 15, 185, off=(0.4, -0.3, 0.1))
-    graph.add(closing)
-    after = nearby(graph)
-    assert list(before)[-3:] == [2, 1, 0]
-    assert {1, 2, 0} < set(list(after)[:12])  # now they are among the nearer ones
-    for submap in range(20):
-        traces = [np.trace(found[submap].covariance[:2, :2]) for found in (after, before)]
-        assert traces[0] <= traces[1] * (1 + 1e-9)
-    seen = compose(closing.measurement, between(graph.tracked[185], graph.tracked[-1]))
-    seen = compose(between(graph.tracked[10], graph.tracked[15]), seen)
-    np.testing.assert_allclose(after[1].pose, seen, atol=1e-9)
-    np.testing.assert_allclose(after[0].pose, compose(between(graph.tracked[0], graph.tracked[10]), seen), atol=1e-9)
-    np.testing.assert_allclose(after[17].pose, before[17].pose, atol=1e-12)
-    # down to the first scan of the block of either end and back, and the tie itself, as if at the later end
-    steps_of_way = [*range(1, 16), *range(181, 186), *range(181, 200)]
-    xx, yy, heading = np.linalg.inv(closing.information).diagonal()
-    x, y, _ = graph.poses[185] - graph.poses[-1]
-    across = np.array([y, -x, 1.0])
-    of_tie = np.diag([(xx + yy) / 2, (xx + yy) / 2, 0.0]) + heading * np.outer(across, across)
-    np.testing.assert_allclose(after[0].covariance, propagated(graph, steps_of_way) + of_tie, rtol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -168,22 +123,6 @@ def test_no_way_through_the_graph_is_more_certain(seed):
         assert np.trace(found[submap].covariance[:2, :2]) == pytest.approx(variance, rel=1e-9)
     traces = [np.trace(f.covariance[:2, :2]) for f in found.values()]
     assert traces == sorted(traces)
-
-
-def test_the_pose_graph_holds_the_trusted_chain_and_then_the_constraints():
-    graph = chain(40)
-    graph.add(constraint(graph, 5, 33, off=(0.1, 0.2, 0.0)))
-    graph.add(constraint(graph, 15, 37))
-    told = graph.graph()
-    np.testing.assert_array_equal(told.poses, np.array(graph.poses))
-    np.testing.assert_array_equal(told.edges[:39], [(k, k + 1) for k in range(39)])
-    np.testing.assert_array_equal(told.edges[39:], [(5, 33), (15, 37)])
-    np.testing.assert_allclose(told.measurements[:39], between(told.poses[:-1], told.poses[1:]), atol=1e-12)
-    np.testing.assert_array_equal(told.measurements[39], graph.constraints[0].measurement)
-    for k, (position, heading) in enumerate(graph.variances[1:]):
-        np.testing.assert_allclose(np.linalg.inv(told.information[k]), np.diag([position, position, heading]))
-    np.testing.assert_array_equal(told.information[40], graph.constraints[1].information)
-    assert told.trusted.tolist() == [True] * 39 + [False] * 2
 
 
 def bent(graph, seed=3):

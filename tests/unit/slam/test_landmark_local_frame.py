@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from gridslam.geometry.se2 import between, compose, inverse, transform_points
-from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RangeBearing, RelativePosition
+from gridslam.geometry.se2 import compose
+from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RelativePosition
 from gridslam.models.motion import GaussianIncrement
 from gridslam.particles.policies import NeverResample
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
 from gridslam.slam.landmarks.filters import LandmarkFilters
-from gridslam.slam.landmarks.local_frame import FastSlam2WithLocalFrames, LocalFrameProposal
+from gridslam.slam.landmarks.local_frame import FastSlam2WithLocalFrames
 from gridslam.slam.landmarks.particles import smooth_trajectory
 
 SENSOR = RelativePosition(sigma_x_m=0.1, sigma_y_m=0.1)
@@ -75,33 +75,6 @@ def test_many_particles_with_a_raft_find_what_the_kalman_filter_finds_where_all_
     np.testing.assert_allclose(ours.positions, theirs.positions, atol=0.05)
     np.testing.assert_allclose(report.covariance, expected.covariance, atol=0.2 * theirs.covariances.max())
     np.testing.assert_allclose(ours.covariances, theirs.covariances, atol=0.2 * theirs.covariances.max())
-
-
-def test_a_raft_turns_with_all_that_is_on_it():
-    """The landmarks on it stay as far from each other and from the robot aboard, however it is turned."""
-    sensor = RangeBearing(sigma_range_m=0.05, sigma_bearing_rad=0.01)
-    slam, rng = FastSlam2WithLocalFrames(LandmarkFilters(sensor)), np.random.default_rng(1)
-    state, _ = slam.step(slam.init(4), STILL, LandmarkObservations.of([[6.0, 0.2], [7.0, -0.2]], [1, 2]), rng)
-    blind = GaussianIncrement.from_std(np.array([2.0, 0.0, 0.4]), np.array([0.2, 0.2, 0.3]))
-    state, _ = slam.step(state, blind, LandmarkObservations.of([[2.0, 0.9], [3.0, -0.9]], [3, 4]), rng)
-    points, before = state.positions.copy(), between(state.local_frames, state.poses)
-    belief = LocalFrameProposal(state.poses.copy(), np.zeros((4, 3, 3)), state)
-    belief.append(state.local_frame_covariances)
-    rows = np.arange(4)
-    columns = np.full(4, state.column(1))
-    seen = slam.landmarks.innovation(state, rows, columns, belief, LandmarkObservations.of([[4.2, -0.1]]), 0)
-    local_frames = state.local_frames.copy()
-    belief.correct(seen)
-    assert (np.abs(between(local_frames, state.local_frames)) > 1e-3).all()  # it moved and turned
-    ashore, landmark_in_local_frame = [state.column(1), state.column(2)], [state.column(3), state.column(4)]
-    np.testing.assert_array_equal(state.positions[:, ashore], points[:, ashore])
-    moved = compose(state.local_frames, inverse(local_frames))
-    np.testing.assert_allclose(
-        state.positions[:, landmark_in_local_frame],
-        transform_points(moved[:, None], points[:, landmark_in_local_frame]),
-        atol=1e-12,
-    )
-    np.testing.assert_allclose(between(state.local_frames, belief.mean), before, atol=1e-12)
 
 
 def test_what_was_not_drawn_is_told_from_both_ends():

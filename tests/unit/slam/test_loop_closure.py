@@ -27,7 +27,6 @@ PLACES = replace(hall.PLACES, filter_max_correction_m=1e-3)
 """A filter that is lost by a metre is not believed."""
 CLOSURE = LoopClosure(places=PLACES, recognition=hall.RECOGNITION, drift=hall.DOUBTFUL, scans_per_step=20)
 SLAM = GridFastSlam(tracker=OdometryTracker(), proposal=MotionModelProposal(), loop_closure=CLOSURE)
-RNG = np.random.default_rng(0)
 RUNS = [(2, 5), (4, 5)]
 """Seeds of the hall, and numbers of particles."""
 
@@ -98,20 +97,6 @@ def test_the_correction_brings_every_particle_to_the_truth(closed):
     assert [k for k, report in enumerate(reports) if report.corrected] == [merged]
 
 
-def test_after_it_all_particles_are_one(closed):
-    """One pose, one past, equal weights, and one map, of which no tile is there twice."""
-    state = closed[1]
-    count = len(state.poses)
-    np.testing.assert_array_equal(state.poses, np.repeat(state.poses[:1], count, axis=0))
-    np.testing.assert_allclose(state.log_weights, -math.log(count))
-    assert not state.log_ancestry.any()
-    pasts = state.ancestry.trajectories()
-    np.testing.assert_array_equal(pasts, np.repeat(pasts[:1], count, axis=0))
-    tiles = len(state.maps.snapshot(np.array([0])).to_arrays()["log_odds"]) - 1
-    assert state.maps.tiles_used == tiles
-    assert state.closure_state.correction is None
-
-
 def test_the_past_is_the_graphs_and_the_map_is_drawn_from_it(closed):
     _, state, _, _, _, _ = closed
     trajectory, closure_state = state.ancestry.trajectory(0), state.closure_state
@@ -148,27 +133,6 @@ def test_the_merge_comes_a_number_of_scans_later_that_follows_from_counts(logs, 
         if scans_per_step != 7:
             break
     assert ends[0] == ends[-1]
-
-
-def test_the_graph_is_solved_as_many_poses_a_scan_as_allowed(logs):
-    """With one linear system a scan it takes several scans, and comes to the same."""
-    ends, waited = [], []
-    for poses_per_scan in (1, 10**6):
-        slam = replace(SLAM, loop_closure=replace(CLOSURE, poses_per_scan=poses_per_scan, scans_per_step=1000))
-        state, waits = None, 0
-        for odometry, scan in logs[2].measurements:
-            state, report = slam.step(state, odometry, scan, RNG) if state else slam.init(odometry, scan, 1)
-            waits += state.closure_state.pending_constraints is not None
-            if report.closures:
-                break
-        ends.append(
-            (report.closures, np.array(state.closure_state.graph.poses)[: len(state.closure_state.graph) - waits])
-        )
-        waited.append(waits)
-    assert waited[0] > 4 * waited[1]
-    assert ends[0][0] == ends[1][0]
-    count = min(len(poses) for _, poses in ends)
-    np.testing.assert_allclose(ends[0][1][:count], ends[1][1][:count], atol=1e-9)
 
 
 def test_a_filter_that_agrees_is_left_alone(logs):

@@ -47,8 +47,3 @@ def test_those_of_most_weight_stay(drive, play):
     assert len(parents) == count
     assert len(stay) < count
     assert weights[stay].min() >= np.delete(weights, stay).max()
-
-
-def test_maps_within_the_limit_stay_as_they_are(drive, play, contents, free):
-    wide = GridFastSlam(when_to_resample=NeverResample(), map_limit=MapLimit(tiles_per_particle=100_000))
-    assert contents(play(wide, drive.measurements)[0]) == contents(free[0])

@@ -12,7 +12,6 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.slam.full_slam.full_slam import full_slam
-from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories, full_trajectory
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure import loop_closure as loop_closure_module
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
@@ -192,14 +191,3 @@ def test_where_a_drive_cannot_be_joined_it_goes_on_and_is_joined_later(halves, m
     keys = len(piece) + recorder.keys[-1] + 1
     assert len(closure_state.graph) == len(closure_state.scans.keys) == len(state.best_trajectory()) == keys
     assert len(closure_state.scans) == len(first) + 120 - 3
-
-
-def test_scans_of_a_drive_are_not_bent_toward_the_next_one():
-    """After its last key scan a drive's scans lie as tracked, wherever the next drive begins."""
-    keys = np.array([0, 0, 1, 1, 1])
-    moved = np.array([[0.0, 0, 0], [0.2, 0, 0], [0.4, 0, 0], [0.1, 0, 0], [0.3, 0, 0.1]])
-    key_poses = np.array([[0.0, 0, 0], [0.4, 0, 0], [50.0, 9, 1], [50.4, 9, 1]])
-    drives = [TrackedScans(keys, moved), TrackedScans(keys + 2, moved)]
-    poses = full_trajectories(key_poses, drives)
-    np.testing.assert_array_equal(poses[:5], full_trajectory(key_poses[:2], keys, moved))
-    np.testing.assert_array_equal(poses[5:], full_trajectory(key_poses[2:], keys, moved))

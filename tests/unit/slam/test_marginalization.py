@@ -117,12 +117,3 @@ def test_a_loop_stays_closed_whose_key_scans_are_left_out():
         )
     )
     assert whole <= left < 0.5 * chain
-
-
-def test_drives_stay_apart_and_their_closures_on_their_own_side():
-    graph = close(walk(5, begins=(34,)), (12, 36))
-    thinned = marginalize(graph, blocks(0, 2, 4, 5))
-    assert [k for k in range(len(thinned)) if thinned.begins_drive(k)] == [20]
-    (closure,) = thinned.constraints
-    assert closure.pair == (9, 20)  # key scan 36 by 40, not by 29 of the drive before
-    assert len(set(thinned.label_rigid_components().tolist())) == 1

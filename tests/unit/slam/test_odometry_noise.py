@@ -9,32 +9,19 @@ import numpy as np
 from gridslam.geometry.se2 import between, compose, compound_covariance
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.models import DiffusionMotion
-from gridslam.particles import NeverResample
 from gridslam.sim import LidarConfig, RobotConfig, make_world, simulate
 from gridslam.sim import OdometryNoise as SimulatedNoise
-from gridslam.slam import GridFastSlam, MotionModelProposal, OdometryTracker, Tracker
+from gridslam.slam import GridFastSlam, OdometryTracker, Tracker
 from gridslam.slam.grid_fastslam.odometry_noise import OdometryNoise
-from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import Odometry
 
 SKEWED = np.array([[4e-4, 1e-4, 2e-5], [1e-4, 2e-4, -1e-5], [2e-5, -1e-5, 9e-4]])
 EXACT = DiffusionMotion(0.0, 0.0, 0.0, 0.0)
-FILTER = GridFastSlam(particles=200, motion=EXACT, proposal=MotionModelProposal(), when_to_resample=NeverResample())
-"""Its particles spread by what the log tells and by nothing else, and keep where they were drawn."""
 
 
 def told(measurements, covariance):
     """The same log, every reading of whose odometry tells this covariance."""
     return [(Odometry.at(odometry.stamp_ns, odometry.pose, covariance), scan) for odometry, scan in measurements]
-
-
-def played(slam, measurements, seed=0):
-    """State and reports of a filter."""
-    rng, state, reports = np.random.default_rng(seed), None, []
-    for odometry, scan in measurements:
-        state, report = slam.step(state, odometry, scan, rng) if state else slam.init(odometry, scan)
-        reports.append(report)
-    return state, reports
 
 
 def test_noise_of_increments_is_compounded_as_draws_of_them_are(drive):
@@ -63,35 +50,6 @@ def test_noise_of_increments_is_compounded_as_draws_of_them_are(drive):
     np.testing.assert_allclose(np.sqrt(np.diagonal(found)), np.sqrt(grown) * scale, rtol=0.15)
 
 
-def test_where_one_reading_tells_none_nothing_is_known_until_the_odometry_begins_anew(drive):
-    slam = GridFastSlam(particles=1, tracker=OdometryTracker())
-    measurements = told(drive.measurements[:4], SKEWED)
-    measurements[2] = drive.measurements[2]
-    state, _ = slam.init(*measurements[0])
-    known = []
-    for odometry, scan in measurements[1:]:
-        state, report = slam.step(state, odometry, scan, np.random.default_rng(0))
-        assert report.skipped is not None
-        known.append(state.odometry_covariance is not None)
-    assert known == [True, False, False]
-
-
-def test_a_state_goes_on_to_the_same_bytes(drive):
-    slam, measurements = replace(FILTER, particles=5), told(drive.measurements[:40], SKEWED / 100)
-    state, _ = played(slam, measurements[:13])
-    again = GridFastSlamState.from_arrays(state.to_arrays(), slam.mapper)
-    for one in (state, again):
-        assert np.array_equal(one.odometry_covariance, state.odometry_covariance)
-    ends = []
-    for one in (state.snapshot(), again):
-        rng = np.random.default_rng(1)
-        for odometry, scan in measurements[13:]:
-            one, report = slam.step(one, odometry, scan, rng)
-        ends.append((one.poses, report.pose))
-    assert np.array_equal(ends[0][0], ends[1][0])
-    assert np.array_equal(ends[0][1], ends[1][1])
-
-
 def tracked(log, covariances):
     """Poses (N, 3) that the tracker alone finds, by odometry of increments with these covariances."""
     scans = [scan.beams(0.05, 30.0) for _, scan in log.measurements]
@@ -106,25 +64,6 @@ def tracked(log, covariances):
             since = compound_covariance(moved, before, between(state.odometry, odometry.pose), covariance)
         poses.append(tracker.step(state, odometry, scan.stamp_ns, beams, since).pose)
     return np.array(poses)
-
-
-def test_the_tracker_weighs_odometry_by_the_covariance_that_is_reported(drive):
-    """Odometry that is off by 4 cm and 0.02 rad holds a match near it, and one 100 times less certain does not."""
-    tracker = Tracker(standstill_m=0.0, standstill_rad=0.0)
-    scans = [scan.beams(0.05, 30.0) for _, scan in drive.measurements[:31]]
-    state = tracker.init(drive.measurements[0].odometry, scans[0].scan.stamp_ns, scans[0], OccupancyGridMapping())
-    for (odometry, scan), beams in zip(drive.measurements[1:30], scans[1:30], strict=True):
-        tracker.step(state, odometry, scan.stamp_ns, beams)
-    odometry = drive.measurements[30].odometry
-    wrong = Odometry.at(odometry.stamp_ns, compose(odometry.pose, [0.03, -0.03, 0.02]))
-    away = []
-    for variance in (1e-8, 1e-6):
-        found = tracker.step(state.snapshot(), wrong, odometry.stamp_ns, scans[30], variance * np.eye(3))
-        off = between(found.predicted, found.pose)
-        away.append((np.hypot(off[0], off[1]), abs(off[2])))
-    certain, uncertain = np.array(away)
-    assert (certain < 0.8 * uncertain).all()
-    assert certain[0] < 0.01 < 0.03 < uncertain[0]
 
 
 def test_a_valid_covariance_of_the_odometry_makes_the_tracker_better():

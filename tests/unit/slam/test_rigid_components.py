@@ -79,14 +79,6 @@ def test_components_are_joined_through_others_in_whatever_order_the_constraints_
     assert told(graph) == [list(range(50))]
 
 
-@pytest.mark.parametrize(
-    ("anchor", "kept"), [(10, range(10, 14)), (13, range(10, 14)), (14, range(14, 18)), (19, range(18, 20))]
-)
-def test_unbroken_keeps_the_side_of_the_anchor_only(anchor, kept):
-    graph = chain(40, [14, 18, 30])
-    assert graph.select_without_gap(np.arange(10, 20), anchor).tolist() == list(kept)
-
-
 @pytest.mark.parametrize("within", range(1, KEY_SCANS_PER_SUBMAP))
 def test_a_submap_ends_at_a_gap_and_keeps_its_anchor(within):
     graph = chain(4 * KEY_SCANS_PER_SUBMAP, [KEY_SCANS_PER_SUBMAP + within])

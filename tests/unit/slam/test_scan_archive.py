@@ -54,20 +54,6 @@ def test_ends_near_the_origin_move_by_half_a_step_at_most(length_m):
     np.testing.assert_allclose(kept[0].ends, ends, rtol=1e-12, atol=0.5 * np.abs(ends).max() / 32767 or 1e-300)
 
 
-@pytest.mark.parametrize("count", range(10))
-def test_what_is_truncated_is_as_if_no_more_had_come(count):
-    """Some scans are not kept, as they have no beam; none but the first `count` may be left of the others."""
-    whole = ScanArchive()
-    first = ScanArchive()
-    for k, scan in enumerate(scans()):
-        for archive in (whole, first)[: 1 + (k < count)]:
-            archive.append(scan, np.array([0.1 * k, 0.0, 0.0]), is_key=k in (0, 3, 5))
-    whole.truncate(count, sum(k < count for k in (0, 3, 5)))
-    for archive in (whole, first):
-        archive.append(scans()[1], np.array([9.0, 0.0, 0.0]), is_key=True)
-    assert contents(whole) == contents(first)
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -83,34 +69,6 @@ def test_arrays_that_contradict_each_other_are_refused(archive, change):
     assert arrays["stored"].tolist() == [0, 1, 2, 3, 5, 6, 7]
     with pytest.raises(ArgumentError, match="keys: expected ascending scans below 9, the key scans among them"):
         ScanArchive.from_arrays(arrays | change)
-
-
-def test_numbers_of_ends_that_wrap_around_are_refused(archive):
-    """Their sum is that of the ends, in 64 bits."""
-    arrays = archive.to_arrays()
-    counts = np.zeros_like(arrays["ends.counts"])
-    counts[:4] = len(arrays["ends"]), 2**63 - 1, 2**63 - 1, 2
-    with pytest.raises(ArgumentError, match="ends: expected int16"):
-        ScanArchive.from_arrays(arrays | {"ends.counts": counts})
-
-
-def test_a_robot_that_drives_for_hours_fills_no_memory(monkeypatch):
-    """All that is kept between key scans stays below a bound, evenly from the begin on; key scans are all kept."""
-    monkeypatch.setattr("gridslam.slam.loop_closure.scan_archive._MOST_BYTES", 40 * 7 * 4)
-    scan, kept = scans()[1], ScanArchive()
-    for k in range(1000):
-        kept.append(scan, np.array([0.1 * k, 0.0, 0.0]), is_key=k % 10 == 0)
-        assert kept.nbytes <= (40 + len(kept.keys)) * 7 * 4
-    there = np.array([k for k in range(1000) if len(kept[k])])
-    assert set(kept.keys) <= set(there.tolist())
-    between = np.setdiff1d(there, kept.keys)
-    assert len(between) >= 20
-    assert (between % 32 == 0).all()
-    read = ScanArchive.from_arrays(kept.to_arrays())
-    for one in (kept, kept.snapshot(), read):
-        for k in range(1000, 2000):
-            one.append(scan, np.array([0.1 * k, 0.0, 0.0]), is_key=k % 10 == 0)
-    assert contents(read) == contents(kept)
 
 
 @pytest.mark.parametrize(

@@ -12,44 +12,9 @@ from gridslam.geometry.se2 import between, transform_points
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.key_graph import KeyGraph
-from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submap_features import extract_features, match_features
 from gridslam.slam.loop_closure.submap_matching import propose_poses
-from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.loop_closure.submap_recognition import SubmapRecognition
-from support import hall
-
-RECOGNITION = hall.RECOGNITION
-
-
-@pytest.fixture(scope="module")
-def seen():
-    return hall.key_scans(hall.drive(1))
-
-
-def remember(seen, poses):
-    """Key scans of a drive as it was tracked, poses (K, 3), without any constraint."""
-    closure_state = LoopClosureState()
-    for k, pose in enumerate(poses):
-        x, y, turn = between(poses[k - 1], pose) if k else np.zeros(3)
-        closure_state.scans.append(seen.beams[k], pose, is_key=True)
-        closure_state.graph.extend(pose, pose, hall.DOUBTFUL.variances(math.hypot(x, y), abs(turn)))
-    return closure_state
-
-
-def test_submaps_end_at_a_gap_and_cover_all_of_the_way(seen):
-    closure_state = remember(seen, seen.truth)
-    graph = closure_state.graph
-    at = 70
-    graph.variances[at] = (100.0, 1.0)
-    graph.correct(np.array(graph.poses))
-    pairs = SubmapPairs()
-    RECOGNITION.cut(closure_state, hall.MAPPER, pairs, is_over=True)
-    submaps = pairs.submaps
-    assert not any(submap.keys[0] < at <= submap.keys[-1] for submap in submaps)
-    assert set(np.concatenate([submap.keys for submap in submaps]).tolist()) == set(range(len(graph)))
-    way = graph.driven_m()
-    assert max(np.ptp(way[submap.keys]) for submap in submaps) <= RECOGNITION.length_m
 
 
 def corners(rng):

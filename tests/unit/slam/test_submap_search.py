@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,6 @@ from gridslam.geometry.se2 import between
 from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.state import LoopClosureState
-from gridslam.slam.loop_closure.submap_recognition import SubmapRecognition
 from support import hall
 
 LAP = 95
@@ -66,40 +63,6 @@ def test_where_the_way_back_is_certain_places_are_known_without_a_search(drives)
     tracked = [t for t in closure_state.graph.constraints if t.source is ConstraintSource.TRACKED]
     assert len(tracked) > LAP / 2
     assert (hall.errors(seen.truth, hall.trusted(closure_state)) < [0.1, 0.02]).all()
-
-
-@pytest.mark.parametrize("far_m", [3.0, 8.0])
-def test_an_old_place_out_of_reach_is_not_believed(drives, far_m):
-    """The track jumps by some metres, of which the drift says nothing: only what came after that is found again."""
-    seen, closure_state = drives[1], LoopClosureState()
-    jump = np.where(np.arange(len(seen.truth)) < 60, 0.0, far_m)[:, None] * [1.0, 1.0, 0.0]
-    bounded = replace(hall.RECOGNITION, margin_m=0.5, drift_m=1.0, drift_ratio=0.01)
-    found = hall.remember(closure_state, seen, seen.truth + jump, drift=DriftModel(), recognition=bounded)
-    assert found
-    assert all(constraint.from_ > 60 for constraint in hall.trusted(closure_state))
-
-
-def test_what_the_bound_of_the_drift_leaves_out_is_counted(drives):
-    """200 m there, 100 m across, 200 m back: the drift model allows for 100 m and more, the bound for 45."""
-    beams = [drives[1].beams[k % 190] for k in range(500)]
-    way = np.arange(500.0)
-    there = np.stack([np.minimum(way, 200) - np.maximum(way - 300, 0), np.clip(way - 200, 0, 100), 0 * way], axis=1)
-    counts = []
-    for sigma_rad in (0.003, 0.05):
-        closure_state = LoopClosureState()
-        drift = DriftModel(sigma_rad_per_sqrt_m=sigma_rad)
-        hall.remember(closure_state, hall.Seen(there, beams), there, drift=drift, recognition=SubmapRecognition())
-        counts.append(closure_state.search.unsearched)
-    assert counts[0] == 0
-    assert counts[1] > 10
-
-
-def test_earlier_drives_are_not_compared_with_each_other(drives):
-    seen, closure_state = drives[1], LoopClosureState()
-    closure_state.search.first_key = 2 * LAP
-    assert hall.remember(closure_state, seen, hall.tracked(seen.truth, 0.002, 1.01)) == []
-    assert closure_state.search.candidates == []
-    assert closure_state.search.compared > 10
 
 
 def test_a_key_scan_that_is_taken_back_leaves_no_trace(drives):

@@ -57,15 +57,3 @@ def test_room_is_made_by_dropping_what_was_not_used_for_longest(closure_state):
     assert again[0] is drawn_first[0]
     assert again[1] is drawn_first[3]
     assert again[2] is not drawn_first[1]
-
-
-def test_large_submaps_are_kept_only_as_far_as_they_fit(closure_state, monkeypatch):
-    parts = hall.MAPPER, closure_state.scans, closure_state.graph
-    sizes = [SubmapCache()(submap, *parts).nbytes for submap in range(4)]
-    monkeypatch.setattr("gridslam.slam.loop_closure.submaps._MOST_BYTES", sizes[2] + sizes[3])
-    submaps = SubmapCache()
-    drawn_first = [submaps(submap, *parts) for submap in range(4)]
-    assert submaps.nbytes == sizes[2] + sizes[3]
-    assert submaps(3, *parts) is drawn_first[3]
-    assert contents(submaps(0, *parts)) == contents(drawn_first[0])
-    assert submaps.nbytes <= sizes[2] + sizes[3]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between, compose, rotate_covariances
-from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer, path_lengths
+from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
@@ -50,14 +50,6 @@ def true(returning):
     return returning.score(returning.truth)[0]
 
 
-@pytest.fixture(scope="module")
-def leaving(seen):
-    """The first third of a lap."""
-    way = path_lengths(seen.truth)
-    keys = int(np.searchsorted(way, 18.0))
-    return Log(seen.truth[:keys], seen.beams[:keys])
-
-
 def shifted(poses, offset):
     """The second half of the poses is elsewhere in the map."""
     half = len(poses) // 2
@@ -85,28 +77,6 @@ def test_the_map_is_that_of_all_key_scans(returning, offset):
     given, expected = maps.to_arrays(), whole.to_arrays()
     assert given.keys() == expected.keys()
     assert {n: a.tobytes() for n, a in given.items()} == {n: a.tobytes() for n, a in expected.items()}
-
-
-def test_where_no_place_is_seen_again_only_the_motion_is_scored(leaving):
-    own, maps = leaving.score(leaving.truth, TrajectoryScorer(same_visit_distance=18.0))
-    assert own.beams == 0
-    assert math.isnan(own.agreement)
-    assert own.log_likelihood == own.motion == 0
-    assert maps.occupancy(0).known.any()
-    bent, _ = leaving.score(shifted(leaving.truth, (0.3, 0.0, 0.0)), TrajectoryScorer(same_visit_distance=18.0))
-    assert bent.beams == 0
-    assert bent.log_likelihood == bent.motion < 0
-
-
-def test_the_motion_of_the_tracked_poses_costs_nothing_and_any_other_does(returning):
-    rng = np.random.default_rng(0)
-    tracked = np.array(returning.graph.tracked)
-    assert returning.score(tracked)[0].motion == 0
-    costs = [
-        returning.score(tracked + size * rng.standard_normal(tracked.shape) * [1, 1, 0.1])[0].motion
-        for size in (0.001, 0.01, 0.1)
-    ]
-    assert 0 > costs[0] > costs[1] > costs[2]
 
 
 def test_the_motion_is_a_cauchy_density_from_submap_to_submap(returning):

@@ -13,7 +13,6 @@ from gridslam.serialization import to_arrays
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import furniture, join, room
 from gridslam.slam import Tracker
-from gridslam.types import LaserScan
 
 PERFECT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 BIASED = OdometryNoise(1.1, 0.85, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -67,14 +66,6 @@ def test_biased_odometry_is_corrected_in_a_room(biased):
     assert (missed(track(Tracker(), biased)[0], biased).max(axis=0) < BAND).all()
 
 
-def test_the_prediction_is_the_last_match_moved_by_odometry(biased):
-    """It must not know the scan: only the scans before it."""
-    told, predicted, _ = track(Tracker(standstill_m=0, standstill_rad=0, calibration=None), biased)
-    increments = between(biased.odometry.poses[:-1], biased.odometry.poses[1:])
-    moving = np.flatnonzero(np.abs(increments).max(axis=1) > 0)
-    np.testing.assert_allclose(between(told[moving], predicted[moving + 1]), increments[moving], atol=1e-9)
-
-
 def jumping(log, at, offset):
     """The log with its odometry carried by `offset` from scan `at` on."""
     moved = compose(offset, log.odometry.poses)
@@ -105,20 +96,6 @@ def test_without_odometry_the_prediction_is_the_velocity_of_the_scans_before(per
     _, _, state = track(Tracker(), perfect, without(perfect)[:100])
     velocity = between(perfect.truth.poses[98], perfect.truth.poses[99]) / 0.2
     np.testing.assert_allclose(state.twist, velocity, atol=0.1)
-
-
-def test_a_prediction_by_velocity_is_as_uncertain_as_those_before_were_wrong(perfect):
-    """The variances that particles get where no scan is found; a turn from one scan to the next is nobody's guess."""
-    (_, scan), *rest = without(perfect)
-    state, missed_by, told = Tracker().init(None, 0, scan.beams(0.05, 30.0), OccupancyGridMapping()), [], []
-    for _, scan in rest:
-        told.append(state.velocity_variances)
-        tracked = Tracker().step(state, None, scan.stamp_ns, scan.beams(0.05, 30.0))
-        missed_by.append(between(tracked.predicted, tracked.pose))
-    squares, claimed = np.square(missed_by[50:]), np.mean(told[50:], axis=0)
-    assert claimed[0] == pytest.approx(squares[:, :2].mean(), rel=0.5)
-    assert np.percentile(squares[:, 2], 75) < claimed[1] < np.percentile(squares[:, 2], 98)
-    assert track(Tracker(), perfect)[2].velocity_variances == (0.02**2, 0.03**2)
 
 
 def restamped(measurements, shift_ns):
@@ -174,40 +151,6 @@ def test_odometry_that_helps_nothing_is_noticed_and_done_without(perfect, times)
     poses, _, state = track(Tracker(), perfect, log)
     assert not state.odometry_errors.trusted
     assert (missed(poses, perfect).max(axis=0) < BAND).all()
-
-
-def test_without_odometry_another_place_is_mapped_anew(perfect):
-    """The robot is carried into a room that looks otherwise: a few scans fit nowhere, then the new room does."""
-    here = without(perfect)[:40]
-    scan = here[-1][1]
-    star = np.repeat(np.random.default_rng(3).uniform(0.5, 3.0, 12), 10)
-    there = [(None, LaserScan.from_ranges(scan.stamp_ns + k * 2 * 10**8, star, scan.geometry)) for k in range(1, 11)]
-    told, _, state = track(Tracker(), perfect, [*here, *there])
-    assert state.unmatched.position_m2 > 0
-    assert state.unlocalized_scans == 0
-    np.testing.assert_allclose(told[-5:], told[-5:-4].repeat(5, axis=0), atol=0.02)
-
-
-def test_local_maps_take_turns(perfect):
-    """A second map begins when the first holds `map_scans`, and replaces it when it holds as many itself."""
-    tracker = Tracker(map_scans=4)
-    (odometry, scan), *rest = perfect.measurements
-    state = tracker.init(odometry, scan.stamp_ns, scan.beams(0.05, 30.0), OccupancyGridMapping())
-    seen, turns = [state.scans], 0
-    for odometry, scan in rest:
-        before = state.matched_map
-        tracker.step(state, odometry, scan.stamp_ns, scan.beams(0.05, 30.0))
-        active, other = state.scans[state.matched_map], state.scans[1 - state.matched_map]
-        turns += state.matched_map != before
-        if state.scans != seen[-1]:
-            seen.append(state.scans)
-        assert active <= 2 * tracker.map_scans
-        assert other < tracker.map_scans
-        assert other == 0 or active >= tracker.map_scans + other
-        known = [state.maps.occupancy(row).known.any() for row in (state.matched_map, 1 - state.matched_map)]
-        assert known == [True, other > 0]
-    assert turns >= 5
-    assert seen[:6] == [(1, 0), (2, 0), (3, 0), (4, 0), (5, 1), (6, 2)]
 
 
 def test_a_snapshot_is_apart(perfect):

@@ -12,7 +12,6 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.matching import GaussNewton
-from gridslam.matching.branch_and_bound import Pyramid
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.slam import Tracker
 from gridslam.tracking import search
@@ -148,20 +147,6 @@ def test_a_turn_that_was_not_counted_at_all_is_found_all_around_or_nothing_is_sa
     assert right > 0.66 * len(states)
 
 
-@pytest.mark.parametrize("errors_m", [0.02, 0.3])
-def test_how_far_is_searched_follows_from_what_the_odometry_has_been_worth(states, errors_m):
-    """A scan 1.3 m off the odometry is found where it has erred by decimetres, and hardly where by centimetres."""
-    found = []
-    for before, beams, pose in states:
-        state = before.snapshot()
-        state.odometry_errors = replace(
-            state.odometry_errors, segments=50.0, variances=np.array([errors_m**2, 0.02**2])
-        )
-        prediction = predicted_off(compose(pose, np.array([1.3, 0.0, 0.0])), 0.0)
-        found.append((away(SEARCH(state, prediction, beams, MATCHER).pose, pose) < FAR).all())
-    assert np.mean(found) > 0.66 if errors_m > 0.1 else np.mean(found) < 0.3
-
-
 @pytest.mark.parametrize(
     ("period_s", "stride", "way", "seconds", "far", "blind"),
     [
@@ -234,23 +219,3 @@ def test_a_blind_gap_makes_doubt_by_what_the_odometry_may_err(halls):
         doubts.append(state.unmatched.position_m2)
     assert halls[1].unmatched.position_m2 == 0
     assert doubts[:3] == sorted(doubts[:3])
-
-
-def test_searches_share_a_pyramid_until_a_scan_is_inserted():
-    measurements = simulate(
-        make_world("demo", np.random.default_rng(0)),
-        RobotConfig(),
-        PERFECT,
-        LidarConfig(beams=60),
-        np.random.default_rng(0),
-    ).measurements
-    state = start(Tracker(), measurements)
-    first = search.local_pyramid(state)
-    assert search.local_pyramid(state) is first
-    assert search.local_pyramid(state.snapshot()) is first
-    scan = measurements[-1][1]
-    state.insert(scan.beams(0.05, 30.0), 20)
-    second = search.local_pyramid(state)
-    expected = Pyramid.of(state.maps, state.matched_map)
-    np.testing.assert_array_equal(second.cells, expected.cells)
-    assert second.cells.tobytes() != first.cells.tobytes()

@@ -10,7 +10,6 @@ import pytest
 
 from gridslam.config import PARAMETERS, Configuration
 from gridslam.errors import ArgumentError
-from gridslam.tuning.comparison import measure_importance
 from gridslam.tuning.evolution import evolve
 from gridslam.tuning.halving import REDUCTION, halve, plan_rungs
 from gridslam.tuning.search_space import SearchSpace
@@ -90,14 +89,3 @@ def test_evolution_is_reproducible_stays_in_the_cube_and_survives_failures():
     assert [one.loss for one in first] == [one.loss for one in second]
     assert 0.3 <= min(one.loss for one in first) < 0.33
     assert [one.loss for one in evolve(np.array([0.5, 0.5]), 60, evaluate, seed=4)] != [one.loss for one in first]
-
-
-def test_importance_finds_what_matters():
-    """Of 200 points the ranks of a loss that depends on one dimension: the others' shares are those of chance."""
-    rng = np.random.default_rng(0)
-    points = rng.random((200, 5))
-    shares = measure_importance(points, np.square(points[:, 2] - 0.3) + 0.3 * points[:, 4])
-    assert shares.argmax() in (2, 4)
-    assert shares[[2, 4]].min() > 0.2
-    assert shares[[0, 1, 3]].max() < 0.08
-    assert measure_importance(points[:7], np.arange(7.0)).tolist() == [0.0] * 5

@@ -75,16 +75,6 @@ def test_where_nothing_matters_the_start_is_kept():
     assert recommended <= 10  # 5 % of 200; 2.5 % are expected
 
 
-def test_seeds_are_common_and_those_that_judge_are_fresh():
-    runs = Runs()
-    Tuner(replace(SETTINGS, seed=7), LOGS, runs)()
-    searched = {job.arguments["seed"] for job in runs.jobs if job.log == "a.clf"}
-    judged = {job.arguments["seed"] for job in runs.jobs if job.log == "b.clf"}
-    assert searched == {7}
-    assert judged == {8, 9, 10, 11, 12}
-    assert len({job.key for job in runs.jobs}) == len(runs.jobs) == len({job.folder for job in runs.jobs})
-
-
 def test_the_same_seed_gives_the_same_bytes_and_another_one_others():
     texts = []
     for seed in (0, 0, 1):

@@ -9,7 +9,6 @@ from PIL import ImageDraw
 from gridslam.types import OccupancyGrid, Trajectory
 from gridslam.viz import draw_map
 from gridslam.viz.canvas import (
-    CLOSURE,
     FREE,
     MARGIN,
     OCCUPIED,
@@ -61,15 +60,6 @@ def test_cells_have_their_colours_and_y_points_up():
     assert y < (top + bottom) / 2
 
 
-def test_map_larger_than_the_page_is_reduced_and_its_walls_stay_visible():
-    grid = _grid((400, 6000))
-    grid.log_odds[200] = 4.0
-    page, layout = draw_map(grid), lay_out(grid)
-    column = layout.pixels(np.array([[150.0, 10.0]]))[0, 0]
-    wall = [page.getpixel((int(column), row))[0] for row in range(layout.map_box[1], layout.map_box[3])]
-    assert min(wall) < (OCCUPIED[0] + FREE[0]) / 2
-
-
 @pytest.mark.parametrize(
     ("grid", "shown"),
     [
@@ -96,18 +86,6 @@ def test_trajectory_has_the_colours_of_time_and_marks_at_its_ends():
         seen = _colour_at(page, layout, 1 + 3 * share, 1 + 3 * share)
         assert seen == pytest.approx(time_colours(np.array([share]))[0], abs=3)
     assert _colour_at(page, layout, 1.0, 4.0) == FREE
-
-
-def test_closures_join_their_places_over_the_trajectory_and_are_explained():
-    grid, line = _grid((100, 100)), _straight((1.0, 1.0), (4.0, 1.0))
-    page, layout = draw_map(grid, line, closures=np.array([[1.5, 1.0, 3.5, 4.0]])), lay_out(grid)
-    assert _colour_at(page, layout, 1.5, 1.0) == CLOSURE
-    assert _colour_at(page, layout, 3.5, 4.0) == CLOSURE
-    assert np.abs(np.subtract(_colour_at(page, layout, 2.5, 2.5), CLOSURE)).max() < 60  # a thin line, antialiased
-    footer = np.asarray(page)[layout.map_box[3] :]
-    assert (footer == CLOSURE).all(axis=2).any()
-    for none in (None, np.empty((0, 4))):
-        assert not (np.asarray(draw_map(grid, line, closures=none)) == CLOSURE).all(axis=2).any()
 
 
 @pytest.mark.parametrize("shape", [(60, 80), (300, 420), (700, 700), (1500, 3000)])
