@@ -11,8 +11,6 @@ from gridslam.io.maps import write_map
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.ros_node import RosNode
 from gridslam.ros.ros2.arguments import find_foreign_files, parse_ros_arguments
-from gridslam.ros.ros2_rclpy.rclpy_transport import run_rclpy
-from support import fake_rclpy
 from support.localization_world import flat_map
 from support.ros_node import LocalTransport
 
@@ -146,23 +144,6 @@ def test_a_file_of_nav2_places_the_robot(amcl):
     assert found.configuration.configuration.kld.particles_max == 900
     assert (found.values["scan_topic"], found.settings.tf_delay_s) == ("front/scan", 1.0)
     assert "scan_topic" not in found.warning
-
-
-def test_dotted_names_pass_rclpy(monkeypatch, amcl):
-    given = {"mode": "localization", "map_file": str(amcl.parent / "flat.yaml"), "initial_pose.x": 1.5}
-    world = fake_rclpy.installed(monkeypatch, {**given, "qos_overrides./tf.publisher.depth": 5})
-    poses = []
-
-    def script():
-        poses.append(world.nodes[-1])
-        world.running = False
-
-    world.spun = script
-    started = []
-    monkeypatch.setattr(RosNode, "start", lambda self: started.append(self.core.configuration.initial_pose))
-    run_rclpy([])
-    assert started[0][0].tolist() == [1.5, 0.0, 0.0]
-    assert "qos_overrides" not in str(world.logged)
 
 
 def test_a_file_for_another_node_is_named_in_one_line(slam_toolbox, amcl, tmp_path):

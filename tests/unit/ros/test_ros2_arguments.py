@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
+
 import pytest
 
 from gridslam.errors import ConfigurationError, InputError
 from gridslam.ros.ros2.arguments import parse_ros_arguments
+from gridslam.ros.ros2_rclpy.rclpy_transport import run_rclpy
 
 
 def test_parameters_remappings_and_names():
@@ -120,3 +123,9 @@ def test_a_file_that_is_none_of_parameters_is_named(tmp_path, text):
 def test_other_arguments_are_refused(arguments):
     with pytest.raises(ConfigurationError, match="expected"):
         parse_ros_arguments(arguments)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("rclpy") is not None, reason="ROS 2 is here")
+def test_without_ros_the_other_way_is_named():
+    with pytest.raises(ConfigurationError, match=r"ROS 2 is not available .*--transport dds"):
+        run_rclpy()
