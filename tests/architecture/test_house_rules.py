@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from house_rules import ALLOWED, ONLY_IN, impurities, is_pure, upward
+from house_rules import ALLOWED, ONLY_IN, impurities, is_pure, misplaced, upward, violations
 from support.house import ROOT, Source, find_cycle, sources
 
 EXTRAS = {"cmaes", "dask", "dask_jobqueue", "distributed", "fsspec", "pandas", "pooch", "pyarrow"}
@@ -54,6 +54,11 @@ def test_an_import_that_does_not_go_down_is_seen(path, text):
     assert len(upward(Source.of(path, text))) == 1
 
 
+def test_an_import_that_goes_down_or_stays_is_not():
+    text = "from gridslam.slam.pose_graph import a\nfrom gridslam.slam.full_slam.a import b\nimport gridslam.grid.tiles"
+    assert upward(Source.of("slam/full_slam/c.py", text)) == []
+
+
 def test_a_circle_of_imports_is_seen():
     modules = [
         Source.of("slam/a.py", "from gridslam.slam.b import f"),
@@ -65,6 +70,14 @@ def test_a_circle_of_imports_is_seen():
     assert circle[0] == circle[-1]
     assert set(circle) == {"gridslam.slam.a", "gridslam.slam.b", "gridslam.slam.c"}
     assert find_cycle(modules[1:]) == []
+
+
+def test_a_dependency_where_it_does_not_belong_is_seen():
+    assert len(misplaced(Source.of("grid/a.py", "import rich\nimport numpy\nimport math"))) == 1
+
+
+def test_a_folder_without_a_rank_is_seen():
+    assert violations(Source.of("utils/a.py", "")) == ["utils/a.py: utils has no rank"]
 
 
 @pytest.mark.parametrize(
@@ -85,3 +98,7 @@ def test_a_circle_of_imports_is_seen():
 )
 def test_an_impurity_is_seen(text):
     assert len(impurities(Source.of("grid/a.py", text))) == 1
+
+
+def test_a_generator_may_be_an_argument():
+    assert impurities(Source.of("grid/a.py", "def f(rng: np.random.Generator): return rng.random()")) == []

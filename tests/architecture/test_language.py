@@ -103,6 +103,11 @@ def test_a_planted_word_is_found_and_an_identifier_is_not(source, suffix, count)
     assert len(found(r"\btells?\b", {"planted": list(of_source(source, suffix))})) == count
 
 
+def test_a_planted_word_is_found_on_a_page():
+    page = "A scan tells it.\n\n```python\ntells = 1\n```\n\nSee `tells` and [this](tells.md).\n"
+    assert found(r"\btells?\b", {"planted": list(of_page(page))}) == ["planted: A scan tells it."]
+
+
 IDENTIFIERS = {
     "aboard",
     "adrift",
@@ -140,3 +145,7 @@ def test_words_of_our_own_are_in_no_name():
     texts = {path: path.read_text(encoding="utf-8") for path in SOURCES if path.suffix == ".py"}
     found = {f"{path.name}: {word}" for path, text in texts.items() for word in words_of_names(text) & IDENTIFIERS}
     assert found == set()
+
+
+def test_a_word_in_a_name_is_seen():
+    assert words_of_names("told_poses = f.tell(LastTie)") & IDENTIFIERS == {"told", "tie"}

@@ -102,6 +102,20 @@ def test_conda_asks_for_what_pypi_asks_for():
     assert conda_requirements() == wanted
 
 
+def test_no_page_installs_from_pypi_what_is_not_there():
+    """An extra by name is right: pip finds the gridslam that is installed."""
+    for page in (*(ROOT / "docs").glob("*.md"), *ROOT.glob("*.md"), *(ROOT / "exercises").glob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        assert re.findall(r"pip install\s+(?:-\S+\s+)*'?gridslam(?![\w-]|\[)[^`\n]*", text) == [], page.name
+
+
+def test_the_first_map_begins_with_the_installation_and_ends_with_the_view():
+    text = (ROOT / "docs" / "first_map.md").read_text(encoding="utf-8")
+    commands = re.findall(r"^\$ (.*)$", text, re.MULTILINE)
+    assert "pip install ." in commands[:3]
+    assert commands[-1].startswith("gridslam view")
+
+
 def test_the_recipe_builds_with_what_pypi_builds_with():
     host = load(RECIPE)["requirements"]["host"]
     assert set(PYPROJECT["build-system"]["requires"]) <= {entry.replace(" ", "") for entry in host}
@@ -118,3 +132,11 @@ def test_the_image_is_no_administrators():
     for name in " ".join(copied).split():
         assert (ROOT / name).exists()
         assert f"!{name}\n" in (ROOT / ".dockerignore").read_text(encoding="utf-8")
+
+
+def test_the_composed_node_exposes_its_page_to_this_machine_only():
+    node = load(ROOT / "compose.yaml")["services"]["node"]
+    assert node["network_mode"] == "host"
+    assert "--live" in node["command"]
+    assert "--live-host" not in node["command"]
+    assert node["cap_drop"] == ["ALL"]

@@ -42,6 +42,13 @@ def test_extensions_are_behind_a_test_for_the_compiler(file):
     assert file.name == "maps.hpp" or not EXTENSION.search(code(text)), "extensions stand in maps.hpp"
 
 
+def test_what_has_no_guard_is_found():
+    guarded = "#if defined(__GNUC__)\n__builtin_trap();\n#else\n{}\n#endif\n"
+    assert unguarded(guarded.format("return;")) == []
+    assert unguarded(guarded.format("__assume(0); __builtin_trap();")) == ["__assume(0); __builtin_trap();"]
+    assert unguarded("double turn = 2 * M_PI;") == ["double turn = 2 * M_PI;"]
+
+
 def test_the_language_is_the_standard_one():
     text = (ROOT / "CMakeLists.txt").read_text(encoding="utf-8")
     assert "set(CMAKE_CXX_EXTENSIONS OFF)" in text

@@ -43,6 +43,11 @@ def test_documented_names_are_the_public_ones():
     assert told | {*errors.__all__, "__version__"} == set(gridslam.__all__)
 
 
+def test_other_names_are_not():
+    with pytest.raises(AttributeError, match="module 'gridslam' has no attribute 'map_lot'"):
+        gridslam.map_lot  # noqa: B018
+
+
 def test_five_lines_from_a_log_to_a_map(log, tmp_path):
     result = gridslam.map_log(log, particles=3)
     result.save(tmp_path / "out")
@@ -143,3 +148,9 @@ def test_every_call_that_reads_a_log_takes_its_path_or_the_open_log(log, tmp_pat
             call(7)
         with pytest.raises(gridslam.InputError, match="no such file"):
             call("nothing.clf")
+
+
+@pytest.mark.parametrize("read", [gridslam.map_landmarks, gridslam.localize_by_landmarks])
+def test_what_is_no_log_of_landmarks_is_told(read):
+    with pytest.raises(gridslam.ArgumentError, match="log: expected str, Path or a log as open_landmark_log gives it"):
+        read(7)

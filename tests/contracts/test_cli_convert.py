@@ -129,6 +129,15 @@ def test_what_cannot_be_is_refused_and_leaves_nothing(log, tmp_path, call, out, 
     assert message in refused(call, tmp_path, "convert", log, tmp_path / out, *options)
 
 
+def test_the_log_itself_is_no_place_for_its_copy(log, tmp_path, call):
+    (tmp_path / "log.clf").write_bytes(log.read_bytes())
+    (tmp_path / "link.clf").symlink_to(tmp_path / "log.clf")
+    for name in ("log.clf", "link.clf"):
+        assert "expected a name other than" in refused(call, tmp_path, "convert", tmp_path / "log.clf", tmp_path / name)
+    with pytest.raises(ArgumentError, match="expected a name other than"):
+        convert_log(tmp_path / "log.clf", tmp_path / "log.clf")
+
+
 def test_in_python(log, tmp_path):
     done = convert_log(log, tmp_path / "log.csv", options=LogOptions(every=10))
     assert (done.out, done.format.value, done.scans, done.lost) == (tmp_path / "log.csv", "csv", 12, {})

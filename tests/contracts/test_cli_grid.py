@@ -14,6 +14,7 @@ from gridslam.api.grid import map_with_poses
 from gridslam.api.mapping import map_log
 from gridslam.cli.main import main
 from gridslam.config import Configuration, override
+from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.maps import read_map
 from gridslam.io.measurement import Measurement
@@ -172,6 +173,15 @@ def test_trajectories_that_are_none_of_the_log(call, log, tmp_path, rows, proble
     assert str(tmp_path / "t.tum") in line
     assert problem in line
     assert not (tmp_path / "out").exists()
+
+
+def test_bad_calls(log, truth):
+    with pytest.raises(ArgumentError, match="model: expected bayes or counting"):
+        map_with_poses(log, truth, model="dempster")
+    with pytest.raises(ArgumentError, match="at least one pose"):
+        map_with_poses(log, Trajectory(np.empty(0, np.int64), np.empty((0, 3))))
+    with pytest.raises(ConfigurationError, match="laser"):
+        map_with_poses(log, truth, laser="none")
 
 
 def test_a_real_log_with_jittering_stamps_gets_every_pose(data_dir):

@@ -131,6 +131,30 @@ def test_services_answer(running):
     assert running.node.says("starting a new map: reset")
 
 
+def test_a_node_that_was_killed_is_started_again(drive, tmp_path):
+    """The robot goes on all the time: what it latched reaches the second node, and whoever waited for its map."""
+    domain = free_domain()
+    robot = Robot(Peer(domain))
+    waiting = robot.peer.reader("rt/map", "nav_msgs/OccupancyGrid", latched=True, depth=1)
+    first = Node(domain, tmp_path / "first.log", "--ros-args", *PATIENT)
+    second = None
+    try:
+        assert robot.meets(), first.log.read_text()
+        assert robot.drive(drive[:30]) >= 20, first.log.read_text()
+        assert got(waiting).header.frame_id == "map"
+        first.kill()
+        second = Node(domain, tmp_path / "second.log", "--ros-args", *PATIENT)
+        assert robot.meets(), second.log.read_text()
+        assert robot.drive(drive[30:]) >= 20, second.log.read_text()
+        assert got(waiting).header.frame_id == "map"
+        assert robot.tells("accepted", 20)
+        assert robot.told["session"] == "1"
+        assert second.end() == 0
+    finally:
+        for node in filter(None, (first, second)):
+            node.kill()
+
+
 def test_the_session_of_a_node_that_was_killed_goes_on(drive, tmp_path):
     """From the autosave, by the options of the command: as one drive, in one file."""
     domain = free_domain()

@@ -11,7 +11,7 @@ import threading
 import pytest
 
 from gridslam.cli.main import main
-from gridslam.errors import InputError, MissingDependencyError
+from gridslam.errors import GridslamError, InputError, MissingDependencyError
 from gridslam.io import remote
 from gridslam.io.log import open_log
 from gridslam.io.remote import describe_remote, fetch, mask_url, upload_folder
@@ -82,6 +82,14 @@ def test_a_missing_library_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "fsspec", None)
     with pytest.raises(MissingDependencyError, match=r"s3:// needs fsspec.*gridslam\[remote\]"):
         fetch("s3://bucket/run.bag")
+
+
+@pytest.mark.dev
+def test_a_missing_library_for_one_kind_of_url_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "gcsfs", None)
+    with pytest.raises(GridslamError, match=r"gs://bucket/run\.bag: cannot be read: .*gcsfs"):
+        fetch("gs://bucket/run.bag")
+    assert main(["doctor", "nothing-such://host/run.bag"]) == 2
 
 
 def test_a_log_in_an_object_store_is_mapped_and_the_results_are_written_there(s3, log, tmp_path, capsys):

@@ -10,10 +10,10 @@ import os
 import numpy as np
 import pytest
 
-from gridslam.errors import ArgumentError
+from gridslam.errors import ArgumentError, InputError
 from gridslam.localization import KnownMap
 from gridslam.types import OccupancyGrid
-from support.fuzz_api import PACKAGES, PublicCall, api, make_examples, public_calls, try_call
+from support.fuzz_api import PACKAGES, PublicCall, api, choose_arguments, make_examples, public_calls, try_call
 from support.fuzz_files import Family, run_cases, summarize
 
 forked = pytest.mark.skipif(not hasattr(os, "fork"), reason="cases are called in processes that are forked")
@@ -35,6 +35,16 @@ def test_all_that_is_public_is_called():
     assert {name.partition(".")[0] for name in names} >= {package.split(".")[-1] for package in PACKAGES[1:4]}
 
 
+def test_most_calls_have_healthy_arguments(examples):
+    """Else each would be refused for the argument that is missing, not for the odd one."""
+    whole = 0
+    for call in public_calls():
+        rng = np.random.default_rng(3)  # the one that makes nothing odd
+        _, _, what = choose_arguments(call, examples, rng)
+        whole += not any("=" in each for each in what)
+    assert whole > 150
+
+
 @forked
 def test_a_sample_of_odd_calls_gives_a_value_or_an_error_of_ours(tmp_path):
     families = [Family(*family) for family in api(tmp_path)]
@@ -53,6 +63,14 @@ def test_a_call_that_fails_is_seen(examples, fault):
 
     with pytest.raises(RuntimeError, match=type(fault).__name__):
         try_call(PublicCall("fail", "", fail), examples, np.random.default_rng(0))
+
+
+def test_a_call_that_is_refused_is_seen(examples):
+    def refuse(pose):
+        raise ArgumentError("pose", "another", pose)
+
+    with pytest.raises(InputError, match="another"):
+        try_call(PublicCall("refuse", "", refuse), examples, np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")

@@ -64,6 +64,14 @@ def test_poses_on_marked_cells(kernels):
     assert 100 < sum(expected) < 300
 
 
+@BOTH
+def test_what_is_no_number_or_beyond_all_numbers_is_on_no_cell(kernels):
+    nowhere = np.array([[np.nan, 0.5, 0], [0.5, np.inf, 0], [-np.inf, np.nan, 0], [1e300, 1e300, 0]])
+    with np.errstate(invalid="ignore", over="ignore"):
+        marked = kernels.are_true(np.ones((4, 4), bool), np.zeros(2), 20.0, nowhere)
+    assert marked.tolist() == [False] * 4
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_slots_are_those_of_the_twin(seed):
     """Also where points lie on ends, before all and beyond them, and in slots that are empty."""

@@ -56,6 +56,17 @@ def test_predictions_are_those_of_the_twin(sensor, seed):
 
 @BOTH
 @pytest.mark.parametrize("sensor", SENSORS)
+def test_a_sensor_without_errors_is_one_of_errors_of_zero(sensor, kernels):
+    given = case(3)
+    zeros = kernels.predict_landmarks(sensor, **{**given, "calibration": np.zeros((len(given["poses"]), 2))})
+    none = kernels.predict_landmarks(sensor, **given)
+    assert none[4].shape == (0, 2, 2)
+    for ours, theirs in zip(none[:4], zeros[:4], strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+@BOTH
+@pytest.mark.parametrize("sensor", SENSORS)
 def test_predictions_are_those_of_the_sensor(sensor, kernels):
     given, model = case(1), SENSORS[sensor]
     rows, columns = given["rows"], given["columns"]
@@ -91,6 +102,20 @@ def test_update_is_that_of_the_information_filter(kernels, width, size):
     untouched = np.setdiff1d(np.arange(9), rows)
     np.testing.assert_array_equal(after[untouched], P[untouched])
     np.testing.assert_array_equal(moved[untouched], means[untouched])
+
+
+@BOTH
+def test_what_has_no_variance_is_drawn_as_it_is(kernels):
+    rng = np.random.default_rng(0)
+    C = covariances(rng, 50, 3)
+    C[::2, 1], C[::2, :, 1] = 0.0, 0.0
+    means, numbers = rng.normal(size=(50, 3)), rng.normal(size=(50, 3))
+    drawn = kernels.draw_gaussians(means, C, numbers)
+    np.testing.assert_array_equal(drawn[::2, 1], means[::2, 1])
+    np.testing.assert_allclose(
+        drawn[1::2], means[1::2] + (np.linalg.cholesky(C[1::2]) @ numbers[1::2, :, None])[..., 0], rtol=1e-9, atol=1e-9
+    )
+    np.testing.assert_array_equal(drawn, reference.draw_gaussians(means, C, numbers))
 
 
 @pytest.mark.parametrize("is_isotropic", [False, True])

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between, compose, transform_points
 from gridslam.grid.scan_batch import ScanBatch
 from gridslam.kernels import reference
+from gridslam.kernels.reference_surfaces import rank_bearings
 from gridslam.matching.surfaces import Surfaces
 from gridslam.types import StoredScan
 
@@ -83,6 +86,14 @@ def test_twins_match_to_surfaces(seed, least_information):
         np.testing.assert_allclose(found[0][:2], guess[:2], rtol=0, atol=1e-12)
 
 
+def test_ranks_ascend_with_bearings():
+    ways = 7 * np.column_stack(
+        [np.cos(np.linspace(-math.pi, math.pi, 999)), np.sin(np.linspace(-math.pi, math.pi, 999))]
+    )
+    assert (np.diff(rank_bearings(ways)[1:-1]) > 0).all()
+    assert rank_bearings(np.zeros((1, 2))).tolist() == [0.0]
+
+
 @pytest.mark.parametrize("kernels", [compiled, reference], ids=["compiled", "reference"])
 @pytest.mark.parametrize("both", [True, False])
 def test_slopes_are_those_of_the_residuals(kernels, both):
@@ -131,6 +142,29 @@ def test_normals_are_those_of_the_walls_and_corners_have_none():
     corner = np.hypot(*(np.abs(places) - [4.0, 3.0]).T)
     assert corner.min() > 0.03
     assert 0.8 * len(BEARINGS) < len(places) < len(BEARINGS)
+
+
+def test_nothing_seen_has_no_surfaces():
+    empty = Surfaces.of(ScanBatch.of([StoredScan(np.empty((0, 2)), np.zeros(2))] * 2))
+    assert empty.starts.tolist() == [0, 0, 0]
+    both = empty.append(seen_from(POSES[:1]))
+    assert both.match(np.zeros((3, 3)), np.array([[0, 2], [1, 0]]), 0.3, 0.02).counts.tolist() == [0, 0]
+
+
+def test_what_does_not_belong_together_is_refused():
+    surfaces = seen_from(POSES)
+    for wrong in (np.array([[0, 4]]), np.array([[-1, 0]])):
+        with pytest.raises(IndexError, match="pairs"):
+            compiled.match_surfaces(*surfaces, POSES, wrong, 0.3, 0.02, True)
+    with pytest.raises(IndexError, match="poses"):
+        compiled.match_surfaces(*surfaces, POSES[:2], PAIRS[:1], 0.3, 0.02, True)
+    own = surfaces.points, surfaces.normals, (0.0, 0.0, 0.0), np.ones(3), np.array([0.1]), 0.02, 0.02
+    with pytest.raises(IndexError, match="poses"):
+        compiled.match_to_surfaces(*surfaces, POSES[:2], *own)
+    with pytest.raises(IndexError, match="own_normals"):
+        compiled.match_to_surfaces(*surfaces, POSES, own[0], own[1][:-1], *own[2:])
+    with pytest.raises(IndexError, match="starts"):
+        compiled.fit_surfaces(surfaces.points, np.array([0, 9]), np.zeros((2, 2)))
 
 
 def test_along_a_corridor_nothing_is_determined():

@@ -264,3 +264,10 @@ def test_arrays_that_could_corrupt_memory_are_refused(name, change):
     random_scan(np.random.default_rng(1), maps)
     with pytest.raises(ArgumentError, match=name):
         TileMaps.from_arrays(broken(maps.to_arrays(), name, change), **SETTINGS)
+
+
+def test_a_missing_array_is_named():
+    arrays = TileMaps(2, **SETTINGS).to_arrays()
+    del arrays["field"]
+    with pytest.raises(ArgumentError, match="field"):
+        TileMaps.from_arrays(arrays, **SETTINGS)

@@ -159,6 +159,12 @@ def test_touched_tiles(seed):
     assert len(by_rays[0]) > 3
 
 
+def test_nothing_is_touched_without_poses():
+    for kernels in (compiled, reference):
+        none = kernels.tiles_on_rays(ROWS[:0], np.zeros((0, 3)), np.ones((4, 2)), ORIGIN, CELL, 1)
+        assert none.shape == (0, 3)
+
+
 @pytest.mark.parametrize("few", [3, 1000])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_owned_tiles(seed, few):
@@ -467,6 +473,19 @@ def test_scans_of_corridors_have_straight_walls():
     ]
     assert along[1][0, 0, 0] < 0.7 * along[0][0, 0, 0]
     assert along[3][0, 0, 0] < 0.7 * along[2][0, 0, 0]
+
+
+def test_matches_without_beams_stay_at_the_guess():
+    maps = random_maps(np.random.default_rng(0))
+    guess = np.array([[1.0, -2.0, 3.0]])
+    for prior in (np.zeros((1, 3, 3)), np.eye(3)[None]):
+        for kernels in (compiled, reference):
+            poses, information, score = kernels.match(
+                *maps._view, ROWS[:1], guess, prior, np.zeros((0, 2)), CELL, *settings_of(maps, 10, 0.02, True)
+            )
+            np.testing.assert_allclose(poses, guess, atol=1e-15)
+            assert not information.any()
+            assert not score.any()
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -42,6 +42,13 @@ def test_twin(seed):
     np.testing.assert_allclose(sums[0], sums[1], rtol=0, atol=61 * 255 * 2 * 3 * 4e-5)
 
 
+def test_without_beams_or_poses():
+    patches, poses, ends = case(0)
+    for kernels in (compiled, reference):
+        assert kernels.sum_at_ends(patches, CORNER, CELL, poses, ends[:0], 1).tolist() == [0.0] * len(poses)
+        assert kernels.sum_at_ends(patches, CORNER, CELL, poses[:0], ends, 1).shape == (0,)
+
+
 @pytest.mark.parametrize("kernels", [compiled, reference], ids=["compiled", "reference"])
 def test_a_plane_is_summed_exactly(kernels):
     """Bilinear interpolation is exact on a + b x + c y: the sum is that at the mean end times their number."""

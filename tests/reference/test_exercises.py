@@ -5,11 +5,13 @@ Checks that a test of an algorithm calls itself are not repeated here.
 
 from __future__ import annotations
 
+import json
 import math
 
 import checks
 import make_notebooks
 import numpy as np
+import pytest
 
 from gridslam import GraphSlam, GridFastSlam, KnownMap, MonteCarloLocalization
 from gridslam.evaluation import absolute_errors
@@ -111,3 +113,30 @@ def test_notebooks_are_those_of_their_sources():
     assert set(made) == set(make_notebooks.HERE.glob("*.ipynb"))
     assert len(made) == 20
     assert [path.name for path, text in made.items() if path.read_text(encoding="utf-8") != text] == []
+
+
+@pytest.mark.parametrize("path", sorted(make_notebooks.notebooks()), ids=lambda path: path.stem)
+def test_notebooks_have_the_format_of_jupyter(path):
+    """nbformat 4.4: the keys that its schema requires, and no outputs."""
+    document = json.loads(path.read_text(encoding="utf-8"))
+    assert (document["nbformat"], document["nbformat_minor"]) == (4, 4)
+    assert document["metadata"]["kernelspec"].keys() >= {"name", "display_name"}
+    for cell in document["cells"]:
+        assert all(isinstance(line, str) for line in cell["source"])
+        if cell["cell_type"] == "code":
+            assert cell.keys() == {"cell_type", "execution_count", "metadata", "outputs", "source"}
+            assert (cell["outputs"], cell["execution_count"]) == ([], None)
+        else:
+            assert cell.keys() == {"cell_type", "metadata", "source"}
+            assert cell["cell_type"] == "markdown"
+
+
+def test_a_function_without_its_body_keeps_signature_and_docstring():
+    code = (
+        'def f(x):\n    """Return x.\n\n    More.\n    """\n    y = x\n    return y\n\n\n'
+        'def g():\n    """One."""\n    return 1'
+    )
+    assert make_notebooks.without_bodies(code) == (
+        'def f(x):\n    """Return x.\n\n    More.\n    """\n    raise NotImplementedError\n\n\n'
+        'def g():\n    """One."""\n    raise NotImplementedError'
+    )

@@ -8,6 +8,7 @@ import checks
 import numpy as np
 import pytest
 
+from gridslam.geometry.se2 import between
 from gridslam.models import DiffusionMotion, GMappingMotion, OdometryMotion, VelocityMotion
 
 ORIGIN = np.zeros((1, 3))
@@ -28,6 +29,20 @@ def test_odometry_one_metre_straight(direction, sign):
 def test_odometry_rotates_covariance_into_the_world():
     got = covariance(OdometryMotion(**NO_TURN)(np.array([1.0, 0.0, 0.0])), (3.0, 4.0, math.pi / 2))
     np.testing.assert_allclose(got, [[0.02, 0, -0.02], [0, 0.03, 0], [-0.02, 0, 0.04]], atol=1e-15)
+
+
+def test_odometry_backward_is_not_two_half_turns():
+    only_rotation = OdometryMotion(alpha1=1.0, alpha2=0.0, alpha3=0.0, alpha4=1.0)
+    assert np.abs(covariance(only_rotation(np.array([-1.0, 0.0, 0.0])))).max() == 0.0
+
+
+# 1 mm sideways while turning half a radian: var(rot2) = alpha1 / 4 + alpha2 1e-6, var(rot1) = alpha2 1e-6,
+# var(trans) = alpha3 1e-6 + alpha4 / 4, along the direction of the jitter, -y.
+def test_odometry_turn_on_the_spot_ignores_the_direction_of_jitter():
+    sampler = OdometryMotion(**NO_TURN)(np.array([0.0, -0.001, 0.5]))
+    means, covariances = sampler.moments(ORIGIN)
+    np.testing.assert_allclose(means[0], [0.0, -0.001, 0.5], atol=1e-15)
+    np.testing.assert_allclose(np.diag(covariances[0]), [2e-14, 0.01 + 3e-8, 0.0025 + 4e-8], rtol=1e-9)
 
 
 # omega = 0: x = v dt, y = v omega dt^2 / 2, theta = (omega + gamma) dt.
@@ -53,6 +68,15 @@ def test_velocity_quarter_circle(alpha, direction):
     means, covariances = VelocityMotion(**alphas)(np.array([speed, speed, 1.0])).moments(ORIGIN)
     np.testing.assert_allclose(means[0], [1.0, 1.0, math.pi / 2], atol=1e-14)
     np.testing.assert_allclose(covariances[0], 0.01 * speed**2 * np.outer(direction, direction), atol=1e-14)
+
+
+@pytest.mark.parametrize("omega", [1e-4, 1.01e-5, 0.99e-5, 1e-9, 1e-300, -1e-9, -0.99e-5, -1.01e-5])
+def test_velocity_is_continuous_at_the_straight_line(omega):
+    model = VelocityMotion()
+    straight, curved = model(np.array([1.0, 0.0, 1.0])), model(np.array([1.0, omega, 1.0]))
+    # Every entry of increment and Jacobian changes by at most |omega| m/rad there, plus rounding (eps / 1e-5).
+    np.testing.assert_allclose(curved.increment, straight.increment, atol=abs(omega) * 1.01 + 1e-15)
+    np.testing.assert_allclose(curved.jacobian, straight.jacobian, atol=abs(omega) + 1e-10)
 
 
 # By hand: x 0.1*0.5 + 0.3*0.1 + 0.03*0.2, y 0.1*0.2 + 0.3*0.1 + 0.03*0.5, theta 0.4*0.1 + 0.2*sqrt(0.29).
@@ -97,3 +121,11 @@ def test_samples_have_the_first_order_moments(sampler):
     before = np.array([3.0, -2.0, 3.0])  # heading near pi: samples fall on both sides of the seam
     (mean,), (spread,) = sampler.moments(before[None])
     checks.samples_have_moments(sampler, before, mean, spread)
+
+
+def test_noise_is_independent_between_particles():
+    n = 50_000
+    poses = np.zeros((2 * n, 3))
+    steps = between(poses, DiffusionMotion()(np.array([1.0, 0.0, 0.0]))(poses, np.random.default_rng(3)))[:, 1]
+    # The correlation of n independent pairs has standard error 1 / sqrt(n).
+    assert abs(np.corrcoef(steps[:n], steps[n:])[0, 1]) < 5 / math.sqrt(n)

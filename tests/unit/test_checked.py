@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,10 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from gridslam.arguments import Limits
+from gridslam.arguments import Limits, index_of
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
-from gridslam.types import LaserScan, Poses, Rows
+from gridslam.types import FloatArray, LaserScan, Points, Poses, Rows
 
 
 @checked
@@ -47,6 +48,35 @@ def take(
 def use(*arguments: object, **named: object) -> None:
     """Fail on whatever it gets, with the signature of `take`."""
     raise TypeError("deep within")
+
+
+@checked
+@dataclass
+class Table:
+    """Has rows."""
+
+    rows: Points
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def row(self, number: Annotated[int, index_of("self")]) -> FloatArray:
+        """One row."""
+        return self.rows[number]
+
+    def rows_of(self, numbers: Sequence[int]) -> list[FloatArray]:
+        """Several, by `row`, unchecked."""
+        return [self.row(number) for number in numbers]
+
+    @classmethod
+    def of(cls, count: int) -> Table:
+        """A table of zeros."""
+        return cls(np.zeros((count, 2)))
+
+    @staticmethod
+    def side(count: int) -> int:
+        """Twice a count."""
+        return 2 * count
 
 
 def test_what_is_annotated_passes():
@@ -95,6 +125,24 @@ def test_what_is_not_annotated_is_refused_by_name(name, wrong):
 def test_shapes_types_and_ranges_of_arrays(poses, rows, named):
     with pytest.raises(ArgumentError, match=f"^{named}: expected"):
         add(poses, rows)
+
+
+def test_a_wrong_number_of_arguments_is_a_type_error():
+    with pytest.raises(TypeError, match="missing a required argument"):
+        add(np.ones((2, 3)))
+    with pytest.raises(TypeError, match="unexpected keyword"):
+        take(other=1)
+
+
+def test_methods_know_the_length_of_their_object():
+    table = Table(np.arange(6.0).reshape(3, 2))
+    assert table.row(2).tolist() == [4, 5]
+    assert len(Table.of(2)) == Table.side(1) == 2
+    for call in (lambda: table.row(3), lambda: table.row(-1), lambda: Table.of("x"), lambda: Table.side(None)):
+        with pytest.raises(ArgumentError, match=r"number|count"):
+            call()
+    with pytest.raises(ArgumentError, match="rows: expected shape"):
+        Table(np.zeros(3))
 
 
 def test_numbers_that_do_not_go_together_are_an_argument_error_and_faults_stay_what_they_are():

@@ -14,6 +14,8 @@ from gridslam.models import OdometryMotion
 from gridslam.particles import Residual
 from gridslam.slam import GridFastSlam
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
+from gridslam.slam.pose_graph.graph_slam import GraphSlam
+from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -55,6 +57,18 @@ def test_loop_closure_is_one_field_that_a_word_switches():
         override(Configuration(), "loop_closure.kind=None")
     with pytest.raises(ConfigurationError, match="loop_closure: expected a table of parameters, got 'never'"):
         override(Configuration(), "loop_closure=never")
+
+
+def test_a_part_may_be_none():
+    config = override(Configuration(), "loop_closure.solver.robust.probability=0.99")
+    assert config.loop_closure.solver == GraphSlam("given", GraduatedNonConvexity(probability=0.99))
+    assert loads(dumps(config)) == config
+    without = override(config, "loop_closure.solver.robust.kind=none")
+    assert without.loop_closure.solver.robust is None
+    assert to_table(without)["loop_closure"]["solver"]["robust"] == {"kind": "none"}
+    assert loads(dumps(without), config) == without
+    with pytest.raises(ConfigurationError, match=r"loop_closure.solver.robust.growth: no such parameter"):
+        override(without, "loop_closure.solver.robust.growth=2")
 
 
 def test_build_passes_every_part_on():
@@ -130,6 +144,11 @@ def test_mistake_is_told_in_one_clear_line(assignment, message):
         override(Configuration(), assignment)
     assert str(caught.value).startswith(message)
     assert "\n" not in str(caught.value)
+
+
+def test_assignments_that_contradict_each_other_in_form():
+    with pytest.raises(ConfigurationError, match=r"tracker.insert_m: tracker was given as 3 before"):
+        override(Configuration(), "tracker=3", "tracker.insert_m=0.3")
 
 
 @pytest.mark.parametrize(

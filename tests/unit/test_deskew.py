@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gridslam.errors import ArgumentError
 from gridslam.geometry import se2
 from gridslam.types import LaserScan, ScanGeometry
 
@@ -51,3 +54,9 @@ def test_rays_begin_within_half_the_way_of_the_laser():
     twist = np.array([0.4, 0.0, 0.0])
     beams = scan_of(rng, np.linspace(0, 0.1, 40)).beams(0.05, 30.0).deskew(twist)
     assert beams.origin[0] - beams.scan.geometry.origin[0] == pytest.approx(0.02, abs=0.005)  # a few beams are invalid
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf])
+def test_a_time_that_is_not_finite_is_refused(wrong):
+    with pytest.raises(ArgumentError, match="beam_times_s: expected finite"):
+        scan_of(np.random.default_rng(4), [wrong] * 40)

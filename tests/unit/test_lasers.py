@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gridslam.config import Configuration, apply_laser, build, override, preset
+from gridslam.errors import ConfigurationError
 from gridslam.evaluation import absolute_errors
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
@@ -28,6 +29,11 @@ def test_exact_lasers_get_finer_cells_where_scans_are_matched_by_gauss_newton():
     assert fine == expected
     assert apply_laser(preset("gmapping"), "hokuyo-utm-30lx").mapper == preset("gmapping").mapper
     assert apply_laser(preset("default"), "rplidar-a1").mapper == Configuration().mapper
+
+
+def test_an_unknown_laser_is_refused_with_what_may_be_meant():
+    with pytest.raises(ConfigurationError, match=r"laser: expected sick-lms, .* got 'rplidar'; did you mean rplidar-a"):
+        apply_laser(Configuration(), "rplidar")
 
 
 def recorded(lidar: LidarConfig, seed: int) -> SimulatedLog:

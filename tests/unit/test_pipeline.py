@@ -86,6 +86,18 @@ def test_trajectory_of_one_particle_is_the_same_online_and_in_full(measurements,
     assert np.abs(between(full.poses, online.poses)).max() < 0.15
 
 
+def test_recorder_survives_arrays(measurements, slam):
+    recorder = TrajectoryRecorder()
+    state = run(measurements, slam, particles=2, rng=np.random.default_rng(4), observers=[recorder])
+    twin = TrajectoryRecorder.from_arrays(recorder.to_arrays())
+    assert np.array_equal(twin.best_trajectory(state).poses, recorder.best_trajectory(state).poses)
+    broken = recorder.to_arrays() | {"online": np.zeros((3, 3))}
+    with pytest.raises(ArgumentError, match="online: expected float64"):
+        TrajectoryRecorder.from_arrays(broken)
+    with pytest.raises(ArgumentError, match="an array named repeats"):
+        TrajectoryRecorder.from_arrays({"stamps_ns": np.zeros(1, np.int64)})
+
+
 def report(skipped=None, **options):
     return StepReport(0, np.zeros(3), np.eye(3), np.zeros(3), skipped=skipped, **options)
 
@@ -107,6 +119,13 @@ def test_statistics_count_and_time_what_they_were_told():
         assert summary.latency.p99_s == pytest.approx(0.2, rel=0.005)
         assert summary.latency.max_s == 0.4
         assert (summary.key_latency.median_s, summary.key_latency.max_s) == (pytest.approx(0.3), 0.4)
+
+
+@pytest.mark.parametrize("bins", [[[3, 1], [3, 1]], [[3, 0]], [[10**9, 1]]])
+def test_a_histogram_that_no_run_leaves_is_refused(bins):
+    arrays = StatisticsRecorder().to_arrays() | {"seconds.bins": np.array(bins)}
+    with pytest.raises(ArgumentError, match="bins: expected ascending numbers up to 4000"):
+        StatisticsRecorder.from_arrays(arrays)
 
 
 def test_stopwatch_gives_every_moment_to_one_stage(measurements, slam, monkeypatch):

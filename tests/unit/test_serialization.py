@@ -204,3 +204,11 @@ def owner(**more):
 def test_an_index_out_of_its_table_is_refused_by_name(name, wrong):
     with pytest.raises(ArgumentError, match=f"^{name}: expected"):
         from_arrays(Owner, to_arrays(owner()) | {name: wrong})
+
+
+def test_what_an_object_refuses_is_named_from_the_outermost_state_on():
+    def refuse(arrays):
+        raise ArgumentError("number", "another one", arrays["number"])
+
+    with pytest.raises(ArgumentError, match=r"^shelf\.number: expected another one, got 4"):
+        from_arrays(State, to_arrays(state()), {Shelf: refuse})

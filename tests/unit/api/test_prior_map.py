@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from gridslam.api.prior_map import piece_of_map
 from gridslam.config import Configuration
+from gridslam.errors import ArgumentError
 from gridslam.types import OccupancyGrid
 
 CELL_M = 0.05
@@ -51,3 +53,20 @@ def test_beams_end_where_the_known_map_does():
     piece = piece_of_map(OccupancyGrid(grid.log_odds, known, CELL_M, grid.origin))
     ends = np.concatenate([piece.scans.key(k).ends + piece.poses[k, :2] for k in range(len(piece))])
     assert ends[:, 0].max() < -3.0 + 200 * CELL_M
+
+
+@pytest.mark.parametrize("range_max_m", [0.0, -1.0, float("nan")])
+def test_a_range_that_is_none_is_refused(range_max_m):
+    with pytest.raises(ArgumentError, match="range_max_m: expected a range above 0 m"):
+        piece_of_map(floor()[0], range_max_m)
+
+
+def test_a_map_without_obstacles_is_refused():
+    free = np.ones((40, 40), np.bool_)
+    with pytest.raises(ArgumentError, match="occupied"):
+        piece_of_map(OccupancyGrid(np.full((40, 40), -4, np.float32), free, CELL_M, (0.0, 0.0)))
+    log_odds = np.full((40, 40), -4, np.float32)
+    log_odds[0, 0] = 4.0
+    free[1:3, :3] = free[:3, 1:3] = False
+    with pytest.raises(ArgumentError, match="a free place from which an obstacle is seen"):
+        piece_of_map(OccupancyGrid(log_odds, free, CELL_M, (0.0, 0.0)), 0.1)

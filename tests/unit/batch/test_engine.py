@@ -11,7 +11,7 @@ import pytest
 from gridslam.batch.engine import run_jobs
 from gridslam.batch.journal import JOURNAL, Journal
 from gridslam.batch.pool import ProcessPool
-from gridslam.errors import OutputError
+from gridslam.errors import ArgumentError, OutputError
 from support.batch_jobs import make_job
 
 
@@ -119,3 +119,16 @@ def test_a_journal_of_another_form_is_refused(tmp_path):
     database.close()
     with pytest.raises(Exception, match="expected a table runs with the columns key, log"):
         run([], tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("options", "argument"),
+    [({"timeout_s": 0}, "timeout_s"), ({"memory_bytes": 0}, "memory_bytes"), ({"retries": -1}, "retries")],
+)
+def test_limits_out_of_range_are_refused(tmp_path, options, argument):
+    with pytest.raises(ArgumentError, match=argument):
+        run([], tmp_path, **options)
+    with pytest.raises(ArgumentError, match="a folder for each"):
+        run([make_job("leave", "a"), make_job("leave", "a", b=1)], tmp_path)
+    with pytest.raises(ArgumentError, match="workers"):
+        ProcessPool(0)

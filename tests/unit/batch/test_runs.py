@@ -11,7 +11,7 @@ import pytest
 
 from gridslam.batch.journal import COLUMNS, JOURNAL, Journal
 from gridslam.batch.runs import read_runs, write_parquet
-from gridslam.errors import InputError
+from gridslam.errors import InputError, MissingDependencyError
 from support.journals import make_document, make_rows, write_journal
 
 
@@ -50,6 +50,12 @@ def test_parquet_has_a_row_for_each_run_and_a_column_for_each_figure(tmp_path):
     assert table["log"] == [row["log"] for row in rows]
     assert [status == "failed" for status in table["status"]] == [error is None for error in table["error_m"]]
     assert "document" not in table
+
+
+def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
+    with pytest.raises(MissingDependencyError, match=r"gridslam\[parquet\]"):
+        write_parquet(tmp_path)
 
 
 def test_rows_of_a_transaction_are_written_together_or_not_at_all(tmp_path):

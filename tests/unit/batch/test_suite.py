@@ -59,6 +59,16 @@ def test_each_log_is_run_by_each_variant_and_seed(suite, tmp_path):
     assert (entries[0].reference, entries[2].reference) == (str(tmp_path / "one.relations"), None)
 
 
+def test_what_is_absent_is_named_and_the_rest_is_run(suite, tmp_path):
+    (tmp_path / "one.clf").write_text("")
+    entries, absent = suite.find([tmp_path])
+    assert len(entries) == 4
+    assert [sentence.partition(":")[0] for sentence in absent] == ["one", "two"]
+    assert "no one.relations" in absent[0]
+    with pytest.raises(InputError, match=r"none of the suite's logs: one: no one\.clf in .*; two: no two\.clf in"):
+        suite.find([tmp_path / "suite.toml"])
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -30,6 +30,13 @@ def test_quantiles_of_the_tables(probability, degrees, quantile):
     assert chi_square_quantile(probability, degrees) == pytest.approx(quantile, rel=3e-5)
 
 
+# With two degrees the distribution is exponential: 1 - exp(-x / 2). With many it tends to the normal's quantiles.
+def test_quantiles_in_closed_form():
+    for probability in (1e-6, 0.3, 0.999999):
+        assert chi_square_quantile(probability, 2) == pytest.approx(-2 * math.log1p(-probability), rel=1e-9)
+    assert chi_square_quantile(0.975, 30_000) == pytest.approx(30_000 + 1.959964 * math.sqrt(60_000), rel=1e-4)
+
+
 def test_nees_by_hand():
     # Standard deviations 0.1, 0.2, 0.05 and errors of 1, 2 and 3 of them, the heading's across the seam.
     covariance = np.diag([0.01, 0.04, 0.0025])[None]
@@ -47,6 +54,12 @@ def runs(claimed_share, n=200):
     truths = rng.uniform(-3, 3, (n, 3))
     estimates = truths + rng.standard_normal((n, 3)) @ root.T
     return check_consistency(estimates, truths, np.tile(claimed_share * root @ root.T, (n, 1, 1)))
+
+
+def test_the_true_covariance_is_consistent():
+    got = runs(1.0)
+    assert got.consistent
+    assert (got.lower, got.upper) == pytest.approx((2.6702, 3.3489), rel=1e-3)  # chi-square of 600 degrees, by 200
 
 
 # Claiming 70 % scales the average, 3 +- 0.17 (sqrt(6/200)), by 1.43 to 4.3: six deviations beyond the upper bound.

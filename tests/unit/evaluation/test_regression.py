@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 
@@ -39,6 +40,16 @@ def other_seeds(spread, rng):
 def is_alarm(differences, margins=None):
     found = find_changes(differences, np.random.default_rng(0), margins=margins, together="all", permutations=1000)
     return any(change.p_worse <= 0.05 for change in found)
+
+
+def test_one_figure_has_the_probability_of_all_its_signs():
+    values = np.array([0.3, -0.1, 0.2, 0.5, 0.1, 0.4])
+    (change,) = find_changes({"log": {"error": values}}, np.random.default_rng(0), permutations=50_000)
+    signs = np.array(list(itertools.product([-1, 1], repeat=6)))  # with equal squares t grows with the mean
+    exact = (signs @ values >= values.sum() - 1e-9).mean()
+    assert change.p_worse == pytest.approx(exact, abs=5 * math.sqrt(exact / 50_000))
+    assert change.p_better > 0.9
+    assert change.mean == pytest.approx(values.mean())
 
 
 @pytest.mark.parametrize("margins", [None, MARGINS], ids=["no margin", "margins"])

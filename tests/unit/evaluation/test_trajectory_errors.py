@@ -90,6 +90,14 @@ def test_the_reference_is_interpolated_up_to_a_gap():
     assert absolute_errors(between_them, holed, max_gap_ns=2_000_000_000).n == 10
 
 
+def test_times_without_anything_in_common_are_described():
+    late = trajectory(straight(1.0).poses, straight(1.0).stamps_ns + 1_700_000_000_000_000_000)
+    with pytest.raises(ArgumentError, match=r"to 1700000010\.000 s, and the reference from 0\.000"):
+        absolute_errors(late, straight(1.0))
+    with pytest.raises(ArgumentError, match="estimate"):
+        absolute_errors(trajectory(np.zeros((1, 3)), [100 * SECOND]), straight(1.0))
+
+
 @pytest.mark.parametrize("step", [1, 3, 10])
 def test_relative_error_by_step(step):
     got = relative_errors_by_step(straight(1.1), straight(1.0), step)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from gridslam.errors import ArgumentError
 from gridslam.geometry import se2
 
 QUARTER = math.pi / 2
@@ -44,6 +45,13 @@ def test_mean_and_covariance_across_the_cut() -> None:
     np.testing.assert_array_equal(se2.weighted_covariance(poses, [0, 1]), np.zeros((3, 3)))
     batch = se2.weighted_covariance(np.stack([poses, poses]), [[1, 1], [0, 1]])
     np.testing.assert_allclose(batch, [np.outer(residual, residual), np.zeros((3, 3))], atol=1e-14)
+
+
+@pytest.mark.parametrize("function", [se2.inverse, se2.exp, se2.log, se2.adjoint])
+@pytest.mark.parametrize("bad", [np.zeros(2), np.zeros((3, 4)), 1.0])
+def test_wrong_width_is_refused(function, bad: object) -> None:
+    with pytest.raises(ArgumentError, match=r"shape \(..., 3\)"):
+        function(bad)
 
 
 @pytest.mark.parametrize("covariance", [[4, 1, 0.5, 1, 2, -0.3, 0.5, -0.3, 1], [2, 0, 0, 0, 2, 0, 0, 0, 3]])

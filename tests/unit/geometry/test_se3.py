@@ -67,3 +67,8 @@ def test_what_is_not_rigid_is_refused(matrix: np.ndarray) -> None:
     for call in (rigid.from_matrix, se3.to_planar, se3.tilt_rad, se3.to_quaternion):
         with pytest.raises(ArgumentError, match="matrix"):
             call(matrix)
+
+
+def test_a_vertical_x_axis_has_no_yaw() -> None:
+    with pytest.raises(ArgumentError, match="not vertical"):
+        se3.to_planar(se3.from_quaternion([0, 0, 0], [0, HALF, 0, HALF]))

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 import gridslam
 from gridslam.errors import ArgumentError
 from gridslam.grid import Evidence, TileMaps
+from gridslam.grid.tiles import MOST_BEAM_CELLS
 from gridslam.kernels import FARTHEST, PAGE, TILE
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
@@ -110,6 +111,13 @@ def test_maps_that_span_too_much_are_refused_before_tables_are_allocated():
     with pytest.raises(ArgumentError, match=r"span at most 2.1e\+09 cells, got 4\d{5} m x 5\d{6} m in cells"):
         maps.update(ROW, np.zeros((1, 3)), room_from(4))
     assert_unchanged(maps, before)
+
+
+@pytest.mark.parametrize("ends", [(1e300, 0), (math.nan, 1), (MOST_BEAM_CELLS * CELL + 1, 0)])
+def test_beams_that_end_too_far_away_are_refused(ends):
+    maps = new_maps()
+    with pytest.raises(ArgumentError, match=r"beams: expected ends within 1312.5 m, 21000 cells, of the robot"):
+        maps.update(ROW, np.zeros((1, 3)), beams_to([(1, 1), ends]))
 
 
 def test_maps_never_take_more_tiles_than_they_may():

@@ -6,7 +6,9 @@ import threading
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from gridslam.errors import ArgumentError
 from gridslam.grid import Evidence, TileMaps
 from gridslam.types import LaserScan, ScanGeometry
 
@@ -65,3 +67,10 @@ def test_maps_are_read_while_they_are_written():
     for reader in readers:
         reader.join()
     assert problems == []
+
+
+def test_frozen_maps_cannot_be_written_to():
+    frozen = make_maps().freeze()
+    rng = np.random.default_rng(3)
+    with pytest.raises(ArgumentError, match="frozen"):
+        frozen.update(ROWS, rng.uniform(-20, 20, (4, 3)), seen(rng))

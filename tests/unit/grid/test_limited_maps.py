@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gridslam.errors import ArgumentError
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.types import StoredScan
 
@@ -36,3 +37,8 @@ def test_known_cells_are_limited_and_the_field_is_what_it_was(maps):
         np.testing.assert_allclose(limited.log_odds, np.clip(grid.log_odds, -LIMIT, LIMIT), atol=1e-6)
         assert maps.field(row)[0].tobytes() == fields[row]
         np.testing.assert_array_equal(other.occupancy(row).log_odds, grid.log_odds)
+
+
+def test_a_limit_at_which_obstacles_would_vanish_is_refused(maps):
+    with pytest.raises(ArgumentError, match="log_odds: expected more than 2 nats"):
+        maps.limit(2.0)

@@ -8,6 +8,7 @@ import checks
 import numpy as np
 import pytest
 
+from gridslam.errors import ArgumentError
 from gridslam.grid import LOG_ODDS_UNIT, Evidence, TileMaps, cell_centres, cells_of
 from gridslam.models import InverseSensorModel
 from gridslam.types import LaserScan, ScanGeometry
@@ -68,6 +69,25 @@ def test_log_odds_do_not_depend_on_the_order_of_scans_away_from_the_clamps():
         np.testing.assert_array_equal(grid.log_odds, grids[0].log_odds)
 
 
+def test_clamps_hold_and_can_be_left_again():
+    maps = TileMaps(1, resolution_m=CELL, reach_cells=3.0, evidence=Evidence(0.9, -0.4, -1.0, 2.0, 1.0))
+
+    def log_odds():
+        grid = maps.occupancy(0)
+        return grid.log_odds[at(grid, 1.05, 0.05)]
+
+    for _ in range(5):
+        see(maps, [(1.0, 0.0)])
+    assert log_odds() == pytest.approx(2.0)
+    see(maps, [(2.0, 0.0)])
+    assert log_odds() == pytest.approx(1.6)
+    for _ in range(10):
+        see(maps, [(2.0, 0.0)])
+    assert log_odds() == pytest.approx(-1.0)
+    see(maps, [(1.0, 0.0)])
+    assert log_odds() == pytest.approx(-0.1)
+
+
 def test_a_cell_in_which_a_beam_ends_is_not_freed_by_another_beam_of_the_scan():
     maps = TileMaps(1, resolution_m=CELL, reach_cells=3.0, evidence=Evidence(0.9, -0.4, -9.0, 9.0, 1.0))
     see(maps, [(1.0, 0.0), (2.0, 0.0), (1.0, 0.0), (3.0, 0.0)])
@@ -93,3 +113,12 @@ def test_export_has_its_origin_at_the_lower_left_and_rows_along_y():
     assert grid.origin[0] <= hits[:, 0].min()
     assert grid.origin[1] <= hits[:, 1].min()
     assert (np.array(grid.origin) + np.array(grid.log_odds.shape[::-1]) * CELL >= hits.max(axis=0)).all()
+
+
+@pytest.mark.parametrize(
+    "values",
+    [(0.0, -0.4, -9, 9, 1), (0.4, 0.0, -9, 9, 1), (0.4, -0.4, 0, 9, 1), (0.4, -0.4, -9, 0, 1), (1, -1, -400, 9, 1)],
+)
+def test_evidence_that_could_not_be_stored_is_refused(values):
+    with pytest.raises(ArgumentError, match="Evidence"):
+        Evidence(*values)

@@ -67,6 +67,13 @@ def test_what_came_from_a_bag_goes_back_as_it_was(tmp_path):
         np.testing.assert_allclose(odometry_back.pose, odometry.pose, rtol=0, atol=1e-15)
 
 
+def test_a_log_without_odometry_comes_back_without(tmp_path):
+    write_bag(tmp_path / "log.bag", (Measurement(None, scan) for _, scan in log(5)))
+    read = list(BagLog(tmp_path / "log.bag"))
+    assert [measurement.odometry for measurement in read] == [None] * 5
+    np.testing.assert_allclose(read[0].scan.geometry.base_from_laser, TILTED, rtol=0, atol=1e-12)
+
+
 def test_two_lasers_come_back_in_turn(tmp_path):
     rear = ScanGeometry(np.linspace(-1, 1, 100), se3.from_planar([-0.3, 0, math.pi]))
     written = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bz2
 import importlib
 import itertools
+import shutil
 import sqlite3
 import sys
 from contextlib import nullcontext
@@ -17,7 +18,8 @@ from hypothesis import strategies as st
 from gridslam.errors import InputError
 from gridslam.io.bags.ros1 import Ros1Bag
 from gridslam.io.bags.ros2 import Ros2Bag
-from gridslam.io.bags.source import merge_chunks
+from gridslam.io.bags.source import DamageError, merge_chunks
+from gridslam.io.limits import limit_memory
 from support import ros_bags
 
 zstd = importlib.import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
@@ -51,6 +53,24 @@ def test_messages_are_those_of_rosbags(tmp_path, kind, compression):
     assert {name: topic.messages for name, topic in bag.topics.items()} == {"/scan": 400, "/odom": 801, "/tf_static": 1}
     assert bag.bytes_read == bag.total_bytes > 0
     assert not bag.is_truncated
+
+
+def split_bag(folder):
+    """A bag of two files, with the metadata that lists both."""
+    said = ros_bags.drive(2.0)
+    whole = ros_bags.write(folder, "db3", said)
+    (whole / "log.db3").rename(whole / "log_0.db3")
+    text = (whole / "metadata.yaml").read_text()
+    assert text.count("- log.db3") == 1
+    (whole / "metadata.yaml").write_text(text.replace("- log.db3", "- log_0.db3\n  - log_1.db3"))
+    return whole
+
+
+def test_a_file_of_a_bag_that_is_not_there_is_named(tmp_path):
+    folder = split_bag(tmp_path)
+    assert Ros2Bag(folder).missing_files == ("log_1.db3",)
+    shutil.copy(folder / "log_0.db3", folder / "log_1.db3")
+    assert Ros2Bag(folder).missing_files == ()
 
 
 @given(st.lists(st.lists(st.integers(0, 20), min_size=1, max_size=5), max_size=6))
@@ -134,6 +154,15 @@ def test_of_a_ros2_file_that_is_cut_off_all_before_the_cut_is_kept(tmp_path, kin
     assert bag.is_truncated
 
 
+def test_a_database_that_is_no_bag(tmp_path):
+    path = tmp_path / "other.db3"
+    with sqlite3.connect(path) as connection:
+        connection.execute("CREATE TABLE things (id INTEGER)")
+    connection.close()
+    with pytest.raises(InputError, match="no such table: topics"):
+        Ros2Bag(path)
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -178,6 +207,25 @@ def test_a_database_that_computes_its_messages_is_refused(tmp_path, sql, got, ke
     else:
         with pytest.raises(InputError, match=got):
             Ros2Bag(path)
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        ("table", "other", "other", 0, f"CREATE VIEW messages (id, topic_id, timestamp, data) AS {RECURSIVE}"),
+        ("table", "messages", "messages", 0, f"CREATE/**/VIEW MESSAGES (id, topic_id, timestamp, data) AS {RECURSIVE}"),
+        ("table", "messages", "messages", 0, f"CREATE VIEW messages (id, timestamp) AS {RECURSIVE}".encode()),
+    ],
+)
+def test_a_row_of_the_schema_is_what_its_statement_says(tmp_path, row):
+    (path,) = ros_bags.write(tmp_path, "db3", ros_bags.drive(1.0)).glob("*.db3")
+    with sqlite3.connect(path) as connection:
+        connection.execute("DROP TABLE messages")
+        connection.execute("PRAGMA writable_schema=ON")
+        connection.execute("INSERT INTO sqlite_master VALUES (?, ?, ?, ?, ?)", row)
+    connection.close()
+    with pytest.raises(InputError, match="expected tables and their indices"):
+        Ros2Bag(path)
 
 
 def test_rows_that_share_bytes_are_not_read_again_and_again(tmp_path):
@@ -244,3 +292,18 @@ def test_a_compressed_file_or_message_that_unpacks_to_far_more_is_refused(tmp_pa
     connection.close()
     with pytest.raises(InputError, match=r"unpack to more than 33\.6 MB"):
         list(Ros2Bag(path).messages({"/scan"}))
+
+
+def test_chunks_that_overlap_in_time_are_held_as_far_as_memory_is_allowed(tmp_path):
+    chunks = [(0, [(k, "/scan", bytes(100_000))]) for k in range(30)]
+    assert len(list(merge_chunks(chunks))) == 30
+    with limit_memory(1_000_000), pytest.raises(DamageError, match="1 MB of --max-memory"):
+        list(merge_chunks(chunks))
+
+
+def test_what_is_no_ros2_bag(tmp_path):
+    with pytest.raises(InputError, match=r"without .db3 or .mcap"):
+        Ros2Bag(tmp_path)
+    (tmp_path / "log.db3").write_bytes(b"something else")
+    with pytest.raises(InputError, match="begins with b'somethin'"):
+        Ros2Bag(tmp_path)

@@ -12,7 +12,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.geometry import se3
+from gridslam.geometry import se2, se3
 from gridslam.io.bags.writer import write_bag
 from gridslam.io.measurement import Measurement
 from gridslam.types import LaserScan, Odometry, ScanGeometry
@@ -89,6 +89,14 @@ def test_what_is_written_is_read(tmp_path, name):
     np.testing.assert_allclose(matrix_of(mounting.transform), UPSIDE_DOWN, atol=1e-15)
 
 
+def test_the_velocity_is_the_mean_since_the_reading_before(tmp_path):
+    write_bag(tmp_path / "log.bag", log())
+    first, second, *_ = (message.twist.twist for message in of_topic(read(tmp_path / "log.bag"), "/odom"))
+    assert (first.linear.x, first.linear.y, first.angular.z) == (0, 0, 0)
+    got = np.array([second.linear.x, second.linear.y, second.angular.z])
+    np.testing.assert_allclose(se2.exp(0.1 * got), [0.1, -0.05, 0.02], atol=1e-15)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_each_beam_keeps_its_status(tmp_path, name):
     # The greatest double below 30 is 30 in single precision.
@@ -112,6 +120,33 @@ def test_stamps_that_go_back_keep_the_order_of_the_log(tmp_path, name):
     assert [stamp_of(message.header) for message in of_topic(messages, "/scan")] == stamps
     assert [message.pose.pose.position.x for message in of_topic(messages, "/odom")] == [0, 1, 2, 3, 4]
     assert all(a < b for (_, a, _), (_, b, _) in pairwise(messages))
+
+
+def test_several_lasers(tmp_path):
+    front, rear, third = UPSIDE_DOWN, se3.from_planar([-0.3, 0, math.pi]), np.eye(4)
+    odometry = Odometry.at(START, [1, 2, 3])
+    scans = [
+        scan(mounting=front, sensor="front"),
+        scan(mounting=rear, sensor="re ar", frame="/laser"),
+        scan(mounting=third, sensor="/r1/top_scan", frame="base_link"),
+        scan(mounting=rear, sensor="scan!", frame="laser_2"),
+    ]
+    write_bag(tmp_path / "log.mcap", (Measurement(odometry, one) for one in scans))
+    messages = read(tmp_path / "log.mcap")
+    assert [topic for topic, _, _ in messages if topic != "/tf_static"] == [
+        "/odom",
+        "/tf",
+        "/scan",
+        "/scan_re_ar",
+        "/r1/top_scan",
+        "/scan_scan_",
+    ]
+    frames = [message.header.frame_id for topic, _, message in messages if "scan" in topic]
+    assert frames == ["laser", "laser_2", "base_link", "laser_2"]
+    known = of_topic(messages, "/tf_static")[-1].transforms
+    assert [link.child_frame_id for link in known] == ["laser", "laser_2"]
+    for link, mounting in zip(known, (front, rear), strict=True):
+        np.testing.assert_allclose(matrix_of(link.transform), mounting, atol=1e-15)
 
 
 def test_what_messages_cannot_say_is_refused(tmp_path):
@@ -149,3 +184,18 @@ def test_nothing_is_left_where_writing_fails(tmp_path, name):
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(OutputError, match="nowhere"):
         write_bag(tmp_path / "nowhere" / name, log())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_file_is_replaced_and_a_folder_is_not(tmp_path, name):
+    path = tmp_path / name
+    if name != "log":
+        path.write_text("before")
+        write_bag(path, log())
+        assert len(of_topic(read(path), "/scan")) == 5
+        path.unlink()
+    path.mkdir()
+    (path / "thesis.tex").write_text("mine")
+    with pytest.raises(OutputError, match="there is a folder"):
+        write_bag(path, log())
+    assert [file.name for file in path.iterdir()] == ["thesis.tex"]

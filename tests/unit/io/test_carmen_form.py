@@ -82,6 +82,15 @@ def test_losses_are_counted_in_scans():
     assert formed[0].scan.status.tolist() == [BeamStatus.HIT, BeamStatus.NO_RETURN, BeamStatus.HIT]
 
 
+def test_two_lasers_are_front_and_rear():
+    geometry = ScanGeometry([-0.1, 0.0, 0.1])
+    scans = [LaserScan.from_ranges(0, [1, 2, 3], geometry, sensor=name) for name in ("/a", "front", "/a", "/b")]
+    formed, _ = taken(*(Measurement(ZERO, scan) for scan in scans[:3]))
+    assert [m.scan.sensor for m in formed] == ["front", "rear", "front"]
+    with pytest.raises(ArgumentError, match="two lasers at most"):
+        taken(*(Measurement(ZERO, scan) for scan in scans))
+
+
 def test_a_tilted_laser_is_refused():
     scan = LaserScan.from_ranges(0, [1, 2, 3], mounted([-0.1, 0.0, 0.1], pitch=0.1))
     with pytest.raises(ArgumentError, match="mounted level, upright or upside down, got one tilted by"):

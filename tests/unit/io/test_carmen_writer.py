@@ -43,6 +43,20 @@ def test_round_trip(tmp_path, suffix, n, fov):
     assert log.statistics.odometry_lines == 3
 
 
+def test_nanoseconds_survive(tmp_path):
+    path = tmp_path / "sim.log"
+    write_carmen(path, [measurement(1_234_567_891)])
+    assert [m.scan.stamp_ns for m in CarmenLog(path)] == [1_234_567_891]
+
+
+def test_rear_laser(tmp_path):
+    path = tmp_path / "sim.log"
+    write_carmen(path, [measurement(mounting=(-0.2, 0, math.pi), sensor="rear")])
+    (read,) = CarmenLog(path)
+    assert read.scan.sensor == "rear"
+    np.testing.assert_allclose(read.scan.geometry.directions[90], [-1, 0], atol=1e-12)
+
+
 def test_what_cannot_be_said_is_refused(tmp_path):
     good = measurement()
     late = Odometry.at(good.scan.stamp_ns + 1, good.odometry.pose)

@@ -90,3 +90,11 @@ def test_what_is_wrong_is_said_with_its_line(tmp_path, text, line, problem):
         read(tmp_path, text)
     assert problem in str(caught.value)
     assert caught.value.line == line
+
+
+def test_contradicting_angles_are_refused_as_in_bags(tmp_path):
+    lines = ROSTOPIC.splitlines()
+    cells = lines[1].split(",")
+    cells[lines[0].split(",").index("field.angle_max")] = "0.1"
+    with pytest.raises(InputError, match=r"line 2: expected angles in rad that fit each other.*not at angle_max 0\.1"):
+        read(tmp_path, "\n".join([lines[0], ",".join(cells), ""]))

@@ -66,6 +66,13 @@ def test_of_edges_alone_the_vertices_are_what_they_name_and_lie_where_they_agree
     assert fixed.graph.chi2() < 1e-12
 
 
+def test_information_that_cannot_be_added_up_is_refused(file):
+    edges = [(0, 1, 1e-8), (1, 2, 1e11), (2, 3, 1e6), (0, 3, 1e-17)]
+    text = "".join(f"EDGE_SE2 {a} {b} 10 3 2 {i:g} 0 0 {i:g} 0 {i:g}\n" for a, b, i in edges)
+    with pytest.raises(InputError, match="information matrices that 64-bit numbers can add up"):
+        read_g2o(file(text))
+
+
 TWO = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n"
 
 
@@ -110,6 +117,11 @@ def test_bad_files(file, text, line, said):
     assert said in str(caught.value)
     assert str(caught.value).startswith(f"{path}, line {line}: " if line else f"{path}: ")
     assert "\n" not in str(caught.value)
+
+
+def test_many_lonely_vertices_are_not_all_named(file):
+    with pytest.raises(InputError, match=r"99 cannot be reached: 1 2 3 4 5 6 7 8 9 10 \.\.\.$"):
+        read_g2o(file("".join(f"VERTEX_SE2 {k} 0 0 0\n" for k in range(100))))
 
 
 def test_no_file_and_a_cut_off_one(tmp_path):

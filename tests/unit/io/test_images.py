@@ -62,3 +62,28 @@ def test_a_side_that_no_map_has_is_refused_before_anything_is_decoded(tmp_path, 
     (tmp_path / "map.yaml").write_text(MAP_YAML.replace("map.pgm", "map.png"))
     with pytest.raises(InputError, match=f"at most 65536 pixels a side, got {size[0]} x {size[1]}"):
         read_map(tmp_path / "map.yaml")
+
+
+def test_a_large_image_that_python_would_decode_is_refused(tmp_path):
+    """A million pixels take Pillow a second where a PGM's largest value is not 255, and 20 ms where it is."""
+    head = b"P5\n4000 3000\n100\n"
+    (tmp_path / "map.pgm").write_bytes(head)
+    with (
+        pytest.raises(InputError, match="at most 10000000 pixels in this encoding"),
+        open_image(tmp_path / "map.pgm", 1),
+    ):
+        pass
+    (tmp_path / "map.pgm").write_bytes(head.replace(b"100", b"255"))
+    with open_image(tmp_path / "map.pgm", 1) as image:
+        assert image.size == (4000, 3000)
+
+
+def test_a_bitmap_encoded_in_runs_is_refused_before_it_is_decoded(tmp_path):
+    """Pillow decodes it in Python, two bytes at a time, whatever comes of them: 30 s for one column of 65,536."""
+    header = struct.pack("<IiiHHIIiiII", 40, 1, 65536, 1, 8, 1, 4, 0, 0, 256, 0)
+    palette = bytes(1024)
+    start = 14 + len(header) + len(palette)
+    file = b"BM" + struct.pack("<IHHI", start + 4, 0, 0, start) + header + palette + b"\x05\x01\x00\x01"
+    (tmp_path / "map.bmp").write_bytes(file)
+    with pytest.raises(InputError, match="decoded fast, such as that of a PNG, got bmp_rle"):
+        open_image(tmp_path / "map.bmp", 1).__enter__()

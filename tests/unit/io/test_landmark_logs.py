@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import math
 
 import numpy as np
@@ -100,6 +101,15 @@ def test_bad_files_of_mrclam(mrclam, name, text, said):
         list(open_landmark_log(path))
 
 
+def test_a_compressed_file_that_ends_in_the_middle(mrclam, tmp_path):
+    path = mrclam()
+    rows = "".join(f"{10 + k / 100:.2f} {0.1 * (k % 7):.3f} 0.{k}\n" for k in range(2000))
+    path.unlink()
+    (tmp_path / "set_Robot2_Odometry.dat.gz").write_bytes(gzip.compress(rows.encode())[:-200])
+    with pytest.raises(InputError, match=r"Odometry.dat.gz, line \d+: the compressed file ends in the middle"):
+        list(open_landmark_log(tmp_path / "set_Robot2_Odometry.dat.gz"))
+
+
 def test_steps_of_victoria_park(park):
     path = park(
         "LANDMARK 3 9 1 2 0.5 0.1 0.6\nODOMETRY 3 5 1 0.1 0.2 1 0.1 0.2 2 0.3 3\nODOMETRY 5 6 1 0 0 1 0 0 1 0 1\n"
@@ -142,3 +152,14 @@ def test_steps_of_victoria_park(park):
 def test_bad_lines_of_victoria_park(park, text, said):
     with pytest.raises(InputError, match=said):
         list(open_landmark_log(park(text)))
+
+
+def test_what_is_no_log_of_landmarks(park, tmp_path):
+    with pytest.raises(InputError, match="got a line that begins with 'hello'"):
+        open_landmark_log(park("# a\nhello\n"))
+    with pytest.raises(InputError, match="no such file"):
+        open_landmark_log(tmp_path / "none.txt")
+    with pytest.raises(InputError, match="got a folder"):
+        open_landmark_log(tmp_path)
+    with pytest.raises(InputError, match="got none"):
+        list(VictoriaParkLog(park("# nothing\n")))

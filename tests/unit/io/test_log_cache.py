@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
 import pytest
 
+from gridslam.errors import InputError
 from gridslam.io import cache as module
 from gridslam.io.cache import LogCache, find_origin
 from gridslam.io.text import compute_digest
@@ -73,3 +75,16 @@ def test_a_log_that_a_process_uses_stays(tmp_path):
     release()
     LogCache(tmp_path, 100).get("s3://b/c.clf", "", writer(b"x" * 30, "c.clf"))
     assert sorted(path.name for path in tmp_path.glob("*/*.clf")) == ["b.clf", "c.clf"]
+
+
+def test_a_log_larger_than_the_cache_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"s3://b/run\.clf: .* do not fit in the cache"):
+        LogCache(tmp_path, 3).get("s3://b/run.clf", "", writer())
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "much", "nan", "inf"])
+def test_the_limit_is_a_number_above_zero(monkeypatch, text):
+    monkeypatch.setitem(os.environ, "GRIDSLAM_CACHE_GB", text)
+    with pytest.raises(InputError, match="GRIDSLAM_CACHE_GB: expected a number of GB above 0"):
+        LogCache.default()

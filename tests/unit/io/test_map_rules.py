@@ -58,6 +58,38 @@ def saved(folder, image, mode="trinary", thresholds=(0.65, 0.25), suffix="png", 
     return folder / "m.yaml"
 
 
+def test_what_nav2_saves_in_trinary_mode_comes_back(tmp_path):
+    cells = np.random.default_rng(0).choice([-1, 0, 100], (7, 9))
+    pixels = np.select([cells < 0, cells == 0], [205, 254], 0).astype(np.uint8)
+    for suffix in ("pgm", "png", "bmp"):
+        path = saved(tmp_path, Image.fromarray(pixels), suffix=suffix)  # nav2 writes free_thresh 0.25
+        grid = read_map(path)
+        assert (np.where(grid.known, np.where(grid.log_odds > 0, 100, 0), -1) == cells[::-1]).all()
+
+
+def test_what_nav2_saves_in_scale_mode_comes_back(tmp_path):
+    cells = np.arange(-1, 101)[None]
+    grey = np.where(cells < 0, 127, np.rint(255 * (100 - cells) / 100)).astype(np.uint8)
+    alpha = np.where(cells < 0, 0, 255).astype(np.uint8)
+    image = Image.fromarray(np.stack([grey, grey, grey, alpha], axis=-1))
+    grid = read_map(saved(tmp_path, image, "scale", (1.0, 0.0)))
+    assert (grid.known == (cells >= 0)).all()
+    np.testing.assert_allclose(grid.probability[0, 1:], 0.01 + 0.0098 * cells[0, 1:], atol=1e-6)
+
+
+def test_what_nav2_saves_in_raw_mode_comes_back(tmp_path):
+    cells = np.arange(-1, 101)[None]
+    grid = read_map(saved(tmp_path, Image.fromarray(np.where(cells < 0, 255, cells).astype(np.uint8)), "raw"))
+    assert (grid.known == (cells >= 0)).all()
+    np.testing.assert_allclose(grid.probability[0, 1:], 0.01 + 0.0098 * cells[0, 1:], atol=1e-6)
+
+
+def test_colours_are_refused(tmp_path):
+    path = saved(tmp_path, Image.fromarray(np.array([[[0, 0, 0], [9, 9, 8]]], np.uint8)))
+    with pytest.raises(InputError, match="expected a grey image, got colours in 1 of 2 pixels"):
+        read_map(path)
+
+
 def test_an_image_too_large_for_anything_is_refused(tmp_path, monkeypatch):
     path = saved(tmp_path, Image.fromarray(np.zeros((30, 30), np.uint8)))
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gridslam.errors import InputError
+from gridslam.errors import ArgumentError, InputError
 from gridslam.io.maps import read_map, write_map
 from gridslam.types import OccupancyGrid
 
@@ -107,3 +107,9 @@ def test_bad_images(tmp_path):
     (tmp_path / "map.pgm").unlink()
     with pytest.raises(InputError, match="no such file"):
         read_map(yaml)
+
+
+def test_an_empty_grid_is_refused(tmp_path):
+    grid = OccupancyGrid(np.zeros((0, 3), np.float32), np.zeros((0, 3), bool), 0.05, (0.0, 0.0))
+    with pytest.raises(ArgumentError, match="at least one cell"):
+        write_map(tmp_path / "m.yaml", grid)

@@ -8,7 +8,10 @@ import gzip
 import pytest
 
 from gridslam.errors import InputError
-from gridslam.io.log import LogFormat, detect_log_format, open_log
+from gridslam.io.carmen.reader import CarmenLog
+from gridslam.io.csv import CsvLog
+from gridslam.io.log import LogFormat, LogOptions, detect_log_format, open_log
+from gridslam.io.selection import SelectedLog
 from gridslam.io.trajectories import CSV_HEADER
 
 CARMEN = b"# a drive\nPARAM robot_length 0.5 host 1.0\nFLASER 1 1.0 0 0 0 0 0 0 1.0 host 1.0\n"
@@ -65,6 +68,26 @@ def test_what_is_no_log_is_told_in_one_line(tmp_path, content, problem):
         open_log(path)
     assert problem in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_folders_and_files_that_are_none(tmp_path):
+    with pytest.raises(InputError, match=r"got a folder without metadata\.yaml, \.db3 or \.mcap"):
+        open_log(tmp_path)
+    with pytest.raises(InputError, match="no such file"):
+        open_log(tmp_path / "absent")
+
+
+def test_the_reader_and_its_options(tmp_path):
+    (tmp_path / "a").write_bytes(CARMEN)
+    (tmp_path / "b").write_bytes(CSV)
+    carmen, scans = open_log(tmp_path / "a", LogOptions(keep_truncated=True)), open_log(tmp_path / "b")
+    assert isinstance(carmen, CarmenLog)
+    assert carmen.keep_truncated
+    assert isinstance(scans, CsvLog)
+    assert isinstance(open_log(tmp_path / "a", LogOptions(every=2)), SelectedLog)
+    for options in (LogOptions(odometry_topic="/odom"), LogOptions(odometry_frame="odom"), LogOptions(base_frame="b")):
+        with pytest.raises(InputError, match="chosen in bags alone, and this is a CSV log"):
+            open_log(tmp_path / "b", options)
 
 
 def test_a_log_damaged_from_its_start_is_told_so(tmp_path):

@@ -134,6 +134,13 @@ def test_files_that_were_left_half_written_are_removed(tmp_path):
     assert listing(tmp_path) == {"state.npz": "whole", "record.csv": "mine"}
 
 
+def test_a_link_to_nothing_is_no_folder(tmp_path):
+    (tmp_path / "out").symlink_to(tmp_path / "gone")
+    for out in (tmp_path / "out", tmp_path / "out" / "below"):
+        with pytest.raises(OutputError, match="out is a link to nothing"), OutputFolder(out):
+            pytest.fail("the context must not be entered")
+
+
 def test_whatever_a_killed_process_was_writing_in_out_goes_with_its_next_run(tmp_path):
     """An autosave that was half written, though the next run may never write one; but no file of anybody else."""
     for name in (".autosave.gridslam.0123abcd.partial", ".autosave.gridslam.0123abcd.partial~", "mine.partial"):

@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from gridslam.config import Configuration, load, override
-from gridslam.errors import ConfigurationError, InputError
+from gridslam.errors import ArgumentError, ConfigurationError, InputError
+from gridslam.io.maps import read_map_description
 from gridslam.io.ros_parameters import read_parameter_file
-from gridslam.io.text import read_json
+from gridslam.io.text import parse_json, read_json, refuse_unreadable
 from support.fuzz_values import HOSTILE
 
 
@@ -31,6 +32,13 @@ def test_values_that_yaml_cannot_make(tmp_path, value, line):
     with pytest.raises(InputError, match=r"a\.yaml.*: expected 'name: value' in YAML, got: ") as caught:
         read_parameter_file(tmp_path / "a.yaml")
     assert caught.value.line == line
+
+
+@pytest.mark.parametrize("text", ["? [1]\n: 2\n", "mode: {a: b}\n", "mode: [[1]]\n", f"mode: {'[' * 90}{']' * 90}\n"])
+def test_a_map_has_no_lists_in_lists(tmp_path, text):
+    (tmp_path / "map.yaml").write_text(f"image: a.pgm\n{text}")
+    with pytest.raises(InputError, match=r"map\.yaml, line 2: expected a text, a number or a list"):
+        read_map_description(tmp_path / "map.yaml")
 
 
 @pytest.mark.parametrize(
@@ -69,3 +77,19 @@ def test_json_that_no_program_can_go_on_with(tmp_path, text):
     (tmp_path / "a.json").write_text(text)
     with pytest.raises(InputError, match=r"a\.json: expected JSON, got: "):
         read_json(tmp_path / "a.json")
+
+
+def test_halves_of_characters_are_read_where_files_of_odd_names_are_listed(tmp_path):
+    (tmp_path / "a.json").write_text('{"log": "\\udcff"}')
+    assert read_json(tmp_path / "a.json") == {"log": "\udcff"}
+    with pytest.raises(ArgumentError, match="texts of whole characters"):
+        parse_json('{"log": "\\udcff"}')
+
+
+@pytest.mark.parametrize("error", [RecursionError(), MemoryError(), OverflowError("too\nlarge"), AttributeError()])
+def test_errors_of_any_type_name_the_file(error):
+    with (
+        pytest.raises(InputError, match=r"^file: expected a thing, got: [^\n]+$"),
+        refuse_unreadable("file", "a thing"),
+    ):
+        raise error

@@ -108,6 +108,12 @@ def test_every_truncation_is_told(form):
                 decode(data[:length], wire(form, data))
 
 
+@pytest.mark.parametrize("head", [b"", b"\0", b"\0\2\0\0", b"\0\7\0\0", b"\x28\xb5\x2f\xfd"])
+def test_other_encodings_are_refused(head):
+    with pytest.raises(MessageError, match="plain CDR"):
+        wire_of_cdr(head)
+
+
 def test_angles_that_are_not_finite_are_refused():
     for angles in ((math.nan, 0.1), (0.0, math.inf)):
         data = written("cdr", ros_bags.scan("/s", 0.0, [1.0], angles=angles))

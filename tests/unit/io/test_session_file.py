@@ -14,7 +14,7 @@ import pytest
 
 from gridslam.api.session import Session
 from gridslam.config import build, override, preset
-from gridslam.errors import InputError
+from gridslam.errors import ArgumentError, InputError, OutputError
 from gridslam.io.sessions.archive_file import write_sealed_arrays
 from gridslam.io.sessions.session_file import (
     SESSION_SCHEMA,
@@ -162,6 +162,23 @@ def test_what_is_wrong_with_a_file_is_told(file, tmp_path, name, value, message)
     assert message in str(caught.value)
 
 
+@pytest.mark.parametrize("change", ["drop a scan", "another key scan"])
+def test_drives_are_the_scans_that_are_archived(file, tmp_path, change):
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    keys = arrays["pieces.0.drives.0.keys"]
+    if change == "drop a scan":
+        for name in ("stamps_ns", "keys", "key_from_base", "poses"):
+            if f"pieces.0.drives.0.{name}" in arrays:
+                arrays[f"pieces.0.drives.0.{name}"] = np.delete(arrays[f"pieces.0.drives.0.{name}"], 1, axis=0)
+    else:
+        begin = int(np.flatnonzero(np.diff(keys))[0])
+        arrays["pieces.0.drives.0.keys"] = np.where(np.arange(len(keys)) == begin, keys[begin + 1], keys)
+    write_sealed_arrays(tmp_path / "bad.gridslam", arrays)
+    with pytest.raises(InputError, match=r"scans\.keys: expected the \d+ key scans of the drives"):
+        read_session(tmp_path / "bad.gridslam")
+
+
 def test_every_changed_byte_is_found(file, tmp_path):
     """A thousand files, each with one bit changed or cut off somewhere."""
     content = file.read_bytes()
@@ -174,6 +191,17 @@ def test_every_changed_byte_is_found(file, tmp_path):
         path.write_bytes(bytes(changed) if rng.integers(4) else content[:place])
         with pytest.raises(InputError, match=r"bad\.gridslam"):
             read_head(path)
+
+
+def test_generators_without_plain_state_and_unwritable_places_are_refused(file, tmp_path):
+    saved = read_session(file)
+    other = replace(saved, run=replace(saved.run, rng=np.random.Generator(np.random.MT19937(1))))
+    with pytest.raises(ArgumentError, match="a generator over PCG64 or PCG64DXSM, got MT19937"):
+        write_session(tmp_path / "run.gridslam", other)
+    (tmp_path / "none").touch()
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_session(tmp_path / "none" / "run.gridslam", saved)
+    assert [path.name for path in tmp_path.iterdir()] == ["none"]
 
 
 KEPT = sorted(Path(__file__).parent.glob("session_*.gridslam"))

@@ -2,8 +2,16 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from gridslam.io.tables import parse_stamp_ns, symmetric_of_upper, upper_of_symmetric
+from gridslam.io.tables import format_stamp_ns, parse_stamp_ns, symmetric_of_upper, upper_of_symmetric
+
+
+@given(st.integers(0, 4 * 10**9), st.integers(0, 10**9 - 1))
+def test_stamps_are_exact(seconds, nanoseconds):
+    assert parse_stamp_ns(f"{seconds}.{nanoseconds:09d}") == seconds * 10**9 + nanoseconds
+    assert parse_stamp_ns(f"{seconds}.{nanoseconds // 1000:06d}") == seconds * 10**9 + nanoseconds // 1000 * 1000
 
 
 @pytest.mark.parametrize(
@@ -17,6 +25,13 @@ def test_rare_forms_of_stamps(text, stamp):
 def test_what_is_no_stamp(text):
     with pytest.raises(ValueError, match="expected a stamp"):
         parse_stamp_ns(text)
+
+
+@given(st.integers(-(2**63), 2**63 - 1), st.sampled_from([6, 9]))
+def test_stamps_come_back(stamp, decimals):
+    text = format_stamp_ns(stamp, decimals)
+    assert parse_stamp_ns(text) == stamp
+    assert len(text.partition(".")[2]) in (decimals, 9)
 
 
 @pytest.mark.parametrize("size", [2, 3])

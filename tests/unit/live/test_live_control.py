@@ -7,7 +7,8 @@ import time
 
 import pytest
 
-from gridslam.live.control import Control
+from gridslam.errors import ArgumentError
+from gridslam.live.control import Control, check_speed
 
 
 class Filter(threading.Thread):
@@ -89,3 +90,9 @@ def test_the_end_holds_nothing_any_more(held):
     wait_until(lambda: runner.taken == 1000)
     control.pause()
     assert not control.paused
+
+
+@pytest.mark.parametrize("times", [0, -1.0, 1e9, float("nan")])
+def test_speeds_that_are_none(times):
+    with pytest.raises(ArgumentError, match="factor"):
+        check_speed(times)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gridslam.api.localization import localize
+from gridslam.errors import ArgumentError
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.live.control import Control
 from gridslam.live.monitor import LOST, LocalizationMonitor
@@ -101,3 +102,11 @@ def test_the_filter_gives_the_same_bytes_with_and_without(grid, log):
         for field in dataclasses.fields(one):
             np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name))
     assert alone.state.poses.tobytes() == watched.state.poses.tobytes()
+
+
+def test_particles_have_no_maps_to_choose(grid, log):
+    observed = ObservedLocalization(grid)
+    observed.go(log, grid)
+    with pytest.raises(ArgumentError, match="all particles have one map"):
+        observed.viewer.command({"do": "select", "particle": 0})
+    observed.viewer.command({"do": "select", "particle": None})

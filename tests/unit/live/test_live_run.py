@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gridslam.config import build, override
+from gridslam.errors import ArgumentError
 from gridslam.live.control import Control
 from gridslam.live.monitor import CORRECTED, MappingMonitor
 from gridslam.live.observer import LiveObserver
@@ -152,3 +153,25 @@ def test_a_slow_reader_gets_fewer_snapshots_and_all_that_changed(drive):
     assert client.sees(state.maps.occupancy(state.best))
     assert client.status["scans"] == 120
     assert len(client.series) == client.status["keys"]
+
+
+def test_what_cannot_be_asked_is_refused(drive):
+    observed = ObservedRun()
+    viewer = observed.live.add_viewer(lambda: None)
+    with pytest.raises(ArgumentError, match="below 0"):
+        viewer.command({"do": "select", "particle": 0})
+    observed.go(drive[:10])
+    for command in ({"do": "fly"}, {"do": "select", "particle": 6}, {"do": "speed", "factor": 0}):
+        with pytest.raises(ArgumentError):
+            viewer.command(command)
+    with pytest.raises(KeyError):
+        viewer.command({"what": "pause"})
+    viewers = [observed.live.add_viewer(lambda: None) for _ in range(9)]
+    for other in viewers[:8]:
+        other.command({"do": "select", "particle": 1})
+    with pytest.raises(ArgumentError, match="at most 8"):
+        viewers[8].command({"do": "select", "particle": 1})
+    for other in viewers:
+        other.close()
+    viewer.command({"do": "select", "particle": 1})
+    assert observed.live.viewers == 1

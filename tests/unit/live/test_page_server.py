@@ -229,3 +229,8 @@ def test_a_port_that_is_taken_is_told_with_the_remedy():
         port = int(page.url.rstrip("/").rpartition(":")[2])
         with pytest.raises(OutputError, match=rf"port {port} of .* is taken; --live-port 0 takes one"):
             LivePage("two", LiveOptions(port=port)).__enter__()
+
+
+def test_an_address_of_another_machine_is_refused():
+    with pytest.raises(OutputError, match=r"cannot listen at 192\.0\.2\.1"):
+        LivePage("one", LiveOptions(host="192.0.2.1", port=0)).__enter__()

@@ -125,6 +125,38 @@ def test_what_is_missing_or_does_not_belong_together_is_told(out, tmp_path, name
         Replay(broken(out, tmp_path, name, text))
 
 
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"closures": [{"stamps_ns": [1, 2]}]}, r"closures\[0\].key_scans: expected two key scans, got None"),
+        ({"closures": [{"key_scans": [1, 2]}, {"key_scans": [1, "2"]}]}, r"closures\[1\].*got \[1, '2'\]"),
+        ({"closures": [7]}, r"closures\[0\]"),
+        ({"closures": 7}, "expected an object with a list of closures"),
+        ([7], "expected an object with a list of closures"),
+    ],
+)
+def test_closures_that_are_none_are_named(out, tmp_path, change, says):
+    shutil.copytree(out, tmp_path / "out")
+    document = json.loads((out / "run.json").read_text())
+    (tmp_path / "out" / "run.json").write_text(json.dumps(document | {"loop_closure": change}))
+    with pytest.raises(InputError, match=f"run.json: loop_closure.*{says}"):
+        Replay(tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [("best", 999, "best: expected particles 0 to 4, got 999"), ("parents", -1, "parents: .* got -1"),
+     ("poses", np.nan, "poses: expected finite"), ("n_eff", -1.0, "n_eff")],
+)  # fmt: skip
+def test_records_of_what_no_run_does_are_refused(out, tmp_path, name, value, says):
+    shutil.copytree(out, tmp_path / "out")
+    arrays = dict(np.load(out / "record.npz").items())
+    arrays[name].reshape(-1)[3] = value
+    np.savez(tmp_path / "out" / "record.npz", **arrays)
+    with pytest.raises(InputError, match=rf"record.npz: {says}"):
+        Replay(tmp_path / "out")
+
+
 def test_json_that_is_nested_without_end_and_an_origin_beyond_all_cells_are_refused(out, tmp_path):
     shutil.copytree(out, tmp_path / "out")
     (tmp_path / "out" / "run.json").write_text("[" * 100_000)

@@ -10,7 +10,7 @@ import pytest
 from gridslam.geometry.angles import wrap
 from gridslam.localization import KnownMap
 from gridslam.localization.belief import estimate_pose, propagate_covariance
-from gridslam.localization.recovery import MeasurementProposal
+from gridslam.localization.recovery import AugmentedRecovery, InlierRatioAverages, MeasurementProposal
 from gridslam.models.endpoint import LikelihoodField
 from support.localization_world import drive, flat_map
 
@@ -60,6 +60,18 @@ def test_moved_covariance_by_finite_differences():
     jacobian = np.column_stack([(end(start + step * e) - end(start - step * e)) / (2 * step) for e in np.eye(3)])
     expected = jacobian @ TRUE @ jacobian.T + 0.1 * np.eye(3)
     np.testing.assert_allclose(propagate_covariance(TRUE, way, 0.1 * np.eye(3)), expected, atol=1e-9)
+
+
+def test_averages_are_those_of_the_table():
+    recovery = AugmentedRecovery(alpha_slow=0.01, alpha_fast=0.2, expected=0.6)
+    averages = recovery.begin()
+    slow = fast = 0.6
+    for inlier_ratio in (0.9, 0.8, 0.1, 0.1, 0.1):
+        averages, share = recovery(averages, inlier_ratio)
+        slow, fast = slow + 0.01 * (inlier_ratio - slow), fast + 0.2 * (inlier_ratio - fast)
+        assert averages == pytest.approx(InlierRatioAverages(slow, fast))
+        assert share == pytest.approx(max(0, 1 - fast / slow))
+    assert share > 0.3
 
 
 def test_weights_of_drawn_poses_add_up_to_the_evidence():

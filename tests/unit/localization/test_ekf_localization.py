@@ -11,12 +11,13 @@ from checks import differences
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.localization.ekf import EkfLocalization, KnownLandmarks
 from gridslam.models.association import AMBIGUOUS, NEW, KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import NO_OBSERVATIONS, DepthBearing, LandmarkObservations, RangeBearing, RelativePosition
 from gridslam.models.motion import GaussianIncrement, VelocityMotion
-from support.landmark_world import MOTION, drive, ring
+from support.landmark_world import INCREMENT, MOTION, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
 RING = KnownLandmarks.of(np.arange(100, 112), ring(12))
@@ -174,3 +175,21 @@ def test_errors_of_a_landmark_are_common_to_its_observations_for_a_while():
     assert (len(soon.mean), soon.seen.tolist()) == (5, [0])
     later, _ = ekf.step(once, STILL, replace(LandmarkObservations.of(exact[1:], [2]), passed_s=60.0))
     assert (len(later.mean), later.seen.tolist()) == (5, [1])
+
+
+def test_arguments():
+    ekf = EkfLocalization(RING, SENSOR)
+    for pose, covariance, said in (
+        ([0, 0, np.nan], SOME, "finite x, y, theta"),
+        ([0, 0], SOME, "shape"),
+        ([0, 0, 0], -SOME, "negative eigenvalue"),
+        ([0, 0, 0], [[1, 2, 0], [0, 1, 0], [0, 0, 1]], "symmetric"),
+    ):
+        with pytest.raises(ArgumentError, match=said):
+            ekf.init(pose, covariance)
+    with pytest.raises(ArgumentError, match="each landmark once"):
+        KnownLandmarks.of([1, 1], np.zeros((2, 2)))
+    with pytest.raises(ArgumentError, match="at least one landmark"):
+        KnownLandmarks.of([], np.empty((0, 2)))
+    with pytest.raises(ArgumentError, match="known correspondences"):
+        ekf.step(ekf.init(np.zeros(3), SOME), MOTION(INCREMENT), LandmarkObservations.of([[1.0, 0.0]]))

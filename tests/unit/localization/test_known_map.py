@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gridslam.errors import ArgumentError
 from gridslam.localization import KnownMap
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.endpoint import CauchyEndPoint, LikelihoodField
@@ -116,3 +117,11 @@ def test_a_cell_of_which_the_map_is_not_sure_is_neither_free_nor_occupied(log_od
     inside = np.array([[ORIGIN[0] + 2.5, ORIGIN[1] + 1.5, 0.0]])
     assert not known.is_free(inside)[0]
     assert known.distances(np.zeros(1), inside, np.zeros((1, 2)))[0, 0] > 0.9
+
+
+def test_maps_without_free_or_occupied_cells_are_refused():
+    for cells, missing in ((np.ones((5, 5), int), "free"), (np.zeros((5, 5), int), "occupied")):
+        with pytest.raises(ArgumentError, match=f"at least one {missing} cell"):
+            KnownMap(grid_of(cells))
+    with pytest.raises(ArgumentError, match="reach_m"):
+        KnownMap(grid_of(room()), reach_m=0.0)

@@ -59,6 +59,24 @@ def test_a_known_displacement_is_found(room, seed):
     checks.displacement_is_found(match, seed)
 
 
+def test_the_information_is_that_of_the_walls(room):
+    """Symmetric and positive; each beam informs by one across its wall: a metre moved is a metre of residual.
+
+    From the centre of the room beams of angles up to atan(h_y / h_x) hit the walls x = +-h_x: a share of
+    2 atan(h_y / h_x) / pi = 0.375 of 360 beams tells x, the rest tells y; cross terms vanish by symmetry. The field is
+    interpolated between whole cells, so its slope across a straight wall is 1 where the wall is one cell thick; ends
+    on the wall's own row of cells lie between slopes of +1 and -1.
+    """
+    match = GaussNewton()(room, ROW, np.zeros((1, 3)), prior(), scan_of_room(np.zeros(3)))
+    information, score = match.information[0], match.score[0]
+    np.testing.assert_allclose(information, information.T)
+    assert (np.linalg.eigvalsh(information) > 0).all()
+    assert 0 < information[0, 0] <= 0.375 * 360 * 1.1
+    assert 0 < information[1, 1] <= 0.625 * 360 * 1.1
+    assert abs(information[0, 1]) < 0.1 * min(information[0, 0], information[1, 1])
+    assert 0 < score <= 360
+
+
 def test_the_information_predicts_the_spread_of_matches(room):
     """Over 200 scans with noise of 2 cm the covariance of the matches is that of the information, within a factor of 3.
 

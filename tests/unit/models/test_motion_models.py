@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
 from gridslam.models import DiffusionMotion, GMappingMotion, OdometryMotion, VelocityMotion
@@ -53,6 +54,11 @@ def test_same_generator_same_bytes_and_poses_untouched(model):
     assert first.tobytes() == second.tobytes()
     assert poses.tobytes() == before.tobytes()
     assert first.tobytes() != sampler(poses, np.random.default_rng(6)).tobytes()
+
+
+def test_time_does_not_run_backward():
+    with pytest.raises(ArgumentError, match="dt >= 0"):
+        VelocityMotion()(np.array([1.0, 0.0, -0.1]))
 
 
 def test_a_translation_just_short_of_still_keeps_its_mean():

@@ -34,6 +34,14 @@ def test_a_worked_tree() -> None:
     np.testing.assert_array_equal(ancestry.trajectory(2)[:, 0], [1, 11])
 
 
+@pytest.mark.parametrize("parents", [[], [0, 1, 3], [-1, 0, 0], [0.0, 1.0], [[0, 1]], [True, False, True]])
+def test_resample_refuses_what_is_no_parent(parents: list[object]) -> None:
+    ancestry = two_branches()
+    with pytest.raises(ArgumentError, match="parents"):
+        ancestry.resample(parents)
+    assert size(ancestry)[1] == 5
+
+
 @pytest.mark.parametrize(
     ("name", "bad"),
     [
@@ -54,6 +62,16 @@ def test_a_worked_tree() -> None:
 def test_a_damaged_state_is_refused(name: str, bad: np.ndarray) -> None:
     with pytest.raises(ArgumentError, match=r"trunk|counts|poses|parents|leaves"):
         Ancestry.from_arrays(two_branches().to_arrays() | {name: bad})
+
+
+def test_an_incomplete_state_is_refused() -> None:
+    arrays = two_branches().to_arrays()
+    del arrays["leaves"]
+    with pytest.raises(ArgumentError, match="leaves"):
+        Ancestry.from_arrays(arrays)
+    nothing = {"trunk": np.empty((0, 3)), "counts": np.empty(0, dtype=np.int64), "poses": np.empty((0, 3))}
+    with pytest.raises(ArgumentError, match="step"):
+        Ancestry.from_arrays(nothing | {"parents": np.empty(0, np.int64), "leaves": np.zeros(2, np.int64)})
 
 
 def test_all_particles_along_one_past() -> None:

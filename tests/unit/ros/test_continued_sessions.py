@@ -7,8 +7,9 @@ import time
 import numpy as np
 import pytest
 
+from gridslam.config import override, preset
 from gridslam.errors import ConfigurationError, InputError
-from gridslam.io.sessions.session_file import read_session
+from gridslam.io.sessions.session_file import SavedSession, read_session, write_session
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.ros_node import RosNode
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
@@ -180,6 +181,20 @@ def test_a_session_that_is_none_is_refused_at_the_start(tmp_path):
         node_parameters({"continue": str(tmp_path / "s.gridslam")}, "default")
     with pytest.raises(InputError, match="no such file"):
         node_parameters({"continue": str(tmp_path / "other.gridslam")}, "default")
+
+
+def test_slam_toolboxs_parameters_name_a_session(tmp_path):
+    config = override(preset("default"), "particles=4")
+    write_session(tmp_path / "floor.gridslam", SavedSession(config, seed=5))
+    given = {"map_file_name": str(tmp_path / "floor"), "map_start_pose": [1.0, 2.0, 0.5]}
+    found = node_parameters(given, "default")
+    assert found.configuration == config
+    assert found.files.continued.pose.tolist() == [1.0, 2.0, 0.5]
+    other = node_parameters({"map_file_name": str(tmp_path / "other"), "map_start_pose": [1.0, 2.0, 0.5]}, "default")
+    assert other.files.continued is None
+    assert "pose graphs of slam_toolbox cannot be read" in other.warning
+    with pytest.raises(ConfigurationError, match="map_start_at_dock"):
+        node_parameters({"map_file_name": str(tmp_path / "floor"), "map_start_at_dock": True}, "default")
 
 
 def test_a_live_scan_is_not_held_up_while_the_session_is_written(drive, tmp_path):

@@ -165,6 +165,26 @@ def test_a_map_may_be_set_by_a_service_with_a_pose(map_file, log):
     node.close()
 
 
+def test_the_pose_is_stored_where_it_is_found_again(map_file, log):
+    transport = LocalTransport()
+    node = started({"map_file": str(map_file), "save_pose_rate": 50.0, **placed(log)}, transport)
+    play(node.core, transport.outputs, log.measurements[:20], shift_ns=SHIFT_NS)
+    assert until(lambda: len(transport.outputs.poses) == 20 and hasattr(transport, "saved"))
+    last = transport.outputs.poses[-1].pose
+    assert until(lambda: transport.saved["initial_pose_x"] == last[0])
+    again = node_parameters({"mode": "localization", "map_file": str(map_file), **transport.saved}, "default")
+    np.testing.assert_array_equal(again.configuration.initial_pose[0], last)
+    node.close()
+
+
+def test_without_tf_broadcast_no_transform_is_published():
+    assert node_parameters({"tf_broadcast": False}, "default").settings.transform_publish_period_s == 0.0
+    with pytest.raises(ConfigurationError, match="tf_broadcast: expected true or false, got 0"):
+        node_parameters({"tf_broadcast": 0}, "default")
+    with pytest.raises(ConfigurationError, match="save_pose_rate: expected a number"):
+        node_parameters({"save_pose_rate": True}, "default")
+
+
 @pytest.mark.parametrize("ros", ENCODERS)
 def test_maps_are_decoded_from_their_bytes(ros, map_file):
     encoder = ENCODERS[ros]

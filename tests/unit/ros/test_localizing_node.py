@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from gridslam.errors import ConfigurationError, InputError
+from gridslam.errors import ArgumentError, ConfigurationError, InputError
 from gridslam.geometry.se2 import between
 from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.io.bags.ros_messages import MessageError
@@ -21,6 +21,7 @@ from support.ros_bytes import encode_message
 from support.ros_node import RecordedOutputs, mounting, play, until
 
 SHIFT_NS = 1_700_000_000 * 10**9
+HERE = np.array([2.6, 1.6, 0.0])
 COVARIANCE = np.diag([0.04, 0.04, 0.03])
 
 
@@ -156,3 +157,17 @@ def test_amcl_s_parameters_by_their_names(map_file):
 def test_what_cannot_be_is_said(given, error, says):
     with pytest.raises(error, match=says):
         node_parameters(given)
+
+
+def test_a_node_that_maps_cannot_be_placed_and_one_that_localizes_saves_no_map(map_file, tmp_path):
+    parameters = node_parameters({"particles": 3})
+    core = NodeCore(parameters.settings, parameters.configuration, RecordedOutputs())
+    with pytest.raises(ArgumentError, match="pose: expected a node that localizes"):
+        core.set_pose((HERE, COVARIANCE))
+    core.close()
+    core = node(RecordedOutputs(), map_file)
+    with pytest.raises(ArgumentError, match=r"pose: expected a place in the map, x from .*, got 1e\+09, 0"):
+        core.set_pose((np.array([1e9, 0.0, 0.0]), COVARIANCE))
+    with pytest.raises(ArgumentError, match="gridslam localize"):
+        core.save(tmp_path / "out")
+    core.close()

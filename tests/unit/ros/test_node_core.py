@@ -10,7 +10,7 @@ import pytest
 
 from gridslam.api.mapping import map_log
 from gridslam.config import Configuration, preset
-from gridslam.errors import ArgumentError
+from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.geometry.se2 import compose
 from gridslam.io.maps import read_map
 from gridslam.localization import KnownMap, MonteCarloConfiguration
@@ -216,6 +216,11 @@ def test_it_lives_on_after_whatever_is_wrong(drive):
     assert core.diagnostics().values["refused"] == "4"
     core.close()
     assert core.failure is None
+
+
+def test_a_filter_that_needs_odometry_is_not_run_without():
+    with pytest.raises(ConfigurationError, match="odometry: expected needed"):
+        NodeCore(NodeSettings(odometry="none"), preset("gmapping"), RecordedOutputs())
 
 
 def test_an_observer_that_fails_is_reported_and_the_map_goes_on(drive):

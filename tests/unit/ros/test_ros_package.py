@@ -99,6 +99,27 @@ def test_a_launch_file_starts_the_node_with_its_file_of_parameters(launched, nam
     assert (understood.configuration.__class__.__name__ == "Localization") == (name == "localization")
 
 
+def test_a_bag_is_played_and_its_end_ends_all(launched):
+    actions = launched("offline_bag.launch.py")
+    declared = {action.values[0] for action in found(actions, "DeclareLaunchArgument")}
+    assert declared == {"bag", "scan", "out", "rate", "rviz"}
+    (include,) = found(actions, "IncludeLaunchDescription")
+    arguments = dict(include.launch_arguments)
+    assert arguments["use_sim_time"] == "true"
+    of_mapping = {action.values[0] for action in found(launched("mapping.launch.py"), "DeclareLaunchArgument")}
+    assert set(arguments) <= of_mapping
+    (timer,) = found(actions, "TimerAction")
+    (player,) = timer.actions
+    assert player.cmd[:3] == ["ros2", "bag", "play"]
+    assert "--clock" in player.cmd
+    (handler,) = found(actions, "RegisterEventHandler")
+    assert handler.values[0].target_action is player
+    (timer,) = handler.values[0].on_exit(SimpleNamespace(returncode=0), None)
+    assert timer.actions[0].event.reason == "the bag has ended"
+    with pytest.raises(RuntimeError, match="ros2 bag play has ended with status 1"):
+        handler.values[0].on_exit(SimpleNamespace(returncode=1), None)
+
+
 def test_the_layouts_show_topics_of_the_node():
     rviz = (PACKAGE / "rviz" / "gridslam.rviz").read_text(encoding="utf-8")
     layout = parse_yaml(rviz)["Visualization Manager"]

@@ -11,12 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gridslam.errors import ConfigurationError
 from gridslam.ros.rtps import wire
 from gridslam.ros.rtps.endpoints import RemoteEndpoint
 from gridslam.ros.rtps.participant import Participant
 from gridslam.ros.rtps.qos import Qos, find_mismatch
 from gridslam.ros.rtps.reader import Reader
-from gridslam.ros.rtps.sockets import Sockets
+from gridslam.ros.rtps.sockets import Sockets, find_addresses
 from gridslam.ros.rtps.writer import FRAGMENT_BYTES
 from support.dds_peer import free_domain
 from support.ros_node import until
@@ -153,6 +154,15 @@ def test_one_that_was_lost_for_a_while_is_found_again_and_lost_samples_are_repea
     sender.write(writer, payload(6))
     assert until(lambda: got[-1:] == [6])
     assert lost
+
+
+def test_interfaces_are_looked_up():
+    assert find_addresses(["lo", "127.0.0.1"]) == ["127.0.0.1", "127.0.0.1"]
+    assert find_addresses([])
+    with pytest.raises(ConfigurationError, match="interface nonsense0: there is no such"):
+        find_addresses(["nonsense0"])
+    with pytest.raises(ConfigurationError, match="ROS_DOMAIN_ID: expected a number from 0 to 232"):
+        Sockets(233)
 
 
 @settings(max_examples=300, deadline=None)

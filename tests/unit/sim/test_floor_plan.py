@@ -7,11 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gridslam.errors import ArgumentError
 from gridslam.sim.floor_plan import (
     box,
     carve,
     clearance,
     join,
+    polyline,
+    room,
     wall,
 )
 
@@ -26,6 +29,16 @@ def test_wall_with_doors_keeps_its_thickness_and_leaves_the_openings_free():
     assert _length(walls) == pytest.approx(2 * (10 - 3) + 6 * 0.2)
     middles = np.array([[1.0, 5.0], [1.0, 10.0], [1.0, 7.0]])
     assert clearance(walls, middles) == pytest.approx([0.5, 1.0, 0.1])
+
+
+def test_room_names_the_side_it_does_not_have():
+    with pytest.raises(ArgumentError, match="southeast"):
+        room(0, 0, 6, 4, southeast=[(2.0, 1.0)])
+
+
+def test_polyline_needs_two_points():
+    with pytest.raises(ArgumentError, match="points"):
+        polyline([(0.0, 0.0)])
 
 
 def test_clearance_to_faces_and_corners_and_to_nothing():
@@ -59,3 +72,8 @@ def test_carved_walls_stand_between_free_and_solid_and_nowhere_else(spaces):
         here, there = (x, y) if horizontal else (y, x)
         crossed = (b < there[..., None]) & (there[..., None] < d) & (a == c) & (a < here[..., None])
         assert np.array_equal(crossed.sum(axis=-1) % 2 == 1, free)
+
+
+def test_carving_takes_rectangles():
+    with pytest.raises(ArgumentError, match="spaces"):
+        carve([(0, 0), (1, 1)])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gridslam.sim.floor_plan import box, join, polyline
-from gridslam.sim.lidar import LidarConfig, cast_rays, measure
+from gridslam.sim.lidar import LidarConfig, cast_rays, disc_ranges, measure
 
 
 def _all_pairs(walls, laser, bearings):
@@ -22,6 +22,12 @@ def _all_pairs(walls, laser, bearings):
             if reach > 0 and 0 <= along <= 1:
                 ranges[beam] = min(ranges[beam], reach)
     return ranges
+
+
+def test_ranges_in_a_room_by_hand():
+    bearings = np.array([-math.pi / 2, 0.0, math.pi / 6, math.pi / 2, math.pi - 1e-6])
+    ranges = cast_rays(box(0, 0, 10, 8), np.array([[4.0, 3.0, 0.0]]), bearings)
+    assert ranges[0] == pytest.approx([3.0, 6.0, 6.0 / math.cos(math.pi / 6), 5.0, 4.0], rel=1e-11)
 
 
 @pytest.mark.parametrize("turn", range(8))
@@ -60,6 +66,14 @@ def test_many_scans_are_cast_as_each_alone():
     together = cast_rays(walls, lasers, bearings)
     for k in (0, 436, 437, 999):
         assert together[k].tobytes() == cast_rays(walls, lasers[k : k + 1], bearings).tobytes()
+
+
+def test_disc_in_the_way_by_hand():
+    lasers = np.array([[1.0, 2.0, math.pi / 2]])
+    centres = np.array([[[1.0, 6.0], [1.0, 9.0]]])
+    ranges = disc_ranges(centres, 0.5, lasers[:, None], np.array([-1.0, 0.0, 0.1]))
+    touch = 4 * math.cos(0.1) - math.sqrt(0.25 - (4 * math.sin(0.1)) ** 2)
+    assert ranges == pytest.approx(np.array([[np.inf, 3.5, touch]]))
 
 
 def test_bearings_follow_the_rule_of_carmen_logs():

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from gridslam.errors import ArgumentError
 from gridslam.geometry import se2
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.sim.floor_plan import clearance
@@ -96,3 +97,9 @@ def test_one_of_several_lidars_is_as_it_is_alone():
     own = [scan for _, scan in both.measurements if scan.sensor == "laser"]
     for one, (_, other) in zip(own, alone.measurements, strict=True):
         np.testing.assert_array_equal(one.ranges, other.ranges)
+
+
+@pytest.mark.parametrize("lidar", [[], [replace_parameters(SWEEPING, begin_s=1e4)]])
+def test_no_scan_at_all_is_refused(lidar):
+    with pytest.raises(ArgumentError, match="lidar: expected a scan in the"):
+        drive(lidar)

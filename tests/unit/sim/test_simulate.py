@@ -5,18 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gridslam.errors import ArgumentError
 from gridslam.geometry import se2
 from gridslam.geometry.angles import wrap
 from gridslam.sim import (
+    Change,
     LidarConfig,
     OdometryNoise,
     PeopleConfig,
     RobotConfig,
+    World,
     make_world,
     simulate,
     simulate_stream,
 )
-from gridslam.sim.floor_plan import clearance
+from gridslam.sim.floor_plan import box, clearance, polyline
 
 EXACT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 NOISELESS = LidarConfig(sigma_range_m=0.0, no_return_probability=0.0, x_m=0.15, y_m=-0.05, heading_rad=0.3, rate_hz=1.0)
@@ -49,6 +52,12 @@ def test_people_only_shorten_beams_and_keep_their_distance():
     assert np.array(busy)[shorter].min() > 0.44 - 0.002
 
 
+def test_robot_that_does_not_fit_is_refused_with_the_place():
+    world = World.of("box", box(0, 0, 4, 2), [(1.0, 1.0), (3.5, 1.0)])
+    with pytest.raises(ArgumentError, match=r"world: .*0\.6 m from walls, got 0\.5.* m at \(3\.[45].*, 1\.00\)"):
+        simulate(world, RobotConfig(radius_m=0.6), EXACT, NOISELESS, np.random.default_rng(0))
+
+
 def test_stream_gives_the_same_bytes_and_leaves_the_generator_as_simulate_does():
     lidar, people = LidarConfig(rate_hz=4.0, beams=40), PeopleConfig(count=2)
     parts = make_world("rooms", np.random.default_rng(0)), RobotConfig(), OdometryNoise(), lidar
@@ -69,3 +78,9 @@ def test_logs_are_what_they_always_were():
     log = _rooms(3, LidarConfig(rate_hz=2.0), OdometryNoise(), PeopleConfig(count=2))
     assert sum(m.scan.ranges.sum() for m in log.measurements) == pytest.approx(134993.2401222695, rel=1e-12)
     assert log.odometry.poses[-1] == pytest.approx([2.289778533159554, 2.6301774718074427, 2.7027081118604177])
+
+
+def test_a_change_that_stands_in_the_way_is_refused():
+    world = World.of("w", box(0, 0, 10, 4), [(1, 2), (7, 2), (3, 2)], [Change(1, polyline([(5, 0), (5, 4)]))])
+    with pytest.raises(ArgumentError, match=r"got 0\.0.* m at \((4\.9|5\.0).*, 2\.00\)"):
+        simulate(world, RobotConfig(), EXACT, NOISELESS, np.random.default_rng(0))

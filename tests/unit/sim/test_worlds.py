@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError
-from gridslam.sim.floor_plan import clearance, near
+from gridslam.sim import Change, World
+from gridslam.sim.floor_plan import clearance, join, near
 from gridslam.sim.robot import RobotConfig
 from gridslam.sim.worlds import WORLDS, make_world
 from support.drives import drive, follow
@@ -62,3 +63,9 @@ def test_demo_is_an_office_with_a_drive_of_about_100_m():
 def test_unknown_world_is_refused_with_the_names_there_are():
     with pytest.raises(ArgumentError, match=r"demo.*random.*'castle'"):
         make_world("castle", np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("waypoints", [(0,), (3,), (2, 1), (1, 1)])
+def test_changes_come_in_order_and_on_the_way(waypoints):
+    with pytest.raises(ArgumentError, match="changes"):
+        World.of("w", join(), [(0, 0), (1, 0), (2, 0), (3, 0)], [Change(k, join()) for k in waypoints])

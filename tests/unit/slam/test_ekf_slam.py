@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import checks
 import numpy as np
+import pytest
 
+from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.models.association import AMBIGUOUS, KnownCorrespondence, LandmarkExistence, MaximumLikelihood
 from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RangeBearing, RelativePosition
 from gridslam.models.motion import GaussianIncrement
@@ -148,6 +150,25 @@ def test_a_sighting_that_cannot_be_believed_changes_nothing():
     believing, report = EkfSlam(SENSOR, KnownCorrespondence(gate=1e9)).step(state, EXACT, wrong)
     assert report.landmarks.tolist() == [name]
     assert np.abs(believing.mean - other.mean).max() > 0.01
+
+
+def test_what_is_refused():
+    slam = EkfSlam(SENSOR)
+    state = slam.init()
+    with pytest.raises(ArgumentError, match="known correspondences"):
+        slam.step(state.snapshot(), EXACT, LandmarkObservations.of([[1.0, 0.0]]))
+    kept = state.snapshot()
+    slam.step(state, EXACT, NO_OBSERVATIONS)
+    for use in (lambda: slam.step(state, EXACT, NO_OBSERVATIONS), state.snapshot):
+        with pytest.raises(ConsumedStateError):
+            use()
+    slam.step(kept, EXACT, NO_OBSERVATIONS)
+    with pytest.raises(ArgumentError, match="pose"):
+        slam.init([0.0, 1.0])
+    with pytest.raises(ValueError, match="match_gate <= new_gate"):
+        MaximumLikelihood(match_gate=9, new_gate=8)
+    with pytest.raises(ValueError, match="false_alarm < detection"):
+        LandmarkExistence(detection=0.1, false_alarm=0.2)
 
 
 def test_what_is_seen_beside_a_landmark_at_the_same_time_is_another():

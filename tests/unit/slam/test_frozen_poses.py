@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between, compose
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.linear import initial_guess
@@ -71,3 +72,22 @@ def test_held_is_what_very_certain_is(graph):
         Marginals(free.graph).relative_covariances(2, few),
         atol=1e-8,
     )
+
+
+def test_one_pose_between_two_that_are_held_is_their_weighted_mean():
+    poses = np.array([[0.0, 0, 0], [2.0, 0, 0], [0.9, 0.4, 0.1]])
+    precise = np.diag([300.0, 300.0, 1e6])
+    graph = PoseGraph.of(
+        poses, [(0, 2), (1, 2)], [[1.0, 0, 0], [-0.8, 0, 0]], [precise, np.diag([100.0, 100.0, 1e6])], held=2
+    )
+    solution = GraphSlam().solve(graph)
+    np.testing.assert_allclose(solution.poses[2], [(300 * 1.0 + 100 * 1.2) / 400, 0, 0], atol=1e-9)
+    marginals = Marginals(solution.graph)
+    np.testing.assert_allclose(marginals.covariances[2], np.diag([1 / 400, 1 / 400, 1 / 2e6]), atol=1e-6)
+    assert not marginals.covariances[:2].any()
+
+
+@pytest.mark.parametrize("held", [0, 21])
+def test_at_least_one_pose_is_held_and_no_more_than_there_are(graph, held):
+    with pytest.raises(ArgumentError, match="held: expected 1 to 20 poses"):
+        PoseGraph.of(graph.poses, graph.edges, graph.measurements, graph.information, held=held)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
-from gridslam.slam.pose_graph.linear import BlockSystem, MatrixBlocks, find_parts, linearize
+from gridslam.slam.pose_graph.linear import BlockSystem, MatrixBlocks, find_parts, linearize, require_connected
 from support.random_graphs import random_graph
 
 
@@ -66,6 +67,24 @@ def test_solutions_are_those_of_dense_systems(size):
         found = system.solve(right)
         np.testing.assert_allclose(found[1:].ravel(), np.linalg.solve(full[size:, size:], right), rtol=1e-9, atol=1e-12)
         assert (found[0] == 0).all()
+
+
+def test_damping_adds_a_share_of_the_diagonal():
+    graph = random_graph(np.random.default_rng(0), poses=6, closures=4).graph
+    system = BlockSystem(graph.edges, 6, 3)
+    matrix, gradient = system.assemble(linearize(graph, graph.poses, graph.errors()))
+    full = dense(system, matrix)
+    system.factorize(matrix, damping=0.5)
+    expected = np.linalg.solve(full + 0.5 * np.diag(np.diag(full)), gradient)
+    np.testing.assert_allclose(system.solve(gradient)[1:].ravel(), expected, rtol=1e-9, atol=1e-12)
+
+
+def test_parts_are_counted_and_who_is_apart_is_named():
+    with pytest.raises(ArgumentError, match=r"3 parts: 3 poses cannot be reached from pose 0 \(2, 3, 4\)"):
+        require_connected(np.array([[0, 1], [3, 2]]), 5)
+    with pytest.raises(ArgumentError, match=r"12 parts: 11 poses .* \(1, 2, 3, 4, 5, 6, 7, 8, 9, 10, ...\)"):
+        require_connected(np.empty((0, 2), np.int64), 12)
+    require_connected(np.array([[1, 0], [2, 1]]), 3)
 
 
 @pytest.mark.parametrize("edges", [0, 20, 60, 200])

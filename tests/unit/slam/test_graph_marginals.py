@@ -52,6 +52,19 @@ def test_relative_covariances_are_those_of_the_joint_distribution():
     )
 
 
+def test_a_straight_chain_in_closed_form():
+    """After n steps of length d: x by the steps alone, y by the headings before as well, sum of ((n - i) d)^2."""
+    n, d, sx, sy, st = 20, 0.5, 0.1, 0.2, 0.03
+    poses = np.column_stack((d * np.arange(n + 1), np.zeros((n + 1, 2))))
+    edges = np.column_stack((np.arange(n), np.arange(1, n + 1)))
+    information = np.tile(np.diag([sx**-2, sy**-2, st**-2]), (n, 1, 1))
+    graph = PoseGraph.of(poses, edges, np.tile([d, 0.0, 0.0], (n, 1)), information)
+    ahead = d * np.arange(n)[::-1]
+    expected = np.diag([n * sx**2, n * sy**2 + st**2 * (ahead**2).sum(), n * st**2])
+    expected[1, 2] = expected[2, 1] = st**2 * ahead.sum()
+    np.testing.assert_allclose(marginal_covariances(graph)[-1], expected, rtol=1e-9, atol=1e-12)
+
+
 def test_errors_are_as_great_as_they_say():
     """Over 100 graphs e' C^-1 e of the last pose has mean 3 and variance 6: four deviations of the mean are 0.98."""
     squares, relative = [], []

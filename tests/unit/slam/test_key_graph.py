@@ -14,6 +14,7 @@ from gridslam.serialization import from_arrays, to_arrays
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel, propagate_covariances
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, UNKNOWN_VARIANCES, KeyGraph
+from gridslam.tracking.state import UnmatchedMotion
 
 DRIFT = DriftModel()
 
@@ -64,6 +65,36 @@ def contents(graph):
 
 def nearby(graph, limit_m=1e3, most=10**6):
     return {found.submap: found for found in graph.find_nearby_submaps(len(graph) - 1, limit_m, most)}
+
+
+def test_variances_of_an_increment_grow_with_metres_and_radians():
+    still = DRIFT.variances(0.0, 0.0)
+    assert still == (DRIFT.standstill_sigma_m**2, DRIFT.standstill_sigma_rad**2)
+    straight = DRIFT.variances(4.0, 0.0)
+    assert math.sqrt(straight[0] - still[0]) == pytest.approx(2 * DRIFT.sigma_m_per_sqrt_m)
+    assert math.sqrt(straight[1] - still[1]) == pytest.approx(2 * DRIFT.sigma_rad_per_sqrt_m)
+    turned = DRIFT.variances(0.0, 4.0)
+    assert math.sqrt(turned[0] - still[0]) == pytest.approx(2 * DRIFT.sigma_m_per_sqrt_rad)
+    assert math.sqrt(turned[1] - still[1]) == pytest.approx(2 * DRIFT.sigma_rad_per_sqrt_rad)
+
+
+def test_what_no_match_has_measured_is_added_to_the_covariance():
+    """An open direction along its axis, whatever the heading; a rejected match in all; the first in the heading."""
+    moved = np.array([0.5, 0.0, 0.1])
+    usual = DRIFT.covariance(moved)
+    axis = np.array([math.cos(0.7), math.sin(0.7)])  # in the tracker's frame
+    corridor = UnmatchedMotion(open_covariance=0.01 * np.outer(axis, axis))
+    added = DRIFT.covariance(moved, corridor, 0.2) - usual
+    seen = np.array([math.cos(0.5), math.sin(0.5)])  # from the heading 0.2
+    np.testing.assert_allclose(added[:2, :2], 0.01 * np.outer(seen, seen), atol=1e-12)
+    assert added[2, 2] == pytest.approx((DRIFT.open_heading_ratio**2 - 1) * usual[2, 2])
+    rejected = DRIFT.covariance(moved, UnmatchedMotion(0.02, 0.03)) - usual
+    np.testing.assert_allclose(rejected, DRIFT.rejected_match_sigmas**2 * np.diag([0.02, 0.02, 0.03]), atol=1e-12)
+    first = DRIFT.covariance(moved, first=True) - usual
+    np.testing.assert_allclose(first, np.diag([0, 0, DRIFT.first_sigma_rad**2]), atol=1e-15)
+    assert (
+        DRIFT.bounds(moved, corridor)[0] > np.linalg.eigvalsh(DRIFT.covariance(moved, corridor)[:2, :2]).max()
+    )  # searches are generous
 
 
 @pytest.mark.parametrize("count", [1, 7, 10, 11, 95])

@@ -62,3 +62,12 @@ def test_a_missing_array_is_told(seen, poses, name):
     assert isinstance(arrays.pop(name), np.ndarray)
     with pytest.raises(ArgumentError, match=f"an array named {name}"):
         restored(arrays)
+
+
+def test_a_missing_array_of_the_archive_is_told(seen, poses):
+    closure_state = LoopClosureState()
+    hall.remember(closure_state, seen, poses, until=5)
+    arrays = to_arrays(closure_state)
+    del arrays["scans.ends"]
+    with pytest.raises(ArgumentError, match="expected an array named ends"):
+        restored(arrays)

@@ -71,6 +71,12 @@ def test_arrays_that_contradict_each_other_are_refused(archive, change):
         ScanArchive.from_arrays(arrays | change)
 
 
+@pytest.mark.parametrize("count", [-1, 10**15])
+def test_a_number_of_scans_that_cannot_be_is_refused(archive, count):
+    with pytest.raises(ArgumentError, match="count: expected numbers from 0 to 100000000"):
+        ScanArchive.from_arrays(archive.to_arrays() | {"count": np.array(count)})
+
+
 @pytest.mark.parametrize(
     "others",
     [
@@ -151,3 +157,13 @@ def test_arrays_go_on_as_the_archive_does(archive):
         one.append(scans()[3], np.zeros(3), is_key=False)
     assert contents(read) == contents(archive)
     assert contents(ScanArchive.from_arrays(ScanArchive().to_arrays())) == contents(ScanArchive())
+
+
+@pytest.mark.parametrize("name", ["ends", "steps_m", "origins", "ends.counts"])
+def test_arrays_that_do_not_fit_are_refused(archive, name):
+    arrays = archive.to_arrays()
+    with pytest.raises(ArgumentError, match=r"ends|steps_m|origins"):
+        ScanArchive.from_arrays(arrays | {name: arrays[name][:-1]})
+    del arrays[name]
+    with pytest.raises(ArgumentError, match=f"an array named {name}"):
+        ScanArchive.from_arrays(arrays)

@@ -150,6 +150,12 @@ def test_no_order_of_links_and_questions_leaves_the_named_errors():
     assert known > 300
 
 
+@pytest.mark.parametrize("keep_s", [0.0, -1.0, math.inf, math.nan])
+def test_the_time_kept_is_finite(keep_s):
+    with pytest.raises(ArgumentError, match="keep_s"):
+        TransformBuffer(keep_s)
+
+
 def test_values_that_are_no_transform_are_refused():
     buffer = TransformBuffer()
     with pytest.raises(ArgumentError, match="xyzw"):

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gridslam.config import PARAMETERS, Configuration
-from gridslam.errors import ArgumentError
+from gridslam.config import PARAMETERS, Configuration, preset
+from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.tuning.evolution import evolve
 from gridslam.tuning.halving import REDUCTION, halve, plan_rungs
 from gridslam.tuning.search_space import SearchSpace
@@ -36,6 +36,14 @@ def test_corners_are_valid_and_the_default_is_itself():
     for corner in (np.zeros(len(space)), np.ones(len(space))):
         space.apply(DEFAULT, space.values_at(corner))
     assert space.apply(DEFAULT, space.values_at(space.point_of(DEFAULT))) == DEFAULT
+
+
+def test_parameters_of_another_kind_are_left_out():
+    of_gmapping = [one.name for one in SearchSpace.of(preset("gmapping")).dimensions]
+    assert "beam_sigma_m" not in of_gmapping
+    assert "key_scan_m" in of_gmapping
+    with pytest.raises(ConfigurationError, match="beam_sigma_m: cannot be tuned; expected one of resolution_m"):
+        SearchSpace.of(preset("gmapping"), ["beam_sigma_m"])
 
 
 @pytest.mark.parametrize("candidates", [1, 2, 3, 8, 9, 27, 30, 100])

@@ -10,7 +10,7 @@ import pytest
 
 from gridslam.cli.main import main
 from gridslam.config import build
-from gridslam.errors import ConfigurationError
+from gridslam.errors import ConfigurationError, OutputError
 from gridslam.pipeline import run
 from gridslam.viz.rerun_recording import RerunRecording
 from support.loops import PROVOKED, loop_drive
@@ -121,6 +121,11 @@ def test_an_address_is_streamed_to(rerun, monkeypatch, target, address):
     with RerunRecording(target, "loop"):
         pass
     assert called == [address]
+
+
+def test_a_file_that_cannot_be_written_is_named(rerun, tmp_path):
+    with pytest.raises(OutputError, match=r"none/run\.rrd: cannot be recorded to"):
+        RerunRecording(str(tmp_path / "none" / "run.rrd"), "loop").__enter__()
 
 
 def test_without_rerun_the_extra_is_named(monkeypatch):
