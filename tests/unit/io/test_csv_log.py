@@ -93,6 +93,21 @@ def read(tmp_path, text, **options):
     return list(log), log.statistics
 
 
+def test_columns_in_any_order_comments_quotes_and_line_ends_of_windows(tmp_path):
+    text = (
+        b"\xef\xbb\xbf# a drive\r\n"
+        b'"ranges_m",odom_theta_rad,stamp_s,odom_y_m,odom_x_m,angle_increment_rad,angle_min_rad\r\n'
+        b"\r\n"
+        b'"1 2",4,1e3,-1,0.5,0.1,0\r\n# the end\r\n5,,1001,,,0,0\r\n'
+    )
+    measured, statistics = read(tmp_path, text)
+    np.testing.assert_allclose(measured[0].odometry.pose, [0.5, -1, 4 - 2 * math.pi])
+    assert [m.scan.stamp_ns for m in measured] == [1000 * 10**9, 1001 * 10**9]
+    assert measured[1].odometry is None
+    assert statistics.beam_counts == {2: 1, 1: 1}
+    assert statistics.comments == 2
+
+
 @pytest.mark.parametrize(
     ("text", "line", "problem"),
     [

@@ -32,7 +32,7 @@ def follow(known, measurements, truth, configuration=None):
     return reports, metres
 
 
-@pytest.mark.parametrize(("name", "seed"), [("demo", 60), ("random", 61)])
+@pytest.mark.parametrize(("name", "seed"), [("random", 61)])
 def test_odometry_that_counts_reverse_motion_as_forward_does_not_lose_the_robot(name, seed):
     """It leaves dead ends backward, for 10 m at a time. Unchecked it is lost at a third of the scans and more."""
     building = Building.of(name, seed, backs_out=True).with_fault("unsigned_odometry")
@@ -81,7 +81,7 @@ def test_odometry_that_was_reset_or_freezes_does_not_lose_the_robot(known, fault
 
 
 @pytest.mark.parametrize("factors", [(-1, 1, 1), (1, 1, -1), (-1, -1, -1), (1, 1, 0.3)])
-@pytest.mark.parametrize("seed", [4, 5])
+@pytest.mark.parametrize("seed", [4])
 def test_odometry_that_is_wrong_throughout_does_not_lose_the_robot(known, factors, seed):
     """Its odometry counts so much of its motion in x, in y and of its turns."""
     log = drive(seed, OdometryNoise(), rate_hz=5.0)

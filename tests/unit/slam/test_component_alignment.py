@@ -56,7 +56,7 @@ def test_a_component_is_laid_where_its_key_scans_fit(seen):
     assert (hall.errors(seen.truth, constraints) < [0.1, 0.02]).all()
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("equal_rooms", 0), ("symmetric", 2), ("bare_corridors", 0)])
+@pytest.mark.parametrize(("kind", "seed"), [("symmetric", 2)])
 def test_where_places_are_alike_nothing_false_is_aligned(kind, seed):
     """The second half of the drive hangs on a blind stretch; a shift by a room would fit nearly as well."""
     seen = hall.key_scans(deceptive(kind, seed).stream())

@@ -96,7 +96,7 @@ def worst(tracker, sparse, tracked, offset):
     return np.array([away(poses, tracked[at : at + 5]).max(axis=0) for at, poses in zip(JUMPS, told, strict=True)])
 
 
-@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.3), (0.0, 0.4, 0.3), (0.0, 0.0, 0.9), (0.0, 0.0, -0.9)])
+@pytest.mark.parametrize("offset", [(0.0, 0.4, 0.3), (0.0, 0.0, -0.9)])
 def test_a_jump_of_the_odometry_between_scans_far_apart_leaves_no_trace(sparse, tracked, offset):
     """Wherever it is on the drive.
 
