@@ -10,9 +10,6 @@ import pytest
 from PIL import Image
 
 import gridslam
-from gridslam.types import Trajectory
-
-LONGEST = 200
 
 
 @pytest.fixture(scope="module")
@@ -32,50 +29,6 @@ def results(log, mapped, park, tmp_path_factory):
         "LandmarkResult": landmarks,
         "LandmarkLocalizationResult": gridslam.localize_by_landmarks(park[0], folder / "out" / "landmarks.csv"),
     }
-
-
-def one_line(thing):
-    text = repr(thing)
-    assert text == text.strip()
-    assert "\n" not in text
-    assert len(text) <= LONGEST, text
-    assert text.startswith(f"{type(thing).__name__}(")
-    return text
-
-
-def test_values_are_one_line(log, mapped):
-    measurements = list(gridslam.open_log(log))
-    (odometry, scan), slam = measurements[-1], gridslam.GridFastSlam()
-    state, report = slam.init(odometry, scan, 2)
-    known = gridslam.KnownMap(mapped.map)
-    localizer = gridslam.MonteCarloLocalization(known)
-    told = [
-        one_line(thing)
-        for thing in (
-            odometry,
-            scan,
-            scan.geometry,
-            scan.beams(0.1, 30.0),
-            mapped.trajectory,
-            mapped.map,
-            mapped.graph,
-            mapped.state,
-            report,
-            known,
-            localizer.init(),
-            gridslam.diagnose(log),
-            mapped.loop_summary,
-            localizer.step(localizer.init(), odometry, scan, np.random.default_rng(0))[1],
-            mapped.log,
-        )
-    ]
-    assert "180 beams" in told[1]
-    assert "120 poses" in told[4]
-    assert "cells of 0.05 m" in told[5]
-    slam.step(state, odometry, scan, np.random.default_rng(0))
-    assert "consumed" in one_line(state)
-    assert "0 poses" in one_line(Trajectory(np.zeros(0, np.int64), np.zeros((0, 3))))
-    assert "no cell known" in one_line(empty_grid())
 
 
 def empty_grid(shape=(0, 0)):
