@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 
 from gridslam.config import build
@@ -51,6 +53,21 @@ def test_a_line_that_is_lost_comes_back_to_the_same_run(browser, drive, screensh
         wait(lambda: told(browser)["stage"] != "offline", "the page is back by itself")
         wait(lambda: not shown(browser, "notice"), "nothing is said any more")
         wait(lambda: had.items() <= told(browser).items(), "and has what it had")
+        cable.close()
+
+
+def test_a_line_that_dies_without_a_word_is_given_up(browser, drive):
+    """As a phone's that has left the network: the page hears nothing, and comes back when it can."""
+    with LivePage("loop.clf", LiveOptions(port=0), range_max_m=30.0) as page:
+        cable = Cable(port_of(page))
+        browser.get(f"http://127.0.0.1:{cable.port}/")
+        wait(lambda: told(browser).get("stage") == "waiting", "the page is connected")
+        time.sleep(5.0)
+        assert told(browser)["stage"] == "waiting", "that nothing happens is no silence"
+        cable.hush()
+        wait(lambda: told(browser)["stage"] == "offline", "the page notices")
+        cable.mend()
+        wait(lambda: told(browser)["stage"] == "waiting", "the page is back by itself")
         cable.close()
 
 
