@@ -22,7 +22,6 @@ TIERS = {
     "ros": (
         "contracts/test_ros1_node.py",
         "contracts/test_dds_node.py",
-        "contracts/test_fastdds_peer.py",
         "unit/ros/test_dds_transport.py",
     ),
     "ros2": ("contracts/ros2/",),

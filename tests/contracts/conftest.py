@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -70,3 +75,33 @@ def park(tmp_path_factory):
             lines.append(f"LANDMARK {k + 1} {name + 1000} {a:.6f} {b:.6f} 0.0025 0 0.0025")
     path.write_text("\n".join(lines) + "\n")
     return path, truth
+
+
+class Site(NamedTuple):
+    """The pages as HTML, and what their build says is wrong."""
+
+    html: Path
+    errors: str
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory) -> Site:
+    """The pages, built once for all processes of a run of the tests."""
+    for needed in ("sphinx", "furo", "myst_parser", "numpydoc"):
+        pytest.importorskip(needed, reason="the extra docs is not installed")
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "site"
+    errors = folder / "errors"
+    try:
+        folder.mkdir()
+    except FileExistsError:  # another process builds it
+        end = time.monotonic() + 300
+        while not errors.exists() and time.monotonic() < end:
+            time.sleep(0.2)
+    else:
+        command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-E", "-q", "-d", folder / "trees"]
+        docs = Path(__file__).parents[2] / "docs"
+        done = subprocess.run([*command, docs, folder / "html"], capture_output=True, text=True, timeout=300)
+        errors.with_suffix(".new").write_text((done.stderr or "failed") if done.returncode else "", encoding="utf-8")
+        errors.with_suffix(".new").replace(errors)
+    return Site(folder / "html", errors.read_text(encoding="utf-8"))

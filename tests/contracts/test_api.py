@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import ast
-import inspect
 import re
-import subprocess
-import sys
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -22,11 +19,6 @@ from gridslam.doctor import quick_check
 from gridslam.evaluation import absolute_errors
 from gridslam.io.trajectories import read_tum
 from gridslam.pipeline import Stopwatch
-
-
-def test_import_is_quick_because_it_imports_nothing():
-    code = "import sys, gridslam; dir(gridslam); sys.exit('numpy' in sys.modules or 'pydantic' in sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.parametrize("name", gridslam.__all__)
@@ -95,16 +87,6 @@ def test_ones_own_loop_gives_the_same(log):
     assert np.array_equal(poses, gridslam.map_log(log, particles=3).online_trajectory.poses)
 
 
-def test_a_built_filter_knows_its_number_of_particles(log):
-    measurements = list(gridslam.CarmenLog(log))[:2]
-    for configured in (gridslam.preset("accurate"), gridslam.Configuration(particles=7)):
-        slam = gridslam.build(configured)
-        state, _ = slam.init(*measurements[0])
-        assert len(state.poses) == slam.particles == configured.particles
-        assert len(slam.init(*measurements[0], 4)[0].poses) == 4
-        assert len(gridslam.run(measurements, slam, rng=np.random.default_rng(0)).poses) == configured.particles
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -166,52 +148,6 @@ def test_every_call_that_reads_a_log_takes_its_path_or_the_open_log(log, tmp_pat
             call(7)
         with pytest.raises(gridslam.InputError, match="no such file"):
             call("nothing.clf")
-
-
-SHARED = (
-    "log",
-    "pose",
-    "covariance",
-    "unknown",
-    "sensor",
-    "motion",
-    "preset",
-    "particles",
-    "resolution_m",
-    "laser",
-    "configuration",
-    "seed",
-    "threads",
-    "options",
-    "repair",
-    "observers",
-    "gate",
-    "on_progress",
-    "stopwatch",
-)
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        gridslam.map_log,
-        gridslam.map_with_poses,
-        gridslam.localize,
-        gridslam.map_landmarks,
-        gridslam.localize_by_landmarks,
-        gridslam.convert_log,
-        gridslam.diagnose,
-    ],
-)
-def test_calls_take_the_same_arguments_in_the_same_order(call):
-    parameters = inspect.signature(call).parameters
-    shared = [name for name in parameters if name in SHARED]
-    assert shared == [name for name in SHARED if name in shared]
-    assert shared[0] == "log"
-    assert "on_progress" in shared
-    positional = [name for name, parameter in parameters.items() if parameter.kind is not parameter.KEYWORD_ONLY]
-    assert positional == list(parameters)[: len(positional)]
-    assert len(positional) <= 2
 
 
 @pytest.mark.parametrize("read", [gridslam.map_landmarks, gridslam.localize_by_landmarks])

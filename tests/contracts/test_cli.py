@@ -8,7 +8,6 @@ import json
 import os
 import re
 import signal
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,19 +18,14 @@ from gridslam import __version__
 from gridslam.cli import map as map_module
 from gridslam.cli import output as output_module
 from gridslam.cli.main import main
-from gridslam.cli.map import _summarize_loop_closure
-from gridslam.config import build, dumps, preset
+from gridslam.config import dumps
 from gridslam.geometry.se2 import between
 from gridslam.io.carmen.reader import CarmenLog
 from gridslam.io.g2o import read_g2o
-from gridslam.io.log_statistics import LogStatistics
-from gridslam.io.maps import read_map, write_map
+from gridslam.io.maps import read_map
 from gridslam.io.results.record import read_record
 from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import read_trajectory_csv, read_tum, write_tum
-from gridslam.observers import TrajectoryRecorder
-from gridslam.pipeline import run
-from gridslam.slam.loop_closure.state import RejectionReason
 from gridslam.types import Trajectory
 from support.loops import PROVOKED
 from support.refusals import refused
@@ -65,20 +59,6 @@ def test_map_writes_what_the_contract_lists_and_nothing_else(mapped, log):
     with Image.open(mapped / "map.png") as picture:
         assert min(picture.size) > 500
     assert read_record(mapped / "record.npz").poses.shape[1:] == (4, 3)
-
-
-def test_map_writes_the_same_but_the_past_without_a_history(mapped, log, tmp_path, call):
-    given = "--seed", 5, "--particles", 4, "--no-loop-closure", "--no-history"
-    assert call("map", log, "-o", tmp_path / "out", *given)[0] == 0
-    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES - {"history.npz"}
-    for name in ("trajectory.tum", "map.pgm", "graph.g2o"):
-        assert (tmp_path / "out" / name).read_bytes() == (mapped / name).read_bytes()
-
-
-def test_map_gives_a_pose_for_every_scan_at_its_own_stamp(mapped, log):
-    stamps = [scan.stamp_ns for _, scan in CarmenLog(log)]
-    for name in ("trajectory.tum", "trajectory_online.tum"):
-        assert read_tum(mapped / name).stamps_ns.tolist() == stamps
 
 
 def test_run_json_tells_all_of_the_run(mapped, log):
@@ -125,27 +105,6 @@ def closed(loop_log, tmp_path_factory):
     return folder / "out"
 
 
-def test_run_json_tells_of_loop_closure(closed, mapped):
-    run = json.loads((closed / "run.json").read_text())
-    loops = run["loop_closure"]
-    stamps = read_record(closed / "record.npz").stamps_ns.tolist()
-    assert loops["closures"]
-    for closure in loops["closures"]:
-        earlier, later = closure["key_scans"]
-        assert earlier < later
-        assert closure["stamps_ns"] == [stamps[earlier], stamps[later]]
-    assert loops["corrections"] > 0
-    assert 0 < loops["constraints"]["recognized"] <= len(loops["closures"]) + loops["removed"]  # more at the end
-    assert set(loops["rejected"]) <= {reason.value for reason in RejectionReason}
-    assert (loops["max_correction_m"] > 0) == (loops["selected"] != "filter")
-    compared = {name: score for name, score in loops["candidates"].items() if name != "adjusted"}
-    best = max(score["log_likelihood"] for score in compared.values())
-    assert loops["candidates"][loops["selected"]]["log_likelihood"] == best
-    assert "filter" in loops["candidates"]
-    assert run["time"]["stages"]["final refinement"]["wall_s"] > 0
-    assert json.loads((mapped / "run.json").read_text())["loop_closure"] is False
-
-
 def test_trajectory_csv_has_a_covariance_for_every_pose(closed, mapped):
     for folder in (closed, mapped):
         trajectory, covariances = read_trajectory_csv(folder / "trajectory.csv")
@@ -171,20 +130,6 @@ def test_graph_holds_the_key_scans_and_what_was_measured_between_them(closed, ma
             assert solved["chi2_after"] == pytest.approx(solved["chi2_before"], rel=1e-3, abs=1e-9)
 
 
-def test_without_loop_closure_it_is_the_filter_alone(loop_log, tmp_path, call, closed):
-    options = *FEW, "--no-loop-closure", "--set", "loop_closure=true"
-    assert call("map", loop_log, "-o", tmp_path / "alone", *options)[0] == 0
-    recorder, config = TrajectoryRecorder(), preset("default", 3)
-    slam, rng = replace(build(config), loop_closure=None), np.random.default_rng(0)
-    state = run(CarmenLog(loop_log), slam, particles=3, rng=rng, observers=[recorder])
-    write_tum(tmp_path / "full.tum", recorder.best_trajectory(state))
-    write_map(tmp_path / "map.yaml", state.maps.occupancy(state.best))
-    alone = tmp_path / "alone"
-    assert (alone / "trajectory.tum").read_bytes() == (tmp_path / "full.tum").read_bytes()
-    assert (alone / "map.pgm").read_bytes() == (tmp_path / "map.pgm").read_bytes()
-    assert read_tum(closed / "trajectory.tum").poses.tolist() != read_tum(alone / "trajectory.tum").poses.tolist()
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interrupt_during_final_refinement_leaves_nothing(call, log, tmp_path, monkeypatch, number):
     def interrupt_refinement(progress):
@@ -196,39 +141,6 @@ def test_interrupt_during_final_refinement_leaves_nothing(call, log, tmp_path, m
     status, out, err = call("map", log, "-o", tmp_path / "out", *FEW)
     assert (status, out, err.strip()) == (130, "", "gridslam: interrupted")
     assert not list(tmp_path.iterdir())
-
-
-def test_the_summary_tells_of_loop_closure(loop_log, tmp_path, call):
-    (tmp_path / "closing.toml").write_text(dumps(PROVOKED))
-    options = "--config", tmp_path / "closing.toml"
-    _, out, _ = call("map", loop_log, "-o", tmp_path / "out", *options)
-    assert re.search(
-        r"^\d+ loop closures \([1-9]\d* recognized, \d+ tracked\), [1-9]\d* online corrections?", out, re.M
-    )
-
-
-def test_the_summary_counts_what_was_rejected_and_not_compared(closed):
-    loops = json.loads((closed / "run.json").read_text())["loop_closure"]
-    reason = RejectionReason.INCONSISTENT.value
-    lines = list(_summarize_loop_closure(loops | {"rejected": {reason: 2}, "unsearched": 3}))
-    assert lines[1:] == [
-        f"2 loop-closure candidates rejected: {reason} 2",
-        "3 parts of the way not compared with places that only a greater drift reaches",
-    ]
-    assert len(list(_summarize_loop_closure(loops | {"rejected": {}, "unsearched": 0}))) == 1
-
-
-def test_without_it_the_summary_has_no_line_of_it(loop_log, tmp_path, call):
-    assert "closure" not in call("map", loop_log, "-o", tmp_path / "out", *FEW, "--no-loop-closure")[1]
-
-
-def test_progress_goes_on_during_final_refinement(capsys, monkeypatch):
-    seconds = iter([0.0, 1.0, 6.0, 7.0, 10.9, 11.5])
-    monkeypatch.setattr(output_module, "time", SimpleNamespace(perf_counter=lambda: next(seconds)))
-    with output_module.mapping_progress(LogStatistics) as show:
-        for _ in range(5):
-            show.on_progress()
-    assert capsys.readouterr().err == ("100%  0 scans; final refinement, 5 s\n100%  0 scans; final refinement, 10 s\n")
 
 
 def test_map_says_what_came_of_it(log, tmp_path, call):
@@ -303,22 +215,6 @@ def test_bad_log_is_named_with_what_is_wrong(call, tmp_path, content, message):
     err = refused(call, tmp_path, "map", path, "-o", tmp_path / "out")
     assert str(path) in err
     assert message in err
-
-
-def test_ranges_that_are_no_ranges_are_ordinary(call, tmp_path):
-    path = tmp_path / "odd.clf"
-    lines = [
-        f"FLASER 4 {ranges} {k} 0 0 {k} 0 0 {k}.0 host {k}.0\n"
-        for k, ranges in enumerate(["1 2 3 4", "nan -1 0 inf", "nan nan nan nan", "1 2 3 1e300", "0 0 0 0"])
-    ]
-    path.write_text("".join(lines))
-    status, out, err = call("map", path, "-o", tmp_path / "out", *FEW, "--json")
-    assert status == 0
-    run = json.loads(out)
-    assert run["scans"]["read"] == 5
-    assert run["scans"]["skipped"]["no valid beam"] == 3
-    assert run["input"]["invalid_beams"] == 11  # all of 20 but nine: the two whole scans' eight, and one inf
-    assert "11 of 20 ranges are invalid" in err
 
 
 @pytest.mark.parametrize("cut", [0.5, 0.9])
@@ -402,14 +298,6 @@ def test_a_bug_is_one_line_that_names_the_file_for_its_report(call, log, tmp_pat
     assert max(map(len, text.splitlines())) < 1000
 
 
-def test_a_bug_whose_report_cannot_be_written_is_one_line_still(call, log, tmp_path, monkeypatch):
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "none"))
-    monkeypatch.setattr(map_module, "map_log", lambda *_, **__: 1 / 0)
-    status, out, err = call("map", log, "-o", tmp_path / "out")
-    assert (status, out, err.count("\n")) == (70, "", 1)
-    assert "ZeroDivisionError: division by zero (no file for a report could be written: " in err
-
-
 def test_evaluate_against_a_trajectory(call, log, tmp_path):
     truth = read_tum(log.with_name("truth.tum"))
     moved = Trajectory(truth.stamps_ns, truth.poses + np.array([3.0, -2.0, 0.0]))
@@ -456,19 +344,6 @@ def test_evaluate_against_the_log_itself(call, log, tmp_path):
     assert "nats a beam" in call("evaluate", tmp_path / "noisy.tum", log)[1]
 
 
-def test_evaluate_refuses_what_does_not_belong_together(call, log, tmp_path):
-    truth, other, relations = log.with_name("truth.tum"), tmp_path / "other.tum", tmp_path / "other.relations"
-    write_tum(other, Trajectory(np.array([10**18]), np.zeros((1, 3))))
-    relations.write_text("1e6 1e7 1 0 0 0 0 0\n")
-    for reference in (other, relations):
-        assert f"{truth}: cannot be compared with {reference}" in refused(call, tmp_path, "evaluate", truth, reference)
-    assert f"{other}: cannot be compared with {log}" in refused(call, tmp_path, "evaluate", other, log)
-    assert "no such file" in refused(call, tmp_path, "evaluate", truth, tmp_path / "none.tum")
-    assert "line 1" in refused(call, tmp_path, "evaluate", relations, truth)
-    assert "above 0 m" in refused(call, tmp_path, "evaluate", truth, truth, "--distance", 0)
-    assert "at most the path's" in refused(call, tmp_path, "evaluate", truth, truth, "--distance", 1000)
-
-
 def test_simulate_writes_a_log_and_the_truth_beside_it(call, tmp_path):
     path = tmp_path / "new" / "loop.clf.gz"
     options = "--duration", 10, "--beams", 91, "--people", 1, "--seed", 3
@@ -484,17 +359,6 @@ def test_simulate_writes_a_log_and_the_truth_beside_it(call, tmp_path):
     again = tmp_path / "again.clf.gz"
     assert call("simulate", "loop", "-o", again, *options)[0] == 0
     assert again.read_bytes() == path.read_bytes()
-
-
-@pytest.mark.parametrize("world", ["random"])
-def test_simulate_draws_worlds_from_the_seed(call, tmp_path, world):
-    logs = []
-    for seed in (1, 2):
-        path = tmp_path / f"{seed}.clf"
-        assert call("simulate", world, "-o", path, "--seed", seed, "--duration", 3)[0] == 0
-        logs.append([scan.ranges.tobytes() for _, scan in CarmenLog(path)])
-    assert len(logs[0]) == 16
-    assert logs[0] != logs[1]
 
 
 def test_demo_maps_a_simulated_building_and_tells_its_errors(call, tmp_path):

@@ -189,30 +189,6 @@ def test_a_log_that_cannot_be_opened_is_a_row_and_the_others_are_mapped(logs, tm
     assert [bool(row["message"]) for row in failed] == [True]
 
 
-@pytest.mark.parametrize("name", ["y" * 240 + ".clf.bz2", "odd\udcff.clf.bz2", "a\nb.clf.bz2", "ä.clf.bz2"])
-def test_a_log_of_an_odd_name_is_mapped_and_recognized(logs, tmp_path, call, name):
-    odd = logs / name
-    os.rename(logs / "a.clf.bz2", odd)
-    for resumed in ("", " (1 of them before)"):
-        status, out, err = call("batch", odd, "-o", tmp_path / "out", *FAST)
-        assert (status, err) == (0, "")
-        assert f"1 logs: 1 done{resumed}" in out
-    (row,) = read_rows(tmp_path / "out")
-    assert (tmp_path / "out" / row["folder"] / "map.yaml").exists()
-
-
-@pytest.mark.dev  # fsspec
-@pytest.mark.parametrize("part", ["describe_remote", "measure_size", "Journal.digest"])
-def test_a_log_whose_description_raises_anything_is_left_to_its_job(logs, tmp_path, call, monkeypatch, part):
-    def fail(*arguments, **options):
-        raise RecursionError("injected")
-
-    monkeypatch.setattr(f"gridslam.cli.batch.{part}", fail)
-    url = (logs / "b.clf.bz2").as_uri()
-    status, out, _ = call("batch", logs / "a.clf.bz2", url, "-o", tmp_path / "out", *FAST)
-    assert (status, "2 logs: 2 done" in out) == (0, True)
-
-
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs process groups")
 def test_an_interrupt_ends_a_batch_cleanly_and_it_goes_on_later(logs, tmp_path):
     (logs / "broken.clf").unlink()
@@ -230,12 +206,3 @@ def test_an_interrupt_ends_a_batch_cleanly_and_it_goes_on_later(logs, tmp_path):
     assert {path.name for path in out.iterdir()} == {"runs.sqlite", *done}
     subprocess.run(command, check=True, capture_output=True)
     assert [row["folder"] for row in read_rows(out)] == ["a", "b"]
-
-
-def test_a_log_that_grows_while_the_batch_runs_is_named_and_mapped_the_next_time(logs, tmp_path, call, monkeypatch):
-    arguments = "batch", logs / "a.clf.bz2", "-o", tmp_path / "out", *FAST
-    monkeypatch.setattr("gridslam.cli.batch.measure_size", lambda path: path.stat().st_size - 1)
-    status, _, err = call(*arguments)
-    assert status == 1
-    assert "a.clf.bz2: has changed since the batch began: run the same command again" in err
-    assert not (tmp_path / "out" / "a").exists()

@@ -14,7 +14,6 @@ from gridslam.io.carmen.reader import CarmenLog
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.trajectories import read_tum
 from gridslam.types import BeamStatus
-from support import ros_bags
 from support.refusals import refused
 
 PRECISE = "more than single precision of ranges"
@@ -82,19 +81,6 @@ def test_a_copy_maps_as_the_log_it_is_of(log, tmp_path, call):
     assert np.abs(a.poses - b.poses)[:, :2].max() < 0.05
 
 
-def test_to_tum_is_the_odometry(log, tmp_path, call):
-    out = tmp_path / "odometry.tum"
-    assert call("convert", log, out) == (
-        0,
-        f"{log}: 120 scans, 24 s\n{out}: 120 poses in the format tum\n",
-        f"gridslam: {out}: lost in the format tum: scans\n",
-    )
-    odometry = [measurement.odometry for measurement in CarmenLog(log)]
-    told = read_tum(out)
-    assert told.stamps_ns.tolist() == [o.stamp_ns for o in odometry]
-    np.testing.assert_allclose(told.poses, [o.pose for o in odometry], atol=1e-8)
-
-
 def test_part_of_a_log_and_json(log, tmp_path, call):
     options = "--start", "4", "--duration", "10", "--every", "2", "--no-odometry", "--json", "--to", "csv"
     status, out, err = call("convert", log, tmp_path / "part.txt", *options)
@@ -115,23 +101,6 @@ def test_part_of_a_log_and_json(log, tmp_path, call):
     read = list(open_log(tmp_path / "part.txt"))
     assert [m.scan.stamp_ns for m in read] == chosen
     assert {m.odometry for m in read} == {None}
-
-
-def test_a_file_is_replaced(log, tmp_path, call):
-    (tmp_path / "log.csv").write_text("old")
-    assert call("convert", log, tmp_path / "log.csv")[0] == 0
-    assert (tmp_path / "log.csv").read_text().startswith("stamp_s")
-
-
-def test_a_log_that_is_cut_off(log, tmp_path, call):
-    cut = tmp_path / "cut.csv"
-    call("convert", log, cut)
-    cut.write_bytes(cut.read_bytes()[:-1])
-    refused(call, tmp_path, "convert", cut, tmp_path / "out.clf")
-    status, out, err = call("convert", cut, tmp_path / "out.clf", "--keep-truncated")
-    assert status == 0
-    assert err == f"gridslam: {cut}: the log is truncated after 119 scans\n"
-    assert out.endswith("119 scans in the format carmen\n")
 
 
 @pytest.mark.parametrize(
@@ -169,13 +138,6 @@ def test_the_log_itself_is_no_place_for_its_copy(log, tmp_path, call):
         convert_log(tmp_path / "log.clf", tmp_path / "log.clf")
 
 
-def test_what_a_format_cannot_say_is_refused(tmp_path, call):
-    header = "stamp_s,laser_pitch_rad,angle_min_rad,angle_increment_rad,ranges_m\n"
-    (tmp_path / "tilted.csv").write_text(f"{header}1,0.3,-1,1,1 2 3\n")
-    err = refused(call, tmp_path, "convert", tmp_path / "tilted.csv", tmp_path / "log.clf")
-    assert "cannot be written as carmen: base_from_laser: expected a laser mounted level" in err
-
-
 def test_in_python(log, tmp_path):
     done = convert_log(log, tmp_path / "log.csv", options=LogOptions(every=10))
     assert (done.out, done.format.value, done.scans, done.lost) == (tmp_path / "log.csv", "csv", 12, {})
@@ -185,11 +147,3 @@ def test_in_python(log, tmp_path):
         convert_log(CarmenLog(log), tmp_path / "b.csv", options=LogOptions())
     with pytest.raises(ArgumentError, match="to: expected carmen, csv"):
         convert_log(log, tmp_path / "b.csv", to="rosbag")
-
-
-@pytest.mark.parametrize("name", ["log.csv", "log.clf"])
-def test_scans_without_beams_are_left_out_and_told(tmp_path, name):
-    said = [ros_bags.scan("/scan", 0.1 * k, [1.0, 2.0] if k % 3 else [], angles=(0.0, 0.1)) for k in range(9)]
-    done = convert_log(ros_bags.write(tmp_path, "ros1", said), tmp_path / name)
-    assert (done.scans, done.lost["scans without beams"]) == (6, 3)
-    assert len(list(open_log(tmp_path / name))) == 6

@@ -101,16 +101,6 @@ def test_another_file_or_half_of_it_leaves_nothing(mirror, tmp_path, call, name)
     refused(call, tmp_path, "get", name, "-o", tmp_path / "new", status=1)
 
 
-def test_another_file_is_told_as_such(mirror, tmp_path, call):
-    err = refused(call, tmp_path, "get", "aces", "-o", tmp_path, status=1)
-    assert f"expected the file of SHA-256 {hashlib.sha256(CONTENT).hexdigest()}, got another one" in err
-
-
-def test_a_mirror_without_the_file(mirror, tmp_path, call):
-    err = refused(call, tmp_path, "get", "intel", "-o", tmp_path, "--url", f"{mirror.url}/elsewhere/", status=1)
-    assert err.endswith("/logs/elsewhere/intel.clf.bz2: cannot be got: 404 Not Found\n")
-
-
 @pytest.mark.dev
 def test_no_connection(tmp_path, call):
     with socket.socket() as free:  # bound and not listening: nobody answers there
@@ -119,12 +109,6 @@ def test_no_connection(tmp_path, call):
         err = refused(call, tmp_path, "get", "intel", "-o", tmp_path / "new", "--url", url, status=1)
     assert f"{url}/intel.clf.bz2: cannot be got: " in err
     assert "refused" in err
-
-
-@pytest.mark.dev
-def test_an_url_that_is_none(tmp_path, call):
-    err = refused(call, tmp_path, "get", "intel", "-o", tmp_path, "--url", "ftq://there", status=1)
-    assert "ftq://there/intel.clf.bz2" in err
 
 
 def test_without_pooch_there_is_one_clear_line(tmp_path, call, monkeypatch):
@@ -139,25 +123,3 @@ def test_a_name_that_is_unknown_lists_the_names(tmp_path, call):
     assert err == "gridslam: NAME: expected intel, aces, mit-csail, got 'itel'; did you mean intel?\n"
     with pytest.raises(ArgumentError, match="name: expected intel, aces, mit-csail, got 'x'"):
         fetch_dataset("x", tmp_path)
-
-
-def test_a_file_is_no_folder(tmp_path, call):
-    (tmp_path / "file").write_text("")
-    assert "file is a file" in refused(call, tmp_path, "get", "intel", "-o", tmp_path / "file", status=2)
-
-
-def test_list_tells_credit_and_licence(call):
-    status, out, err = call("list")
-    assert (status, err) == (0, "")
-    for word in ("intel", "aces", "mit-csail", "D. Haehnel", "P. Beeson", "C. Stachniss"):
-        assert word in out
-    assert out.count("CC BY 3.0") == 3
-    told = json.loads(call("list", "--json")[1])
-    assert told["schema"] == "gridslam.datasets/1"
-    assert [dataset["name"] for dataset in told["datasets"]] == ["intel", "aces", "mit-csail"]
-
-
-def test_the_files_are_those_beside_the_project(data_dir):
-    for dataset in DATASETS:
-        content = (data_dir / dataset.file).read_bytes()
-        assert (hashlib.sha256(content).hexdigest(), len(content)) == (dataset.sha256, dataset.size)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,6 @@ from PIL import Image
 from gridslam import __version__
 from gridslam.cli.logs import check_log
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.csv import write_csv_log
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.measurement import Measurement
 from support.faults import with_fault
@@ -102,34 +100,6 @@ def test_the_report_shows_a_picture_where_one_helps(call, reflected, tmp_path):
             assert len(picture.getcolors(1 << 20)) > 3
 
 
-def test_json_and_folder_tell_the_same(call, reflected, tmp_path):
-    status, out, _ = call("doctor", reflected, "-o", tmp_path, "--json")
-    assert status == 3
-    assert json.loads(out) == json.loads((tmp_path / "report.json").read_text())
-
-
-def test_a_part_of_a_log_is_diagnosed(call, log):
-    _, out, _ = call("doctor", log, "--json", "--start", "5", "--duration", "10")
-    assert json.loads(out)["log"]["scans"] == 50
-    _, out, _ = call("doctor", log, "--json", "--no-odometry")
-    assert "no_odometry" in {finding["code"] for finding in json.loads(out)["findings"]}
-
-
-def test_a_log_that_breaks_off_is_diagnosed_as_far_as_it_goes(call, log, tmp_path):
-    import bz2
-
-    cut = tmp_path / "cut.clf"
-    cut.write_bytes(bz2.decompress(log.read_bytes())[:-500])
-    status, out, _ = call("doctor", cut, "--json")
-    findings = json.loads(out)["findings"]
-    assert status == 3
-    assert (findings[0]["code"], findings[0]["severity"]) == ("unreadable", "error")
-    assert "--keep-truncated" in findings[0]["remedy"]
-    status, out, _ = call("doctor", cut, "--json", "--keep-truncated")
-    assert status == 0
-    assert [f["severity"] for f in json.loads(out)["findings"] if f["code"] == "unreadable"] == ["warning"]
-
-
 @pytest.mark.parametrize("content", [b"", b"\x00\x01\x02 no log", b"PARAM robot_front_laser_max 81.9 x x 0\n"])
 def test_what_is_no_log_is_refused_in_one_line(call, tmp_path, content):
     path = tmp_path / "what"
@@ -149,26 +119,3 @@ def test_a_checked_log_tells_on_stderr_what_is_wrong_at_its_begin(simulated, tmp
     (line,) = err.splitlines()
     assert line.startswith(f"gridslam: {path}: no_odometry: There is no odometry")
     assert "--no-odometry" in line
-
-
-def test_what_was_asked_for_or_is_healthy_is_not_told(log, capsys):
-    for options in (LogOptions(), LogOptions(no_odometry=True)):
-        assert len(list(check_log(open_log(log, options), options))) == 120
-    assert capsys.readouterr() == ("", "")
-
-
-def test_map_warns_of_ranges_in_another_unit_and_keeps_it_in_the_run(call, simulated, tmp_path):
-    log = tmp_path / "mm.csv"
-    scans = [m.scan for m in simulated.measurements[:120]]
-    wrong = [replace(scan, ranges=1000 * scan.ranges, range_max_m=1000 * scan.range_max_m) for scan in scans]
-    write_csv_log(log, (Measurement(m.odometry, scan) for m, scan in zip(simulated.measurements, wrong, strict=False)))
-    status, _, err = call("map", log, "-o", tmp_path / "out", "--particles", 2, "--json")
-    assert status == 0
-    (line,) = err.splitlines()
-    assert line.startswith(f"gridslam: {log}: range_units: The ranges are in millimetres, not in metres")
-    (fault,) = json.loads((tmp_path / "out" / "run.json").read_text())["input"]["faults"].items()
-    assert fault[0] == "range_units (laser)"
-    assert fault[1] in line
-    status, out, _ = call("doctor", log)
-    assert status == 3
-    assert "range_units (laser): The ranges are in millimetres" in out

@@ -15,14 +15,12 @@ from gridslam.api.mapping import map_log
 from gridslam.cli.main import main
 from gridslam.config import Configuration, override
 from gridslam.errors import ArgumentError, ConfigurationError
-from gridslam.geometry.se2 import compose, inverse
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.maps import read_map
 from gridslam.io.measurement import Measurement
 from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import read_tum, write_tum
-from gridslam.mapping.known_poses import NoPoseReason
-from gridslam.types import Beams, LaserScan, ScanGeometry, Trajectory
+from gridslam.types import Beams, Trajectory
 from support.same_map import assert_same_map
 
 FILES = {"map.yaml", "map.pgm", "map.png", "run.json"}
@@ -82,16 +80,6 @@ def test_files_and_figures(call, log, truth, tmp_path):
         assert picture.mode == "RGB"
 
 
-def test_walls_are_where_they_are(log, truth, simulated):
-    """Cells held for occupied lie within a cell's diagonal and the lidar's noise of a wall, as the poses are exact."""
-    from gridslam.sim.floor_plan import clearance
-
-    grid = map_with_poses(log, truth).map
-    rows, columns = np.nonzero(grid.known & (grid.log_odds > 0))
-    places = np.array(grid.origin) + 0.05 * (np.stack([columns, rows], axis=1) + 0.5)
-    assert np.quantile(clearance(simulated.walls, places), 0.99) < 0.05 * np.sqrt(2) + 0.03
-
-
 def test_json_is_all_that_is_printed(call, log, truth, tmp_path):
     status, text, err = call(log, "--trajectory", truth, "-o", tmp_path / "out", "--json", "--model", "counting")
     assert (status, err) == (0, "")
@@ -115,19 +103,6 @@ def test_options_reach_the_map(call, log, truth, tmp_path):
     assert document["configuration"]["resolution_m"] == 0.03
 
 
-def test_scans_outside_and_in_gaps_are_counted_and_told(call, log, truth, tmp_path):
-    whole = read_tum(truth)
-    kept = np.r_[10:50, 70:110]
-    write_tum(tmp_path / "part.tum", Trajectory(whole.stamps_ns[kept], whole.poses[kept]))
-    status, text, err = call(log, "--trajectory", tmp_path / "part.tum", "-o", tmp_path / "out", "--json")
-    assert status == 0
-    skipped = {"outside the trajectory": 20, "in a gap of the trajectory": 20}
-    assert json.loads(text)["scans"] == {"read": 120, "used": 80, "skipped": skipped}
-    first, last = err.splitlines()
-    assert f"gridslam: {log}: 20 of 120 scans are not mapped: they lie outside the trajectory" in first
-    assert "20 of 120 scans are not mapped: the neighbouring poses are more than 1 s apart (--max-gap)" in last
-
-
 def test_it_is_the_map_of_slam_where_its_trajectory_is_known(log):
     """SLAM's map is made of its key scans; with one particle and clamps that nothing reaches it is their sum."""
     config = override(
@@ -142,47 +117,6 @@ def test_it_is_the_map_of_slam_where_its_trajectory_is_known(log):
     assert len(keys) > 60
     kept = _Kept(open_log(log), (m for m in open_log(log) if m.scan.stamp_ns in keys))
     assert_same_map(map_with_poses(kept, slam.trajectory, configuration=config, repair="none").map, slam.map)
-
-
-def test_the_order_of_the_trajectory_does_not_matter(log, truth):
-    whole = read_tum(truth)
-    order = np.random.default_rng(0).permutation(120)
-    mixed = Trajectory(whole.stamps_ns[order], whole.poses[order])
-    np.testing.assert_array_equal(map_with_poses(log, mixed).map.log_odds, map_with_poses(log, truth).map.log_odds)
-
-
-def _halved(simulated):
-    """Each scan as two lasers see it: one mounted at the base sees the right half, one mounted elsewhere the left."""
-    odometry, scan = simulated.measurements[0]
-    mounted = np.array([0.2, -0.1, 0.7])
-    half = len(scan) // 2
-    right = ScanGeometry(scan.geometry.bearings[:half], scan.geometry.base_from_laser)
-    for odometry, scan in simulated.measurements[:60]:
-        yield Measurement(odometry, _part(scan, right, scan.ranges[:half], "right"))
-        beams = scan.beams(0.0, np.inf)
-        left = beams.ends[beams.indices >= half]
-        seen = compose(inverse(mounted), np.column_stack([left, np.zeros(len(left))]))[:, :2]
-        geometry = ScanGeometry.planar(np.arctan2(seen[:, 1], seen[:, 0]), mounted)
-        yield Measurement(odometry, _part(scan, geometry, np.hypot(*seen.T), "left"))
-
-
-def _part(scan, geometry, ranges, sensor):
-    return LaserScan.from_ranges(scan.stamp_ns, ranges, geometry, sensor=sensor)
-
-
-def test_several_lasers_are_drawn_from_where_they_are(log, simulated, truth):
-    both = _Kept(open_log(log), _halved(simulated))
-    result = map_with_poses(both, truth, repair="none")
-    one = map_with_poses(_Kept(open_log(log), simulated.measurements[:60]), truth, repair="none")
-    assert len(result.trajectory) == 120
-    ours, theirs = (set(map(tuple, _occupied(r.map))) for r in (result, one))
-    assert len(ours & theirs) / len(ours | theirs) > 0.9  # beams from elsewhere graze other cells
-
-
-def _occupied(grid):
-    rows, columns = np.nonzero(grid.known & (grid.log_odds > 0))
-    corner = np.rint(np.array(grid.origin) / grid.resolution_m).astype(int)
-    return (np.stack([columns, rows], axis=1) + corner).tolist()
 
 
 def test_beams_are_deskewed_by_the_trajectory(log, truth, simulated, monkeypatch):
@@ -250,16 +184,6 @@ def test_bad_calls(log, truth):
         map_with_poses(log, truth, laser="none")
 
 
-def test_gaps_everywhere_are_told(log, truth, tmp_path):
-    whole = read_tum(truth)
-    ends = Trajectory(whole.stamps_ns[[0, -1]] + np.array([-2_000_000, 2_000_000]), whole.poses[[0, -1]])
-    with pytest.raises(Exception, match="got none near enough to any of 120 scans"):
-        map_with_poses(log, ends)
-    bridged = map_with_poses(log, ends, max_gap_s=100.0)
-    assert bridged.unplaced == {}
-    assert NoPoseReason.GAP not in bridged.unplaced
-
-
 def test_a_real_log_with_jittering_stamps_gets_every_pose(data_dir):
     """Intel's stamps go backwards, and the trajectory has them all: no scan is left out, and none is moved."""
     log = open_log(data_dir / "intel.clf.bz2", LogOptions(duration_s=60.0))
@@ -269,27 +193,9 @@ def test_a_real_log_with_jittering_stamps_gets_every_pose(data_dir):
     np.testing.assert_array_equal(result.trajectory.poses, trajectory.poses)
 
 
-UTM = np.array([450_048.0, 5_411_072.0])  # whole tiles of cells of 5 cm and of 6.25 cm
-
-
 def shifted(trajectory, path, away):
     write_tum(path, replace(trajectory, poses=trajectory.poses + np.append(away, 0.0)))
     return path
-
-
-def test_a_trajectory_in_utm_coordinates_gives_the_building_in_utm_coordinates(call, log, truth, tmp_path):
-    """In cells of a power of two a shift by whole cells is exact but for the trajectory's digits: nearly every cell."""
-    far = shifted(read_tum(truth), tmp_path / "utm.tum", UTM)
-    grids = []
-    for name, path in (("near", truth), ("far", far)):
-        status, _, err = call(log, "--trajectory", path, "-o", tmp_path / name, "--resolution", "0.0625")
-        assert (status, err) == (0, "")
-        grids.append(read_map(tmp_path / name / "map.yaml"))
-    near, there = grids
-    assert there.shape == near.shape
-    assert np.subtract(there.origin, near.origin) == pytest.approx(UTM, abs=1e-6)
-    assert np.mean(there.known == near.known) > 0.99
-    assert np.mean((there.log_odds > 0) == (near.log_odds > 0)) > 0.99
 
 
 @pytest.mark.parametrize(

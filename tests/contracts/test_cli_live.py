@@ -15,11 +15,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from gridslam.cli import live as live_module
-from gridslam.cli import simulate as simulate_module
 from gridslam.cli.main import main
-from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.maps import read_map, write_map
-from support.localization_world import drive, flat_map
 from support.page_client import PageClient
 from support.ports import free_port
 
@@ -56,29 +52,6 @@ def test_the_results_are_the_same_with_and_without(call, log, mapped, tmp_path):
         assert (tmp_path / "out" / name).read_bytes() == (mapped / name).read_bytes(), name
 
 
-def test_localization_is_seen_to_its_end_and_gives_the_same(call, tmp_path, monkeypatch):
-    write_map(tmp_path / "flat.yaml", flat_map())
-    write_carmen(tmp_path / "flat.clf", drive(1).measurements)
-    given = "localize", tmp_path / "flat.clf", "--map", tmp_path / "flat.yaml"
-    assert call(*given, "-o", tmp_path / "without")[0] == 0
-    client, out = PageClient(), tmp_path / "with"
-    status, _, err = run_viewed(call, monkeypatch, client, *given, "-o", out)
-    assert status == 0
-    assert "live at http://127.0.0.1:" in err
-    assert (client.status["stage"], client.status["lost"]) == ("done", False)
-    assert client.written
-    assert client.sees(read_map(tmp_path / "flat.yaml"))
-    for name in ("trajectory.tum", "trajectory.csv", "belief.csv"):
-        assert (out / name).read_bytes() == (tmp_path / "without" / name).read_bytes(), name
-
-
-def test_a_map_that_is_none_opens_no_page(call, log, tmp_path):
-    status, _, err = call("localize", log, "--map", tmp_path / "none.yaml", "--live", "--live-port", 0)
-    assert status == 2
-    assert "none.yaml" in err
-    assert "live at" not in err
-
-
 def test_a_viewer_sees_the_run_to_its_end(call, log, tmp_path, monkeypatch):
     client = PageClient()
     status, _, _ = run_viewed(call, monkeypatch, client, "map", log, *FEW, "-o", tmp_path / "out")
@@ -105,14 +78,6 @@ def run_viewed(call, monkeypatch, client, *command):
     done = call(*command, "--live", "--live-port", port)
     viewer.join(10)
     return done
-
-
-def test_the_demo_begins_without_a_viewer_in_the_end(call, tmp_path, monkeypatch):
-    monkeypatch.setattr(simulate_module, "_DEMO_WAIT_S", 0.01)
-    status, _, err = call("demo", "-o", tmp_path / "out", "--live", "--live-port", 0)
-    assert status == 0
-    assert "open the page to begin" in err
-    assert (tmp_path / "out" / "map.png").is_file()
 
 
 def test_a_taken_port_is_bad_usage_and_nothing_is_written(call, log, tmp_path):
@@ -159,19 +124,3 @@ def test_view_serves_until_interrupted_which_is_a_good_end(mapped):
         assert client.run_info["mode"] == "replay"
         view.send_signal(signal.SIGINT)
         assert view.wait(10) == 0
-
-
-def test_a_run_without_a_page_imports_no_server(log, tmp_path):
-    code = (
-        "import sys; from gridslam.cli.main import main\n"
-        f"assert main(['map', {str(log)!r}, '-o', {str(tmp_path / 'out')!r}, '--particles', '2']) == 0\n"
-        "print([name for name in ('starlette', 'uvicorn', 'websockets', 'asyncio') if name in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"
-
-
-def test_help_tells_the_options(call):
-    for command in ("map", "demo", "localize", "ros1", "ros2"):
-        assert all(option in call(command, "--help")[1] for option in ("--live ", "--live-port", "--live-host"))
-    assert "--live-port" in call("view", "--help")[1]

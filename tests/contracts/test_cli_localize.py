@@ -11,16 +11,13 @@ from PIL import Image
 
 from gridslam.api.localization import BELIEF_HEADER, localize
 from gridslam.cli.main import main
-from gridslam.errors import ArgumentError, InputError
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.log import LogOptions, open_log
 from gridslam.io.maps import write_map
 from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import read_trajectory_csv, read_tum
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.sim.floor_plan import box
 from gridslam.types import OccupancyGrid
-from support.faults import reflected_laser
 from support.localization_world import drive, flat_map
 
 FILES = {"trajectory.tum", "trajectory.csv", "belief.csv", "history.npz", "localization.png", "run.json"}
@@ -71,54 +68,6 @@ def test_files_and_figures(place, tmp_path, capsys):
         assert max(picture.size) >= 1400
 
 
-def test_in_words_without_a_folder(place, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    status, text, _ = run(capsys, place / "flat.clf", "--map", place / "flat.yaml")
-    lines = text.splitlines()
-    assert status == 0
-    assert lines[0].startswith("flat.clf in flat.yaml: ")
-    assert lines[2] == "not localized at the start: poses up to the first fix are guesses"
-    assert lines[3].startswith("found after ")
-    assert lines[-1].startswith("at the end: x ")
-    assert not list(tmp_path.iterdir())
-
-
-def test_from_a_first_pose(place, capsys):
-    x, y, theta = drive(1).truth.poses[0]
-    status, text, _ = run(
-        capsys, place / "flat.clf", "--map", place / "flat.yaml", "--initial-pose", f"{x},{y},{theta}", "--json"
-    )
-    assert status == 0
-    document = json.loads(text)
-    assert document["scans"]["lost"] == 0
-    assert document["initial_pose"] == pytest.approx([x, y, theta])
-
-
-def test_names_of_amcl(place, capsys):
-    status, text, warned = run(
-        capsys,
-        place / "flat.clf",
-        "--map",
-        place / "flat.yaml",
-        "--preset",
-        "nav2",
-        "--particles",
-        800,
-        "--json",
-        *(
-            word
-            for name in ("recovery_alpha_slow=0.001", "recovery_alpha_fast=0.1", "tf_broadcast=true", "max_beams=50")
-            for word in ("--set", name)
-        ),
-    )
-    assert status == 0
-    configuration = json.loads(text)["configuration"]
-    assert configuration["motion"]["kind"] == "OdometryMotion"
-    assert configuration["kld"]["particles_max"] == 800
-    assert (configuration["max_beams"], configuration["recovery"]["alpha_fast"]) == (50, 0.1)
-    assert "tf_broadcast: not supported, ignored" in warned
-
-
 def test_a_parameter_file_of_nav2(place, tmp_path, capsys):
     """Taken as it is; one line names what is ignored, and --set overrides it."""
     x, y, yaw = drive(1).truth.poses[0]
@@ -158,18 +107,6 @@ def test_the_same_seed_gives_the_same_bytes(place, tmp_path):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
 
 
-def test_a_map_at_hand_and_observers(place):
-    seen = []
-    result = localize(
-        place / "flat.clf",
-        flat_map(),
-        options=LogOptions(every=2),
-        observers=[lambda report, state, seconds: seen.append((report.particles, len(state.poses), seconds))],
-    )
-    assert len(seen) == len(result.trajectory)
-    assert all(told == held and seconds >= 0 for told, held, seconds in seen)
-
-
 def broken_maps(place: Path, folder: Path):
     """Maps that are none, and what is said of each."""
     yaml = (place / "flat.yaml").read_text()
@@ -201,19 +138,6 @@ def test_bad_maps_end_with_one_line(place, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_log_that_never_sees_the_map(place, tmp_path, capsys):
-    status, _, problem = run(capsys, place / "hall.clf", "--map", place / "flat.yaml", "-o", tmp_path / "out")
-    assert status == 2
-    assert "does not fit flat.yaml" in problem.splitlines()[-1]
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_log_without_odometry(place, tmp_path, capsys):
-    status, _, problem = run(capsys, place / "flat.clf", "--map", place / "flat.yaml", "--no-odometry")
-    assert status == 2
-    assert "has no odometry" in problem.splitlines()[-1]
-
-
 @pytest.mark.parametrize(
     ("option", "value", "said"),
     [
@@ -232,17 +156,6 @@ def test_bad_usage(place, capsys, option, value, said):
     assert said in problem
 
 
-def test_bad_calls(place):
-    log, flat = place / "flat.clf", place / "flat.yaml"
-    for options in ({"seed": -1}, {"threads": 0}, {"pose": (1, 2)}, {"pose": (0, 0, 0), "covariance": -np.eye(3)}):
-        with pytest.raises(ArgumentError):
-            localize(log, flat, **options)
-    with pytest.raises(ArgumentError):
-        localize(open_log(log), flat, options=LogOptions())
-    with pytest.raises(InputError):
-        localize(log, place / "none.yaml")
-
-
 def test_strict_thresholds(place, tmp_path, capsys):
     """A free_thresh of 0.25 makes 205 free to who reads literally."""
     (tmp_path / "flat.pgm").write_bytes((place / "flat.pgm").read_bytes())
@@ -254,23 +167,6 @@ def test_strict_thresholds(place, tmp_path, capsys):
     assert "--strict-thresholds" in warned
     _, _, quiet = run(capsys, place / "flat.clf", "--map", tmp_path / "loose.yaml", "--strict-thresholds")
     assert "205" not in quiet
-
-
-def test_a_laser_that_is_upside_down(place, tmp_path, capsys):
-    """As for mapping: what would put the robot anywhere is taken out, unless it is not to be."""
-    log = tmp_path / "mirrored.clf"
-    write_carmen(log, reflected_laser(drive(1, OdometryNoise()).measurements))
-    status, text, said = run(capsys, log, "--map", place / "flat.yaml", "--json")
-    assert status == 0
-    assert "the beam order is reversed" in said
-    document = json.loads(text)
-    assert document["input"]["repair"]["reflected"] is True
-    assert document["scans"]["lost"] < 0.2 * document["scans"]["read"]
-    result = localize(log, place / "flat.yaml")
-    assert np.hypot(*(result.trajectory.poses - drive(1).truth.poses)[-20:, :2].T).max() < 0.3
-    status, _, said = run(capsys, log, "--map", place / "flat.yaml", "--repair", "none")
-    assert status == 2
-    assert "does not fit flat.yaml" in said
 
 
 def test_a_room_whose_ends_are_alike_is_no_error(tmp_path, capsys):

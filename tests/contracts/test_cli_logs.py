@@ -7,15 +7,11 @@ import json
 import numpy as np
 import pytest
 
-import gridslam
-from gridslam.errors import ArgumentError
 from gridslam.io.bags.writer import write_bag
 from gridslam.io.carmen.reader import CarmenLog
-from gridslam.io.log import LogOptions
 from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import read_tum
 
-FILTER_ALONE = gridslam.Configuration(particles=1, loop_closure=None)
 QUICK = "--particles", "1", "--no-loop-closure", "--json"
 
 
@@ -54,24 +50,6 @@ def test_run_json_tells_what_a_bag_is_read_from(bag, tmp_path, call):
     assert told["sensors"]["/scan"]["moved"] == 0
 
 
-def test_run_json_tells_of_other_logs_too(log, tmp_path, call):
-    told = json.loads(call("map", log, "-o", tmp_path / "out", "--duration", "2", *QUICK)[1])["input"]
-    assert told["sensors"] == {"front": {"base_from_laser": [0.1, 0.0, 0.0], "source": "parameters", "moved": 0}}
-    assert (told["odometry"], told["missing_transforms"], told["remarks"]) == ("", {}, {})
-
-
-@pytest.mark.parametrize("source", ["log", "bag"])
-def test_without_odometry(request, source, tmp_path, call):
-    path = request.getfixturevalue(source)
-    status, out, _ = call("map", path, "-o", tmp_path / "out", "--no-odometry", *QUICK)
-    assert status == 0
-    told = json.loads(out)
-    assert told["input"]["without_odometry"] == told["scans"]["read"] == 120
-    assert told["input"]["odometry_length_m"] == 0
-    moved = np.ptp(read_tum(tmp_path / "out" / "trajectory.tum").poses[:, :2], axis=0)
-    assert np.hypot(*moved) > 3  # it was tracked by its scans
-
-
 def test_a_log_that_has_no_odometry_maps_like_one_whose_odometry_is_left_out(log, tmp_path, call):
     call("convert", log, tmp_path / "none.csv", "--no-odometry")
     for path, options in ((log, ["--no-odometry"]), (tmp_path / "none.csv", [])):
@@ -101,20 +79,3 @@ def test_options_that_cannot_be_are_refused_by_all_commands(log, tmp_path, call,
     assert message in err
     assert err.count("\n") == 1
     assert not list(tmp_path.iterdir())
-
-
-def test_in_python(log, bag):
-    options = LogOptions(duration_s=2)
-    by_path = gridslam.map_log(bag, configuration=FILTER_ALONE, options=options)
-    assert by_path.log.scan_count == 10
-    with pytest.raises(ArgumentError, match="options"):
-        gridslam.map_log(CarmenLog(log), options=options)
-
-
-@pytest.mark.parametrize("command", ["convert", "doctor", "map", "dataset", "dataset list", "dataset get"])
-def test_help(call, command):
-    status, out, err = call(*command.split(), "--help")
-    assert (status, err) == (0, "")
-    assert f"Usage: gridslam {command} [OPTIONS]" in out
-    for option in ("--start", "--scan", "--no-odometry"):
-        assert (option in out) == (not command.startswith("dataset"))

@@ -10,7 +10,6 @@ import time
 
 import pytest
 
-from gridslam import __version__
 from gridslam.api.mapping import MapResult
 from gridslam.io.sessions.session_file import read_session
 from support.interrupted import interrupt_amid_an_autosave
@@ -21,43 +20,6 @@ GRIDSLAM = sys.executable, "-m", "gridslam.cli.main"
 def start(*arguments, **options):
     command = [*GRIDSLAM, *map(str, arguments)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
-
-
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["convert", "--help"], ["dataset", "get", "--help"]])
-def test_help_needs_neither_numpy_nor_pydantic(arguments):
-    code = (
-        "import sys; from gridslam.cli.main import main; status = main(sys.argv[1:]); "
-        "heavy = {'numpy', 'pydantic', 'PIL', 'rich', 'rosbags', 'pooch'} & set(sys.modules); "
-        "sys.exit(f'{heavy}' if heavy else status)"
-    )
-    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert (f"gridslam {__version__}" if "--version" in arguments else "--help") in done.stdout
-
-
-def test_the_first_scan_of_map_has_not_waited_for_scipy(log, tmp_path):
-    code = (
-        "import sys, os, gridslam.cli.map; from gridslam import map_log; "
-        "stop = lambda report, state, seconds: os._exit(bool({'scipy', 'qdldl'} & set(sys.modules))); "
-        "map_log(sys.argv[1], observers=[stop])"
-    )
-    assert subprocess.run([sys.executable, "-c", code, log]).returncode == 0
-
-
-def test_the_filter_alone_never_needs_scipy_nor_a_carmen_log_what_reads_bags(log, tmp_path):
-    code = (
-        "import sys; from gridslam.cli.main import main; status = main(sys.argv[1:]); "
-        "heavy = {'scipy', 'qdldl', 'rosbags', 'pooch'} & set(sys.modules); "
-        "sys.exit(f'{heavy}' if heavy else status)"
-    )
-    arguments = "map", log, "-o", tmp_path / "out", "--particles", "2", "--no-loop-closure"
-    assert subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True).returncode == 0
-
-
-def test_help_of_map_names_the_parameters():
-    done = subprocess.run([*GRIDSLAM, "map", "--help"], capture_output=True, text=True, check=True)
-    for name in ("resolution_m", "range_max_m", "key_scan_m", "key_scan_rad", "tempering", "loop_closure"):
-        assert name in done.stdout
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -109,29 +71,6 @@ def test_a_reader_that_goes_away_is_no_traceback(log, tmp_path):
     run.stderr.close()
 
 
-def test_an_interrupt_right_after_the_temporary_folder_is_made_leaves_nothing(log, tmp_path):
-    code = """
-import os, signal, sys
-from gridslam.cli.main import main
-from gridslam.io import output
-
-make = output.StagingFolder
-
-def make_and_interrupt(*arguments):
-    folder = make(*arguments)
-    os.kill(os.getpid(), signal.SIGINT)
-    return folder
-
-output.StagingFolder = make_and_interrupt
-sys.exit(main(sys.argv[1:]))
-"""
-    (tmp_path / "out").mkdir()
-    arguments = ["map", str(log), "-o", str(tmp_path / "out"), "--particles", "2"]
-    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr.strip()) == (130, "", "gridslam: interrupted")
-    assert not list((tmp_path / "out").iterdir())
-
-
 @pytest.mark.parametrize("pause_s", [0.0, 0.02, 0.2])
 def test_further_interrupts_print_no_traceback(log, tmp_path, pause_s):
     out = tmp_path / "out"
@@ -151,23 +90,6 @@ def test_further_interrupts_print_no_traceback(log, tmp_path, pause_s):
     assert "Exception ignored" not in problem
     assert problem.splitlines()[-1] == "gridslam: interrupted"
     assert not list(out.iterdir())
-
-
-def test_a_run_that_ignores_hangups_is_not_ended_by_one(log, tmp_path):
-    """As after nohup."""
-    script = "import signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN); "
-    script += "from gridslam.cli.main import main; sys.exit(main())"
-    out = tmp_path / "out"
-    out.mkdir()
-    command = [sys.executable, "-c", script, "map", str(log), "-o", str(out), "--particles", "2"]
-    run = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while not list(out.glob(".*.partial")):
-        assert run.poll() is None, run.communicate()
-        time.sleep(0.01)
-    run.send_signal(signal.SIGHUP)
-    _, problem = run.communicate(timeout=60)
-    assert run.returncode == 0, problem
-    assert (out / "map.yaml").exists()
 
 
 def test_a_signal_amid_an_autosave_leaves_a_whole_file_or_none(log, tmp_path):
@@ -224,26 +146,6 @@ def test_logs_of_any_name_in_any_locale(log, tmp_path, environment):
         command = [*GRIDSLAM, *map(os.fsencode, arguments)]
         done = subprocess.run(command, capture_output=True, cwd=tmp_path, env={**os.environ, **environment})
         assert (done.returncode, b"Traceback" in done.stderr) == (0, False), (arguments, done.stderr)
-
-
-def test_an_interrupt_while_a_class_is_made_is_an_interrupt():
-    code = """
-import os, signal, sys
-import gridslam.cli.logs
-from gridslam.cli.main import main
-
-class Interrupting:
-    def __set_name__(self, owner, name):
-        os.kill(os.getpid(), signal.SIGTERM)
-
-def list_datasets(**options):
-    type("Class", (), {"field": Interrupting()})
-
-gridslam.cli.logs.list_datasets = list_datasets
-sys.exit(main())
-"""
-    done = subprocess.run([sys.executable, "-c", code, "dataset", "list"], capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "gridslam: interrupted\n")
 
 
 def test_an_exception_of_another_thread_is_one_line(tmp_path):

@@ -53,20 +53,6 @@ def test_a_session_goes_on(call, logs, monday, tmp_path):
     assert Replay(tmp_path / "out").results.missing == ""
 
 
-def test_a_session_is_shown(call, monday, tmp_path):
-    status, out, err = call("session", monday, "--picture", tmp_path / "map.png")
-    assert (status, err) == (0, "")
-    assert "1 drive of 1 day, 150 scans, " in out
-    assert "monday: " in out
-    assert width_of(tmp_path / "map.png") > 100
-    status, out, _ = call("session", monday, "--json")
-    document = json.loads(out)
-    assert document["schema"] == "gridslam.session_summary/1"
-    assert document["can_go_on"] is True
-    assert document["pieces"][0][0]["logs"][0]["scans"] == document["scans"] == 150
-    assert document["days"] == 1
-
-
 def test_what_was_moved_stays_apart_or_is_found_and_merging_is_written(call, logs, monday, tmp_path):
     two = tmp_path / "two.gridslam"
     options = "--continue", monday, "--elsewhere", "--save", two, "--name", "robot2"
@@ -138,16 +124,3 @@ def test_what_cannot_be_merged_is_refused(call, monday, tmp_path, given, problem
     assert status == 2
     assert problem in err
     assert not list(tmp_path.iterdir())
-
-
-def test_an_autosave_of_another_run_is_refused(call, logs, monday, tmp_path):
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "autosave.gridslam").write_bytes(monday.read_bytes())
-    command = "map", logs / "tuesday.clf", "-o", out, *FEW, "--autosave", "5"
-    status, _, err = call(*command)
-    assert status == 2
-    assert "--restart replaces it" in err
-    assert (out / "autosave.gridslam").read_bytes() == monday.read_bytes()
-    assert call(*command, "--restart")[0] == 0
-    assert not (out / "autosave.gridslam").exists()

@@ -78,48 +78,11 @@ def test_every_option_that_is_written_is_checked():
                 assert parameter.type in TARGETS, (names, parameter.name)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["map", "log.clf", "-o", "x", "--save", "x"],
-        ["map", "log.clf", "--save", "new", "-o", "new/out"],
-        ["merge", "a", "b", "-o", "out", "--save", "./out"],
-    ],
-)
-def test_two_targets_in_one_place_are_refused(call, tmp_path, monkeypatch, arguments):
-    monkeypatch.chdir(tmp_path)
-    status, out, err = call(*arguments)
-    assert (status, out, err.count("\n")) == (2, "", 1)
-    assert "expected a place of its own, but " in err
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("command", ["map", "merge"])
-def test_a_result_and_another_target_of_one_name_are_refused(call, log, tmp_path, command):
-    out = tmp_path / "out"
-    status, _, err = call(command, log, "-o", out, "--save", tmp_path / "out" / "map.yaml")
-    assert (status, err.count("\n")) == (2, 1)
-    assert "map.yaml: expected the place of a result alone" in err
-    assert not out.exists()
-
-
 def test_a_folder_in_the_place_of_the_autosave_is_refused(call, log, tmp_path):
     (tmp_path / "out" / "autosave.gridslam").mkdir(parents=True)
     status, _, err = call("map", log, "-o", tmp_path / "out", "--autosave", "1")
     assert (status, err.count("\n")) == (2, 1)
     assert "autosave.gridslam: expected a file or nothing, got a folder" in err
-
-
-def test_a_device_is_no_target(call, tmp_path):
-    status, _, err = call("session", "x.gridslam", "--picture", "/dev/null")
-    assert (status, err) == (2, "gridslam: /dev/null: expected the name of a file, got a device or a pipe\n")
-
-
-def test_the_folder_of_a_session_is_made_when_it_is_saved(call, log, tmp_path):
-    session = tmp_path / "new" / "below" / "s.gridslam"
-    assert call("map", log, "-o", tmp_path / "out", "--save", session, *FEW)[0] == 0
-    assert call("session", session, "--picture", tmp_path / "pictures" / "s.png")[0] == 0
-    assert (tmp_path / "pictures" / "s.png").read_bytes().startswith(b"\x89PNG")
 
 
 def full_disk(*_, **__):
@@ -147,39 +110,11 @@ def test_where_a_session_cannot_be_saved_the_results_are_written(call, log, tmp_
     assert not saved.exists()
 
 
-def test_where_the_results_cannot_be_written_the_session_is(call, log, tmp_path, monkeypatch):
-    monkeypatch.setattr("gridslam.api.result.write_tum", full_disk)
-    saved = tmp_path / "s.gridslam"
-    status, _, err = call("map", log, "-o", tmp_path / "out", "--save", saved, *FEW)
-    assert (status, err.count("No space left")) == (1, 1)
-    assert not (tmp_path / "out").exists()
-    monkeypatch.undo()
-    assert call("session", saved)[0] == 0
-
-
 def test_where_the_page_of_a_batch_cannot_be_written_its_results_are(call, log, tmp_path, monkeypatch):
     monkeypatch.setattr("gridslam.cli.batch.write_report", full_disk)
     status, out, err = call("batch", log, "-o", tmp_path / "out", "--", *FEW)
     assert (status, "1 done" in out, "report" in out, "No space left" in err) == (1, True, False, True)
     assert list((tmp_path / "out").glob("*/map.yaml"))
-
-
-def test_results_are_written_to_this_machine(call, log, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    status, _, err = call("map", log, "-o", "s3://bucket/out", *FEW)
-    assert (status, err.count("\n")) == (2, 1)
-    assert "expected a path on this machine, got a URL" in err
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("value", ["inf", "-inf", "nan", "1e999", "1e300"])
-def test_options_take_finite_numbers_alone(value):
-    found = [parameter for _, command in commands() for parameter in command.params]
-    numbers = [parameter for parameter in found if isinstance(parameter.type, click.types.FloatParamType)]
-    assert len(numbers) > 20
-    for parameter in numbers:
-        with pytest.raises(click.BadParameter, match=r"finite number|is not in the range|a number of at most"):
-            parameter.type.convert(value, parameter, None)
 
 
 @pytest.mark.parametrize(

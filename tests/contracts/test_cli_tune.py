@@ -12,7 +12,6 @@ from PIL import Image
 
 from gridslam.cli import tune as tune_module
 from gridslam.cli.main import main
-from gridslam.cli.tune import read_duration_s
 from gridslam.config import Configuration, load, override
 
 START = override(Configuration(), "particles=2", "loop_closure=false")
@@ -103,17 +102,6 @@ def test_an_interrupted_search_goes_on_to_the_same_bytes(tuned, tmp_path, monkey
     ).read_bytes()
 
 
-def test_without_references_the_score_is_self_consistency(logs, tmp_path, capsys):
-    out = tmp_path / "best.toml"
-    words = [str(logs / "log*.clf"), "--without-reference", "--split", "0.5", "-o", str(out), *FEW, "--tune", "noise_m"]
-    assert main(["tune", *words, "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert [log["score"] for log in document["logs"]] == ["self-consistency"] * 2
-    assert [log["held_out"] for log in document["logs"]] == [False, True]
-    assert [one["name"] for one in document["searched"]] == ["noise_m"]
-    assert set(document["best"]) == {"noise_m"}
-
-
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
@@ -142,8 +130,3 @@ def test_without_the_library_the_extra_is_named_before_anything_runs(logs, tmp_p
     assert main(["tune", str(logs / "log1.clf"), "-o", str(tmp_path / "best.toml")]) == 1
     assert "pip install 'gridslam[tune]'" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(("text", "seconds"), [("90", 90.0), ("90s", 90.0), ("15m", 900.0), ("1.5h", 5400.0)])
-def test_durations(text, seconds):
-    assert read_duration_s(text) == seconds

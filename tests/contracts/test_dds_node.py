@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,18 +14,15 @@ cyclonedds = pytest.importorskip("cyclonedds", reason="Cyclone DDS (the extra ro
 
 from websockets.sync.client import connect  # noqa: E402
 
-from gridslam.io.bags.ros_messages import StampedTransform  # noqa: E402
 from gridslam.io.maps import write_map  # noqa: E402
 from gridslam.io.sessions.session_file import read_session  # noqa: E402
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate  # noqa: E402
-from support.dds_peer import Node, Peer, Robot, free_domain, got, transforms, until  # noqa: E402
+from support.dds_peer import Node, Peer, Robot, free_domain, got, until  # noqa: E402
 from support.localization_world import drive as flat_drive  # noqa: E402
 from support.localization_world import flat_map  # noqa: E402
 from support.page_client import PageClient  # noqa: E402
-from support.ros_node import scan_message  # noqa: E402
 
 PATIENT = "-p", "particles:=4", "-p", "map_update_interval:=0.3", "-p", "queue:=60.0", "-p", "transform_wait:=60.0"
-IDENTITY = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass
@@ -103,64 +99,6 @@ def asked(peer: Peer, service: str, kind: str, *values: Any) -> Any:
     assert until(answered)
     assert (answers[0].guid, answers[0].sequence) == (42, 7)
     return answers[0]
-
-
-def test_what_is_no_scan_is_named_and_the_node_lives(running, drive):
-    node, robot = running.node, running.robot
-    odd = scan_message(drive[-1], 0)
-    for change, says in (
-        ({"ranges": np.ones(3, np.float32)}, "/scan: 3 beams are too few"),
-        ({"stamp_ns": 0}, "/scan: expected a stamp of more than 0 s"),
-        ({"frame": ""}, "/scan: expected the name of a frame"),
-        ({"angle_min": float("nan")}, "/scan: its angles are from nan"),
-    ):
-
-        def named(change=change, says=says) -> bool:  # each sentence at most once a second, and best effort
-            robot.send(odd._replace(**change))
-            return node.says(says, 1.0)
-
-        assert until(named), node.log.read_text()
-    robot.moving.write(transforms(running.peer, [StampedTransform(0, "odom", "base_link", (float("nan"),) * 7)]))
-    assert node.says("transform refused: odom <- base_link"), node.log.read_text()
-    assert node.process.poll() is None
-
-
-def test_another_node_that_says_where_odometry_lies_is_named(running):
-    link = StampedTransform(1, "map", "odom", IDENTITY)
-    running.robot.moving.write(transforms(running.peer, [link]))
-    assert running.node.says("publishes odom in map, and this node publishes it in map"), running.node.log.read_text()
-
-
-def test_two_programs_that_tell_of_one_transform_are_named(running):
-    """As wheels and a filter of them may, where both are told to publish."""
-    other = running.peer.writer("rt/tf", "tf2_msgs/TFMessage")
-    assert until(lambda: bool(other.get_matched_subscriptions()))
-
-    def named() -> bool:  # the other side may have found it later
-        stamp_ns = time.time_ns()
-        for writer in (running.robot.moving, other):
-            writer.write(transforms(running.peer, [StampedTransform(stamp_ns, "odom", "base_link", IDENTITY)]))
-            stamp_ns += 1000
-        return running.node.says("two transforms: base_link is published twice (in odom by publisher ", 1.0)
-
-    assert until(named), running.node.log.read_text()
-
-
-def test_a_quality_of_service_that_does_not_fit_is_named(running):
-    peer, log = running.peer, running.node.log
-    kept = peer.writer("rt/tf", "tf2_msgs/TFMessage", reliable=False), peer.writer("rt/tf_static", "tf2_msgs/TFMessage")
-    assert running.node.says("quality of service of /tf refused: a publisher offers less reliability"), log.read_text()
-    assert running.node.says("quality of service of /tf_static refused: a publisher offers less durability")
-    late = peer.reader("rt/gridslam/pose", "geometry_msgs/PoseWithCovarianceStamped", latched=True)
-    assert running.node.says("quality of service of /gridslam/pose refused: a subscriber asks for more durability")
-    del kept, late
-
-
-def test_a_publisher_of_another_type_is_named(running):
-    kept = running.peer.writer("rt/scan", "std_msgs/Float64")
-    says = "message type of /scan refused: a publisher sends std_msgs::msg::dds_::Float64_, this node expects"
-    assert running.node.says(says), running.node.log.read_text()
-    del kept
 
 
 def test_services_answer(running):

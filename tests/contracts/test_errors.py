@@ -11,7 +11,7 @@ from gridslam.particles import Multinomial, ResamplingWheel, Residual, Stratifie
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.slam.landmarks.fastslam1 import FastSlam1
 from gridslam.slam.landmarks.fastslam2 import FastSlam2
-from gridslam.types import BeamStatus, LaserScan, OccupancyGrid, Odometry, ScanGeometry, Trajectory
+from gridslam.types import LaserScan, OccupancyGrid, Odometry, ScanGeometry, Trajectory
 
 GEOMETRY = ScanGeometry(np.linspace(-1.0, 1.0, 5))
 RANGES, STATUS = np.full(5, 2.0), np.zeros(5, np.uint8)
@@ -145,9 +145,3 @@ RNG = np.random.default_rng(0)
 def test_values_that_contradict_themselves_are_refused(make, message):
     with pytest.raises(gridslam.ArgumentError, match=message):
         make()
-
-
-def test_a_scan_that_sees_nothing_is_fine():
-    blind = LaserScan.from_ranges(0, np.full(5, np.nan), GEOMETRY, range_max_m=3.0)
-    assert (blind.status == BeamStatus.INVALID).all()
-    assert len(SLAM.init(None, blind)[0].poses) == 2

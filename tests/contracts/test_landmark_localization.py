@@ -52,27 +52,6 @@ def test_files_and_figures(mapped_park, tmp_path, capsys):
         assert min(picture.size) > 800
 
 
-def test_in_words(mapped_park, tmp_path, capsys):
-    landmarks_to_folder(mapped_park[0], tmp_path / "out", **LOCALIZE, landmarks=mapped_park[1], unknown=True)
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("ring.txt: 141 steps, ")
-    assert lines[1].startswith("localized by 10 landmarks in ")
-    assert lines[-1].startswith("results: ")
-
-
-def test_what_the_log_tells_of_correspondences_can_be_left_unread(mapped_park):
-    known, found = (localize_by_landmarks(*mapped_park[:2], unknown=unknown) for unknown in (False, True))
-    np.testing.assert_allclose(found.trajectory.poses, known.trajectory.poses, atol=1e-9)
-
-
-def test_against_the_truth_beside_the_log(data_dir, tmp_path, capsys):
-    landmarks_to_folder(data_dir / "landmarks" / "mrclam6_Robot1_Odometry.dat.gz", tmp_path, **LOCALIZE)
-    assert "degrees against the truth\n" in capsys.readouterr().out
-    errors = json.loads((tmp_path / "run.json").read_text())["errors"]
-    assert errors["aligned"] is False
-    assert errors["trans_rmse_m"] < 0.2
-
-
 def test_the_command(mapped_park, tmp_path, capsys):
     log, landmarks, _ = mapped_park
     how = ["landmarks", str(log), "-o", str(tmp_path / "out"), "--method", "ekf-localization"]

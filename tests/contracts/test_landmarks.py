@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 
-import click
 import numpy as np
 import pytest
 from PIL import Image
@@ -13,7 +12,6 @@ from gridslam import __version__
 from gridslam.api.landmarks import METHODS, map_landmarks
 from gridslam.cli.landmarks import landmarks_to_folder
 from gridslam.cli.main import main
-from gridslam.errors import ArgumentError, InputError
 from gridslam.io.landmarks import read_landmarks
 from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import read_trajectory_csv, read_tum
@@ -48,47 +46,11 @@ def test_files_and_figures(park, tmp_path, capsys, method):
         assert min(picture.size) > 800
 
 
-def test_in_words(park, tmp_path, capsys):
-    landmarks_to_folder(park[0], tmp_path / "out", "ekf")
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("ring.txt: 141 steps, ")
-    assert lines[1].startswith("10 landmarks by ekf in ")
-    assert lines[-1].startswith("results: ")
-
-
-def test_unknown_correspondences(park, tmp_path):
-    known, found = (map_landmarks(park[0], "fastslam2", seed=3, unknown=unknown) for unknown in (False, True))
-    assert len(found.landmarks) == len(known.landmarks) == 10
-    nearest = np.hypot(*(found.landmarks.positions[:, None] - known.landmarks.positions).transpose(2, 0, 1))
-    assert sorted(nearest.argmin(axis=1).tolist()) == list(range(10))
-    assert found.save(tmp_path)["correspondences"] == "unknown"
-
-
 def test_the_same_seed_gives_the_same_bytes(park, tmp_path):
     for name in ("a", "b"):
         map_landmarks(park[0], "fastslam1", seed=5, particles=10).save(tmp_path / name)
     for file in ("trajectory.csv", "landmarks.csv"):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
-
-
-def test_what_is_refused(park, tmp_path):
-    path, _ = park
-    for options, said in (
-        ({"method": "magic"}, "one of ekf, fastslam1"),
-        ({"method": "ekf", "particles": 3}, "FastSLAM only"),
-        ({"method": "fastslam2", "particles": 0}, "at least one"),
-        ({"method": "graph", "unknown": True}, "known correspondences"),
-        ({"seed": -1}, ">= 0"),
-    ):
-        with pytest.raises(ArgumentError, match=said):
-            map_landmarks(path, **options)
-    with pytest.raises(click.ClickException, match="--unknown"):
-        landmarks_to_folder(path, tmp_path / "out", "graph", unknown=True)
-    bad = tmp_path / "bad.txt"
-    bad.write_text("ODOMETRY 0 1 1 0 0 1 0 0 1\n")
-    with pytest.raises(InputError, match=r"bad.txt, line 1: expected 'ODOMETRY from to x_m"):
-        landmarks_to_folder(bad, tmp_path / "out", "ekf")
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from gridslam.cli.main import main
 from gridslam.errors import GridslamError, InputError, MissingDependencyError
 from gridslam.io import remote
 from gridslam.io.log import open_log
-from gridslam.io.remote import describe_remote, fetch, is_url, list_files, mask_url
+from gridslam.io.remote import describe_remote, fetch, mask_url
 from support.object_store import SECRET, bucket, object_store
 
 SIGNED = "https://user:pass-word@host:8000/logs/run.clf?X-Amz-Signature=abcdef&X-Amz-Credential=id#part"
@@ -78,18 +78,6 @@ def test_credentials_are_masked(url, masked):
     assert mask_url(url) == masked
 
 
-def test_what_a_library_says_is_masked():
-    error = ValueError(f"cannot open {SIGNED} as abcdef is no signature of pass-word")
-    text = remote._without_secrets(error, SIGNED)
-    assert not any(secret in text for secret in ("abcdef", "pass-word", "user:"))
-    assert "host:8000/logs/run.clf" in text
-
-
-def test_a_path_is_no_url(tmp_path):
-    assert is_url("s3://bucket/run.bag")
-    assert not any(map(is_url, ["run.bag", "C:/logs/run.bag", "c://run", tmp_path, "a b://c"]))
-
-
 def test_a_missing_library_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "fsspec", None)
     with pytest.raises(MissingDependencyError, match=r"s3:// needs fsspec.*gridslam\[remote\]"):
@@ -138,16 +126,6 @@ def test_a_bag_that_is_a_folder_is_read_from_the_store(s3, log, tmp_path):
     for file in (tmp_path / "bag").iterdir():
         s3.upload_file(str(file), "fleet", f"bags/one/{file.name}")
     assert len(list(open_log("s3://fleet/bags/one"))) == len(list(open_log(log)))
-
-
-def test_patterns_and_folders_of_the_store_are_listed(s3):
-    for name in ("a/1.bag", "a/2.bag", "b/1.bag"):
-        s3.put_object(Bucket="fleet", Key=f"list/{name}", Body=b"x")
-    assert list(list_files("s3://fleet/list/*/1.bag")) == ["s3://fleet/list/a/1.bag", "s3://fleet/list/b/1.bag"]
-    assert list(list_files("s3://fleet/list/a")) == ["s3://fleet/list/a/1.bag", "s3://fleet/list/a/2.bag"]
-    assert list_files("s3://fleet/list/c/*") == {}
-    for url, state in list_files("s3://fleet/list/").items():
-        assert state == describe_remote(url)  # so that a key does not depend on how a log was named
 
 
 def test_what_is_not_there_is_one_line(s3, capsys):

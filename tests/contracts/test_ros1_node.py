@@ -153,15 +153,6 @@ def ros(tmp_path):
     found.close()
 
 
-@pytest.fixture(scope="module")
-def odd(tmp_path_factory):
-    """A node that maps nothing, as nothing is sent that could be."""
-    found = Ros(tmp_path_factory.mktemp("odd"))
-    found.node("scan:=scan")
-    yield found
-    found.close()
-
-
 def pose(link: list[float]) -> np.ndarray:
     x, y, sine, cosine = link
     return np.array([x, y, 2 * math.atan2(sine, cosine)])
@@ -260,19 +251,6 @@ def test_a_node_that_was_killed_is_started_again(ros, data_dir, tmp_path):
     assert second.wait(60) == 0, ros.log("second")
     assert " scans to " in ros.log("second")
     assert (tmp_path / "out" / "map.pgm").is_file()
-
-
-def test_a_node_that_is_there_before_the_master_waits_for_it(ros):
-    ros.master("close")()
-    port = free_port()
-    ros.environment["ROS_MASTER_URI"] = uri = f"http://127.0.0.1:{port}"
-    node = ros.start([sys.executable, "-c", NODE], "early")
-    assert ros.until(lambda: f"waiting for a master at {uri}" in ros.log("early"))
-    ros.start(["roscore", "-p", str(port)], "second_roscore")
-    said = "waiting for scans on /scan and for base_link in odom"
-    assert ros.until(lambda: said in ros.log("early")), ros.log("early")
-    node.send_signal(signal.SIGINT)
-    assert node.wait(60) == 0, ros.log("early")
 
 
 def test_a_robot_is_localized_in_a_known_map(ros, tmp_path):
@@ -377,26 +355,3 @@ def test_a_robot_s_own_launch_file_for_gmapping_starts_it_unchanged(ros, tmp_pat
     assert "there is no such parameter" not in ros.log("node")
     launch.send_signal(signal.SIGINT)
     assert launch.wait(60) == 0, ros.log("node")
-
-
-@pytest.mark.parametrize(
-    ("what", "says"),
-    [
-        ("three", "scan refused: /scan: 3 beams are too few"),
-        ("stamp", "scan refused: /scan: expected a stamp of more than 0 s"),
-        ("frame", "scan refused: /scan: expected the name of a frame"),
-        ("angles", "message refused: /scan: its angles are from nan"),
-        ("large", "scan refused: /scan: 26214400 beams, more than the maximum of 100000"),
-        ("type", "expected sensor_msgs/LaserScan on /scan, got std_msgs/String"),
-        ("map", "publishes odom in map, and this node publishes it in map: end one of them"),
-        ("transform", "transform refused: odom <- base_link"),
-    ],
-)
-def test_what_is_no_scan_is_named_and_the_node_lives(odd, what, says):
-    sender = odd.start([SYSTEM_PYTHON, str(SUPPORT / "ros1_odd_scans.py"), what], "odd")
-    try:
-        assert odd.until(lambda: says in odd.log("node"), 120), odd.log("node") + odd.log("odd")
-    finally:
-        sender.send_signal(signal.SIGINT)
-        sender.wait(60)
-    assert odd.processes[1].poll() is None, odd.log("node")

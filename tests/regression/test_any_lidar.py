@@ -20,7 +20,6 @@ from gridslam.pipeline import run
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, World, make_world, simulate
 from gridslam.sim.floor_plan import box, join
 from gridslam.types import LaserScan, ScanGeometry, Trajectory
-from support.faults import with_fault
 
 CONFIG = override(Configuration(), "particles=8")
 
@@ -66,19 +65,6 @@ def test_kinds_of_lidars(kind, band_m):
     assert error_m(recorded(lidar(**kind))) < band_m
 
 
-def test_what_does_not_return_changes_nothing_however_it_is_said():
-    """Infinity, NaN and 0 alike: beams without return are not used, and free nothing."""
-    errors = {said: error_m(recorded(lidar(no_return=said, range_max_m=5.0))) for said in ("max", "inf", "nan", "zero")}
-    assert len(set(errors.values())) == 1
-    assert errors["max"] < 0.16
-
-
-def test_a_fifth_of_the_beams_invalid():
-    log = recorded(lidar())
-    faulty = with_fault(log.measurements, "invalid_beams", np.random.default_rng(0), 0.2)
-    assert mapped(faulty, log.truth).trans_rmse_m < 0.04
-
-
 def test_bearings_in_no_order_and_at_no_equal_steps():
     """Of each scan 200 of 720 beams, another choice and order each time, in single precision."""
     log, rng = recorded(lidar(beams=720)), np.random.default_rng(0)
@@ -115,18 +101,6 @@ def test_a_handful_of_beams_does_not_say_where_the_robot_is(beams):
     log = recorded(lidar(beams=beams))
     odometry = absolute_errors(log.odometry, log.truth).trans_rmse_m
     assert mapped(log.measurements, log.truth).trans_rmse_m < 1.05 * odometry
-
-
-def test_two_lasers_with_their_own_mountings_rates_and_counts():
-    """Together they are better than the worse of them alone."""
-    front = lidar(beams=270, field_of_view_rad=math.pi, x_m=0.2, y_m=0.05, heading_rad=0.1, sensor="front")
-    rear = lidar(
-        beams=181, field_of_view_rad=2.8, range_max_m=8.0, x_m=-0.25, y_m=-0.1, heading_rad=2.9, rate_hz=2.3,
-        begin_s=0.03, sensor="rear",
-    )  # fmt: skip
-    both, worse = error_m(recorded([front, rear])), error_m(recorded(rear))
-    assert both < 0.11
-    assert both < worse
 
 
 @pytest.mark.parametrize("told", [True, False])

@@ -38,24 +38,6 @@ def test_p3dx_trace0(bags):
     assert not log.statistics.moving_mountings
 
 
-def test_p3dx_trace0_from_its_transforms_is_the_same(bags):
-    by_topic, _ = read(bags / "p3dx_trace0.bag")
-    by_frames, log = read(bags / "p3dx_trace0.bag", odometry_frame="odom")
-    assert log.statistics.odometry_source == "odom to base_link on /tf"
-    poses = [np.array([odo.pose for odo, _ in each[:-1]]) for each in (by_topic, by_frames)]
-    np.testing.assert_allclose(poses[0], poses[1], atol=1e-9)
-
-
-def test_p3dx_sim_truth(bags):
-    measurements, log = read(bags / "p3dx_sim_truth.bag")
-    assert len(measurements) == 634
-    assert log.choice.odometry == "/odom"
-    assert log.choice.base_frame == "base_footprint"
-    assert log.statistics.without_odometry == 0
-    true, _ = read(bags / "p3dx_sim_truth.bag", odometry_topic="/base_pose_ground_truth")
-    assert len(true) == 634
-
-
 def test_p3dx_sim_truth_is_mapped_near_the_truth(bags):
     """0.10 m to 0.13 m by seed. Ranges jump by 4 cm, for the simulated walls are pixels, and the laser sees 5.6 m far.
 
@@ -84,12 +66,6 @@ def test_handheld_broken_index(bags):
     assert log.statistics.odometry_source == ""
     assert log.statistics.without_odometry == 360
     assert not log.statistics.truncated  # of the index alone something is wrong
-
-
-def test_tilt_laser(bags):
-    measurements, log = read(bags / "tilt_laser.bag")
-    assert len(measurements) == 178
-    assert log.statistics.moving_mountings == {"/scan": 177}
 
 
 @pytest.mark.parametrize("name", ["p3dx_trace0.bag", "turtlebot4_floor/macfirst_floor_take_2_0.db3"])

@@ -53,13 +53,6 @@ def test_a_cluster_that_loses_workers_gives_the_same_results_as_this_machine(tmp
     check_same_results(tmp_path / "one", tmp_path / "two", [log.stem for log in logs])
 
 
-def test_workers_of_nannies_which_are_daemons_run_jobs(tmp_path):
-    with LocalCluster(tmp_path, 1, nannies=True) as local:
-        job = make_job("write_number", "a", number=3)
-        (row,) = run_jobs([job], tmp_path / "out", executor=DaskCluster(local.address))
-    assert (row["status"], row["document"]["number"]) == ("done", 3)
-
-
 def test_a_scheduler_that_does_not_answer_is_one_line_within_seconds(tmp_path):
     (tmp_path / "a.clf").touch()
     with socket.socket() as silent:  # it accepts, and answers nothing
@@ -74,12 +67,6 @@ def test_a_scheduler_that_does_not_answer_is_one_line_within_seconds(tmp_path):
         assert (done.returncode, done.stdout) == (2, "")
         assert done.stderr == f"gridslam: --scheduler {address}: no Dask scheduler answers within 5 s\n"
     assert not (tmp_path / "out").exists()
-
-
-def test_a_closed_port_is_no_scheduler(monkeypatch):
-    monkeypatch.setattr("gridslam.batch.cluster._CONNECT_S", 0.5)
-    with pytest.raises(ConfigurationError, match=r"tcp://127.0.0.1:1: no Dask scheduler answers within 0.5 s"):
-        DaskCluster("tcp://127.0.0.1:1")
 
 
 def test_a_file_that_names_no_cluster_is_refused(tmp_path):

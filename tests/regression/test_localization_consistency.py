@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from gridslam.evaluation.consistency import nees
-from gridslam.geometry.se2 import between, compose
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.localization.match_covariance import MatchCovariance
 from gridslam.localization.place_verification import PlaceVerification
@@ -63,19 +62,6 @@ def test_nees_of_the_matched_pose():
     assert 1.5 < average(MonteCarloConfiguration()) < 5
     assert average(MonteCarloConfiguration(matcher=GaussNewton(max_iterations=0))) < 1.5
     assert average(MonteCarloConfiguration(match_covariance=MatchCovariance(patch_m=0.01, residual_factor=0))) > 5
-
-
-def test_the_greatest_of_several_maxima_is_found():
-    """In a doorway few beams see how far the robot is; 5 cm ahead of it they fit nearly as well as where it is."""
-    building = Building.of("demo", 20)
-    truth, scan = building.log.truth.poses[89], building.log.measurements[89].scan
-    mcl, beams = MonteCarloLocalization(building.known), scan.beams(0.05, 30.0)
-    ahead = compose(truth, np.array([0.05, 0.0, 0.0]))
-    spread = np.diag([0.05, 0.05, 0.02]) ** 2
-    nearest = between(truth, mcl._match(ahead, spread, beams))
-    greatest = between(truth, mcl._match_from_several(ahead, spread, beams))
-    assert abs(nearest[0]) > 0.04
-    assert abs(greatest[0]) < 0.02
 
 
 @pytest.mark.long

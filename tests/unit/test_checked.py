@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,12 +107,6 @@ def test_what_is_not_annotated_is_refused_by_name(name, wrong):
     assert caught.value.argument == name
 
 
-def test_a_call_that_works_with_another_type_is_welcome():
-    assert take(scan="scan", many=3)[-1] == "scan"
-    with pytest.raises(TypeError, match="deep within"):
-        use(count=3)
-
-
 @pytest.mark.parametrize(
     ("poses", "rows", "named"),
     [
@@ -150,31 +143,6 @@ def test_methods_know_the_length_of_their_object():
             call()
     with pytest.raises(ArgumentError, match="rows: expected shape"):
         Table(np.zeros(3))
-
-
-def test_what_is_called_from_within_is_not_checked_again():
-    table = Table(np.arange(6.0).reshape(3, 2))
-    assert table.rows_of([-1])[0].tolist() == [4, 5]
-    with pytest.raises(ArgumentError, match="number"):
-        table.row(-1)  # after it, and in another thread while a call is under way, all is checked
-    seen = []
-    begun, done = threading.Event(), threading.Event()
-
-    @checked
-    def wait() -> None:
-        begun.set()
-        done.wait(10)
-
-    thread = threading.Thread(target=wait)
-    thread.start()
-    begun.wait(10)
-    try:
-        table.row(-1)
-    except ArgumentError as error:
-        seen.append(error)
-    done.set()
-    thread.join()
-    assert seen
 
 
 def test_numbers_that_do_not_go_together_are_an_argument_error_and_faults_stay_what_they_are():

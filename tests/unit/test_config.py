@@ -5,16 +5,14 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from gridslam.config import PARAMETERS, PRESETS, Configuration, build, dumps, load, loads, override, preset
 from gridslam.config.tables import names, to_table, value_of
 from gridslam.errors import ConfigurationError
-from gridslam.models import GMappingEndPoint, GMappingMotion, OdometryMotion
+from gridslam.models import OdometryMotion
 from gridslam.particles import Residual
-from gridslam.slam import GridFastSlam, OdometryTracker
+from gridslam.slam import GridFastSlam
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
-from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
 
@@ -45,12 +43,6 @@ def test_the_default_configuration_builds_the_default_filter_with_loop_closure()
     assert build(Configuration()) == GridFastSlam(loop_closure=LoopClosure())
 
 
-def test_without_loop_closure_the_filter_is_alone():
-    assert build(override(Configuration(), "loop_closure=false")) == GridFastSlam()
-    assert build(preset("gmapping")).loop_closure is None
-    assert all(preset(name).loop_closure for name in PRESETS if name != "gmapping")
-
-
 def test_loop_closure_is_one_field_that_a_word_switches():
     changed = override(Configuration(), "loop_closure.scans_per_step=7")
     assert override(changed, "loop_closure=true") == changed
@@ -64,17 +56,6 @@ def test_loop_closure_is_one_field_that_a_word_switches():
         override(Configuration(), "loop_closure.kind=None")
     with pytest.raises(ConfigurationError, match="loop_closure: expected a table of parameters, got 'never'"):
         override(Configuration(), "loop_closure=never")
-
-
-def test_parts_of_several_classes_are_given_as_such_in_python():
-    with pytest.raises(ValidationError, match="motion"):
-        Configuration(motion=LoopClosure())
-    assert Configuration(loop_closure=None, motion={"kind": "OdometryMotion", "alpha1": 0.5}).motion.alpha1 == 0.5
-
-
-def test_loop_closure_is_built_as_configured():
-    config = override(Configuration(), "loop_closure.places.recent_submaps=5", "loop_closure.scans_per_step=7")
-    assert build(config).loop_closure == LoopClosure(PlaceMatching(recent_submaps=5), scans_per_step=7)
 
 
 def test_a_part_may_be_none():
@@ -99,36 +80,11 @@ def test_build_passes_every_part_on():
     assert slam.resampler == Residual()
 
 
-def test_gmapping_preset_decides_as_gmapping():
-    config = preset("gmapping", 50)
-    assert config.tracker == OdometryTracker()
-    assert config.motion == GMappingMotion()
-    assert config.sensor == GMappingEndPoint(likelihood_gain=150.0)
-    assert preset("gmapping").sensor == GMappingEndPoint(likelihood_gain=90.0)
-    assert (config.when_to_update.translation_m, config.when_to_update.rotation_rad) == (1.0, 0.5)
-
-
 def test_at_most_fifteen_parameters_face_the_user_and_each_is_one():
     assert len(PARAMETERS) <= 15
     known = list(names(Configuration()))
     for parameter in PARAMETERS.values():
         assert parameter.path in known or f"{parameter.path}.kind" in known
-
-
-def test_ranges_that_are_searched_are_valid_and_hold_the_default():
-    default = Configuration()
-    for name, parameter in PARAMETERS.items():
-        if parameter.search is None:
-            continue
-        assert parameter.search.low <= float(value_of(default, parameter.path)) <= parameter.search.high
-        assert parameter.search.low > 0 or not parameter.search.log
-        for value in parameter.search[:2]:
-            override(default, f"{name}={str(bool(value)).lower() if name == 'loop_closure' else value}")
-
-
-def test_the_tracker_has_at_most_twenty_parameters_beside_those_of_its_matchers():
-    own = [name for name in names(Configuration()) if name.startswith("tracker.") and not name.endswith(".kind")]
-    assert len([name for name in own if not name.startswith(("tracker.matcher.", "tracker.surfaces."))]) <= 20
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
@@ -144,18 +100,6 @@ def test_change_of_kind_starts_from_that_kinds_defaults_whatever_the_order():
     config = override(Configuration(), "motion.alpha1=0.5", "motion.kind=OdometryMotion")
     assert config.motion == OdometryMotion(alpha1=0.5)
     assert override(config, "motion.kind=OdometryMotion") == config
-
-
-def test_the_last_assignment_counts_by_whatever_name():
-    config = override(Configuration(), "insert_m=0.1", "tracker.insert_m=0.2", "insert_m=0.3")
-    assert config.tracker.insert_m == 0.3
-
-
-def test_parameters_that_belong_together_are_checked_when_all_are_set():
-    config = override(
-        Configuration(), "mapper.inverse_sensor.true_occupied=0.6", "mapper.inverse_sensor.false_free=0.4"
-    )
-    assert config.mapper.inverse_sensor.true_occupied == 0.6
 
 
 @pytest.mark.parametrize(
@@ -204,20 +148,6 @@ def test_mistake_is_told_in_one_clear_line(assignment, message):
 def test_assignments_that_contradict_each_other_in_form():
     with pytest.raises(ConfigurationError, match=r"tracker.insert_m: tracker was given as 3 before"):
         override(Configuration(), "tracker=3", "tracker.insert_m=0.3")
-
-
-def test_unknown_preset_is_told_with_the_known_ones():
-    with pytest.raises(ConfigurationError, match=r"expected default, accurate, gmapping, got 'gmaping'; did you"):
-        preset("gmaping")
-    with pytest.raises(ConfigurationError, match="particles: expected a number greater than or equal to 1"):
-        preset("default", 0)
-
-
-def test_file_changes_only_what_it_says(tmp_path):
-    path = tmp_path / "my.toml"
-    path.write_text("particles = 12\n[tracker]\ninsert_m = 1\n")
-    config = load(path, preset("accurate"))
-    assert config == override(preset("accurate"), "particles=12", "insert_m=1.0")
 
 
 @pytest.mark.parametrize(

@@ -56,21 +56,6 @@ def test_rays_begin_within_half_the_way_of_the_laser():
     assert beams.origin[0] - beams.scan.geometry.origin[0] == pytest.approx(0.02, abs=0.005)  # a few beams are invalid
 
 
-def test_nothing_to_undo_gives_the_same_object():
-    rng, twist = np.random.default_rng(2), np.array([1.0, 0.0, 1.0])
-    beams = scan_of(rng).beams(0.05, 30.0)
-    assert beams.deskew(twist) is beams
-    nothing = scan_of(rng, np.zeros(40)).beams(40.0, 50.0)
-    assert nothing.deskew(twist) is nothing
-
-
-def test_standing_still_changes_nothing():
-    beams = scan_of(np.random.default_rng(3), np.linspace(0, 1, 40)).beams(0.05, 30.0)
-    still = beams.deskew(np.zeros(3))
-    np.testing.assert_array_equal(still.ends, beams.ends)
-    np.testing.assert_allclose(still.origin, beams.origin, rtol=1e-15)
-
-
 @pytest.mark.parametrize("wrong", [math.nan, math.inf])
 def test_a_time_that_is_not_finite_is_refused(wrong):
     with pytest.raises(ArgumentError, match="beam_times_s: expected finite"):

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from gridslam.config import Configuration, build, override
-from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between
 from gridslam.grid.arena import TileArena
 from gridslam.grid.tiles import TileMaps
@@ -126,34 +123,6 @@ def test_a_step_that_fails_anywhere_is_left_out(log, measurements, monkeypatch, 
     assert farthest_m(trajectory, log) < 1.5 * max(farthest_m(w.online_trajectory(), log) for w in without)
 
 
-CLOSURE = "closure_state"
-IN_PLACE = ("maps.", "tracker.", f"{CLOSURE}.search.", f"{CLOSURE}.rejected", f"{CLOSURE}.scans.last_stored_pose")
-"""What a step writes to before it is sure to end."""
-
-
-@pytest.mark.parametrize(("owner", "name"), [part for part in PARTS if part != (GridFastSlamState, "resample")])
-def test_a_step_that_fails_without_resampling_changes_no_particle(measurements, monkeypatch, owner, name):
-    """Nor a weight, a trajectory, the graph or an archived scan, to the last bit."""
-    resampling = "kind=AlwaysResample" if owner is Systematic else "fraction=1e-12"
-    slam = build(override(Configuration(particles=5), f"when_to_resample.{resampling}"))
-    faults = Faults(monkeypatch, owner, name, FAILING)
-    state = None
-    kept = []
-
-    def pick(state):
-        return {key: array for key, array in arrays_of(state).items() if not key.startswith(IN_PLACE)}
-
-    rng = np.random.default_rng(3)
-    for measurement in faults.watch(measurements):
-        before = None if state is None else pick(state)
-        failures = []
-        state = run([measurement], slam, rng=rng, state=state, on_failure=failures.append)
-        if failures:
-            kept.append(before == pick(state))
-    assert len(kept) == len(faults.hit) > 0
-    assert all(kept)
-
-
 def test_a_measurement_that_is_refused_leaves_the_state_as_it_is(measurements):
     """Nothing of the step has begun, and the last key scan stays."""
     whole = list(measurements)
@@ -191,57 +160,6 @@ def test_where_memory_for_tiles_cannot_be_had_the_arena_stays_whole(log, measure
     used = np.frombuffer(arrays["maps.pages"], np.int32)
     assert sorted(set(used)) == list(range(len(arrays["maps.field"]) // TILE**2))  # each tile is there, and in use
     assert farthest_m(recorder.online_trajectory(), log) < 0.25
-
-
-def test_a_copy_that_fails_gives_back_nothing(measurements, monkeypatch):
-    maps = OccupancyGridMapping().empty(2)
-    maps.update(np.array([0, 1], np.int32), np.zeros((2, 3)), measurements[0].scan.beams(0.05, 30.0))
-    before = maps._arena.page_refs.copy()
-
-    def fail(self, roots):
-        raise MemoryError
-
-    with monkeypatch.context() as patched:
-        patched.setattr(TileArena, "retain", fail)
-        with pytest.raises(MemoryError):
-            maps.snapshot()
-    assert np.array_equal(maps._arena.page_refs, before)
-
-
-def test_a_key_scan_that_fails_keeps_what_no_match_has_measured(measurements, monkeypatch):
-    """The next one covers the way since the last that succeeded, and all that is uncertain about it."""
-    slam = build(Configuration(particles=5))
-    state = run(measurements[:40], slam, rng=np.random.default_rng(0))
-    state.tracker.unmatched = replace(state.tracker.unmatched, position_m2=3.0)
-    with monkeypatch.context() as patched:
-        faults = Faults(patched, ReportBuilder, "estimate", [0])
-        faults.current = 0
-        failures = []
-        for measurement in measurements[40:]:
-            if failures:
-                break
-            state = run([measurement], slam, rng=np.random.default_rng(0), state=state, on_failure=failures.append)
-    assert len(failures) == 1
-    assert state.tracker.unmatched.position_m2 >= 3.0
-
-
-def test_without_a_scan_that_succeeds_the_first_failure_is_raised(measurements):
-    slam = build(override(Configuration(), "tracker.kind=OdometryTracker"))
-    without = [(None, scan) for _, scan in measurements[:3]]
-    failures = []
-    with pytest.raises(ArgumentError, match="a pose with every scan"):
-        run(without, slam, rng=np.random.default_rng(1), on_failure=failures.append)
-    assert len(failures) == 3
-    assert failures[0].state is None
-
-
-def test_a_first_scan_that_fails_is_skipped(measurements, monkeypatch):
-    faults = Faults(monkeypatch, Tracker, "init", [0, 1])
-    failures = []
-    found = map_all(faults.watch(measurements[:40]), failures)
-    monkeypatch.undo()
-    assert len(failures) == 2
-    assert found == map_all(measurements[2:40])
 
 
 def test_localization_goes_on_after_a_step_that_failed(monkeypatch):

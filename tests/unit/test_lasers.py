@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from gridslam.config import LASERS, Configuration, apply_laser, build, override, preset
+from gridslam.config import Configuration, apply_laser, build, override, preset
 from gridslam.errors import ConfigurationError
 from gridslam.evaluation import absolute_errors
 from gridslam.observers import TrajectoryRecorder
@@ -15,15 +15,6 @@ from gridslam.pipeline import run
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
 from gridslam.types import Trajectory
 from support.faults import range_limits
-
-
-def test_limits_are_those_of_the_laser_whatever_the_preset():
-    for name, laser in LASERS.items():
-        for base in ("default", "accurate", "gmapping"):
-            config = apply_laser(preset(base), name)
-            assert (config.range_min_m, config.range_max_m) == (laser.range_min_m, laser.range_max_m)
-            assert 0 <= config.range_min_m < config.range_max_m <= 30
-            assert config.particles == preset(base).particles
 
 
 def test_exact_lasers_get_finer_cells_where_scans_are_matched_by_gauss_newton():

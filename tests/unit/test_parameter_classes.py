@@ -15,18 +15,9 @@ from pydantic import ValidationError
 from gridslam.config import Configuration
 from gridslam.localization.odometry_check import OdometryCheck
 from gridslam.models import BeamRangeFinder
-from gridslam.parameters import parameters, to_table
+from gridslam.parameters import parameters
 from gridslam.particles.policies import MotionThreshold
 from gridslam.scan import Thinning
-
-
-def test_tables_hold_the_fields_and_the_kinds():
-    config = replace(Configuration(), loop_closure=None)
-    table = to_table(config)
-    assert list(table) == [each.name for each in fields(Configuration)]
-    assert table["loop_closure"] == {"kind": "none"}
-    assert table["thinning"] == vars(config.thinning)
-    assert table["motion"] == {"kind": "DiffusionMotion", **vars(config.motion)}
 
 
 def test_values_are_converted_as_pydantic_converts_them():
@@ -96,10 +87,3 @@ def test_parameters_cannot_be_changed_and_can_be_copied():
         del threshold.rotation_rad
     assert pickle.loads(pickle.dumps(threshold)) == copy.deepcopy(threshold) == threshold
     assert list(inspect.signature(MotionThreshold).parameters) == ["translation_m", "rotation_rad"]
-
-
-@pytest.mark.parametrize("arguments", [((), {}), ((1.0, "a", "b", (1,), 5), {}), ((1.0,), {"reach_m": 1.0})])
-def test_arguments_that_are_not_those_of_the_class_are_refused(arguments):
-    args, kwargs = arguments
-    with pytest.raises(ValidationError):
-        _Checked(*args, **kwargs)

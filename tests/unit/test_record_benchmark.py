@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 
-import numpy as np
 import pytest
 
 import count
@@ -23,16 +22,6 @@ def test_statements_are_those_of_the_syntax_tree():
     assert counted == count.Count(modules=1, statements=4, packed=0, lines=9, compiled_lines=2)
 
 
-@pytest.mark.parametrize(
-    ("code", "statements"),
-    [("a, b = 1, c", 2), ("a, b.x, d = c", 1), ("a, b = b, a", 1), ("a = 1, 2", 1), ("a, b, d = c.x, 1, f(2)", 3)],
-)
-def test_a_packed_assignment_counts_as_what_it_assigns(code, statements):
-    counted = count.count([("a.py", code)])
-    assert counted.statements == statements
-    assert counted.packed == (100.0 if statements > 1 else 0.0)
-
-
 def run(seed, error_m, **more):
     return {"log": "intel", "variant": "default", "seed": seed, "failed": False, "error_m": error_m, **more}
 
@@ -43,21 +32,6 @@ def test_figures_are_means_over_the_seeds_with_their_interval():
     assert (cell["seeds"], cell["failed"]) == (3, 1)
     assert (cell["error_m"]["mean"], cell["error_m"]["worst"]) == (0.02, 0.03)
     assert cell["cpu_s"]["high"] - 4.0 == pytest.approx(12.706 * math.sqrt(2) / math.sqrt(2), abs=0.01)  # t of 1 degree
-
-
-def test_the_interval_holds_the_mean_in_95_of_100_cases():
-    rng = np.random.default_rng(0)
-    found = [scoreboard.interval(list(rng.normal(1.0, 0.1, 10)), 9) for _ in range(2000)]
-    inside = np.mean([each["low"] <= 1.0 <= each["high"] for each in found])
-    assert abs(inside - 0.95) < 4 * math.sqrt(0.95 * 0.05 / 2000)
-
-
-def test_ratios_are_of_what_both_files_have():
-    cells = scoreboard.collect([run(0, 0.03, cpu_s=5.0), run(1, 0.03, cpu_s=5.0)])
-    old = {"logs": {"intel": {"gridslam": {"translation_m": {"mean": 0.02}, "cpu_s": 10.0}}}}
-    assert scoreboard.ratios(cells, old) == {"intel": {"default": {"error_m": 1.5, "cpu_s": 0.5}}}
-    new = {"cells": scoreboard.collect([run(0, 0.01), run(1, 0.01)])}
-    assert scoreboard.ratios(cells, new) == {"intel": {"default": {"error_m": 3.0}}}
 
 
 def test_a_scoreboard_is_made_of_a_batch_and_of_the_trajectories_of_others(tmp_path, monkeypatch):

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from gridslam.api.mapping import map_log
-from gridslam.config import Configuration, preset
+from gridslam.config import Configuration
 from gridslam.io.csv import write_csv_log
-from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support.faults import with_fault
 
@@ -42,17 +41,6 @@ def test_the_errors_of_the_odometry_are_told(tmp_path, drive):
     assert errors["turn_scale"] == pytest.approx(1.0, abs=0.03)
     assert (tracker["stamps_reliable"], tracker["odometry_rejected"]) == (True, 0)
     assert tracker["beam_order"] == {"laser": "as reported"}
-
-
-def test_nothing_is_told_of_odometry_that_is_not_there_and_times_of_beams_may_be_backward(tmp_path, drive):
-    backward = [Measurement(None, replace(scan, beam_times_s=-scan.beam_times_s)) for _, scan in drive]
-    tracker = told(tmp_path, backward, Configuration(particles=2))
-    assert tracker["odometry"] is None
-    assert tracker["beam_order"] == {"laser": "backward"}
-
-
-def test_a_tracker_that_takes_the_odometry_as_it_is_learns_nothing(tmp_path, drive):
-    assert told(tmp_path, drive[:20], preset("gmapping")) is None
 
 
 def fail(*arguments, **options):

@@ -21,17 +21,6 @@ def turn(beams: int) -> np.ndarray:
     return np.linspace(-math.pi, math.pi, beams, endpoint=False)
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(1, 400))
-def test_a_scan_that_is_not_dense_is_used_as_a_whole(seed, beams):
-    rng = np.random.default_rng(seed)
-    values = rng.choice([0.0, -1.0, np.nan, np.inf, 0.02, 3.0, 30.0, 1e6], beams).astype(np.float32)
-    scan = scan_of(values, rng.uniform(-4, 4, beams))
-    used = scan.beams(0.05, 30.0)
-    assert used.indices.tolist() == [k for k, value in enumerate(values.tolist()) if 0.05 <= value < 30.0]
-    expected = np.stack([np.cos(scan.geometry.bearings), np.sin(scan.geometry.bearings)], axis=1)[used.indices] * 3.0
-    np.testing.assert_allclose(used.ends, expected, atol=1e-12)
-
-
 @pytest.mark.parametrize("beams", [1081, 4000, 100_000])
 @pytest.mark.parametrize("direction", [1, -1])
 def test_of_a_dense_scan_beams_are_taken_at_equal_steps_of_arc(beams, direction):
@@ -46,31 +35,6 @@ def test_of_a_dense_scan_beams_are_taken_at_equal_steps_of_arc(beams, direction)
     assert (arc / 0.025 - 2 if beams == 100_000 else 400) <= len(used) <= arc / 0.025 + 2
     if beams == 100_000:
         assert (~near).sum() / near.sum() == pytest.approx(4, rel=0.02)
-
-
-def test_where_all_is_near_as_many_beams_are_kept_as_scans_have_that_are_not_dense():
-    used = scan_of(np.full(5000, 0.3), turn(5000)).beams(0.05, 30.0)  # 1.9 m of arc: 75 parts of 2.5 cm
-    assert 399 <= len(used) <= 401
-    assert np.ptp(np.diff(used.indices)) <= 1  # spread evenly
-
-
-def test_without_a_spacing_all_are_used():
-    assert len(scan_of(np.full(5000, 3.0), turn(5000)).beams(0.05, 30.0, Thinning(0.0))) == 5000
-
-
-def test_what_counts_as_dense_is_a_parameter():
-    scan = scan_of(np.full(400, 0.3), turn(400))
-    assert len(scan.beams(0.05, 30.0)) == 400
-    assert 99 <= len(scan.beams(0.05, 30.0, Thinning(dense_beams=100))) <= 101
-
-
-def test_only_usable_beams_count():
-    """A dense scan with few usable beams keeps them all."""
-    ranges = np.full(5000, np.nan)
-    ranges[::20] = 3.0
-    used = scan_of(ranges, turn(5000)).beams(0.05, 30.0)
-    assert used.indices.tolist() == list(range(0, 5000, 20))
-    assert len(scan_of(np.full(5000, np.nan), turn(5000)).beams(0.05, 30.0)) == 0
 
 
 @given(st.integers(0, 2**32 - 1))

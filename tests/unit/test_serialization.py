@@ -12,7 +12,7 @@ import pytest
 
 from gridslam.arguments import Limits, Size, index_of
 from gridslam.errors import ArgumentError
-from gridslam.serialization import NOT_SAVED, from_arrays, select_part, to_arrays
+from gridslam.serialization import NOT_SAVED, from_arrays, to_arrays
 from gridslam.types import FloatArray
 
 
@@ -128,21 +128,6 @@ def test_names_follow_the_fields():
     assert arrays["edges.ends.counts"].tolist() == [0, 1, 2]
 
 
-def test_arrays_are_copies():
-    one = state()
-    arrays = to_arrays(one)
-    read = from_arrays(State, arrays)
-    for array in arrays.values():
-        array[...] = array.dtype.type()
-    np.testing.assert_array_equal(one.inner.poses, np.arange(6.0).reshape(2, 3))
-    np.testing.assert_array_equal(read.inner.poses, one.inner.poses)
-
-
-def test_a_part_is_restored_by_the_function_given():
-    read = from_arrays(State, to_arrays(state()), {Shelf: lambda arrays: Shelf.from_arrays(arrays, unit=9)})
-    assert (read.shelf.number, read.shelf.unit) == (4, 9)
-
-
 def test_whatever_is_missing_is_named():
     arrays = to_arrays(state())
     for name in set(arrays) - {"shelf.number"}:
@@ -201,15 +186,6 @@ def owner(**more):
     return Owner(table, ["a", "b", "c"], [2, 0], **more)
 
 
-def test_tables_and_what_points_into_them_come_back():
-    part = Table(np.zeros((2, 2)), [1, 0])
-    read = from_arrays(Owner, to_arrays(owner(of_mark=1, shelf=Shelf(7))))
-    assert (read.edges, read.table.marked, read.of_mark, read.part) == ([2, 0], (-1, 3), 1, None)
-    with pytest.raises(ArgumentError, match=r"part\.rows: expected float64 of shape \(3, 2\)"):
-        from_arrays(Owner, to_arrays(owner(part=part)))  # T is that of the state which holds it
-    assert from_arrays(Table, to_arrays(part)).parents == [1, 0]
-
-
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [
@@ -236,8 +212,3 @@ def test_what_an_object_refuses_is_named_from_the_outermost_state_on():
 
     with pytest.raises(ArgumentError, match=r"^shelf\.number: expected another one, got 4"):
         from_arrays(State, to_arrays(state()), {Shelf: refuse})
-
-
-def test_a_part_is_selected_by_its_name():
-    arrays = {"a.b": np.array(1), "a.b.c": np.array(2), "ab.c": np.array(3), "a": np.array(4)}
-    assert {name: int(array) for name, array in select_part(arrays, "a").items()} == {"b": 1, "b.c": 2}

@@ -8,7 +8,6 @@ import threading
 import numpy as np
 import pytest
 
-from gridslam.api.grid import map_with_poses
 from gridslam.api.localization import localize
 from gridslam.api.mapping import map_log
 from gridslam.io.carmen.writer import write_carmen
@@ -67,33 +66,9 @@ def test_particles_are_seen_to_converge(browser, place, screenshot):
         screenshot("done")
 
 
-def test_a_localization_is_seen_again(browser, place, tmp_path, screenshot):
-    localize(place / "flat.clf", place / "flat.yaml", seed=2).save(tmp_path / "out")
-    with PageServer(Replay(tmp_path / "out"), LiveOptions(port=0)) as page:
-        browser.get(page.url)
-        wait(lambda: int(told(browser).get("tiles", "0")) > 10, "the map")
-        wait(lambda: pixels_of(browser, "path") > 100, "the way")
-        seek(browser, 5)
-        wait(lambda: told(browser)["stage"] == "paused" and "6 scans" in text(browser, "#summary"), "another time")
-        screenshot("early")
-        seek(browser, 100)
-        wait(lambda: "101 scans" in text(browser, "#summary"), "another time")
-        screenshot("later")
-
-
 def seek(browser, at):
     script = "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'))"
     browser.execute_script(script, browser.find_element("id", "line"), at)
-
-
-def test_a_map_with_known_poses_is_seen_without_a_time_line(browser, place, tmp_path, screenshot):
-    map_with_poses(place / "flat.clf", place / "truth.tum").save(tmp_path / "out")
-    with PageServer(Replay(tmp_path / "out"), LiveOptions(port=0)) as page:
-        browser.get(page.url)
-        wait(lambda: int(told(browser).get("tiles", "0")) > 10, "the map")
-        assert [name for name in ("pause", "step", "speed", "line", "follow", "robot") if shown(browser, name)] == []
-        assert " m × " in text(browser, "#summary")
-        screenshot("map")
 
 
 def test_landmarks_are_seen_with_the_way(browser, place, tmp_path, screenshot):

@@ -85,26 +85,6 @@ def test_what_is_touched_is_24_px_large_and_all_lies_in_landmarks(browser, drive
         assert len(browser.find_elements("tag name", "main")) == 1
 
 
-def test_a_notice_takes_the_width_of_a_phone(phone, screenshot):
-    with LivePage("a drive with a rather long name.clf", LiveOptions(port=0), range_max_m=30.0) as page:
-        phone.get(page.url)
-        page.show_message("missing transform: base_link <- laser, since 12.3 s; is robot_state_publisher running?")
-        wait(lambda: shown(phone, "notice"), "a notice")
-        screenshot("notice")
-        notice, bar = phone.find_element("id", "notice").rect, phone.find_element("id", "bar").rect
-        assert notice["x"] <= 12
-        assert notice["width"] >= 375 - 24
-        assert notice["y"] >= bar["y"] + bar["height"]
-
-
-def test_in_the_end_no_control_is_left_that_does_nothing(browser, finished, screenshot):
-    browser.get(finished.url)
-    wait(lambda: told(browser).get("stage") == "done", "the end")
-    screenshot("done")
-    assert [name for name in ("pause", "step", "speed") if shown(browser, name)] == []
-    assert shown(browser, "fit")
-
-
 def test_the_whole_map_is_that_of_the_robot_not_of_strays(browser, finished):
     browser.get(finished.url)
     wait(lambda: told(browser).get("stage") == "done", "the end")

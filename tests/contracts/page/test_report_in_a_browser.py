@@ -7,7 +7,7 @@ import time
 import pytest
 
 from gridslam.batch import report
-from support.browsing import click, shown, text, wait
+from support.browsing import text, wait
 from support.journals import make_rows, write_journal, write_results
 
 ROWS = 10_000
@@ -81,13 +81,6 @@ def test_the_filter_finds_words_in_logs_errors_and_findings(opened):
     assert text(opened, "#count") == f"0 of {ROWS} runs"
 
 
-def test_one_kind_of_failure_is_shown_by_its_button(opened):
-    opened.find_element("css selector", "#errors [data-error='SIGSEGV']").click()
-    assert text(opened, "#count") == f"{FAILED // 4} of {ROWS} runs"
-    choose(opened, "status", "done")
-    assert text(opened, "#count") == f"0 of {ROWS} runs"
-
-
 def test_rows_are_added_as_the_end_comes_near(opened):
     first = len(logs(opened))
     assert first < 200
@@ -103,15 +96,6 @@ def test_a_thumbnail_is_loaded_from_its_folder_and_opens_the_map(opened):
     assert link.get_attribute("href").endswith("/run-00001/map.png")
     image = link.find_element("css selector", "img")
     wait(lambda: image.get_attribute("naturalWidth") not in ("0", None), "the thumbnail")
-
-
-def test_small_multiples_of_trajectories(opened, screenshot):
-    opened.find_element("css selector", "[data-view='paths']").click()
-    opened.find_element("id", "filter").send_keys("run-0000")
-    choose(opened, "status", "done")
-    assert not shown(opened, "table")
-    assert opened.find_element("css selector", "#paths svg").get_attribute("aria-label").startswith("Trajectory of s3:")
-    screenshot("trajectories")
 
 
 @pytest.mark.parametrize("view", ["table", "paths"])
@@ -136,10 +120,3 @@ def check(browser, view):
     found = browser.execute_async_script("axe.run().then(arguments[0])")
     assert [(each["id"], each["nodes"][0]["html"]) for each in found["violations"]] == []
     assert len(found["passes"]) > 15  # it has looked
-
-
-def test_the_order_is_reversed_by_its_button(opened):
-    choose(opened, "sort", "log")
-    first = logs(opened)[0]
-    click(opened, "direction")
-    assert logs(opened)[0] > first

@@ -104,13 +104,6 @@ def test_a_reset_is_asked_for_twice_and_the_map_is_saved(browser, screenshot):
     page.__exit__()
 
 
-def test_a_robot_that_offers_nothing_has_no_console(browser):
-    page = on_map(browser, Robot())
-    assert not shown(browser, "console")
-    assert not shown(browser, "save-robot")
-    page.__exit__()
-
-
 def test_the_past_of_a_running_filter(browser, drive, screenshot):
     """The time line goes back, and to the present again."""
     from selenium.webdriver import ActionChains, Keys

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 
-DOCS = Path(__file__).parents[3] / "docs"
 RIGHT_EDGES = """return [".sidebar-drawer", ".content", ".toc-drawer"].map(
     (name) => document.querySelector(name).getBoundingClientRect().right - document.documentElement.clientWidth)"""
 AS_FURO_HAS_IT = """const style = document.createElement("style");
@@ -16,38 +11,14 @@ style.textContent = ".main, .content { min-width: auto } .sidebar-drawer { width
 document.head.append(style)"""
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory):
-    for needed in ("sphinx", "furo", "myst_parser", "numpydoc"):
-        pytest.importorskip(needed, reason="the extra docs is not installed")
-    folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "sphinx", "-n", "-E", "-q", "-d", folder / "trees", DOCS, folder / "html"]
-    subprocess.run(command, check=True, timeout=300)
-    return folder / "html"
-
-
 @pytest.mark.parametrize("width", [1330, 1366, 1440, 1536, 1920])
 def test_all_columns_fit(browser, site, width):
     browser.set_window_size(width, 900)
     try:
-        browser.get((site / "models.html").as_uri())
+        browser.get((site.html / "models.html").as_uri())
         assert max(browser.execute_script(RIGHT_EDGES)) <= 0
         if width in (1366, 1440):  # as the theme has it, the third column was cut off
             browser.execute_script(AS_FURO_HAS_IT)
             assert max(browser.execute_script(RIGHT_EDGES)) > 10
     finally:
         browser.set_window_size(1400, 900)
-
-
-@pytest.mark.parametrize("reduced", [False, True])
-def test_animations_stand_still_where_motion_is_not_wanted(browser, site, reduced):
-    wanted = [{"name": "prefers-reduced-motion", "value": "reduce" if reduced else "no-preference"}]
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": wanted})
-    try:
-        browser.get((site / "ekf_slam.html").as_uri())
-        content = browser.execute_script(
-            """return getComputedStyle(document.querySelector('img[src$=".webp"]')).content"""
-        )
-        assert ("stills/covariance_ellipses.png" in content) == reduced
-    finally:
-        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import zipfile
 
-import numpy as np
 import pytest
 
 from gridslam.api.mapping import map_log
@@ -117,12 +116,6 @@ def test_all_keys_are_listed(page, screenshot):
     wait(lambda: not shown(page, "help"), "gone")
 
 
-def test_a_chart_is_clicked_to_seek(page):
-    last = at(page)
-    page.find_element("id", "n_eff").click()  # its middle
-    wait(lambda: 0.2 * last < int(told(page)["at"]) < 0.8 * last, "a time in the middle")
-
-
 def test_distances_are_measured_and_places_are_read(page, screenshot):
     here = view(page)
     first, second = (here[0] - 2.0, here[1]), (here[0] + 1.0, here[1] + 4.0)
@@ -137,26 +130,6 @@ def test_distances_are_measured_and_places_are_read(page, screenshot):
     assert float(measured.partition(" · ")[2].removesuffix(" m")) == pytest.approx(5.0, abs=3.0 / here[2])
     press(page, "m")
     assert "all" not in text(page, "#cursor")
-
-
-def test_the_map_turns_about_the_middle_and_fades(page, screenshot):
-    press(page, "[")
-    wait(lambda: text(page, "#turn + output") == "15°", "turned by 15 degrees")
-    screenshot("turned")
-    pointer_to(page, *view(page)[3:5])
-    x, y = (float(word.split()[1]) for word in text(page, "#cursor").split(", "))
-    assert (x, y) == pytest.approx(tuple(view(page)[:2]), abs=0.1)
-    u, v = view(page)[3:5]
-    pointer_to(page, u + 100, v)
-    turned = np.array([float(word.split()[1]) for word in text(page, "#cursor").split(", ")]) - view(page)[:2]
-    assert np.arctan2(turned[1], turned[0]) == pytest.approx(-np.pi / 12, abs=0.02)
-    press(page, "n")
-    wait(lambda: text(page, "#turn + output") == "0°", "as it was")
-    free = pixels_of(page, "free")
-    page.execute_script(
-        "const o = document.querySelector('#opacity'); o.value = 30; o.dispatchEvent(new Event('input'))"
-    )
-    wait(lambda: pixels_of(page, "free") < free / 2, "a faint map")
 
 
 def test_a_grid_and_another_run_are_shown(page, screenshot):

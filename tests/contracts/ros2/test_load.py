@@ -118,27 +118,6 @@ def play(robot, bag, rate):
     return sent
 
 
-@pytest.mark.parametrize("times", [pytest.param(20, marks=pytest.mark.long), 3])
-def test_a_node_maps_within_a_second_of_its_start(start, robot, drive, times, record_property):
-    """The static transform is latched: from Fast DDS it came up to 3 s late."""
-    link, message, took = odometry_message(drive[0]), scan(drive[0], 0), []
-    for _ in range(times):
-        before = len(robot.poses)
-        node = start()
-        begin = time.monotonic()
-        while len(robot.poses) == before and time.monotonic() < begin + 10:
-            now_ns = time.time_ns()
-            robot.moving.publish(transform(link._replace(stamp_ns=now_ns)))
-            stamped(message.header.stamp, now_ns - 10_000_000)
-            robot.scans.publish(message)
-            time.sleep(0.02)
-        took.append(time.monotonic() - begin)
-        assert node.end() == 0
-        robot.poses.clear()
-    record_property("longest, s", max(took))
-    assert statistics.median(took) < WITHIN_S, took
-
-
 @pytest.mark.parametrize("times", [pytest.param(60, marks=pytest.mark.long), 10])
 def test_the_first_request_of_a_new_client_is_answered_at_once(start, domain, times, record_property):
     start()

@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 from lifecycle_msgs.msg import Transition, TransitionEvent
 from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
-from nav_msgs.msg import OccupancyGrid
 from nav_msgs.srv import SetMap
-from rcl_interfaces.msg import Log, Parameter, ParameterEvent, ParameterType, ParameterValue
+from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterType, ParameterValue
 from rcl_interfaces.srv import (
     DescribeParameters,
     GetParameters,
@@ -17,14 +16,13 @@ from rcl_interfaces.srv import (
     SetParametersAtomically,
 )
 from rclpy.lifecycle import LifecycleNode
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from slam_toolbox.srv import Pause, SerializePoseGraph
 from std_srvs.srv import Empty, SetBool, Trigger
 
 from gridslam.io.maps import read_map, write_map
 from gridslam.io.sessions.session_file import read_session
 from support.localization_world import flat_map
-from support.ros2_peer import LATCHED, Peer, Robot, last_map, nanoseconds, values
+from support.ros2_peer import Peer, Robot, last_map, nanoseconds, values
 from support.ros_node import until
 
 
@@ -129,24 +127,6 @@ def test_a_known_map_is_given_and_replaced(start, peer, tmp_path):
     assert not peer.ask("/set_map", SetMap, map=grid).success
 
 
-def test_a_known_map_has_a_stamp_as_soon_as_simulated_time_has_begun(start, domain, tmp_path):
-    write_map(tmp_path / "flat.yaml", flat_map())
-    start("-p", "use_sim_time:=true", options=("--map", str(tmp_path / "flat.yaml")))
-    robot = Robot(domain)
-    try:
-        grids = robot.hear("/map", OccupancyGrid, LATCHED)
-        assert until(lambda: bool(grids))
-        assert until(lambda: robot.matched(robot.clock))
-
-        def stamped():
-            robot.tell_time(1_700_000_000 * 10**9)
-            return bool(grids) and nanoseconds(grids[-1].header.stamp) == 1_700_000_000 * 10**9
-
-        assert until(stamped)
-    finally:
-        robot.close()
-
-
 def test_the_lifecycle_is_that_of_rclpy_s_own_nodes(start, domain):
     """nav2's lifecycle_manager starts it; each state in between is told."""
     start("-p", "lifecycle:=true")
@@ -215,16 +195,3 @@ def test_a_managed_node_maps_while_it_is_active(start, domain, drive):
         assert node.says("starting a new map: reset")
     finally:
         robot.close()
-
-
-def test_the_log_is_on_rosout(start, domain):
-    peer = Peer(domain)
-    try:
-        lines = peer.hear("/rosout", Log, QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL))
-        start()
-        assert until(lambda: any(one.name == "gridslam" and one.msg.startswith("waiting for scans") for one in lines))
-        (line,) = (one for one in lines if one.msg.startswith("waiting for scans"))
-        assert line.level in (20, bytes([20]))
-        assert nanoseconds(line.stamp) > 0
-    finally:
-        peer.close()

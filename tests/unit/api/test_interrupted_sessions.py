@@ -7,9 +7,7 @@ import pytest
 
 from gridslam.api.autosave import Autosave
 from gridslam.errors import InputError
-from gridslam.io.log import open_log
 from gridslam.io.maps import read_map, write_map
-from gridslam.tracking.tracker import Tracker
 from support.interrupted import SCANS, SCENARIOS, make_building, resume_after, run_node, run_whole
 
 
@@ -18,10 +16,6 @@ def building(tmp_path_factory):
     folder = tmp_path_factory.mktemp("building")
     make_building(folder)
     return folder
-
-
-def read_stamps(path):
-    return np.array([scan.stamp_ns for _, scan in open_log(path)])
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
@@ -44,22 +38,6 @@ def test_a_node_that_goes_on_from_what_another_one_has_left_gives_the_same_bytes
             again = run_node(building, tmp_path / f"{number}{autosaved}", cuts, autosaved=autosaved)
             assert again.keys() == whole.keys()
             assert [name for name in whole if again[name] != whole[name]] == [], cuts
-
-
-def test_a_resumed_run_reports_the_scans_that_had_failed_before(building, tmp_path, monkeypatch):
-    step = Tracker.step
-    stamps = read_stamps(building / "tuesday.csv")[[20, 30, 150]].tolist()
-
-    def failing(self, state, odometry, stamp_ns, *others):
-        if stamp_ns in stamps:
-            raise RuntimeError("injected")
-        return step(self, state, odometry, stamp_ns, *others)
-
-    monkeypatch.setattr(Tracker, "step", failing)
-    whole, _ = run_whole("continued", building, tmp_path / "whole")
-    assert "3 scans failed and left out" in whole["failures"]
-    again = resume_after(100, "continued", building, tmp_path / "again")
-    assert [name for name in whole if again[name] != whole[name]] == []
 
 
 def test_what_was_begun_in_one_map_does_not_go_on_in_another(building, tmp_path):

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import ctypes
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gridslam.api import peak_memory
 from gridslam.api.peak_memory import find_peak_memory_bytes
 
 
@@ -27,10 +25,3 @@ def test_without_proc_the_resources_tell_it(monkeypatch):
 
     monkeypatch.setattr(Path, "read_text", absent)
     assert find_peak_memory_bytes() > 10_000_000
-
-
-@pytest.mark.skipif(sys.maxsize < 2**32, reason="sizes of a system of 64 bits")
-def test_the_counters_are_laid_out_as_windows_documents_them():
-    counters = peak_memory._MemoryCounters
-    assert ctypes.sizeof(counters) == 72
-    assert counters.peak_working_set.offset == 8

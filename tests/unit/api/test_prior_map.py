@@ -45,15 +45,6 @@ def test_the_piece_draws_the_map_that_was_given():
     assert not known[~free & ~occupied].any()  # no beam has passed a wall
 
 
-def test_neighbours_of_the_walk_are_near_and_their_places_sure():
-    piece = piece_of_map(floor()[0])
-    steps = np.hypot(*np.diff(piece.poses, axis=0)[:, :2].T)
-    assert len(piece) >= 40
-    assert np.median(steps) < 1.5
-    assert len(set(piece.graph.label_rigid_components().tolist())) == 1
-    assert max(np.trace(each) for each in piece.graph.covariances) < 1e-5
-
-
 def test_beams_end_where_the_known_map_does():
     """A room without one of its walls: beams that would leave it are left out."""
     grid = floor()[0]

@@ -135,17 +135,6 @@ def test_a_robot_in_another_building_is_not_found_and_two_pieces_are_left(one_da
     assert len(session.pieces) == 2
 
 
-def test_where_the_robot_begins_can_be_given(second, one_day, first, tmp_path):
-    begin = between(first.truth[0], second.truth[0])
-    log = write(tmp_path, "tuesday", moved(second.measurements))
-    session = gridslam.Session.open(one_day[0])
-    found = session.add(log, pose=np.add(begin, [1.0, -1.0, 0.2])).found_again
-    assert found.way_m < 15
-    session = gridslam.Session.open(one_day[0])
-    result = session.add(log, pose=np.add(begin, [15.0, 15.0, 2.0]))
-    assert result.found_again is None or result.found_again.way_m > 15  # only by the votes of the whole drive
-
-
 def test_frozen_key_scans_do_not_move_by_a_bit(second, one_day, tmp_path):
     path, before = one_day
     session = gridslam.Session.open(path)
@@ -189,24 +178,6 @@ def test_a_given_map_is_gone_on_from(second, first, one_day, tmp_path):
     assert result.map.known.sum() > 1.02 * known.known.sum()
     session.save(tmp_path / "prior.gridslam")
     assert gridslam.Session.open(tmp_path / "prior.gridslam").trajectories.keys() == {"tuesday"}
-
-
-def test_where_a_log_begins_can_be_forced(first, tmp_path):
-    """A robot that is started again at its dock: odometry and clock begin with zero."""
-    session = gridslam.Session(CONFIG)
-    session.add(write(tmp_path, "before", first.measurements[:300]))
-    restarted = moved(first.measurements[300:420], np.zeros(3), later_s=-50)
-    result = session.add(write(tmp_path, "after", restarted), place="same place")
-    assert not session.decision.is_same
-    assert "odometry was reset" in session.decision.reason
-    assert len(result.trajectories) == 1
-    expected = between(first.truth[0], first.truth[:420])
-    assert np.hypot(*(result.trajectory.poses - expected)[:, :2].T).mean() < 0.1
-    session = gridslam.Session(CONFIG)
-    session.add(write(tmp_path, "before", first.measurements[:300]))
-    session.add(write(tmp_path, "next", first.measurements[300:420]), place="elsewhere")
-    assert session.decision.is_same
-    assert len([*session.saved.drives]) == 2
 
 
 class KilledError(Exception):
@@ -259,11 +230,3 @@ def test_bad_calls_are_refused(one_day, tmp_path):
         gridslam.Session.open(one_day[0].parent / "monday.csv")
     with pytest.raises(ArgumentError, match="pose"):
         gridslam.Session(CONFIG).add(one_day[0].parent / "monday.csv", pose=(0, 0, 0))
-
-
-def test_sessions_without_loop_closure_go_on_at_the_same_place_alone(first, tmp_path):
-    session = gridslam.Session(override(CONFIG, "loop_closure=false"))
-    session.add(write(tmp_path, "a", first.measurements[:100]))
-    session.add(write(tmp_path, "b", first.measurements[100:150]))
-    with pytest.raises(ArgumentError, match="with loop closure"):
-        session.add(write(tmp_path, "c", moved(first.measurements[150:200])))

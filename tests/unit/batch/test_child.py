@@ -86,11 +86,6 @@ def test_each_end_has_a_name(run, tmp_path, function, error, message):
     assert not list(tmp_path.glob(".*.partial"))
 
 
-def test_the_output_of_a_job_that_failed_has_its_traceback(run):
-    assert "batch_jobs.py" in run("fail")["output_tail"]
-    assert "Segmentation fault" in run("segfault")["output_tail"]
-
-
 def test_a_job_that_hangs_is_killed_with_its_children(run, tmp_path):
     row = run("hang", timeout_s=4.0, pids=str(tmp_path / "pids"))  # on a busy machine it takes two to begin
     assert (row["error"], row["message"]) == ("timeout", "killed after 4 s")
@@ -112,27 +107,6 @@ def test_the_server_that_is_killed_takes_its_child_along_and_the_next_job_runs(r
     with pytest.raises(LostWorkerError):
         run("kill_worker", trace=str(trace), times=1, attempts=2)
     assert run("kill_worker", trace=str(trace), times=1, attempts=2)["attempts"] == 2
-
-
-def test_a_job_is_not_begun_more_often_than_it_may(run, tmp_path):
-    trace = tmp_path / "trace"
-    for _ in range(2):
-        with pytest.raises(LostWorkerError):
-            run("kill_worker", trace=str(trace), times=9, attempts=2)
-    row = run("kill_worker", trace=str(trace), times=9, attempts=2)
-    assert (row["error"], row["message"]) == ("lost worker", "all 2 workers that ran it were killed or ended")
-    assert trace.read_text().split() == ["a", "a"]
-
-
-def test_a_system_that_cannot_fork_runs_jobs_in_processes_of_their_own(tmp_path, monkeypatch):
-    monkeypatch.setattr("gridslam.batch.child._METHOD", "spawn")
-    limits = limits_of(tmp_path, timeout_s=60.0)
-    assert run_job(make_job("write_number", "a", number=2).to_dict(), limits)["document"]["number"] == 2
-    rejected = run_job(make_job("reject", "b").to_dict(), limits)
-    assert (rejected["error"], rejected["message"]) == ("InputError", "broken.clf, line 3: expected a scan")
-    job = make_job("hang", "c", pids=str(tmp_path / "pids"))
-    assert run_job(job.to_dict(), {**limits, "timeout_s": 6.0})["error"] == "timeout"
-    assert not list(tmp_path.glob("**/half.txt"))
 
 
 def test_a_job_whose_batch_has_ended_is_killed(tmp_path):

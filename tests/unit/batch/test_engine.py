@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import shutil
 import sqlite3
 from collections import Counter
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
 
 import pytest
 
-from gridslam.batch.child import LostWorkerError
 from gridslam.batch.engine import run_jobs
 from gridslam.batch.journal import JOURNAL, Journal
 from gridslam.batch.pool import ProcessPool
@@ -70,13 +65,6 @@ def test_what_was_done_is_known_without_the_journal_and_what_is_gone_is_done_aga
     assert Counter(trace.read_text().split()) == {"log0": 1, "log1": 2, "log2": 2, "log3": 1}
 
 
-def test_another_key_replaces_the_row_of_the_folder(tmp_path, trace):
-    run([make_job("write_number", "a", number=1)], tmp_path)
-    run([make_job("write_number", "a", number=2)], tmp_path)
-    (row,) = read_rows(tmp_path)
-    assert row["document"]["number"] == json.loads((tmp_path / "a" / "run.json").read_text())["number"] == 2
-
-
 def test_what_failed_for_the_machines_sake_is_tried_again(tmp_path, trace):
     jobs = [make_job("reject", "a", trace=str(trace)), make_job("leave", "b")]
     run(jobs, tmp_path)
@@ -91,14 +79,6 @@ def test_a_log_whose_worker_is_lost_runs_again_and_one_that_kills_workers_is_nam
     assert [row["attempts"] for row in rows] == [2, 3, 1, 1, 1]
     assert (rows[1]["error"], rows[0]["error"]) == ("lost worker", None)
     assert Counter(trace.read_text().split())["always"] == 3
-
-
-def test_copies_of_a_log_are_jobs_of_their_own(tmp_path, trace):
-    one = make_job("write_number", "a", number=1, seconds=0.3, trace=str(trace))
-    copies = [replace(one, folder=name, log=f"{name}.clf") for name in "abcd"]
-    rows = run(copies, tmp_path / "out", retries=0)
-    assert [row["status"] for row in rows] == 4 * ["done"]
-    assert Counter(trace.read_text().split()) == dict.fromkeys("abcd", 1)
 
 
 def test_a_full_disk_ends_the_batch_and_loses_nothing(tmp_path, trace):
@@ -152,66 +132,3 @@ def test_limits_out_of_range_are_refused(tmp_path, options, argument):
         run([make_job("leave", "a"), make_job("leave", "a", b=1)], tmp_path)
     with pytest.raises(ArgumentError, match="workers"):
         ProcessPool(0)
-
-
-def test_a_log_is_hashed_again_only_if_it_has_changed(tmp_path, monkeypatch):
-    log = tmp_path / "a.clf"
-    log.write_text("one")
-    hashed = []
-
-    def digest(path):
-        hashed.append(path)
-        return "0" * 64
-
-    monkeypatch.setattr("gridslam.batch.journal.compute_digest", digest)
-    with Journal(tmp_path) as journal:
-        journal.digest(log)
-        journal.digest(log)
-    with Journal(tmp_path) as journal:
-        journal.digest(log)
-        assert len(hashed) == 1
-        log.write_text("other")
-        journal.digest(log)
-    assert len(hashed) == 2
-
-
-class Unlucky:
-    """An executor that loses every other job before it begins."""
-
-    def __init__(self, pool):
-        self.pool = pool
-        self.count = 0
-
-    def __enter__(self):
-        self.pool.__enter__()
-        return self
-
-    def __exit__(self, *error):
-        self.pool.__exit__(*error)
-
-    def capacity(self):
-        return 3
-
-    def submit(self, job, limits):
-        self.count += 1
-        if self.count % 2:
-            future = Future()
-            future.set_exception(LostWorkerError("lost"))
-            return future
-        return self.pool.submit(job, limits)
-
-
-def test_jobs_that_an_executor_loses_are_handed_over_again(tmp_path, trace):
-    rows = run_jobs(numbers(6, trace), tmp_path / "out", executor=Unlucky(ProcessPool(1)), retries=9)
-    assert {row["status"] for row in rows} == {"done"}
-    assert set(Counter(trace.read_text().split()).values()) == {1}
-
-
-def test_digests_from_many_threads_are_each_files_own(tmp_path):
-    files = [tmp_path / f"{k}.clf" for k in range(60)]
-    for file in files:
-        file.write_text(file.name)  # all of nearly the same size, and at nearly the same time
-    expected = [hashlib.sha256(file.name.encode()).hexdigest() for file in files]
-    for _ in range(5):
-        with Journal(tmp_path / "out") as journal, ThreadPoolExecutor(8) as threads:
-            assert list(threads.map(journal.digest, files)) == expected

@@ -55,50 +55,6 @@ def test_a_folder_stands_for_the_logs_below_it(tree):
     }
 
 
-@pytest.mark.skipif(not hasattr(os, "symlink"), reason="needs links")
-def test_a_link_to_a_folder_above_is_not_followed(tree):
-    os.symlink(tree, tree / "logs" / "above")
-    assert len(names("logs")) == 5
-
-
-def test_patterns_files_and_urls(tree):
-    assert names("logs/mon/*", "runs.clf", "s3://bucket/a/b.bag", "absent.clf") == {
-        "run": "logs/mon/run.clf",
-        "run.1": "logs/mon/run.1.clf.gz",
-        "runs": "runs.clf",
-        "b": "s3://bucket/a/b.bag",
-        "absent": "absent.clf",
-    }
-    assert set(names("logs/**/*.clf")) == {"mon_run", "tue_run"}
-    assert set(names("logs/*")) == set(names("logs"))
-    (entry,) = find_logs(["runs.clf"])
-    assert entry.path == os.fspath(tree / "runs.clf")
-
-
-def test_names_do_not_depend_on_the_order_and_are_unique_whatever_their_case(tree):
-    assert names("logs/tue/run.clf", "logs/mon/run.clf") == names("logs/mon/run.clf", "logs/tue/run.clf")
-    (tree / "logs" / "RUN.clf").touch()
-    assert set(names("logs/RUN.clf", "logs/mon/run.clf")) == {"logs_RUN", "mon_run"}
-    (tree / "report.html.clf").touch()
-    assert set(names("report.html.clf", "runs.sqlite.clf")) == {"log_report.html", "log_runs.sqlite"}
-
-
-def test_trajectories_are_named_as_their_folders(tree):
-    assert names("out", trajectories=True) == {
-        "mon_run": "out/mon_run/trajectory.tum",
-        "tue_run": "out/tue_run/trajectory.tum",
-    }
-    assert set(names("out/*/trajectory.tum", trajectories=True)) == {"mon_run", "tue_run"}
-
-
-def test_references_by_pattern(tree):
-    entries = find_logs(["logs/mon"], reference="truth/{parent}/{name}.{stem}.tum")
-    assert [os.path.relpath(entry.reference) for entry in entries] == [
-        "truth/mon/run.1.run.1.tum",
-        "truth/mon/run.run.tum",
-    ]
-
-
 def test_a_manifest_is_relative_to_its_folder(tree):
     (tree / "logs" / "fleet.csv").write_text(
         '\ufefflog, name ,reference,seed\nmon/run.clf,a,../truth.tum,3\n\n"tue/run.clf",,,\n', encoding="utf-8"
@@ -133,12 +89,6 @@ def test_a_malformed_manifest_is_refused_with_its_line(tree, text, problem):
         find_logs(["m.csv"])
 
 
-@pytest.mark.parametrize(("pattern", "problem"), [("", "empty string"), ("x*", "nothing matches"), ("one", "no logs")])
-def test_a_pattern_without_logs_is_refused(tree, pattern, problem):
-    with pytest.raises(InputError, match=problem):
-        find_logs([pattern])
-
-
 def test_a_folder_that_cannot_be_read_is_a_log_that_fails(tree, monkeypatch):
     iterate = Path.iterdir
 
@@ -149,12 +99,6 @@ def test_a_folder_that_cannot_be_read_is_a_log_that_fails(tree, monkeypatch):
 
     monkeypatch.setattr(Path, "iterdir", refuse_one)
     assert "logs/mon" in names("logs").values()
-
-
-def test_long_names_are_shortened_and_stay_apart(tree):
-    found = names("x" * 300 + "1.clf", "x" * 300 + "2.clf", "ü" * 150 + ".clf", "\udcff.clf", "\udcfe.clf")
-    assert len(found) == 5
-    assert all(len(name.encode()) <= 200 for name in found)
 
 
 CELLS = st.sampled_from(

@@ -5,12 +5,9 @@ from __future__ import annotations
 import json
 import re
 
-import numpy as np
 import pytest
-from PIL import Image
 
 from gridslam.batch.report import write_report
-from gridslam.viz.thumbnail import write_thumbnail
 from support.journals import make_rows, write_journal, write_results
 
 
@@ -67,35 +64,3 @@ def test_damaged_pictures_and_trajectories_hide_no_run(out):
     assert found[folders[0].name]["picture"] is None
     assert [found[folder.name]["path"] for folder in folders[1:3]] == [None, None]
     assert found[folders[3].name]["extent"] == "0 x 0 m"
-
-
-def test_short_drives_are_drawn_whole_and_long_ones_by_even_samples(out):
-    """Rounds of a square of 20 m; and a line with 5,000 poses."""
-    folders = sorted(path.parent for path in out.glob("*/map.png"))
-    sides = [(0, 0), (20, 0), (20, 20), (0, 20)]
-    corners = [(x, y + k / 10) for k in range(20) for x, y in sides]
-    rounds = [f"{i} {x} {y} 0 0 0 0 1\n" for i, (x, y) in enumerate(corners)]
-    (folders[0] / "trajectory.tum").write_text("".join(rounds))
-    (folders[1] / "trajectory.tum").write_text("".join(f"{i} {i} {2 * i} 0 0 0 0 1\n" for i in range(5000)))
-    found = {run["folder"]: run["path"].split() for run in data(write_report(out))["runs"] if run["path"]}
-    assert len(found[folders[0].name]) == 80
-    line = found[folders[1].name]
-    assert (len(line), line[0], line[-1]) == (120, "62,250", "188,0")
-
-
-def test_a_title_is_text(tmp_path):
-    out = tmp_path / "<b>{data}"
-    write_journal(out, make_rows(1))
-    assert "<title>gridslam batch: &lt;b&gt;{data}</title>" in write_report(out).read_text(encoding="utf-8")
-
-
-def test_a_thin_wall_is_dark_in_a_thumbnail_of_the_known_part(tmp_path):
-    cells = np.full((2000, 1500), 205, np.uint8)
-    cells[200:1200, 100:900] = 254
-    cells[200:1200, 500] = 0
-    Image.fromarray(cells).save(tmp_path / "map.pgm")
-    assert write_thumbnail(tmp_path / "map.pgm", tmp_path / "small.jpg", side_px=100)
-    small = np.asarray(Image.open(tmp_path / "small.jpg"))
-    assert max(small.shape) <= 100
-    assert (small[10:-10].min(axis=1) < 120).all()
-    assert (small > 230).mean() > 0.8

@@ -27,32 +27,6 @@ def test_figures_of_a_run_are_those_of_its_document(tmp_path):
     assert run.findings == (("warning", "mirrored", "The laser is mirrored."),)
 
 
-def test_scores_and_reports_of_other_commands_are_read(tmp_path):
-    ate = {"schema": "gridslam.evaluation/1", "ate": {"trans_rmse_m": 0.1, "rot_rmse_deg": 1.0, "trans_max_m": 0.4}}
-    doctor = {
-        "schema": "gridslam.doctor/2",
-        "log": {"scans": 7, "duration_s": 1.4},
-        "findings": [
-            {"severity": "info", "code": "topics", "message": "The log holds scans."},
-            {"severity": "error", "code": "frozen", "message": "The laser is frozen."},
-        ],
-    }
-    rows = make_rows(2)
-    rows[0]["document"], rows[1]["document"] = json.dumps(ate), json.dumps(doctor)
-    write_journal(tmp_path, rows)
-    evaluated, diagnosed = read_runs(tmp_path)
-    assert evaluated.figures == {"error_m": 0.1, "error_rad": math.radians(1.0), "worst_m": 0.4}
-    assert diagnosed.figures == {"scans": 7, "duration_s": 1.4}
-    assert diagnosed.findings == (("error", "frozen", "The laser is frozen."),)
-
-
-@pytest.mark.parametrize("document", [None, "[]", "3", '{"scans": 3, "input": [], "evaluation": {"ate": null}}'])
-def test_a_document_without_figures_is_no_failure(tmp_path, document):
-    write_journal(tmp_path, [make_rows(1)[0] | {"document": document}])
-    (run,) = read_runs(tmp_path)
-    assert (run.figures, run.findings) == ({}, ())
-
-
 def test_a_folder_without_a_journal_and_a_damaged_one_are_named(tmp_path):
     with pytest.raises(InputError, match=r"runs\.sqlite: no such file"):
         list(read_runs(tmp_path))

@@ -30,13 +30,6 @@ def test_times_are_those_told_or_those_of_a_mirror_that_turns_once_a_scan():
     assert times.of(scan(0.3, told), beams).mean() == pytest.approx(0)
 
 
-def test_a_pause_is_no_period():
-    times = BeamTimes()
-    for stamp_s in (*np.arange(0, 5, 0.1), 65.0, *np.arange(65.1, 68, 0.1)):
-        times.update(scan(stamp_s))
-    assert times.period_s == pytest.approx(0.1, rel=0.05)
-
-
 def order_of(swept):
     """Of 60 scans that agree with the map the less the farther a presumption is from the truth."""
     order = BeamOrder()

@@ -49,14 +49,6 @@ def test_a_skew_is_told_with_its_size_and_is_a_fault_where_matching_does_not_mak
     assert bool(found.remedy) == (severity is Severity.WARNING)
 
 
-def test_the_same_skew_is_a_fault_in_fast_turns():
-    slow, fast = perfect(60.0, skew_s=0.2), perfect(240.0, skew_s=0.8)
-    fast = replace(fast, stamps_ns=fast.stamps_ns // 4, odometry_stamps_ns=fast.odometry_stamps_ns // 4)
-    (told,), (quick,) = ([f for f in motion_findings(m) if f.code == "clock_skew"] for m in (slow, fast))
-    assert (told.severity, quick.severity) == (Severity.INFO, Severity.WARNING)
-    assert [told.size, quick.size] == pytest.approx([0.2, 0.2], rel=0.1)
-
-
 def test_a_reflected_laser_is_named():
     found = faults(laser_motion(with_fault(log()[0], "reflected_laser", np.random.default_rng(0))))
     assert list(found) == ["reflected_laser"]
@@ -80,41 +72,12 @@ def test_a_laser_declared_and_mounted_upside_down_is_none():
     assert faults(motion) == {}
 
 
-@pytest.mark.parametrize(("yaw", "severity"), [(0.1, Severity.WARNING), (-0.6, Severity.ERROR)])
-def test_a_yaw_matters_by_its_size(yaw, severity):
-    found = faults(perfect(60.0, mounting=(0.1, 0.0, yaw), declared_yaw=0.0))
-    assert found["yaw_offset"].severity is severity
-    assert found["yaw_offset"].size == pytest.approx(yaw, abs=0.01)
-    assert ("left" in found["yaw_offset"].message) == (yaw > 0)
-
-
-def test_what_every_robot_has_is_information():
-    noise = np.random.default_rng(0)
-    found = motion_findings(perfect(120.0, scale=1.015, drift=0.007, turn_scale=0.98, noise=(1e-3, 1e-3), rng=noise))
-    assert {finding.code for finding in found} == {"odometry_scale", "odometry_drift", "odometry_rotation_bias"}
-    assert not any(finding.is_fault for finding in found)
-
-
 def test_odometry_of_another_robot_is_unrelated():
     motion = perfect(120.0)
     other = np.cumsum(np.random.default_rng(0).normal(0, [0.02, 0.0, 0.05], motion.odometry.shape), axis=0)
     found = motion_findings(replace(motion, odometry=other))
     assert [finding.code for finding in found] == ["odometry_unrelated"]
     assert found[0].severity is Severity.ERROR
-
-
-def test_without_odometry_or_motion_nothing_is_said():
-    motion = perfect(30.0)
-    assert motion_findings(replace(motion, odometry=np.full_like(motion.odometry, np.nan))) == []
-    still = replace(motion, poses=np.zeros_like(motion.poses), odometry=np.zeros_like(motion.odometry))
-    assert motion_findings(still) == []
-    assert motion_findings(laser_motion([])) == []
-
-
-def test_a_track_that_is_lost_again_and_again_is_no_witness():
-    motion = perfect(30.0, reflected=True)
-    assert motion_findings(motion)
-    assert motion_findings(replace(motion, tracks=np.arange(len(motion)) // 10)) == []
 
 
 def slipped(motion, at, metres, radians=0.0, scans=10):
@@ -142,22 +105,6 @@ def test_slips_are_found_where_they_are():
     assert first.stamp_ns * 1e-9 == pytest.approx(30.0, abs=1.2)
     assert second.stamp_ns * 1e-9 == pytest.approx(70.0, abs=1.2)
     assert 0.5 < first.duration_s < 3.0
-
-
-def test_odometry_that_comes_late_and_catches_up_is_no_slip():
-    motion = perfect(90.0)
-    odometry = motion.odometry.copy()
-    for begin in range(100, 800, 100):
-        odometry[begin : begin + 8] = odometry[begin]
-    late = replace(motion, odometry=odometry)
-    assert wheel_slips(late, calibrate(late)) == []
-
-
-def test_a_robot_that_is_pushed_is_no_slip():
-    """Odometry that tells too little, again and again, is no wheel that spins."""
-    motion = perfect(90.0)
-    pushed = slipped(slipped(motion, 300, -0.4), 700, -0.4)
-    assert wheel_slips(pushed, calibrate(pushed)) == []
 
 
 @pytest.mark.parametrize("both", [True, False])

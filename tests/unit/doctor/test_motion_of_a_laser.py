@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from gridslam.doctor import laser_motion as module
-from gridslam.doctor.laser_motion import LaserMotionEstimator, laser_motion
+from gridslam.doctor.laser_motion import laser_motion
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.measurement import Measurement
 from gridslam.types import LaserScan, ScanGeometry
-from support.faults import with_fault
 from support.laser_drives import EXACT, log
 
 
@@ -43,44 +40,6 @@ def test_increments_are_exact(beams, view, rate):
     assert (way[moving].sum() + error[moving, 0].sum()) / way[moving].sum() == pytest.approx(1.0, abs=0.005)
 
 
-@pytest.mark.parametrize("fault", ["invalid_beams", "beam_count_varies"])
-def test_missing_beams_do_no_harm(fault):
-    """20 % NaN, or up to 6 beams fewer in each scan."""
-    measurements, truth = log("rooms", 200)
-    motion = laser_motion(with_fault(measurements, fault, np.random.default_rng(0)))
-    error, _ = errors(motion, truth, 5)
-    assert motion.tracks.max() == 0
-    assert np.median(np.abs(error), axis=0).max() < 0.015
-
-
-def test_neither_odometry_nor_mounting_is_believed():
-    """The same poses bit for bit without odometry, and with a laser declared elsewhere and looking elsewhere."""
-    measurements, _ = log("rooms", 60)
-    poses = laser_motion(measurements).poses
-    blind = laser_motion([Measurement(None, scan) for _, scan in measurements])
-    np.testing.assert_array_equal(blind.poses, poses)
-    assert np.isnan(blind.odometry).all()
-    turned = laser_motion(with_fault(measurements, "yaw_offset", np.random.default_rng(0), 2.0))
-    np.testing.assert_allclose(turned.poses, poses, atol=5e-3)  # what the grid costs, which lies elsewhere now
-
-
-def test_a_mirrored_world_is_matched_as_well():
-    measurements, _ = log("rooms", 200)
-    motion = laser_motion(measurements)
-    mirrored = laser_motion(with_fault(measurements, "reflected_laser", np.random.default_rng(0)))
-    steps, back = (between(m.poses[:-5], m.poses[5:]) for m in (motion, mirrored))
-    assert np.median(np.abs(back[:, 2] + steps[:, 2])) < 0.005
-
-
-def test_scans_that_take_as_long_as_they_are_apart_stay_stable():
-    """Each scan moved to its stamp by the last twist would make the twist swing: half of it, and then ever more."""
-    measurements, truth = log("rooms", 300, 0, EXACT, 360, math.tau, 10.0, 0.1)
-    motion = laser_motion(measurements)
-    assert motion.stamps_ns[5] - measurements[5].scan.stamp_ns == pytest.approx(5e7, abs=3e6)
-    way, true = (np.hypot(*np.diff(poses[:, :2], axis=0).T).sum() for poses in (motion.poses, truth))
-    assert way == pytest.approx(true, rel=0.08)  # 5 mm of noise beside steps of 6 cm, and the laser's lever
-
-
 def test_covariances_hold():
     measurements, truth = log("rooms", 300, 1, EXACT)
     motion = laser_motion(measurements)
@@ -101,52 +60,3 @@ def test_a_bare_corridor_leaves_the_way_along_it_open():
     assert variances[1] == pytest.approx(1.0, rel=0.01)
     assert abs(axes[0, 1]) > 0.99
     assert motion.covariances[0, 0, 0] < 0.01**2
-
-
-def test_a_jump_begins_another_track():
-    measurements, _ = log("rooms", 120)
-    elsewhere, _ = log("hall", 60)
-    motion = laser_motion([*measurements[:60], *(Measurement(None, scan) for _, scan in elsewhere)])
-    assert motion.tracks[59] == 0
-    assert motion.shares[60] < 0.35
-    assert motion.tracks[-1] == 1
-    assert (motion.poses[60] == 0).all()
-
-
-def test_long_logs_are_matched_in_ever_rarer_stretches(monkeypatch):
-    monkeypatch.setattr(module, "_STRETCH", 10)
-    monkeypatch.setattr(module, "_WHOLE_STRETCHES", 4)
-    measurements, _ = log("rooms", 400)
-    motion = laser_motion(measurements)
-    # stretches 0..3 are matched, of 4..7 every second, of 8..15 every fourth,
-    # of 16..31 every eighth, of 32..39 every 16th
-    matched = [*range(4), 4, 6, 8, 12, 16, 24, 32]
-    assert len(motion) == 10 * len(matched)
-    assert motion.scans == 400
-    begins = [measurements[10 * stretch].scan.stamp_ns for stretch in matched]
-    assert motion.stamps_ns[::10].tolist() == begins
-    assert motion.tracks.max() == len(matched) - 5
-
-
-def test_fast_lasers_are_thinned_out_and_others_left_out():
-    measurements, _ = log("rooms", 100, 0, EXACT, 180, math.pi, 20.0)
-    faster = [Measurement(o, replace(scan, stamp_ns=scan.stamp_ns // 2)) for o, scan in measurements]
-    assert len(laser_motion(faster)) == 50
-    other = [Measurement(o, replace(scan, sensor="rear")) for o, scan in measurements[:30]]
-    both = [measurement for pair in zip(measurements, other, strict=False) for measurement in pair]
-    assert laser_motion(both).scans == 30
-    assert laser_motion(both, "rear").sensor == "rear"
-    assert len(laser_motion(both, "none")) == 0
-
-
-def test_the_witness_tells_at_any_time():
-    measurements, _ = log("rooms", 40)
-    estimator = LaserMotionEstimator()
-    assert len(estimator.motion) == 0
-    for measurement in measurements[:20]:
-        estimator.add(measurement)
-    early = estimator.motion
-    for measurement in measurements[20:]:
-        estimator.add(measurement)
-    np.testing.assert_array_equal(estimator.motion.poses[:20], early.poses)
-    assert len(estimator) == 40

@@ -14,7 +14,6 @@ from gridslam.doctor.laser_motion import laser_motion
 from gridslam.doctor.motion_findings import motion_findings
 from gridslam.doctor.repair import (
     Repair,
-    RepairedLog,
     calibrate_early,
     find_full_repair,
     find_needed_repair,
@@ -23,8 +22,6 @@ from gridslam.doctor.repair import (
 from gridslam.evaluation import absolute_errors
 from gridslam.geometry.se2 import between
 from gridslam.io.csv import write_csv_log
-from gridslam.io.log import open_log
-from gridslam.io.measurement import Measurement
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
@@ -81,43 +78,6 @@ def test_a_skew_is_taken_out_by_the_odometry_of_the_right_time(skew):
     assert np.mean(off) < 0.35 * np.mean(before)
 
 
-def test_reading_ahead_is_bounded():
-    """With a skew below 0 as many scans are waited for as it spans, else none."""
-    for skew, ahead in ((0.1, 1), (-0.5, 4)):
-        read = []
-        source = (read.append(measurement) or measurement for measurement in log(scans=40)[0])
-        next(repair_measurements(source, Repair(skew_s=skew)))
-        assert len(read) == ahead
-
-
-def test_scans_without_odometry_pass():
-    scans = [Measurement(None, scan) for _, scan in log(scans=5)[0]]
-    for repair in (Repair(), Repair(scale=1.1), Repair(skew_s=0.1)):
-        assert [m.odometry for m in repair_measurements(scans, repair)] == [None] * 5
-
-
-@pytest.mark.parametrize(("name", "size"), [("reflected_laser", None), ("yaw_offset", np.pi), ("yaw_offset", -1.0)])
-def test_the_begin_of_a_log_tells_what_must_be_repaired(name, size):
-    repair = find_needed_repair(calibrate_early(with_fault(log()[0], name, np.random.default_rng(0), size)))
-    assert repair.reflected == (name == "reflected_laser")
-    assert abs(np.remainder(repair.yaw_rad - (size or 0.0) + np.pi, 2 * np.pi) - np.pi) < 0.03
-
-
-@pytest.mark.parametrize("name", [None, "clock_skew", "odometry_scale", "odometry_drift", "wheel_slip"])
-def test_what_matching_makes_up_for_is_not_repaired_unasked(name):
-    measurements = log()[0] if name is None else with_fault(log()[0], name, np.random.default_rng(0))
-    assert not find_needed_repair(calibrate_early(measurements))
-
-
-def test_early_calibration_reads_no_more_than_it_needs():
-    """Less than half of what a fault takes, where there is none."""
-    clean, faulty = [], []
-    calibrate_early(clean.append(measurement) or measurement for measurement in log()[0])
-    reflected = with_fault(log()[0], "reflected_laser", np.random.default_rng(0))
-    calibrate_early(faulty.append(measurement) or measurement for measurement in reflected)
-    assert 2 * len(clean) < len(faulty) < 300
-
-
 def test_a_full_repair_takes_out_all_that_is_certain():
     found = calibrate(perfect(60.0, scale=1.1, turn_scale=0.95, skew_s=0.08, reflected=True))
     repair = find_full_repair(found)
@@ -144,12 +104,6 @@ def error_m(measurements, truth):
     return absolute_errors(online, Trajectory(online.stamps_ns, truth)).trans_rmse_m
 
 
-def test_the_second_look_finds_nothing_left():
-    faulty = tuple(with_fault(log()[0], "odometry_scale", np.random.default_rng(0), 0.1))
-    mended = tuple(repair_measurements(faulty, find_full_repair(calibrate(laser_motion(faulty)))))
-    assert calibrate(laser_motion(mended)).scale.value == pytest.approx(1.0, abs=0.005)
-
-
 def test_a_repaired_log_is_what_map_log_maps_and_tells(tmp_path):
     """A mirrored log, mapped as it is and repaired: one map is the mirror image of the building, one is right."""
     measurements, truth = log(scans=400)
@@ -162,18 +116,6 @@ def test_a_repaired_log_is_what_map_log_maps_and_tells(tmp_path):
         true = Trajectory(result.trajectory.stamps_ns, truth)
         errors[repair] = absolute_errors(result.trajectory, true).trans_rmse_m
     assert errors["needed"] < 0.1 < errors["none"]
-
-
-def test_what_a_repair_takes_out_is_told_before_the_first_measurement(tmp_path):
-    measurements, _ = log(scans=200)
-    write_csv_log(tmp_path / "log.csv", list(with_fault(measurements, "yaw_offset", np.random.default_rng(0), np.pi)))
-    told = []
-    source = RepairedLog(open_log(tmp_path / "log.csv"), on_repair=told.append)
-    first = next(iter(source))
-    assert [fault for repair in told for fault in repair.describe()] == [next(source.repair.describe())]
-    assert abs(source.repair.yaw_rad) == pytest.approx(np.pi, abs=0.1)
-    assert first.scan.stamp_ns == measurements[0].scan.stamp_ns
-    assert not list(Repair().describe())
 
 
 def mirrored(measurements, sign):
@@ -191,23 +133,3 @@ def test_an_odometry_that_contradicts_itself_is_mirrored_and_not_the_laser(sign,
     assert finding.code == "odometry_mirrored"
     clean, mended = (error_m(m, truth) for m in (measurements, repair_measurements(faulty, repair)))
     assert mended < clean + 0.03
-
-
-def test_an_odometry_that_is_mirrored_as_a_whole_is_not_told_from_a_mirrored_laser():
-    faulty = mirrored(log(scans=300)[0], np.array([1, -1, -1]))
-    assert find_needed_repair(calibrate_early(faulty)) == Repair(reflected=True)
-    (finding,) = (f for f in motion_findings(laser_motion(faulty)) if f.is_fault)
-    assert finding.code == "reflected_laser"
-    assert "Laser or odometry is mirrored" in finding.message
-
-
-def test_a_yaw_that_brings_laser_and_odometry_no_nearer_is_not_corrected():
-    """A laser whose matches are noise about the robot's start: some yaw always fits best."""
-    found = calibrate(perfect(60.0, declared_yaw=0.2 - 2.0))
-    assert found.yaw_improves
-    assert find_needed_repair(found).yaw_rad == pytest.approx(2.0, abs=0.01)
-    assert find_needed_repair(replace(found, yaw_improves=False)) == Repair()
-    unrelated = perfect(60.0, declared_yaw=0.2 - 2.0)
-    noise = 0.05 * np.random.default_rng(0).standard_normal((len(unrelated), 2))
-    poses = np.column_stack([noise, unrelated.poses[:, 2]])
-    assert not calibrate(replace(unrelated, poses=poses)).yaw_improves

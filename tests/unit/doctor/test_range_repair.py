@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gridslam.doctor.range_limits import RangeCounts
-from gridslam.doctor.repair import Repair, RepairedLog, repair_measurements
+from gridslam.doctor.repair import Repair, RepairedLog
 from gridslam.io.csv import write_csv_log
 from gridslam.io.log import open_log
 from gridslam.io.measurement import Measurement
@@ -80,12 +79,6 @@ def test_beams_that_hit_nothing_are_no_hits_once_the_log_is_repaired(tmp_path, k
     assert lost < 0.005 * sum(len(scan) for _, scan in faulty)
 
 
-def test_nothing_else_is_repaired_where_only_the_ranges_lie(tmp_path):
-    _, repair, _ = mended(tmp_path, told(REACH_M), "needed")
-    assert repair.range_max_m is not None
-    assert repair == Repair(range_max_m=repair.range_max_m)
-
-
 @pytest.mark.parametrize("kind", ["needed", "all"])
 def test_a_log_that_tells_no_return_truly_keeps_its_ranges(tmp_path, kind):
     clean = drive()
@@ -96,69 +89,9 @@ def test_a_log_that_tells_no_return_truly_keeps_its_ranges(tmp_path, kind):
         np.testing.assert_array_equal(one.scan.status, other.scan.status)
 
 
-@pytest.mark.parametrize("kind", ["needed", "all"])
-def test_a_pile_beyond_what_is_used_is_left_alone(tmp_path, kind):
-    """It harms nothing, whatever its share."""
-    faulty = told(50.0, lost=0.3)
-    found, repair, _ = mended(tmp_path, faulty, kind)
-    assert counted(faulty).false_hits_m() is None
-    assert repair.range_max_m is None
-    for one, other in zip(found, faulty, strict=True):
-        np.testing.assert_array_equal(one.scan.status, other.scan.status)
-
-
 @pytest.mark.parametrize(("value_m", "is_false"), [(8.18, True), (29.9, True), (30.0, False), (50.0, False)])
 def test_false_hits_are_those_that_would_be_used(value_m, is_false):
     found = counted(told(value_m)).false_hits_m()
     assert (found is not None) is is_false
     if found is not None:
         assert found == pytest.approx(value_m - MARGIN_M, abs=0.01)
-
-
-@pytest.mark.parametrize(("share", "is_false"), [(0.0, False), (0.03, False), (0.08, True), (0.5, True)])
-def test_false_hits_are_taken_out_from_one_in_twenty_on(share, is_false):
-    """Of a laser that reaches every wall: fewer spoil no map."""
-    rng = np.random.default_rng(0)
-    counts = RangeCounts()
-    for _, scan in drive():
-        ranges = np.where(rng.random(len(scan)) < share, 20.0, np.minimum(scan.ranges, REACH_M * rng.random(len(scan))))
-        counts.take(LaserScan.from_ranges(scan.stamp_ns, ranges, scan.geometry, range_max_m=STATED_M))
-    assert (counts.false_hits_m() is not None) is is_false
-
-
-def test_of_no_readings_nothing_is_said():
-    assert RangeCounts().false_hits_m() is None
-
-
-def test_counting_does_not_depend_on_when_it_is_done():
-    """What waits is counted when it is asked for."""
-    early, late = RangeCounts(), RangeCounts()
-    for _, scan in told(REACH_M):
-        early.take(scan)
-        early.count()
-        late.take(scan)
-    assert early.false_hits_m() == late.false_hits_m() is not None
-
-
-def test_only_the_laser_that_lies_is_limited():
-    """The other's walls beyond 8 m stay hits, and beams that are no hits stay what they are."""
-    pairs = [one for pair in zip(told(REACH_M)[:50], told(9.0, sensor="other")[:50], strict=True) for one in pair]
-    for wrong, one in zip(pairs, repair_measurements(pairs, Repair(range_max_m=8.13)), strict=True):
-        if wrong.scan.sensor == "other":
-            assert one.scan is wrong.scan
-        else:
-            expected = np.where(wrong.scan.ranges >= 8.13, BeamStatus.NO_RETURN, wrong.scan.status)
-            np.testing.assert_array_equal(one.scan.status, expected)
-
-
-def test_a_beam_that_is_no_hit_stays_what_it_is():
-    geometry = drive()[0].scan.geometry
-    ranges = np.full(len(geometry.bearings), 3.0)
-    ranges[:5] = [np.nan, np.inf, 8.2, 8.12, 9.0]
-    scan = LaserScan.from_ranges(0, ranges, geometry, range_max_m=STATED_M)
-    scan = replace(scan, status=np.where(ranges == 9.0, np.uint8(BeamStatus.INVALID), scan.status))
-    (one,) = repair_measurements([Measurement(None, scan)], Repair(range_max_m=8.13))
-    invalid, nothing, hit = BeamStatus.INVALID, BeamStatus.NO_RETURN, BeamStatus.HIT
-    assert one.scan.status[:5].tolist() == [invalid, nothing, nothing, hit, invalid]
-    np.testing.assert_array_equal(one.scan.ranges, ranges)
-    assert scan.status[2] == hit  # the scan itself is not written to

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gridslam.doctor import Severity
-from gridslam.doctor.finding import Trace, percent
-from gridslam.doctor.stamps import LogHistogram
 from gridslam.io.measurement import Measurement
-from gridslam.types import ScanGeometry
-from support.hand_logs import BEARINGS, GEOMETRY, drive, findings, seen
+from support.hand_logs import drive, findings, seen
 
 
 def restamped(stamps_s):
@@ -39,30 +33,10 @@ def test_a_gap_in_which_the_robot_moved_is_doubtful():
     assert gap.figure is not None
 
 
-def test_a_gap_in_which_the_robot_stood_is_only_told():
-    log = [m for m in drive(v=0.01) if not 10 < m.scan.stamp_ns * 1e-9 < 15]
-    assert findings(log)["gaps"].severity is Severity.INFO
-
-
 @pytest.mark.parametrize(("missing_s", "severity"), [(0.9, Severity.INFO), (3.0, Severity.WARNING)])
 def test_without_odometry_a_gap_is_doubtful_by_its_length(missing_s, severity):
     log = [Measurement(None, m.scan) for m in drive(rate_hz=10) if not 10 < m.scan.stamp_ns * 1e-9 < 10 + missing_s]
     assert findings(log)["gaps"].severity is severity
-
-
-def test_bursts_are_no_gaps():
-    """A recorder that writes ten scans at once, every half second: nothing is missing."""
-    stamps = [0.5 * (k // 10) + 0.001 * (k % 10) for k in range(200)]
-    assert "gaps" not in findings(restamped(stamps))
-
-
-def test_jitter_is_only_told():
-    rng = np.random.default_rng(0)
-    stamps = np.arange(200) * 0.2 + 0.15 * rng.random(200)
-    stamps[50] -= 0.4
-    found = findings(restamped(stamps))["backward_stamps"]
-    assert found.severity is Severity.INFO
-    assert found.size == pytest.approx(stamps[49] - stamps[50], abs=1e-6)
 
 
 def test_stamps_in_no_order_are_doubtful():
@@ -88,24 +62,6 @@ def test_repeated_stamps(every, severity):
     assert found.size == pytest.approx(len(stamps[every::every]) / 200)
 
 
-def test_two_lasers_at_one_time_are_no_repeated_stamps():
-    mounted = ScanGeometry.planar(BEARINGS, [0.3, 0.0, 0.0])
-    other = (Measurement(m.odometry, replace(m.scan, sensor="b", geometry=mounted)) for m in drive())
-    assert set(findings(m for pair in zip(drive(), other, strict=True) for m in pair)) == {"several_lasers"}
-
-
-def test_a_beam_count_that_varies():
-    def log():
-        for k, (odometry, scan) in enumerate(drive()):
-            count = 181 - k % 7
-            geometry = ScanGeometry(BEARINGS[:count])
-            yield seen(scan.stamp_ns * 1e-9, scan.ranges[:count], tuple(odometry.pose), geometry)
-
-    found = findings(log())["beam_count_varies"]
-    assert (found.severity, found.size, found.unit) == (Severity.WARNING, 6, "beams")
-    assert "175 to 181" in found.message
-
-
 @pytest.mark.parametrize("value", [np.nan, 0.0, -1.0])
 @pytest.mark.parametrize(("share", "severity"), [(0.03, Severity.INFO), (0.2, Severity.WARNING)])
 def test_invalid_beams(share, severity, value):
@@ -119,26 +75,6 @@ def test_invalid_beams(share, severity, value):
     assert found.size == pytest.approx(share, abs=0.01)
     assert found.severity is severity
     assert {0: "zero", -1: "negative"}.get(value, "not a number") in found.message
-
-
-def test_beams_that_nothing_is_in_reach_of_are_not_lost():
-    """Some lasers say NaN there; such beams lie side by side, and others at each place."""
-    log = [
-        seen(m.scan.stamp_ns * 1e-9, np.where(m.scan.ranges > 3.2, np.nan, m.scan.ranges), tuple(m.odometry.pose))
-        for m in drive()
-    ]
-    found = findings(log)["invalid_beams"]
-    assert found.size > 0.15
-    assert found.severity is Severity.INFO
-    assert "side by side" in found.message
-
-
-def test_beams_that_the_robot_hides_are_not_lost():
-    hidden = np.arange(181) < 40
-    log = [seen(m.scan.stamp_ns * 1e-9, np.where(hidden, 0, m.scan.ranges), tuple(m.odometry.pose)) for m in drive()]
-    found = findings(log)["invalid_beams"]
-    assert found.severity is Severity.INFO
-    assert "40 of 181 beams never" in found.message
 
 
 @pytest.mark.parametrize(("hits", "severity"), [(10, Severity.ERROR), (60, None)])
@@ -168,77 +104,3 @@ def test_no_return_that_is_told_as_a_range(value_m, share, severity):
     if found:
         assert found.size == pytest.approx(2.0, abs=0.01)  # the stated limit over the true one
         assert found.figure is not None
-
-
-def test_the_limit_told_truly_is_no_pile():
-    assert "range_limits" not in findings(with_pile(8.0, 0.2, 8.0, np.random.default_rng(0)))
-
-
-def test_a_wall_before_a_standing_robot_is_no_pile():
-    """Ranges fall into few bins, but the farthest is not seen all around."""
-    ranges = 2.0 / np.cos(BEARINGS).clip(0.45)
-    ranges[np.abs(BEARINGS) > 1.0] = 1.5
-    log = [seen(k * 0.2, ranges, (0.0, 0.0, 0.0), GEOMETRY, range_max_m=30.0) for k in range(200)]
-    assert "range_limits" not in findings(log)
-
-
-@pytest.mark.parametrize(("limit_m", "severity"), [(8.0, Severity.WARNING), (14.5, Severity.INFO), (20.0, None)])
-def test_a_limit_that_cuts_off_walls(limit_m, severity):
-    rng = np.random.default_rng(0)
-    log = [
-        seen(k / 5, m.scan.ranges * rng.uniform(1, 5, 181), tuple(m.odometry.pose), range_max_m=limit_m)
-        for k, m in enumerate(drive())
-    ]
-    found = findings(log).get("range_limits")
-    assert (found and found.severity) == severity
-    if found:
-        farthest = max(float(m.scan.ranges.max()) for m in log)
-        assert found.size == pytest.approx(limit_m / farthest, rel=0.01)
-
-
-def test_codes_for_no_return_are_not_ranges():
-    log = [
-        seen(
-            m.scan.stamp_ns * 1e-9,
-            np.where(np.arange(181) % 3, m.scan.ranges, 65.533),
-            tuple(m.odometry.pose),
-            range_max_m=30.0,
-        )
-        for m in drive()
-    ]
-    assert "range_limits" not in findings(log)
-
-
-@given(st.lists(st.floats(1e-5, 1e5), min_size=1, max_size=200), st.floats(0.01, 0.99))
-def test_quantiles_of_a_histogram(values, share):
-    histogram = LogHistogram()
-    for value in values:
-        histogram.add(value)
-    exact = float(np.quantile(values, share, method="inverted_cdf"))
-    assert histogram.quantile(share) == pytest.approx(exact, rel=0.026)
-
-
-def test_a_histogram_of_nothing_has_no_quantile():
-    assert math.isnan(LogHistogram().quantile(0.5))
-
-
-@given(st.integers(1, 30_000), st.integers(0, 10**6))
-def test_a_trace_keeps_extremes_order_and_bounds(count, seed):
-    values = np.random.default_rng(seed).random(count)
-    trace = Trace()
-    for time, value in enumerate(values.tolist()):
-        trace.add(float(time), value)
-    times, kept = trace.arrays()
-    assert len(kept) <= 2000
-    assert len(kept) >= min(count, 1000)
-    assert (np.diff(times) > 0).all()
-    assert kept.max() == values.max()
-    assert np.array_equal(values[times.astype(int)], kept)
-
-
-@pytest.mark.parametrize(
-    ("share", "text"),
-    [(0.0, "0 %"), (1.0, "100 %"), (0.25, "25 %"), (0.031, "3.1 %"), (2e-5, "0.002 %"), (0.995, "99.5 %")],
-)
-def test_shares_are_never_rounded_to_none_or_all(share, text):
-    assert percent(share) == text

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -28,19 +27,7 @@ def test_exp_and_log_are_those_of_se2(pose, twist):
     assert single_pose.log(pose) == tuple(se2.log(pose).tolist())
 
 
-@given(POSES, POSES)
-def test_between_undoes_compose(a, b):
-    x, y, theta = single_pose.between(a, single_pose.compose(a, b))
-    scale = 1 + abs(a[0]) + abs(a[1]) + abs(b[0]) + abs(b[1])
-    assert math.hypot(x - b[0], y - b[1]) <= 1e-14 * scale
-    assert abs(math.remainder(theta - b[2], math.tau)) <= 1e-14
-
-
 def test_a_pose_that_nobody_measured_stays_unknown():
     assert not single_pose.is_known(single_pose.UNKNOWN_POSE)
     assert not single_pose.is_known(single_pose.between(single_pose.UNKNOWN_POSE, (1.0, 2.0, 3.0)))
     assert single_pose.is_known(single_pose.as_pose(np.zeros(3)))
-
-
-def test_motion_is_never_negative():
-    assert single_pose.motion_of((-3.0, 4.0, -0.5)) == (pytest.approx(5.0), 0.5)

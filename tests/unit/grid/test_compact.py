@@ -56,11 +56,3 @@ def test_maps_and_their_snapshots_go_on_as_if_nothing_had_been():
     assert {name: array.tobytes() for name, array in kept.to_arrays().items()} == {
         n: a.tobytes() for n, a in again.items()
     }
-
-
-def test_a_tile_that_maps_share_counts_once():
-    maps = diverged(np.random.default_rng(2))
-    assert maps.tiles_of(np.arange(4)) == maps.tiles_used
-    assert maps.tiles_of(np.array([1, 1])) == maps.tiles_of(np.array([1]))
-    apart = sum(maps.tiles_of(np.array([row])) for row in range(4))
-    assert max(maps.tiles_of(np.array([row])) for row in range(4)) < maps.tiles_used < apart

@@ -14,10 +14,8 @@ from hypothesis import strategies as st
 import gridslam
 from gridslam.errors import ArgumentError
 from gridslam.grid import Evidence, TileMaps
-from gridslam.grid.arena import TileArena
 from gridslam.grid.tiles import MOST_BEAM_CELLS
-from gridslam.kernels import FARTHEST, FREE_CELLS, PAGE, TILE
-from gridslam.mapping.beam_counts import BeamCounts
+from gridslam.kernels import FARTHEST, PAGE, TILE
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.types import LaserScan, ScanGeometry
@@ -54,20 +52,6 @@ def held(maps):
 def assert_unchanged(maps, before):
     for name, array in maps.to_arrays().items():
         np.testing.assert_array_equal(array, before[name])
-
-
-def test_a_map_begins_where_the_robot_is():
-    near = new_maps()
-    far = new_maps()
-    beams = room_from(1)
-    near.update(ROW, np.zeros((1, 3)), beams)
-    far.update(ROW, UTM[None], beams)
-    assert far.nbytes == near.nbytes
-    there = far.occupancy(0)
-    here = near.occupancy(0)
-    np.testing.assert_array_equal(there.log_odds, here.log_odds)
-    np.testing.assert_array_equal(there.known, here.known)
-    assert np.subtract(there.origin, here.origin).tolist() == UTM[:2].tolist()
 
 
 @settings(deadline=None, max_examples=25)
@@ -129,56 +113,11 @@ def test_maps_that_span_too_much_are_refused_before_tables_are_allocated():
     assert_unchanged(maps, before)
 
 
-def test_a_map_that_was_cleared_begins_where_it_is_used_next():
-    maps = new_maps()
-    for place in range(-5, 5):
-        maps.update(ROW, np.array([[1e6 * place, 1e5 * place, 0.0]]), room_from(5))
-        assert maps.occupancy(0).shape < (20 * TILE, 20 * TILE)
-        maps.clear(0)
-
-
-@pytest.mark.parametrize("far", [1e9, 1e300, -1e300, math.inf, -math.inf, math.nan])
-def test_looking_from_afar_sees_nothing(far):
-    maps = new_maps()
-    beams = room_from(6)
-    maps.update(ROW, np.zeros((1, 3)), beams)
-    with np.errstate(all="ignore"):
-        for pose in np.array([[far, 0, 0], [0, far, 0], [0, 0, far], [far, far, far]]):
-            if pose[0] or pose[1]:
-                assert not maps.is_known(0, pose[None, :2]).any()
-                assert (maps.distances(ROW, pose[None], beams.ends) >= maps.reach_m - 1e-6).all()
-                assert (maps.cast_rays(ROW, pose[None], np.zeros(2), np.array([[1.0, 0.0]]), 12.0) == 12.0).all()
-            for prior in (NO_PRIOR, np.eye(3)[None]):
-                GaussNewton()(maps, ROW, pose[None], prior, beams)
-
-
 @pytest.mark.parametrize("ends", [(1e300, 0), (math.nan, 1), (MOST_BEAM_CELLS * CELL + 1, 0)])
 def test_beams_that_end_too_far_away_are_refused(ends):
     maps = new_maps()
     with pytest.raises(ArgumentError, match=r"beams: expected ends within 1312.5 m, 21000 cells, of the robot"):
         maps.update(ROW, np.zeros((1, 3)), beams_to([(1, 1), ends]))
-
-
-def test_a_beam_of_a_kilometre_frees_its_first_cells_and_hits_its_last():
-    maps = new_maps()
-    maps.update(ROW, np.zeros((1, 3)), beams_to([(999.0, 333.0)]))
-    cells = np.arange(16_000)
-    known = maps.is_known(0, (np.column_stack([cells, np.floor(cells / 3 + 0.5)]) + 0.5) * CELL)
-    assert known[:FREE_CELLS].all()
-    assert np.flatnonzero(known[FREE_CELLS:]).tolist() == [int(999 / CELL) - FREE_CELLS]
-    assert maps.tiles_used < 2 * FREE_CELLS // TILE + 10
-
-
-def test_a_hall_of_900_metres_takes_bounded_memory():
-    """A scan writes at most the square of tiles about the laser, and four tiles for each end."""
-    angles = np.linspace(-math.pi, math.pi, 720, endpoint=False)
-    walls = 450 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
-    beams = beams_to(walls[:, None] * np.column_stack([np.cos(angles), np.sin(angles)]))
-    maps = new_maps(2)
-    maps.update(np.arange(2, dtype=np.int32), np.zeros((2, 3)), beams)
-    assert maps.tiles_used <= 2 * ((2 * FREE_CELLS // TILE + 2) ** 2 + 4 * 720)
-    field, _ = maps.field(0)
-    assert field.size <= 2**26
 
 
 def test_maps_never_take_more_tiles_than_they_may():
@@ -199,37 +138,6 @@ def test_maps_never_take_more_tiles_than_they_may():
         assert_same_map(maps.occupancy(row), grid)
     assert 300 < maps.tiles_used <= 400 + 3 * 60  # a ring about the ends of one scan
     maps.update(rows, np.zeros((3, 3)), room_from(8))  # what is mapped already costs nothing
-
-
-def test_an_arena_has_no_limit_of_its_own():
-    """mapper.max_tiles may be larger than its default."""
-    arena = TileArena()
-    full = 1_000_000
-    arena.log_odds = np.zeros((full, TILE, TILE), np.int16)  # never written, so no memory is behind it
-    arena.field = np.zeros((full, TILE, TILE), np.uint8)
-    arena.tile_refs = np.ones(full, np.int32)
-    arena.allocate(0, 63)
-    arena.grow()
-    assert len(arena.free_ids[1]) == full // 32
-
-
-@pytest.mark.parametrize("count", [255, 256, 32_767, 32_768, 40_000, 65_535, 65_536, 70_000])
-def test_however_many_beams_pass_a_cell_it_is_free(count):
-    maps = new_maps()
-    maps.update(ROW, np.zeros((1, 3)), beams_to(np.tile([[5.0, 0.0]], (count, 1))))
-    grid = maps.occupancy(0)
-    row, column = np.rint(-np.array(grid.origin[::-1]) / CELL).astype(int)
-    passed = grid.log_odds[row, column : column + 80]
-    assert passed == pytest.approx(np.full(80, max(-0.4 * count, -16.0)))
-    assert grid.log_odds[row, column + 80] == pytest.approx(32.0)
-
-
-def test_counts_of_one_scan_end_at_sixteen_thousand():
-    counts = BeamCounts(CELL)
-    counts.add(np.zeros(3), beams_to(np.tile([[5.0, 0.0]], (40_000, 1))))
-    slots, _ = counts.table()
-    hits, misses = counts.unfold(slots)
-    assert (hits.max(), misses.max()) == (16_000, 16_000)
 
 
 @pytest.mark.parametrize("place", [1e9, -1e300, math.nan])

@@ -30,16 +30,3 @@ def test_the_field_falls_with_the_distance_to_the_nearest_obstacle():
     away = np.minimum(np.hypot(x + 71, y - 33), np.hypot(x - 15, y + 52))
     np.testing.assert_array_equal(field, np.rint(255 * np.maximum(0, 1 - away / 4)).astype(np.uint8))
     assert (field == 255).sum() == 2
-
-
-def test_field_and_occupancy_are_one_rectangle():
-    maps = maps_that_saw((-7.05, 3.35), (1.55, -5.15))
-    field, corner = maps.field(0)
-    grid = maps.occupancy(0)
-    assert field.shape == grid.known.shape
-    np.testing.assert_allclose(np.array(corner)[::-1] * CELL, grid.origin)
-
-
-def test_an_empty_map_is_one_cell_far_from_everything():
-    field, corner = maps_that_saw((1.0, 1.0)).field(1)
-    assert (field.tolist(), corner) == ([[0]], (0, 0))

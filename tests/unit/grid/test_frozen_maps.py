@@ -51,31 +51,6 @@ def test_frozen_maps_stay_as_they_were_while_their_owner_grows_and_compacts():
     assert dump(maps) == dump(loose)
 
 
-def test_a_scan_after_the_freeze_copies_its_own_tiles_alone():
-    """Growing would copy all tiles while somebody reads them: of a large map that takes longer than a scan may."""
-    maps = make_maps()
-    drive(maps, np.random.default_rng(1), 6, reach_m=60.0)
-    frozen = maps.freeze()
-    before = maps._arena.log_odds
-    drive(maps, np.random.default_rng(2), 2)
-    assert maps._arena.log_odds is before
-    assert dump(frozen) != dump(maps)
-
-
-def test_what_a_reader_drops_in_its_own_thread_is_free_again():
-    maps, loose = make_maps(), make_maps()
-    frozen = [maps.freeze()]
-    for own in (maps, loose):
-        drive(own, np.random.default_rng(1), 3)
-    assert maps.tiles_used > loose.tiles_used  # those that only the reader holds
-    reader = threading.Thread(target=frozen.clear)
-    reader.start()
-    reader.join()
-    for own in (maps, loose):
-        drive(own, np.random.default_rng(2), 1)
-    assert maps.tiles_used == loose.tiles_used
-
-
 def test_maps_are_read_while_they_are_written():
     """A reader of memory that moved would read other bytes, or end the process."""
     maps = make_maps()
@@ -99,11 +74,3 @@ def test_frozen_maps_cannot_be_written_to():
     rng = np.random.default_rng(3)
     with pytest.raises(ArgumentError, match="frozen"):
         frozen.update(ROWS, rng.uniform(-20, 20, (4, 3)), seen(rng))
-
-
-def test_a_part_of_frozen_maps_can_be_taken_by_the_reader():
-    maps = make_maps()
-    cells = maps.occupancy(2)
-    frozen = maps.freeze()
-    drive(maps, np.random.default_rng(4), 2)
-    np.testing.assert_array_equal(frozen.snapshot(np.array([2])).occupancy(0).log_odds, cells.log_odds)

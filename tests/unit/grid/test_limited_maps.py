@@ -39,18 +39,6 @@ def test_known_cells_are_limited_and_the_field_is_what_it_was(maps):
         np.testing.assert_array_equal(other.occupancy(row).log_odds, grid.log_odds)
 
 
-def test_what_is_limited_already_takes_no_tile_more(maps):
-    maps.limit(LIMIT)
-    used = maps.tiles_used
-    other = maps.snapshot()
-    maps.limit(LIMIT)
-    assert maps.tiles_used == used
-    del other
-    empty = MAPPER.empty(1)
-    empty.limit(LIMIT)
-    assert empty.tiles_used == 0
-
-
 def test_a_limit_at_which_obstacles_would_vanish_is_refused(maps):
     with pytest.raises(ArgumentError, match="log_odds: expected more than 2 nats"):
         maps.limit(2.0)

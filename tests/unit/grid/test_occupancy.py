@@ -115,39 +115,6 @@ def test_export_has_its_origin_at_the_lower_left_and_rows_along_y():
     assert (np.array(grid.origin) + np.array(grid.log_odds.shape[::-1]) * CELL >= hits.max(axis=0)).all()
 
 
-def test_what_no_beam_told_of_is_unknown_and_not_even_odds():
-    """A cell whose evidence cancels is known at 0; one never seen is unknown."""
-    maps = TileMaps(1, resolution_m=CELL, reach_cells=3.0, evidence=Evidence(0.4, -0.4, -9.0, 9.0, 1.0))
-    see(maps, [(1.0, 0.0)])
-    see(maps, [(2.0, 0.0)])
-    grid = maps.occupancy(0)
-    balanced, never = at(grid, 1.05, 0.05), at(grid, 1.05, 0.25)
-    assert grid.known[balanced]
-    assert grid.log_odds[balanced] == 0
-    assert not grid.known[never]
-    assert grid.probability[never] == grid.probability[balanced] == 0.5
-    assert grid.known.sum() == 21
-    assert (grid.log_odds[~grid.known] == 0).all()
-
-
-def test_an_empty_map_is_one_unknown_cell():
-    maps = TileMaps(2, resolution_m=CELL, reach_cells=3.0, evidence=Evidence(0.4, -0.4, -9.0, 9.0, 1.0))
-    see(maps, [(1.0, 0.0)])
-    for grid in (
-        maps.occupancy(1),
-        TileMaps.from_arrays(maps.to_arrays(), resolution_m=CELL, reach_cells=3.0, evidence=maps.evidence).occupancy(1),
-    ):
-        assert grid.log_odds.shape == grid.known.shape == (1, 1)
-        assert not grid.known.any()
-        assert grid.probability[0, 0] == 0.5
-
-
-def test_a_scan_without_beams_changes_nothing():
-    maps = TileMaps(1, resolution_m=CELL, reach_cells=3.0, evidence=Evidence(0.4, -0.4, -9.0, 9.0, 1.0))
-    see(maps, [])
-    assert maps.tiles_used == 0
-
-
 @pytest.mark.parametrize(
     "values",
     [(0.0, -0.4, -9, 9, 1), (0.4, 0.0, -9, 9, 1), (0.4, -0.4, 0, 9, 1), (0.4, -0.4, -9, 0, 1), (1, -1, -400, 9, 1)],
@@ -155,25 +122,3 @@ def test_a_scan_without_beams_changes_nothing():
 def test_evidence_that_could_not_be_stored_is_refused(values):
     with pytest.raises(ArgumentError, match="Evidence"):
         Evidence(*values)
-
-
-@pytest.mark.parametrize(
-    ("name", "arguments"),
-    [
-        ("rows", {"rows": 0, "resolution_m": 0.1, "reach_cells": 3.0}),
-        ("resolution_m", {"rows": 1, "resolution_m": 0.0, "reach_cells": 3.0}),
-        ("resolution_m", {"rows": 1, "resolution_m": float("nan"), "reach_cells": 3.0}),
-        ("reach_cells", {"rows": 1, "resolution_m": 0.1, "reach_cells": 16.0}),
-        ("reach_cells", {"rows": 1, "resolution_m": 0.1, "reach_cells": 0.9}),
-    ],
-)
-def test_maps_out_of_range_are_refused(name, arguments):
-    with pytest.raises(ArgumentError, match=name):
-        TileMaps(**arguments, evidence=Evidence(0.4, -0.4, -9.0, 9.0, 1.0))
-
-
-def test_clamps_keep_the_arithmetic_of_16_bits():
-    """What lies between them is counted in int16; farther apart, passes would have turned cells occupied."""
-    assert Evidence(0.9, -0.01, -163.0, 163.0, 1.0).steps[2:4] == (-16300, 16300)
-    with pytest.raises(ArgumentError, match="less than 327 nats apart"):
-        Evidence(0.9, -0.01, -300.0, 300.0, 1.0)

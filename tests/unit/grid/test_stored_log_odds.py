@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.errors import ArgumentError
 from gridslam.grid.arena import TileArena
 from gridslam.grid.cells import Evidence
-from gridslam.grid.scan_batch import ScanBatch
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import UNKNOWN, backend, reference
 from gridslam.models.inverse_sensor import InverseSensorModel
@@ -45,24 +43,6 @@ def contents(maps):
     return [array.tobytes() for array in maps.to_arrays().values()]
 
 
-@pytest.mark.parametrize(
-    ("values", "unit"),
-    [
-        (DEFAULT, 40),
-        (FULL, 1),
-        ((1.0, -1.0, -2.0, 2.0, 0.0), 100),
-        ((1.27, -1.0, -1.27, 1.28, 0.0), None),
-        ((1.27, -0.02, -1.27, 1.27, 0.0), None),  # the clamps and a miss are 256 apart
-        ((2.2, -0.4, -16.0, 32.0, 2.0), None),
-        ((2.4, -0.4, -163.0, 163.0, 2.0), None),
-    ],
-)
-def test_a_byte_holds_whole_multiples_of_a_unit(values, unit):
-    maps = make(values)
-    assert maps.evidence.byte_unit == unit
-    assert maps._arena.tile_bytes == (2 if unit else 3) * 1024
-
-
 @BACKENDS
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("values", [DEFAULT, FULL, (0.2, -0.1, -0.3, 0.5, 0.1)])
@@ -81,21 +61,6 @@ def test_maps_are_the_same_in_a_byte_and_in_two(values, seed, kernels, monkeypat
         np.testing.assert_array_equal(known, wide.is_known(row, points))
 
 
-@BACKENDS
-def test_scans_that_are_drawn_in_one_call_are_the_same_in_a_byte_and_in_two(kernels, monkeypatch):
-    monkeypatch.setattr("gridslam.grid.tiles.backend", kernels)
-    rng = np.random.default_rng(5)
-    batch, poses = ScanBatch.of([random_scan(rng, 60) for _ in range(5)]), rng.normal(scale=0.4, size=(5, 3))
-    found = []
-    for wide in False, True:
-        maps = TileMaps(1, resolution_m=0.1, reach_cells=4.0, evidence=Evidence(*DEFAULT))
-        if wide:
-            maps._shared_arena = TileArena()
-        maps.draw(poses, batch, 0, 5)
-        found.append(contents(maps))
-    assert found[0] == found[1]
-
-
 @pytest.mark.parametrize("values", [DEFAULT, FULL])
 def test_what_is_written_of_maps_does_not_depend_on_how_they_are_stored(values):
     """Steps of 0.01 nats in 16 bits; read again, they go on alike."""
@@ -111,40 +76,3 @@ def test_what_is_written_of_maps_does_not_depend_on_how_they_are_stored(values):
     for both in maps, again:
         draw(both, 2)
     assert contents(maps) == contents(again)
-
-
-@pytest.mark.parametrize("odd", [41, 128 * 40, -(2**15) + 1, 2**15 - 1])
-def test_log_odds_that_no_byte_holds_are_read_as_they_are(odd):
-    maps = make(DEFAULT)
-    draw(maps, 1)
-    arrays = maps.to_arrays()
-    tile, y, x = np.argwhere(arrays["log_odds"] != UNKNOWN)[7]
-    arrays["log_odds"][tile, y, x] = odd
-    again = TileMaps.from_arrays(arrays, resolution_m=0.1, reach_cells=4.0, evidence=maps.evidence)
-    assert again._arena.tile_bytes == 3 * 1024
-    assert contents(again) == [array.tobytes() for array in arrays.values()]
-
-
-@pytest.mark.parametrize("limit", [2.8, 2.94, 51.0])
-def test_a_limit_is_exact_whether_or_not_it_is_a_multiple(limit):
-    ours, wide = make(DEFAULT), make(DEFAULT, wide=True)
-    for maps in ours, wide:
-        draw(maps, 3)
-    other, frozen = ours.snapshot(), ours.freeze()
-    before = contents(ours)
-    for maps in ours, wide:
-        maps.limit(limit)
-    assert contents(ours) == contents(wide)
-    assert contents(other) == contents(frozen) == before
-    assert (ours._arena.log_odds.dtype == np.int8) == (limit == 2.8)
-    for maps in ours, wide, other:
-        draw(maps, 4)
-    assert contents(ours) == contents(wide)
-    assert contents(frozen) == before
-
-
-def test_maps_that_need_too_much_memory_are_told_with_its_size():
-    for values, size in ((DEFAULT, "2 tiles, 4.1e-06 GB"), ((2.2, -0.4, -16.0, 32.0, 2.0), "2 tiles, 6.1e-06 GB")):
-        maps = TileMaps(1, resolution_m=0.1, reach_cells=4.0, evidence=Evidence(*values), most_tiles=2)
-        with pytest.raises(ArgumentError, match=size):
-            maps.update(ROWS[:1], np.zeros((1, 3)), random_scan(np.random.default_rng(0)))

@@ -62,12 +62,6 @@ def test_known_is_what_the_rectangle_knows_and_nothing_outside_of_it(maps, row):
     assert np.count_nonzero(~inside) > 1000
 
 
-def test_nothing_is_known_in_an_empty_map_and_no_point_asks_nothing(maps):
-    empty = TileMaps(1, resolution_m=CELL, reach_cells=4.0, evidence=maps.evidence)
-    assert not empty.is_known(0, np.random.default_rng(0).normal(size=(50, 2))).any()
-    assert maps.is_known(0, np.zeros((0, 2))).shape == (0,)
-
-
 @pytest.mark.parametrize("rows", [[1], [2, 0], [1, 1, 1, 1], [0, 1, 2]])
 def test_a_snapshot_of_rows_holds_them_and_either_side_writes_for_itself(maps, rows):
     before = contents(maps)
@@ -82,21 +76,3 @@ def test_a_snapshot_of_rows_holds_them_and_either_side_writes_for_itself(maps, r
     draw(twin, rng, np.arange(len(rows), dtype=np.int32))
     assert contents(maps) == after
     assert all(one != other for one, other in zip(contents(twin), expected, strict=True))
-
-
-def test_a_snapshot_of_rows_costs_no_tile_and_gives_all_back():
-    """Of one row, N times: as many tiles as the row has, whatever N; they are freed with the last owner."""
-    maps = three_maps()
-    lone = maps.snapshot(np.array([1]))
-    used = maps.tiles_used
-    many = maps.snapshot(np.ones(50, np.int64))
-    assert many.tiles_used == used
-    maps.select(np.array([1, 1, 1]))
-    few = maps.tiles_used
-    assert few < used
-    arrays = many.to_arrays()
-    assert len(arrays["log_odds"]) - 1 == few
-    del maps, many
-    assert lone.tiles_used == few
-    lone.clear(0)
-    assert lone.tiles_used == 0

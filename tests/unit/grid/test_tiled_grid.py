@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gridslam.grid import Evidence, TileMaps
-from gridslam.io.maps import write_map
 from gridslam.types import LaserScan, ScanGeometry
-from gridslam.viz.picture import lay_out
 
 CELL = 0.1
 
@@ -37,37 +34,3 @@ def test_rows_are_those_of_the_whole_map(first, last):
         np.testing.assert_array_equal(rows.log_odds, whole.log_odds[first:last])
         np.testing.assert_array_equal(rows.known, whole.known[first:last])
         assert rows.origin == pytest.approx((whole.origin[0], whole.origin[1] + first * CELL))
-
-
-def test_what_is_written_later_does_not_change_it():
-    maps, beams = maps_that_saw((5.05, 3.35))
-    tiled, before = maps.tiled(0), maps.occupancy(0)
-    maps.update(np.zeros(1, np.int32), np.array([[1.0, 2.0, 0.5]]), beams)
-    np.testing.assert_array_equal(tiled.whole().log_odds, before.log_odds)
-    assert maps.occupancy(0).known.sum() > before.known.sum()
-
-
-def test_of_an_empty_map_there_is_one_unknown_cell(tmp_path):
-    maps = TileMaps(1, resolution_m=CELL, reach_cells=4.0, evidence=Evidence(2.0, -0.4, -9.0, 9.0, 1.0))
-    assert maps.tiled(0).shape == (1, 1)
-    assert not maps.tiled(0).whole().known.any()
-    write_map(tmp_path / "m.yaml", maps.tiled(0))
-    assert (tmp_path / "m.pgm").read_bytes() == b"P5\n1 1\n255\n" + bytes([205])
-
-
-def test_a_large_map_is_written_without_unfolding_it(tmp_path):
-    """Two walls 300 m apart each way: 9 million cells, of which a few thousand are known."""
-    maps, _ = maps_that_saw((150.0, 150.0), (-150.0, -150.0))
-    tiled = maps.tiled(0)
-    cells = tiled.shape[0] * tiled.shape[1]
-    assert cells > 9_000_000
-    tracemalloc.start()
-    try:
-        write_map(tmp_path / "tiled.yaml", tiled)
-        lay_out(tiled)
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert peak < 2 * cells  # unfolded it takes 5 bytes a cell
-    write_map(tmp_path / "whole.yaml", maps.occupancy(0))
-    assert (tmp_path / "tiled.pgm").read_bytes() == (tmp_path / "whole.pgm").read_bytes()

@@ -45,17 +45,3 @@ def test_what_is_written_is_the_run_as_it_was_then_whatever_the_filter_does_mean
         direct, aside = tmp_path / f"{scan}.direct", tmp_path / "aside" / f"{scan}.gridslam"
         assert aside.read_bytes() == direct.read_bytes()
     assert read_session(tmp_path / "90.direct").run.state.ancestry.steps < end.ancestry.steps
-
-
-def test_what_fails_is_reported_and_the_run_goes_on(tmp_path):
-    (tmp_path / "file").touch()
-    problems = []
-    writer = BackgroundWriter(problems.append)
-    writer.write(tmp_path / "file" / "run.gridslam", SavedSession(preset("default")))
-    writer.close()
-    assert len(problems) == 1
-    assert "file" in problems[0]
-    writer.write(tmp_path / "run.gridslam", SavedSession(preset("default")))
-    writer.close()
-    assert len(problems) == 1
-    assert read_session(tmp_path / "run.gridslam").run is None

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-import tracemalloc
 
 import numpy as np
 import pytest
 
-from gridslam.errors import InputError
 from gridslam.geometry import se3
 from gridslam.io.bags.bag import BagLog
 from gridslam.io.log import Log, LogOptions
@@ -45,15 +43,6 @@ def test_odometry_is_interpolated_at_the_stamps_of_the_scans(tmp_path, kind):
     assert [m.scan.stamp_ns for m in log] == [m.scan.stamp_ns for m in measurements]  # read anew
 
 
-def test_mounting_and_beams(tmp_path):
-    said = [*drive(scans=False), scan("/scan", 1.0, FOUR, time_increment=0.5, angles=(-1.0, 0.25), limits=(0.5, 3.5))]
-    ((_, laser),) = log_of(tmp_path, said)
-    np.testing.assert_allclose(laser.geometry.bearings, [-1.0, -0.75, -0.5, -0.25])
-    np.testing.assert_allclose(laser.geometry.base_from_laser, se3.from_quaternion((0.2, 0.0, 0.3), (0, 0, 0, 1)))
-    np.testing.assert_allclose(laser.beam_times_s, [0.0, 0.5, 1.0, 1.5])
-    assert (laser.range_min_m, laser.range_max_m) == (0.5, 3.5)
-
-
 @pytest.mark.parametrize("ahead_s", [1000.0, -3.0, 2.0])
 @pytest.mark.parametrize("on_tf", [False, True])
 def test_two_clocks_are_named_with_their_offset(tmp_path, ahead_s, on_tf):
@@ -71,39 +60,6 @@ def test_two_clocks_are_named_with_their_offset(tmp_path, ahead_s, on_tf):
     assert log.statistics.clock_offset_s == pytest.approx(ahead_s, abs=0.11)
 
 
-def test_two_clocks_are_named_where_messages_are_recorded_by_their_stamps(tmp_path):
-    said = [odometry("/odom", 100 + k / 10, (0, 0, 0)) for k in range(50)]
-    said += [scan("/scan", 200 + k / 10, FOUR) for k in range(50)]
-    log = log_of(tmp_path, said)
-    list(log)
-    assert log.statistics.clock_offset_s == pytest.approx(-100)
-
-
-@pytest.mark.parametrize("late_s", [0.0, 0.4, -0.4])
-def test_messages_that_come_late_are_of_one_clock(tmp_path, late_s):
-    said = [odometry("/odom", k / 10, (0, 0, 0), stamp_s=100 + k / 10 - late_s) for k in range(50)]
-    said += [scan("/scan", k / 10, FOUR, stamp_s=100 + k / 10) for k in range(50)]
-    log = log_of(tmp_path, sorted(said, key=lambda each: each.time_ns))
-    list(log)
-    assert log.statistics.clock_offset_s == 0
-
-
-@pytest.mark.parametrize("increment", [2.5, 3e38, math.inf])
-def test_beam_times_that_mean_nothing_are_told(tmp_path, increment):
-    log = log_of(tmp_path, [*drive(scans=False), scan("/scan", 1.0, FOUR, time_increment=increment)])
-    ((_, laser),) = log
-    assert laser.beam_times_s is None
-    assert log.statistics.remarks["by the time_increment of /scan a scan takes 10 s or more: not used"] == 1
-
-
-def test_scans_share_geometry_and_are_read_only(tmp_path):
-    scans = [measurement.scan for measurement in log_of(tmp_path, drive())]
-    assert len({id(laser.geometry) for laser in scans}) == 1
-    for array in (scans[0].ranges, scans[0].status):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 1
-
-
 RANGES = [math.nan, math.inf, -math.inf, -1.0, 0.0, 0.1, 0.3, 0.5, 2.0, 29.9, 30.0, 31.0, 1e-40, -0.0]
 
 
@@ -119,21 +75,6 @@ def test_status_is_decided_as_everywhere(tmp_path, limits):
         np.testing.assert_array_equal(ours.status, expected.status)
     assert log.statistics.invalid_beams == 2 * np.count_nonzero(expected.status == 2)
     assert log.statistics.no_return_beams == 2 * np.count_nonzero(expected.status == 1)
-
-
-@pytest.mark.parametrize("limits", [(0.0, 0.0), (-1.0, math.nan), (math.nan, 0.0)])
-def test_limits_that_are_none(tmp_path, limits):
-    ((_, laser),) = log_of(tmp_path, [scan("/scan", 1.0, [0.2, math.inf], limits=limits)])
-    assert (laser.range_min_m, laser.range_max_m) == (0.0, math.inf)
-    assert laser.status.tolist() == [0, 1]
-
-
-@pytest.mark.parametrize("beams", [0, 1, 100_000])
-def test_beam_counts_vary(tmp_path, beams):
-    said = [scan("/scan", 1.0, FOUR), scan("/scan", 1.1, np.ones(beams), angles=(3.0, -1e-4)), scan("/scan", 1.2, FOUR)]
-    log = log_of(tmp_path, said, "mcap")
-    assert [len(laser) for _, laser in log] == [4, beams, 4]
-    assert log.statistics.beam_counts == {4: 2, beams: 1}
 
 
 MOUNTINGS = {
@@ -158,22 +99,6 @@ def test_mountings_in_space_over_a_chain(tmp_path, name, topic, slash):
     np.testing.assert_allclose(first.scan.geometry.base_from_laser, expected, atol=1e-12)
 
 
-def test_a_static_transform_that_comes_late_holds_from_the_start(tmp_path):
-    said = [*drive(30.0, mounting=False), transform(29.0, "base_link", "laser", (0.2, 0.0, 0.0), topic="/tf")]
-    log = log_of(tmp_path, sorted(said, key=lambda each: each.time_ns))
-    assert {laser.geometry.origin[0] for _, laser in log} == {0.2}
-    assert [remark for remark in log.statistics.remarks if "28.9 s after the first scan" in remark]
-    assert not log.statistics.moving_mountings
-
-
-def test_no_transform_tells_the_mounting(tmp_path):
-    log = log_of(tmp_path, drive(mounting=False))
-    assert {tuple(laser.geometry.origin) for _, laser in log} == {(0.0, 0.0)}
-    assert log.statistics.missing_transforms == {
-        "mounting: no transform names laser: taken to be at the robot's base": 20
-    }
-
-
 @pytest.mark.parametrize("away_m", [150.0, 1e200, -1e308])
 def test_a_laser_that_no_robot_reaches_is_told(tmp_path, away_m):
     said = [*drive(mounting=False), transform(0.0, "base_link", "laser", (away_m, 0.0, 0.0))]
@@ -181,24 +106,6 @@ def test_a_laser_that_no_robot_reaches_is_told(tmp_path, away_m):
     assert {tuple(laser.geometry.origin) for _, laser in log} == {(0.0, 0.0)}
     (missing,) = log.statistics.missing_transforms
     assert ("out of reach" in missing) == (abs(away_m) < 1e9)  # the others are no pose, and left out
-
-
-def test_a_mounting_that_leaps_out_of_reach_is_left_out_and_told(tmp_path):
-    said = [*drive(), transform(1.0, "base_link", "laser", (3e6, 0.0, 0.0))]
-    log = log_of(tmp_path, sorted(said, key=lambda each: each.time_ns))
-    assert {laser.geometry.origin[0] for _, laser in log} == {0.2}
-    assert log.statistics.remarks["a reading of /tf_static is no pose: left out"] == 1
-
-
-def test_a_laser_that_tilts_is_told_and_followed(tmp_path):
-    said = drive(mounting=False)
-    for step in range(41):
-        turn = (0.0, math.sin(0.01 * step), 0.0, math.cos(0.01 * step))
-        said.append(transform(step / 20, "base_link", "laser", (0.2, 0.0, 0.0), turn, topic="/tf"))
-    log = log_of(tmp_path, sorted(said, key=lambda each: each.time_ns))
-    tilts = [se3.tilt_rad(laser.geometry.base_from_laser) for _, laser in log]
-    assert log.statistics.moving_mountings["/scan"] == 19  # all but the first
-    np.testing.assert_allclose(tilts, [0.02 * (1 + 2 * step) for step in range(20)], atol=0.021)
 
 
 def test_a_scan_before_and_after_all_odometry_goes_without_it(tmp_path):
@@ -216,25 +123,6 @@ def test_a_scan_before_and_after_all_odometry_goes_without_it(tmp_path):
     ]
 
 
-def test_odometry_that_pauses_is_not_extrapolated(tmp_path):
-    def paused(each):
-        return each.topic == "/odom" and ns(1.02) < each.time_ns < ns(8.0)
-
-    log = log_of(tmp_path, [each for each in drive(10.0) if not paused(each)])
-    without = [laser.stamp_ns for odo, laser in log if odo is None]
-    assert min(without) == ns(1.06)
-    assert max(without) == ns(7.96)
-    assert len(without) == 70
-
-
-def test_odometry_that_is_recorded_late_is_waited_for(tmp_path):
-    wait_ns = {"/odom": 800_000_000}
-    late = [each._replace(time_ns=each.time_ns + wait_ns.get(each.topic, 0)) for each in drive()]
-    log = log_of(tmp_path, sorted(late, key=lambda each: each.time_ns))
-    assert len(list(log)) == 20
-    assert log.statistics.without_odometry == 0
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_stamps_are_those_of_the_headers(tmp_path, kind):
     said = [odometry("/odom", 100 + step, (step, 0, 0), stamp_s=float(step)) for step in range(5)]
@@ -242,19 +130,6 @@ def test_stamps_are_those_of_the_headers(tmp_path, kind):
     ((odo, laser),) = log_of(tmp_path, sorted(said, key=lambda each: each.time_ns), kind)
     assert laser.stamp_ns == ns(1.25)
     np.testing.assert_allclose(odo.pose, [1.25, 0, 0], atol=1e-9)
-
-
-def test_scans_without_stamps_have_the_times_of_recording(tmp_path):
-    said = [scan("/scan", at_s, FOUR, stamped=False) for at_s in (1.0, 1.1)]
-    log = log_of(tmp_path, said)
-    assert [laser.stamp_ns for _, laser in log] == [ns(1.0), ns(1.1)]
-    assert any("not stamped" in remark for remark in log.statistics.remarks)
-
-
-def test_simulated_time_may_begin_at_zero(tmp_path):
-    zero_s = -ros_bags.START_NS / 1e9
-    said = [scan("/scan", step, FOUR, stamp_s=zero_s + step) for step in range(3)]
-    assert [laser.stamp_ns for _, laser in log_of(tmp_path, said)] == [0, 10**9, 2 * 10**9]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -272,14 +147,6 @@ def test_odometry_from_transforms(tmp_path, kind):
         assert laser.geometry.base_from_laser[2, 3] == 0.1
     assert log.statistics.odometry_source == "odom to base_footprint on /tf"
     assert log.statistics.without_odometry == 0
-
-
-def test_no_odometry_wanted(tmp_path):
-    log = log_of(tmp_path, drive(), no_odometry=True)
-    assert all(odo is None for odo, _ in log)
-    assert log.statistics.without_odometry == 20
-    assert not log.statistics.missing_transforms
-    assert log.statistics.mountings["/scan"].pose[0] == 0.2
 
 
 def test_readings_that_are_no_pose_are_left_out_and_told(tmp_path):
@@ -311,31 +178,3 @@ def test_messages_of_unknown_types_do_not_disturb(tmp_path, form):
     log = log_of(tmp_path, sorted([*drive(), *custom], key=lambda each: each.time_ns), form)
     assert len(list(log)) == 20
     assert log.statistics.topics["/own"].messages == 2
-
-
-def test_a_message_that_is_not_what_its_topic_says(tmp_path):
-    wrong = ros_bags.Said("/scan", ns(30), "sensor_msgs/msg/LaserScan", None)
-    path = ros_bags.write(tmp_path, "ros1", [*drive(25.0), scan("/scan", 30.0, [7.0] * 9)])
-    data = path.read_bytes()
-    place = data.rindex(np.full(9, 7.0, "<f4").tobytes()) - 4
-    path.write_bytes(data[:place] + b"\xff\xff\xff\x0f" + data[place + 4 :])
-    log = BagLog(path)
-    with pytest.raises(InputError, match=rf"message of {wrong.topic} recorded at {wrong.time_ns / 1e9:.3f} s is no"):
-        list(log)
-
-
-def test_memory_does_not_grow_with_the_length_of_the_log(tmp_path):
-    """The same to 1 MB, about a chunk, for 400 and 1600 scans of 1000 beams, whose messages alone are 5.9 MB more."""
-    peaks = []
-    for count in (400, 1600):
-        said = [scan("/scan", 0.1 * step, np.ones(1000), angles=(-3.0, 0.006)) for step in range(count)]
-        said += [odometry("/odom", 0.1 * step, (0, 0, 0)) for step in range(count)]
-        log = log_of(tmp_path, sorted(said, key=lambda each: each.time_ns))
-        assert len(list(log)) == count  # what is imported and cached once
-        tracemalloc.start()
-        for _ in log:
-            pass
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-        log.path.unlink()
-    assert peaks[1] < peaks[0] + 1_000_000

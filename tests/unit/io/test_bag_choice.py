@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 
 from gridslam.errors import InputError
@@ -44,22 +42,6 @@ def test_several_robots_must_be_told_apart(tmp_path):
     assert (chosen.odometry, chosen.base_frame) == ("/r2/odom", "r2/base_link")
 
 
-def test_lasers_in_several_namespaces_without_transforms_may_be_of_several_robots(tmp_path):
-    said = [scan("/a/scan", 0.0, FOUR, frame="a"), scan("/b/scan", 0.0, FOUR, frame="b")]
-    assert "maybe of several robots" in refused(tmp_path, said)
-
-
-def test_lasers_of_one_robot_in_several_namespaces(tmp_path):
-    links = [transform(0.0, "base_link", frame, (x, 0, 0)) for frame, x in (("a", 0.2), ("b", -0.2))]
-    said = [*links, scan("/a/scan", 0.0, FOUR, frame="a"), scan("/b/scan", 0.0, FOUR, frame="b")]
-    assert choice_of(tmp_path, said).scans == ("/a/scan", "/b/scan")
-
-
-def test_several_lasers_whose_places_are_not_told(tmp_path):
-    said = [scan("/scan_a", 0.0, FOUR, frame="a"), scan("/scan_b", 0.0, FOUR, frame="b")]
-    assert "the mounting of /scan_a (a) is unknown" in refused(tmp_path, said)
-
-
 MOUNTED = [transform(0.0, "base_link", "laser")]
 
 
@@ -84,37 +66,6 @@ def test_of_several_topics_of_one_laser_one_is_taken_and_the_others_are_named(tm
     assert choice_of(tmp_path, said, scan_topics=(other,)).scans == (other,)
 
 
-def test_each_of_two_lasers_with_two_topics_is_read_once(tmp_path):
-    links = [transform(0.0, "base_link", frame, (x, 0, 0)) for frame, x in (("a", 0.2), ("b", -0.2))]
-    said = [scan(f"/{frame}{kind}", 0.0, FOUR, frame=frame) for frame in "ab" for kind in ("/scan", "_filtered")]
-    chosen = choice_of(tmp_path, [*links, *said])
-    assert chosen.scans == ("/a/scan", "/b/scan")
-    assert len(chosen.remarks) == 2
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "problem"),
-    [
-        (("/a/scan", "laser"), ("/b/scan", "laser"), "maybe of several robots"),
-        (("/scan_a", ""), ("/scan_b", ""), "the mounting of /scan_a () is unknown"),
-    ],
-)
-def test_topics_that_may_be_of_different_lasers_are_not_taken_for_one(tmp_path, first, second, problem):
-    said = [scan(name, 0.0, FOUR, frame=frame) for name, frame in (first, second)]
-    assert problem in refused(tmp_path, said)
-
-
-def test_a_laser_that_tilts_beside_one_that_does_not_is_left_out(tmp_path):
-    said = [transform(0.0, "base_link", "fixed"), scan("/scan", 0.5, FOUR, frame="fixed")]
-    for step in range(9):
-        turn = (0.0, math.sin(0.1 * step), 0.0, math.cos(0.1 * step))
-        said.append(transform(0.1 * step, "base_link", "tilting", xyzw=turn, topic="/tf"))
-        said.append(scan("/tilt_scan", 0.1 * step, FOUR, frame="tilting"))
-    chosen = choice_of(tmp_path, said)
-    assert chosen.scans == ("/scan",)
-    assert any("/tilt_scan left out" in remark for remark in chosen.remarks)
-
-
 def test_without_scans_the_topics_are_listed(tmp_path):
     said = refused(tmp_path, drive(scans=False))
     assert "/odom (nav_msgs/Odometry), /tf_static (tf2_msgs/TFMessage)" in said
@@ -137,54 +88,11 @@ def moving(topic, scale=1.0, frames=("odom", "base_link")):
     return [odometry(topic, step / 20, (scale * step / 20, 0, 0), frames=frames) for step in range(41)]
 
 
-def test_ground_truth_is_not_taken(tmp_path):
-    said = [*drive(), *moving("/base_pose_ground_truth")]
-    chosen = choice_of(tmp_path, said)
-    assert chosen.odometry == "/odom"
-    assert any("/base_pose_ground_truth not used" in remark for remark in chosen.remarks)
-
-
 def test_ground_truth_alone_is_no_odometry_unless_it_is_named(tmp_path):
     said = [scan("/scan", 1.0, FOUR), *moving("/gt")]
     assert choice_of(tmp_path, said).odometry_frame == ""
     (tmp_path / "log.bag").unlink()
     assert choice_of(tmp_path, said, odometry_topic="gt").odometry == "/gt"
-
-
-def test_of_several_odometries_the_one_of_the_transforms_is_taken(tmp_path):
-    links = [transform(step / 20, "odom", "base_link", (0.9 * step / 20, 0, 0), topic="/tf") for step in range(41)]
-    said = [*moving("/odom"), *moving("/odom_fused", 0.9), *links, transform(0.0, "base_link", "laser")]
-    said.append(scan("/scan", 1.0, FOUR))
-    assert choice_of(tmp_path, said).odometry == "/odom_fused"
-
-
-def test_several_odometries_and_no_transform_to_tell(tmp_path):
-    said = [*moving("/odom"), *moving("/odom_fused", 0.9), scan("/scan", 1.0, FOUR)]
-    assert "choose with --odom TOPIC among /odom, /odom_fused" in refused(tmp_path, said)
-    (tmp_path / "log.bag").unlink()
-    assert choice_of(tmp_path, said, odometry_topic="/odom").odometry == "/odom"
-
-
-def test_frames_that_are_asked_for_go_ahead_of_a_topic(tmp_path):
-    links = [transform(step / 20, "odom", "base_link", (step / 20, 0, 0), topic="/tf") for step in range(41)]
-    chosen = choice_of(tmp_path, [*drive(), *links], odometry_frame="odom")
-    assert (chosen.odometry, chosen.odometry_frame, chosen.base_frame) == ("", "odom", "base_link")
-
-
-def test_an_odometry_that_does_not_say_whose_pose_it_is(tmp_path):
-    said = [*moving("/odom", frames=("odom", "")), transform(0.0, "body", "laser", (0.1, 0, 0))]
-    chosen = choice_of(tmp_path, [*said, scan("/scan", 1.0, FOUR)])
-    assert (chosen.odometry_child, chosen.base_frame) == ("body", "body")
-    assert any("has the child frame no frame" in remark for remark in chosen.remarks)
-
-
-def test_another_base_frame(tmp_path):
-    said = [*drive(), transform(0.0, "base_link", "axle", (-0.3, 0, 0))]
-    path = ros_bags.write(tmp_path, "mcap", sorted(said, key=lambda each: each.time_ns))
-    log = BagLog(path, LogOptions(base_frame="/axle"))
-    odo, laser = next(iter(log))
-    assert odo.pose[0] == pytest.approx(0.06 - 0.3, abs=1e-4)  # turned by 0.006 rad
-    assert laser.geometry.origin[0] == pytest.approx(0.5)
 
 
 def test_a_chain_with_a_hole_is_told(tmp_path):
@@ -218,12 +126,3 @@ def test_angles_that_no_map_can_be_made_of_are_refused_with_all_numbers(tmp_path
     said = refused(tmp_path, scans(**fields))
     assert "the scans of /scan" in said
     assert problem in said
-
-
-def test_one_scan_of_other_angles_among_many_is_no_reason(tmp_path):
-    assert choice_of(tmp_path, [*scans(), scan("/scan", 1.0, FOUR, angle_max=2.0)]).scans == ("/scan",)
-
-
-def test_intensities_without_ranges_are_named(tmp_path):
-    said = refused(tmp_path, [scan("/scan", step / 10, [], intensities=FOUR) for step in range(4)])
-    assert "the scans of /scan: expected ranges, got none, and 4 intensities" in said

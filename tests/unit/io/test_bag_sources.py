@@ -55,29 +55,6 @@ def test_messages_are_those_of_rosbags(tmp_path, kind, compression):
     assert not bag.is_truncated
 
 
-@pytest.mark.parametrize("kind", ["db3", "mcap"])
-@pytest.mark.parametrize("compression", ["", "file"])
-def test_a_single_file_under_any_name_and_a_folder_without_metadata(tmp_path, kind, compression):
-    folder = ros_bags.write(tmp_path, kind, ros_bags.drive(), compression)
-    whole = list(opened(folder).messages({"/scan"}))
-    (file,) = (path for path in folder.iterdir() if path.name != "metadata.yaml")
-    renamed = shutil.copy(file, tmp_path / "log.dat")
-    (folder / "metadata.yaml").unlink()
-    assert list(opened(folder).messages({"/scan"})) == list(opened(renamed).messages({"/scan"})) == whole
-
-
-def test_files_of_one_bag_follow_each_other_by_time(tmp_path):
-    said = ros_bags.drive(3.0)
-    later, earlier = said[len(said) // 2 :], said[: len(said) // 2]
-    for part, name in ((later, "a"), (earlier, "b")):
-        ros_bags.write(tmp_path, "mcap", part, name=name)
-        shutil.move(tmp_path / name / f"{name}.mcap", tmp_path / f"{name}.mcap")
-        shutil.rmtree(tmp_path / name)
-    bag = Ros2Bag(tmp_path)
-    assert [message[:2] for message in bag.messages(bag.topics)] == [(each.time_ns, each.topic) for each in said]
-    assert bag.topics["/odom"].messages == 61
-
-
 def split_bag(folder):
     """A bag of two files, with the metadata that lists both."""
     said = ros_bags.drive(2.0)
@@ -94,23 +71,6 @@ def test_a_file_of_a_bag_that_is_not_there_is_named(tmp_path):
     assert Ros2Bag(folder).missing_files == ("log_1.db3",)
     shutil.copy(folder / "log_0.db3", folder / "log_1.db3")
     assert Ros2Bag(folder).missing_files == ()
-
-
-def test_files_by_other_names_and_damaged_metadata_miss_nothing(tmp_path):
-    folder = split_bag(tmp_path)
-    shutil.copy(folder / "log_0.db3", folder / "renamed.db3")
-    assert Ros2Bag(folder).missing_files == ()
-    (folder / "renamed.db3").unlink()
-    for text in ("", "a: [", "- 1", "rosbag2_bagfile_information: 3", "\0", "rosbag2_bagfile_information: {}"):
-        (folder / "metadata.yaml").write_text(text)
-        assert Ros2Bag(folder).missing_files == ()
-
-
-def test_topics_written_one_after_another_are_merged(tmp_path):
-    said = sorted(ros_bags.drive(300.0), key=lambda each: each.topic)  # as converters write: all odometry, all scans
-    bag = Ros1Bag(ros_bags.write(tmp_path, "ros1", said))
-    times = [time_ns for time_ns, _, _ in bag.messages(bag.topics)]
-    assert times == sorted(each.time_ns for each in said)
 
 
 @given(st.lists(st.lists(st.integers(0, 20), min_size=1, max_size=5), max_size=6))
@@ -194,24 +154,6 @@ def test_of_a_ros2_file_that_is_cut_off_all_before_the_cut_is_kept(tmp_path, kin
     assert bag.is_truncated
 
 
-def test_an_mcap_file_that_rosbags_refuses_but_is_whole_is_read(tmp_path):
-    (path,) = ros_bags.write(tmp_path, "mcap", ros_bags.drive()).glob("*.mcap")
-    whole = list(Ros2Bag(path).messages({"/odom"}))
-    data = path.read_bytes()
-    path.write_bytes(data[:17].replace(b"\4\0\0\0ros2", b"\4\0\0\0????") + data[17:].replace(b"ros2", b"????", 1))
-    bag = Ros2Bag(path)
-    assert list(bag.messages({"/odom"})) == whole
-    assert not bag.is_truncated
-
-
-def test_messages_that_sqlite_has_not_merged_are_not_lost_without_a_word(tmp_path):
-    (path,) = ros_bags.write(tmp_path, "db3", ros_bags.drive()).glob("*.db3")
-    path.with_name(f"{path.name}-wal").write_bytes(b"messages")
-    with pytest.raises(InputError, match="-wal"):
-        Ros2Bag(path)
-    assert Ros2Bag(path, keep_truncated=True).is_truncated
-
-
 def test_a_database_that_is_no_bag(tmp_path):
     path = tmp_path / "other.db3"
     with sqlite3.connect(path) as connection:
@@ -234,16 +176,6 @@ def test_what_is_no_ros1_bag(tmp_path, content, message):
     path.write_bytes(content)
     with pytest.raises(InputError, match=message):
         Ros1Bag(path)
-
-
-@pytest.mark.parametrize("name", ["drive%41", "a#b", "a?mode=rw", "a b", "%", "ä&c=d"])
-@pytest.mark.parametrize("kind", ["db3", "mcap"])
-def test_a_bag_may_have_any_name(tmp_path, kind, name):
-    (path,) = ros_bags.write(tmp_path, kind, ros_bags.drive()).glob(f"*.{kind}")
-    (other,) = ros_bags.write(tmp_path, kind, ros_bags.drive(1.0), name="other").glob(f"*.{kind}")
-    shutil.copy(other, tmp_path / f"driveA.{kind}")  # what drive%41 means where a name is a URI
-    whole = list(Ros2Bag(path).messages({"/odom"}))
-    assert list(Ros2Bag(path.rename(tmp_path / f"{name}.{kind}")).messages({"/odom"})) == whole
 
 
 RECURSIVE = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT x, 1, x, zeroblob(9) FROM c"

@@ -2,7 +2,6 @@
 
 import bz2
 import gzip
-import hashlib
 import math
 
 import numpy as np
@@ -10,8 +9,6 @@ import pytest
 
 from gridslam.errors import InputError
 from gridslam.io.carmen.reader import CarmenLog
-from gridslam.io.text import compute_digest
-from gridslam.types import BeamStatus, LaserScan
 
 
 def flaser(ranges, laser=(0, 0, 0), robot=(0, 0, 0), stamp="1.5", tag="FLASER"):
@@ -66,47 +63,11 @@ def test_real_logs_hold_what_their_readme_says(data_dir, name, scans, beams, bac
     assert not statistics.truncated
 
 
-def test_first_scan_of_intel_to_the_digit(data_dir):
-    odometry, scan = next(iter(CarmenLog(data_dir / "intel.clf.bz2")))
-    assert scan.stamp_ns == odometry.stamp_ns == 976052857337530000
-    assert odometry.pose.tolist() == [0.0, 0.0, -0.002458]
-    assert scan.ranges[:4].tolist() == [1.07, 1.07, 1.08, 1.08]
-    assert len(scan) == 180
-
-
-def test_digest_is_that_of_the_published_file(data_dir):
-    expected = "d9ce4addefc9405d5e78fd883d2214766552537d262009f8e6f0137885f9f72a"
-    assert compute_digest(data_dir / "intel.clf.bz2") == expected
-
-
-def test_digest_is_of_the_bytes_on_disk(tmp_path):
-    path = tmp_path / "file"
-    path.write_bytes(b"gridslam" * 300_000)  # longer than one block
-    assert compute_digest(path) == hashlib.sha256(b"gridslam" * 300_000).hexdigest()
-
-
 @pytest.mark.parametrize("compress", [lambda data: data, gzip.compress, bz2.compress])
 def test_compression_is_told_by_content_not_by_name(tmp_path, compress):
     path = tmp_path / "log.txt"
     path.write_bytes(compress((flaser([1.0, 2.0]) + "\n").encode()))
     assert [m.scan.ranges.tolist() for m in CarmenLog(path)] == [[1.0, 2.0]]
-
-
-def test_iterating_again_reads_again(tmp_path):
-    path = tmp_path / "log"
-    path.write_text(flaser([1.0]) + "\n")
-    log = CarmenLog(path)
-    assert len(list(log)) == len(list(log)) == log.statistics.scan_count == 1
-
-
-def test_blocks_do_not_split_lines(tmp_path):
-    path = tmp_path / "log"
-    rng = np.random.default_rng(0)
-    ranges = np.round(rng.uniform(0.1, 80, (700, 181)), 2)  # 0.7 MB: several blocks
-    path.write_text("".join(flaser(row, stamp=f"{i}.25") + "\r\n" for i, row in enumerate(ranges)))
-    measurements = list(CarmenLog(path))
-    np.testing.assert_array_equal([m.scan.ranges for m in measurements], ranges)
-    assert [m.scan.stamp_ns for m in measurements] == [i * 10**9 + 250_000_000 for i in range(700)]
 
 
 @pytest.mark.parametrize(("n", "step"), [(180, 1.0), (181, 1.0), (360, 0.5), (361, 0.5), (2, 90.0), (90, 2.0)])
@@ -116,54 +77,11 @@ def test_bearings_cover_180_degrees(read, n, step):
     np.testing.assert_allclose(measurement.scan.geometry.bearings, expected, atol=1e-12)
 
 
-def test_stated_field_of_view_and_resolution(read):
-    parameters = ("PARAM laser_front_laser_fov 270 h 0", "PARAM laser_front_laser_resolution 0.5 h 0")
-    (measurement,), _ = read(*parameters, flaser([1.0] * 541))
-    np.testing.assert_allclose(np.degrees(measurement.scan.geometry.bearings), np.linspace(-135, 135, 541), atol=1e-9)
-
-
-def test_a_resolution_that_does_not_fit_the_beams_is_not_used(read):
-    (measurement,), _ = read("PARAM laser_front_laser_resolution 1.0 h 0", flaser([1.0] * 361))
-    np.testing.assert_allclose(np.degrees(measurement.scan.geometry.bearings), np.linspace(-90, 90, 361), atol=1e-9)
-
-
-def test_scans_of_the_same_beams_share_one_geometry(read):
-    measurements, statistics = read(flaser([1.0] * 3), flaser([1.0] * 5), flaser([2.0] * 3))
-    a, b, c = (m.scan.geometry for m in measurements)
-    assert a is c
-    assert a is not b
-    assert statistics.beam_counts == {3: 2, 5: 1}
-
-
-def test_status_of_each_beam_is_that_of_from_ranges(read):
-    values = ["1.0", "nan", "-1", "0.0", "inf", "-inf", "81.82", "81.83", "81.91"]
-    (measurement,), statistics = read(flaser(values))
-    scan = measurement.scan
-    reference = LaserScan.from_ranges(0, [float(v) for v in values], scan.geometry, range_max_m=scan.range_max_m)
-    np.testing.assert_array_equal(scan.status, reference.status)
-    hit, none, bad = BeamStatus.HIT, BeamStatus.NO_RETURN, BeamStatus.INVALID
-    assert scan.status.tolist() == [hit, bad, bad, bad, none, bad, hit, none, none]
-    assert (statistics.invalid_beams, statistics.no_return_beams) == (4, 3)
-
-
 @pytest.mark.parametrize(("stated", "limit"), [("50", 50.0), ("89", 81.83), ("0", 81.83)])
 def test_stated_maximum_range(read, stated, limit):
     (measurement,), _ = read(f"PARAM robot_front_laser_max {stated} h 0", flaser([49.9, 50.0]))
     assert measurement.scan.range_max_m == limit
     assert measurement.scan.status.tolist() == [0, int(limit == 50.0)]
-
-
-def test_robotlaser1_brings_its_own_angles_and_limits(read):
-    line = "ROBOTLASER1 0 -2.0 4.0 2.0 30.0 0.01 0 3 1.0 30.0 2.5 2 7 9 1.2 2 0.3 1.0 2 0.3 0 0 0 0 0 7.000001 host 7"
-    (measurement,), statistics = read(line)
-    odometry, scan = measurement
-    assert scan.geometry.bearings.tolist() == [-2.0, 0.0, 2.0]
-    assert scan.ranges.tolist() == [1.0, 30.0, 2.5]
-    assert scan.status.tolist() == [0, 1, 0]
-    assert odometry.pose.tolist() == [1.0, 2.0, 0.3]
-    assert scan.stamp_ns == 7_000_001_000
-    assert scan.sensor == "robotlaser1"
-    assert statistics.scans == {"ROBOTLASER1": 1}
 
 
 def test_lines_without_pose_take_the_last_odometry_before(read):
@@ -179,32 +97,6 @@ def test_lines_without_pose_take_the_last_odometry_before(read):
     assert (statistics.without_odometry, statistics.odometry_lines) == (1, 2)
 
 
-def test_flaser_without_poses_takes_odometry_too(read):
-    measurements, _ = read("ODOM 1 2 3 0 0 0 1.0 host 0", "FLASER 2 1.0 2.0 1.5 host 0")
-    assert measurements[0].odometry.pose.tolist() == [1, 2, 3]
-
-
-def test_tags_comments_and_parameters_are_counted(read):
-    _, statistics = read("# a", "", "SYNC x", "SYNC y", "TRUEPOS 0 0 0 0 0 0 1 h 1", "PARAM a b h 0", flaser([1.0]))
-    assert statistics.comments == 1
-    assert statistics.unused_tags == {"SYNC": 2, "TRUEPOS": 1}
-    assert statistics.parameters == {"a": "b"}
-    assert statistics.lines == 7
-
-
-def test_white_space_is_free(read):
-    measurements, _ = read("  FLASER  2\t1.0   2.0 0 0 0  1 2 3  4.5 host  0", flaser([3.0, 4.0], robot=(1, 2, 3)))
-    assert [m.scan.ranges.tolist() for m in measurements] == [[1.0, 2.0], [3.0, 4.0]]
-
-
-def test_stamps_are_counted_in_file_order(read):
-    measurements, statistics = read(*(flaser([1.0], stamp=f"{t}.0") for t in (5, 7, 6, 6, 8)))
-    assert [m.scan.stamp_ns // 10**9 for m in measurements] == [5, 7, 6, 6, 8]
-    assert (statistics.backward_stamps, statistics.duplicate_stamps) == (1, 1)
-    assert (statistics.first_stamp_ns, statistics.last_stamp_ns) == (5 * 10**9, 8 * 10**9)
-    assert statistics.duration_s == 3.0
-
-
 def test_front_and_rear_keep_file_order_and_one_path(read):
     lines = [flaser([1.0, 2.0], (i, 0, 0), (i, 0, 0), f"{i}.0", tag) for i, tag in enumerate(["FLASER", "RLASER"] * 3)]
     measurements, statistics = read(*lines)
@@ -216,45 +108,6 @@ def test_a_constant_offset_in_the_lines_is_the_mounting(read):
     measurements, statistics = read(*moving(8, mounted(0.2, -0.05, 0.0)))
     assert statistics.mountings["front"].source == "line"
     np.testing.assert_allclose(measurements[0].scan.geometry.origin, [0.2, -0.05], atol=1e-9)
-
-
-def test_a_corrected_pose_in_the_lines_is_no_mounting(read):
-    def corrected(x, y, theta):  # a map frame that is turned and moved against the odometry's
-        return 0.1 + 0.95 * x - 0.31 * y, 0.31 * x + 0.95 * y, theta + 0.318
-
-    measurements, statistics = read(*moving(8, corrected))
-    assert statistics.mountings["front"].source == "assumed"
-    assert measurements[0].scan.geometry.origin.tolist() == [0, 0]
-
-
-def test_a_correction_by_a_mere_shift_is_no_mounting(read):
-    """Constant in the world, so constant against the robot as well until it turns."""
-    _, statistics = read(*moving(8, lambda x, y, theta: (x + 0.3, y, theta)))
-    assert statistics.mountings["front"].source == "assumed"
-
-
-def test_an_offset_of_metres_is_not_plausible(read):
-    _, statistics = read(*moving(8, mounted(1.5, 0.0, 0.0)))
-    assert statistics.mountings["front"].source == "assumed"
-
-
-def test_parameters_mount_the_laser_where_lines_are_silent(read):
-    measurements, statistics = read(
-        "PARAM robot_frontlaser_offset 0.3 h 0",
-        "PARAM robot_rearlaser_offset -0.4 h 0",
-        flaser([1.0, 2.0]),
-        flaser([1.0, 2.0], tag="RLASER"),
-    )
-    front, rear = (m.scan.geometry for m in measurements)
-    assert statistics.mountings["front"].source == "parameters"
-    np.testing.assert_allclose(front.origin, [0.3, 0])
-    np.testing.assert_allclose(rear.origin, [-0.4, 0])
-    np.testing.assert_allclose(front.directions, -rear.directions, atol=1e-12)  # the rear laser looks backwards
-
-
-def test_a_stated_angle_of_the_rear_laser_counts(read):
-    (measurement,), _ = read("PARAM robot_rearlaser_angular_offset 3.0 h 0", flaser([1.0], tag="RLASER"))
-    np.testing.assert_allclose(measurement.scan.geometry.directions[0], [math.cos(3.0), math.sin(3.0)])
 
 
 @pytest.mark.parametrize("yaw_in_line", [0.0, math.pi])

@@ -63,15 +63,6 @@ def test_the_very_same_beams_come_back(tmp_path_factory, beams, first, step, clo
     assert np.count_nonzero(back.status == BeamStatus.NO_RETURN) == 1
 
 
-def test_what_has_the_form_stays_as_it_is():
-    for n in (180, 181):
-        geometry = ScanGeometry.planar(np.deg2rad(-90 + 180 / (n - n % 2) * np.arange(n)), [0.1, 0, 0.2])
-        scan = LaserScan.from_ranges(5, np.ones(n), geometry, range_max_m=30, sensor="front")
-        (formed,), lost = taken(Measurement(Odometry.at(5, [1, 2, 3]), scan))
-        assert formed.scan.geometry is geometry
-        assert lost == {}
-
-
 def test_losses_are_counted_in_scans():
     geometry = ScanGeometry([-0.1, 0.0, 0.1])
     late = Odometry.at(7, [1.23456789, 0, 0])
@@ -89,13 +80,6 @@ def test_losses_are_counted_in_scans():
     }
     assert [m.odometry.stamp_ns for m in formed] == [0, 9]
     assert formed[0].scan.status.tolist() == [BeamStatus.HIT, BeamStatus.NO_RETURN, BeamStatus.HIT]
-
-
-def test_a_log_without_odometry_keeps_all_its_scans():
-    scan = LaserScan.from_ranges(0, [1, 2, 3], ScanGeometry([-0.1, 0.0, 0.1]), sensor="front")
-    formed, lost = taken(*[Measurement(None, scan)] * 3)
-    assert [m.odometry for m in formed] == [None] * 3
-    assert lost == {}
 
 
 def test_two_lasers_are_front_and_rear():

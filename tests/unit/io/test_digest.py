@@ -6,9 +6,6 @@ import hashlib
 import shutil
 import subprocess
 
-import pytest
-
-from gridslam.errors import InputError
 from gridslam.io.text import compute_digest
 
 
@@ -31,8 +28,3 @@ def test_a_folder_is_what_sha256sum_says_of_its_files(tmp_path):
     assert compute_digest(moved) == compute_digest(folder)
     (moved / "b.db3").rename(moved / "c.db3")
     assert compute_digest(moved) != compute_digest(folder)
-
-
-def test_nothing_there(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
-        compute_digest(tmp_path / "none")

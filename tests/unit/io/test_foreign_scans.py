@@ -67,15 +67,6 @@ def test_units_are_those_of_the_names(tmp_path, header, rows, bearings, ranges, 
     assert scan.stamp_ns == stamp_ns
 
 
-def test_a_scan_ends_where_the_angle_begins_anew_in_either_direction(tmp_path):
-    up = "".join(f"{k},{angle},1\n" for k in range(3) for angle in (-40, -20, 0, 19, 40))
-    down = "".join(f"{k},{angle},1\n" for k in range(3) for angle in (40, 20, 0, -19, -40))
-    for rows in (up, down):
-        measurements, _ = read(tmp_path, "t,angle_deg,dist_m\n" + rows)
-        assert [len(m.scan) for m in measurements] == [5, 5, 5]
-        assert [m.scan.stamp_ns for m in measurements] == [0, 10**9, 2 * 10**9]
-
-
 ROSTOPIC = rostopic_rows(SCANS).decode()
 
 

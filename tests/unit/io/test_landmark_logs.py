@@ -8,10 +8,9 @@ import math
 import numpy as np
 import pytest
 
-from gridslam.errors import ArgumentError, InputError
-from gridslam.geometry.se2 import compose
+from gridslam.errors import InputError
 from gridslam.io.landmark_logs import LandmarkLog, MrclamLog, VictoriaParkLog, open_landmark_log
-from gridslam.models.landmark import LandmarkObservations, ObservationKind
+from gridslam.models.landmark import ObservationKind
 
 ODOMETRY = "# Time v omega\n10.0 1.0 0.0\n10.1 1.0 0.0\n10.2 0.0 2.0\n10.3 0.0 0.0\n10.9 0.0 0.0\n"
 MEASUREMENT = "# Time barcode range bearing\n10.05 14 1.5 0.25\n10.05 63 2.0 -0.5\n10.25 7 3.0 0.5\n10.25 99 3.0 0.5\n"
@@ -71,37 +70,6 @@ def test_steps_of_mrclam_end_where_landmarks_are_seen(mrclam):
     assert log.truth.landmarks.tolist() == [6, 8]
     assert log.truth.positions.tolist() == [[1, 2], [3, 4]]
     assert log.truth.trajectory.poses[1].tolist() == [1, 0, 6.3 - 2 * math.pi]
-
-
-def test_steps_of_mrclam_are_not_longer_than_asked(mrclam):
-    rows = "".join(f"{10 + k / 100:.2f} 1.0 1.0\n" for k in range(101))
-    path = mrclam(Robot2_Odometry=rows, Robot2_Measurement="10.30 63 2 0\n")
-    steps = list(MrclamLog(path, longest_ns=200_000_000, delay_ns=0))
-    ends = [round(1e-9 * step.stamp_ns, 9) for step in steps]
-    assert ends == [10.2, 10.3, 10.5, 10.7, 10.9]
-    pose = np.zeros(3)
-    for step in steps:
-        pose = compose(pose, step.increment)
-    # An arc of radius 1 m over 0.9 rad, however it is cut.
-    np.testing.assert_allclose(pose, [math.sin(0.9), 1 - math.cos(0.9), 0.9], atol=1e-9)
-
-
-def test_commands_of_mrclam_take_effect_later(mrclam):
-    """0.2 s later: what was the drive of 0.2 s, then a turn of 0.1 s, begins at 10.2 s."""
-    steps = list(open_landmark_log(mrclam()))
-    assert [step.stamp_ns for step in steps] == [10_050_000_000, 10_250_000_000, 10_500_000_000, 11_100_000_000]
-    np.testing.assert_allclose([step.increment for step in steps[:2]], [[0, 0, 0], [0.05, 0, 0]], atol=1e-12)
-    np.testing.assert_allclose(steps[2].increment, [0.15, 0, 0.2], atol=1e-12)
-
-
-def test_files_of_mrclam_may_be_compressed_and_without_truth_of_the_robot(mrclam, tmp_path):
-    path = mrclam(Robot2_Groundtruth=None)
-    plain = [step.increment.tolist() for step in open_landmark_log(path)]
-    (tmp_path / "set_Robot2_Odometry.dat.gz").write_bytes(gzip.compress(path.read_bytes()))
-    path.unlink()
-    log = open_landmark_log(tmp_path / "set_Robot2_Odometry.dat.gz")
-    assert [step.increment.tolist() for step in log] == plain
-    assert log.truth.trajectory is None
 
 
 @pytest.mark.parametrize(
@@ -195,35 +163,3 @@ def test_what_is_no_log_of_landmarks(park, tmp_path):
         open_landmark_log(tmp_path)
     with pytest.raises(InputError, match="got none"):
         list(VictoriaParkLog(park("# nothing\n")))
-
-
-def test_sightings_are_checked():
-    with pytest.raises(ArgumentError, match="each landmark once"):
-        LandmarkObservations.of([[1, 2], [3, 4]], [5, 5])
-    with pytest.raises(ArgumentError, match="finite"):
-        LandmarkObservations.of([[1, np.nan]])
-    with pytest.raises(ArgumentError, match="covariances"):
-        LandmarkObservations.of([[1, 2]], covariances=[[1, 2]])
-    assert LandmarkObservations.of([[1, 2]], [3]).drop_correspondences().landmarks is None
-
-
-@pytest.mark.parametrize(("robot", "observations", "robots", "unknown"), [(1, 1534, 407, 1), (3, 4348, 1277, 2)])
-def test_real_mrclam(data_dir, robot, observations, robots, unknown):
-    log = open_landmark_log(data_dir / "landmarks" / f"mrclam6_Robot{robot}_Odometry.dat.gz")
-    seen = np.concatenate([step.observations.landmarks for step in log])
-    assert (log.statistics.observations, log.statistics.robots, log.statistics.unknown) == (
-        observations,
-        robots,
-        unknown,
-    )
-    assert np.unique(seen).tolist() == log.truth.landmarks.tolist() == list(range(6, 21))
-    assert 880 < log.statistics.duration_s < 890
-
-
-def test_real_victoria_park(data_dir):
-    log = open_landmark_log(data_dir / "landmarks" / "victoria_park.txt.gz")
-    steps = list(log)
-    assert (log.statistics.odometry, log.statistics.observations, len(steps)) == (6968, 3640, 6969)
-    assert len(np.unique(np.concatenate([step.observations.landmarks for step in steps]))) == 151
-    driven = sum(math.hypot(*step.increment[:2]) for step in steps)
-    assert driven == pytest.approx(4026.6, abs=0.1)

@@ -7,7 +7,6 @@ import gzip
 import os
 import resource
 import socket
-import subprocess
 import sys
 import zipfile
 
@@ -17,9 +16,6 @@ from PIL import Image
 
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.limits import (
-    ALWAYS_ALLOWED_BYTES,
-    LARGEST_RATIO,
-    UnpackingLimit,
     describe_bytes,
     limit_memory,
     max_memory_bytes,
@@ -32,18 +28,6 @@ from gridslam.io.text import open_for_reading, read_text
 from gridslam.io.trajectories import read_tum
 
 LINE = "PARAM laser_front_laser_resolution 1.0 nohost 0\n"
-
-
-def test_a_limit_is_relative_to_the_size_and_never_small():
-    assert UnpackingLimit(10).total == ALWAYS_ALLOWED_BYTES
-    assert UnpackingLimit(10**9).total == LARGEST_RATIO * 10**9
-    limit = UnpackingLimit(10)
-    assert limit.take(ALWAYS_ALLOWED_BYTES)
-    assert not limit.take(1)
-    assert (limit.left, limit.at_once) == (-1, 0)
-    assert UnpackingLimit(10**9).at_once == max_memory_bytes()
-    assert "--max-memory" in UnpackingLimit(10**9).problem
-    assert "unpack it first" in UnpackingLimit(10).problem
 
 
 def test_memory_is_limited_within_a_context():
@@ -103,16 +87,6 @@ def test_pipes_sockets_and_devices_are_refused_by_name(tmp_path):
         read_tum("/dev/zero")
     with pytest.raises(InputError, match="cannot be opened"):
         open_for_reading("a\0b")
-
-
-def test_a_shell_that_hands_in_a_pipe_is_answered(tmp_path):
-    (tmp_path / "log.clf").write_text(LINE)
-    command = f"{sys.executable} -m gridslam.cli.main map <(cat log.clf) -o out"
-    found = subprocess.run(
-        ["bash", "-c", command], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
-    )
-    assert found.returncode == 2
-    assert "expected a file, got a pipe" in found.stderr
 
 
 def test_an_archive_that_claims_too_much_is_refused(tmp_path):

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import subprocess
 import sys
 
 import pytest
 
-from gridslam.errors import InputError, OutputError
+from gridslam.errors import InputError
 from gridslam.io import cache as module
 from gridslam.io.cache import LogCache, find_origin
 from gridslam.io.text import compute_digest
@@ -78,55 +77,10 @@ def test_a_log_that_a_process_uses_stays(tmp_path):
     assert sorted(path.name for path in tmp_path.glob("*/*.clf")) == ["b.clf", "c.clf"]
 
 
-def test_a_download_that_fails_leaves_nothing(tmp_path):
-    def fail(folder):
-        (folder / "run.clf").write_bytes(b"half")
-        raise InputError("s3://b/run.clf", "the connection was cut")
-
-    with pytest.raises(InputError, match="cut"):
-        LogCache(tmp_path, 1000).get("s3://b/run.clf", "", fail)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_damaged_entry_is_made_again(tmp_path):
-    cache = LogCache(tmp_path, 1000)
-    found = cache.get("s3://b/run.clf", "", writer())
-    release()
-    found.path.unlink()
-    assert cache.get("s3://b/run.clf", "", writer()).path.read_bytes() == b"a log"
-    release()
-    (found.path.parent / "entry.json").write_text("{")
-    assert cache.get("s3://b/run.clf", "", writer()).path.read_bytes() == b"a log"
-
-
-def fetch_in_child(folder, queue):
-    cache = LogCache(folder, 10_000)
-    queue.put([cache.get(f"s3://b/{k % 3}.clf", "", writer(b"y" * 900, f"{k % 3}.clf")).sha256 for k in range(30)])
-
-
-def test_processes_share_the_cache(tmp_path):
-    context = multiprocessing.get_context("spawn")
-    queue = context.Queue()
-    children = [context.Process(target=fetch_in_child, args=(tmp_path, queue)) for _ in range(3)]
-    for child in children:
-        child.start()
-    found = [queue.get(timeout=60) for _ in children]
-    for child in children:
-        child.join()
-    assert len({digest for digests in found for digest in digests}) == 1
-    assert len(list(tmp_path.iterdir())) == 3
-
-
 def test_a_log_larger_than_the_cache_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"s3://b/run\.clf: .* do not fit in the cache"):
         LogCache(tmp_path, 3).get("s3://b/run.clf", "", writer())
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_cache_that_cannot_be_written_is_named(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="file"):
-        LogCache(tmp_path / "file" / "cache", 100).get("s3://b/run.clf", "", writer())
 
 
 @pytest.mark.parametrize("text", ["0", "-1", "much", "nan", "inf"])

@@ -12,11 +12,7 @@ from gridslam.io.maps import (
     MapImage,
     occupancy_percent,
     read_map,
-    read_map_image,
-    unknown_read_as_free,
-    write_map,
 )
-from gridslam.types import OccupancyGrid
 
 THRESHOLDS = [(0.65, 0.196), (0.65, 0.25), (0.51, 0.49), (1.0, 0.0), (0.8, 0.2)]
 EVERY = np.arange(256)
@@ -50,12 +46,6 @@ def test_every_pixel_is_read_by_the_rule(thresholds, mode, negate, strict):
     lower, upper = occupancy_percent(image, description, strict_thresholds=strict)
     assert upper.tolist() == [rule(v, False, mode, negate, *thresholds, strict) for v in EVERY]
     assert lower.tolist() == [rule(v, True, mode, negate, *thresholds, strict) for v in EVERY]
-
-
-def read(path, **options):
-    """A map, and what is told of its file."""
-    remarks = []
-    return read_map(path, **options, on_remark=remarks.append), remarks
 
 
 def saved(folder, image, mode="trinary", thresholds=(0.65, 0.25), suffix="png", more=""):
@@ -94,55 +84,6 @@ def test_what_nav2_saves_in_raw_mode_comes_back(tmp_path):
     np.testing.assert_allclose(grid.probability[0, 1:], 0.01 + 0.0098 * cells[0, 1:], atol=1e-6)
 
 
-def test_what_we_write_is_read_alike_by_every_rule(tmp_path):
-    cells = np.random.default_rng(1).integers(-1, 2, (6, 5))
-    write_map(tmp_path / "m.yaml", OccupancyGrid(np.float32(9) * (2 * cells - 1), cells >= 0, 0.05, (0.0, 0.0)))
-    for strict in (False, True):
-        grid, remarks = read(tmp_path / "m.yaml", strict_thresholds=strict)
-        assert (np.where(grid.known, grid.log_odds > 0, -1) == cells).all()
-        assert remarks == []
-
-
-def test_unknown_that_would_be_free_is_told_and_can_be_had(tmp_path):
-    path = saved(tmp_path, Image.fromarray(np.array([[205, 205, 254, 0]], np.uint8)))
-    grid, (remark,) = read(path)
-    assert grid.known.tolist() == [[False, False, True, True]]
-    assert "free_thresh 0.25" in remark
-    assert "2 cells" in remark
-    literal, none = read(path, strict_thresholds=True)
-    assert literal.known.all()
-    assert (literal.log_odds[0, :3] < 0).all()
-    assert none == []
-
-
-def test_only_opaque_205_of_a_trinary_map_is_spared():
-    image = MapImage(np.array([[205.0, 205.0, 204.0]]), np.array([[True, False, True]]))
-    describe = {"image": "m.png", "resolution_m": 0.05, "origin": (0.0, 0.0), "free_thresh": 0.25}
-    assert unknown_read_as_free(image, MapDescription(**describe)).tolist() == [[True, False, False]]
-    for other in ({"mode": "scale"}, {"mode": "raw"}, {"negate": True}, {"free_thresh": 0.196}):
-        assert not unknown_read_as_free(image, MapDescription(**{**describe, **other})).any()
-
-
-def test_sixteen_bits_are_not_cut_off(tmp_path):
-    Image.fromarray(np.array([[0, 205 * 257, 65535]], np.uint16)).save(tmp_path / "m.png")
-    assert read_map_image(tmp_path / "m.png").brightness.tolist() == [[0, 205, 255]]
-
-
-@pytest.mark.parametrize("mode", ["RGB", "RGBA", "P", "1"])
-def test_grey_in_any_form_is_read(tmp_path, mode):
-    pixels = np.array([[0, 255, 0]] if mode == "1" else [[0, 205, 254]], np.uint8)
-    Image.fromarray(pixels).convert(mode).save(tmp_path / "m.png")
-    found = read_map_image(tmp_path / "m.png")
-    assert (found.brightness == pixels).all()
-    assert found.opaque.all()
-
-
-def test_transparency_of_a_palette_counts(tmp_path):
-    image = Image.fromarray(np.array([[0, 1]], np.uint8), "L").convert("P")
-    image.save(tmp_path / "m.png", transparency=0)
-    assert read_map_image(tmp_path / "m.png").opaque.tolist() == [[False, True]]
-
-
 def test_colours_are_refused(tmp_path):
     path = saved(tmp_path, Image.fromarray(np.array([[[0, 0, 0], [9, 9, 8]]], np.uint8)))
     with pytest.raises(InputError, match="expected a grey image, got colours in 1 of 2 pixels"):
@@ -154,15 +95,6 @@ def test_an_image_too_large_for_anything_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
     with pytest.raises(InputError, match="expected an image"):
         read_map(path)
-
-
-def test_the_turtlebot_map_is_told_about(data_dir):
-    grid, (remark,) = read(data_dir / "maps" / "mac_1st_floor_final.yaml")
-    unknown = int((~grid.known).sum())
-    assert f"its {unknown} cells" in remark
-    literal = read_map(data_dir / "maps" / "mac_1st_floor_final.yaml", strict_thresholds=True)
-    assert (literal.log_odds[~grid.known] < 0).all()
-    assert read(data_dir / "maps" / "meeting.yaml")[1] == []
 
 
 def test_whatever_happens_to_the_files_it_is_told_in_one_line(tmp_path):

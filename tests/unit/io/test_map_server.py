@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from PIL import Image
 
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.maps import read_map, write_map
@@ -38,13 +37,6 @@ def test_the_pixels_of_each_state(tmp_path):
     )
 
 
-def test_pillow_agrees_on_the_image(tmp_path):
-    grid = OccupancyGrid(np.full((2, 5), 4, np.float32), np.ones((2, 5), bool), 0.1, (0.0, 0.0))
-    write_map(tmp_path / "m.yaml", grid)
-    with Image.open(tmp_path / "m.pgm") as image:
-        assert (image.size, image.mode, image.getpixel((4, 1))) == ((5, 2), "L", 0)
-
-
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=50)
 @given(
     st.integers(0, 2**32 - 1),
@@ -60,41 +52,6 @@ def test_round_trip(tmp_path, seed, resolution, origin, name):
     assert states(back) == cells.tolist()
     assert (back.resolution_m, back.origin) == (resolution, origin)
     assert back.log_odds.dtype == np.float32
-
-
-def test_lower_left_is_cell_zero(tmp_path):
-    grid = read_map(write(tmp_path, [[254, 254], [0, 205]]))
-    assert states(grid) == [[1, -1], [0, 0]]
-    assert grid.origin == (-1.5, 2.0)
-
-
-def test_205_is_unknown_even_where_the_threshold_calls_it_free(tmp_path):
-    yaml = YAML.replace("0.196", "0.25")
-    assert states(read_map(write(tmp_path, [[205, 206, 204, 254]], yaml))) == [[-1, 0, 0, 0]]
-
-
-def test_negate(tmp_path):
-    assert states(read_map(write(tmp_path, [[255, 0, 128]], YAML.replace("negate: 0", "negate: 1")))) == [[1, 0, -1]]
-
-
-def test_scale_spans_probability_linearly(tmp_path):
-    yaml = YAML.replace("0.196", "0.2").replace("0.65", "0.8") + "mode: scale\n"
-    grid = read_map(write(tmp_path, [[0, 255, 255 - 51, 127, 128]], yaml))  # darkness 1, 0, 0.2, 128/255, 127/255
-    expected = 0.01 + 0.98 * np.array([1, 0, 0, 0.5, 0.5])  # in whole percent, as a ROS OccupancyGrid has it
-    np.testing.assert_allclose(grid.probability[0], expected, atol=1e-6)
-    assert grid.known.all()
-
-
-def test_raw_is_percent(tmp_path):
-    grid = read_map(write(tmp_path, [[0, 100, 50, 101, 255]], YAML + "mode: raw\n"))
-    assert grid.known.tolist() == [[True, True, True, False, False]]
-    np.testing.assert_allclose(grid.probability[0, :3], [0.01, 0.99, 0.5], atol=1e-6)
-
-
-def test_transparent_pixels_are_unknown(tmp_path):
-    yaml = write(tmp_path, [[0]], YAML.replace("map.pgm", "map.png"))
-    Image.fromarray(np.array([[[0, 255], [0, 0], [254, 255]]], dtype=np.uint8), "LA").save(tmp_path / "map.png")
-    assert states(read_map(yaml)) == [[1, -1, 0]]
 
 
 @pytest.mark.parametrize(
@@ -139,34 +96,6 @@ def test_bad_yaml(tmp_path, yaml, line, problem):
     assert caught.value.line == line
 
 
-@pytest.mark.parametrize("name", ["/home/user/map.pgm", "~/map.pgm", r"C:\Users\me\map.pgm", "../maps/map.pgm"])
-def test_an_image_that_was_moved_is_found_beside_its_yaml(tmp_path, name):
-    told = []
-    path = write(tmp_path, [[0, 254]], YAML.replace("map.pgm", name))
-    assert states(read_map(path, on_remark=told.append)) == [[1, 0]]
-    assert told == [f"the image {name} is not there: map.pgm beside the YAML file is read"]
-    (tmp_path / "map.pgm").rename(tmp_path / "other.pgm")
-    with pytest.raises(InputError, match="no such file"):
-        read_map(path)
-
-
-def test_an_image_that_is_where_it_is_named_is_read(tmp_path):
-    (tmp_path / "elsewhere").mkdir()
-    path = write(tmp_path, [[0, 254]], YAML.replace("map.pgm", str(tmp_path / "elsewhere" / "map.pgm")))
-    write(tmp_path / "elsewhere", [[254, 254]])
-    told = []
-    assert states(read_map(path, on_remark=told.append)) == [[0, 0]]
-    assert told == []
-
-
-@pytest.mark.parametrize("yaw", ["0.0001", "-0.001", ".nan", "nan", "-nan"])
-def test_a_yaw_that_turns_nothing_is_taken_as_0(tmp_path, yaw):
-    told = []
-    path = write(tmp_path, [[0, 254]], YAML.replace("2, 0]", f"2, {yaw}]"))
-    assert states(read_map(path, on_remark=told.append)) == [[1, 0]]
-    assert told == [f"the yaw {yaw} of the origin is taken as 0"]
-
-
 def test_bad_images(tmp_path):
     yaml = write(tmp_path, [[0, 0]])
     (tmp_path / "map.pgm").write_bytes(b"P5\n200 200\n255\n123")
@@ -184,16 +113,3 @@ def test_an_empty_grid_is_refused(tmp_path):
     grid = OccupancyGrid(np.zeros((0, 3), np.float32), np.zeros((0, 3), bool), 0.05, (0.0, 0.0))
     with pytest.raises(ArgumentError, match="at least one cell"):
         write_map(tmp_path / "m.yaml", grid)
-
-
-@pytest.mark.parametrize("name", ["meeting", "mac_1st_floor_final"])
-def test_real_maps_have_all_three_states(data_dir, name):
-    path = data_dir / "maps" / f"{name}.yaml"
-    grid = read_map(path)
-    with Image.open(path.with_suffix(".pgm")) as image:
-        assert grid.log_odds.shape == image.size[::-1]
-        pixels = np.asarray(image)[::-1]
-    assert not grid.known[pixels == 205].any()
-    assert (grid.log_odds[pixels == 0] > 0).all()
-    assert (grid.log_odds[pixels == 254] < 0).all()
-    assert grid.known.any()

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from gridslam.api.conversion import convert_log
 from gridslam.geometry.se2 import between, compose, compound_covariance, increment_covariance
 from gridslam.io.bags.bag import BagLog
-from gridslam.io.bags.rig import PoseCovariances
-from gridslam.io.log import LogOptions, open_log
-from gridslam.io.selection import CovarianceSum
-from gridslam.types import Odometry
+from gridslam.io.log import LogOptions
 from support import ros_bags
 from support.ros_bags import KINDS, drive
 
@@ -95,57 +89,3 @@ def test_covariances_that_grow_tell_the_noise_from_scan_to_scan(tmp_path, kind):
 )
 def test_what_tells_nothing_is_absent(tmp_path, covariance):
     assert covariances(tmp_path, drive(covariance=covariance)) == [None] * 20
-
-
-def test_a_robot_that_stands_keeps_what_it_has_proved():
-    known, count = PoseCovariances(), 20
-    for k in range(count):  # drives for ten readings, and stands
-        at_s = min(k, 10) * 0.05
-        covariance = grown(at_s)
-        known.add(k, pose(at_s), tuple(covariance[np.triu_indices(3)].tolist()))
-    np.testing.assert_allclose(known.between(12, 15), 3e-8 * np.eye(3))
-    assert known.between(0, 5) is None  # not proved then
-    assert known.between(5, 5) is None
-    assert known.between(15, 25) is None
-
-
-def test_stamps_that_go_back_begin_anew():
-    known = PoseCovariances()
-    for k in [*range(10), 3, 4]:
-        known.add(k, pose(0.05 * k), tuple(grown(0.05 * k)[np.triu_indices(3)].tolist()))
-    assert known.between(3, 4) is None
-
-
-def test_of_every_second_scan_the_noise_is_that_of_both(tmp_path):
-    path = ros_bags.write(tmp_path, "ros1", drive(covariance=grown))
-    every, others = ([m.odometry.covariance for m in open_log(path, LogOptions(every=n))] for n in (1, 2))
-    for k in range(2, 10):
-        first, second = (between(pose(at_s - 0.1), pose(at_s)) for at_s in (0.2 * k - 0.04, 0.2 * k + 0.06))
-        expected = compound_covariance(first, every[2 * k - 1], second, every[2 * k])
-        np.testing.assert_allclose(others[k], expected, rtol=1e-3)
-
-
-def test_one_unknown_among_those_left_out_leaves_the_sum_unknown():
-    since, known = CovarianceSum(), Odometry.at(0, np.zeros(3), np.eye(3))
-    told, silent = [], Odometry.at(1, np.ones(3))
-    for odometry, given in ((known, True), (silent, False), (known, True), (None, False), (known, True)):
-        told.append(since.add(odometry))
-        if given:
-            since.given()
-    assert told[0] is known
-    assert told[2].covariance is None
-    assert told[3] is None
-    assert told[4] is known
-
-
-def test_formats_without_a_place_for_it_say_so(tmp_path):
-    path = ros_bags.write(tmp_path, "ros1", drive(covariance=grown))
-    for name in ("log.csv", "log.clf", "log.mcap"):
-        assert convert_log(path, tmp_path / name).lost["covariances of odometry"] == 18
-    assert "covariances of odometry" not in convert_log(tmp_path / "log.csv", tmp_path / "other.csv").lost
-
-
-@pytest.mark.parametrize("name", ["p3dx_trace0.bag", "p3dx_sim_truth.bag", "turtlebot4_floor"])
-def test_of_the_real_bags_none_tells_any(data_dir: Path, name: str):
-    """Zeros (the simulator, the TurtleBot 4), and the constant 1e-3, 1e-3, 1e3 (the Pioneer)."""
-    assert all(odometry is None or odometry.covariance is None for odometry, _ in open_log(data_dir / "bags" / name))

@@ -12,7 +12,6 @@ from gridslam.io.carmen.reader import CarmenLog
 from gridslam.io.csv import CsvLog
 from gridslam.io.log import LogFormat, LogOptions, detect_log_format, open_log
 from gridslam.io.selection import SelectedLog
-from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import CSV_HEADER
 
 CARMEN = b"# a drive\nPARAM robot_length 0.5 host 1.0\nFLASER 1 1.0 0 0 0 0 0 0 1.0 host 1.0\n"
@@ -41,12 +40,6 @@ def test_text_whatever_its_name_is(tmp_path, content, form, compress):
 def test_bags(tmp_path, head):
     (tmp_path / "log.txt").write_bytes(head + bytes(100))
     assert detect_log_format(tmp_path / "log.txt") is LogFormat.BAG
-
-
-@pytest.mark.parametrize("name", ["metadata.yaml", "a_0.db3", "a_0.mcap", "a_0.db3.zstd"])
-def test_folders_of_bags(tmp_path, name):
-    (tmp_path / name).touch()
-    assert detect_log_format(tmp_path) is LogFormat.BAG
 
 
 @pytest.mark.parametrize(
@@ -102,13 +95,3 @@ def test_a_log_damaged_from_its_start_is_told_so(tmp_path):
     path.write_bytes(bz2.compress(CARMEN)[:30])
     with pytest.raises(InputError, match="cut off"):
         list(open_log(path))
-
-
-def test_the_digest_of_a_folder_is_that_of_its_list(tmp_path):
-    import subprocess
-
-    for name in ("b_0.db3", "metadata.yaml", "A.txt"):
-        (tmp_path / name).write_text(f"{name} holds this")
-    command = "LC_ALL=C; sha256sum * | sha256sum"
-    told = subprocess.run(["sh", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-    assert compute_digest(tmp_path) == told.split()[0]

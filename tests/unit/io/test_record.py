@@ -37,40 +37,6 @@ def test_round_trip(tmp_path):
     assert record.n_eff.tolist() == [1.5] * 3
 
 
-def test_what_is_kept_does_not_change_with_the_report(tmp_path):
-    step = report(1)
-    kept = step.poses.astype(np.float32)
-    writer = RecordWriter()
-    writer.add(step, 0.0)
-    step.poses[:] = 0
-    writer.write(tmp_path / "r.npz")
-    np.testing.assert_array_equal(read_record(tmp_path / "r.npz").poses[0], kept)
-
-
-def test_a_run_without_key_scans(tmp_path):
-    RecordWriter().write(tmp_path / "r.npz")
-    assert len(read_record(tmp_path / "r.npz")) == 0
-
-
-def test_key_scans_may_have_different_numbers_of_particles(tmp_path):
-    """Rows are as long as the longest: behind the particles are copies of the last, of weight 0."""
-    reports = [report(1, n=3), report(2, n=5, seed=1, parents=np.array([0, 1, 1, 4])), report(3, n=2, seed=2)]
-    writer = RecordWriter()
-    for step in reports:
-        writer.add(step, 0.0)
-    assert writer.particles_mean == pytest.approx(10 / 3)
-    writer.write(tmp_path / "r.npz")
-    record = read_record(tmp_path / "r.npz")
-    assert record.counts.tolist() == [3, 5, 2]
-    for k, step in enumerate(reports):
-        count = len(step.poses)
-        np.testing.assert_array_equal(record.poses[k, :count], step.poses.astype(np.float32))
-        np.testing.assert_array_equal(record.log_weights[k, :count], step.log_weights)
-        assert (record.poses[k, count:] == record.poses[k, count - 1]).all()
-        assert (record.log_weights[k, count:] == -np.inf).all()
-    assert record.parents[1].tolist() == [0, 1, 1, 4, 4]
-
-
 def test_bad_records(tmp_path):
     writer = RecordWriter()
     writer.add(report(1), 0.0)

@@ -55,13 +55,6 @@ def test_drives_of_which_nothing_is_left_are_left_out_and_the_others_keep_their_
     assert list(thinned.split(poses)) == ["day3", "day4"]
 
 
-def test_of_a_given_map_without_drives_nothing_is_left_out():
-    piece, _ = drive(0)
-    alone = SavedPiece(piece, ())
-    assert alone.thin(MAPPER).piece is piece
-    assert alone.thin(MAPPER).drives == ()
-
-
 def test_a_saved_piece_is_frozen_where_its_scans_lie_and_its_graph_is_released():
     piece = saved(2)
     poses = np.random.default_rng(0).normal(size=(len(piece.stamps_ns), 3))

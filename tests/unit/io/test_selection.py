@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gridslam.errors import ArgumentError, InputError
-from gridslam.io.log import Log, LogOptions
+from gridslam.errors import InputError
+from gridslam.io.log import LogOptions
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.io.selection import select
@@ -46,12 +46,6 @@ def places(log, **options) -> list[int]:
     return [int(m.odometry.pose[0]) for m in select(log, LogOptions(**options))]
 
 
-def test_all_of_a_log_is_the_log_itself():
-    log = Listed([1, 2])
-    assert isinstance(log, Log)
-    assert select(log, LogOptions(keep_truncated=True)) is log
-
-
 @given(st.floats(0, 12), st.floats(0.1, 12), st.integers(1, 4))
 def test_of_an_orderly_log_it_is_the_scans_of_that_time(start_s, duration_s, every):
     stamps = np.arange(100, 110, 0.5)
@@ -81,49 +75,6 @@ def test_stamps_that_go_back_leave_no_hole(jitter, start_s, duration_s):
     assert got[-1] == 39 or abs(got[-1] + 1 - (start_s + duration_s)) <= 2
 
 
-@pytest.mark.parametrize("astray", [-1e6, 0, 1e6])
-@pytest.mark.parametrize("place", [3, 10, 15, 25])
-def test_a_single_stamp_astray_decides_nothing(astray, place):
-    stamps = np.arange(100.0, 140.0)
-    stamps[place] = astray
-    got = places(Listed(stamps.tolist()), start_s=10, duration_s=10)
-    assert abs(got[0] - 10) <= 1
-    assert abs(got[-1] - 19) <= 1
-    assert got == list(range(got[0], got[-1] + 1))
-
-
-def test_a_clock_that_is_set_back_does_not_end_the_log():
-    stamps = [*range(100, 120), *range(50, 90)]
-    assert places(Listed(stamps), start_s=10) == list(range(10, 60))
-
-
-def test_every_so_many_th_scan_of_each_sensor():
-    log = Listed(list(range(12)), ["front", "rear"] * 6)
-    assert places(log, every=3) == [0, 1, 6, 7]
-    assert places(log, every=2, scan_topics=("rear",)) == [1, 5, 9]
-
-
-def test_statistics_are_of_the_chosen_scans_and_of_the_file():
-    log = Listed([0, 1, 2, 1.5, 4, 5, 6, 7, 8, 9])
-    part = select(log, LogOptions(start_s=1, duration_s=5, no_odometry=True))
-    measured = list(part)
-    assert [m.odometry for m in measured] == [None] * 5
-    statistics = part.statistics
-    assert (statistics.scan_count, statistics.without_odometry, statistics.invalid_beams) == (5, 5, 5)
-    assert statistics.selection == {"start_s": 1, "duration_s": 5, "no_odometry": True}
-    assert (statistics.first_stamp_ns, statistics.last_stamp_ns) == (10**9, 5 * 10**9)
-    assert (statistics.backward_stamps, statistics.odometry_length_m, statistics.total_bytes) == (1, 0.0, 1000)
-    assert statistics.share_read == pytest.approx(0.8)  # the last one chosen is 4 s into the 5 s
-    assert log.statistics.odometry_length_m > 0
-
-
-def test_a_part_can_be_read_again():
-    part = select(Listed([0, 1, 2, 3]), LogOptions(start_s=1, every=2))
-    for _ in range(2):
-        assert [m.scan.stamp_ns for m in part] == [10**9, 3 * 10**9]
-        assert part.statistics.scan_count == 2
-
-
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
@@ -136,11 +87,3 @@ def test_a_part_can_be_read_again():
 def test_where_nothing_is_there_it_is_told(options, problem):
     with pytest.raises(InputError, match=problem):
         places(Listed([*range(10)]), **options)
-
-
-@pytest.mark.parametrize(
-    "options", [{"start_s": -1}, {"start_s": np.nan}, {"start_s": np.inf}, {"duration_s": 0}, {"every": 0}]
-)
-def test_numbers_out_of_range_are_refused(options):
-    with pytest.raises(ArgumentError, match=next(iter(options))):
-        LogOptions(**options)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gridslam.errors import ArgumentError, InputError
+from gridslam.errors import InputError
 from gridslam.io.trajectories import CSV_HEADER, read_trajectory_csv, write_trajectory_csv
 from gridslam.types import Trajectory
 
@@ -36,24 +36,6 @@ def test_round_trip(tmp_path, given_rows):
     assert np.abs(np.angle(np.exp(1j * (back.poses[:, 2] - poses[:, 2])))).max() < 0.6e-9
     assert ((back.poses[:, 2] >= -np.pi) & (back.poses[:, 2] < np.pi)).all()
     np.testing.assert_allclose(spread, covariances, rtol=0.6e-8, atol=0)  # nine significant digits
-
-
-def test_form(tmp_path):
-    trajectory = Trajectory(np.array([976052857337530001, -1]), np.array([[1.0, -2.5, 0.25], [0.0, 0.0, 0.0]]))
-    covariances = np.array([[[1, 2, 3], [2, 4, 5], [3, 5, 6]]] * 2) * 1e-7
-    write_trajectory_csv(tmp_path / "t.csv", trajectory, covariances)
-    first, *rest = (tmp_path / "t.csv").read_text().splitlines()
-    assert first == CSV_HEADER
-    assert rest == [
-        "976052857.337530001,1.000000000,-2.500000000,0.250000000,1e-07,2e-07,3e-07,4e-07,5e-07,6e-07",
-        "-0.000000001,0.000000000,0.000000000,0.000000000,1e-07,2e-07,3e-07,4e-07,5e-07,6e-07",
-    ]
-
-
-def test_as_many_covariances_as_poses(tmp_path):
-    with pytest.raises(ArgumentError, match="covariances"):
-        write_trajectory_csv(tmp_path / "t.csv", Trajectory(np.array([1]), np.zeros((1, 3))), np.zeros((2, 3, 3)))
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

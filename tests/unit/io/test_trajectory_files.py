@@ -28,19 +28,6 @@ def test_tum_round_trip(tmp_path, rows):
     assert ((back.poses[:, 2] >= -np.pi) & (back.poses[:, 2] < np.pi)).all()
 
 
-def test_tum_form(tmp_path):
-    trajectory = Trajectory(np.array([976052857337530000]), np.array([[1.0, -2.5, np.pi / 2]]))
-    write_tum(tmp_path / "t.tum", trajectory)
-    expected = "976052857.337530000 1.000000000 -2.500000000 0 0 0 0.707106781 0.707106781\n"
-    assert (tmp_path / "t.tum").read_text() == expected
-
-
-def test_tum_takes_comments_and_three_dimensions(tmp_path):
-    (tmp_path / "t.tum").write_text("# stamp x y z qx qy qz qw\n\n1.5 1 2 3 0.5 0.5 0.5 0.5\n")
-    back = read_tum(tmp_path / "t.tum")
-    np.testing.assert_allclose(back.poses, [[1, 2, np.pi / 2]])
-
-
 @pytest.mark.parametrize(
     ("text", "line"),
     [
@@ -126,17 +113,6 @@ def test_bad_rows_of_other_forms(tmp_path, text, line):
     with pytest.raises(InputError) as caught:
         read_trajectory(tmp_path / "t.txt", STAMPS)
     assert caught.value.line == line
-
-
-@pytest.mark.parametrize(("name", "count"), [("intel", 2984), ("aces", 1279)])
-def test_real_relations(data_dir, name, count):
-    path = data_dir / f"{name}.relations"
-    relations = read_relations(path)
-    rows = np.loadtxt(path)
-    assert len(relations.poses) == len(rows)
-    np.testing.assert_allclose(relations.from_ns / 1e9, rows[:, 0], rtol=0, atol=1e-6)
-    np.testing.assert_allclose(relations.poses, rows[:, [2, 3, 7]], rtol=0, atol=1e-12)
-    assert len(rows) == count
 
 
 @pytest.mark.parametrize(

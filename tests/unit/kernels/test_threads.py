@@ -5,14 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import gridslam
-from gridslam.errors import ArgumentError
 from gridslam.grid import Evidence, TileMaps
 from gridslam.grid.arena import TileArena
 from gridslam.matching import GaussNewton
@@ -69,11 +67,6 @@ def test_a_forked_process_has_threads_of_its_own(alone):
         assert pipe.read() == b"1"
     assert os.waitpid(child, 0)[1] == 0
     assert run(2) == alone
-
-
-def test_threads_of_python_share_those_of_the_kernels(alone):
-    with ThreadPoolExecutor(3) as pool:
-        assert list(pool.map(run, [2, 3, 2])) == [alone] * 3
 
 
 def test_an_interpreter_ends_while_threads_wait():
@@ -157,20 +150,6 @@ def test_whoever_reads_maps_waits_for_their_update(read):
             np.testing.assert_array_equal(others[name], array)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_headings_that_are_no_numbers_are_refused(threads):
-    """Maps are written in the order of the headings; among so many, those without an order would end the process."""
-    maps = empty(threads)
-    maps.update(ROWS, *poses_and_beams(0))
-    before = maps.to_arrays()
-    poses, beams = poses_and_beams(1)
-    poses[::2, 2] = np.nan
-    with pytest.raises(ArgumentError, match="poses"):
-        maps.update(ROWS, poses, beams)
-    for name, array in maps.to_arrays().items():
-        np.testing.assert_array_equal(array, before[name])
-
-
 def few_ids(refs):
     return np.arange(len(refs) + 2, len(refs) - 1, -1, dtype=np.int32), len(refs) + 3
 
@@ -189,39 +168,6 @@ def test_ids_may_be_scarce(threads, monkeypatch):
     for name, array in plenty.to_arrays().items():
         np.testing.assert_array_equal(scarce.to_arrays()[name], array)
     assert scarce.tiles_used == plenty.tiles_used
-
-
-def update_often(maps):
-    for step in range(1, 100):
-        maps.update(ROWS, *poses_and_beams(step))
-        maps.select(ROWS)
-
-
-def test_memory_that_runs_out_in_the_background_is_told_once(monkeypatch):
-    def refuse(_):
-        raise MemoryError
-
-    maps = empty(2)
-    maps.update(ROWS, *poses_and_beams(0))
-    assert maps.tiles_used
-    kept = maps.snapshot()
-    before = kept.to_arrays()
-    monkeypatch.setattr(TileArena, "grow", refuse)
-    with pytest.raises(MemoryError):
-        update_often(maps)
-    monkeypatch.undo()
-    assert maps.tiles_used
-    for name, array in kept.to_arrays().items():
-        np.testing.assert_array_equal(before[name], array)
-
-
-def test_maps_are_dropped_while_they_are_written():
-    shared = empty(2)
-    for step in range(20):
-        maps = shared.snapshot()
-        maps.update(ROWS, *poses_and_beams(step))
-        del maps
-    assert shared.tiles_used == 0
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there are no forks")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -71,28 +70,6 @@ def test_path_and_tree_are_the_pasts(steps, seed, share):
         assert np.array_equal(walked(full_tree(ancestry), particle, trunk[:0]), expected)
 
 
-@settings(max_examples=40, deadline=None)
-@given(st.integers(2, 60), st.integers(0, 2**32 - 1), st.integers(5, 60))
-def test_a_thinned_tree_leaves_places_out_and_invents_none(steps, seed, most):
-    record = record_of(steps, seed, 0.1)
-    ancestry = ancestry_of(record, steps - 1)
-    trunk, tree = thin_tree(ancestry, most)
-    assert len(tree.positions) <= most + N * (1 + len(tree.positions) // most)
-    for particle in range(N):
-        full, thin = past_of(record, particle, steps - 1), walked(tree, particle, trunk)
-        kept = [int(np.flatnonzero((full == place).all(axis=1))[0]) for place in thin]
-        assert kept == sorted(kept)
-        assert kept[-1] == steps - 1
-        assert kept[: len(trunk)] == list(range(len(trunk)))
-
-
-def test_pasts_shared_by_all_are_no_tree():
-    trunk, tree = thin_tree(Ancestry.from_trajectory(np.arange(9.0).reshape(3, 3), 4))
-    assert trunk.tolist() == [[0, 1], [3, 4], [6, 7]]
-    assert tree.leaves.tolist() == [-1] * 4
-    assert full_tree(Ancestry.from_trajectory(np.zeros((3, 3)), 2)).parents.tolist() == [-2, 0, 1]
-
-
 @settings(max_examples=25, deadline=None)
 @given(st.integers(1, 150), st.lists(st.integers(0, 149), min_size=1, max_size=12), st.integers(0, 2**32 - 1))
 def test_pasts_at_any_time_in_any_order(steps, keys, seed):
@@ -103,25 +80,3 @@ def test_pasts_at_any_time_in_any_order(steps, keys, seed):
         assert ancestry.steps == key + 1
         for particle in range(N):
             assert np.array_equal(ancestry.trajectory(particle)[:, :2], past_of(record, particle, key))
-
-
-@given(st.integers(0, N - 1), st.integers(0, 29), st.integers(0, 29), st.integers(0, 2**32 - 1))
-def test_relatives(particle, before, after, seed):
-    """The past of a descendant is the particle; and whoever has none left has no other relative later."""
-    record = record_of(30, seed, 0.15)
-    pasts = AncestryReplay(record)
-    other = pasts.find_relative(particle, before, after)
-    if after <= before:
-        assert other == pasts.find_relative(other, after, after)
-        assert np.array_equal(past_of(record, particle, before)[after], record.poses[after, other, :2])
-    elif other >= 0:
-        assert np.array_equal(past_of(record, other, after)[before], record.poses[before, particle, :2])
-    else:
-        lines = [past_of(record, child, after)[before] for child in range(N)]
-        assert not any(np.array_equal(line, record.poses[before, particle, :2]) for line in lines)
-
-
-def test_who_died_out_has_no_past_either():
-    assert AncestryReplay(record_of(4, 1)).find_relative(-1, 3, 0) == -1
-    with pytest.raises(ValueError, match="empty"):
-        AncestryReplay(record_of(4, 1)).at(-1)

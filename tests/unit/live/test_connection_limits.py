@@ -10,11 +10,10 @@ import time
 
 import pytest
 
-from gridslam.live.connections import LimitedConnection, find_max_connections
-from gridslam.live.limits import FileCache, Pace, PacedSelector, PacedThread
+from gridslam.live.connections import LimitedConnection
+from gridslam.live.limits import Pace, PacedSelector, PacedThread
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
-from gridslam.live.viewing import ViewerLine
 
 
 @pytest.fixture
@@ -59,65 +58,6 @@ def test_idle_connections_give_way(page):
             one.close()
 
 
-def test_the_limit_leaves_half_of_the_files():
-    assert 8 <= find_max_connections() <= 400
-
-
-def test_one_archive_is_made_at_a_time_and_given_to_all():
-    made = []
-
-    def make(grid):
-        made.append(grid)
-        time.sleep(0.05)
-        return b"archive"
-
-    async def find(channel):
-        return f"map {channel}"
-
-    async def ask() -> list[bytes | None]:
-        cache = FileCache(find, make, 0.1)
-        return await asyncio.gather(*(cache.find(0) for _ in range(20)))
-
-    assert asyncio.run(ask()) == [b"archive"] * 20
-    assert made == ["map 0"]
-
-
-def test_who_asks_while_an_archive_is_made_gets_that_one():
-    """Else as many are made as there are visitors, one after the other."""
-    made = []
-
-    async def find(channel):
-        made.append(channel)
-        return str(channel)
-
-    async def ask() -> None:
-        cache = FileCache(find, lambda text: time.sleep(0.05) or text.encode(), 1.0)
-        first = asyncio.create_task(cache.find(0))
-        await asyncio.sleep(0.02)
-        cancelled = asyncio.create_task(cache.find(0))
-        later = [asyncio.create_task(cache.find(channel)) for channel in 10 * (0, 1)]
-        await asyncio.sleep(0)
-        cancelled.cancel()
-        assert await asyncio.gather(first, *later) == [b"0", *10 * (b"0", b"1")]
-
-    asyncio.run(ask())
-    assert made == [0, 1]
-
-
-def test_another_map_waits_until_the_archive_before_is_paid_for():
-    async def find(channel):
-        return str(channel)
-
-    async def ask() -> float:
-        cache = FileCache(find, lambda text: time.sleep(0.05) or text.encode(), 0.25)
-        await cache.find(0)
-        start = time.monotonic()
-        assert await cache.find(1) == b"1"
-        return time.monotonic() - start
-
-    assert asyncio.run(ask()) > 0.15
-
-
 def compute(seconds):
     until = time.thread_time() + seconds
     while time.thread_time() < until:
@@ -151,44 +91,5 @@ def test_a_loop_that_is_never_done_leaves_the_rest_of_the_time():
         for _ in range(300):
             compute(0.001)
             await asyncio.sleep(0)
-
-    assert_leaves_the_rest_of_the_time(work)
-
-
-class Busy:
-    """A viewer whose message takes 10 ms, and the socket that it goes to."""
-
-    def __init__(self) -> None:
-        self.is_served = asyncio.Event()
-
-    def next_message(self) -> bytes:
-        compute(0.01)
-        return b"message"
-
-    async def send_bytes(self, message: bytes) -> None:
-        self.is_served.set()
-
-
-def test_many_viewers_leave_the_rest_of_the_time():
-    """Messages to all of 200 viewers took the loop for seconds, as it did not rest while it went through them."""
-
-    async def work(thread) -> None:
-        viewers = [Busy() for _ in range(30)]
-        joining = asyncio.Lock()
-        lines = [ViewerLine(viewer, lambda notify, viewer=viewer: viewer, thread, joining) for viewer in viewers]
-        tasks = [asyncio.create_task(line.send()) for line in lines]
-        await asyncio.gather(*(viewer.is_served.wait() for viewer in viewers))
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-
-    assert_leaves_the_rest_of_the_time(work)
-
-
-def test_both_threads_keep_one_pace():
-    async def work(thread) -> None:
-        for _ in range(15):
-            compute(0.01)
-            await thread.call(compute, 0.01)
 
     assert_leaves_the_rest_of_the_time(work)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import os
 import shutil
 import urllib.error
@@ -15,7 +14,6 @@ from gridslam.api.mapping import map_log
 from gridslam.config import override
 from gridslam.errors import InputError
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.text import TextSource, open_for_reading, stay_below
 from gridslam.live.history import History, Moment
 from gridslam.live.history_file import write_history
 from gridslam.live.options import LiveOptions
@@ -57,11 +55,6 @@ def served(out):
             return error.code, b""
 
 
-def test_a_session_in_the_folder_is_served(out):
-    (out / "day.gridslam").write_bytes(SECRET)
-    assert served(out) == (200, SECRET)
-
-
 def test_no_link_is_served_as_a_session(out, tmp_path):
     (tmp_path / "secret").write_bytes(SECRET)
     (out / "zz.gridslam").symlink_to(tmp_path / "secret")
@@ -69,16 +62,6 @@ def test_no_link_is_served_as_a_session(out, tmp_path):
     (out / "a.gridslam").write_bytes(b"a session")
     os.utime(out / "a.gridslam", (1, 1))
     assert served(out) == (200, b"a session")
-
-
-def test_a_session_that_turns_into_a_link_later_is_not_served(out, tmp_path):
-    (tmp_path / "secret").write_bytes(SECRET)
-    (out / "day.gridslam").write_bytes(b"a session")
-    with PageServer(Replay(out), LiveOptions(port=0)) as page:
-        (out / "day.gridslam").unlink()
-        (out / "day.gridslam").symlink_to(tmp_path / "secret")
-        with pytest.raises(urllib.error.HTTPError, match="404"):
-            urllib.request.urlopen(page.url + "session.gridslam", timeout=10)
 
 
 @pytest.mark.parametrize("name", [*READ, *OPTIONAL])
@@ -108,24 +91,3 @@ def test_a_pipe_in_the_folder_does_not_block(out, name):
             Replay(out)
     else:
         assert served(out)[0] == 404
-
-
-def test_the_limit_holds_in_the_thread_that_reads_ahead(out, tmp_path):
-    """A compressed file is opened there once more, when it may have become a link."""
-    (out / "truth.tum").write_bytes(gzip.compress(b"1 0 0 0 0 0 0 1\n" * 1000))
-    with stay_below(out):
-        source = TextSource(out / "truth.tum")
-        shutil.move(out / "truth.tum", tmp_path)
-        (out / "truth.tum").symlink_to(tmp_path / "truth.tum")
-        with pytest.raises(InputError, match="got a link"):
-            list(source)
-
-
-def test_the_folder_itself_may_be_a_link_and_so_may_files_without_that_limit(out, tmp_path):
-    (tmp_path / "latest").symlink_to(out)
-    assert Replay(tmp_path / "latest").results.grid is not None
-    (out / "link").symlink_to(out / "run.json")
-    with open_for_reading(out / "link") as file:
-        assert file.read(1) == b"{"
-    with stay_below(out), pytest.raises(InputError, match="got a link"):
-        open_for_reading(out / "link")

@@ -10,7 +10,6 @@ from gridslam.errors import InputError
 from gridslam.live.history import History, PastMaps, PastReplica
 from gridslam.live.history_file import read_history, write_history
 from gridslam.live.history_recorder import HistoryRecorder
-from gridslam.live.protocol import levels
 from gridslam.live.tiles import TileReplica, split_into_tiles
 from gridslam.pipeline import run
 from support.loops import PROVOKED, loop_drive
@@ -50,45 +49,6 @@ def record(drive, most):
     return recorder, seen
 
 
-@pytest.mark.parametrize("interval", [1, 3])
-def test_the_beginning_is_kept_however_moments_are_joined(drive, interval):
-    recorder = HistoryRecorder(30.0, most=12, interval=interval)
-    keys = []
-
-    def note(report, state, seconds):
-        if report.skipped is None:
-            keys.append(len(keys) + 1)
-
-    slam = build(RESAMPLING)
-    run(recorder.follow(drive[:150]), slam, particles=4, rng=np.random.default_rng(3), observers=[recorder, note])
-    history = recorder.history
-    apart = history.interval
-    assert apart > interval
-    due = [1, *range(apart, len(keys) + 1, apart)]
-    found = [moment.keys for moment in history.moments]
-    assert found[: len(due)] == due
-    assert len(found) <= len(due) + 1, "at most one that is not joined yet"
-
-
-def test_a_map_that_shrinks_is_seen_as_it_was(drive):
-    """As after a correction, where other maps replace those of before."""
-    recorder, seen = HistoryRecorder(30.0), []
-
-    def note(report, state, seconds):
-        if report.skipped is None:
-            if len(seen) == 40:
-                state.maps.clear(state.best)
-            seen.append(looks_of(state.maps.occupancy(state.best)))
-
-    slam = build(RESAMPLING)
-    run(recorder.follow(drive[:120]), slam, particles=1, rng=np.random.default_rng(3), observers=[note, recorder])
-    assert len(seen[40]) < len(seen[39])
-    maps, replica = PastMaps(recorder.history), PastReplica()
-    for index in (39, 40, 41, len(seen) - 1):
-        replica.show(maps.at(index))
-        assert looks(replica) == seen[index]
-
-
 @pytest.mark.parametrize("most", [10_000, 40])
 def test_every_moment_is_as_it_was(drive, most):
     recorder, seen = record(drive, most)
@@ -109,24 +69,6 @@ def test_every_moment_is_as_it_was(drive, most):
         assert history.find(moment.keys) == index
         assert history.find(moment.keys - 1) == index - 1
     assert len(recorder.closures) >= recorder.recognized > 0
-
-
-def test_a_viewer_is_sent_what_differs_between_two_moments(drive):
-    recorder, _ = record(drive[:150], 10_000)
-    maps, replica = PastMaps(recorder.history), PastReplica()
-    replica.show(maps.at(60))
-    number, before = replica.sequence, looks(replica)
-    replica.show(maps.at(61))
-    at, _, last = replica.since(number, 10**6)
-    changed = {tuple(where) for where in at.tolist()}
-    assert 0 < len(changed) < len(before)
-    assert last == replica.sequence
-    assert all(before.get(where) == look for where, look in looks(replica).items() if where not in changed)
-    replica.show(maps.at(60))
-    assert looks(replica) == before
-    first, _, more = replica.since(0, 3)
-    assert len(first) == 3
-    assert more < replica.sequence
 
 
 def test_a_file_gives_the_same_moments(drive, tmp_path):
@@ -163,19 +105,3 @@ def test_files_that_are_none_are_refused(drive, tmp_path, name, change, says):
     np.savez(tmp_path / "history.npz", **(arrays | {name: change(arrays[name])}))
     with pytest.raises(InputError, match=says):
         read_history(tmp_path / "history.npz")
-
-
-def test_a_new_session_has_a_history_of_its_own(drive):
-    recorder, _ = record(drive[:80], 10_000)
-    before = recorder.history
-    recorder.reset()
-    assert before.moments
-    assert not recorder.history.moments
-    assert recorder.history.path(-1).shape == (0, 2)
-
-
-def test_levels_of_an_unknown_map_are_nothing():
-    replica = PastReplica()
-    replica.show({(0, 0): bytes(512)})
-    assert replica.sequence == 0
-    assert levels(np.zeros((1, 1), np.int16)).item() == 8

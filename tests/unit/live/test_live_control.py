@@ -53,10 +53,6 @@ def held():
     assert not runner.is_alive()
 
 
-def test_nobody_waits_where_nobody_holds():
-    assert Control().wait(0, lambda: pytest.fail("there was a wait")) is False
-
-
 def test_a_pause_holds_the_next_scan_and_gives_time_to_others(held):
     control, runner = held
     stays(0, lambda: runner.taken)
@@ -78,14 +74,6 @@ def test_a_step_lets_one_scan_go(held):
     assert control.paused
 
 
-def test_a_step_to_the_next_key_scan(held):
-    control, runner = held
-    for count in (1, 4, 7):
-        control.step(to_key_scan=True)
-        wait_until(lambda count=count: runner.taken == count)
-        stays(count, lambda: runner.taken)
-
-
 def test_speed_is_that_of_the_stamps():
     """30 scans, hence 2.9 s of the log, at 10 times real time; late wake-ups are made up for."""
     control = Control(10.0)
@@ -94,24 +82,6 @@ def test_speed_is_that_of_the_stamps():
     runner.start()
     runner.join(10)
     assert 0.28 < time.perf_counter() - began < 2.0
-
-
-def test_speed_can_be_changed_while_a_scan_is_held():
-    control = Control(0.05)  # the second scan would have to wait for 2 s
-    runner = Filter(control, 30)
-    runner.start()
-    wait_until(lambda: runner.taken == 1)
-    control.set_speed(None)
-    runner.join(1.5)
-    assert not runner.is_alive()
-
-
-def test_stamps_that_go_back_are_not_waited_for():
-    control = Control(1.0)
-    control.wait(10**18, lambda: None)
-    began = time.perf_counter()
-    control.wait(0, lambda: None)
-    assert time.perf_counter() - began < 0.5
 
 
 def test_the_end_holds_nothing_any_more(held):
@@ -126,8 +96,3 @@ def test_the_end_holds_nothing_any_more(held):
 def test_speeds_that_are_none(times):
     with pytest.raises(ArgumentError, match="factor"):
         check_speed(times)
-
-
-def test_speeds():
-    assert check_speed(None) is None
-    assert check_speed(2.5) == 2.5

@@ -7,7 +7,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from gridslam.api.amcl import override_configuration
 from gridslam.api.localization import localize
 from gridslam.errors import ArgumentError
 from gridslam.io.carmen.writer import write_carmen
@@ -15,9 +14,7 @@ from gridslam.live.control import Control
 from gridslam.live.monitor import LOST, LocalizationMonitor
 from gridslam.live.observer import LiveObserver
 from gridslam.live.run import LiveRun
-from gridslam.localization import MonteCarloConfiguration
 from gridslam.sim import OdometryNoise
-from gridslam.types import OccupancyGrid
 from support.localization_world import drive, flat_map
 from support.page_client import PageClient
 
@@ -70,15 +67,6 @@ def test_the_map_is_there_before_the_first_scan_and_sent_once(grid, log):
     assert observed.live.channel_map(0) is grid
 
 
-def test_a_map_is_shown_where_its_cells_are(grid):
-    moved = OccupancyGrid(grid.log_odds, grid.known, grid.resolution_m, (-12.312, 7.026))
-    client = ObservedLocalization(moved).client
-    first = np.array(min(client.tiles)) * 32 * grid.resolution_m + client.run_info["offset_m"][::-1]
-    cells = (np.array([7.026, -12.312]) - first) / grid.resolution_m
-    assert cells == pytest.approx(np.round(cells), abs=1e-6)
-    assert (abs(np.array(client.run_info["offset_m"])) <= 0.5 * grid.resolution_m).all()
-
-
 def test_the_belief_is_seen_as_it_is(grid, log):
     observed, way, lost = ObservedLocalization(grid), [], []
     client = observed.client
@@ -114,24 +102,6 @@ def test_the_filter_gives_the_same_bytes_with_and_without(grid, log):
         for field in dataclasses.fields(one):
             np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name))
     assert alone.state.poses.tobytes() == watched.state.poses.tobytes()
-
-
-def test_many_particles_do_not_flood_the_line(grid, log):
-    """Of 10,000 a thousand are shown: ten messages a second are at most a tenth of what a viewer is sent."""
-    observed, sizes, seen = ObservedLocalization(grid), [], []
-    most = override_configuration(
-        MonteCarloConfiguration(), ["kld.particles_min=10000", "kld.particles_max=10000"]
-    ).configuration
-
-    def told(report, state, seconds):
-        before = observed.client.bytes
-        observed.client.catch_up(observed.viewer)
-        sizes.append(observed.client.bytes - before)
-        seen.append(len(state.poses))
-
-    localize(log, grid, configuration=most, observers=[observed.observer, told], gate=lambda source: list(source)[:40])
-    assert min(seen) == 10_000
-    assert max(sizes) < 10_000
 
 
 def test_particles_have_no_maps_to_choose(grid, log):

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from gridslam.kernels import TILE, UNKNOWN
-from gridslam.live.protocol import STEP_NATS, encode, levels, pack_tiles
-from support.page_client import decode, unpack_tiles
+from gridslam.kernels import UNKNOWN
+from gridslam.live.protocol import STEP_NATS, encode, levels
+from support.page_client import decode
 
 KINDS = st.sampled_from([np.float32, np.int32, np.uint8])
 ARRAYS = KINDS.flatmap(lambda kind: arrays(kind, array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=5)))
@@ -43,23 +40,6 @@ def test_arrays_begin_where_a_browser_can_read_them():
     assert np.frombuffer(data, np.float32, 2, 4 + length + 4).tolist() == [1.0, 1.0]
 
 
-def test_what_is_no_number_is_refused_in_a_header():
-    with pytest.raises(ValueError, match="JSON"):
-        encode({"x": math.nan}, {})
-
-
-@given(arrays(np.uint8, (2, TILE, TILE), elements=st.integers(0, 15)))
-def test_packing_loses_nothing(tiles):
-    assert pack_tiles(tiles).shape == (2, TILE * TILE // 2)
-    assert np.array_equal(unpack_tiles(pack_tiles(tiles)), tiles)
-
-
-def test_levels_tell_unknown_from_even_odds_and_saturate():
-    assert levels(np.array([UNKNOWN, 0, 1, -1, 20, -20, 2**15 - 1, UNKNOWN + 1], np.int16)).tolist() == [
-        0, 8, 8, 8, 9, 7, 15, 1,
-    ]  # fmt: skip
-
-
 @given(st.integers(UNKNOWN + 1, 2**15 - 1), st.integers(UNKNOWN + 1, 2**15 - 1))
 def test_levels_rise_with_the_log_odds_and_are_within_half_a_step(a, b):
     low, high = sorted([a, b])
@@ -68,8 +48,3 @@ def test_levels_rise_with_the_log_odds_and_are_within_half_a_step(a, b):
     for log_odds, level in ((low, one), (high, other)):
         if 1 < level < 15:
             assert abs(0.01 * log_odds - STEP_NATS * (level - 8)) <= STEP_NATS / 2 + 1e-9
-
-
-def test_no_tile_is_packed_to_no_bytes():
-    """As of a map whose every beam is refused."""
-    assert pack_tiles(np.zeros((0, 32, 32), np.uint8)).shape == (0, 512)

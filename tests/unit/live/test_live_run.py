@@ -12,7 +12,6 @@ from gridslam.live.monitor import CORRECTED, MappingMonitor
 from gridslam.live.observer import LiveObserver
 from gridslam.live.run import LiveRun
 from gridslam.pipeline import run
-from gridslam.scan import StoredScan
 from support.loops import PROVOKED, loop_drive
 from support.page_client import PageClient
 
@@ -78,29 +77,6 @@ def test_two_viewers_see_the_best_map_at_every_time(drive, every):
     assert first.status["closures"] >= len(first.arrays["closures"]) > 0
 
 
-def test_the_path_of_the_shown_particle_is_drawn_in_full(drive, monkeypatch):
-    """However large the tree is, which is thinned: else the path goes through walls."""
-    monkeypatch.setattr("gridslam.live.ancestry_tree.thin_tree.__defaults__", (6,))
-    observed, client = ObservedRun(every=5), PageClient()
-    viewer, compared, thinned = observed.live.add_viewer(lambda: None), [], []
-
-    def check(state):
-        client.catch_up(viewer)
-        selected = client.status["selected_particle"]
-        assert client.path == pytest.approx(state.ancestry.trajectory(state.best)[:, :2], abs=1e-5)
-        thinned.append(len(client.past_of(state.best)) < state.ancestry.steps)
-        if selected is None or selected < 0:
-            viewer.command({"do": "select", "particle": 3})
-        else:
-            assert client.selected == pytest.approx(state.ancestry.trajectory(selected)[:, :2], abs=1e-5)
-            compared.append(selected)
-
-    observed.check = check
-    observed.go(drive[:330])
-    assert len(compared) > 5
-    assert any(thinned)
-
-
 def test_the_filter_gives_the_same_bytes_with_and_without(drive):
     slam, rng = build(RESAMPLING), np.random.default_rng(3)
     alone = run(drive[:150], slam, particles=6, rng=rng).to_arrays()
@@ -148,24 +124,6 @@ def test_a_chosen_particle_is_followed_until_its_line_dies_out(drive):
     assert client.status["selected_particle"] is None
 
 
-def test_a_choice_made_before_a_resampling_means_the_particle_that_was_seen(drive):
-    """The viewer chose what it saw before the last two resamplings."""
-    observed, told = ObservedRun(), []
-
-    def note(report, state, seconds):
-        if report.parents is not None:
-            told.append((state.ancestry.steps, report.parents))
-
-    slam, rng = build(RESAMPLING), np.random.default_rng(3)
-    run(observed.observer.pace(drive[:150]), slam, particles=6, rng=rng, observers=[observed, note])
-    seen = told[-2][0] - 1
-    for particle in range(6):
-        row = next((k for k in range(6) if told[-2][1][told[-1][1][k]] == particle), -1)
-        observed.observer.show_particle(7, particle, seen)
-        observed.observer._take_snapshot(0.0)
-        assert observed.live._rows[7] == row
-
-
 def test_a_slow_reader_gets_fewer_snapshots_and_all_that_changed(drive):
     """While a snapshot is not done with none is taken, and nothing waits; the next brings all."""
     observed, client, late = ObservedRun(), PageClient(), []
@@ -197,24 +155,6 @@ def test_a_slow_reader_gets_fewer_snapshots_and_all_that_changed(drive):
     assert len(client.series) == client.status["keys"]
 
 
-def test_final_refinement_replaces_what_was_seen(drive):
-    observed, client = ObservedRun(every=20), PageClient()
-    viewer = observed.live.add_viewer(lambda: None)
-    state = observed.go(drive[:100])
-    viewer.command({"do": "select", "particle": 2})
-    client.catch_up(viewer)
-    other = build(RESAMPLING).mapper.empty(1)
-    poses = state.ancestry.trajectory(0)
-    far = np.array([[9.0, 9.0, 0.0]])
-    other.update(np.zeros(1, np.int32), far, StoredScan(np.array([[1.0, 1.0]]), np.zeros(2)))
-    observed.live.finish(other.occupancy(0), poses + 1.0, np.array([[0.0, 0.0, 1.0, 1.0]]))
-    client.catch_up(viewer)
-    assert client.sees(other.occupancy(0))
-    assert client.status["stage"] == "writing"
-    assert np.array_equal(client.path, (poses[:, :2] + 1.0).astype(np.float32))
-    assert client.arrays["closures"].tolist() == [[0, 0, 1, 1]]
-
-
 def test_what_cannot_be_asked_is_refused(drive):
     observed = ObservedRun()
     viewer = observed.live.add_viewer(lambda: None)
@@ -235,14 +175,3 @@ def test_what_cannot_be_asked_is_refused(drive):
         other.close()
     viewer.command({"do": "select", "particle": 1})
     assert observed.live.viewers == 1
-
-
-def test_a_map_can_be_taken_exactly_as_it_is(drive):
-    observed = ObservedRun()
-    state = observed.go(drive[:60])
-    got, has = observed.live.channel_map(0), state.maps.occupancy(state.best)
-    ends = zip(has.origin[::-1], got.origin[::-1], strict=True)
-    rows, columns = (slice(round(b / 0.05) - round(a / 0.05), None) for a, b in ends)
-    cut = has.log_odds[rows, columns][: got.known.shape[0], : got.known.shape[1]]
-    assert np.array_equal(got.log_odds, cut)
-    assert got.known.sum() == has.known.sum()

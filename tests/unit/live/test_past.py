@@ -6,16 +6,13 @@ import numpy as np
 import pytest
 from test_live_run import ObservedRun
 
-from gridslam.api.localization import localize
 from gridslam.api.mapping import map_log
 from gridslam.config import override
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.maps import read_map, write_map
+from gridslam.io.maps import read_map
 from gridslam.live.history_file import write_history
 from gridslam.live.history_recorder import HistoryRecorder
 from gridslam.live.replay import Replay
-from support.localization_world import drive as localization_drive
-from support.localization_world import flat_map
 from support.loops import PROVOKED, loop_drive
 from support.page_client import PageClient
 
@@ -70,55 +67,6 @@ def test_a_finished_map_is_seen_as_it_was(mapped):
     viewer.command({"do": "seek", "at": 10**6})
     client.catch_up(viewer)
     assert client.sees(read_map(out / "map.yaml"))
-
-
-def test_two_viewers_are_at_times_of_their_own(mapped):
-    out, seen = mapped
-    replay = Replay(out)
-    (one, first), (other, second) = looking(replay), looking(replay)
-    for early, late in ((5, 100), (6, 99), (40, 7)):
-        one.command({"do": "seek", "at": early})
-        other.command({"do": "seek", "at": late})
-        for viewer, client, at in ((one, first, early), (other, second, late)):
-            client.catch_up(viewer)
-            assert client.sees(seen[at][0])
-
-
-def test_a_step_in_the_past_is_little(mapped):
-    viewer, client = looking(Replay(mapped[0]))
-    viewer.command({"do": "seek", "at": 90})
-    client.catch_up(viewer)
-    before = client.bytes
-    viewer.command({"do": "step"})
-    client.catch_up(viewer)
-    assert client.status["at"] == 91
-    assert client.bytes - before < 12_000
-
-
-def test_a_localization_is_seen_with_its_particles_and_scans(tmp_path):
-    write_map(tmp_path / "flat.yaml", flat_map())
-    write_carmen(tmp_path / "flat.clf", localization_drive(1).measurements)
-    recorder, counts = HistoryRecorder(is_localization=True), {}
-
-    def note(report, state, seconds):
-        counts[report.stamp_ns] = report.particles
-
-    result = localize(tmp_path / "flat.clf", tmp_path / "flat.yaml", gate=recorder.follow, observers=[recorder, note])
-    result.save(tmp_path / "out")
-    write_history(tmp_path / "out" / "history.npz", recorder.history)
-    viewer, client = looking(Replay(tmp_path / "out"))
-    assert {"particles", "scan"} <= set(client.run_info["layers"])
-    steps, spread = len(client.path), []
-    for at in (0, steps // 3, steps - 1):
-        viewer.command({"do": "seek", "at": at})
-        client.catch_up(viewer)
-        particles = client.arrays["particles"]
-        assert 0 < len(particles) <= 300
-        assert particles[:, 3].sum() == pytest.approx(1.0, abs=1e-3)
-        assert len(client.arrays["scan"]) > 20
-        assert client.sees(read_map(tmp_path / "flat.yaml"))
-        spread.append(float(np.std(particles[:, :2], axis=0).max()))
-    assert spread[-1] < 0.3 * spread[0], "they converge"
 
 
 def test_a_running_filter_is_seen_as_it_was_while_it_goes_on(drive):

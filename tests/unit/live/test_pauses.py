@@ -10,7 +10,7 @@ import pytest
 from websockets.sync.client import connect
 
 from gridslam.live import viewing
-from gridslam.live.control import Control, RobotControl
+from gridslam.live.control import Control
 from gridslam.live.monitor import MappingMonitor
 from gridslam.live.observer import LiveObserver
 from gridslam.live.options import LiveOptions
@@ -48,59 +48,6 @@ def test_a_pause_ends_with_its_viewer(live, control, what):
     assert control.paused
     viewer.close()
     assert not control.paused
-
-
-def test_a_pause_of_two_ends_with_the_second(live, control):
-    viewers = [live.add_viewer(lambda: None) for _ in range(2)]
-    for viewer in viewers:
-        ask(viewer, "pause")
-    viewers[0].close()
-    assert control.paused
-    viewers[1].close()
-    assert not control.paused
-
-
-def test_anyone_ends_the_pause_of_all(live, control):
-    viewers = [live.add_viewer(lambda: None) for _ in range(3)]
-    ask(viewers[0], "pause")
-    ask(viewers[1], "step")
-    ask(viewers[2], "resume")
-    assert not control.paused
-    ask(viewers[2], "pause")
-    viewers[0].close()
-    viewers[1].close()
-    assert control.paused
-
-
-def test_a_speed_ends_with_its_viewer(live, control):
-    viewer, other = (live.add_viewer(lambda: None) for _ in range(2))
-    ask(viewer, "speed", factor=0.01)
-    ask(other, "speed", factor=30.0)
-    viewer.close()
-    assert control.speed == 30.0
-    other.close()
-    assert control.speed == 2.0
-
-
-class Robot:
-    paused = False
-
-    def pause(self, paused):
-        self.paused = paused
-
-
-def test_a_robot_that_was_paused_otherwise_stays_so():
-    robot = Robot()
-    live = run_of(RobotControl(lambda: robot.paused, robot.pause))
-    viewer = live.add_viewer(lambda: None)
-    ask(viewer, "pause")
-    viewer.close()
-    assert not robot.paused
-    robot.pause(True)  # by its service
-    viewer = live.add_viewer(lambda: None)
-    ask(viewer, "pause")
-    viewer.close()
-    assert robot.paused
 
 
 def test_a_run_goes_on_when_its_viewer_closes_or_goes_silent(monkeypatch):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
-import re
 import shutil
 import time
 
@@ -13,10 +11,9 @@ import pytest
 
 from gridslam.api.mapping import map_log
 from gridslam.config import override
-from gridslam.errors import ArgumentError, InputError
+from gridslam.errors import InputError
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.g2o import read_g2o
-from gridslam.io.maps import read_map
 from gridslam.io.results.record import read_record
 from gridslam.live.replay import Replay
 from gridslam.slam.loop_closure.constraints import select_shown_closures
@@ -52,19 +49,6 @@ def looking(replay):
     return viewer, client
 
 
-def test_it_begins_with_the_end(replay, out):
-    viewer, client = looking(replay)
-    keys = len(replay.results.times_s)
-    assert client.sees(read_map(out / "map.yaml"))
-    assert (client.status["at"], client.status["stage"]) == (keys - 1, "paused")
-    assert np.array_equal(client.path, replay.results.path)
-    assert client.series.shape == (keys, 5)
-    assert client.status["closures"] == len(replay.results._closure_steps) >= len(client.arrays["closures"]) > 0
-    assert client.run_info["mode"] == "replay"
-    assert client.run_info["title"] == "loop.clf.gz"
-    assert viewer.next_message() is None
-
-
 def test_any_time_can_be_looked_at_in_any_order(replay, record, out):
     viewer, client = looking(replay)
     places = read_g2o(out / "graph.g2o").graph.poses[:, :2].astype(np.float32)
@@ -89,27 +73,6 @@ def test_any_time_can_be_looked_at_in_any_order(replay, record, out):
     assert client.status["at"] == len(record) - 1
 
 
-def test_the_page_and_the_picture_count_the_same_closures(replay, out):
-    _, client = looking(replay)
-    counted = re.search(
-        r"(\d+) loop closures? \((\d+) recognized, (\d+) tracked(?:, (\d+) drawn)?\)", (out / "caption").read_text()
-    )
-    total, recognized, tracked, drawn = (int(word or counted[1]) for word in counted.groups())
-    assert (client.status["closures"], len(client.arrays["closures"])) == (total, drawn)
-    assert recognized + tracked == total
-
-
-def test_what_is_sent_after_a_step_is_little(replay):
-    viewer, client = looking(replay)
-    viewer.command({"do": "seek", "at": 60})
-    client.catch_up(viewer)
-    before = client.bytes
-    viewer.command({"do": "step"})
-    client.catch_up(viewer)
-    assert client.status["at"] == 61
-    assert client.bytes - before < 4000
-
-
 def test_playing_goes_on_with_the_clock_and_stops_at_the_end(replay, record, monkeypatch):
     now = 100.0
     monkeypatch.setattr(time, "perf_counter", lambda: now)
@@ -132,24 +95,6 @@ def test_playing_goes_on_with_the_clock_and_stops_at_the_end(replay, record, mon
     now += 50
     client.receive(viewer.next_message())
     assert (client.status["at"], client.status["stage"]) == (len(record) - 1, "paused")
-
-
-def test_a_chosen_particle_keeps_its_line(replay):
-    viewer, client = looking(replay)
-    viewer.command({"do": "seek", "at": 80})
-    viewer.command({"do": "select", "particle": 3})
-    client.catch_up(viewer)
-    past = client.past_of(3)
-    viewer.command({"do": "seek", "at": 20})
-    client.catch_up(viewer)
-    assert np.array_equal(client.past_of(client.status["selected_particle"]), past[:21])
-    assert client.selected == pytest.approx(past[:21], abs=0.008)
-    assert len(client.selected) == 21
-    with pytest.raises(ArgumentError, match="below 5"):
-        viewer.command({"do": "select", "particle": 5})
-    for wrong in ({"do": "dance"}, {"do": "select", "particle": "3"}, {"do": "seek", "at": math.inf}, {"do": "seek"}):
-        with pytest.raises((ArgumentError, KeyError, OverflowError)):
-            viewer.command(wrong)
 
 
 def broken(out, tmp_path, name, text):
@@ -223,21 +168,3 @@ def test_json_that_is_nested_without_end_and_an_origin_beyond_all_cells_are_refu
     (tmp_path / "out" / "map.yaml").write_text("\n".join(far))
     with pytest.raises(InputError, match=r"map.yaml, line \d: expected an origin within .* got \[1e\+12, 0\]"):
         Replay(tmp_path / "out")
-
-
-def test_a_link_that_leads_nowhere_is_no_session(out, tmp_path):
-    shutil.copytree(out, tmp_path / "out")
-    (tmp_path / "out" / "a.gridslam").symlink_to("nowhere.gridslam")
-    assert Replay(tmp_path / "out").open_session() is None
-
-
-def test_a_folder_that_is_none(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
-        Replay(tmp_path / "nowhere")
-
-
-def test_a_run_without_loop_closure(out, tmp_path):
-    document = json.loads((out / "run.json").read_text())
-    document["loop_closure"] = False
-    replay = Replay(broken(out, tmp_path, "run.json", json.dumps(document)))
-    assert looking(replay)[1].status["closures"] == 0

@@ -10,12 +10,10 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from gridslam.cli.live import node_page
-from gridslam.errors import ArgumentError, InputError
+from gridslam.errors import ArgumentError
 from gridslam.live.control import RobotCommands, RobotControl
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
-from gridslam.live.run import LiveRun
 from support.page_client import PageClient
 
 
@@ -55,11 +53,6 @@ def test_a_pose_is_set_with_the_covariance_of_a_hand():
     assert robot.done[1:] == ["locate"]
 
 
-def test_what_the_robot_refuses_is_answered():
-    answers = execute(Robot("one outside").control(), command="set_pose", pose=[1e9, 0, 0])
-    assert answers == ["pose: expected a pose in the map, got one outside"]
-
-
 @pytest.mark.parametrize(
     "command",
     [
@@ -97,13 +90,6 @@ def test_one_saves_at_a_time_and_nobody_waits():
     assert answers[2:] == ["saved: 12 scans: /out"]
 
 
-def test_a_page_without_control_offers_and_obeys_nothing():
-    live = LiveRun("robot", RobotControl(lambda: False, lambda paused: None))
-    assert live._run_info["commands"] == []
-    with pytest.raises(ArgumentError, match="one of none"):
-        live.control.execute({"command": "reset"}, print)
-
-
 @pytest.mark.parametrize(("origin", "is_obeyed"), [("http://evil.example", False), (None, True)])
 def test_only_the_page_itself_commands(origin, is_obeyed):
     robot = Robot()
@@ -120,55 +106,3 @@ def test_only_the_page_itself_commands(origin, is_obeyed):
             except ConnectionClosed:
                 assert not is_obeyed
     assert robot.done == ["locate"] * is_obeyed
-
-
-class Core:
-    """A node's core."""
-
-    is_paused, localizes, results_folder, session_file, mapped_session = False, False, None, None, None
-
-    class configuration:  # noqa: N801
-        range_max_m = 30.0
-
-    pause = reset = set_pose = save = add_observer = lambda *given: None
-
-
-@pytest.mark.parametrize("localizes", [False, True])
-@pytest.mark.parametrize("controls", [False, True])
-def test_a_node_offers_commands_only_if_it_is_told_to(monkeypatch, localizes, controls):
-    seen = []
-    monkeypatch.setattr(LivePage, "__enter__", lambda self: seen.append(self._run.control.commands.names) or self)
-    monkeypatch.setattr(LivePage, "__exit__", lambda self, *given: None)
-    monkeypatch.setattr(LivePage, "url", "here")
-    core = Core()
-    core.localizes = localizes
-    with node_page(LiveOptions(port=0, controls=controls), "robot", core, None):
-        pass
-    offered = ["set_pose", "locate"] if localizes else ["reset", "save"]
-    assert seen == [offered if controls else []]
-
-
-def test_the_session_of_a_node_is_offered_once_it_is_saved(monkeypatch, tmp_path):
-    callbacks, pages = [], []
-    monkeypatch.setattr(LivePage, "__enter__", lambda self: pages.append(self) or self)
-    monkeypatch.setattr(LivePage, "__exit__", lambda self, *given: None)
-    monkeypatch.setattr(LivePage, "url", "here")
-    core = Core()
-    core.session_file = tmp_path / "autosave.gridslam"
-    core.add_observer = lambda observer, wrap, on_diagnostics: callbacks.append(on_diagnostics)
-    with node_page(LiveOptions(port=0), "robot", core, None):
-        run = pages[0]._run
-        monkeypatch.setattr(pages[0]._server, "call", lambda function, *given: function(*given))
-        diagnostics = type("Diagnostics", (), {"level": 0, "summary": ""})
-        callbacks[0](diagnostics)
-        assert run.open_session() is None
-        core.session_file.write_bytes(b"all there is")
-        for _ in range(2):
-            callbacks[0](diagnostics)
-        with run.open_session() as file:
-            assert file.read() == b"all there is"
-        run.reset()
-        assert run._run_info["layers"].count("session") == 1
-        core.session_file.unlink()
-        with pytest.raises(InputError, match="no such file"):
-            run.open_session()

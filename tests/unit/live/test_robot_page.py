@@ -11,12 +11,9 @@ from websockets.sync.client import connect
 
 from gridslam.cli.ros import make_viewer_opener
 from gridslam.config import build
-from gridslam.live.control import Control, RobotControl
-from gridslam.live.monitor import MappingMonitor
-from gridslam.live.observer import LiveObserver
+from gridslam.live.control import RobotControl
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
-from gridslam.live.run import LiveRun
 from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.pipeline import run
 from gridslam.ros import NodeCore, NodeSettings
@@ -46,47 +43,6 @@ class Robot:
 
 def mapped(source, observe):
     return run(source, build(PROVOKED), particles=4, rng=np.random.default_rng(1), observers=[observe])
-
-
-def test_another_session_begins_with_an_empty_page_for_all_who_look(drive):
-    robot, client = Robot(), PageClient()
-    live = LiveRun("robot", robot.control, 30.0)
-
-    def post(snapshot):
-        live.apply(snapshot)
-        observer.release()
-
-    observer = live.observer = LiveObserver(post, Control(), MappingMonitor(30.0))
-    viewer = live.add_viewer(lambda: None)
-    sessions = []
-    for part in (drive, drive[20:40]):
-        live.reset()
-        observer.reset()
-        observer.period_s = 0.0
-        client.catch_up(viewer)
-        assert (len(client.tiles), len(client.path), len(client.series)) == (0, 0, 0)
-        assert client.run_info["mode"] == "robot"
-        state = mapped(observer.follow(part), observer)
-        client.catch_up(viewer)
-        assert client.sees(state.maps.occupancy(state.best))
-        assert client.status["scans"] == len(part)
-        viewer.command({"do": "select", "particle": 2})
-        sessions.append(client.run_info["session"])
-    assert len(set(sessions)) == 2
-
-
-def test_a_particle_that_was_chosen_before_a_new_session_is_no_more(drive):
-    robot, client = Robot(), PageClient()
-    live = LiveRun("robot", robot.control)
-    live.observer = LiveObserver(live.apply, Control(), MappingMonitor(30.0))
-    viewer = live.add_viewer(lambda: None)
-    live._status["particles"] = 4
-    viewer.command({"do": "select", "particle": 2})
-    client.catch_up(viewer)
-    assert client.status["channel"] != 0
-    live.reset()
-    client.catch_up(viewer)
-    assert (client.status["channel"], client.status["selected_particle"]) == (0, None)
 
 
 def test_a_robot_is_paused_by_its_page_and_seen_paused_but_not_held_back(drive):
@@ -144,36 +100,4 @@ def test_a_node_is_placed_by_its_page(capsys):
             assert until(lambda: told()["scans"] == 40)
             assert seen.status["lost"] is False
             assert np.hypot(*(np.array(seen.status["pose"]) - log.truth.poses[39])[:2]) < 0.3
-        core.close()
-
-
-def test_a_node_that_localizes_is_watched(capsys):
-    """Placed by people meanwhile, it stays one session."""
-    log, outputs, seen = localized_drive(3), RecordedOutputs(), PageClient()
-    known = Localization(KnownMap(flat_map()), MonteCarloConfiguration())
-    core = NodeCore(NodeSettings(queue_s=60.0), known, outputs)
-    core.on_transforms([mounting(0.0, 0.0)._replace(pose=(0.0,) * 6 + (1.0,))], static=True)
-    with make_viewer_opener("robot", LiveOptions(port=0))(core):
-        url = capsys.readouterr().err.split("live at ")[1].split()[0]
-        with connect(url.replace("http", "ws", 1) + "socket", max_size=None) as line:
-
-            def told():
-                seen.receive(line.recv(10))
-                line.send(json.dumps({"do": "ack"}))
-                return seen.status
-
-            told()
-            assert seen.sees(known.known.grid)
-            assert seen.run_info["mode"] == "robot"
-            core.start()
-            sent = play(core, outputs, log.measurements[:30], shift_ns=10**18, ahead=5)
-            assert until(lambda: told()["scans"] == sent), outputs.warnings()
-            session = seen.run_info["session"]
-            core.set_pose((np.array(log.truth.poses[29]), np.diag([0.04, 0.04, 0.03])))
-            play(core, outputs, log.measurements[30:60], shift_ns=10**18, ahead=5)
-            assert until(lambda: told()["scans"] == 60)
-            assert seen.run_info["session"] == session
-            assert seen.status["lost"] is False
-            assert np.hypot(*(np.array(seen.status["pose"]) - log.truth.poses[59])[:2]) < 0.3
-            assert len(seen.arrays["particles"]) <= 1000
         core.close()

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gridslam.grid.cells import Evidence
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE, UNKNOWN
-from gridslam.live.protocol import levels
 from gridslam.live.tiles import EMPTY_BOX, Box, TileChangeDetector, TileChanges, TileReplica, split_into_tiles
 from gridslam.scan import StoredScan
-from gridslam.types import OccupancyGrid
 
 SIDE_M = 0.05
 FORM = {"resolution_m": SIDE_M, "reach_cells": 10.5, "evidence": Evidence(1.5, -0.4, -16.0, 32.0, 2.0)}
@@ -65,27 +62,6 @@ def tight(grid):
     return replica.grid(SIDE_M)
 
 
-def test_other_maps_are_taken_over_whole():
-    rng, detector, replica = np.random.default_rng(2), TileChangeDetector(), TileReplica()
-    for centre in ([0.0, 0.0], [40.0, -25.0]):  # as after a correction: no tile and no id in common
-        maps = TileMaps(3, **FORM)
-        write(maps, rng, np.array(centre))
-        replica.apply(detector.find_changes(maps, 1, None))
-        assert_same(replica.grid(SIDE_M), maps.occupancy(1))
-
-
-def test_what_lies_outside_the_box_is_not_copied():
-    rng, detector, maps = np.random.default_rng(3), TileChangeDetector(), TileMaps(1, **FORM)
-    for x in (0.0, 100.0, 200.0):
-        write(maps, rng, np.array([x, 0.0]))
-    everything = detector.find_changes(maps, 0, None)
-    poses = write(maps, rng, np.array([100.0, 0.0]))
-    changes = detector.find_changes(maps, 0, Box.around(poses, 2.0))
-    assert 0 < len(changes.at) < len(everything.at) / 2
-    assert abs((changes.at[:, 1] + 0.5) * TILE * SIDE_M - 100).max() < 10
-    assert not len(detector.find_changes(maps, 0, EMPTY_BOX).at)
-
-
 @given(st.integers(1, 7), st.integers(0, 2**32 - 1))
 def test_any_number_of_viewers_gets_all_in_pieces_of_any_size(most, seed):
     """Two viewers who look at other times; in between tiles change again."""
@@ -110,14 +86,6 @@ def test_any_number_of_viewers_gets_all_in_pieces_of_any_size(most, seed):
         }
 
 
-def test_what_looks_as_before_is_not_sent_again():
-    replica, at = TileReplica(), np.zeros((1, 2), np.int32)
-    replica.apply(TileChanges(at, np.full((1, TILE, TILE), 200, np.int16)))
-    replica.apply(TileChanges(at, np.full((1, TILE, TILE), 900, np.int16)))  # surer of the same
-    assert replica.sequence == 1
-    assert replica.grid(SIDE_M).log_odds.min() == pytest.approx(9.0)
-
-
 def test_a_new_map_replaces_the_old_one():
     replica = TileReplica()
     replica.apply(TileChanges(np.array([[0, 0], [5, 5]], np.int32), np.full((2, TILE, TILE), 200, np.int16)))
@@ -127,25 +95,3 @@ def test_a_new_map_replaces_the_old_one():
     assert grid.known.shape == (2 * TILE, TILE)
     where, looks, _ = replica.since(0, 100)
     assert not looks[where.tolist().index([0, 0])].any()
-
-
-@given(st.integers(-70, 70), st.integers(-70, 70), st.integers(1, 80), st.integers(1, 80), st.integers(0, 2**32 - 1))
-@settings(deadline=None)
-def test_a_rectangle_of_any_place_and_size_is_cut_into_tiles(row, column, height, width, seed):
-    rng = np.random.default_rng(seed)
-    known = rng.random((height, width)) < 0.7
-    log_odds = np.where(known, rng.integers(-400, 400, known.shape) * 0.01, 0).astype(np.float32)
-    changes = split_into_tiles(OccupancyGrid(log_odds, known, SIDE_M, (column * SIDE_M, row * SIDE_M)))
-    cells = {tuple(at): tile for at, tile in zip(changes.at.tolist(), changes.log_odds, strict=True)}
-    for r, c in np.ndindex(known.shape):
-        (tile_row, y), (tile_column, x) = divmod(row + r, TILE), divmod(column + c, TILE)
-        tile = cells.get((tile_row, tile_column))
-        got = UNKNOWN if tile is None else tile[y, x]
-        assert got == (round(100 * float(log_odds[r, c])) if known[r, c] else UNKNOWN)
-    assert sum(int((levels(tile) > 0).sum()) for tile in cells.values()) == known.sum()
-
-
-def test_a_map_of_nothing():
-    assert not TileReplica().grid(SIDE_M).known.any()
-    empty = OccupancyGrid(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.bool_), SIDE_M, (0.0, 0.0))
-    assert not len(split_into_tiles(empty).at)

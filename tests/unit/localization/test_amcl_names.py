@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 
-from gridslam.api.amcl import AMCL_DEFAULTS, AMCL_NAMES, from_amcl, override_configuration, read_amcl
+from gridslam.api.amcl import AMCL_DEFAULTS, from_amcl, read_amcl
 from gridslam.errors import ConfigurationError, InputError
-from gridslam.localization import MonteCarloConfiguration
-from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.endpoint import LikelihoodField
-from gridslam.models.motion import GMappingMotion, OdometryMotion
-from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow
+from gridslam.models.motion import OdometryMotion
+from gridslam.particles.policies import AlwaysResample
 
 
 def test_defaults_of_ros_1():
@@ -35,85 +32,6 @@ def test_defaults_of_ros_1():
     assert (configuration.resample_interval, configuration.max_beams, configuration.reach_m) == (2, 30, 2.0)
     assert (configuration.recovery.alpha_slow, configuration.recovery.alpha_fast) == (0.0, 0.0)
     assert isinstance(configuration.when_to_resample, AlwaysResample)
-
-
-def test_defaults_of_nav2():
-    configuration = from_amcl(AMCL_DEFAULTS["nav2"]).configuration
-    assert (configuration.kld.particles_min, configuration.kld.particles_max, configuration.kld.error) == (
-        500,
-        2000,
-        0.05,
-    )
-    assert (
-        configuration.sensor.z_hit,
-        configuration.sensor.z_rand,
-        configuration.max_beams,
-        configuration.range_max_m,
-    ) == (0.5, 0.5, 60, 100.0)
-
-
-def test_both_spellings_mean_the_same():
-    ros1 = from_amcl({"kld_err": 0.02, "odom_alpha3": 0.1, "laser_z_hit": 0.8, "laser_z_rand": 0.4})
-    nav2 = from_amcl({"pf_err": 0.02, "alpha3": 0.1, "z_hit": 0.8, "z_rand": 0.4})
-    assert ros1.configuration == nav2.configuration
-    assert ros1.configuration.sensor.z_hit == pytest.approx(2 / 3)
-    assert ros1.configuration.motion == OdometryMotion(alpha3=0.1)
-
-
-def test_what_is_not_said_stays():
-    base = MonteCarloConfiguration(max_beams=33)
-    assert from_amcl({}, base).configuration == base
-    assert from_amcl({"min_particles": 50}, base).configuration.max_beams == 33
-    assert from_amcl({"laser_min_range": -1, "laser_max_range": -1.0}, base).configuration == base
-
-
-def test_the_beam_model():
-    sensor = from_amcl(
-        {"laser_model_type": "beam", "laser_lambda_short": 0.3, "laser_sigma_hit": 0.15}
-    ).configuration.sensor
-    assert isinstance(sensor, BeamRangeFinder)
-    assert (sensor.lambda_short_per_m, sensor.sigma_hit_m) == (0.3, 0.15)
-    assert sensor.z_hit + sensor.z_short + sensor.z_max + sensor.z_rand == pytest.approx(1)
-
-
-def test_an_initial_pose():
-    read = from_amcl({"initial_pose_x": 1, "initial_pose_a": 0.5, "initial_cov_aa": 0.01})
-    assert read.pose.tolist() == [1, 0, 0.5]
-    np.testing.assert_allclose(np.diag(read.covariance), [0.25, 0.25, 0.01])
-    assert from_amcl({"initial_pose.yaw": 2}).pose.tolist() == [0, 0, 2]
-    assert from_amcl({"max_particles": 900}).pose is None
-
-
-def test_what_means_nothing_here_is_named():
-    read = from_amcl({"transform_tolerance": 0.2, "alpha5": 0.1, "laser_lambda_short": 0.2, "max_beams": 10})
-    assert set(read.ignored) == {"transform_tolerance", "alpha5", "laser_lambda_short"}
-    assert from_amcl({"selective_resampling": True}).configuration.when_to_resample == EffectiveSampleSizeBelow()
-
-
-def test_values_as_ros_accepts_them():
-    """A decimal number without a fraction counts particles; a threshold of 0 is every scan; recovery may be off."""
-    read = from_amcl({"max_particles": 900.0, "update_min_d": 0.0}).configuration
-    assert (read.kld.particles_min, read.kld.particles_max) == (900, 900)
-    assert read.when_to_update(1e-6, 0.0)
-    off = override_configuration(
-        MonteCarloConfiguration(), ["recovery_alpha_fast=0.", "recovery_alpha_slow=.0", "selective_resampling=False"]
-    )
-    assert (off.configuration.recovery.alpha_fast, off.configuration.recovery.alpha_slow) == (0.0, 0.0)
-    assert off.configuration.when_to_resample == AlwaysResample()
-
-
-def test_a_holonomic_robot_keeps_a_model_with_noise_across_the_motion():
-    nav2 = from_amcl(AMCL_DEFAULTS["nav2"]).configuration
-    read = from_amcl({"robot_model_type": "nav2_amcl::OmniMotionModel", "alpha1": 0.3, "alpha5": 0.1}, nav2)
-    assert isinstance(read.configuration.motion, GMappingMotion)
-    assert set(read.ignored) == {"alpha1", "alpha5"}
-
-
-def test_a_pose_that_is_not_to_be_set_is_ignored():
-    read = from_amcl({"set_initial_pose": False, "initial_pose.x": 3.0, "initial_pose.covariance_x": 1.0})
-    assert read.pose is None
-    assert set(read.ignored) == {"initial_pose.x", "initial_pose.covariance_x"}
-    assert from_amcl({"set_initial_pose": True}).pose.tolist() == [0, 0, 0]
 
 
 ROS_1 = """
@@ -203,11 +121,6 @@ def test_files_of_ros_1_nav2_and_beluga_mean_the_same(tmp_path):
     assert reads["beluga"].ignored == ("execution_policy",)
 
 
-def test_a_file_of_ros_1_in_the_namespace_of_the_node(tmp_path):
-    (tmp_path / "amcl.yaml").write_text("amcl:\n  laser_max_beams: 77\n")
-    assert read_amcl(tmp_path / "amcl.yaml").configuration.max_beams == 77
-
-
 @pytest.mark.parametrize(
     ("text", "error", "said"),
     [
@@ -258,29 +171,3 @@ def test_files_that_are_refused(tmp_path, text, error, said):
 def test_what_is_refused(parameters, said):
     with pytest.raises(ConfigurationError, match=said):
         from_amcl(parameters)
-
-
-def test_every_default_is_a_known_name():
-    assert all(set(defaults) <= AMCL_NAMES for defaults in AMCL_DEFAULTS.values())
-
-
-def test_assignments_by_both_kinds_of_names():
-    read = override_configuration(
-        MonteCarloConfiguration(),
-        ["laser_max_beams=40", "kld.z=1.5", "sensor.sigma_hit_m=0.07", "initial_pose_x=3", "tf_broadcast=true"],
-    )
-    assert (read.configuration.max_beams, read.configuration.kld.z, read.configuration.sensor.sigma_hit_m) == (
-        40,
-        1.5,
-        0.07,
-    )
-    assert read.pose.tolist() == [3, 0, 0]
-    assert read.ignored == ("tf_broadcast",)
-    kind = override_configuration(
-        MonteCarloConfiguration(), ["motion.kind=OdometryMotion", "motion.alpha1=0.3", "max_beams=9"]
-    )
-    assert kind.configuration.motion == OdometryMotion(alpha1=0.3)
-    assert kind.configuration.max_beams == 9
-    for wrong, said in (("max_beams", "name=value"), ("sensor.sigma=1", "sigma"), ("nonsense=1", "no such parameter")):
-        with pytest.raises(ConfigurationError, match=said):
-            override_configuration(MonteCarloConfiguration(), [wrong])

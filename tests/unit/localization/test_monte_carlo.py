@@ -11,13 +11,10 @@ import pytest
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.localization import KnownMap, LocalizationSkip, MonteCarloConfiguration, MonteCarloLocalization
-from gridslam.localization.kld_sampling import KldSampling
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.models.beam import BeamRangeFinder
-from gridslam.models.motion import OdometryMotion
 from gridslam.sim import OdometryNoise
 from gridslam.types import BeamStatus, LaserScan, Odometry
-from support.localization_world import RandomWalk, drive, flat_map, kidnapped
+from support.localization_world import drive, flat_map, kidnapped
 
 SPREAD = np.diag([0.04, 0.04, 0.01])
 
@@ -79,21 +76,6 @@ def test_a_kidnapped_robot_is_missed_and_found(known):
     assert sum(report.injection_ratio > 0 for report in reports[51:]) >= 1
 
 
-def test_a_wrong_first_pose_is_put_right(known, log):
-    wrong = np.array([10.5, 5.6, 2.0])
-    reports, _ = follow(MonteCarloLocalization(known), log.measurements, 1, wrong)
-    metres, _ = errors(reports, log.truth.poses)
-    assert reports[0].injection_ratio > 0
-    assert metres[-20:].max() < 0.3
-
-
-def test_by_the_beam_model(known, log):
-    kld = KldSampling(particles_min=100, particles_max=300)
-    parts = MonteCarloConfiguration(sensor=BeamRangeFinder(tempering=0.1), max_beams=20, kld=kld)
-    reports, _ = follow(MonteCarloLocalization(known, parts), log.measurements[:40], 0, log.truth.poses[0])
-    assert errors(reports, log.truth.poses[:40])[0][5:].max() < 0.2
-
-
 def test_the_same_seed_gives_the_same_bytes_with_any_number_of_threads(log):
     runs = []
     for threads in (1, 2, 5):
@@ -138,13 +120,6 @@ def test_weights_are_those_of_the_sensor(known, log):
     expected = known.condition(mcl.configuration.sensor, thinned)(at) + np.where(known.is_free(at), 0, math.log(0.01))
     found = report.log_weights[: len(poses)]
     np.testing.assert_allclose(found - found[0], expected - expected[0], atol=1e-6)
-
-
-def test_no_particle_is_drawn_where_nothing_is_known(known, log):
-    mcl = MonteCarloLocalization(known)
-    state, report = mcl.step(mcl.init(), *log.measurements[0], np.random.default_rng(0))
-    assert known.is_free(report.poses).all()
-    assert known.is_free(state.poses).all()
 
 
 def test_what_is_unknown_does_not_count_as_free(known, log):
@@ -229,16 +204,6 @@ def test_odometry_that_is_told_late_does_not_turn_the_pose(known):
     assert told_rad < 0.5 * mean_rad
 
 
-def test_particles_that_are_all_one_are_told_as_they_are(known, log):
-    """A belief without any spread is surer than any scan."""
-    pose = log.truth.poses[0] + np.array([0.05, -0.03, 0.02])
-    still = MonteCarloConfiguration(motion=OdometryMotion(alpha1=0, alpha2=0, alpha3=0, alpha4=0))
-    mcl = MonteCarloLocalization(known, still)
-    _, report = mcl.step(mcl.init(np.repeat(pose[None], 50, axis=0)), *log.measurements[0], np.random.default_rng(0))
-    assert report.injection_ratio == 0
-    np.testing.assert_allclose(report.pose, pose, atol=0.005)
-
-
 def test_states(known, log):
     mcl, rng = MonteCarloLocalization(known), np.random.default_rng(0)
     state = mcl.init()
@@ -254,16 +219,6 @@ def test_states(known, log):
             mcl.init(wrong)
     with pytest.raises(ArgumentError, match="covariance"):
         mcl.init_gaussian(np.zeros(3), -np.eye(3), rng)
-
-
-def test_another_motion_model(known, log):
-    alphas = dict.fromkeys(("alpha1", "alpha2", "alpha3", "alpha4"), 0.05)
-    for mcl in (
-        MonteCarloLocalization(known, MonteCarloConfiguration(motion=OdometryMotion(**alphas))),
-        MonteCarloLocalization(known, motion=RandomWalk()),
-    ):
-        reports, _ = follow(mcl, drive(1).measurements, 0, log.truth.poses[0])
-        assert errors(reports, log.truth.poses)[0][5:].max() < 0.25
 
 
 def test_a_robot_that_stands_stays_lost_until_it_moves(known, log):

@@ -7,9 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from gridslam.geometry.se2 import compose
 from gridslam.localization import KnownMap, MonteCarloLocalization
-from gridslam.localization.belief import NO_HYPOTHESES, HypothesisTracker, PoseEstimate, PoseHypotheses, cluster_bins
+from gridslam.localization.belief import NO_HYPOTHESES, HypothesisTracker, PoseEstimate, PoseHypotheses
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import box, join
 from gridslam.types import OccupancyGrid
@@ -40,24 +39,6 @@ def followed(hypotheses: PoseHypotheses, agree, steps: int):
     return hypotheses
 
 
-@pytest.mark.parametrize("apart_m", [1.0, 1e3, 1e6, 1e9])
-def test_bins_number_what_is_in_them(apart_m):
-    """Clusters share no bin however far they are apart, and the numbers stay small."""
-    rng = np.random.default_rng(2)
-    corners = np.array([[0.0, 0.0], [apart_m, 0.0], [apart_m, apart_m]])
-    within = rng.uniform(0, 0.4, (3, 50, 2))
-    headings = rng.uniform(-1, 1, (3, 50))
-    places = (corners[:, None] + within).reshape(-1, 2)
-    names = cluster_bins(*places.T.copy(), headings.ravel())
-    assert names.min() >= 0
-    assert names.max() < 1 << 20
-    groups = [set(part.tolist()) for part in names.reshape(3, 50)]
-    if apart_m >= 1e3:
-        assert not groups[0] & groups[1]
-        assert not groups[1] & groups[2]
-        assert not groups[0] & groups[2]
-
-
 def test_each_cluster_becomes_a_rival_but_that_which_is_told():
     rng = np.random.default_rng(1)
     poses = np.concatenate([place + 0.05 * rng.standard_normal((100, 3)) for place in (HERE, THERE, [4.0, 8.0, -1.0])])
@@ -79,38 +60,6 @@ def test_what_looks_the_same_stays_and_what_looks_otherwise_goes():
     once = followed(rival, agreeing((HERE, 0.8), (THERE, 0.4)), 1)
     assert once.log_odds[0] == pytest.approx(-FIXED.log_odds_per_scan * (0.4 - FIXED.margin))
     assert not len(followed(rival, agreeing((HERE, 0.8), (THERE, 0.4)), 3).poses)
-
-
-def test_one_that_fits_better_is_believed_more_than_what_is_told():
-    better = followed(PoseHypotheses(THERE[None], np.zeros(1)), agreeing((HERE, 0.4), (THERE, 0.8)), 10)
-    assert better.odds > 1
-    assert math.isfinite(better.odds)
-
-
-def test_rivals_move_with_the_robot_and_merge_where_they_meet():
-    rng, moved = np.random.default_rng(2), np.array([0.5, 0.0, 0.2])
-    both = np.array([THERE, THERE + np.array([0.3, 0.2, 0.1]), HERE + np.array([0.2, 0.0, 0.0])])
-    told = PoseEstimate(compose(HERE, moved), np.eye(3) * 1e-4, 1.0)
-    fits = agreeing((told.pose, 1.0), (compose(THERE, moved), 1.0))
-    hypotheses = HypothesisTracker()(
-        PoseHypotheses(both, np.array([-0.5, -0.1, 0.0])), moved, told, told.pose[None], EVEN, fits, rng
-    )
-    assert len(hypotheses.poses) == 1
-    np.testing.assert_allclose(hypotheses.poses[0], compose(THERE, moved), atol=0.3)
-    assert hypotheses.log_odds[0] == -0.5
-
-
-def test_where_it_fits_best_nearby_is_where_a_rival_is_held():
-    """Odometry is 8 cm off; the agreement falls off by 0.1 a centimetre."""
-    place = THERE + np.array([0.08, 0.0, 0.0])
-
-    def agree(poses: np.ndarray) -> np.ndarray:
-        return np.where(poses[:, 0] > 5, 1 - 10 * np.hypot(*(poses[:, :2] - place[:2]).T), 1.0)
-
-    rng, hypotheses = np.random.default_rng(3), PoseHypotheses(THERE[None], np.zeros(1))
-    for _ in range(5):
-        hypotheses = HypothesisTracker(log_odds_per_scan=0.0)(hypotheses, STILL, ALONE, CLOUD, EVEN, agree, rng)
-    assert np.hypot(*(hypotheses.poses[0] - place)[:2]) < 0.03
 
 
 def symmetric_room() -> tuple[KnownMap, World]:

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gridslam.errors import ArgumentError
 from gridslam.kernels.reference_update import ray_cells
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.mapping.beam_counts import BeamCounts, bayes_map, counting_map
@@ -122,15 +121,6 @@ def test_what_was_seen_fades_by_scans_that_see_it():
     assert near(counts, 1.05) == pytest.approx((0.0, (1 - kept**30) / (1 - kept)))
 
 
-def test_what_is_not_seen_forgets_nothing():
-    counts = BeamCounts(0.1, half_life_scans=1)
-    counts.add(POSE, straight(2.0))
-    for _ in range(100):
-        counts.add(POSE, straight(1.0))
-    assert near(counts, 2.05) == (1.0, 0.0)
-    assert near(counts, 1.55) == (0.0, 1.0)
-
-
 def test_a_door_that_opened_is_open_only_with_decay():
     for half_life, occupied in ((None, True), (10, False)):
         counts = BeamCounts(0.1, half_life)
@@ -139,28 +129,3 @@ def test_a_door_that_opened_is_open_only_with_decay():
         for grid in (bayes_map(counts, WIDE), counting_map(counts)):
             row, column = (round(-start / 0.1) for start in grid.origin[::-1])
             assert (grid.log_odds[row, column + 20] > 0) == occupied
-
-
-def test_the_counts_may_grow_in_all_directions():
-    one, scans = BeamCounts(0.1), []
-    for x, y in [(0, 0), (40, 0), (-40, 5), (0, 60), (3, -60)]:
-        pose = np.array([x + 0.05, y + 0.05, 0.0])
-        scans.append((pose, straight(2.0)))
-        one.add(*scans[-1])
-    cells = by_cell(one)
-    assert sum(hits for hits, _ in cells.values()) == 5
-    assert {(int(y / 0.1), int(x / 0.1) + 20) for x, y in [(0, 0), (40, 0), (0, 60)]} <= cells.keys()
-    assert sum(misses for _, misses in cells.values()) == 5 * 20
-
-
-def test_nothing_counted_is_nothing_known():
-    empty = BeamCounts(0.1)
-    empty.add(POSE, StoredScan(np.empty((0, 2)), np.zeros(2)))
-    assert not bayes_map(empty, InverseSensorModel()).known.any()
-    assert not counting_map(empty).known.any()
-
-
-@pytest.mark.parametrize("half_life", [0, -1, np.nan, np.inf])
-def test_half_lives_that_are_none(half_life):
-    with pytest.raises(ArgumentError, match="half_life_scans"):
-        BeamCounts(0.1, half_life)

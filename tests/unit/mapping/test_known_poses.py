@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gridslam.errors import ArgumentError
 from gridslam.evaluation import interpolate
 from gridslam.geometry.se2 import compose, exp, inverse, transform_points
 from gridslam.mapping.known_poses import KnownPoses, NoPoseReason
@@ -46,29 +44,11 @@ def test_nothing_is_extrapolated():
     assert known.span_ns == (10 * S, round(10.5 * S))
 
 
-def test_a_rounded_stamp_is_the_poses_own():
-    known = KnownPoses(way((10, 0, 0, 0), (10.5, 1, 0, 0)))
-    np.testing.assert_array_equal(known.at(10 * S - 1_000_000), [0, 0, 0])
-    np.testing.assert_array_equal(known.at(round(10.5 * S) + 900_000), [1, 0, 0])
-
-
 def test_gaps_are_not_bridged():
     trajectory = way((0, 0, 0, 0), (1, 1, 0, 0), (3, 5, 0, 0))
     assert KnownPoses(trajectory).at(2 * S) is NoPoseReason.GAP
     np.testing.assert_allclose(KnownPoses(trajectory).at(S + 500_000), [1.001, 0, 0])  # 0.5 ms past a pose
     np.testing.assert_allclose(KnownPoses(trajectory, max_gap_s=2.0).at(2 * S), [3, 0, 0])
-
-
-def test_a_stamp_that_is_there_twice_gives_both_poses_in_their_order():
-    known = KnownPoses(way((2, 5, 0, 0), (1, 1, 0, 0), (1, 2, 0, 0), (0, 0, 0, 0)), max_gap_s=5.0)
-    assert [known.at(S)[0] for _ in range(3)] == [1, 2, 2]
-    assert known.at(2 * S)[0] == 5
-
-
-def test_one_pose_is_a_trajectory():
-    known = KnownPoses(way((1, 4, 5, 6)))
-    np.testing.assert_array_equal(known.at(S), [4, 5, 6])
-    assert known.at(2 * S) is NoPoseReason.OUTSIDE
 
 
 def test_a_scan_in_motion_is_sharpened():
@@ -88,16 +68,3 @@ def test_a_scan_in_motion_is_sharpened():
     sharp = known.deskew(scan.beams(0.05, 30.0))
     np.testing.assert_allclose(transform_points(known.at(S), sharp.ends), walls, atol=1e-5)
     assert np.abs(transform_points(known.at(S), scan.beams(0.05, 30.0).ends) - walls).max() > 0.1
-
-
-def test_a_scan_without_times_stays():
-    known = KnownPoses(way((0, 0, 0, 0), (1, 1, 0, 1)))
-    beams = LaserScan.from_ranges(S // 2, [1.0, 2.0], ScanGeometry([0.0, 0.1])).beams(0.05, 30.0)
-    assert known.deskew(beams) is beams
-
-
-def test_arguments():
-    with pytest.raises(ArgumentError, match="at least one pose"):
-        KnownPoses(Trajectory(np.empty(0, np.int64), np.empty((0, 3))))
-    with pytest.raises(ArgumentError, match="max_gap_s"):
-        KnownPoses(way((0, 0, 0, 0)), max_gap_s=0)

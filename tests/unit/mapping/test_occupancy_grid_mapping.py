@@ -10,7 +10,7 @@ from gridslam.mapping import OccupancyGridMapping
 from gridslam.models import InverseSensorModel
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import box, clearance, join
-from gridslam.types import LaserScan, OccupancyGrid
+from gridslam.types import OccupancyGrid
 
 ROUTE = [(1.02, 1.02), (5.02, 1.02), (5.02, 3.02), (1.02, 3.02)]
 CRATE = (2.52, 1.77, 3.52, 2.27)
@@ -57,16 +57,6 @@ def test_a_room_becomes_its_map(log, resolution_m):
     assert (nearest < 1.5 * resolution_m).mean() > 0.98
 
 
-def test_probabilities_are_sure_of_both(log):
-    grid = mapped(log, OccupancyGridMapping()).occupancy(0)
-    probability = grid.probability
-    assert (probability[~grid.known] == 0.5).all()
-    assert probability.max() > 0.99
-    assert probability.min() < 0.01
-    inside = np.abs(centres(grid) - [1.5, 3.0]).max(axis=-1) < 0.3
-    assert (probability[inside] < 0.05).all()
-
-
 def test_every_map_gets_the_scan_at_its_own_pose(log):
     """Two particles a metre apart: the same map, a metre apart (20 cells of 5 cm)."""
     mapper, (_, scan) = OccupancyGridMapping(), log.measurements[0]
@@ -75,15 +65,6 @@ def test_every_map_gets_the_scan_at_its_own_pose(log):
     first, second = maps.occupancy(0), maps.occupancy(1)
     ours, theirs = (np.sort(centres(g)[g.known], axis=0) for g in (first, second))
     np.testing.assert_allclose(ours + np.array([1.0, 0.0]), theirs, atol=1e-6)
-
-
-def test_a_scan_without_beams_tells_nothing(log):
-    mapper, (_, scan) = OccupancyGridMapping(), log.measurements[0]
-    blind = LaserScan.from_ranges(0, np.full(len(scan), np.nan), scan.geometry)
-    maps = mapper.empty(3)
-    mapper(maps, np.zeros((3, 3)), blind.beams(0.05, 30.0))
-    assert maps.tiles_used == 0
-    assert not maps.occupancy(0).known.any()
 
 
 def test_the_evidence_is_the_sensors(log):

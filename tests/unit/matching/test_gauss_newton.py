@@ -59,19 +59,6 @@ def test_a_known_displacement_is_found(room, seed):
     checks.displacement_is_found(match, seed)
 
 
-def test_many_guesses_are_matched_apart(room):
-    """A batch gives to each guess what it gets alone."""
-    truth = np.array([0.3, -0.2, 0.7])
-    guesses = truth + np.random.default_rng(0).uniform(-1, 1, (5, 3)) * [0.1, 0.1, 0.03]
-    beams = scan_of_room(truth)
-    together = GaussNewton()(room, np.zeros(5, np.int32), guesses, np.repeat(prior(1.0, 1.0), 5, axis=0), beams)
-    for i in range(5):
-        alone = GaussNewton()(room, ROW, guesses[i : i + 1], prior(1.0, 1.0), beams)
-        np.testing.assert_array_equal(together.poses[i], alone.poses[0])
-        np.testing.assert_array_equal(together.information[i], alone.information[0])
-        assert together.score[i] == alone.score[0]
-
-
 def test_the_information_is_that_of_the_walls(room):
     """Symmetric and positive; each beam informs by one across its wall: a metre moved is a metre of residual.
 
@@ -108,21 +95,6 @@ def test_the_information_predicts_the_spread_of_matches(room):
     ratio = np.diag(spread) / np.diag(predicted)
     assert (ratio > 1 / 3).all()
     assert (ratio < 3).all()
-
-
-def test_the_prior_holds_as_much_as_it_weighs(room):
-    """A strong one keeps the guess, a weak one does not; between them the match lies between the two."""
-    truth = np.array([0.1, 0.2, 0.0])
-    guess = truth + np.array([0.06, 0.0, 0.0])
-    beams = scan_of_room(truth)
-    x = [
-        GaussNewton()(room, ROW, guess[None], prior(weight, weight), beams).poses[0, 0]
-        for weight in (0.0, 25.0, 250.0, 2.5e7)
-    ]
-    assert x == sorted(x)
-    assert x[0] == pytest.approx(truth[0], abs=0.01)
-    assert x[0] + 0.005 < x[2] < guess[0] - 0.005
-    assert x[3] == pytest.approx(guess[0], abs=1e-4)
 
 
 CORRIDOR = np.array([50.0, 1.02])
@@ -167,101 +139,6 @@ def test_a_direction_in_which_the_guess_was_kept_is_undetermined(corridor):
     free = GaussNewton(min_information=0.0)(corridor, ROW, guess, prior(), seen)
     assert free.poses[0, 0] == pytest.approx(0.0, abs=0.04)
     assert degenerate_direction(free.information[0], float(free.score[0]), 0.0) is None
-
-
-def test_a_room_determines_every_direction(room):
-    match = GaussNewton()(room, ROW, np.zeros((1, 3)), prior(), scan_of_room(np.zeros(3)))
-    assert degenerate_direction(match.information[0], float(match.score[0])) is None
-
-
-def test_without_beams_the_guess_stands(room):
-    guess = np.array([[1.0, 2.0, 7.0]])
-    nothing = LaserScan.from_ranges(0, np.full(360, np.inf), GEOMETRY).beams(0.05, 30.0)
-    assert len(nothing) == 0
-    for weight in (0.0, 1.0):
-        match = GaussNewton()(room, ROW, guess, prior(weight, weight), nothing)
-        np.testing.assert_allclose(match.poses, [[1.0, 2.0, 7.0 - 2 * np.pi]], atol=1e-12)
-        assert match.score.tolist() == [0.0]
-        assert not match.information.any()
-
-
-def test_where_the_map_is_empty_the_guess_stands(room):
-    """500 m away nothing is mapped: no slope, so the prior alone decides; beams count a little all the same."""
-    guess = np.array([[500.0, -300.0, 1.0]])
-    for weight in (0.0, 1.0):
-        match = GaussNewton()(room, ROW, guess, prior(weight, weight), scan_of_room(np.zeros(3)))
-        np.testing.assert_allclose(match.poses, guess, atol=1e-9)
-        # every residual is the reach, 10.5 cells, with c = 2 cells
-        assert match.score[0] == pytest.approx(360 / (1 + (10.5 / 2) ** 2), rel=1e-5)
-
-
-def test_steps_are_clipped(room):
-    """One pass moves at most max_step_m and max_step_rad, however far the linearization points."""
-    truth, guess = np.zeros(3), np.array([0.3, 0.25, 0.0])
-    matcher = GaussNewton(max_iterations=1)
-    match = matcher(room, ROW, guess[None], prior(), scan_of_room(truth))
-    moved = match.poses[0] - guess
-    assert np.hypot(*moved[:2]) == pytest.approx(GaussNewton.max_step_m, rel=1e-6)
-    assert abs(moved[2]) <= GaussNewton.max_step_rad + 1e-12
-
-
-def every_third(beams):
-    """120 beams all about: from 1.02 m away they see a wall at a spacing of 5.3 cm and more."""
-    return replace(beams, indices=beams.indices[::3], ends=beams.ends[::3])
-
-
-def dotted(pose):
-    """The corridor as mapped by one scan, so that its far walls are rows of dots; and that scan."""
-    maps = TileMaps(1, resolution_m=CELL, reach_cells=10.5, evidence=Evidence(2.4, -0.4, -16, 32, 2.0))
-    seen = every_third(scan_of_room(pose, CORRIDOR, max_m=6.0))
-    maps.update(ROW, pose[None], seen)
-    return maps, seen
-
-
-@pytest.mark.parametrize("turn", [0.0, 0.8, -2.4])
-def test_ends_on_a_wall_say_nothing_along_it(turn):
-    """However the robot is turned; across it they say what they did."""
-    pose = np.array([0.0, 0.0, turn])
-    maps, seen = dotted(pose)
-    counted = [
-        GaussNewton(max_iterations=0, point_to_line=lines)(maps, ROW, pose[None], prior(), seen)
-        for lines in (False, True)
-    ]
-    along, across = ([match.information[0, i, i] for match in counted] for i in (0, 1))
-    assert along[0] > 0.1 * counted[0].score[0]
-    assert along[1] < 0.002 * counted[1].score[0]
-    assert across[1] > 0.5 * across[0]
-    assert counted[0].score[0] == counted[1].score[0]  # they agree or not as before
-    axis = degenerate_direction(counted[1].information[0], float(counted[1].score[0]))
-    assert abs(axis[0]) > 0.999
-    assert degenerate_direction(counted[0].information[0], float(counted[0].score[0])) is None
-
-
-@pytest.mark.parametrize("moved_m", [0.05, 0.1, 0.2])
-def test_dots_do_not_hold_a_robot_that_moves_along_its_corridor(moved_m):
-    """From where the odometry has it; the same dots are seen from there, and would pull it back to where it was."""
-    maps, _ = dotted(np.zeros(3))
-    truth = np.array([moved_m, 0.0, 0.0])
-    seen = every_third(scan_of_room(truth, CORRIDOR, max_m=6.0))
-    held, free = (
-        GaussNewton(point_to_line=lines)(maps, ROW, truth[None], prior(), seen).poses[0] for lines in (False, True)
-    )
-    assert held[0] < truth[0] - 0.02
-    assert free[0] == pytest.approx(truth[0], abs=0.005)
-    assert free[1] == pytest.approx(0.0, abs=0.02)
-
-
-def test_where_no_three_ends_follow_one_another_nothing_changes():
-    """Near and far ends by turns: the way from one to the next always turns back."""
-    angles = np.linspace(0, 2 * np.pi, 40, endpoint=False)
-    ends = np.column_stack([np.cos(angles), np.sin(angles)]) * np.tile([1.0, 3.0], 20)[:, None]
-    beams = LaserScan.from_ranges(0, np.hypot(*ends.T), ScanGeometry(angles)).beams(0.0, np.inf)
-    maps = TileMaps(1, resolution_m=CELL, reach_cells=10.5, evidence=Evidence(2.4, -0.4, -16, 32, 2.0))
-    maps.update(ROW, np.zeros((1, 3)), beams)
-    guess = np.array([[0.03, -0.02, 0.01]])
-    one, other = (GaussNewton(point_to_line=lines)(maps, ROW, guess, prior(), beams) for lines in (False, True))
-    np.testing.assert_array_equal(one.poses, other.poses)
-    np.testing.assert_array_equal(one.information, other.information)
 
 
 def map_of_nothing():

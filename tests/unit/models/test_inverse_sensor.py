@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from gridslam.errors import ArgumentError
 from gridslam.models import InverseSensorModel
 
 
@@ -39,31 +38,6 @@ def test_lecture_numbers():
     model = InverseSensorModel(0.8, 0.2, 0.1, 0.9)
     assert math.isclose(1 / (1 + math.exp(-model.log_odds_hit)), 8 / 9)
     assert math.isclose(1 / (1 + math.exp(-model.log_odds_hit - model.log_odds_miss)), 16 / 25)
-
-
-def test_defaults_are_six_to_one():
-    model = InverseSensorModel()
-    assert math.isclose(model.log_odds_hit, 2.4, rel_tol=1e-12)
-    assert math.isclose(model.log_odds_miss, -0.4, rel_tol=1e-12)
-    assert (model.log_odds_min, model.log_odds_max, model.log_odds_occupied) == (-16.0, 32.0, 2.0)
-
-
-@given(hit=st.floats(0.01, 20), miss=st.floats(-20, -0.01))
-def test_probabilities_follow_from_log_odds(hit, miss):
-    model = InverseSensorModel.from_log_odds(hit, miss, log_odds_min=-50, log_odds_max=50)
-    assert math.isclose(model.log_odds_hit, hit, rel_tol=1e-9)
-    assert math.isclose(model.log_odds_miss, miss, rel_tol=1e-9)
-    assert math.isclose(model.true_occupied + model.false_free, 1, rel_tol=1e-12)
-    assert math.isclose(model.false_occupied + model.true_free, 1, rel_tol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("hit", "miss", "name"),
-    [(0, -1, "hit"), (math.nan, -1, "hit"), (21, -1, "hit"), (1, 0, "miss"), (1, -21, "miss")],
-)
-def test_log_odds_of_the_wrong_sign_are_named(hit, miss, name):
-    with pytest.raises(ArgumentError, match=name):
-        InverseSensorModel.from_log_odds(hit, miss)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import pytest
 
 from gridslam.models.landmark import (
     DepthBearing,
-    LandmarkObservations,
     RangeBearing,
     RelativePosition,
     linearize_calibrated,
@@ -39,17 +38,6 @@ def test_the_jacobians_are_finite_differences(sensor):
 def test_what_is_located_is_measured_so(sensor):
     seen = linearize_calibrated(sensor, POSE, np.array([4.0, 0.5]), CALIBRATION)[0]
     np.testing.assert_allclose(locate_calibrated(sensor, POSE, seen, CALIBRATION), [4.0, 0.5], atol=1e-12)
-
-
-def test_a_camera_ahead_that_reads_too_much():
-    predicted = linearize_calibrated(DepthBearing(), np.zeros(3), np.array([3.0, 0.0]), np.array([0.5, 0.1]))[0]
-    np.testing.assert_allclose(predicted, [2.5 * 1.1, 0.0])
-
-
-def test_depths_are_noisier_in_proportion_to_their_square():
-    sensor = DepthBearing(sigma_depth_m=0.03, sigma_depth_per_m=0.002)
-    noise = sensor.noise(LandmarkObservations.of([[1.0, 0.0], [5.0, 0.0]]))
-    np.testing.assert_allclose(noise[:, 0, 0], [0.03**2 + 0.002**2, 0.03**2 + 0.05**2])
 
 
 def test_which_errors_are_of_the_sensor():

@@ -18,7 +18,7 @@ from gridslam.models.landmark import (
     RangeBearing,
     RelativePosition,
 )
-from gridslam.models.motion import DiffusionMotion, OdometryMotion
+from gridslam.models.motion import OdometryMotion
 from gridslam.types import MotionSampler
 
 MODELS = [RangeBearing(), DepthBearing(), RelativePosition()]
@@ -54,28 +54,6 @@ def test_a_landmark_is_located_where_it_is_seen(model, pose, offset):
     np.testing.assert_allclose(model.locate(pose, predicted), pose[:2] + offset, atol=1e-10)
 
 
-@pytest.mark.parametrize("model", MODELS, ids=lambda model: type(model).__name__)
-def test_poses_and_landmarks_broadcast(model):
-    rng = np.random.default_rng(0)
-    some, landmarks = rng.normal(0, 3, (4, 1, 3)), rng.normal(0, 9, (5, 2))
-    predicted, by_pose, by_landmark = model.linearize(some, landmarks)
-    assert (predicted.shape, by_pose.shape, by_landmark.shape) == ((4, 5, 2), (4, 5, 2, 3), (4, 5, 2, 2))
-    for i in range(4):
-        for j in range(5):
-            one = model.linearize(some[i, 0], landmarks[j])
-            np.testing.assert_array_equal(predicted[i, j], one[0])
-            np.testing.assert_array_equal(by_pose[i, j], one[1])
-            np.testing.assert_array_equal(by_landmark[i, j], one[2])
-    np.testing.assert_allclose(model.locate(some, predicted), np.broadcast_to(landmarks, (4, 5, 2)), atol=1e-12)
-
-
-def test_what_the_two_models_say():
-    pose = np.array([1.0, 2.0, np.pi / 2])
-    np.testing.assert_allclose(RangeBearing().linearize(pose, np.array([0.0, 2.0]))[0], [1, np.pi / 2], atol=1e-12)
-    np.testing.assert_allclose(RelativePosition().linearize(pose, np.array([0.0, 2.0]))[0], [0, 1], atol=1e-12)
-    assert RangeBearing().residual(np.array([2.0, 3.1]), np.array([1.0, -3.1])) == pytest.approx([1, 6.2 - 2 * np.pi])
-
-
 def test_noise_is_the_sightings_own_where_they_have_any():
     model, seen = RangeBearing(sigma_range_m=0.5, sigma_bearing_rad=0.1), [[1.0, 0.0], [2.0, 0.0]]
     np.testing.assert_allclose(model.noise(LandmarkObservations.of(seen)), [[[0.25, 0], [0, 0.01]]] * 2)
@@ -98,14 +76,3 @@ def test_a_step_moves_with_its_own_covariance():
     drawn = motion(np.repeat(pose, 20_000, axis=0), np.random.default_rng(1)) - mean
     drawn[:, 2] = wrap(drawn[:, 2])
     np.testing.assert_allclose(drawn.T @ drawn / len(drawn), covariance[0], atol=0.05 * np.trace(covariance[0]))
-
-
-def test_a_step_without_covariance_moves_by_the_model():
-    step = LandmarkStep(0, np.array([1.0, 0.5, 0.4]), None, NO_OBSERVATIONS)
-    pose = np.array([[3.0, -2.0, 1.2]])
-    for one, other in zip(
-        step.motion(DiffusionMotion()).moments(pose), DiffusionMotion()(step.increment).moments(pose), strict=True
-    ):
-        np.testing.assert_array_equal(one, other)
-    still = LandmarkStep(0, np.zeros(3), np.zeros((3, 3)), NO_OBSERVATIONS).motion(DiffusionMotion())
-    np.testing.assert_array_equal(still(pose, np.random.default_rng(0)), pose)

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
-from gridslam.geometry.se2 import compose
 from gridslam.models.motion import DiffusionMotion, GaussianIncrement
 from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors
 
@@ -62,18 +59,3 @@ def test_errors_are_a_stationary_process_of_the_way_however_it_is_cut(way, parts
     np.testing.assert_allclose(P, bias.covariance(), rtol=1e-9)
     np.testing.assert_allclose(known[0, 3:], np.exp(-way / 100.0) * np.array([0.002, -0.01]), rtol=1e-9)
     np.testing.assert_allclose(sure, -np.expm1(-2 * way / 100.0) * bias.covariance(), rtol=1e-6, atol=1e-15)
-
-
-def test_an_error_without_deviation_is_not_sought():
-    only = SystematicErrors(sigma_per_m=0.0)
-    (moved,), _, _ = only.predict(
-        GaussianIncrement.from_std(np.array([1.0, 0.0, 0.5]), np.zeros(3)), np.array([[0.0, 0.0, 0.0, 0.1]])
-    )
-    assert (len(only), only.covariance().shape) == (1, (1, 1))
-    np.testing.assert_allclose(moved[:3], compose(np.zeros(3), np.array([1.0, 0.0, 0.55])))
-
-
-@pytest.mark.parametrize("wrong", [{"sigma_per_m": -1.0}, {"sigma_per_rad": np.nan}, {"memory_m": 0.0}, {"per_m": 1.0}])
-def test_what_is_refused(wrong):
-    with pytest.raises(ValidationError):
-        SystematicErrors(**wrong)

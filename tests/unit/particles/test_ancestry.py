@@ -34,52 +34,12 @@ def test_a_worked_tree() -> None:
     np.testing.assert_array_equal(ancestry.trajectory(2)[:, 0], [1, 11])
 
 
-def test_arrays_of_the_worked_tree() -> None:
-    arrays = two_branches().to_arrays()
-    np.testing.assert_array_equal(arrays["trunk"], np.empty((0, 3)))
-    np.testing.assert_array_equal(arrays["counts"], [2, 3])
-    np.testing.assert_array_equal(arrays["poses"], row(0, 1, 10, 11, 12))
-    np.testing.assert_array_equal(arrays["parents"], [0, 0, 0, 1, 1])
-    np.testing.assert_array_equal(arrays["leaves"], [0, 1, 2])
-
-
-def test_what_goes_in_and_comes_out_is_copied() -> None:
-    poses = row(0, 1)
-    ancestry = Ancestry.start(poses)
-    poses[:] = 7
-    ancestry.trajectory(0)[:] = 8
-    for array in ancestry.to_arrays().values():
-        array[:] = 9
-    np.testing.assert_array_equal(ancestry.trajectories()[:, 0, 0], [0, 1])
-    arrays = ancestry.to_arrays()
-    again = Ancestry.from_arrays(arrays)
-    arrays["poses"][:] = 9
-    np.testing.assert_array_equal(again.trajectories()[:, 0, 0], [0, 1])
-
-
-@pytest.mark.parametrize("poses", [np.empty((0, 3)), np.zeros(3), np.zeros((2, 2)), 1.0])
-def test_start_refuses_other_shapes(poses: object) -> None:
-    with pytest.raises(ArgumentError, match="poses"):
-        Ancestry.start(poses)
-
-
-def test_extend_refuses_another_number_of_poses() -> None:
-    with pytest.raises(ArgumentError, match="poses"):
-        two_branches().extend(row(1, 2))
-
-
 @pytest.mark.parametrize("parents", [[], [0, 1, 3], [-1, 0, 0], [0.0, 1.0], [[0, 1]], [True, False, True]])
 def test_resample_refuses_what_is_no_parent(parents: list[object]) -> None:
     ancestry = two_branches()
     with pytest.raises(ArgumentError, match="parents"):
         ancestry.resample(parents)
     assert size(ancestry)[1] == 5
-
-
-@pytest.mark.parametrize("particle", [-1, 3])
-def test_trajectory_refuses_what_is_no_particle(particle: int) -> None:
-    with pytest.raises(ArgumentError, match="particle"):
-        two_branches().trajectory(particle)
 
 
 @pytest.mark.parametrize(

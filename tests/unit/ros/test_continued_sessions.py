@@ -106,14 +106,6 @@ def test_a_killed_node_has_left_its_session_and_the_next_one_says_so(drive, tmp_
     assert len(read_session(autosave).run.trajectory.keys) == 60
 
 
-def test_a_saved_session_leaves_no_autosave(drive, tmp_path):
-    node = RunningNode(out=str(tmp_path / "out"), save=str(tmp_path / "s.gridslam"), autosave=0.002)
-    node.play(drive[:30])
-    node.stop()
-    assert not (tmp_path / "out" / "autosave.gridslam").exists()
-    assert read_session(tmp_path / "s.gridslam").thumbnail[:4] == b"\x89PNG"
-
-
 def test_nothing_replaces_a_session_that_cannot_be_gone_on_from(drive, first_half, tmp_path, monkeypatch):
     def fail(*arguments, **options):
         raise RuntimeError("injected")
@@ -130,16 +122,6 @@ def test_nothing_replaces_a_session_that_cannot_be_gone_on_from(drive, first_hal
     assert "no session is saved" in log
     assert path.read_bytes() == first_half.read_bytes()
     assert (tmp_path / "out" / "map.pgm").exists()  # the drive is not lost, either
-
-
-def test_what_earlier_drives_have_left_stays_where_the_robot_is_not_found(drive, first_half, tmp_path):
-    save = tmp_path / "two.gridslam"
-    node = RunningNode(**{"continue": str(first_half)}, save=str(save), begin_at="elsewhere")
-    node.play(drive[:3], shift_s=3600.0)
-    node.stop()
-    saved = read_session(save)
-    assert [len(piece.drives) for piece in saved.pieces] == [1]
-    assert len(saved.run.trajectory.keys) == 3
 
 
 def test_where_time_jumps_back_the_next_drive_belongs_to_the_same_session(drive, first_half, tmp_path):

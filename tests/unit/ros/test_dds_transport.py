@@ -6,8 +6,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from gridslam.ros.node.messages import GridMessage
 from gridslam.ros.node.outputs import EncodedOutputs
@@ -137,22 +135,6 @@ def test_parameters_are_set_or_the_reason_is_given(value, settable, says):
     assert changed == ([("paused", True)] * 2 if settable else [])
     ((names, prefixes),) = services["list_parameters"][1](SimpleNamespace(prefixes=["a"], depth=0))
     assert (names, prefixes) == (["a.b"], ["a"])
-
-
-@settings(max_examples=200, deadline=None)
-@given(st.binary(max_size=120), st.sampled_from([b"\1\x10", b"\1\x0f", b"\0\0"]), st.integers(0, 30))
-def test_no_request_ends_the_thread(data, vendor, which):
-    if not _PARAMETERS:
-        node = DdsParticipant(free_domain(), ["127.0.0.1"])
-        for name, (kind, serve) in ParameterServices({"a": 1}, lambda *what: "", []).services().items():
-            node.add_service(f"/{name}", kind, serve, lambda problem: None)
-        _PARAMETERS.append(node)
-    readers = [reader for reader in _PARAMETERS[0]._participant._readers.values() if reader.topic]
-    sample = Sample(b"\0\1\0\0" + data, WRITER, 1, vendor)
-    _PARAMETERS[0]._participant._call(readers[which % len(readers)], sample)
-
-
-_PARAMETERS: list[DdsParticipant] = []
 
 
 def decoded_cells(data):

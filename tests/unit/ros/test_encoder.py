@@ -75,11 +75,6 @@ def test_what_was_encoded_is_decoded(data):
     assert plain(encoder.decode(kind, encoder.encode(kind, *values))) == nested(values)
 
 
-def test_a_field_without_a_value_is_refused():
-    with pytest.raises(ValueError, match="zip"):
-        ENCODERS["ROS 2"].encode("std_msgs/Float64")
-
-
 @given(st.integers(0, 2**64 - 1), st.integers(-(2**63), 2**63 - 1), st.booleans())
 def test_requests_are_read_back(guid, sequence, value):
     data = ENCODERS["ROS 2"].encode("std_srvs/SetBool_Request", guid, sequence, value)

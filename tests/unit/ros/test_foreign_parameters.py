@@ -8,12 +8,9 @@ import pytest
 from gridslam.config.tables import value_of
 from gridslam.errors import ConfigurationError
 from gridslam.io.maps import write_map
-from gridslam.ros.node.foreign_parameters import flatten
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.ros_node import RosNode
 from gridslam.ros.ros2.arguments import find_foreign_files, parse_ros_arguments
-from gridslam.ros.ros2_rclpy.rclpy_transport import run_rclpy
-from support import fake_rclpy
 from support.localization_world import flat_map
 from support.ros_node import LocalTransport
 
@@ -119,17 +116,6 @@ def test_a_file_of_slam_toolbox_is_understood(slam_toolbox):
     assert "resolution" not in found.warning.replace("coarse_angle_resolution", "").replace("space_resolution", "")
 
 
-def test_loops_are_not_closed_where_slam_toolbox_would_not():
-    found = node_parameters({"do_loop_closing": False, "set": "particles=7"}, "default").configuration
-    assert (found.loop_closure, found.particles) == (None, 7)
-    assert node_parameters({"do_loop_closing": False}, "gmapping").warning == ""
-
-
-def test_of_two_names_the_node_s_own_holds():
-    found = node_parameters({"resolution": 0.1, "delta": 0.07, "max_laser_range": 9.0}, "default").configuration
-    assert (found.mapper.resolution_m, found.range_max_m) == (0.07, 9.0)
-
-
 @pytest.mark.parametrize(
     ("given", "says"),
     [
@@ -160,31 +146,6 @@ def test_a_file_of_nav2_places_the_robot(amcl):
     assert "scan_topic" not in found.warning
 
 
-def test_tables_are_the_same_as_dotted_names(amcl):
-    """A launch file of ROS 1 gives a table, ROS 2 dotted names."""
-    given = {"mode": "localization", "map_file": str(amcl.parent / "flat.yaml")}
-    for pose in ({"initial_pose": {"x": 1.5, "y": 2.5, "yaw": 0.5}}, {"initial_pose.x": 1.5, "initial_pose.y": 2.5}):
-        assert node_parameters({**given, **pose}).configuration.initial_pose[0][:2].tolist() == [1.5, 2.5]
-    assert flatten({"a": {"b": {"c": 1}, "qos_overrides": {"x": 2}}, "d": [1]}) == {"a.b.c": 1, "d": [1]}
-
-
-def test_dotted_names_pass_rclpy(monkeypatch, amcl):
-    given = {"mode": "localization", "map_file": str(amcl.parent / "flat.yaml"), "initial_pose.x": 1.5}
-    world = fake_rclpy.installed(monkeypatch, {**given, "qos_overrides./tf.publisher.depth": 5})
-    poses = []
-
-    def script():
-        poses.append(world.nodes[-1])
-        world.running = False
-
-    world.spun = script
-    started = []
-    monkeypatch.setattr(RosNode, "start", lambda self: started.append(self.core.configuration.initial_pose))
-    run_rclpy([])
-    assert started[0][0].tolist() == [1.5, 0.0, 0.0]
-    assert "qos_overrides" not in str(world.logged)
-
-
 def test_a_file_for_another_node_is_named_in_one_line(slam_toolbox, amcl, tmp_path):
     (tmp_path / "flat_parameters.yaml").write_text("resolution: 0.1\n")
     (tmp_path / "all.yaml").write_text("/**:\n  ros__parameters: {resolution: 0.1}\n")
@@ -197,13 +158,6 @@ def test_a_file_for_another_node_is_named_in_one_line(slam_toolbox, amcl, tmp_pa
     )
     assert "has parameters of /amcl, /map_server, none of /gridslam" in two
     assert "names no node" in three
-
-
-def test_it_is_named_by_the_node(monkeypatch, slam_toolbox):
-    world = fake_rclpy.installed(monkeypatch, {})
-    world.running = False
-    run_rclpy(["--ros-args", "--params-file", str(slam_toolbox)])
-    assert any("has parameters of /slam_toolbox, none of /gridslam" in text for _, text in world.logged)
 
 
 def test_the_scans_come_from_the_topic_that_is_given_and_it_may_begin_paused():

@@ -13,10 +13,10 @@ from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.io.bags.ros_messages import MessageError
 from gridslam.io.maps import read_map, write_map
 from gridslam.ros.node.grid_input import grid_of, make_occupancy_grid
-from gridslam.ros.node.messages import CloudMessage, GridMessage
+from gridslam.ros.node.messages import CloudMessage
 from gridslam.ros.node.outputs import EncodedOutputs, grid_values
 from gridslam.ros.node.parameters import NodeSettings, node_parameters
-from gridslam.ros.node.rendering import find_update, make_grid_message
+from gridslam.ros.node.rendering import make_grid_message
 from gridslam.ros.node.ros_node import RosNode
 from gridslam.ros.node.transport import ALL_TOPICS
 from gridslam.ros.ros2.arguments import parse_ros_arguments
@@ -216,24 +216,6 @@ def test_what_is_no_map_is_named(change, says):
     data = encoder.encode("nav_msgs/OccupancyGrid", *grid_values(encoder, "map", message))
     with pytest.raises(MessageError, match=says):
         grid_of(encoder.decode("nav_msgs/OccupancyGrid", data))
-
-
-def test_what_has_changed_of_a_map_is_a_rectangle():
-    cells = np.full((5, 7), -1, np.int8)
-    before = GridMessage(1, "map", 0.05, (0.0, 0.0), cells)
-    assert find_update(before, before) is None
-    after = cells.copy()
-    after[1, 2], after[3, 5] = 100, 0
-    update = find_update(before, before._replace(stamp_ns=2, cells=after))
-    assert (update.stamp_ns, update.x, update.y, update.cells.shape) == (2, 2, 1, (3, 4))
-    cells[update.y : update.y + 3, update.x : update.x + 4] = update.cells
-    np.testing.assert_array_equal(cells, after)
-    sent = {}
-    encoder = ENCODERS["ROS 2"]
-    EncodedOutputs(encoder, sent.__setitem__, lambda: 0, lambda level, text: None, "node").map_update(update)
-    decoded = encoder.decode(ALL_TOPICS["map_updates"], sent["map_updates"])
-    assert (decoded.x, decoded.y, decoded.width, decoded.height) == (2, 1, 4, 3)
-    assert decoded.data.tolist() == update.cells.ravel().tolist()
 
 
 FILE = """

@@ -7,7 +7,6 @@ import struct
 import numpy as np
 import pytest
 
-from gridslam.api.localization import localize
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
 from gridslam.geometry.se2 import between
 from gridslam.io.bags.encoder import MessageEncoder
@@ -73,15 +72,6 @@ def test_a_robot_that_is_placed_is_followed_and_told(map_file, log):
     assert len(outputs.clouds[-1].data()) == 56 * len(outputs.clouds[-1].poses)
     assert len(outputs.maps) == 1
     assert core.close() is None
-
-
-def test_the_record_is_localized_to_the_same_poses(map_file, log, tmp_path):
-    outputs = RecordedOutputs()
-    core = node(outputs, map_file, tmp_path / "scans.csv", **placed(log))
-    driven(core, outputs, log, 50)
-    core.close()
-    again = localize(tmp_path / "scans.csv", map_file, pose=log.truth.poses[0])
-    np.testing.assert_array_equal([told.pose for told in outputs.poses], again.trajectory.poses)
 
 
 def test_people_say_where_the_robot_is(map_file, log):

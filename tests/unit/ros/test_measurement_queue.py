@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from gridslam.io.bags.ros_messages import ScanMessage, StampedTransform
-from gridslam.ros.node.accepted_scan import AcceptedScan, find_refusal_reason
+from gridslam.ros.node.accepted_scan import AcceptedScan
 from gridslam.ros.node.live_transforms import LiveTransforms
 from gridslam.ros.node.measurement_queue import MeasurementQueue, SessionEnd
-from gridslam.ros.node.messages import Level
 from gridslam.ros.node.parameters import NodeSettings
 from gridslam.ros.node.throttled_warnings import ThrottledWarnings
 from gridslam.transforms import TransformBuffer
@@ -83,37 +82,6 @@ def test_a_scan_whose_odometry_does_not_come_is_refused_with_the_very_link():
     assert f"the link {ODOM} <- {BASE} is known only until" in setup.logs[0]
 
 
-def test_odometry_that_ended_is_named_but_not_the_end_of_a_drive():
-    setup = QueueSetup(transform_wait_s=0.5)
-    setup.odometry(0.0)
-    for k in range(30):
-        setup.scan(0.1 * k)
-        setup.now_s += 0.6
-        setup.taken()
-        assert bool(setup.logs) == (0.1 * k > 1.0), (k, setup.logs)
-    assert setup.queue.counts.refused == 29
-
-
-@pytest.mark.parametrize(("apart_s", "is_quiet"), [(0.034, True), (0.9, True), (1.2, False)])
-def test_scans_shortly_before_the_first_odometry_are_refused_without_a_warning(apart_s, is_quiet):
-    setup = QueueSetup()
-    setup.odometry(5.0)
-    setup.scan(5.0 - apart_s)
-    assert setup.taken() == []
-    assert setup.queue.counts.refused == 1
-    assert bool(setup.logs) != is_quiet
-
-
-def test_between_two_scans_a_missing_transform_is_no_start():
-    setup = QueueSetup()
-    setup.odometry(5.0)
-    setup.odometry(6.0)
-    setup.scan(5.5)
-    setup.scan(4.9)
-    assert setup.taken() == [5.5]
-    assert "0.1 s after" in setup.logs[0]
-
-
 def test_late_odometry_is_extrapolated_with_its_velocity():
     """10 Hz, on an arc of 1 m/s and 1 rad/s: the scan waits 30 ms for the next reading, then goes on on the arc."""
     setup = QueueSetup()
@@ -154,34 +122,6 @@ def test_odometry_is_not_extrapolated_far(readings, at_s, settings):
     assert setup.queue.counts.extrapolated == 0
 
 
-def test_a_problem_that_lasts_is_reported_less_and_less_often():
-    now, logs = [0.0], []
-    warn = ThrottledWarnings(lambda level, text: logs.append((now[0], text)), clock=lambda: now[0])
-    for k in range(6000):
-        now[0] = 0.1 * k
-        warn("late scans", f"/scan is stamped {0.1 * k:.2f} s before the latest odometry")
-    times = [round(when) for when, _ in logs]
-    assert times[:7] == [0, 1, 3, 7, 15, 31, 63]
-    assert 13 <= len(times) <= 17  # then once a minute
-    assert "(and 9 more before)" in logs[1][1]
-    now[0] += 1.0
-    warn("late scans", "another topic is stamped 1 s before the latest odometry")
-    assert "another topic" in logs[-1][1]
-    now[0] += 11.0
-    warn("late scans", "/scan is stamped 3 s before the latest odometry")
-    assert logs[-1][0] == now[0]
-    assert warn.counts["late scans"] == 6002
-
-
-def test_a_scan_from_before_the_first_odometry_is_refused_at_once():
-    setup = QueueSetup()
-    setup.odometry(3.0)
-    setup.scan(0.5)
-    setup.scan(3.0)
-    assert setup.taken() == [3.0]
-    assert "is known only from" in setup.logs[0]
-
-
 def test_what_is_wrong_is_said_once_a_second_with_its_count():
     setup = QueueSetup()
     setup.odometry(0.0)
@@ -219,26 +159,6 @@ def test_the_newest_scans_win_and_the_others_are_counted():
     assert setup.queue.counts.dropped == 6
 
 
-def test_what_is_too_old_when_a_newer_one_comes_is_dropped():
-    setup = QueueSetup(queue_s=0.25)
-    setup.odometry(0.0)
-    setup.odometry(10.0)
-    for k in range(10):
-        setup.scan(0.1 * k)
-        setup.now_s += 0.1
-    assert setup.taken() == pytest.approx([0.7, 0.8, 0.9])
-
-
-def test_every_third_scan_is_taken_where_that_is_asked_for():
-    setup = QueueSetup(throttle_scans=3)
-    setup.odometry(0.0)
-    setup.odometry(10.0)
-    for k in range(7):
-        setup.scan(float(k))
-    assert setup.taken() == [0, 3, 6]
-    assert setup.queue.counts.throttled == 4
-
-
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -265,11 +185,6 @@ def test_a_wrong_scan_is_refused_by_name_and_the_next_one_is_taken(change, says)
     assert setup.taken() == [2.0]
     assert says in setup.logs[0]
     assert setup.queue.counts.refused == 1
-
-
-def test_a_good_scan_is_not_refused():
-    message = ScanMessage(1, LASER, -math.pi, math.tau / 720, 0.0, 0.1, 30.0, np.ones(720, np.float32))
-    assert find_refusal_reason(message, 10, 100_000) == ""
 
 
 @pytest.mark.parametrize("pose", [(math.nan,) * 7, (0.0,) * 7, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3.0)])
@@ -299,26 +214,6 @@ def test_a_log_that_is_played_twice_begins_a_new_session(back_s):
     assert setup.taken() == pytest.approx([100.1 - back_s + 0.1 * k for k in range(4)])
     assert "stamp jumped back" in setup.logs[0]
     assert setup.queue.counts.jumps == 1
-
-
-@pytest.mark.parametrize("patience", [True, False])
-def test_a_log_that_is_played_twice_begins_a_new_session_though_its_transforms_come_late(patience):
-    """The jump is not forgotten with the scan that was refused for want of its transform."""
-    setup = QueueSetup(transform_wait_s=1.0)
-    run_of(setup, 100.0, 7.0)
-    assert len(setup.taken()) == 5
-    for k in range(3):
-        setup.scan(40.0 + 0.1 * k)
-    assert setup.taken() == []
-    if not patience:
-        setup.now_s += 2.0
-        assert setup.taken() == []
-        assert len(setup.queue._scans) == 0
-    run_of(setup, 40.3, 0.0)
-    setup.now_s += 2.0
-    with setup.queue._changed:
-        assert setup.queue._next_measurement()[0] is SessionEnd.JUMP
-    assert setup.taken() == pytest.approx([40.4, 40.5, 40.6, 40.7])
 
 
 def test_a_clock_that_was_set_back_is_no_new_session():
@@ -352,10 +247,6 @@ def test_take_waits_in_one_thread_for_what_another_brings():
     assert setup.queue.take() is SessionEnd.CLOSED
 
 
-def test_levels_are_those_of_diagnostic_messages():
-    assert [level.value for level in (Level.OK, Level.WARN, Level.ERROR)] == [0, 1, 2]
-
-
 def test_odometry_that_jumps_is_named():
     """The base's driver was started again: the scan is taken, and the filter goes by the scans."""
     setup = QueueSetup()
@@ -380,25 +271,6 @@ def test_two_publishers_of_one_transform_are_named():
     ]
 
 
-def test_two_parents_of_one_frame_are_named():
-    setup = QueueSetup()
-    setup.queue.add_transforms([link(0.0, "odom_combined")], publisher="/ekf")
-    setup.queue.add_transforms([link(0.01, ODOM)], publisher="/wheels")
-    setup.queue.add_transforms([link(0.0, "base_footprint")], static=True, publisher="/urdf")
-    assert "base_link is published twice (in odom by /wheels and in odom_combined by /ekf)" in setup.logs[0]
-    assert setup.warn.counts["two transforms"] == 3
-
-
-def test_a_publisher_that_took_over_or_says_the_same_forever_is_none_of_two():
-    setup = QueueSetup()
-    setup.queue.add_transforms([link(0.0, ODOM)], publisher="/base_1")
-    setup.queue.add_transforms([link(5.0, ODOM)], publisher="/base_2")
-    for at_s in (0.0, 1.0):  # a fixed joint, latched by one and repeated by another
-        setup.queue.add_transforms([link(at_s, BASE, "imu")], static=True, publisher="/urdf")
-        setup.queue.add_transforms([link(at_s, BASE, "imu")], publisher="/repeater")
-    assert setup.logs == []
-
-
 def test_a_scan_that_comes_twice_is_taken_once():
     setup = QueueSetup()
     setup.odometry(0.0)
@@ -409,27 +281,6 @@ def test_a_scan_that_comes_twice_is_taken_once():
     setup.scan(0.2, frame="rear")  # two lasers may share a topic
     assert setup.taken() == [0.1, 0.2, 0.2]
     assert "scan refused: /scan: duplicate stamp" in setup.logs[0]
-
-
-def test_scans_of_a_slow_clock_are_named():
-    """The transforms of a while ago are known, so that all seems well; but where the robot turns walls are doubled."""
-    setup = QueueSetup()
-    for k in range(50):
-        setup.odometry(0.1 * k)
-        setup.scan(0.1 * k - (0.9 if k == 30 else 0.4))  # late, but only one much
-    assert setup.logs == []
-    for k in range(50, 61):
-        setup.odometry(0.1 * k)
-        setup.scan(0.1 * k - 0.9)
-    assert setup.logs[0].startswith("late scans: /scan is stamped 0.90 s before the latest odometry")
-
-
-def test_a_lidar_that_sees_nothing_is_named():
-    setup = QueueSetup()
-    setup.odometry(0.0)
-    setup.scan(0.0, ranges=np.full(20, np.nan, np.float32))
-    assert setup.taken() == [0.0]
-    assert setup.logs == ["no returns: /scan: none of 20 beams hits anything in range"]
 
 
 def test_made_up_frames_do_not_fill_the_memory():

@@ -2,14 +2,8 @@
 
 from __future__ import annotations
 
-import errno
-import os
-import subprocess
-import sys
 import threading
 import time
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,15 +13,13 @@ from gridslam.config import Configuration, preset
 from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.geometry.se2 import compose
 from gridslam.io.maps import read_map
-from gridslam.io.measurement import Measurement
 from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.ros import NodeCore, NodeSettings
 from gridslam.ros.node import rendering
 from gridslam.ros.node.messages import GridMessage, Level
 from gridslam.ros.node.rendering import make_grid_message, map_cells
-from gridslam.ros.node.ros_node import save_results
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
-from support.ros_node import BASE, ODOM, RecordedOutputs, mounting, odometry_message, play, scan_message, until
+from support.ros_node import ODOM, RecordedOutputs, mounting, odometry_message, play, scan_message, until
 
 SHIFT_NS = 1_700_000_000 * 10**9
 FEW = Configuration(particles=4)
@@ -65,46 +57,6 @@ def test_the_record_of_a_live_run_is_mapped_to_the_same_bytes(drive, tmp_path):
     assert all(level is Level.OK for level, _ in outputs.logs), outputs.logs
 
 
-def test_where_the_record_cannot_go_on_the_map_does(drive, tmp_path):
-    outputs = RecordedOutputs()
-    core = node(outputs, record=tmp_path / "scans.csv")
-    drive_all(core, outputs, drive[:10])
-    core._recorder.close()
-    core._recorder._file = Path("/dev/full").open("wb", buffering=0)  # noqa: SIM115 - the recorder closes it
-    drive_all(core, outputs, drive[10:60])
-    assert outputs.warnings().count("No space left on device") == 1
-    assert core.save(tmp_path / "out")["scans"]["read"] == 60
-    taken = core.close()
-    assert (taken.log.scan_count, taken.record) == (60, None)
-
-
-def test_a_disk_that_is_full_is_named_by_who_saves(drive, tmp_path, monkeypatch):
-    def full(result, folder):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("gridslam.ros.node.mapping_session.MapResult.save", full)
-    outputs = RecordedOutputs()
-    core = node(outputs)
-    drive_all(core, outputs, drive[:10])
-    assert save_results(core, tmp_path / "out") == (
-        False,
-        f"{tmp_path / 'out'}: cannot be written: No space left on device",
-    )
-    drive_all(core, outputs, drive[10:20])
-    core.close()
-
-
-def test_ranges_in_another_unit_are_a_warning():
-    rng = np.random.default_rng(1)
-    log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=60), rng)
-    feet = [replace(m.scan, ranges=m.scan.ranges / 0.3048, range_max_m=80.0) for m in log.measurements[:310]]
-    outputs = RecordedOutputs()
-    core = node(outputs)
-    drive_all(core, outputs, [Measurement(m.odometry, scan) for m, scan in zip(log.measurements, feet, strict=False)])
-    core.close()
-    assert outputs.warnings().count("range_units: The ranges are in feet") == 1
-
-
 def test_what_it_says_of_a_drive(drive):
     outputs = RecordedOutputs()
     core = node(outputs, transform_publish_period_s=0.01, tf_delay_s=0.3)
@@ -137,27 +89,6 @@ def test_the_published_map_is_the_one_that_is_written(drive, tmp_path):
     written = read_map(tmp_path / "out" / "map.yaml")
     np.testing.assert_array_equal(map_cells(written, "trinary"), outputs.maps[-1].cells)
     np.testing.assert_allclose(outputs.maps[-1].origin, written.origin)
-    core.close()
-
-
-def test_probabilities_are_told_in_per_cent(drive):
-    outputs = RecordedOutputs()
-    core = node(outputs, map_values="probability")
-    drive_all(core, outputs, drive[:30])
-    assert until(lambda: bool(outputs.maps))
-    cells = np.unique(outputs.maps[-1].cells)
-    assert cells[0] == -1
-    assert cells[-1] > 90
-    assert len(cells) > 4
-    core.close()
-
-
-def test_with_an_interval_of_0_a_map_comes_after_each_scan(drive):
-    outputs = RecordedOutputs()
-    core = node(outputs, map_update_interval_s=0.0)
-    for k, one in enumerate(drive[:10]):
-        drive_all(core, outputs, [one])
-        assert until(lambda k=k: len(outputs.maps) == k + 1 and core._renderer.is_idle)
     core.close()
 
 
@@ -216,37 +147,6 @@ def test_updates_change_the_last_whole_map_to_the_present_one(drive):
     assert not np.array_equal(map_.cells, latest.cells)
 
 
-def test_frames_with_a_slash_are_those_without(drive):
-    """As in launch files and bags from before tf2, whose listeners refuse them."""
-    outputs = RecordedOutputs()
-    core = node(outputs, base_frame="/base_link", odom_frame="/odom", map_frame="/map")
-    drive_all(core, outputs, drive[:3])
-    assert until(lambda: bool(outputs.maps))
-    assert (outputs.transforms[-1].parent, outputs.transforms[-1].child) == ("map", "odom")
-    assert {outputs.maps[-1].frame, outputs.poses[-1].frame, outputs.clouds[-1].frame} == {"map"}
-    core.on_transforms([outputs.transforms[0]._replace(stamp_ns=1)])
-    assert "transform of another node" in outputs.warnings()
-    core.close()
-
-
-def test_what_it_is_at_is_logged_when_it_changes(drive, monkeypatch):
-    """A lidar that falls silent, too: the last thing that its log says would else be that it maps."""
-    monkeypatch.setattr("gridslam.ros.node.core._DIAGNOSTICS_S", 0.02)
-    monkeypatch.setattr("gridslam.ros.node.state_publisher._SILENT_S", 0.3)
-    outputs = RecordedOutputs()
-    core = node(outputs)
-    assert core.diagnostics().summary == "waiting for a scan"
-    drive_all(core, outputs, drive[:3])
-    assert until(lambda: (Level.OK, "mapping") in outputs.logs)
-    assert until(lambda: (Level.WARN, "no scan accepted for 0.3 s") in outputs.logs)
-    drive_all(core, outputs, drive[3:5])
-    assert until(lambda: outputs.logs[-1] == (Level.OK, "mapping"))
-    core.pause(True)
-    assert until(lambda: outputs.logs[-1] == (Level.OK, "paused"))
-    core.close()
-    assert len(outputs.logs) == 4
-
-
 def test_a_slow_subscriber_of_the_map_does_not_hold_the_filter_up(drive):
     outputs = RecordedOutputs()
     outputs.hold = threading.Event()
@@ -255,49 +155,6 @@ def test_a_slow_subscriber_of_the_map_does_not_hold_the_filter_up(drive):
     assert len(outputs.maps) == 1
     outputs.hold.set()
     core.close()
-
-
-def test_saving_does_not_change_what_comes_after(drive, tmp_path):
-    ends = []
-    for save in (False, True):
-        outputs = RecordedOutputs()
-        core = node(outputs)
-        drive_all(core, outputs, drive[:60])
-        if save:
-            assert core.save(tmp_path / "half")["scans"]["read"] == 60
-        drive_all(core, outputs, drive[60:])
-        ends.append(np.array([pose.pose for pose in outputs.poses]))
-        core.close()
-    assert ends[0].tobytes() == ends[1].tobytes()
-
-
-DRIVE = """
-import sys
-import numpy as np
-from support.ros_node import RecordedOutputs, mounting, play, until
-from gridslam.config import Configuration
-from gridslam.ros import NodeCore, NodeSettings
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
-rng = np.random.default_rng(1)
-log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=90), rng)
-drive, outputs = list(log.measurements)[:250], RecordedOutputs()
-core = NodeCore(NodeSettings(map_update_interval_s=0.2), Configuration(particles=2), outputs)
-core.on_transforms([mounting()], static=True)
-core.start()
-before = set(sys.modules)
-play(core, outputs, drive, shift_ns=10**18)
-assert until(lambda: len(outputs.poses) == len(drive)), outputs.warnings()
-print(*sorted(sys.modules.keys() - before))
-core.close()
-"""
-
-
-def test_nothing_is_imported_while_it_maps():
-    """SciPy alone holds the filter up for a third of a second."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run([sys.executable, "-c", DRIVE], env=environment, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == []
 
 
 def test_reset_begins_anew(drive, tmp_path):
@@ -326,20 +183,6 @@ def test_a_log_that_is_played_twice_gives_the_same_map_twice(drive):
     assert core.diagnostics().values["session"] == "2"
     assert "time jumped back" in outputs.warnings()
     np.testing.assert_array_equal(outputs.poses[len(drive)].pose, np.zeros(3))
-    core.close()
-
-
-def test_while_it_is_paused_scans_are_left_out(drive):
-    outputs = RecordedOutputs()
-    core = node(outputs)
-    drive_all(core, outputs, drive[:20])
-    core.pause(True)
-    for one in drive[20:30]:
-        core.on_scan(scan_message(one, SHIFT_NS), "/scan")
-    core.pause(False)
-    drive_all(core, outputs, drive[30:60])
-    assert core.diagnostics().values["paused"] == "10"
-    assert len(outputs.poses) == 50
     core.close()
 
 
@@ -373,25 +216,6 @@ def test_it_lives_on_after_whatever_is_wrong(drive):
     assert core.diagnostics().values["refused"] == "4"
     core.close()
     assert core.failure is None
-
-
-def test_a_clock_that_differs_is_named(drive):
-    outputs = RecordedOutputs()
-    core = node(outputs)
-    core.on_transforms([odometry_message(drive[0], SHIFT_NS)])
-    core.on_scan(scan_message(drive[0], SHIFT_NS), "/scan")  # the node's clock stands at 0
-    assert until(lambda: "clock differs" in outputs.warnings())
-    assert "1700000000.0 s after the node's clock" in outputs.warnings()
-    core.close()
-
-
-def test_without_odometry_the_base_is_told_in_the_map(drive):
-    outputs = RecordedOutputs()
-    core = node(outputs, odometry="none")
-    drive_all(core, outputs, drive[:30])
-    assert outputs.transforms[-1].child == BASE
-    np.testing.assert_allclose(outputs.transforms[-1].pose[:2], outputs.poses[-1].pose[:2])
-    core.close()
 
 
 def test_a_filter_that_needs_odometry_is_not_run_without():

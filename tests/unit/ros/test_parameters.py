@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from gridslam.config import preset
 from gridslam.config.tables import value_of
 from gridslam.errors import ConfigurationError
 from gridslam.ros.node.parameters import (
@@ -36,16 +35,6 @@ def test_every_parameter_does_something_or_says_why_not():
     others = {"preset", "config", "set", "record", "out", "mode", "map_file", "scan_topic", "paused_new_measurements"}
     others |= {"first_map_only", "tf_broadcast", "map_topic", "lifecycle", "use_map_topic", "save_pose_rate"}
     assert {*_NODE, *others, *SESSION_DEFAULTS} >= set(NODE_DEFAULTS)
-
-
-def test_the_defaults_are_those_of_the_preset_gmapping():
-    parameters = node_parameters({})
-    assert parameters.configuration == preset("gmapping")
-    assert parameters.warning == ""
-    settings = parameters.settings
-    assert (settings.base_frame, settings.odom_frame, settings.map_frame) == ("base_link", "odom", "map")
-    assert (settings.map_update_interval_s, settings.transform_publish_period_s, settings.tf_delay_s) == (5, 0.05, 0.05)
-    assert settings.throttle_scans == 1
 
 
 @pytest.mark.parametrize(
@@ -106,11 +95,6 @@ def test_what_a_parameter_of_the_node_comes_to(given, field, value):
     assert getattr(node_parameters(given).settings, field) == value
 
 
-def test_another_preset_keeps_what_is_not_given():
-    assert node_parameters({"preset": "default"}).configuration == preset("default")
-    assert node_parameters({}, "accurate").configuration == preset("accurate")
-
-
 def test_all_that_is_ignored_is_named_in_one_sentence():
     given = {"xmin": -50.0, "ymax": 50.0, "occ_thresh": 0.3, "srr": 0.1, "particels": 5, "delta": 0.1}
     warning = node_parameters(given, "default").warning
@@ -141,11 +125,3 @@ def test_all_that_is_ignored_is_named_in_one_sentence():
 def test_wrong_values_are_named(given, says):
     with pytest.raises(ConfigurationError, match=says):
         node_parameters(given)
-
-
-def test_what_roscpp_takes_is_taken():
-    """Launch files say particles 30.0, and 0 where each scan is to be mapped."""
-    config = node_parameters({"particles": 40.0, "linearUpdate": 0, "resampleThreshold": 0.0}).configuration
-    assert config.particles == 40
-    assert 0 < config.when_to_update.translation_m < 1e-6
-    assert 0 < config.when_to_resample.fraction < 1e-6

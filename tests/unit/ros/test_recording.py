@@ -81,27 +81,6 @@ def plain(stamp_ns: int):
     return MeasurementBuilder().build(message, "scan", np.eye(4), Odometry.at(stamp_ns, (1.0, 2.0, 0.5)), 0.0)
 
 
-def test_a_signed_zero_of_an_angle_is_read_back_as_it_was_mapped(tmp_path):
-    """Scans from 0.0 and from -0.0 rad share a geometry; the record has that one."""
-    builder = MeasurementBuilder()
-    scans = [
-        builder.build(
-            ScanMessage(k, "laser", start, -0.1, 0.0, 0.02, 8.0, np.linspace(1, 7, 20, dtype=np.float32)),
-            "scan",
-            np.eye(4),
-            None,
-            0.0,
-        )
-        for k, start in ((1, 0.0), (2, -0.0))
-    ]
-    recorder = ScanRecorder(tmp_path / "scans.csv")
-    for scan in scans:
-        recorder.add(scan)
-    recorder.close()
-    for (_, scan), given_scan in zip(CsvLog(tmp_path / "scans.csv"), scans, strict=True):
-        assert scan.geometry.bearings.tobytes() == given_scan.measurement.scan.geometry.bearings.tobytes()
-
-
 def test_a_row_is_in_the_file_as_soon_as_it_is_written(tmp_path):
     """So a node that is killed has lost no scan that its filter was given."""
     recorder = ScanRecorder(tmp_path / "scans.csv")

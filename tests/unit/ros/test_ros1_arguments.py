@@ -8,10 +8,6 @@ from gridslam.errors import ConfigurationError
 from gridslam.ros.ros1.ros1 import check_ros1_arguments
 
 
-def test_arguments_of_ros_are_let_through():
-    check_ros1_arguments(["scan:=base_scan", "_particles:=80", "__name:=mapper", "__log:=a.log", "map:=/robot1/map"])
-
-
 @pytest.mark.parametrize(
     ("argument", "says"),
     [

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
+
 import pytest
 
 from gridslam.errors import ConfigurationError, InputError
-from gridslam.ros.ros2.arguments import RosArguments, parse_ros_arguments
+from gridslam.ros.ros2.arguments import parse_ros_arguments
+from gridslam.ros.ros2_rclpy.rclpy_transport import run_rclpy
 
 
 def test_parameters_remappings_and_names():
@@ -37,18 +40,6 @@ def test_parameters_remappings_and_names():
     assert found.resolve("/tf") == "/tf_robot"
     assert found.resolve("/tf_static") == "/tf_static"
     assert found.resolve("~/pose") == "/robot1/mapper/pose"
-
-
-def test_a_name_is_remapped_however_it_is_written():
-    found = parse_ros_arguments(["-r", "tf:=/tf_robot", "-r", "/map:=plan", "-r", "~/pose:=where"])
-    assert [found.resolve(name) for name in ("/tf", "map", "~/pose")] == ["/tf_robot", "/plan", "/where"]
-    found = parse_ros_arguments(["-r", "__ns:=robot1", "-r", "/tf:=tf", "-r", "/robot1/scan:=front"])
-    assert [found.resolve(name) for name in ("/tf", "scan")] == ["/robot1/tf", "/robot1/front"]
-
-
-def test_without_arguments():
-    assert parse_ros_arguments([]) == RosArguments({}, {}, "gridslam", "/")
-    assert RosArguments().resolve("map") == "/map"
 
 
 @pytest.mark.parametrize(
@@ -113,11 +104,6 @@ def test_a_file_of_parameters_tells_them_by_the_node_s_name(tmp_path, names, par
     assert parse_ros_arguments(["-p", "seed:=7", *arguments]).parameters["seed"] == 3
 
 
-def test_what_is_said_of_another_node_is_left_out():
-    found = parse_ros_arguments(["-p", "gridslam:seed:=1", "-p", "amcl:seed:=2", "-r", "amcl:scan:=other"])
-    assert (found.parameters, found.remaps) == ({"seed": 1}, {})
-
-
 def test_what_only_a_ros_understands_is_ignored_and_told():
     found = parse_ros_arguments(["--ros-args", "--log-level", "debug", "--disable-rosout-logs", "-p", "seed:=1"])
     assert found.ignored == ("--log-level debug", "--disable-rosout-logs")
@@ -137,3 +123,9 @@ def test_a_file_that_is_none_of_parameters_is_named(tmp_path, text):
 def test_other_arguments_are_refused(arguments):
     with pytest.raises(ConfigurationError, match="expected"):
         parse_ros_arguments(arguments)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("rclpy") is not None, reason="ROS 2 is here")
+def test_without_ros_the_other_way_is_named():
+    with pytest.raises(ConfigurationError, match=r"ROS 2 is not available .*--transport dds"):
+        run_rclpy()

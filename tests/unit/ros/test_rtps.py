@@ -100,20 +100,6 @@ def test_a_late_reader_gets_the_last_latched_sample_and_nothing_that_is_not(pair
     assert [list(map(number_of, one)) for one in (maps, others, volatile_maps)] == [[2, 4], [3], [4]]
 
 
-@pytest.mark.parametrize(("vendor", "base"), [(b"\1\x0f", 0), (b"\1\x10", 1), (b"\1\1", 1), (b"", 1)])
-def test_a_new_writer_is_asked_for_its_samples_as_its_vendor_expects(vendor, base):
-    """Fast DDS answers at once only where nothing is acknowledged, from 0 on, which no other needs to accept."""
-    sent = []
-    reader = Reader(
-        b"r" * 16, "rt/a", KIND, Qos(latched=True), lambda parts, *to: sent.extend(parts), lambda sample: None
-    )
-    reader.match(RemoteEndpoint(b"w" * 16, "rt/a", KIND, Qos(latched=True), ("127.0.0.1", 1), vendor=vendor))
-    (submessage,) = wire.parse_message(wire.encode_message(b"p" * 12, sent))
-    assert submessage.kind == wire.ACKNACK
-    assert not submessage.flags & 2  # an answer is expected
-    assert wire.parse_set(submessage.body, 8, submessage.order)[:2] == (base, [])
-
-
 def test_what_does_not_fit_is_named(pair):
     sender, receiver, mismatches = pair
     sender.add_writer("rt/a", KIND, Qos(reliable=False))
@@ -139,37 +125,6 @@ def test_what_does_not_fit_is_named(pair):
 )
 def test_a_writer_must_offer_what_a_reader_asks_for(offered, requested, policy):
     assert find_mismatch(offered, requested) == policy
-
-
-def test_a_handler_that_raises_is_named_and_the_next_sample_comes(pair):
-    sender, receiver, mismatches = pair
-    got = []
-
-    def handle(sample):
-        got.append(number_of(sample))
-        if len(got) == 1:
-            raise RuntimeError("odd bytes")
-
-    receiver.add_reader("rt/a", KIND, Qos(), handle)
-    writer = sender.add_writer("rt/a", KIND, Qos())
-    assert until(lambda: bool(writer.readers))
-    for number in range(2):
-        sender.write(writer, payload(number))
-    assert until(lambda: got == [0, 1])
-    assert mismatches == [("message", "rt/a", "a sample is left out: RuntimeError: odd bytes")]
-
-
-def test_one_that_goes_is_forgotten_at_once():
-    domain = free_domain()
-    stays, goes = Participant(domain, LOCAL), Participant(domain, LOCAL)
-    stays.start()
-    goes.start()
-    writer = stays.add_writer("rt/a", KIND, Qos())
-    goes.add_reader("rt/a", KIND, Qos(), lambda sample: None)
-    assert until(lambda: bool(writer.readers))
-    goes.close()
-    assert until(lambda: not writer.readers, 3.0)
-    stays.close()
 
 
 def test_one_that_was_lost_for_a_while_is_found_again_and_lost_samples_are_repeated(pair, monkeypatch):
@@ -208,34 +163,6 @@ def test_interfaces_are_looked_up():
         find_addresses(["nonsense0"])
     with pytest.raises(ConfigurationError, match="ROS_DOMAIN_ID: expected a number from 0 to 232"):
         Sockets(233)
-
-
-@given(st.integers(1, 2**40), st.sets(st.integers(0, 255), max_size=40))
-def test_sets_of_numbers_are_read_back(base, offsets):
-    missing = sorted(base + offset for offset in offsets)
-    message = wire.encode_message(bytes(12), [wire.encode_acknack(b"aaaa", b"bbbb", base, missing, 7, final=True)])
-    (submessage,) = wire.parse_message(message)
-    assert wire.parse_set(submessage.body, 8, "<")[:2] == (base, missing)
-    assert submessage.flags & 2
-
-
-@given(st.binary(max_size=300), st.integers(1, 2**40), st.binary(min_size=24, max_size=24))
-def test_data_is_read_back_with_its_inline_parameters(data, sequence, identity):
-    inline = wire.encode_parameters([(0x83, identity)])
-    message = wire.encode_message(b"p" * 12, [wire.encode_data(b"aaaa", b"bbbb", sequence, data, inline)], b"d" * 12)
-    (submessage,) = wire.parse_message(message)
-    found = wire.parse_data(submessage)
-    assert (submessage.prefix, submessage.destination) == (b"p" * 12, b"d" * 12)
-    assert (found.writer, found.sequence, found.parameters) == (b"bbbb", sequence, {0x83: [identity]})
-    assert found.payload.startswith(data)
-    assert len(found.payload) - len(data) < 4
-
-
-def test_big_endian_submessages_are_read():
-    body = struct.pack(">HH", 0, 16) + b"aaaabbbb" + struct.pack(">iI", 1, 5) + b"\0\0\0\0\0\0\0\7"
-    message = b"RTPS\2\1\1\x0f" + b"p" * 12 + struct.pack(">BBH", wire.DATA, 4, len(body)) + body
-    (submessage,) = wire.parse_message(message)
-    assert (wire.parse_data(submessage).sequence, submessage.vendor) == (1 << 32 | 5, b"\1\x0f")
 
 
 @settings(max_examples=300, deadline=None)

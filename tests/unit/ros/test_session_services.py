@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between
-from gridslam.io.maps import read_map
 from gridslam.io.sessions.session_file import read_session
 from gridslam.ros.node.session_services import MatchType
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
-from support.node_faults import RunningNode, is_prepared
+from support.node_faults import RunningNode
 from support.ros_node import until
 
 
@@ -72,27 +71,6 @@ def test_a_session_is_saved_and_loaded_while_the_node_runs(drive, tmp_path):
     assert len(before.run.trajectory.keys) == 90
 
 
-def test_the_services_of_std_srvs_do_it_by_a_parameter(drive, tmp_path):
-    node = RunningNode(out=str(tmp_path / "out"), save_as=str(tmp_path / "hall"))
-    succeeded, message = call(node, "~/serialize_map", None)
-    assert not succeeded
-    assert "at least one scan" in message
-    node.play(drive[:40])
-    ask(node, "~/serialize_map")
-    ask(node, "~/save_map")
-    assert read_map(tmp_path / "hall.yaml").known.any()
-    assert node.node._change_parameter("save_as", str(tmp_path / "nothing")) == ""
-    succeeded, message = call(node, "~/deserialize_map", None)
-    assert not succeeded
-    assert "nothing.gridslam: no such file" in message
-    assert "expected the name of a file" in node.node._change_parameter("save_as", 3)
-    assert node.node._change_parameter("save_as", "") == ""
-    ask(node, "~/serialize_map")
-    assert len(read_session(tmp_path / "out" / "session.gridslam").run.trajectory.keys) == 40
-    node.stop()
-    assert node.error is None
-
-
 def test_the_robot_is_localized_in_the_map_so_far_and_mapping_goes_on(log, drive, tmp_path):
     node = RunningNode(out=str(tmp_path / "out"), save=str(tmp_path / "s.gridslam"))
     core = node.node.core
@@ -125,26 +103,6 @@ def test_the_robot_is_localized_in_the_map_so_far_and_mapping_goes_on(log, drive
     stamps = saved.run.trajectory.online_trajectory().stamps_ns
     assert len(stamps) < len(drive) - (later - half) + 3  # what was driven while localizing is not mapped
     assert saved.pieces == ()
-
-
-def test_a_node_that_ends_while_it_localizes_saves_what_it_has_mapped(drive, tmp_path):
-    node = RunningNode(out=str(tmp_path / "out"), save=str(tmp_path / "s.gridslam"))
-    node.play(drive[:60])
-    ask(node, "~/localize", True)
-    node.play(drive[60:70], lost=1)
-    node.stop()
-    assert node.error is None
-    assert len(read_session(tmp_path / "s.gridslam").run.trajectory.keys) == 60
-    assert (tmp_path / "out" / "map.pgm").exists()
-
-
-def test_a_node_without_a_map_cannot_localize(tmp_path):
-    node = RunningNode()
-    succeeded, message = call(node, "~/localize", True)
-    assert not succeeded
-    assert "at least one scan" in message
-    assert ask(node, "~/localize", False) == "mapping"
-    node.stop()
 
 
 def requests(**fields):
@@ -189,18 +147,3 @@ def test_requests_of_slam_toolbox_are_served_by_their_fields(log, drive, tmp_pat
     assert node.node.core.is_paused
     node.stop()
     assert node.error is None
-
-
-def test_a_session_is_loaded_at_its_first_node(drive, tmp_path):
-    """As a robot that is started at the same place every day: the same way again, with other stamps and odometry."""
-    first = RunningNode(save=str(tmp_path / "day.gridslam"))
-    first.play(drive[: len(drive) // 2])
-    first.stop()
-    node = RunningNode(save=str(tmp_path / "two.gridslam"))
-    node.node._services.deserialize(str(tmp_path / "day"), MatchType.START_AT_FIRST_NODE)
-    node.play(drive[:5], shift_s=86400.0)
-    assert until(lambda: is_prepared(node.node.core), 60.0)
-    node.play(drive[5 : len(drive) // 2], shift_s=86400.0)
-    log = node.stop()
-    assert "found again in the map of 2023-11-14" in log
-    assert read_session(tmp_path / "two.gridslam").pieces == ()

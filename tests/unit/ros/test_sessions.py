@@ -6,12 +6,8 @@ import json
 
 import pytest
 
-from gridslam.errors import OutputError
 from gridslam.io.csv import CsvLog
-from gridslam.ros.node.parameters import node_parameters
-from gridslam.ros.node.ros_node import RosNode
 from support.node_faults import RunningNode, make_drive, run_fault
-from support.ros_node import LocalTransport
 
 
 @pytest.fixture(scope="module")
@@ -45,27 +41,6 @@ def test_the_map_of_a_bag_that_is_played_twice_is_saved_before_the_second_one(dr
     assert [path.name for path in (tmp_path / "out-1").iterdir()] == ["mine.txt"]
     counts = {path.name: len(list(CsvLog(path))) for path in tmp_path.glob("*.csv")}
     assert counts == dict(zip(("scans.csv", "scans-2.csv", "scans-3.csv"), saved, strict=True))
-
-
-def test_where_a_later_record_cannot_be_created_the_map_goes_on(drive, tmp_path, monkeypatch):
-    node = RunningNode(out=str(tmp_path / "out"), record=str(tmp_path / "scans.csv"))
-    node.play(drive[:30])
-
-    def full(path):
-        raise OutputError("No space left on device")
-
-    monkeypatch.setattr("gridslam.ros.node.core.ScanRecorder", full)
-    node.play(drive[:20])
-    warnings = node.stop()
-    assert node.error is None
-    assert "record: No space left on device" in warnings
-    assert [scans_of(tmp_path / out) for out in ("out-1", "out")] == [30, 19]
-
-
-def test_a_folder_in_the_way_of_the_map_is_found_at_the_start(tmp_path):
-    (tmp_path / "out" / "map.yaml").mkdir(parents=True)
-    with pytest.raises(OutputError, match="got a folder"):
-        RosNode(LocalTransport(), node_parameters({"out": str(tmp_path / "out")}, "default"))
 
 
 @pytest.mark.parametrize("name", ["proposal", "loop closure", "transport: map", "final refinement", "clock set back"])

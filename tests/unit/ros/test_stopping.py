@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import re
 import signal
 import subprocess
 import sys
-import threading
 
 import pytest
 
 from gridslam.io.maps import write_map
-from gridslam.ros.node.messages import Level
-from gridslam.ros.ros2.arguments import RosArguments
-from gridslam.ros.ros2_dds.dds_transport import DdsTransport
 from support.dds_peer import Node, free_domain
 from support.localization_world import flat_map
 
@@ -75,26 +70,3 @@ def test_a_signal_while_the_map_is_read_ends_the_node_as_later(tmp_path, number)
         assert run.returncode == 0
     finally:
         run.kill()
-
-
-def test_lines_of_several_threads_are_written_in_one_piece_each(monkeypatch):
-    written = []
-
-    class Stream:
-        def write(self, text):
-            written.append(text)
-
-        def flush(self):
-            pass
-
-    transport = DdsTransport(RosArguments(), domain=free_domain(), interfaces=["127.0.0.1"])
-    monkeypatch.setattr(sys, "stderr", Stream())
-    threads = [threading.Thread(target=transport.outputs.log, args=(Level.WARN, f"line {k}")) for k in range(20)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    monkeypatch.undo()
-    transport.close()
-    assert len(written) == 20
-    assert all(re.fullmatch(r"\[WARN\] \[[\d.]+\] \[gridslam\]: line \d+\n", text) for text in written)

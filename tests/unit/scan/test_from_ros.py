@@ -9,9 +9,6 @@ import pytest
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se3 import from_planar
-from gridslam.io.bags.bag import BagScanBuilder
-from gridslam.io.bags.ros_messages import ScanMessage
-from gridslam.ros.node import accepted_scan
 from gridslam.types import BeamStatus, LaserScan
 
 HIT, NO_RETURN, INVALID = (np.uint8(status) for status in BeamStatus)
@@ -31,12 +28,6 @@ def test_the_fields_of_a_message_become_a_scan():
     assert np.array_equal(scan.ranges, RANGES.astype(np.float64), equal_nan=True)
 
 
-def test_a_list_without_limits_will_do():
-    scan = LaserScan.from_ros(0, [1.0, math.inf, 0.0], angle_min=0.0, angle_increment=0.1)
-    assert scan.status.tolist() == [HIT, NO_RETURN, INVALID]
-    assert scan.beam_times_s is None
-
-
 @pytest.mark.parametrize(
     ("told", "meant"),
     [
@@ -53,12 +44,6 @@ def test_limits_that_mean_nothing_are_none(told, meant):
     assert (scan.range_min_m, scan.range_max_m) == meant
 
 
-@pytest.mark.parametrize("increment", [0.0, -1e-3, math.nan, 10.0, math.inf])
-def test_times_that_mean_nothing_are_none(increment):
-    scan = LaserScan.from_ros(0, [2.0, 2.0], angle_min=0.0, angle_increment=0.1, time_increment=increment)
-    assert scan.beam_times_s is None
-
-
 @pytest.mark.parametrize(
     ("change", "argument"),
     [
@@ -72,24 +57,3 @@ def test_fields_that_are_none_are_refused(change, argument):
         LaserScan.from_ros(0, RANGES, **FIELDS | change)
     with pytest.raises(ArgumentError, match="ranges"):
         LaserScan.from_ros(0, [[1.0]], **FIELDS)
-
-
-def test_readers_and_nodes_make_the_same_of_a_message():
-    message = ScanMessage(7, "f", -1.5, 0.25, 1e-3, 0.1, 30.0, RANGES)
-    scans = [
-        LaserScan.from_ros(7, RANGES, **FIELDS, time_increment=1e-3),
-        BagScanBuilder().scan(message, 7, "/s", np.eye(4)),
-        accepted_scan.MeasurementBuilder().build(message, "/s", np.eye(4), None, 0.0).measurement.scan,
-    ]
-    hit = scans[0].status == HIT
-    for scan in scans:
-        assert np.array_equal(scan.status, scans[0].status)
-        assert np.array_equal(scan.ranges[hit], scans[0].ranges[hit])
-        assert np.array_equal(scan.geometry.directions, scans[0].geometry.directions)
-        assert np.array_equal(scan.beam_times_s, scans[0].beam_times_s)
-
-
-def test_geometries_are_shared():
-    message, maker, mounting = ScanMessage(7, "f", -1.5, 0.25, 1e-3, 0.1, 30.0, RANGES), BagScanBuilder(), np.eye(4)
-    first, second = (maker.scan(message, stamp_ns, "/s", mounting) for stamp_ns in (7, 8))
-    assert first.geometry is second.geometry

@@ -77,15 +77,3 @@ def test_such_scans_are_named_and_no_witness_of_the_odometry():
     (finding,) = (found for found in doctor.findings() if found.is_fault)
     assert (finding.code, finding.size) == ("single_object", 1.0)
     assert "what is seen may move by itself" in finding.message
-
-
-def test_without_odometry_they_are_all_there_is():
-    """A robot that stands, and sees one thing that stands."""
-    ranges = ranges_to_circle(np.array([1.0, 0.0]), 0.25)
-    state = run(
-        [Measurement(None, scan(ranges, 0.2 * k)) for k in range(10)],
-        GridFastSlam(),
-        particles=2,
-        rng=np.random.default_rng(0),
-    )
-    assert state.tracker.sensors["laser"].inlier_ratio > 0.9

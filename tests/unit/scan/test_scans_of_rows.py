@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError
-from gridslam.types import LaserScan, Odometry, ScanGeometry
+from gridslam.types import LaserScan, ScanGeometry
 
 GEOMETRY = ScanGeometry(np.linspace(-1, 1, 5))
 RANGES = np.random.default_rng(2).uniform(0.1, 9.0, (3, 5))
@@ -48,15 +48,3 @@ def test_rows_that_are_no_scans_are_refused(change, name):
         LaserScan.from_rows(
             **({"stamps_ns": STAMPS, "ranges": RANGES, "status": STATUS, "geometry": GEOMETRY} | change)
         )
-
-
-def test_readings_of_rows_are_those_of_the_constructor():
-    poses = np.random.default_rng(4).uniform(-3, 3, (3, 3))
-    for reading, stamp_ns, pose in zip(Odometry.from_rows(STAMPS, poses), STAMPS, poses, strict=True):
-        assert (reading.stamp_ns, reading.covariance) == (stamp_ns, None)
-        assert np.array_equal(reading.pose, pose)
-    poses[1, 2] = np.inf
-    with pytest.raises(ArgumentError, match="finite"):
-        Odometry.from_rows(STAMPS, poses)
-    with pytest.raises(ArgumentError, match="shape"):
-        Odometry.from_rows(STAMPS[:2], poses)

@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 
 from gridslam.geometry import se2
-from gridslam.geometry.angles import wrap
-from gridslam.sim.floor_plan import clearance, polyline
 from gridslam.sim.robot import OdometryNoise, RobotConfig, simulate_odometry
 from support.drives import drive
 
-EXACT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 ROUTE = np.array([(0, 0), (6, 0), (6, 4), (2, 4), (2, 1.5), (2, 3), (0.5, 2.0), (0.5, 1.0)], dtype=float)
 
 
@@ -41,46 +38,6 @@ def test_limits_hold_on_a_winding_route():
     assert twists[:, 0].max() > 0.99 * robot.v_max_m_s
     # No wheel slips sideways: only where a step joins arc and straight does its chord leave the arc a little.
     assert np.abs(twists[:, 1]).max() < 0.01
-
-
-def test_corners_are_rounded_by_no_more_than_the_turning_radius_allows():
-    robot = RobotConfig(turning_radius_m=0.5)
-    corner = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 5.0]])
-    away = clearance(polyline(corner), drive(corner, robot, 0.02)[:, :2])
-    # The arc's middle is r (sqrt(2) - 1) from the corner and r (1 - sqrt(1/2)) from both legs.
-    assert away.max() == pytest.approx(0.5 * (1 - math.sqrt(0.5)), abs=1e-3)
-
-
-def test_route_is_followed_from_end_to_end_and_sharp_corners_turn_on_the_spot():
-    poses = drive(ROUTE, RobotConfig(), 0.02)
-    assert poses[0] == pytest.approx([0.0, 0.0, 0.0])
-    assert poses[-1, :2] == pytest.approx(ROUTE[-1], abs=0.01)
-    # An arc of radius r that turns by phi leaves the legs by at most r (1 - cos(phi / 2)), phi being below 2.2 rad.
-    assert clearance(polyline(ROUTE), poses[:, :2]).max() < 0.5 * (1 - math.cos(1.1))
-    reversal = np.hypot(*(poses[:, :2] - [2.0, 1.5]).T) < 1e-6
-    assert abs(wrap(poses[reversal, 2][-1] - poses[reversal, 2][0])) == pytest.approx(math.pi, abs=0.1)
-
-
-def test_dead_ends_may_be_left_backward():
-    """On the same way, without turning on the spot there, and as calmly."""
-    robot = RobotConfig(backs_out=True)
-    period = 0.02
-    poses = drive(ROUTE, robot, period)
-    assert clearance(polyline(ROUTE), poses[:, :2]).max() < 0.5 * (1 - math.cos(1.1))
-    assert poses[-1, :2] == pytest.approx(ROUTE[-1], abs=0.01)
-    twists = se2.log(se2.between(poses[:-1], poses[1:])) / period
-    dead_end = np.hypot(*(poses[:-1, :2] - [2.0, 1.5]).T).argmin()
-    assert twists[dead_end - 100, 0] > 0.1
-    assert (twists[dead_end + 100 :, 0] < 0.01).all()
-    assert abs(twists[dead_end, 0]) < robot.acceleration_m_s2 * period
-    assert np.abs(np.diff(twists[:, 0])).max() / period <= 1.05 * robot.acceleration_m_s2
-
-
-def test_odometry_without_error_is_the_truth():
-    truth = drive(ROUTE, RobotConfig(), 0.2)
-    odometry = simulate_odometry(truth, EXACT, np.random.default_rng(0))
-    np.testing.assert_allclose(odometry[:, :2], truth[:, :2], atol=1e-9)
-    np.testing.assert_allclose(wrap(odometry[:, 2] - truth[:, 2]), 0.0, atol=1e-9)
 
 
 def test_systematic_error_in_closed_form():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gridslam.sim.floor_plan import clearance, polyline
-from gridslam.sim.world import distinct, tour, wander
+from gridslam.sim.world import tour, wander
 
 JUNCTIONS = np.array([(0, 0), (10, 0), (20, 0), (20, 8), (10, 8), (30, 0)], dtype=float)
 PASSAGES = [(0, 1), (1, 2), (2, 3), (3, 4), (4, 1), (2, 5)]
@@ -35,7 +35,3 @@ def test_wandering_keeps_the_waypoints_and_stays_near_the_line():
     away = clearance(polyline(line), route)
     assert 0.1 < away.max() <= 0.2
     assert np.hypot(*np.diff(route, axis=0).T).min() > 2.9
-
-
-def test_waypoints_that_repeat_are_dropped():
-    assert distinct([(0, 0), (0, 0), (1, 0), (0, 0), (0, 1e-9)]).tolist() == [[0, 0], [1, 0], [0, 0]]

@@ -9,10 +9,9 @@ import pytest
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry import se2
-from gridslam.sim import LidarConfig, OdometryNoise, PeopleConfig, RobotConfig, make_world, simulate
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.sim.floor_plan import clearance
 from gridslam.sim.robot import Drive
-from gridslam.types import BeamStatus
 
 EXACT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 QUICK = RobotConfig(omega_max_rad_s=3.0)
@@ -68,31 +67,6 @@ def test_deskewed_with_the_true_twist_it_is_the_scan_of_an_instant():
     assert exact > 0.3 * len(log)
 
 
-def test_a_lidar_that_does_not_tell_its_beams_times():
-    (_, scan), *_ = drive(replace_parameters(SWEEPING, reports_beam_times=False)).measurements
-    assert scan.beam_times_s is None
-
-
-@pytest.mark.parametrize("scan_time_s", [0.0, 0.1])
-def test_a_clockwise_lidar_sees_the_same_in_the_other_order(scan_time_s):
-    slow = RobotConfig(v_max_m_s=1e-3, omega_max_rad_s=1e-3)  # does not move during a scan
-    lidar = replace_parameters(SWEEPING, beams=61, rate_hz=0.01, field_of_view_rad=3.0, scan_time_s=scan_time_s)
-    left, right = (drive(replace_parameters(lidar, clockwise=way), slow).measurements[:20] for way in (False, True))
-    for (_, one), (_, other) in zip(left, right, strict=True):
-        assert other.geometry.bearings == pytest.approx(one.geometry.bearings[::-1])
-        np.testing.assert_allclose(one.ranges, other.ranges[::-1], rtol=1e-2)
-
-
-def test_the_number_of_beams_varies_from_scan_to_scan():
-    log = drive(replace_parameters(SWEEPING, beams=70, fewest_beams=64, scan_time_s=0.0, rate_hz=3.0))
-    counts = {len(scan) for _, scan in log.measurements}
-    assert counts == set(range(64, 71))
-    assert len({id(scan.geometry) for _, scan in log.measurements}) == 7
-    for (_, scan), pose in zip(log.measurements, log.truth.poses, strict=True):
-        assert np.ptp(scan.geometry.bearings) == pytest.approx(math.tau * (1 - 1 / len(scan)))
-        assert clearance(log.walls, se2.transform_points(pose, scan.beams(0.0, np.inf).ends)).max() < 1e-9
-
-
 def test_several_lidars_are_merged_by_time_with_one_odometry():
     front = replace_parameters(SWEEPING, sensor="front", beams=30, field_of_view_rad=2.0, rate_hz=4.0)
     rear = replace_parameters(
@@ -123,20 +97,6 @@ def test_one_of_several_lidars_is_as_it_is_alone():
     own = [scan for _, scan in both.measurements if scan.sensor == "laser"]
     for one, (_, other) in zip(own, alone.measurements, strict=True):
         np.testing.assert_array_equal(one.ranges, other.ranges)
-
-
-def test_people_are_seen_by_lidars_that_take_their_time():
-    logs = (drive(SWEEPING, people=people) for people in (None, PeopleConfig(count=6)))
-    empty, busy = (np.array([m.scan.ranges for m in log.measurements]) for log in logs)
-    assert (busy <= empty).all()
-    assert 0.005 < (busy < empty - 1e-9).mean() < 0.5
-
-
-def test_invalid_values_where_nothing_returns():
-    log = drive(replace_parameters(SWEEPING, range_max_m=2.0, no_return="nan", scan_time_s=0.0))
-    status = np.array([scan.status for _, scan in log.measurements])
-    assert (status == BeamStatus.INVALID).mean() > 0.1
-    assert not (status == BeamStatus.NO_RETURN).any()
 
 
 @pytest.mark.parametrize("lidar", [[], [replace_parameters(SWEEPING, begin_s=1e4)]])

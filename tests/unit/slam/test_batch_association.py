@@ -34,16 +34,3 @@ def test_each_landmark_of_a_ring_is_found_once():
         if value == other
     }
     assert len(pairs) == len({name for name, _ in pairs}) == len({true for _, true in pairs}) == 12
-
-
-def test_false_alarms_make_no_landmark():
-    """Of 30 observations of nothing, at random places, no three are of one place; without a least number they stay."""
-    steps, _ = drive(ring(12), 120, np.random.default_rng(2), SENSOR)
-    rng = np.random.default_rng(3)
-    for k in rng.choice(120, 30, replace=False).tolist():
-        seen = steps[k].observations
-        nothing = [[rng.uniform(1, 5), rng.uniform(-3, 3)]]
-        with_false = replace(seen, values=np.vstack([seen.values, nothing]), landmarks=np.append(seen.landmarks, 999))
-        steps[k] = replace(steps[k], observations=with_false)
-    names = np.concatenate([step.observations.landmarks for step in _associate(steps)])
-    assert len(np.unique(names)) <= 13  # one may come near a place of two others

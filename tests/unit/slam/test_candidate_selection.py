@@ -61,30 +61,6 @@ def test_the_best_is_the_first_of_those_that_no_other_exceeds(likelihoods, best)
     assert held.maps is judge.maps[best]
 
 
-def test_each_candidate_is_scored_once_by_its_poses_and_all_scores_are_kept():
-    likelihoods = [-3.0, -1.0, -2.0]
-    held, judge, all_, told = selection(likelihoods)
-    assert told == likelihoods
-    assert list(held.scores) == [one.name for one in all_]
-    assert [score.log_likelihood for score in held.scores.values()] == likelihoods
-    assert len(judge.poses) == 3
-    for one, poses in zip(all_, judge.poses, strict=True):
-        assert one.graph.poses is poses
-
-
-def test_the_best_and_its_map_belong_together_after_every_candidate():
-    likelihoods = np.random.default_rng(0).integers(-20, 0, 40).astype(float).tolist()
-    judge = Judge(likelihoods)
-    held = CandidateSelection(judge, candidate("closed 0", 0.0))
-    for k in range(40):
-        if k:
-            held.add(candidate(f"closed {k}", float(k)))
-        place = int(np.argmax(likelihoods[: k + 1]))  # the first of equals
-        assert held.best.name == f"closed {place}"
-        assert held.maps is judge.maps[place]
-        assert held.scores[held.best.name].log_likelihood == max(likelihoods[: k + 1])
-
-
 def test_accepted_constraints_are_those_of_the_last_weights_and_recognized_ones_those_searched_for():
     constraints = [
         Constraint(0, 1, np.array([1.0, 0.0, 0.0]), np.eye(3), source, True)

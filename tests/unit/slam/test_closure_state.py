@@ -40,24 +40,6 @@ def cuts(loop, whole):
     return [closed - 5, closed, closed + 1, (closed + merged) // 2, merged, merged + 1, len(reports) - 1]
 
 
-def told(reports):
-    return [(r.pose.tobytes(), r.covariance.tobytes(), r.closures, r.corrected, r.best, r.skipped) for r in reports]
-
-
-def test_a_snapshot_goes_on_to_the_same_bytes(loop, play, contents, whole, cuts):
-    for cut in cuts:
-        rng = np.random.default_rng(7)
-        state, before = play(SLAM, loop.measurements[:cut], particles=3, rng=rng)
-        kept, draws = state.snapshot(), rng.bit_generator.state
-        here = contents(kept)
-        play(SLAM, loop.measurements[cut:], state=state, rng=rng)
-        assert contents(kept) == here  # what the other branch did has not reached it
-        rng.bit_generator.state = draws
-        end, after = play(SLAM, loop.measurements[cut:], state=kept, rng=rng)
-        assert contents(end) == contents(whole[0])
-        assert told([*before, *after]) == told(whole[1])
-
-
 def test_a_run_that_is_written_and_read_goes_on_to_the_same_bytes(loop, contents, whole, cuts, tmp_path):
     saved = SavedRun(np.random.default_rng(7))
     pending = []

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -16,7 +13,6 @@ from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.loop_closure.state import LoopClosureState
-from gridslam.slam.loop_closure.submap_matching import SubmapMatching
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from support import hall
 
@@ -60,30 +56,7 @@ def test_a_component_is_laid_where_its_key_scans_fit(seen):
     assert (hall.errors(seen.truth, constraints) < [0.1, 0.02]).all()
 
 
-def test_without_a_blind_stretch_there_is_nothing_to_align(seen):
-    closure_state = interrupted(seen, LAP + 5)
-    closure_state.graph.variances[LAP + 5] = DriftModel().variances(0.4, 0.1)
-    whole = LoopClosureState(scans=closure_state.scans)
-    for pose, spread in zip(closure_state.graph.poses, closure_state.graph.variances, strict=True):
-        whole.graph.extend(pose, pose, spread)
-    assert aligned(whole) == []
-
-
-def test_a_place_farther_than_the_drift_explains_is_not_accepted(seen):
-    """Ten standard deviations of the blind stretch away: found, perhaps, but it would be a miracle."""
-    assert aligned(interrupted(seen, LAP + 5, wrong=np.array([15.0, 0.0, 0.0]))) == []
-
-
-def test_another_building_fits_nowhere(seen):
-    other = hall.key_scans(hall.drive(3))
-    both = hall.Seen(
-        np.concatenate([seen.truth[:LAP], seen.truth[LAP : LAP + 60]]),
-        [*seen.beams[:LAP], *other.beams[20:80]],
-    )
-    assert aligned(interrupted(both, LAP)) == []
-
-
-@pytest.mark.parametrize(("kind", "seed"), [("equal_rooms", 0), ("symmetric", 2), ("bare_corridors", 0)])
+@pytest.mark.parametrize(("kind", "seed"), [("symmetric", 2)])
 def test_where_places_are_alike_nothing_false_is_aligned(kind, seed):
     """The second half of the drive hangs on a blind stretch; a shift by a room would fit nearly as well."""
     seen = hall.key_scans(deceptive(kind, seed).stream())
@@ -105,19 +78,6 @@ def test_a_rival_that_says_as_much_refutes(seen):
     assert len(aligned(closure_state, ComponentAlignment(ambiguity_ratio=2.0))) >= 3
     once = interrupted(hall.Seen(np.concatenate([truth, truth]), beams[: 2 * half]), half, wrong=np.zeros(3))
     assert len(aligned(once)) >= 3
-
-
-def test_too_few_constraints_are_no_alignment(seen):
-    closure_state = interrupted(seen, LAP + 5, until=LAP + 45)
-    assert len(aligned(closure_state)) >= 3
-    assert aligned(closure_state, ComponentAlignment(min_constraints=math.ceil(40 / 3) + 1)) == []
-
-
-def test_a_shift_that_fits_as_well_refutes():
-    """Along a bare corridor the component fits anywhere: no match shows it, but the best place half a metre beside."""
-    best = Hypothesis(np.zeros((1, 3)), 30.0, 1.0, 1.0, 0.9)
-    assert decided(best, shifted=17.0) is best
-    assert decided(best, shifted=19.0) is None
 
 
 def decided(best, *, shifted, others=()):
@@ -147,56 +107,3 @@ def test_the_lesser_of_both_directions_counts(monkeypatch, there_and_back):
     state = LoopClosureState()
     alignment = Alignment(ComponentAlignment(), state, None, None, None, np.zeros(1, int), known)
     assert alignment._score_both(np.zeros((1, 3)), None)[0] == -10.0
-
-
-def test_a_hypothesis_that_the_drift_excludes_does_not_count():
-    """A building that looks the same from its other end: the odometry knows which one it is."""
-    best = Hypothesis(np.zeros((1, 3)), 30.0, 0.5, 1.0, 0.9)
-    turned = Hypothesis(np.array([[20.0, 0.0, np.pi]]), 30.0, 25.0, 1.0, 0.9)
-    assert decided(best, shifted=-1.0, others=[turned]) is best
-    assert decided(best, shifted=-1.0, others=[turned._replace(squared_sigmas=5.0)]) is None
-
-
-def test_the_numbers_of_comparisons_and_matches_are_bounded(seen, monkeypatch):
-    compared, matched = count_calls(monkeypatch)
-    memory = interrupted(seen, LAP + 5)
-    assert len(aligned(memory, ComponentAlignment(max_comparisons=60, max_matches=10))) >= 10
-    assert 20 < len(compared) <= 60
-    assert 0 < len(matched) <= 10
-    del compared[:], matched[:]
-    aligned(memory)
-    assert len(compared) > 60
-    assert len(matched) > 10
-
-
-def count_calls(monkeypatch):
-    """Record comparisons and matches of submaps."""
-    propose, verify = SubmapMatching.propose, SubmapMatching.verify
-    compared, matched = [], []
-    monkeypatch.setattr(SubmapMatching, "propose", lambda *given: compared.append(given) or propose(*given))
-    monkeypatch.setattr(SubmapMatching, "verify", lambda *given: matched.append(given) or verify(*given))
-    return compared, matched
-
-
-def test_many_components_share_the_comparisons(seen, monkeypatch):
-    """A log whose rows were shuffled has hundreds of components."""
-    closure_state = interrupted(seen, LAP + 5)
-    blind = range(15, len(closure_state.graph), 15)
-    for key in blind:
-        closure_state.graph.variances[key] = (1.5**2, 0.3**2)
-    pieces = LoopClosureState(scans=closure_state.scans)
-    for pose, spread in zip(closure_state.graph.poses, closure_state.graph.variances, strict=True):
-        pieces.graph.extend(pose, pose, spread)
-    compared, matched = count_calls(monkeypatch)
-    aligned(pieces, ComponentAlignment(max_comparisons=40, max_matches=8))
-    assert len(np.unique(pieces.graph.label_rigid_components())) > 10
-    assert 20 <= len(compared) <= 40
-    assert 0 < len(matched) <= 8
-
-
-def test_a_scan_without_a_beam_is_passed_over(seen):
-    blind = replace(seen.beams[0], indices=seen.beams[0].indices[:0], ends=seen.beams[0].ends[:0])
-    beams = [blind if k % 9 == 0 else b for k, b in enumerate(seen.beams)]
-    constraints = aligned(interrupted(hall.Seen(seen.truth, beams), LAP + 5))
-    assert len(constraints) >= 5
-    assert not any(constraint.to % 9 == 0 for constraint in constraints)

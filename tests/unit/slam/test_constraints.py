@@ -11,7 +11,6 @@ from gridslam.geometry.se2 import between
 from gridslam.slam.loop_closure.constraints import (
     Constraint,
     ConstraintSource,
-    constraints_from_matches,
 )
 from gridslam.types import Match
 
@@ -69,22 +68,3 @@ def test_along_an_open_direction_the_guess_is_kept_and_nothing_is_weighed(axis_r
     assert constraint.information[2, 2] == pytest.approx(500 / SIGMA_M**2 + FLOOR)
     assert np.linalg.eigvalsh(constraint.information)[0] > 0.99 * FLOOR
     np.testing.assert_array_equal(pose, [1.3, 1.9, heading])
-
-
-def test_constraints_of_many_matches_are_those_of_each():
-    """To rounding; every second one leaves a direction open, where its guess is kept."""
-    rng = np.random.default_rng(1)
-    poses, guesses = rng.normal(size=(2, 6, 3))
-    factors = rng.normal(size=(6, 3, 3))
-    information = 100 * (factors @ factors.transpose(0, 2, 1) + np.eye(3))
-    information[::2, :2] = 0.0
-    information[::2, 0, 0] = 40.0
-    matches = Match(poses, information, rng.uniform(50, 100, 6))
-    rest = SIGMA_M, 0.1, ConstraintSource.PROXIMITY
-    found = constraints_from_matches(3, range(40, 46), guesses, matches, *rest)
-    assert [constraint.determined for constraint in found] == 3 * [False, True]
-    for k, constraint in enumerate(found):
-        alone = Constraint.from_match(3, 40 + k, guesses[k], matches.only(k), *rest)
-        assert constraint.pair == alone.pair
-        np.testing.assert_array_equal(constraint.measurement, alone.measurement)
-        np.testing.assert_allclose(constraint.information, alone.information, rtol=1e-12, atol=1e-9)

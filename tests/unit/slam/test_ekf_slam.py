@@ -87,26 +87,6 @@ def test_what_is_found_is_what_would_have_been_told_where_landmarks_are_far_apar
     assert np.abs(found.mean - told.mean).max() < 0.2
 
 
-def test_all_at_once_is_one_after_the_other_where_noise_is_small():
-    """Batch and sequence differ by relinearization alone, which vanishes with the errors."""
-    sensor = RangeBearing(sigma_range_m=1e-4, sigma_bearing_rad=1e-4)
-    slam, rng, landmarks = EkfSlam(sensor), np.random.default_rng(3), ring(4)
-    state = slam.init()
-    exact = sensor.linearize(np.zeros(3), landmarks)[0]
-    state, _ = slam.step(
-        state, GaussianIncrement.from_std(np.zeros(3), np.zeros(3)), LandmarkObservations.of(exact, range(4))
-    )
-    motion = GaussianIncrement.from_std(np.zeros(3), np.full(3, 1e-4))
-    seen = LandmarkObservations.of(exact + rng.normal(0, 1e-4, (4, 2)), range(4))
-    together, _ = slam.step(state.snapshot(), motion, seen)
-    state, _ = slam.step(state, motion, NO_OBSERVATIONS)
-    still = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
-    for k in range(4):
-        state, _ = slam.step(state, still, LandmarkObservations.of(seen.values[k : k + 1], [k]))
-    np.testing.assert_allclose(together.mean, state.mean, atol=1e-7)
-    np.testing.assert_allclose(together.covariance, state.covariance, rtol=1e-2, atol=1e-11)
-
-
 def test_the_pose_learns_nothing_from_a_provisional_landmark_but_the_landmark_does():
     slam = EkfSlam(SENSOR, MaximumLikelihood(), ALL_AROUND)
     seen = LandmarkObservations.of([[3.0, 0.3]])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gridslam.config import Configuration
-from gridslam.slam.loop_closure.key_graph import UNKNOWN_VARIANCES, KeyGraph
+from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.types import StoredScan
@@ -58,17 +58,3 @@ def test_what_is_new_stands_after_three_beams(moved):
 def test_within_one_drive_it_takes_as_much_to_forget_as_to_learn():
     same = drive(*[NEAR] * SIGHTS, *[FAR] * 16)
     assert occupied(same, NEAR.ends)[0] > 0.9
-
-
-def test_what_is_not_seen_again_stays():
-    piece = drive(*[NEAR] * SIGHTS)
-    for _ in range(30):
-        later = drive(StoredScan(-FAR.ends, np.zeros(2)))
-        piece = piece.append(later, PieceMatch(later.poses, []))
-    assert occupied(piece, NEAR.ends)[0] > 0.9
-
-
-def test_drives_begin_where_nothing_is_known_of_the_motion(moved):
-    graph = moved(2).graph
-    assert [k for k in range(len(graph)) if graph.begins_drive(k)] == [SIGHTS]
-    assert graph.variances[SIGHTS] == UNKNOWN_VARIANCES

@@ -8,18 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gridslam.errors import ArgumentError, ConsumedStateError
+from gridslam.errors import ConsumedStateError
 from gridslam.evaluation import align
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, transform_points
-from gridslam.models.association import NEW, LandmarkExistence, MaximumLikelihood
-from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RangeBearing, RelativePosition
+from gridslam.models.association import LandmarkExistence, MaximumLikelihood
+from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RangeBearing
 from gridslam.models.motion import DiffusionMotion, GaussianIncrement
 from gridslam.particles.policies import AlwaysResample, NeverResample
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
 from gridslam.slam.landmarks.fastslam1 import FastSlam1
 from gridslam.slam.landmarks.fastslam2 import FastSlam2
-from gridslam.slam.landmarks.filters import LandmarkFilters, SampledPoses
+from gridslam.slam.landmarks.filters import LandmarkFilters
 from gridslam.slam.landmarks.particles import LandmarkParticles
 from gridslam.slam.landmarks.small_gaussians import draw_poses, inverse_2x2, log_density, mahalanobis
 from support.landmark_world import INCREMENT, MOTION, dead_reckoning, drive, ring
@@ -168,81 +168,6 @@ def test_it_maps_a_ring_with_known_and_unknown_correspondences(kind):
         assert any(report.parents is not None for report in reports)
 
 
-@ALL
-def test_each_particle_has_its_own_correspondences(kind):
-    """Two landmarks and a sighting between them: particles on one side take it for one, the others for the other."""
-    slam = kind(LandmarkFilters(RelativePosition(sigma_x_m=0.1, sigma_y_m=0.1), MaximumLikelihood(), ALL_AROUND))
-    rng, motion = np.random.default_rng(11), GaussianIncrement.from_std(np.zeros(3), np.array([0.0, 1.0, 0.0]))
-    state, _ = slam.step(slam.init(300), STILL, LandmarkObservations.of([[3.0, 1.0], [3.0, -1.0]]), rng)
-    state.poses[:, 1] = np.repeat([1.0, -1.0, 9.0], 100)
-    seen, nothing = LandmarkObservations.of([[3.0, 0.0]] * 2), np.full((300, 2), NEW)
-    columns, *_ = slam.landmarks.correspond(state, seen, 0, SampledPoses(state.poses), nothing, rng)
-    assert columns.tolist() == [0] * 100 + [1] * 100 + [NEW] * 100
-    taken = np.stack([columns, nothing[:, 1]], axis=1)
-    again, *_ = slam.landmarks.correspond(state, seen, 1, SampledPoses(state.poses), taken, rng)
-    assert set(again.tolist()) == {NEW}  # a landmark is seen once at a time: the other is one of its own
-    state.poses[:, 1] = 0.0
-    state, report = slam.step(state, motion, LandmarkObservations.of([[3.0, 0.0]]), rng)
-    assert len(state) == 300
-    assert report.pose.shape == (3,)
-
-
-def test_landmarks_that_are_not_seen_where_they_should_be_are_dropped_and_their_columns_used_again():
-    slam, rng = FastSlam1(FINDING), np.random.default_rng(12)
-    state, _ = slam.step(slam.init(5), STILL, LandmarkObservations.of([[2.0, 1.0], [3.0, -1.0]]), rng)
-    for _ in range(3):
-        state, _ = slam.step(state, STILL, LandmarkObservations.of([[2.0, 1.0]]), rng)
-    assert state.exists.sum(axis=1).tolist() == [1] * 5
-    assert state.observations[:, 0].tolist() == [4] * 5
-    state, report = slam.step(state, STILL, LandmarkObservations.of([[2.0, -2.0]]), rng)
-    assert state.exists[:, :2].all()
-    assert report.landmarks.tolist() == [1]
-    assert state.observations[:, 1].tolist() == [1] * 5
-
-
-@ALL
-def test_a_landmark_that_was_confirmed_is_held_for_real_until_it_is_dropped(kind):
-    """Hidden for a while, its evidence falls below what confirmed it: it is doubted, and not yet forgotten."""
-    slam, rng = kind(FINDING), np.random.default_rng(17)
-    state = slam.init(3)
-    for _ in range(4):
-        state, _ = slam.step(state, STILL, LandmarkObservations.of([[2.0, 1.0], [3.0, -1.0]]), rng)
-    held = []
-    for _ in range(6):
-        state, _ = slam.step(state, STILL, LandmarkObservations.of([[2.0, 1.0]]), rng)
-        hidden = state.evidence[state.best, 1]
-        held.append((hidden >= ALL_AROUND.log_odds_confirmed, len(slam.landmark_map(state))))
-    assert (False, 2) in held
-    assert held[-1] == (False, 1)
-
-
-def test_the_reported_covariance_is_that_of_the_weighted_particles():
-    """About their mean, also where headings lie on both sides of pi."""
-    rng, state = np.random.default_rng(3), FastSlam2(FILTERS).init(50, [1.0, 2.0, -np.pi])
-    poses = compose(state.poses, rng.normal(size=(50, 3)) * 0.1)
-    state.advance(poses, state.state_covariances, rng.normal(size=50))
-    report, weights = state.report(np.empty((50, 0), np.int64)), np.exp(state.log_weights)
-    away = state.poses - report.pose
-    away[:, 2] = wrap(away[:, 2])
-    spread = np.cov(away.T, aweights=weights, bias=True)
-    np.testing.assert_allclose(report.covariance, spread, rtol=1e-2, atol=1e-5)
-    np.testing.assert_allclose(report.n_eff, 1 / (weights @ weights))
-
-
-def test_nothing_is_drawn_while_nothing_is_seen():
-    """FastSLAM 2.0 carries the motion's Gaussian on, as two steps of EKF prediction do."""
-    slam, ekf, rng = FastSlam2(FILTERS), EkfSlam(SENSOR), np.random.default_rng(13)
-    state, expected = slam.init(3), ekf.init()
-    for _ in range(2):
-        state, report = slam.step(state, MOTION(INCREMENT), NO_OBSERVATIONS, rng)
-        expected, other = ekf.step(expected, MOTION(INCREMENT), NO_OBSERVATIONS)
-    np.testing.assert_allclose(state.poses, np.tile(expected.pose, (3, 1)), atol=1e-12)
-    np.testing.assert_allclose(report.covariance, other.covariance, atol=1e-14)
-    state, _ = slam.step(state, MOTION(INCREMENT), LandmarkObservations.of([[2.0, 0.0]], [4]), rng)
-    assert not state.state_covariances.any()
-    assert len(np.unique(state.poses, axis=0)) == 3
-
-
 @given(seed=st.integers(0, 1000), count=st.integers(1, 12))
 def test_resampling_keeps_what_is_drawn_and_copies_are_apart(seed, count):
     rng = np.random.default_rng(seed)
@@ -278,15 +203,6 @@ def test_the_same_seed_gives_the_same_bytes_also_from_a_snapshot(kind):
         np.testing.assert_array_equal(one.ancestry.trajectories(), other.ancestry.trajectories())
     with pytest.raises(ConsumedStateError):
         slam.step(LandmarkParticles.take(kept) and kept, EXACT, NO_OBSERVATIONS, rng)
-
-
-@ALL
-def test_what_is_refused(kind):
-    slam, rng = kind(FILTERS), np.random.default_rng(0)
-    with pytest.raises(ArgumentError, match="known correspondences"):
-        slam.step(slam.init(2), EXACT, LandmarkObservations.of([[1.0, 0.0]]), rng)
-    with pytest.raises(ArgumentError, match="particle"):
-        slam.init(0)
 
 
 def test_small_gaussians_are_those_of_numpy():

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.se2 import compose
 from gridslam.models.association import MaximumLikelihood
-from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RangeBearing, RelativePosition
+from gridslam.models.landmark import LandmarkObservations, RangeBearing, RelativePosition
 from gridslam.models.motion import DiffusionMotion, GaussianIncrement
 from gridslam.models.systematic_errors import SystematicErrors
 from gridslam.particles.policies import NeverResample
@@ -105,50 +105,6 @@ def test_what_is_drawn_tells_nothing_of_the_errors_and_the_rest_of_the_pose_foll
     drawn = known[:, :3] - mean[:3]
     # Five times the sampling error sqrt(2 / count) of the variances.
     np.testing.assert_allclose(drawn.T @ drawn / count, own, atol=5 * np.sqrt(2 / count) * own.max())
-
-
-def test_a_path_is_told_from_what_the_errors_turned_out_to_be():
-    """What was driven before anything told of them, and what was never seen, is turned by what is learned at last."""
-    slam, rng = (
-        FastSlam2WithCalibration(LandmarkFilters(RelativePosition(sigma_x_m=0.01, sigma_y_m=0.01)), bias=BIAS),
-        _seed(),
-    )
-    told, state = NO_NOISE(np.array([1.0, 0.0, 0.0])), slam.init(3)
-    state, _ = slam.step(state, told, LandmarkObservations.of([[2.0, 1.0]], [1]), rng)
-    for _ in range(3):
-        state, _ = slam.step(state, told, NO_OBSERVATIONS, rng)
-    turned = compose(compose([1.0, 0.0, 0.001], [1.0, 0.0, 0.001]), compose([1.0, 0.0, 0.001], [1.0, 0.0, 0.001]))
-    landmark = compose([1.0, 0.0, 0.001], [2.0, 1.0, 0.0])
-    z = between(compose(turned, [1.0, 0.0, 0.001]), landmark)[:2]
-    state, _ = slam.step(state, told, LandmarkObservations.of([z], [1]), rng)
-    way = smooth_trajectory(state, 0, [told] * 5, BIAS)
-    learned = state.state_means[0, 3]
-    assert 0.0 < learned < 0.001
-    # In place of rounding a millionth of the heading's deviation, 5 mrad at the end, is drawn.
-    np.testing.assert_allclose(way[:, 2], learned * np.arange(6), atol=5e-8)
-    np.testing.assert_allclose(way[-1], state.poses[0], atol=1e-12)
-
-
-def test_a_path_by_errors_that_change_is_one_that_odometry_without_noise_can_go():
-    """All that is drawn is how the errors changed: each pose follows from the one before by some error of the heading.
-
-    Were a pose told from what the errors are at another time, it would lie beside where the one before points to.
-    """
-    bias = SystematicErrors(sigma_per_m=0.01, sigma_per_rad=0.01, memory_m=4.0)
-    steps, _ = drive(ring(12), 80, np.random.default_rng(7), SENSOR, NO_NOISE)
-    slam, rng, told = (
-        FastSlam2WithCalibration(FILTERS, bias=bias),
-        _seed(),
-        GaussianIncrement.from_std(INCREMENT, np.zeros(3)),
-    )
-    state = slam.init(20)
-    for t, step in enumerate(steps):
-        state, _ = slam.step(state, told, step.observations if t % 5 == 0 else NO_OBSERVATIONS, rng)
-    way = smooth_trajectory(state, state.best, [told] * len(steps), bias)
-    turned = between(way[:-1], way[1:]) - INCREMENT
-    assert np.ptp(turned[:, 2]) > 1e-4
-    # Headings straightened by some mrad are linear to 1e-5, and 8 m away to 0.1 mm.
-    np.testing.assert_allclose(turned[:, :2], 0.0, atol=1e-4)
 
 
 def test_correspondences_are_sought_as_far_as_the_errors_reach():

@@ -5,17 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.models.association import NEW, LandmarkExistence, MaximumLikelihood
+from gridslam.models.association import NEW, MaximumLikelihood
 from gridslam.models.landmark import LandmarkObservations, RelativePosition
 from gridslam.models.motion import GaussianIncrement
 from gridslam.particles.policies import NeverResample
 from gridslam.slam.landmarks.fastslam1 import FastSlam1
-from gridslam.slam.landmarks.fastslam2 import FastSlam2
 from gridslam.slam.landmarks.filters import LandmarkFilters, SampledPoses
 
-ALL_AROUND = LandmarkExistence(
-    detection=0.9, false_alarm=0.01, log_odds_confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
-)
 STILL = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
 
 
@@ -32,27 +28,3 @@ def test_correspondences_are_drawn_by_their_likelihood_and_weighed_by_its_sum():
     # A share p of 4,000 has a standard deviation of sqrt(p (1 - p) / 4000) < 0.008; five of them.
     assert np.mean(state.positions[np.arange(count), columns, 1] > 0) == pytest.approx(near / (near + far), abs=0.04)
     np.testing.assert_allclose(log_p, np.log(near + far + new), rtol=1e-9)
-
-
-def test_neighbours_are_found_the_surest_first():
-    """Only the right one of two neighbours is known: it keeps its landmark, whichever of them is told of first."""
-    sensor = RelativePosition(sigma_x_m=0.05, sigma_y_m=0.05)
-    for kind in (FastSlam1, FastSlam2):
-        for seen in ([[3.0, 0.0], [3.0, 0.18]], [[3.0, 0.18], [3.0, 0.0]]):
-            slam, rng = kind(LandmarkFilters(sensor, MaximumLikelihood(), ALL_AROUND)), np.random.default_rng(17)
-            state, _ = slam.step(slam.init(5), STILL, LandmarkObservations.of([[3.0, 0.0]]), rng)
-            state, _ = slam.step(state, STILL, LandmarkObservations.of(seen), rng)
-            assert np.allclose(np.sort(state.positions[:, :2, 1], axis=1), [0.0, 0.18], atol=1e-6)
-
-
-def test_of_hundreds_of_landmarks_the_nearest_are_candidates():
-    """Where nothing is known of them all are near enough, and the time would grow with the square of their number."""
-    sensor = RelativePosition(sigma_x_m=0.05, sigma_y_m=0.05)
-    slam, rng = FastSlam1(LandmarkFilters(sensor, MaximumLikelihood())), np.random.default_rng(18)
-    places = [[3.0, 1.0 * k] for k in range(200)]
-    state, _ = slam.step(slam.init(3), STILL, LandmarkObservations.of(places), rng)
-    state.covariances[...] = 1e6 * np.eye(2)
-    seen = LandmarkObservations.of([[3.0, 0.1]])
-    candidates = slam.landmarks._may_match(state, seen, 0, SampledPoses(state.poses), 25.0)
-    for positions, chosen in zip(state.positions, candidates, strict=True):
-        assert sorted(positions[chosen, 1].round().tolist()) == list(range(64))

@@ -11,15 +11,11 @@ from gridslam.config import build
 from gridslam.geometry.se2 import between, compose
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
-from gridslam.serialization import from_arrays, to_arrays
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
 from gridslam.slam.full_slam.full_slam import full_slam, refine_piece
 from gridslam.slam.full_slam.key_covariances import key_covariances
-from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
-from gridslam.slam.loop_closure.key_graph import KeyGraph, anchor_of
 from gridslam.slam.loop_closure.map_piece import MapPiece
-from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.linear import linearize
 from gridslam.slam.pose_graph.marginals import marginal_covariances
@@ -90,52 +86,6 @@ def full_slam_of(piece, drives):
     return refine_piece(piece, drives, PROVOKED.mapper, PROVOKED.loop_closure, PROVOKED.final_refinement)
 
 
-def test_the_new_drive_is_aligned_with_the_frozen_one(days):
-    """Relations between scans of both days are within 0.04 m of the truth; those of a day alone are no better."""
-    piece, state, drives, answer, truth, later_truth = days
-    count = len(drives[0].keys)
-    constraints = state.closure_state.graph.constraints
-    assert any(c.from_ < len(piece) <= c.to for c in constraints)
-    missed = []
-    for new in range(0, len(later_truth), 5):
-        away = np.hypot(*(truth - later_truth[new])[:, :2].T)
-        old = int(away.argmin())
-        if away[old] < 3.0:
-            true = between(truth[old], later_truth[new])
-            found = between(answer.poses[old], answer.poses[count + new])
-            missed.append(np.hypot(*(found - true)[:2]))
-    assert len(missed) > 20
-    assert np.mean(missed) < 0.04
-
-
-def test_known_poses_of_a_frozen_drive_are_kept(days):
-    piece, _, drives, answer, *_ = days
-    count = len(drives[0].keys)
-    known = drives[0]._replace(poses=answer.poses[:count] + 1e-3)
-    kept = full_slam_of(piece, [known])
-    assert kept.poses[:count].tobytes() == known.poses.tobytes()
-
-
-def test_frozen_is_part_of_the_state(days):
-    piece, state, *_ = days
-    graph = from_arrays(KeyGraph, to_arrays(state.closure_state.graph))
-    assert graph.frozen == state.closure_state.graph.snapshot().frozen == len(piece)
-    assert piece.release().graph.frozen == 0
-    assert piece.graph.frozen == len(piece)
-    graph.truncate(5)
-    assert graph.frozen == 5
-
-
-def test_a_piece_that_is_not_frozen_moves(days):
-    """The same second day about the same piece, released: the old part follows what is new."""
-    piece, state, drives, *_ = days
-    free = replace(state, closure_state=state.closure_state.snapshot())
-    free.closure_state.graph.frozen = 0
-    answer = full_slam(free, drives, PROVOKED.mapper, PROVOKED.loop_closure, PROVOKED.final_refinement)
-    assert answer.graph.held == 1
-    assert np.abs(answer.graph.poses[: len(piece)] - piece.poses).max() > 1e-4
-
-
 def considered(graph):
     """Covariances of all poses, the held part's own and the others' given it with its error: dense, in closed form."""
     held, count = graph.held, len(graph.poses)
@@ -197,21 +147,3 @@ def test_covariances_of_a_frozen_part_are_not_lowered_by_what_it_does_not_follow
     traces, least, true = (np.trace(c[:, :2, :2], axis1=1, axis2=2) for c in (found, free, exact))
     assert (traces >= least * (1 - 1e-9)).all()
     np.testing.assert_allclose(traces[18:], true[18:], rtol=0.25)
-
-
-def test_with_one_constraint_the_covariances_are_exact_there(walk):
-    graph = walk([(5, 26)])
-    np.testing.assert_allclose(key_covariances(graph)[26], considered(graph)[26], rtol=0.02, atol=1e-6)
-
-
-def test_a_constraint_from_any_key_scan_leads_on_to_the_submap_ahead():
-    """After pieces were joined a constraint starts at any key scan, not only at the anchor of a submap."""
-    graph = KeyGraph()
-    for k in range(61):
-        pose = np.array([0.5 * (k % 50), 0.0, 0.0])
-        graph.extend(pose, pose, (1e-4, 1e-6))
-    graph.add(Constraint(3, 55, np.array([2.0, 0.0, 0.0]), 1e4 * np.eye(3), ConstraintSource.RECOGNIZED, True))
-    submap, pose = PlaceMatching()._predict_from_last_constraint(graph, 2)
-    reached = 0.5 * 3 + 2.0 + 0.5 * (60 - 55)
-    np.testing.assert_allclose(pose, [reached - 0.5 * anchor_of(submap), 0, 0], atol=1e-12)
-    assert submap == 1

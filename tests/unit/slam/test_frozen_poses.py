@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -87,15 +85,6 @@ def test_one_pose_between_two_that_are_held_is_their_weighted_mean():
     marginals = Marginals(solution.graph)
     np.testing.assert_allclose(marginals.covariances[2], np.diag([1 / 400, 1 / 400, 1 / 2e6]), atol=1e-6)
     assert not marginals.covariances[:2].any()
-
-
-def test_a_graph_that_is_held_as_a_whole_is_its_own_solution(graph):
-    whole = replace(graph, held=len(graph.poses))
-    for solver in SOLVERS:
-        solution = solver.solve(whole)
-        assert solution.poses.tobytes() == graph.poses.tobytes()
-        assert solution.chi2_after == solution.chi2_before > 0
-    assert not Marginals(whole).covariances.any()
 
 
 @pytest.mark.parametrize("held", [0, 21])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -18,10 +18,8 @@ from gridslam.slam.full_slam.full_trajectory import full_trajectory
 from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
 from gridslam.slam.full_slam.key_scan_matching import KeyScanMatching
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.state import LoopClosureState
-from gridslam.slam.loop_closure.submaps import build_map
 from gridslam.types import Trajectory
 from support import hall
 from support.loops import loop_drive
@@ -64,12 +62,6 @@ def loop() -> Refined:
     return refine(loop_drive())
 
 
-@pytest.fixture(scope="module")
-def untied() -> Refined:
-    """The first half of a lap: no place is passed twice, and none is seen from far away in time."""
-    return refine(hall.drive(0), scans=110)
-
-
 def errors(run: Refined, poses: np.ndarray):
     truth = Trajectory(run.log.truth.stamps_ns, between(run.log.truth.poses[0], run.log.truth.poses))
     return absolute_errors(Trajectory(truth.stamps_ns, poses), truth)
@@ -101,99 +93,12 @@ def test_constraints_of_final_refinement_are_right(halls, loop):
         assert off[:, 1].max() < 0.05
 
 
-def test_it_says_what_it_solved(halls):
-    """The graph holds the solution, a weight for each edge, ties to other times only; the map is drawn from it."""
-    one = halls[0]
-    graph, weights = one.refinement.best.graph, one.refinement.best.weights
-    keys = len(one.closure_state.graph)
-    assert graph.poses.shape == (keys, 3)
-    assert weights.shape == (len(graph.edges),)
-    assert ((weights >= 0) & (weights <= 1)).all()
-    constraints = graph.edges[keys - 1 :]
-    assert (np.abs(constraints[:, 0] - constraints[:, 1]) > 20).all()
-    np.testing.assert_array_equal(graph.poses, np.array(one.closure_state.graph.poses))
-    maps = build_map(SLAM.mapper, one.closure_state.scans, np.arange(keys), graph.poses)
-    assert maps.occupancy(0).log_odds.tobytes() == one.refinement.maps.occupancy(0).log_odds.tobytes()
-
-
 def test_no_scan_is_moved_farther_from_the_key_scans_trajectory_than_allowed(halls):
     one = halls[0]
     bent = full_trajectory(one.refinement.best.graph.poses, one.recorder.keys, one.recorder.key_from_base)
     moved = np.hypot(*(one.refinement.poses - bent)[:, :2].T)
     assert moved.max() <= REFINEMENT.surfaces.max_correction_m
     assert 0 < np.median(moved[moved > 0]) < 0.05
-
-
-def test_without_a_constraint_the_graph_is_a_chain(untied):
-    """From each key scan to the next as the filter has it, or as tracked: nothing else is measured but surfaces."""
-    graph, state = untied.refinement.best.graph, untied.state
-    assert untied.refinement.best.constraints == []
-    assert len(graph.edges) == len(graph.poses) - 1
-    assert (untied.refinement.best.weights == 1).all()
-    filtered, tracked = (
-        between(poses[:-1], poses[1:])
-        for poses in (state.ancestry.trajectory(state.best), np.array(state.closure_state.graph.tracked))
-    )
-    as_filtered, as_tracked = (
-        np.abs(between(graph.measurements, other)).max(axis=1) < 1e-6 for other in (filtered, tracked)
-    )
-    assert (as_filtered | as_tracked).all()
-
-
-def test_the_run_may_go_on_as_if_nothing_had_been_said(untied):
-    """The final refinement gets a snapshot of the loop closure state: the state keeps nothing of it."""
-    before = {name: array.tobytes() for name, array in untied.state.to_arrays().items()}
-    closure_state = untied.state.closure_state.snapshot()
-    moved = untied.state.ancestry.trajectory(untied.state.best) + np.array([1.0, 2.0, 0.0])
-    REFINEMENT(closure_state, moved, [untied.recorder.tracked_scans()], SLAM.mapper, CLOSURE)
-    assert {name: array.tobytes() for name, array in untied.state.to_arrays().items()} == before
-
-
-def test_the_same_word_is_said_twice(halls):
-    again = refine(halls[0].log)
-    assert again.refinement.poses.tobytes() == halls[0].refinement.poses.tobytes()
-    assert again.refinement.best.graph.poses.tobytes() == halls[0].refinement.best.graph.poses.tobytes()
-    assert again.refinement.best.weights.tobytes() == halls[0].refinement.best.weights.tobytes()
-
-
-def test_a_round_that_moves_nothing_is_the_last(halls):
-    """Counted by the submaps that are drawn: one tick for each, and each round draws the same ones here."""
-    ticks = []
-    for rounds in (1, 4):
-        refinement, count = replace(REFINEMENT, max_rounds=rounds, stop_m=1.0), []
-        refine(halls[0].log, refinement=refinement, on_progress=lambda count=count: count.append(1))
-        ticks.append(len(count))
-    assert ticks[0] == ticks[1] > 5
-
-
-def test_it_can_be_interrupted(halls):
-    def stop():
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        refine(halls[0].log, on_progress=stop)
-
-
-def test_the_graph_holds_the_tracked_increments(halls):
-    """With their expected covariances: positions with less variance than that by which searches are bounded."""
-    for one in halls:
-        graph = one.refinement.best.graph
-        known = one.closure_state.graph
-        if one.refinement.best.name == "filter":
-            continue
-        count = len(graph.poses) - 1
-        tracked = np.array(known.tracked)
-        np.testing.assert_array_equal(graph.measurements[:count], between(tracked[:-1], tracked[1:]))
-        covariances = np.linalg.inv(graph.information[:count])
-        np.testing.assert_allclose(covariances, known.covariances[1:], rtol=1e-6, atol=1e-12)
-        position, heading = np.array(known.variances[1:]).T
-        assert (covariances[:, 2, 2] >= heading * (1 - 1e-9)).all()
-        assert np.median(covariances[:, 2, 2] / heading) == pytest.approx(1.0)
-        assert np.median(covariances[:, 0, 0] / position) == pytest.approx(DriftModel().position_ratio ** 2)
-
-
-def test_at_least_one_hall_is_refined(halls):
-    assert any(one.refinement.best.name != "filter" for one in halls)
 
 
 def test_constraints_of_one_visit_share_the_information_of_one(halls, monkeypatch):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between, between_jacobians
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.linear import BlockSystem, linearize
@@ -98,13 +97,3 @@ def test_innovations_are_what_chi2_grows_by():
         )
         grown = GraphSlam(first_guess="given", tolerance=1e-12).solve(more).chi2_after - solved.chi2()
         assert told[k] == pytest.approx(grown, rel=0.02)
-
-
-def test_one_pose_and_wrong_places():
-    alone = PoseGraph.of([[1.0, 2.0, 3.0]], np.empty((0, 2)), np.empty((0, 3)), np.empty((0, 3, 3)))
-    assert marginal_covariances(alone).tolist() == np.zeros((1, 3, 3)).tolist()
-    marginals = Marginals(random_graph(np.random.default_rng(0), 5, 2).graph)
-    with pytest.raises(ArgumentError, match=r"pose: expected a place in \[0, 5\), got 5"):
-        marginals.covariances_with(5)
-    with pytest.raises(ArgumentError, match="got -1"):
-        marginals.relative_covariances(0, [1, -1])

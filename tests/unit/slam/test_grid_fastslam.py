@@ -21,7 +21,6 @@ from gridslam.particles import (
     Residual,
     Stratified,
     Systematic,
-    sample_gaussian,
 )
 from gridslam.slam import (
     GridFastSlam,
@@ -31,27 +30,15 @@ from gridslam.slam import (
     ScanMatchedProposal,
     Tracker,
 )
-from gridslam.types import BeamStatus, LaserScan, Odometry, ScanGeometry, SkipReason, Trajectory
+from gridslam.types import Odometry
 
 LIVELY = GridFastSlam(when_to_resample=AlwaysResample())
 """Resamples at every key scan, so that 24 s are enough to share, copy and free maps in every way."""
 
 
-def blind(scan):
-    """The same scan from a covered sensor: no beam says anything."""
-    nothing = np.full(len(scan), np.nan)
-    return LaserScan.from_ranges(scan.stamp_ns, nothing, scan.geometry, range_max_m=scan.range_max_m)
-
-
 def worst_error(reports, truth):
     """Greatest distance (m) of a pose told at the time from the true one, the whole being aligned."""
     return checks.worst_error(np.array([report.pose for report in reports]), truth.poses)
-
-
-def odometry_error(drive, start, end):
-    """Metres by which the odometry misses the true motion between two scans."""
-    missed = between(*(between(poses[start], poses[end]) for poses in (drive.odometry.poses, drive.truth.poses)))
-    return float(np.hypot(*missed[:2]))
 
 
 @pytest.fixture(scope="module")
@@ -101,12 +88,6 @@ def test_branches_do_not_write_into_each_other(drive, play, contents):
     assert contents(second) != expected
 
 
-def test_the_seed_decides_and_nothing_else(drive, play, contents):
-    runs = [contents(play(LIVELY, drive.measurements[:80], seed=seed)[0]) for seed in (1, 1, 2)]
-    assert runs[0] == runs[1]
-    assert runs[0] != runs[2]
-
-
 @pytest.mark.parametrize("proposal", [ScanMatchedProposal(), ImprovedProposal()])
 def test_the_number_of_threads_never_changes_a_byte(drive, play, contents, proposal):
     slam = replace(LIVELY, proposal=proposal)
@@ -117,24 +98,6 @@ def test_the_number_of_threads_never_changes_a_byte(drive, play, contents, propo
         for ours, theirs in zip(repeated, reports, strict=True):
             assert ours.pose.tobytes() == theirs.pose.tobytes()
             assert ours.covariance.tobytes() == theirs.covariance.tobytes()
-
-
-def test_a_first_scan_without_beams_is_fine(drive, play):
-    (odometry, scan), *rest = drive.measurements
-    _, reports = play(GridFastSlam(), [(odometry, blind(scan)), *rest])
-    assert worst_error(reports, drive.truth) < BAND_M
-
-
-def test_a_robot_that_stands_still_stays_where_it_is(drive, play, contents):
-    state, before = play(GridFastSlam(), drive.measurements[:40])
-    odometry, seen = drive.measurements[39]
-    maps = {name: part for name, part in contents(state).items() if "maps" in name}
-    scans = [replace(seen, stamp_ns=odometry.stamp_ns + k * 10**8) for k in range(50)]
-    state, reports = play(GridFastSlam(), [(Odometry.at(s.stamp_ns, odometry.pose), s) for s in scans], state=state)
-    assert {report.skipped for report in reports} == {SkipReason.BETWEEN_KEY_SCANS}
-    for report in reports:
-        np.testing.assert_allclose(report.pose, before[-1].pose, atol=1e-9)
-    assert {name: part for name, part in contents(state).items() if "maps" in name} == maps
 
 
 @pytest.mark.parametrize("at", [60, 61, 90])
@@ -148,76 +111,6 @@ def test_odometry_that_is_reset_does_not_move_the_robot(drive, play, at):
     _, reports = play(GridFastSlam(), log)
     assert worst_error(reports, drive.truth) < BAND_M
     assert not any(report.lost for report in reports)
-
-
-def test_a_key_scan_without_beams_waits_for_the_next_one(drive, play, usual):
-    key = next(k for k, report in enumerate(usual[1]) if k > 20 and report.skipped is None)
-    log = list(drive.measurements)
-    log[key] = (log[key][0], blind(log[key][1]))
-    _, reports = play(GridFastSlam(), log)
-    assert reports[key].skipped is SkipReason.NO_VALID_BEAM
-    assert reports[key].poses is None
-    assert reports[key + 1].skipped is None
-    assert worst_error(reports, drive.truth) < BAND_M
-
-
-def test_a_sensor_covered_for_a_while_leaves_the_odometry(drive, play):
-    """For 5 s the poses move as odometry does, to rounding, and then matching goes on.
-
-    What was learned of the odometry before makes that better; here nothing is.
-    """
-    log = [(o, blind(scan) if 40 <= k < 65 else scan) for k, (o, scan) in enumerate(drive.measurements)]
-    _, reports = play(GridFastSlam(tracker=Tracker(calibration=None)), log)
-    poses, odometry = np.array([report.pose for report in reports]), drive.odometry.poses
-    np.testing.assert_allclose(between(poses[40], poses[41:65]), between(odometry[40], odometry[41:65]), atol=1e-9)
-    assert {report.skipped for report in reports[55:65]} == {SkipReason.NO_VALID_BEAM}
-    assert all(report.poses is None for report in reports[40:65])
-    assert worst_error(reports, drive.truth) < BAND_M + odometry_error(drive, 39, 65)
-
-
-def test_the_number_of_beams_may_change_from_scan_to_scan(drive, play):
-    def thinned(scan, step):
-        geometry = ScanGeometry.planar(scan.geometry.bearings[::step], [*scan.geometry.origin, 0.0])
-        return LaserScan.from_ranges(scan.stamp_ns, scan.ranges[::step], geometry, range_max_m=scan.range_max_m)
-
-    log = [(odometry, thinned(scan, 1 + k % 3)) for k, (odometry, scan) in enumerate(drive.measurements)]
-    assert len({len(scan) for _, scan in log}) == 3
-    _, reports = play(GridFastSlam(), log)
-    assert worst_error(reports, drive.truth) < 1.5 * BAND_M  # with half the beams on average, 1 / sqrt(2) as certain
-
-
-def test_one_particle_is_enough(drive, play):
-    state, reports = play(GridFastSlam(), drive.measurements, particles=1)
-    assert len(state.poses) == 1
-    assert all(report.n_eff == 1.0 for report in reports if not report.skipped)
-    assert worst_error(reports, drive.truth) < BAND_M
-
-
-def test_particles_may_begin_anywhere(drive, play):
-    start = sample_gaussian(6, (3.0, -2.0, 1.0), np.diag([0.01, 0.01, 1e-4]), np.random.default_rng(0))
-    given = start.copy()
-    state, report = GridFastSlam().init(*drive.measurements[0], start)
-    np.testing.assert_array_equal(state.poses, given)
-    start[:] = 0.0  # the filter has its own copy
-    np.testing.assert_array_equal(state.poses, given)
-    assert report.n_eff == pytest.approx(6)
-    slam = GridFastSlam(when_to_resample=NeverResample())
-    state, reports = play(slam, drive.measurements[1:], state=state)
-    keys = np.flatnonzero([report.skipped is None for report in [report, *reports]])
-    for begin, past in zip(given, state.ancestry.trajectories(), strict=True):
-        np.testing.assert_array_equal(past[0], begin)
-        assert checks.worst_error(past, drive.truth.poses[keys]) < BAND_M
-
-
-@pytest.mark.parametrize("particles", [0, -1, np.zeros((0, 3)), np.zeros((4, 2)), np.zeros(3)])
-def test_particles_that_are_none_raise(drive, particles):
-    with pytest.raises(ArgumentError):
-        GridFastSlam().init(*drive.measurements[0], particles)
-
-
-def test_particles_that_are_nowhere_raise(drive):
-    with pytest.raises(ArgumentError, match="particles"):
-        GridFastSlam().init(*drive.measurements[0], np.full((3, 3), np.nan))
 
 
 def test_stamps_that_go_backwards_change_nothing(drive, play, contents, usual):
@@ -234,12 +127,6 @@ def test_stamps_that_go_backwards_change_nothing(drive, play, contents, usual):
     assert {name for name in ours if ours[name] != theirs[name]} == {f"tracker.{name}" for name in of_stamps}
 
 
-def test_no_odometry_is_as_good(drive, play):
-    _, reports = play(GridFastSlam(), [(None, scan) for _, scan in drive.measurements])
-    assert worst_error(reports, drive.truth) < BAND_M
-    assert not any(report.lost for report in reports)
-
-
 def test_a_tracker_that_needs_odometry_says_so_at_the_first_scan(drive):
     slam = GridFastSlam(tracker=OdometryTracker())
     (odometry, first), (_, second), *_ = drive.measurements
@@ -247,39 +134,6 @@ def test_a_tracker_that_needs_odometry_says_so_at_the_first_scan(drive):
         slam.init(None, first)
     with pytest.raises(ArgumentError, match=f"none with the scan at {second.stamp_ns} ns"):
         slam.step(slam.init(odometry, first)[0], None, second, np.random.default_rng(0))
-
-
-def two_lasers(measurements):
-    """Each scan as two, of lasers that see 90 degrees to the left and to the right, a millisecond apart."""
-    log = []
-    for odometry, scan in measurements:
-        left = scan.geometry.bearings > 0
-        for k, (sensor, sees) in enumerate([("left", left), ("right", ~left)]):
-            status = np.where(sees, scan.status, np.uint8(BeamStatus.INVALID))
-            log.append((odometry, replace(scan, status=status, sensor=sensor, stamp_ns=scan.stamp_ns + k * 10**6)))
-    return log
-
-
-@pytest.mark.parametrize(("with_odometry", "band_m"), [(True, 2 * BAND_M), (False, 3 * BAND_M)])
-def test_two_lasers_draw_one_map(drive, play, usual, with_odometry, band_m):
-    """Each has its key scans, however near to the other's: the map is that of one laser that sees both sides."""
-    log = [(odometry if with_odometry else None, scan) for odometry, scan in two_lasers(drive.measurements)]
-    state, reports = play(GridFastSlam(), log)
-    assert worst_error(reports[::2], drive.truth) < band_m
-    keys = np.array([report.skipped is None for report in reports])
-    assert abs(int(keys[::2].sum()) - int(keys[1::2].sum())) <= 1
-    whole, ours = usual[0].maps.occupancy(0).known.sum(), state.maps.occupancy(0).known.sum()
-    assert 0.95 * whole < ours < 1.05 * whole
-
-
-def test_a_gap_of_ten_seconds_is_bridged(drive, play):
-    log = [*drive.measurements[:40], *drive.measurements[90:]]
-    _, reports = play(GridFastSlam(), log)
-    stamps, poses = drive.truth.stamps_ns, drive.truth.poses
-    truth = Trajectory(np.delete(stamps, np.s_[40:90]), np.delete(poses, np.s_[40:90], axis=0))
-    assert truth.stamps_ns[40] - truth.stamps_ns[39] > 10**10
-    assert np.hypot(*(truth.poses[40] - truth.poses[39])[:2]) > 1.0
-    assert worst_error(reports, truth) < BAND_M + odometry_error(drive, 39, 90)
 
 
 @pytest.mark.parametrize(

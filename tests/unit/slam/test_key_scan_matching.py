@@ -50,8 +50,3 @@ def test_key_scans_are_matched_to_the_nearest_submaps_of_other_times(seed, froze
     wanted = MATCHING._nearby_key_scans(closure_state, poses)
     assert wanted == expected(closure_state.graph, poses)
     assert sum(map(len, wanted)) > 20
-
-
-def test_a_trajectory_too_short_for_a_submap_has_none():
-    closure_state, poses = wandering(np.random.default_rng(0), keys=7)
-    assert MATCHING._nearby_key_scans(closure_state, poses) == []

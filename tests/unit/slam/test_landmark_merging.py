@@ -48,15 +48,3 @@ def test_what_is_observed_together_is_never_one(doubled):
     )
     for of_step in names:
         assert len({merged[name] for name in of_step.tolist()}) == len(of_step)
-
-
-def test_two_sets_that_are_as_likely_merge_nothing():
-    """One landmark half way between two others, none observed with another."""
-    x = np.array([0.0, 0.0, 1.0, 0.0, -1.0, 0.0, 9.0, 9.0])
-    P = np.diag([0.5, 0.5] + [1e-4] * 6)
-    search = MergeSearch()
-    hypotheses = search.hypotheses(x, P, np.array([[0, 1], [0, 2]]), np.log(1000.0))
-    assert len(hypotheses) == 2
-    assert hypotheses[0].log_odds == pytest.approx(hypotheses[1].log_odds)
-    assert search._certain(hypotheses) == ()
-    assert search._certain(hypotheses[:1]) == hypotheses[0].pairs

@@ -10,7 +10,7 @@ import pytest
 from gridslam.errors import ArgumentError
 from gridslam.grid.tiles import TileMaps
 from gridslam.serialization import from_arrays, to_arrays
-from gridslam.slam.loop_closure.state import Correction, LoopClosureState, RejectionReason
+from gridslam.slam.loop_closure.state import Correction, LoopClosureState
 from gridslam.slam.loop_closure.submaps import ROW
 from support import hall
 
@@ -25,42 +25,13 @@ def poses(seen):
     return hall.tracked(seen.truth, 0.002, 1.01)
 
 
-@pytest.fixture(scope="module")
-def whole(seen, poses):
-    """The memory of two laps, and how many candidates there were after each key scan."""
-    closure_state, waiting = LoopClosureState(), []
-    for k in range(len(poses)):
-        hall.remember(closure_state, seen, poses, until=k + 1)
-        waiting.append(len(closure_state.search.candidates))
-    return closure_state, waiting
-
-
 def contents(closure_state):
     return {name: (array.dtype, array.shape, array.tobytes()) for name, array in to_arrays(closure_state).items()}
-
-
-def copies(closure_state):
-    return closure_state.snapshot(), restored(to_arrays(closure_state))
 
 
 def restored(arrays, threads=1):
     restore = {TileMaps: partial(hall.MAPPER.restore, threads=threads)}
     return from_arrays(LoopClosureState, arrays, restore)
-
-
-def test_it_goes_on_to_the_same_bytes(seen, poses, whole):
-    """Cut before anything was recognized, with the first candidate, amid the comparison of a submap, and later."""
-    end, waiting = whole
-    first = next(k for k, count in enumerate(waiting) if count)
-    for cut in (30, first, first + 1, first + 5, first + 20):
-        closure_state = LoopClosureState()
-        hall.remember(closure_state, seen, poses, until=cut + 1)
-        before = contents(closure_state)
-        for twin in copies(closure_state):
-            assert contents(twin) == before
-            hall.remember(twin, seen, poses)
-            assert contents(twin) == contents(end)
-            assert contents(closure_state) == before  # what the one did has not reached the other
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -81,16 +52,6 @@ def test_a_pending_correction_is_kept_and_drawn_on_apart(seen, poses, threads):
         after = contents(twin)
         assert after != before
     assert contents(closure_state) == contents(kept) == after
-
-
-def test_rejections_are_counted_by_reason(seen, poses):
-    closure_state = LoopClosureState()
-    hall.remember(closure_state, seen, poses, until=20)
-    closure_state.rejected.update({RejectionReason.LOW_INLIER_RATIO: 3, RejectionReason.INCONSISTENT: 1})
-    for twin in copies(closure_state):
-        assert twin.rejected == {RejectionReason.LOW_INLIER_RATIO: 3, RejectionReason.INCONSISTENT: 1}
-        twin.rejected[RejectionReason.LOW_INLIER_RATIO] += 1
-    assert closure_state.rejected[RejectionReason.LOW_INLIER_RATIO] == 3
 
 
 @pytest.mark.parametrize("name", ["search.compared", "online_poses", "rejected", "graph.covariances", "graph.tracked"])

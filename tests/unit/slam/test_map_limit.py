@@ -7,7 +7,7 @@ import pytest
 
 from gridslam.particles import NeverResample
 from gridslam.slam import GridFastSlam
-from gridslam.slam.grid_fastslam.map_limit import MapLimit, _apportion
+from gridslam.slam.grid_fastslam.map_limit import MapLimit
 
 FREE = GridFastSlam(when_to_resample=NeverResample(), map_limit=MapLimit(tiles_per_particle=10_000))
 TIGHT = GridFastSlam(when_to_resample=NeverResample(), map_limit=MapLimit(tiles_per_particle=20))
@@ -47,27 +47,3 @@ def test_those_of_most_weight_stay(drive, play):
     assert len(parents) == count
     assert len(stay) < count
     assert weights[stay].min() >= np.delete(weights, stay).max()
-
-
-def test_those_that_stay_go_on_in_the_numbers_that_they_are_worth():
-    """Of ten, those of weights 0.5, 0.3 and 0.1 stay, each once; 0.5, 0.3 and 0.1 of 0.9 of the seven others are added.
-
-    These are 3.89, 2.33 and 0.78: 3, 2 and 0 for sure, and the two that are left go to the greatest remainders.
-    """
-    weights = np.array([0.02, 0.1, 0.01, 0.3, 0.5, *[0.014] * 5])
-    parents = _apportion(np.log(weights), np.array([4, 3, 1]))
-    assert parents.tolist() == [4] * 5 + [3] * 3 + [1] * 2
-
-
-def test_maps_within_the_limit_stay_as_they_are(drive, play, contents, free):
-    wide = GridFastSlam(when_to_resample=NeverResample(), map_limit=MapLimit(tiles_per_particle=100_000))
-    assert contents(play(wide, drive.measurements)[0]) == contents(free[0])
-
-
-def test_who_looks_on_changes_nothing(drive, play, contents, tight):
-    """Snapshots use tiles, too; only the particles' own count."""
-    kept, state, rng = [], None, np.random.default_rng(0)
-    for odometry, scan in drive.measurements:
-        state, _ = TIGHT.step(state, odometry, scan, rng) if state else TIGHT.init(odometry, scan, 5)
-        kept.append(state.maps.snapshot())
-    assert contents(state) == contents(tight[0])

@@ -12,7 +12,6 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.slam.full_slam.full_slam import full_slam
-from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories, full_trajectory
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure import loop_closure as loop_closure_module
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
@@ -62,20 +61,6 @@ def match(pieces):
     return PieceMatch(poses, [recognized(4, 6, between(pieces[0].poses[4], poses[6]))])
 
 
-def test_archives_follow_one_another(pieces):
-    joined = pieces[0].scans.snapshot()
-    joined.extend(pieces[1].scans)
-    assert len(joined) == 75
-    assert joined.keys == [*pieces[0].scans.keys, *(30 + key for key in pieces[1].scans.keys)]
-    for piece, first in zip(pieces, (0, 30), strict=True):
-        for scan in range(len(piece.scans)):
-            np.testing.assert_array_equal(joined[first + scan].ends, piece.scans[scan].ends)
-    assert joined.nbytes == sum(piece.scans.nbytes for piece in pieces)
-    assert len(pieces[0].scans) == 30  # the snapshot alone has grown
-    joined.truncate(30, 10)
-    assert joined.nbytes == pieces[0].scans.nbytes
-
-
 def test_each_drive_stays_as_it_was_tracked_and_lies_where_it_was_found(pieces, match):
     graph = pieces[0].append(pieces[1], match).graph
     assert len(graph) == 25
@@ -87,16 +72,6 @@ def test_each_drive_stays_as_it_was_tracked_and_lies_where_it_was_found(pieces, 
     np.testing.assert_array_equal(graph.poses[10:], match.poses)
     across = between(graph.tracked[9], graph.tracked[10])
     np.testing.assert_allclose(across, between(graph.poses[9], graph.poses[10]), atol=1e-9)
-
-
-def test_only_constraints_join_the_drives(pieces, match):
-    apart = pieces[0].append(pieces[1], match._replace(constraints=[])).graph
-    assert len(set(apart.label_rigid_components().tolist())) == 2
-    joined = pieces[0].append(pieces[1], match).graph
-    assert len(set(joined.label_rigid_components().tolist())) == 1
-    assert [constraint.pair for constraint in joined.constraints] == [(4, 16)]
-    # what is known of the later drive's place is known from the constraint on
-    assert np.trace(joined.drift.reshape(3, 3)) < 1 < np.trace(apart.drift.reshape(3, 3))
 
 
 @pytest.fixture(scope="module")
@@ -216,18 +191,3 @@ def test_where_a_drive_cannot_be_joined_it_goes_on_and_is_joined_later(halves, m
     keys = len(piece) + recorder.keys[-1] + 1
     assert len(closure_state.graph) == len(closure_state.scans.keys) == len(state.best_trajectory()) == keys
     assert len(closure_state.scans) == len(first) + 120 - 3
-
-
-def test_scans_of_a_drive_are_not_bent_toward_the_next_one():
-    """After its last key scan a drive's scans lie as tracked, wherever the next drive begins."""
-    keys = np.array([0, 0, 1, 1, 1])
-    moved = np.array([[0.0, 0, 0], [0.2, 0, 0], [0.4, 0, 0], [0.1, 0, 0], [0.3, 0, 0.1]])
-    key_poses = np.array([[0.0, 0, 0], [0.4, 0, 0], [50.0, 9, 1], [50.4, 9, 1]])
-    drives = [TrackedScans(keys, moved), TrackedScans(keys + 2, moved)]
-    poses = full_trajectories(key_poses, drives)
-    np.testing.assert_array_equal(poses[:5], full_trajectory(key_poses[:2], keys, moved))
-    np.testing.assert_array_equal(poses[5:], full_trajectory(key_poses[2:], keys, moved))
-
-
-def test_a_given_map_has_no_drives_and_so_no_scans():
-    assert full_trajectories(np.zeros((4, 3)), []).shape == (0, 3)

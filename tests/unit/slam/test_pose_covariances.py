@@ -10,7 +10,6 @@ from gridslam.slam.full_slam.full_trajectory import (
     TrackedScans,
     drift_covariances,
     find_open_directions,
-    full_trajectory,
     path_fractions,
     scan_covariances,
 )
@@ -38,11 +37,6 @@ def test_drift_is_what_the_graph_of_increments_leaves(steps):
     expected = marginal_covariances(graph)
     # the moments are about the origin, 400 m away: their differences lose 6 of 16 digits
     assert np.allclose(drift_covariances(graph), expected, rtol=1e-8, atol=1e-9)
-
-
-def test_one_pose_is_exact():
-    single = PoseGraph.of(np.zeros((1, 3)), np.empty((0, 2)), np.empty((0, 3)), np.empty((0, 3, 3)))
-    assert not drift_covariances(single).any()
 
 
 def test_between_key_scans_it_is_no_less_than_drift_and_at_them_it_is_theirs():
@@ -79,15 +73,6 @@ def test_the_scale_of_the_map_is_no_better_known_for_what_was_measured():
         away = pose - graph.poses[0]
         away[2] = 0.0
         np.testing.assert_allclose(added, 1e-4 * np.outer(away, away), atol=1e-15)
-
-
-def test_shares_are_those_of_the_full_trajectory():
-    keys = np.array([0, 0, 0, 1, 1, 1])
-    key_from_base = np.array([[0, 0, 0], [0.25, 0, 0], [0.5, 0, 0.5], [0.5, 0, 1.5], [0.5, 0, 0], [1.0, 0, 0]])
-    # metres and radians together: 0, 0.25, 1.0 of 2; after the last key scan what was driven
-    assert path_fractions(keys, key_from_base) == pytest.approx([0, 0.125, 0.5, 0, 0.5, 1.0])
-    exact = np.array([[0, 0, 0], [0.5, 0, 1.5]])
-    assert np.allclose(full_trajectory(exact, keys, key_from_base)[:3], key_from_base[:3])
 
 
 def test_open_directions_are_those_along_which_increments_are_uncertain():

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.angles import wrap
-from gridslam.mapping import OccupancyGridMapping
-from gridslam.matching import GaussNewton, HillClimbing
-from gridslam.models import CauchyEndPoint, DiffusionMotion, GaussianIncrement, LikelihoodField
+from gridslam.models import CauchyEndPoint, DiffusionMotion, GaussianIncrement
 from gridslam.slam import ImprovedProposal, MotionModelProposal, ScanMatchedProposal
 from gridslam.types import ScanGeometry
 from support.oblong import PLACES, map_room, scan_at
@@ -26,14 +24,6 @@ BEFORE = np.tile([0.0, 0.0, 0.0], (10, 1))
 INCREMENT = np.array([0.4, 0.1, 0.2])
 WIDE = DiffusionMotion(sigma_xy_m=0.08, sigma_theta_rad=0.03)(INCREMENT)
 BEAMS = scan_at(INCREMENT, GEOMETRY)
-
-
-@pytest.mark.parametrize("sensor", [CauchyEndPoint(), LikelihoodField()])
-def test_prior_draws_from_the_motion_and_weighs_by_the_sensor(room, sensor):
-    proposed = MotionModelProposal()(room, BEFORE, WIDE, sensor(BEAMS), BEAMS, np.random.default_rng(3))
-    np.testing.assert_array_equal(proposed.poses, WIDE(BEFORE, np.random.default_rng(3)))
-    np.testing.assert_array_equal(proposed.log_weights, sensor(BEAMS)(room, np.arange(10), proposed.poses))
-    np.testing.assert_allclose(proposed.match.poses, proposed.poses, atol=1e-12)
 
 
 def cost(maps, pose, guess, prior, sigma_m, cauchy_m=0.1):
@@ -57,39 +47,6 @@ def test_peaks_are_local_optima(room):
         assert here < cost(room, guess, guess, prior, peak.beam_sigma_m)
         assert all(here < cost(room, pose + nudge, guess, prior, peak.beam_sigma_m) for nudge in nudges)
     np.testing.assert_allclose(proposed.poses, np.tile(INCREMENT, (10, 1)), atol=0.02)
-
-
-@pytest.mark.parametrize("matcher", [GaussNewton(), HillClimbing()])
-def test_peak_weighs_at_the_peak(room, matcher):
-    weigh = CauchyEndPoint()(BEAMS)
-    proposed = ScanMatchedProposal(matcher=matcher)(room, BEFORE, WIDE, weigh, BEAMS, np.random.default_rng(1))
-    np.testing.assert_array_equal(proposed.log_weights, weigh(room, np.arange(10), proposed.poses))
-    np.testing.assert_array_equal(proposed.match.poses, proposed.poses)
-
-
-@pytest.mark.parametrize(
-    "proposal",
-    [MotionModelProposal(), ScanMatchedProposal(), ScanMatchedProposal(matcher=HillClimbing()), ImprovedProposal()],
-)
-def test_what_goes_in_stays_as_it_is(room, proposal):
-    before, maps = BEFORE.copy(), room.to_arrays()
-    proposed = proposal(room, BEFORE, WIDE, CauchyEndPoint()(BEAMS), BEAMS, np.random.default_rng(0))
-    np.testing.assert_array_equal(BEFORE, before)
-    assert all(np.array_equal(array, maps[name]) for name, array in room.to_arrays().items())
-    assert proposed.poses.shape == (10, 3)
-    assert proposed.log_weights.shape == (10,)
-    assert not np.shares_memory(proposed.poses, BEFORE)
-
-
-@pytest.mark.parametrize(
-    "proposal",
-    [MotionModelProposal(), ScanMatchedProposal(), ScanMatchedProposal(matcher=HillClimbing()), ImprovedProposal()],
-)
-def test_in_an_empty_map_only_the_motion_counts(proposal):
-    maps = OccupancyGridMapping().empty(10)
-    proposed = proposal(maps, BEFORE, WIDE, CauchyEndPoint()(BEAMS), BEAMS, np.random.default_rng(0))
-    np.testing.assert_allclose(proposed.log_weights, proposed.log_weights[0])
-    assert (np.abs(proposed.poses - INCREMENT) < 5 * WIDE.std).all()
 
 
 class LinearMaps:
@@ -161,16 +118,6 @@ def test_plain_fastslam_weighs_the_same_on_average(linear):
     weights = np.exp(proposed.log_weights)
     assert abs(weights.mean() - np.exp(MARGINAL)) < 5 * weights.std() / np.sqrt(DRAWS)
     assert weights.std() > 0.5 * weights.mean()  # which is what the improved proposal saves
-
-
-def test_particles_are_told_apart_by_their_marginal_likelihoods():
-    """At different places and headings, each with the motion's covariance turned to its own heading."""
-    places = PLACE + np.array([[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [0.0, -0.1, 0.05], [0.1, 0.1, 1.3]])
-    linear = LinearMaps(4, MEASURED, NOISE, ImprovedProposal().beam_sigma_m)
-    found = ImprovedProposal()(linear, places, MOTION, linear.weigh, BEAMS, np.random.default_rng(0))
-    moments = zip(*MOTION.moments(places), strict=True)
-    expected = [log_normal(MEASURED, mean, spread + NOISE) for mean, spread in moments]
-    np.testing.assert_allclose(found.log_weights, expected, rtol=1e-5, atol=1e-4)
 
 
 def test_headings_are_wrapped_where_they_cross_pi():

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.geometry.se2 import between, compose, transform_points
-from gridslam.serialization import from_arrays, to_arrays
-from gridslam.slam.full_slam.earlier_pieces import collect_recent_points
+from gridslam.geometry.se2 import between, compose
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import (
     BLIND_SIGMA_M,
@@ -16,9 +14,7 @@ from gridslam.slam.loop_closure.key_graph import (
     KeyGraph,
     anchor_of,
 )
-from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submaps import key_scans_of
-from gridslam.types import StoredScan
 
 SURE = (0.02**2, 0.01**2)
 BLIND = (1.0, 0.3**2)
@@ -44,20 +40,9 @@ def told(graph):
     return [[k for k, label in enumerate(labels) if label == one] for one in dict.fromkeys(labels)]
 
 
-def test_without_a_gap_there_is_one_component_whatever_is_constrained():
-    graph = chain(40)
-    assert told(graph) == [list(range(40))]
-    graph.add(constraint(graph, 3, 35, ConstraintSource.PROXIMITY))
-    assert told(graph) == [list(range(40))]
-
-
 @pytest.mark.parametrize("at", [1, 17, 20, 39])
 def test_a_gap_makes_two_components_and_the_scan_it_leads_to_belongs_to_the_second(at):
     assert told(chain(40, [at])) == [list(range(at)), list(range(at, 40))]
-
-
-def test_every_gap_begins_a_piece():
-    assert told(chain(30, [10, 11, 25])) == [list(range(10)), [10], list(range(11, 25)), list(range(25, 30))]
 
 
 @pytest.mark.parametrize(
@@ -81,13 +66,6 @@ def test_only_a_constraint_that_is_known_and_determined_joins_two_components(sou
     assert len(told(graph)) == (1 if joined else 2)
 
 
-def test_a_constraint_within_a_component_joins_nothing():
-    graph = chain(40, [20])
-    graph.add(constraint(graph, 2, 19))
-    graph.add(constraint(graph, 20, 39))
-    assert len(told(graph)) == 2
-
-
 def test_components_are_joined_through_others_in_whatever_order_the_constraints_came():
     """0-9, 10-19, 20-29, 30-39, 40-49: the last to the second, that to the fourth; the third to the first."""
     ends = [(15, 45), (12, 33), (5, 22), (18, 39)]
@@ -99,27 +77,6 @@ def test_components_are_joined_through_others_in_whatever_order_the_constraints_
         assert told(graph) == whole
     graph.add(constraint(graph, 25, 49))
     assert told(graph) == [list(range(50))]
-
-
-@pytest.mark.parametrize(
-    ("anchor", "kept"), [(10, range(10, 14)), (13, range(10, 14)), (14, range(14, 18)), (19, range(18, 20))]
-)
-def test_unbroken_keeps_the_side_of_the_anchor_only(anchor, kept):
-    graph = chain(40, [14, 18, 30])
-    assert graph.select_without_gap(np.arange(10, 20), anchor).tolist() == list(kept)
-
-
-def test_a_constraint_over_a_gap_leaves_it_a_gap_for_what_is_drawn_as_tracked():
-    """Where the scans lie about each other is known then, but not as the tracker has it."""
-    graph = chain(40, [14])
-    graph.add(constraint(graph, 12, 16))
-    assert len(told(graph)) == 1
-    assert graph.select_without_gap(np.arange(10, 20), 12).tolist() == [10, 11, 12, 13]
-
-
-def test_where_nothing_is_broken_everything_is_kept():
-    graph = chain(40, [5, 30])
-    assert graph.select_without_gap(np.arange(5, 30), 12).tolist() == list(range(5, 30))
 
 
 @pytest.mark.parametrize("within", range(1, KEY_SCANS_PER_SUBMAP))
@@ -138,35 +95,3 @@ def test_a_submap_ends_at_a_gap_and_keeps_its_anchor(within):
         assert key_scans_of(submap, graph).tolist() == list(
             range(submap * KEY_SCANS_PER_SUBMAP, (submap + 1) * KEY_SCANS_PER_SUBMAP)
         )
-
-
-@pytest.mark.parametrize(("key", "scans", "first"), [(29, 10, 25), (29, 3, 27), (24, 10, 15), (3, 10, 0), (25, 10, 25)])
-def test_recent_points_are_none_from_before_a_gap(key, scans, first):
-    """Each scan has one point, as far ahead as its number tells; an archive's steps are a 32767th of the farthest."""
-    closure_state = LoopClosureState()
-    closure_state.graph = chain(40, [25])
-    for k in range(40):
-        closure_state.scans.append(
-            StoredScan(np.array([[1.0 + k, 0.5]]), np.zeros(2)), closure_state.graph.tracked[k], is_key=True
-        )
-    tracked = closure_state.graph.tracked_poses_from(key, np.arange(first, key + 1))
-    seen = zip(range(first, key + 1), tracked, strict=True)
-    expected = [transform_points(pose, np.array([[1.0 + k, 0.5]]))[0] for k, pose in seen]
-    np.testing.assert_allclose(collect_recent_points(closure_state, key, scans), expected, atol=40 / 32767)
-
-
-def test_pieces_outlast_arrays_snapshots_and_corrections():
-    graph = chain(40, [14, 30])
-    graph.add(constraint(graph, 5, 33))
-    whole = [[*range(14), *range(30, 40)], list(range(14, 30))]
-    kept = graph.snapshot()
-    graph.correct(compose(np.array([3.0, 2.0, 0.5]), np.array(graph.poses)))
-    read = from_arrays(KeyGraph, to_arrays(graph))
-    for one in (graph, kept, read):
-        assert told(one) == whole
-        assert one.select_without_gap(np.arange(10, 20), 15).tolist() == list(range(14, 20))
-    for one in (graph, kept, read):  # and they go on by themselves
-        before = len(one)
-        one.extend(compose(one.tracked[-1], STEP), compose(one.poses[-1], STEP), BLIND)
-        assert one.label_rigid_components()[-1] not in one.label_rigid_components()[:-1]
-        assert len(one) == before + 1 == 41

@@ -54,62 +54,6 @@ def test_ends_near_the_origin_move_by_half_a_step_at_most(length_m):
     np.testing.assert_allclose(kept[0].ends, ends, rtol=1e-12, atol=0.5 * np.abs(ends).max() / 32767 or 1e-300)
 
 
-@pytest.mark.parametrize("count", range(10))
-def test_what_is_truncated_is_as_if_no_more_had_come(count):
-    """Some scans are not kept, as they have no beam; none but the first `count` may be left of the others."""
-    whole = ScanArchive()
-    first = ScanArchive()
-    for k, scan in enumerate(scans()):
-        for archive in (whole, first)[: 1 + (k < count)]:
-            archive.append(scan, np.array([0.1 * k, 0.0, 0.0]), is_key=k in (0, 3, 5))
-    whole.truncate(count, sum(k < count for k in (0, 3, 5)))
-    for archive in (whole, first):
-        archive.append(scans()[1], np.array([9.0, 0.0, 0.0]), is_key=True)
-    assert contents(whole) == contents(first)
-
-
-def test_scans_side_by_side_are_those_one_by_one():
-    """To the last bit, those of which nothing is kept included."""
-    kept = ScanArchive()
-    rng = np.random.default_rng(0)
-    for scan in range(6):
-        ends = rng.uniform(-8, 8, (5 * (scan != 4), 2))
-        kept.append(
-            StoredScan(ends, rng.normal(size=2)), np.array([0.0 if scan == 3 else scan, 0, 0]), is_key=scan == 3
-        )
-        kept.append(StoredScan(ends, rng.normal(size=2)), np.array([scan, 0.0, 0.0]), is_key=False)
-    chosen = [1, 3, 6, 8, 9, 10]
-    batch = kept.batch(chosen)
-    assert {len(kept[scan]) for scan in chosen} == {0, 5}
-    for place, scan in enumerate(chosen):
-        np.testing.assert_array_equal(batch.scan(place).ends, kept[scan].ends)
-        np.testing.assert_array_equal(batch.scan(place).origin, kept[scan].origin)
-    assert kept.batch([]).size == 0
-
-
-def test_of_a_robot_that_stands_nothing_is_kept():
-    """But of every key scan, and of what was seen from 2 cm or 0.01 rad away from the last scan that was kept."""
-    scan, kept = scans()[1], ScanArchive()
-    poses = [0.0, 0.0, 0.01, 0.019, 0.021, 0.03, 0.041, 0.041]
-    for k, x in enumerate(poses):
-        kept.append(scan, np.array([x, 0.0, 0.0]), is_key=k == 1)
-    assert [len(kept[k]) > 0 for k in range(8)] == [True, True, False, False, True, False, True, False]
-    kept.append(scan, np.array([0.041, 0.0, 0.011 + 2 * np.pi]), is_key=False)
-    assert len(kept[8]) == len(scan)
-    assert kept.nbytes == 5 * 4 * len(scan)
-
-
-def test_a_robot_that_stands_for_hours_takes_no_memory():
-    scan = scans()[1]
-    sizes = []
-    for count in (10, 1000):
-        kept = ScanArchive()
-        for k in range(count):
-            kept.append(scan, np.zeros(3), is_key=k == 0)
-        sizes.append(sum(values.nbytes for values in kept.to_arrays().values()))
-    assert sizes[0] == sizes[1]
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -131,61 +75,6 @@ def test_arrays_that_contradict_each_other_are_refused(archive, change):
 def test_a_number_of_scans_that_cannot_be_is_refused(archive, count):
     with pytest.raises(ArgumentError, match="count: expected numbers from 0 to 100000000"):
         ScanArchive.from_arrays(archive.to_arrays() | {"count": np.array(count)})
-
-
-def test_numbers_of_ends_that_wrap_around_are_refused(archive):
-    """Their sum is that of the ends, in 64 bits."""
-    arrays = archive.to_arrays()
-    counts = np.zeros_like(arrays["ends.counts"])
-    counts[:4] = len(arrays["ends"]), 2**63 - 1, 2**63 - 1, 2
-    with pytest.raises(ArgumentError, match="ends: expected int16"):
-        ScanArchive.from_arrays(arrays | {"ends.counts": counts})
-
-
-def test_between_key_scans_no_more_beams_are_kept_than_fix_a_pose():
-    """Every k-th: 1080 beams are too many up to k = 4, and 216 with k = 5."""
-    ends, kept = np.random.default_rng(1).normal(size=(1080, 2)), ScanArchive()
-    for k in range(2):
-        kept.append(StoredScan(ends, np.zeros(2)), np.array([0.1 * k, 0.0, 0.0]), is_key=k == 0)
-    assert len(kept.key(0)) == 1080
-    np.testing.assert_allclose(kept[1].ends, ends[::5], rtol=0, atol=1e-4)
-
-
-def test_a_robot_that_drives_for_hours_fills_no_memory(monkeypatch):
-    """All that is kept between key scans stays below a bound, evenly from the begin on; key scans are all kept."""
-    monkeypatch.setattr("gridslam.slam.loop_closure.scan_archive._MOST_BYTES", 40 * 7 * 4)
-    scan, kept = scans()[1], ScanArchive()
-    for k in range(1000):
-        kept.append(scan, np.array([0.1 * k, 0.0, 0.0]), is_key=k % 10 == 0)
-        assert kept.nbytes <= (40 + len(kept.keys)) * 7 * 4
-    there = np.array([k for k in range(1000) if len(kept[k])])
-    assert set(kept.keys) <= set(there.tolist())
-    between = np.setdiff1d(there, kept.keys)
-    assert len(between) >= 20
-    assert (between % 32 == 0).all()
-    read = ScanArchive.from_arrays(kept.to_arrays())
-    for one in (kept, kept.snapshot(), read):
-        for k in range(1000, 2000):
-            one.append(scan, np.array([0.1 * k, 0.0, 0.0]), is_key=k % 10 == 0)
-    assert contents(read) == contents(kept)
-
-
-def test_what_was_given_may_be_changed_afterwards():
-    scan, kept = scans()[1], ScanArchive()
-    kept.append(scan, np.zeros(3), is_key=True)
-    before = contents(kept)
-    scan.ends[:] = 7.0
-    kept[0].ends[:] = 8.0
-    assert contents(kept) == before
-
-
-def test_a_snapshot_goes_its_own_way(archive):
-    twin, before = archive.snapshot(), contents(archive)
-    twin.append(scans()[1], np.zeros(3), is_key=True)
-    assert contents(archive) == before
-    assert (len(twin), twin.keys) == (10, [0, 3, 5, 9])
-    archive.append(scans()[2], np.zeros(3), is_key=False)
-    assert (len(twin), twin.keys) == (10, [0, 3, 5, 9])
 
 
 @pytest.mark.parametrize(
@@ -220,29 +109,6 @@ def of_one_scan():
 def followed_by(first, later):
     first.extend(later)
     return first
-
-
-def test_what_follows_counts_for_the_bound(monkeypatch):
-    """Of two archives that fill half of it each every second scan is left once there is one more."""
-    monkeypatch.setattr("gridslam.slam.loop_closure.scan_archive._MOST_BYTES", 40 * 7 * 4)
-    first, later = ScanArchive(), ScanArchive()
-    for kept in (first, later):
-        for k in range(20):
-            kept.append(scans()[1], np.array([0.1 * k, 0.0, 0.0]), is_key=False)
-    first.extend(later)
-    assert first.nbytes == 40 * 7 * 4
-    first.append(scans()[1], np.array([9.0, 0.0, 0.0]), is_key=False)
-    assert [len(first[k]) > 0 for k in range(41)] == [k % 2 == 0 for k in range(41)]
-
-
-def test_after_a_cut_the_next_scan_is_kept():
-    """Though it was taken where the last one was that is left: where those were that were cut off is not known."""
-    kept = ScanArchive()
-    for _ in range(2):
-        kept.append(scans()[1], np.zeros(3), is_key=True)
-    kept.truncate(1, 1)
-    kept.append(scans()[1], np.zeros(3), is_key=False)
-    assert len(kept[1]) == 7
 
 
 def test_where_memory_for_a_block_cannot_be_had_no_scan_is_lost(archive, monkeypatch):

@@ -8,76 +8,13 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between, compose, transform_points
+from gridslam.geometry.se2 import between, transform_points
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.key_graph import KeyGraph
-from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submap_features import extract_features, match_features
 from gridslam.slam.loop_closure.submap_matching import propose_poses
-from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.loop_closure.submap_recognition import SubmapRecognition
-from support import hall
-
-RECOGNITION = hall.RECOGNITION
-
-
-@pytest.fixture(scope="module")
-def seen():
-    return hall.key_scans(hall.drive(1))
-
-
-def remember(seen, poses):
-    """Key scans of a drive as it was tracked, poses (K, 3), without any constraint."""
-    closure_state = LoopClosureState()
-    for k, pose in enumerate(poses):
-        x, y, turn = between(poses[k - 1], pose) if k else np.zeros(3)
-        closure_state.scans.append(seen.beams[k], pose, is_key=True)
-        closure_state.graph.extend(pose, pose, hall.DOUBTFUL.variances(math.hypot(x, y), abs(turn)))
-    return closure_state
-
-
-def recognize(closure_state, recognition=RECOGNITION):
-    return recognition.search_all(closure_state, hall.MAPPER, SubmapPairs(), lambda: None)
-
-
-@pytest.mark.parametrize("bias_rad_per_m", [0.0, 0.002, -0.002])
-def test_the_way_is_recognized_when_it_is_driven_again(seen, bias_rad_per_m):
-    closure_state = remember(seen, hall.tracked(seen.truth, bias_rad_per_m, scale=1.01))
-    constraints, _ = recognize(closure_state)
-    assert len(constraints) >= 10
-    metres, radians = hall.errors(seen.truth, constraints).T
-    # a submap of 20 m is bent by 20 m * 0.002 rad/m, half of it to each side of its middle
-    assert metres.max() < 0.3
-    assert radians.max() < 0.04
-    assert np.median(metres) < 0.15
-
-
-def test_a_place_that_the_drift_cannot_explain_is_not_believed(seen):
-    """The second lap lies 30 m beside the first, by an increment that is said to be certain."""
-    poses = hall.tracked(seen.truth)
-    poses[len(poses) // 2 :] = compose([30.0, 0.0, 0.0], poses[len(poses) // 2 :])
-    assert recognize(remember(seen, poses)) == ([], 0)
-
-
-def test_what_is_certain_is_not_searched_for(seen):
-    closure_state = remember(seen, seen.truth)
-    assert recognize(closure_state, SubmapRecognition(length_m=20.0, step_m=5.0, certain_sigma_m=100.0)) == ([], 0)
-
-
-def test_submaps_end_at_a_gap_and_cover_all_of_the_way(seen):
-    closure_state = remember(seen, seen.truth)
-    graph = closure_state.graph
-    at = 70
-    graph.variances[at] = (100.0, 1.0)
-    graph.correct(np.array(graph.poses))
-    pairs = SubmapPairs()
-    RECOGNITION.cut(closure_state, hall.MAPPER, pairs, is_over=True)
-    submaps = pairs.submaps
-    assert not any(submap.keys[0] < at <= submap.keys[-1] for submap in submaps)
-    assert set(np.concatenate([submap.keys for submap in submaps]).tolist()) == set(range(len(graph)))
-    way = graph.driven_m()
-    assert max(np.ptp(way[submap.keys]) for submap in submaps) <= RECOGNITION.length_m
 
 
 def corners(rng):
@@ -104,13 +41,6 @@ def test_keypoints_turn_with_the_place(seed):
     assert abs(wrap(best[2] - pose[2])) < 0.02
     other = extract_features(corners(rng))
     assert all(count < agreeing / 3 for _, count in propose_poses(old, other, match_features(old, other), 3, 4))
-
-
-def test_nothing_seen_has_no_keypoints():
-    nothing = extract_features(np.empty((0, 2)))
-    assert len(nothing) == 0
-    assert match_features(nothing, extract_features(corners(np.random.default_rng(0)))).shape == (0, 2)
-    assert propose_poses(nothing, nothing, np.empty((0, 2), np.int64), 3, 4) == []
 
 
 def line(length):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -11,10 +9,7 @@ from closure_worlds import Drive, deceptive, returns
 from gridslam.geometry.se2 import between
 from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel
-from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP
 from gridslam.slam.loop_closure.state import LoopClosureState
-from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
-from gridslam.slam.loop_closure.submap_recognition import SubmapRecognition
 from support import hall
 
 LAP = 95
@@ -57,22 +52,6 @@ def test_a_revisit_is_recognized_within_a_submap_and_a_half(drives):
     assert way[found[0][0]] - way[LAP] < 1.5 * hall.RECOGNITION.length_m
 
 
-def test_at_the_end_nothing_else_is_found(drives):
-    """What is compared while the robot drives is what is compared at the end, but for the last, incomplete submap."""
-    seen, closure_state = drives[1], LoopClosureState()
-    hall.remember(closure_state, seen, hall.tracked(seen.truth, 0.002, 1.01))
-    of_all, pairs = LoopClosureState(scans=closure_state.scans, graph=closure_state.graph.snapshot()), SubmapPairs()
-    of_all.graph.constraints = []
-    of_all.graph.correct(np.array(of_all.graph.poses))
-    constraints, _ = hall.RECOGNITION.search_all(of_all, hall.MAPPER, pairs, lambda: None)
-    online = {c.measurement.tobytes() for c in closure_state.search.candidates}
-    last = pairs.submaps[-1].anchor
-    assert online <= {c.measurement.tobytes() for c in constraints} | online
-    assert [s.anchor for s in closure_state.pairs.submaps] == [s.anchor for s in pairs.submaps[:-1]]
-    assert all(s.keys[-1] <= pairs.submaps[-1].keys[-1] for s in pairs.submaps)
-    assert last < len(closure_state.graph)
-
-
 def test_where_the_way_back_is_certain_places_are_known_without_a_search(drives):
     """Tracked without an error, and the drift model knows."""
     seen, closure_state = drives[3], LoopClosureState()
@@ -84,67 +63,6 @@ def test_where_the_way_back_is_certain_places_are_known_without_a_search(drives)
     tracked = [t for t in closure_state.graph.constraints if t.source is ConstraintSource.TRACKED]
     assert len(tracked) > LAP / 2
     assert (hall.errors(seen.truth, hall.trusted(closure_state)) < [0.1, 0.02]).all()
-
-
-@pytest.mark.parametrize("far_m", [3.0, 8.0])
-def test_an_old_place_out_of_reach_is_not_believed(drives, far_m):
-    """The track jumps by some metres, of which the drift says nothing: only what came after that is found again."""
-    seen, closure_state = drives[1], LoopClosureState()
-    jump = np.where(np.arange(len(seen.truth)) < 60, 0.0, far_m)[:, None] * [1.0, 1.0, 0.0]
-    bounded = replace(hall.RECOGNITION, margin_m=0.5, drift_m=1.0, drift_ratio=0.01)
-    found = hall.remember(closure_state, seen, seen.truth + jump, drift=DriftModel(), recognition=bounded)
-    assert found
-    assert all(constraint.from_ > 60 for constraint in hall.trusted(closure_state))
-
-
-def test_what_the_bound_of_the_drift_leaves_out_is_counted(drives):
-    """200 m there, 100 m across, 200 m back: the drift model allows for 100 m and more, the bound for 45."""
-    beams = [drives[1].beams[k % 190] for k in range(500)]
-    way = np.arange(500.0)
-    there = np.stack([np.minimum(way, 200) - np.maximum(way - 300, 0), np.clip(way - 200, 0, 100), 0 * way], axis=1)
-    counts = []
-    for sigma_rad in (0.003, 0.05):
-        closure_state = LoopClosureState()
-        drift = DriftModel(sigma_rad_per_sqrt_m=sigma_rad)
-        hall.remember(closure_state, hall.Seen(there, beams), there, drift=drift, recognition=SubmapRecognition())
-        counts.append(closure_state.search.unsearched)
-    assert counts[0] == 0
-    assert counts[1] > 10
-
-
-@pytest.mark.parametrize("least", [2, 3, 6])
-def test_too_few_matches_are_no_recognition(drives, least):
-    seen = drives[1]
-    recognition = replace(hall.RECOGNITION, min_matches=least)
-    closure_state = LoopClosureState()
-    found = hall.remember(closure_state, seen, hall.tracked(seen.truth, 0.002, 1.01), recognition=recognition)
-    first = found[0][0]
-    assert len([key for key, _ in found if key == first]) >= least
-
-
-def test_nothing_is_searched_for_while_all_is_recent(drives):
-    seen, closure_state = drives[1], LoopClosureState()
-    until = hall.PLACES.recent_submaps * KEY_SCANS_PER_SUBMAP + KEY_SCANS_PER_SUBMAP
-    hall.remember(closure_state, seen, seen.truth, until=until)
-    assert closure_state.graph.constraints == []
-    assert closure_state.search.candidates == []
-
-
-def test_scans_without_a_beam_are_passed_over(drives):
-    seen = drives[1]
-    blind = replace(seen.beams[120], indices=seen.beams[120].indices[:0], ends=seen.beams[120].ends[:0])
-    beams = [blind if 115 <= k < 135 else b for k, b in enumerate(seen.beams)]
-    closure_state = LoopClosureState()
-    hall.remember(closure_state, hall.Seen(seen.truth, beams), hall.tracked(seen.truth, 0.001), until=150)
-    assert not any(115 <= constraint.to < 135 for constraint in hall.trusted(closure_state))
-
-
-def test_earlier_drives_are_not_compared_with_each_other(drives):
-    seen, closure_state = drives[1], LoopClosureState()
-    closure_state.search.first_key = 2 * LAP
-    assert hall.remember(closure_state, seen, hall.tracked(seen.truth, 0.002, 1.01)) == []
-    assert closure_state.search.candidates == []
-    assert closure_state.search.compared > 10
 
 
 def test_a_key_scan_that_is_taken_back_leaves_no_trace(drives):

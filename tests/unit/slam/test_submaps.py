@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.se2 import compose
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, anchor_of
 from gridslam.slam.loop_closure.state import LoopClosureState
-from gridslam.slam.loop_closure.submaps import ROW, SubmapCache, key_scans_of
+from gridslam.slam.loop_closure.submaps import SubmapCache, key_scans_of
 from support import hall
 
 COUNT = 65
@@ -34,15 +34,6 @@ def test_blocks_and_anchors_partition_the_key_scans(closure_state):
         assert anchor_of(submap) in key_scans_of(submap, closure_state.graph)[1:-1]  # in its midst: all of it is near
 
 
-def test_a_submap_is_drawn_as_tracked_about_its_anchor(closure_state):
-    poses = np.array(closure_state.graph.tracked)
-    for submap in (0, 3, 5):
-        maps = hall.MAPPER.empty(1)
-        for key in key_scans_of(submap, closure_state.graph):
-            maps.update(ROW, between(poses[anchor_of(submap)], poses[key])[None], closure_state.scans.key(key))
-        assert contents(SubmapCache()(submap, hall.MAPPER, closure_state.scans, closure_state.graph)) == contents(maps)
-
-
 def test_what_is_kept_changes_nothing(closure_state):
     """Asked for in any order, with room for one or for many, before and after a correction."""
     many, one = SubmapCache(), SubmapCache(most=1)
@@ -66,15 +57,3 @@ def test_room_is_made_by_dropping_what_was_not_used_for_longest(closure_state):
     assert again[0] is drawn_first[0]
     assert again[1] is drawn_first[3]
     assert again[2] is not drawn_first[1]
-
-
-def test_large_submaps_are_kept_only_as_far_as_they_fit(closure_state, monkeypatch):
-    parts = hall.MAPPER, closure_state.scans, closure_state.graph
-    sizes = [SubmapCache()(submap, *parts).nbytes for submap in range(4)]
-    monkeypatch.setattr("gridslam.slam.loop_closure.submaps._MOST_BYTES", sizes[2] + sizes[3])
-    submaps = SubmapCache()
-    drawn_first = [submaps(submap, *parts) for submap in range(4)]
-    assert submaps.nbytes == sizes[2] + sizes[3]
-    assert submaps(3, *parts) is drawn_first[3]
-    assert contents(submaps(0, *parts)) == contents(drawn_first[0])
-    assert submaps.nbytes <= sizes[2] + sizes[3]

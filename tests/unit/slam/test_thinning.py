@@ -64,14 +64,6 @@ def test_the_newest_two_drives_through_a_place_are_kept():
     assert len(thinned.piece) == 2 * KEYS
 
 
-def test_a_place_that_is_never_visited_again_is_never_forgotten():
-    piece, drives = join([100.0, *[0.0] * 8])
-    thinned = thin_piece(piece, drives, MAPPER)
-    assert drives_left(thinned)[0] == 0
-    assert drives_left(thinned)[-2:] == [7, 8]
-    assert len(thinned.drives[0].keys) == 3 * KEYS
-
-
 def test_the_size_stays_that_of_two_drives_however_often_the_place_is_visited():
     piece, drives = join([0.0, 0.0])
     for day in range(6):
@@ -88,14 +80,6 @@ def test_the_size_stays_that_of_two_drives_however_often_the_place_is_visited():
 
 
 _RECOGNIZED = ConstraintSource.RECOGNIZED, True
-
-
-def test_nothing_is_left_out_of_one_drive():
-    piece, drives = join([0.0])
-    thinned = thin_piece(piece, drives, MAPPER)
-    assert thinned.piece is piece
-    assert thinned.drives == drives
-    np.testing.assert_array_equal(thinned.scans, np.arange(len(piece.scans)))
 
 
 def test_scans_between_key_scans_keep_their_beams_in_the_newest_drive_alone():
@@ -127,14 +111,6 @@ def test_what_is_left_does_not_move_and_its_scans_are_what_they_were():
     np.testing.assert_allclose(found, whole, atol=1e-9)
 
 
-def test_what_is_frozen_is_left_out_too_and_the_rest_of_it_stays_frozen():
-    piece, drives = join([100.0, 0.0, 0.0, 0.0], {2: (5, 3)})
-    piece.graph.frozen = 2 * KEYS
-    thinned = thin_piece(piece, drives, MAPPER)
-    assert drives_left(thinned) == [0, 2, 3]
-    assert thinned.piece.graph.frozen == KEYS
-
-
 @pytest.mark.parametrize("is_bridge", [True, False])
 def test_what_holds_others_together_is_kept(is_bridge):
     """Drive 1, long superseded, is all that joins a far place with the rest; or each newer one does, too."""
@@ -144,23 +120,3 @@ def test_what_holds_others_together_is_kept(is_bridge):
     assert len(set(piece.graph.label_rigid_components().tolist())) == 1
     assert len(set(thinned.piece.graph.label_rigid_components().tolist())) == 1
     assert (1 in drives_left(thinned)) == is_bridge
-
-
-def test_pieces_that_nothing_joined_stay_apart():
-    piece, drives = join([0.0] * 4)
-    piece.graph.constraints = []
-    piece.graph.correct(piece.poses)
-    thinned = thin_piece(piece, drives, MAPPER)
-    assert len(set(thinned.piece.graph.label_rigid_components().tolist())) == 2
-    assert drives_left(thinned) == [2, 3]
-
-
-def test_within_one_drive_nothing_is_left_out():
-    archive, graph = ScanArchive(), KeyGraph()
-    for _ in range(6):
-        for x in (*[0.0] * 10, *range(5, 25, 2)):
-            pose = np.array([float(x), 0.0, 0.0])
-            archive.append(ROOM, pose, is_key=True)
-            graph.extend(pose, pose, (1e-4, 1e-6))
-    scans = TrackedScans(np.arange(len(graph)), np.zeros((len(graph), 3)))
-    assert len(thin_piece(MapPiece(archive, graph), [scans], MAPPER).key_scans) == len(graph)

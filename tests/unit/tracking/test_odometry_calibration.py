@@ -64,23 +64,6 @@ def test_systematic_errors_are_found(position, heading):
     np.testing.assert_allclose(errors.correct_increment(increment), true_of(increment[None], factors)[0], atol=0.003)
 
 
-def test_noise_is_found():
-    """Of odometry that is right in the mean: a stretch has ten scans or more, and ten times the variances of one."""
-    rng = np.random.default_rng(1)
-    told = drive(4000, rng)
-    noise = np.array([0.004, 0.004, 0.002]) * rng.standard_normal(told.shape)
-    errors = taught(told + noise, told)
-    sigma_m, sigma_rad = np.sqrt(errors.variances)
-    assert np.sqrt(10) * 0.004 < sigma_m < 1.4 * np.sqrt(10) * 0.004
-    assert np.sqrt(10) * 0.002 < sigma_rad < 1.4 * np.sqrt(10) * 0.002
-    assert LEARN.is_known(errors)
-
-
-def test_exact_odometry_is_left_as_it_is():
-    told = drive(400, np.random.default_rng(2))
-    np.testing.assert_allclose(taught(told, told).factors, [1, 0, 0, 0, 1, 0], atol=1e-9)
-
-
 def test_slips_are_not_learned():
     """In each twentieth stretch the wheels spin for half a metre: 5 % of the way, and none of the scale."""
     told = drive(4000, np.random.default_rng(3))
@@ -104,13 +87,6 @@ def test_what_changes_is_learned_anew():
     assert errors.factors[0] == pytest.approx(0.94, abs=0.012)
 
 
-def test_scans_that_leave_a_direction_open_teach_the_heading_alone():
-    told = drive(2000, np.random.default_rng(6))
-    errors = taught(true_of(told, FACTORS), told, determined=False)
-    np.testing.assert_array_equal(errors.factors[:4], [1, 0, 0, 0])
-    np.testing.assert_allclose(errors.factors[4:], FACTORS[4:], atol=0.02)
-
-
 @pytest.mark.parametrize("times", [(0, 0, 0), (1, 1, -1), (-1, -1, 1)], ids=["frozen", "reflected", "backward"])
 def test_odometry_that_helps_nothing_is_not_trusted_until_it_does(times):
     true = drive(1000, np.random.default_rng(8))
@@ -122,18 +98,6 @@ def test_odometry_that_helps_nothing_is_not_trusted_until_it_does(times):
     taught(true, true, errors=errors)
     assert errors.trusted
     assert np.abs(errors.factors - [1, 0, 0, 0, 1, 0]).max() < 0.02
-
-
-def test_a_scan_that_is_not_believed_or_has_no_odometry_begins_a_stretch():
-    told = drive(30, np.random.default_rng(9))
-    errors, poses = OdometryErrorModel(), walk(told)
-    for k, pose in enumerate(poses):
-        LEARN.learn(errors, pose, np.full(3, np.nan) if k % 5 == 0 else pose, True, True)
-    assert errors.segments == 0
-    errors = OdometryErrorModel()
-    for k, pose in enumerate(poses):
-        LEARN.learn(errors, pose, pose, k % 5 != 0, True)
-    assert errors.segments == 0
 
 
 def test_a_copy_goes_on_to_the_same_bytes():

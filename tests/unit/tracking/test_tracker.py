@@ -9,13 +9,10 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping import OccupancyGridMapping
-from gridslam.models import DiffusionMotion
 from gridslam.serialization import to_arrays
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
-from gridslam.sim.floor_plan import furniture, join, room, wall
-from gridslam.slam import OdometryTracker, Tracker
-from gridslam.tracking.prediction import widen_motion
-from gridslam.types import LaserScan, Trajectory
+from gridslam.sim.floor_plan import furniture, join, room
+from gridslam.slam import Tracker
 
 PERFECT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 BIASED = OdometryNoise(1.1, 0.85, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -62,42 +59,11 @@ def biased():
     return driven(BIASED)
 
 
-def test_perfect_odometry_stays_nearly_perfect(perfect):
-    assert (missed(track(Tracker(), perfect)[0], perfect).max(axis=0) < BAND).all()
-
-
 def test_biased_odometry_is_corrected_in_a_room(biased):
     """Odometry alone strays by more than four times as much."""
     alone = missed(between(biased.odometry.poses[0], biased.odometry.poses), biased).max(axis=0)
     assert (alone > 4 * BAND).all()
     assert (missed(track(Tracker(), biased)[0], biased).max(axis=0) < BAND).all()
-
-
-def test_the_prediction_is_the_last_match_moved_by_odometry(biased):
-    """It must not know the scan: only the scans before it."""
-    told, predicted, _ = track(Tracker(standstill_m=0, standstill_rad=0, calibration=None), biased)
-    increments = between(biased.odometry.poses[:-1], biased.odometry.poses[1:])
-    moving = np.flatnonzero(np.abs(increments).max(axis=1) > 0)
-    np.testing.assert_allclose(between(told[moving], predicted[moving + 1]), increments[moving], atol=1e-9)
-
-
-def test_the_odometry_tracker_takes_odometry_as_it_is(biased):
-    told, predicted, state = track(OdometryTracker(), biased)
-    odometry = biased.odometry.poses
-    np.testing.assert_allclose(between(odometry[0], odometry), told, atol=1e-9)
-    np.testing.assert_array_equal(told, predicted)
-    assert state.maps.tiles_used == 0
-
-
-def test_a_scan_after_next_to_no_motion_takes_the_odometry(biased):
-    odometry, scan = biased.measurements[0]
-    state = Tracker().init(odometry, scan.stamp_ns, scan.beams(0.05, 30.0), OccupancyGridMapping())
-    before = {name: array.tobytes() for name, array in state.maps.to_arrays().items()}
-    for k in range(10):
-        nudged = type(odometry).at(k * 10**8, odometry.pose + np.array([0.0004 * k, 0.0, 0.0]))
-        tracked = Tracker().step(state, nudged, k * 10**8, scan.beams(0.05, 30.0))
-        np.testing.assert_allclose(tracked.pose, between(odometry.pose, nudged.pose), atol=1e-12)
-    assert {name: array.tobytes() for name, array in state.maps.to_arrays().items()} == before
 
 
 def jumping(log, at, offset):
@@ -115,28 +81,11 @@ def test_a_jump_of_the_odometry_leaves_no_trace(perfect, at, offset):
     assert (missed(told, perfect).max(axis=0) < BAND).all()
 
 
-def test_a_jump_between_scans_without_beams_is_not_driven(perfect):
-    """Covered for a second, and in the middle of it the odometry is reset: that one increment is lost, nothing else."""
-    log = jumping(perfect, 55, (30.0, 10.0, 1.0))
-    for k in range(52, 58):
-        scan = log[k][1]
-        log[k] = (log[k][0], LaserScan.from_ranges(scan.stamp_ns, np.full(len(scan), np.inf), scan.geometry))
-    told, _, _ = track(Tracker(), perfect, log)
-    assert (missed(told, perfect).max(axis=0) < BAND + np.array([0.15, 0.2])).all()  # what is driven in 0.2 s
-    assert (missed(told, perfect)[80:].max(axis=0) < BAND).all()
-
-
 def without(log, lost=slice(None)):
     """The log with the odometry of the scans `lost` thrown away."""
     measurements = list(log.measurements)
     measurements[lost] = [(None, scan) for _, scan in measurements[lost]]
     return measurements
-
-
-def test_without_odometry_it_is_as_good(perfect):
-    told, _, state = track(Tracker(), perfect, without(perfect))
-    assert (missed(told, perfect).max(axis=0) < BAND).all()
-    assert state.unmatched.position_m2 == state.unmatched.heading_rad2 == 0
 
 
 def test_without_odometry_the_prediction_is_the_velocity_of_the_scans_before(perfect):
@@ -147,32 +96,6 @@ def test_without_odometry_the_prediction_is_the_velocity_of_the_scans_before(per
     _, _, state = track(Tracker(), perfect, without(perfect)[:100])
     velocity = between(perfect.truth.poses[98], perfect.truth.poses[99]) / 0.2
     np.testing.assert_allclose(state.twist, velocity, atol=0.1)
-
-
-def test_a_prediction_by_velocity_is_as_uncertain_as_those_before_were_wrong(perfect):
-    """The variances that particles get where no scan is found; a turn from one scan to the next is nobody's guess."""
-    (_, scan), *rest = without(perfect)
-    state, missed_by, told = Tracker().init(None, 0, scan.beams(0.05, 30.0), OccupancyGridMapping()), [], []
-    for _, scan in rest:
-        told.append(state.velocity_variances)
-        tracked = Tracker().step(state, None, scan.stamp_ns, scan.beams(0.05, 30.0))
-        missed_by.append(between(tracked.predicted, tracked.pose))
-    squares, claimed = np.square(missed_by[50:]), np.mean(told[50:], axis=0)
-    assert claimed[0] == pytest.approx(squares[:, :2].mean(), rel=0.5)
-    assert np.percentile(squares[:, 2], 75) < claimed[1] < np.percentile(squares[:, 2], 98)
-    assert track(Tracker(), perfect)[2].velocity_variances == (0.02**2, 0.03**2)
-
-
-def test_noise_of_the_control_is_added_to_that_of_the_motion():
-    motion, variances = DiffusionMotion()(np.array([0.4, 0.0, 0.3])), np.array([0.03**2, 0.02**2])
-    assert widen_motion(motion, None) is motion
-    wide, poses = widen_motion(motion, variances), np.tile([1.0, 2.0, 0.7], (20000, 1))
-    means, covariances = wide.moments(poses[:1])
-    np.testing.assert_array_equal(means, motion.moments(poses[:1])[0])
-    np.testing.assert_allclose(covariances - motion.moments(poses[:1])[1], [np.diag([9e-4, 9e-4, 4e-4])], atol=1e-12)
-    drawn = wide(poses, np.random.default_rng(0))
-    # A variance of 20000 draws has a relative deviation of 1 %, and so have the correlations of 0.01 at most.
-    np.testing.assert_allclose(np.cov(drawn.T), covariances[0], atol=0.05 * 9e-4 + 1e-5)
 
 
 def restamped(measurements, shift_ns):
@@ -228,91 +151,6 @@ def test_odometry_that_helps_nothing_is_noticed_and_done_without(perfect, times)
     poses, _, state = track(Tracker(), perfect, log)
     assert not state.odometry_errors.trusted
     assert (missed(poses, perfect).max(axis=0) < BAND).all()
-
-
-def test_along_a_bare_corridor_the_odometry_is_believed_as_it_was_learned_before():
-    """A furnished room, twice around, and then 34 m of corridor in which no scan tells how far the robot is.
-
-    Its odometry is 5 % too long, 1.7 m.
-    """
-    tables = [furniture(3, 3, 1.2, 0.8, 0.4), furniture(1, 5.4, 1.5, 0.6), furniture(5.3, 1, 0.7, 1.4)]
-    walls = join(room(0, 0, 6, 6, east=[(3.0, 2.0)]), wall((6, 2), (40, 2)), wall((6, 4), (40, 4)), *tables)
-    around = [(1.2, 1.2), (4.6, 1.3), (4.6, 4.6), (1.4, 4.3)]
-    world = World.of("corridor", walls, [*around, *around, (1.2, 1.2), (3.0, 1.2), (4.8, 3.0), (38.0, 3.0)])
-    noise = OdometryNoise(distance_scale=1.05, turn_scale=1.0, bias_rad_per_m=0.0)
-    log = simulate(world, RobotConfig(v_max_m_s=1.0), noise, LidarConfig(range_max_m=8.0), np.random.default_rng(0))
-    told, _, state = track(Tracker(), log)
-    assert state.odometry_errors.factors[0] == pytest.approx(1 / 1.05, abs=0.015)
-    assert abs(between(between(log.truth.poses[0], log.truth.poses[-1]), told[-1])[0]) < 0.5
-
-
-def test_without_odometry_a_robot_stands_still(perfect):
-    """Noise of the ranges does not carry it away: the map is the first scan's, and no other is inserted."""
-    scan, noise = perfect.measurements[0][1], np.random.default_rng(1)
-    log = [
-        (None, replace(scan, stamp_ns=k * 10**8, ranges=scan.ranges + noise.normal(0, 0.01, len(scan))))
-        for k in range(60)
-    ]
-    told, _, state = track(Tracker(), perfect, log)
-    assert np.abs(told).max() < 0.015
-    assert (told[1:] == told[:-1]).all(axis=1).mean() > 0.7
-    assert state.scans == (1, 0)
-
-
-def test_without_odometry_a_gap_is_searched(perfect):
-    """Two seconds without a scan in the middle of a turn: 1 m and more, and half a radian, from any prediction."""
-    turn = int(np.abs(np.diff(np.unwrap(perfect.truth.poses[:, 2]))).argmax())
-    kept = np.delete(np.arange(len(perfect)), np.s_[turn - 3 : turn + 6])
-    told, predicted, _ = track(Tracker(), perfect, [without(perfect)[k] for k in kept])
-    truth = Trajectory(perfect.truth.stamps_ns[kept], perfect.truth.poses[kept])
-    assert (missed(told, replace(perfect, truth=truth)).max(axis=0) < BAND).all()
-    assert np.hypot(*(predicted - told)[turn - 3, :2]) > 0.3
-
-
-def test_without_odometry_another_place_is_mapped_anew(perfect):
-    """The robot is carried into a room that looks otherwise: a few scans fit nowhere, then the new room does."""
-    here = without(perfect)[:40]
-    scan = here[-1][1]
-    star = np.repeat(np.random.default_rng(3).uniform(0.5, 3.0, 12), 10)
-    there = [(None, LaserScan.from_ranges(scan.stamp_ns + k * 2 * 10**8, star, scan.geometry)) for k in range(1, 11)]
-    told, _, state = track(Tracker(), perfect, [*here, *there])
-    assert state.unmatched.position_m2 > 0
-    assert state.unlocalized_scans == 0
-    np.testing.assert_allclose(told[-5:], told[-5:-4].repeat(5, axis=0), atol=0.02)
-
-
-def test_local_maps_take_turns(perfect):
-    """A second map begins when the first holds `map_scans`, and replaces it when it holds as many itself."""
-    tracker = Tracker(map_scans=4)
-    (odometry, scan), *rest = perfect.measurements
-    state = tracker.init(odometry, scan.stamp_ns, scan.beams(0.05, 30.0), OccupancyGridMapping())
-    seen, turns = [state.scans], 0
-    for odometry, scan in rest:
-        before = state.matched_map
-        tracker.step(state, odometry, scan.stamp_ns, scan.beams(0.05, 30.0))
-        active, other = state.scans[state.matched_map], state.scans[1 - state.matched_map]
-        turns += state.matched_map != before
-        if state.scans != seen[-1]:
-            seen.append(state.scans)
-        assert active <= 2 * tracker.map_scans
-        assert other < tracker.map_scans
-        assert other == 0 or active >= tracker.map_scans + other
-        known = [state.maps.occupancy(row).known.any() for row in (state.matched_map, 1 - state.matched_map)]
-        assert known == [True, other > 0]
-    assert turns >= 5
-    assert seen[:6] == [(1, 0), (2, 0), (3, 0), (4, 0), (5, 1), (6, 2)]
-
-
-def test_memory_stays_bounded(perfect):
-    """Two local maps of a room hold no more tiles after ten times around than a little more than after one."""
-    tracker, laps = Tracker(map_scans=5), []
-    (odometry, scan), *rest = perfect.measurements
-    state = tracker.init(odometry, scan.stamp_ns, scan.beams(0.05, 30.0), OccupancyGridMapping())
-    for _ in range(4):
-        for odometry, scan in rest:
-            tracker.step(state, odometry, scan.stamp_ns, scan.beams(0.05, 30.0))
-        laps.append(state.maps.tiles_used)
-    assert max(laps) <= 1.5 * laps[0]
 
 
 def test_a_snapshot_is_apart(perfect):

@@ -82,22 +82,6 @@ def test_beam_times_told_backward_are_noticed(skewed, with_odometry):
     assert np.abs(between(true_end, end)).max() < 0.05
 
 
-def test_beam_times_that_are_none_are_noticed():
-    """Scans taken in an instant whose driver tells times all the same."""
-    log = driven(0.0)
-    times = np.arange(240) / 2400
-    told, state = track(Tracker(), [(o, replace(scan, beam_times_s=times)) for o, scan in log.measurements])
-    assert order(state) == 0
-    end, true_end = between(told[-100], told[-1]), between(log.truth.poses[-100], log.truth.poses[-1])
-    assert np.abs(between(true_end, end)).max() < 0.05
-
-
-def test_scans_without_beam_times_are_not_touched():
-    log = driven(0.0)
-    runs = [track(Tracker(deskew=deskew), log.measurements)[0] for deskew in (True, False)]
-    assert runs[0].tobytes() == runs[1].tobytes()
-
-
 def test_particles_take_the_scan_as_it_was_sharpened(skewed):
     """Mapping the drive from blurred scans leaves more cells occupied: thicker walls."""
     occupied = []

@@ -12,7 +12,6 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.matching import GaussNewton
-from gridslam.matching.branch_and_bound import Pyramid
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.slam import Tracker
 from gridslam.tracking import search
@@ -29,7 +28,6 @@ NEVER = OdometrySearch(sparse_period_s=1e6, sparse_step=1e6, blind_step=1e6)
 NO_GATES = ((12.0, math.inf),)
 """Whatever is found about the prediction does not suffice."""
 
-CELL_M = 0.05
 FAR = np.array([0.1, 0.035])
 """Two cells, and what turns a wall 3 m away by as much: what a match ends within, whatever it began from."""
 
@@ -98,7 +96,7 @@ def worst(tracker, sparse, tracked, offset):
     return np.array([away(poses, tracked[at : at + 5]).max(axis=0) for at, poses in zip(JUMPS, told, strict=True)])
 
 
-@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.3), (0.0, 0.4, 0.3), (0.0, 0.0, 0.9), (0.0, 0.0, -0.9)])
+@pytest.mark.parametrize("offset", [(0.0, 0.4, 0.3), (0.0, 0.0, -0.9)])
 def test_a_jump_of_the_odometry_between_scans_far_apart_leaves_no_trace(sparse, tracked, offset):
     """Wherever it is on the drive.
 
@@ -129,15 +127,6 @@ def states(sparse):
     return known
 
 
-@pytest.mark.parametrize("turn", [-0.3, 0.3])
-def test_where_the_odometry_turned_too_far_every_scan_is_found(states, turn):
-    for state, beams, pose in states:
-        found = SEARCH(state, predicted_off(pose, turn), beams, MATCHER)
-        assert not found.lost
-        assert found.matched
-        assert (away(found.pose, pose) < FAR).all()
-
-
 @pytest.mark.parametrize("turn", [-1.4, 1.4])
 def test_a_turn_that_was_not_counted_at_all_is_found_all_around_or_nothing_is_said(states, turn, monkeypatch):
     """Where nothing lies within the gates; two of three scans see enough of what is mapped to be found again so.
@@ -156,67 +145,6 @@ def test_a_turn_that_was_not_counted_at_all_is_found_all_around_or_nothing_is_sa
             assert (away(found.pose, pose) < FAR).all()
             right += 1
     assert right > 0.66 * len(states)
-
-
-def test_a_half_turn_is_not_believed(states, monkeypatch):
-    """Corridors and rooms look alike after one, and wheels do not miss so much."""
-    monkeypatch.setattr(search, "_GATES", NO_GATES)
-    for state, beams, pose in states:
-        found = SEARCH(state, predicted_off(pose, math.pi), beams, MATCHER)
-        assert found.lost or not (away(found.pose, pose) < FAR).all()
-
-
-@pytest.mark.parametrize("errors_m", [0.02, 0.3])
-def test_how_far_is_searched_follows_from_what_the_odometry_has_been_worth(states, errors_m):
-    """A scan 1.3 m off the odometry is found where it has erred by decimetres, and hardly where by centimetres."""
-    found = []
-    for before, beams, pose in states:
-        state = before.snapshot()
-        state.odometry_errors = replace(
-            state.odometry_errors, segments=50.0, variances=np.array([errors_m**2, 0.02**2])
-        )
-        prediction = predicted_off(compose(pose, np.array([1.3, 0.0, 0.0])), 0.0)
-        found.append((away(SEARCH(state, prediction, beams, MATCHER).pose, pose) < FAR).all())
-    assert np.mean(found) > 0.66 if errors_m > 0.1 else np.mean(found) < 0.3
-
-
-def test_odometry_is_given_up_for_velocities_only_where_scans_come_often(sparse, whole):
-    """Between scans far apart velocities tell nothing, and what looked like useless odometry may be a wrong match."""
-    for log, by_odometry in ((sparse, True), ([*whole.measurements][:80], False)):
-        tracker = Tracker()
-        state = start(tracker, log)
-        for odometry, scan in log[1:-1]:
-            step(tracker, state, odometry, scan)
-        state.odometry_errors = replace(state.odometry_errors, trusted=False)
-        state.rejected_odometry = 0
-        step(tracker, state, *log[-1])
-        assert state.rejected_odometry == (not by_odometry)
-
-
-@pytest.mark.parametrize("turn", [-1.4, 1.4])
-def test_a_poor_place_near_the_prediction_does_not_hide_the_right_one(states, turn):
-    """With the usual gates, too: what is found within them may be no more than a wall that is parallel."""
-    found = [SEARCH(state, predicted_off(pose, turn), beams, MATCHER) for state, beams, pose in states]
-    right = sum((away(f.pose, pose) < FAR).all() for f, (_, _, pose) in zip(found, states, strict=True))
-    assert right > 0.66 * len(states)
-
-
-def test_at_full_rate_no_scan_is_far_and_nothing_changes(whole):
-    tracker, state = Tracker(), start(Tracker(), whole.measurements)
-    poses = [state.pose]
-    for odometry, scan in whole.measurements[1:300]:
-        before = state.snapshot()
-        told = between(before.matched_odometry, odometry.pose)
-        turned = abs(float(told[2]))
-        ahead = Prediction(
-            compose(before.matched_pose, told), True, 0.1, math.hypot(told[0], told[1]), turned, 0.01, 0.01, 0.0016
-        )
-        assert not SEARCH.is_far_from_last(before, ahead)
-        assert not SEARCH.had_blind_gap(before, ahead)
-        poses.append(step(tracker, state, odometry, scan).pose)
-    never, _ = track(Tracker(search=NEVER), whole.measurements[:300])
-    np.testing.assert_array_equal(np.array(poses), never)
-    assert state.unmatched.position_m2 == 0
 
 
 @pytest.mark.parametrize(
@@ -280,15 +208,6 @@ def test_after_a_blind_gap_the_robot_is_where_the_odometry_has_it(halls, scans):
     assert told.control.variances[0] == pytest.approx(state.unmatched.position_m2)
 
 
-@pytest.mark.parametrize("scans", [37, 45])
-def test_the_velocity_would_drag_a_scan_after_a_gap_back_to_where_it_fits(halls, scans):
-    """What `had_blind_gap` is for: nothing farther than a second's drive from the last scan is searched, or doubted."""
-    _, ahead, state, off = after_a_gap(halls, scans, Tracker(search=NEVER))
-    way = math.hypot(*(ahead - halls[1].matched_pose)[:2])
-    assert off[0] > 0.5 * way
-    assert state.unmatched.position_m2 == 0
-
-
 def test_a_blind_gap_makes_doubt_by_what_the_odometry_may_err(halls):
     """15 % of the way and more, whether or not the scan was found: it may have been found where it looks alike."""
     doubts = []
@@ -300,30 +219,3 @@ def test_a_blind_gap_makes_doubt_by_what_the_odometry_may_err(halls):
         doubts.append(state.unmatched.position_m2)
     assert halls[1].unmatched.position_m2 == 0
     assert doubts[:3] == sorted(doubts[:3])
-
-
-def test_after_a_short_gap_the_scan_is_found_again_and_the_odometry_overruled(halls):
-    """Down to less than a cell, where the odometry is off by more."""
-    told, ahead, _, off = after_a_gap(halls, 13, Tracker())
-    assert off[0] < CELL_M
-    assert away(told.pose, ahead)[0, 0] > 0.01
-
-
-def test_searches_share_a_pyramid_until_a_scan_is_inserted():
-    measurements = simulate(
-        make_world("demo", np.random.default_rng(0)),
-        RobotConfig(),
-        PERFECT,
-        LidarConfig(beams=60),
-        np.random.default_rng(0),
-    ).measurements
-    state = start(Tracker(), measurements)
-    first = search.local_pyramid(state)
-    assert search.local_pyramid(state) is first
-    assert search.local_pyramid(state.snapshot()) is first
-    scan = measurements[-1][1]
-    state.insert(scan.beams(0.05, 30.0), 20)
-    second = search.local_pyramid(state)
-    expected = Pyramid.of(state.maps, state.matched_map)
-    np.testing.assert_array_equal(second.cells, expected.cells)
-    assert second.cells.tobytes() != first.cells.tobytes()

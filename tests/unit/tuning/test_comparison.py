@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from gridslam.errors import ArgumentError
 from gridslam.tuning.comparison import Pair, compare
 
 
@@ -62,12 +61,3 @@ def test_failures_count_and_forbid():
     rescued = compare([Pair("a", seed, math.inf, 0.01 * seed) for seed in range(5)])
     assert rescued.gains
     assert rescued.ratio == pytest.approx(0.1)
-
-
-def test_one_run_proves_nothing():
-    found = compare([Pair("a", 0, 0.0, -3.0)])
-    assert not found.gains
-    assert (found.lower, found.upper) == (0.0, math.inf)
-    assert math.isnan(found.seed_noise)
-    with pytest.raises(ArgumentError, match="pairs"):
-        compare([])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gridslam.config import PARAMETERS, Configuration, override, preset
+from gridslam.config import PARAMETERS, Configuration, preset
 from gridslam.errors import ConfigurationError
 from gridslam.tuning.search_space import SearchSpace
 
@@ -23,17 +23,6 @@ def test_ends_are_valid_and_the_default_is_itself(end):
     values = space.round({one.name: getattr(one.search, end) for one in space.dimensions})
     assert space.values_of(space.apply(DEFAULT, values)) == values
     assert space.apply(DEFAULT, space.values_of(DEFAULT)) == DEFAULT
-
-
-def test_values_outside_are_at_the_end_of_the_range_and_others_are_rounded():
-    space = SearchSpace.of(DEFAULT, ["beam_sigma_m", "resample_below"])
-    sigma, below = space.dimensions
-    far = override(DEFAULT, "beam_sigma_m=1.0", "resample_below=0.01")
-    assert space.values_of(far) == {"beam_sigma_m": sigma.search.high, "resample_below": below.search.low}
-    assert space.round({"beam_sigma_m": 0.0012345678, "resample_below": 0.5}) == {
-        "beam_sigma_m": 0.001235,
-        "resample_below": 0.5,
-    }
 
 
 def test_parameters_of_another_kind_are_left_out():

@@ -10,8 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridslam.config import PARAMETERS, Configuration, loads, override
-from gridslam.config.tables import value_of
+from gridslam.config import Configuration, loads
 from gridslam.errors import ArgumentError, InputError
 from gridslam.tuning.report import describe_verdict, plot_convergence, to_document, to_toml
 from gridslam.tuning.search_space import SearchSpace
@@ -74,62 +73,6 @@ def test_where_nothing_matters_the_start_is_kept():
         if not tuning.gains:
             assert tuning.configuration == Configuration()
     assert recommended <= 10  # 5 % of 200; 2.5 % are expected
-
-
-def test_what_is_the_best_already_is_kept():
-    base = override(Configuration(), *(f"{name}={value}" for name, value in TARGET.items()))
-    tuning = Tuner(replace(SETTINGS, base=base, trials=20), LOGS, Runs(noise=0.0))()
-    assert not tuning.gains
-    assert tuning.comparison is None
-    assert describe_verdict(tuning, LOGS) == [
-        "no gain: nothing that was tried is better than the configuration that the search began with"
-    ]
-
-
-def test_the_default_is_preferred_where_nothing_is_better_than_it():
-    """The optimum is the default, and the search begins far from it: what it finds is near the default, not better."""
-    base = override(Configuration(), "key_scan_m=2.0", "noise_m=0.2")
-    runs = Runs(target={name: value_of(Configuration(), PARAMETERS[name].path) for name in NAMES})
-    tuning = Tuner(replace(SETTINGS, base=base), LOGS, runs)()
-    assert tuning.prefers_default
-    assert tuning.configuration == Configuration()
-    assert "of the default values is 0." in describe_verdict(tuning, LOGS)[0]
-    far = Tuner(replace(SETTINGS, base=base), LOGS, Runs())()
-    assert not far.prefers_default
-    assert far.gains
-
-
-def test_seeds_are_common_and_those_that_judge_are_fresh():
-    runs = Runs()
-    Tuner(replace(SETTINGS, seed=7), LOGS, runs)()
-    searched = {job.arguments["seed"] for job in runs.jobs if job.log == "a.clf"}
-    judged = {job.arguments["seed"] for job in runs.jobs if job.log == "b.clf"}
-    assert searched == {7}
-    assert judged == {8, 9, 10, 11, 12}
-    assert len({job.key for job in runs.jobs}) == len(runs.jobs) == len({job.folder for job in runs.jobs})
-
-
-def test_without_held_out_logs_those_of_the_search_judge_with_fresh_seeds():
-    runs = Runs()
-    tuning = Tuner(SETTINGS, LOGS[:1], runs)()
-    assert {pair.seed for pair in tuning.pairs} == {1, 2, 3, 4, 5}
-    assert "5 runs on logs of the search, with other seeds" in describe_verdict(tuning, LOGS[:1])[0]
-
-
-def test_parts_are_the_beginnings_of_logs_and_few_go_on_to_longer_ones():
-    runs = Runs()
-    tuning = Tuner(SETTINGS, LOGS, runs)()
-    lengths = {job.arguments["options"]["duration_s"] for job in runs.jobs}
-    assert lengths == {11.111, 33.333, None}
-    counts = [sum(trial.part == part for trial in tuning.trials) for part in (1 / 9, 1 / 3, 1.0)]
-    assert counts[0] == SETTINGS.trials
-    assert 2 <= counts[2] < counts[1] < counts[0] / 2
-
-
-def test_more_trials_find_better_values_than_the_first_ones_which_are_random():
-    """Without noise, 8 random configurations and 60: the search comes nearer than luck does."""
-    few, many = (Tuner(replace(SETTINGS, trials=trials), LOGS, Runs(noise=0.0))().best.ratio for trials in (8, 80))
-    assert many < 0.5 * few
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_one_others():

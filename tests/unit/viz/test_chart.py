@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gridslam.viz.canvas import CLOSURE, FREE, OCCUPIED, TIME_ENDS
+from gridslam.viz.canvas import FREE, OCCUPIED
 from gridslam.viz.chart import draw_chart
 
 LEFT, TOP, RIGHT, BOTTOM = 130, 90, 1350, 710
@@ -38,29 +38,6 @@ def test_dots_lie_where_the_axes_say():
     assert columns.min() == pytest.approx(0.04 / 1.08 * width, abs=4)
     assert columns.max() == pytest.approx(1.04 / 1.08 * width, abs=4)
     assert rows.min() == pytest.approx(0.04 / 1.04 * height, abs=4)
-
-
-def test_bars_stand_on_zero():
-    page = draw_chart(chart(([1, 2, 3], [2.0, 4.0, 1.0], "bars")))
-    rows, columns = where(page, OCCUPIED)
-    heights = [BOTTOM - TOP - rows[columns == column].min() for column in np.unique(columns)]
-    assert max(heights) == pytest.approx((BOTTOM - TOP) / 1.04, abs=3)
-    assert min(heights) == pytest.approx(0.25 * max(heights), abs=3)
-
-
-def test_series_have_colours_of_their_own_and_marks_one():
-    mark = SimpleNamespace(name="limit", value=0.5, axis="y")
-    page = draw_chart(chart(([0, 1], [0, 1], "line"), ([0, 1], [1, 0], "line"), marks=(mark,)))
-    for colour in (OCCUPIED, CLOSURE, TIME_ENDS[1]):
-        assert len(where(page, colour)[0]) > 100
-    assert len(np.unique(where(page, TIME_ENDS[1])[0])) <= 4, "it is level"
-
-
-def test_a_caption_is_wrapped_and_makes_the_page_longer():
-    without, with_ = (draw_chart(chart(([0, 1], [0, 1], "line")), caption=c) for c in ((), ["many words " * 40]))
-    assert with_.width == without.width == 1400
-    assert with_.height > without.height + 100
-    assert np.asarray(with_)[-200:, -40:].min() > 200, "nothing reaches the margin"
 
 
 @settings(max_examples=15, deadline=None)

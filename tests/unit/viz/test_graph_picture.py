@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
-from PIL import ImageDraw
 
-from gridslam.errors import ArgumentError
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.viz import draw_graph
 from gridslam.viz.canvas import CLOSURE, FREE, REJECTED, TIME_ENDS, time_colours
@@ -44,70 +41,7 @@ def test_both_states_are_drawn_and_the_path_has_the_colours_of_its_order():
             assert _has(page, box, time_colours(np.array([share]))[0])
 
 
-def test_closure_is_where_the_poses_are():
-    page = draw_graph(_square(), _square().poses)
-    left, top, right, bottom = _panels(page)[1]
-    middle = page.crop((left, (top + bottom) // 2, right, (top + bottom) // 2 + 1))  # a row halfway up the square
-    blue = np.flatnonzero(np.abs(np.asarray(middle)[0].astype(int) - CLOSURE).max(axis=1) < 60)
-    assert len(blue)
-    assert blue.max() < 0.1 * (right - left)  # the closure is the left side
-
-
-def test_rejected_edges_have_their_own_colour():
-    graph = _square(closures=[(0, 2), (0, 3)])
-    page = draw_graph(graph, graph.poses, rejected=np.array([False, False, False, False, True]))
-    for box in _panels(page):
-        assert _has(page, box, REJECTED)
-        assert _has(page, box, CLOSURE, within=40)  # a thin diagonal is antialiased
-
-
-@pytest.mark.parametrize("factor", [0.6, 1.0, 1.7, 50.0])
-def test_scale_bars_are_as_long_as_their_labels_say(factor, monkeypatch):
-    texts = []
-    write = ImageDraw.ImageDraw.text
-
-    def recording(self, xy, text, **options):
-        texts.append((xy, text))
-        write(self, xy, text, **options)
-
-    monkeypatch.setattr(ImageDraw.ImageDraw, "text", recording)
-    graph = _square()
-    page = draw_graph(graph, graph.poses * [factor, factor, 1.0])
-    boxes = _panels(page)
-    labels = [(xy[0], text) for xy, text in texts if text.endswith(" m")]
-    zeros = [xy[0] for xy, text in texts if text == "0"]
-    scales = []
-    for box, (right, label), left in zip(boxes, labels, zeros, strict=True):
-        scales.append((right - left) / float(label.removesuffix(" m")))
-        blue = np.argwhere((np.asarray(page.crop(box)) == CLOSURE).all(axis=2))
-        side_m = 10.0 * (factor if box is boxes[0] else 1.0)
-        # The closure is a side of the square, its last 9 px at either end under a mark, and 1 px for rounding.
-        assert np.ptp(blue[:, 0]) == pytest.approx(side_m * scales[-1] - 18, abs=3)
-    assert (scales[0] == pytest.approx(scales[1], rel=0.01)) == (0.5 <= factor <= 2)
-
-
-@pytest.mark.parametrize("poses", [1, 2, 500])
-def test_page_is_large_enough_to_see_and_small_enough_to_send(poses):
-    line = np.zeros((poses, 3))
-    line[:, 0] = np.arange(poses)
-    edges = np.stack([np.arange(poses - 1), np.arange(1, poses)], axis=1)
-    graph = PoseGraph.of(line, edges, np.zeros((poses - 1, 3)), np.tile(np.eye(3), (poses - 1, 1, 1)))
-    page = draw_graph(graph, line, title="a graph", caption=["one line", "another"])
-    assert page.mode == "RGB"
-    assert 1000 <= max(page.size) <= 2600
-    (_, first, _, _), (_, second, _, _) = _panels(page)
-    assert (second > first) == (poses > 1)  # a wide graph's panels stand one above the other
-
-
 def test_poses_that_are_all_in_one_place_before():
     graph = _square()
     page = draw_graph(graph, np.zeros((4, 3)))
     assert _has(page, _panels(page)[1], CLOSURE)
-
-
-@pytest.mark.parametrize(
-    ("before", "rejected", "said"), [((3, 3), None, "before"), ((4, 3), np.zeros(3, np.bool_), "rejected")]
-)
-def test_shapes_are_checked(before, rejected, said):
-    with pytest.raises(ArgumentError, match=said):
-        draw_graph(_square(), np.zeros(before), rejected=rejected)

@@ -40,18 +40,3 @@ def test_more_uncertain_landmarks_take_more_ink_and_truth_is_shown_where_there_i
     )
     assert _count(told, TRUTH) > 100
     assert min(told.size) > 800
-
-
-def test_a_robot_that_stands_and_sees_nothing_can_be_drawn():
-    trajectory = Trajectory(np.zeros(2, np.int64), np.zeros((2, 3)))
-    page = draw_landmarks(trajectory, np.empty((0, 2)), np.empty((0, 2, 2)))
-    assert min(page.size) > 800
-
-
-def test_stamps_that_are_no_times_are_not_told_as_a_duration():
-    poses = np.cumsum(np.full((30, 3), 0.1), axis=0)
-    fast, slow = (Trajectory(np.arange(30) * second, poses) for second in (10**9, 60 * 10**9))
-    nothing = np.empty((0, 2)), np.empty((0, 2, 2))
-    for stamped in (True, False):
-        pages = [np.asarray(draw_landmarks(way, *nothing, stamped=stamped)) for way in (fast, slow)]
-        assert (pages[0] != pages[1]).any() == stamped

@@ -9,18 +9,14 @@ from PIL import ImageDraw
 from gridslam.types import OccupancyGrid, Trajectory
 from gridslam.viz import draw_map
 from gridslam.viz.canvas import (
-    CLOSURE,
     FREE,
     MARGIN,
     OCCUPIED,
-    OPEN,
     TIME_ENDS,
-    TRUTH,
     UNKNOWN,
-    round_length,
     time_colours,
 )
-from gridslam.viz.picture import known_part, lay_out
+from gridslam.viz.picture import lay_out
 
 RESOLUTION = 0.05
 
@@ -64,43 +60,6 @@ def test_cells_have_their_colours_and_y_points_up():
     assert y < (top + bottom) / 2
 
 
-def test_open_directions_are_a_band():
-    """Beside where the path would be, and only as long as the line."""
-    grid = _grid((60, 60))
-    line = np.array([[20.0, 30.0, 40.0, 30.0]]) * RESOLUTION
-    page, layout = draw_map(grid, open_directions=line), lay_out(grid)
-    assert _colour_at(page, layout, 30 * RESOLUTION, 30 * RESOLUTION) == OPEN
-    assert _colour_at(page, layout, 50 * RESOLUTION, 30 * RESOLUTION) == FREE
-    assert _colour_at(draw_map(grid), layout, 30 * RESOLUTION, 30 * RESOLUTION) == FREE
-
-
-def test_log_odds_of_an_unknown_cell_do_not_show():
-    grid = _grid((30, 30))
-    grid.known[10:20, 10:20] = False
-    grid.log_odds[10:20, 10:20] = np.nan
-    assert _colour_at(draw_map(grid), lay_out(grid), 15 * RESOLUTION, 15 * RESOLUTION) == UNKNOWN
-
-
-def test_only_the_known_part_is_shown():
-    grid = _grid((500, 400), known=False)
-    grid.known[100:200, 50:100] = True
-    layout = lay_out(grid)
-    assert known_part(grid) == (slice(100, 200), slice(50, 100))
-    left, top, right, bottom = layout.map_box
-    assert (bottom - top) == 2 * (right - left)
-    corner = layout.pixels(np.array([[50 * RESOLUTION, 200 * RESOLUTION]]))[0]
-    assert corner == pytest.approx([left, top])
-
-
-def test_map_larger_than_the_page_is_reduced_and_its_walls_stay_visible():
-    grid = _grid((400, 6000))
-    grid.log_odds[200] = 4.0
-    page, layout = draw_map(grid), lay_out(grid)
-    column = layout.pixels(np.array([[150.0, 10.0]]))[0, 0]
-    wall = [page.getpixel((int(column), row))[0] for row in range(layout.map_box[1], layout.map_box[3])]
-    assert min(wall) < (OCCUPIED[0] + FREE[0]) / 2
-
-
 @pytest.mark.parametrize(
     ("grid", "shown"),
     [
@@ -129,47 +88,6 @@ def test_trajectory_has_the_colours_of_time_and_marks_at_its_ends():
     assert _colour_at(page, layout, 1.0, 4.0) == FREE
 
 
-def test_colour_follows_time_and_not_the_way():
-    grid, line = _grid((100, 100)), _straight((1.0, 1.0), (4.0, 1.0))
-    waited = line.stamps_ns + np.where(np.arange(101) > 50, 300 * 10**9, 0)
-    page, layout = draw_map(grid, Trajectory(waited, line.poses)), lay_out(grid)
-    assert _colour_at(page, layout, 2.2, 1.0) == pytest.approx(time_colours(np.array([0.1]))[0], abs=3)
-    assert _colour_at(page, layout, 2.8, 1.0) == pytest.approx(time_colours(np.array([0.9]))[0], abs=3)
-
-
-def test_stamps_that_go_backward_are_drawn_all_the_same():
-    line = _straight((1.0, 1.0), (4.0, 1.0))
-    draw_map(_grid((100, 100)), Trajectory(line.stamps_ns[::-1].copy(), line.poses))
-
-
-def test_truth_is_drawn_in_its_own_colour_and_stays_off_the_footer():
-    grid = _grid((100, 100))
-    walls = np.array([[2.0, 1.0, 2.0, 4.0]])
-    page, layout = draw_map(grid, truth=_straight((3.0, 4.0), (3.0, -9.0)), walls=walls), lay_out(grid)
-    assert _colour_at(page, layout, 3.0, 2.0) == TRUTH
-    assert _colour_at(page, layout, 2.0, 2.5)[1] > FREE[1] - 140
-    assert _colour_at(page, layout, 2.0, 2.5) != FREE
-    column = int(layout.pixels(np.array([[3.0, 0.0]]))[0, 0])
-    assert page.getpixel((column, page.height - 5)) == UNKNOWN
-
-
-def test_closures_join_their_places_over_the_trajectory_and_are_explained():
-    grid, line = _grid((100, 100)), _straight((1.0, 1.0), (4.0, 1.0))
-    page, layout = draw_map(grid, line, closures=np.array([[1.5, 1.0, 3.5, 4.0]])), lay_out(grid)
-    assert _colour_at(page, layout, 1.5, 1.0) == CLOSURE
-    assert _colour_at(page, layout, 3.5, 4.0) == CLOSURE
-    assert np.abs(np.subtract(_colour_at(page, layout, 2.5, 2.5), CLOSURE)).max() < 60  # a thin line, antialiased
-    footer = np.asarray(page)[layout.map_box[3] :]
-    assert (footer == CLOSURE).all(axis=2).any()
-    for none in (None, np.empty((0, 4))):
-        assert not (np.asarray(draw_map(grid, line, closures=none)) == CLOSURE).all(axis=2).any()
-
-
-def test_lightness_of_time_rises():
-    red, green, blue = np.array(time_colours(np.linspace(0, 1, 50))).T
-    assert (np.diff(0.2126 * red + 0.7152 * green + 0.0722 * blue) > 0).all()
-
-
 @pytest.mark.parametrize("shape", [(60, 80), (300, 420), (700, 700), (1500, 3000)])
 def test_scale_bar_is_as_long_as_its_label_says(shape, monkeypatch):
     texts = []
@@ -189,10 +107,3 @@ def test_scale_bar_is_as_long_as_its_label_says(shape, monkeypatch):
     assert zero == "0"
     length_m = float(number) * {"m": 1.0, "cm": 0.01}[unit]
     assert length_px == pytest.approx(length_m * layout.px_per_m, abs=0.5)
-
-
-@pytest.mark.parametrize(
-    ("limit", "length"), [(1.0, 1.0), (1.99, 1.0), (2.0, 2.0), (4.9, 2.0), (9.99, 5.0), (0.3, 0.2), (123.0, 100.0)]
-)
-def test_round_length_is_the_greatest_of_its_series(limit, length):
-    assert round_length(limit) == pytest.approx(length)
