@@ -69,7 +69,9 @@ class Film:
         """Write the animation, which repeats, and its still."""
         path = DOCS / "animations" / f"{self.name}.webp"
         first, *others = self.frames
-        first.save(path, save_all=True, append_images=others, duration=self.durations, loop=0, quality=self.quality, method=4)
+        first.save(
+            path, save_all=True, append_images=others, duration=self.durations, loop=0, quality=self.quality, method=4
+        )
         still = self.frames[self.still].quantize(128, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
         still.save(DOCS / "_static" / "stills" / f"{self.name}.png", optimize=True)
         print(

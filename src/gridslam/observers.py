@@ -28,7 +28,7 @@ _MOST_BINS = 4000  # 1e17 s
 
 @final
 class TrajectoryRecorder:
-    """Records what is needed for the online and the full trajectory of all scans.
+    """Records the data of the online and the full trajectory of all scans.
 
     Between two key scans all particles move with the tracker (see `gridslam.slam.full_slam.full_trajectory`).
     Uses 8 bytes of memory for a scan, and 64 more for one that is not where the last one was.
@@ -160,7 +160,7 @@ class _Durations:
         self.max_s = max(self.max_s, seconds)
 
     def summarize(self) -> Latency:
-        """Median and 99th percentile within 0.5 %; zeros if there are none."""
+        """Return median and 99th percentile within 0.5 %; zeros if there are none."""
         if not self.bins:
             return Latency(0.0, 0.0, 0.0)
         bins = np.array(sorted(self.bins))

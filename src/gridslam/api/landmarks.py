@@ -162,7 +162,7 @@ class LandmarkEstimate(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ResultByLandmarks(Result):
-    """What mapping of landmarks and localization by them share.
+    """Base of the results of landmark mapping and landmark localization.
 
     Attributes
     ----------
@@ -257,7 +257,7 @@ class LandmarkResult(ResultByLandmarks):
         return self.estimate.landmarks
 
     def errors(self) -> tuple[PoseErrors | None, LandmarkErrors | None]:
-        """Errors against the truth, after alignment of the trajectory and of the landmarks, each by itself."""
+        """Return errors against the truth, after alignment of the trajectory and of the landmarks, each by itself."""
         compared = self.compare()
         poses = None if compared is None else absolute_errors(*compared, tolerance_ns=0)
         known = self.log.truth
@@ -274,7 +274,7 @@ class LandmarkResult(ResultByLandmarks):
         return poses, found
 
     def caption(self) -> list[str]:
-        """Lines that describe the result."""
+        """Return lines that describe the result."""
         particles = f", {self.particles} particles, seed {self.seed}" if self.particles else ""
         observations = self.log.statistics.observations
         lines = [
@@ -332,7 +332,7 @@ class LandmarkResult(ResultByLandmarks):
 
 
 def align_trajectory(found: Trajectory, truth: Trajectory) -> FloatArray:
-    """Pose `true_from_map` (3,) that aligns a trajectory with the true one, pose by pose."""
+    """Return pose `true_from_map` (3,) that aligns a trajectory with the true one, pose by pose."""
     return align(found.poses[:, :2], truth.poses[:, :2])
 
 
@@ -501,7 +501,7 @@ def _spread_of_draw(
     motion: MotionModel,
     has_noise: bool,
 ) -> LandmarkEstimate:
-    """Covariances of the full path and the landmarks of a particle filter.
+    """Return covariances of the full path and the landmarks of a particle filter.
 
     All particles share one past after some resamplings, so their spread is far below the error. The path of a particle
     is a draw from p(x_1:t | z_1:t, u_1:t), and so is the truth: they differ by twice the covariance of the posterior,

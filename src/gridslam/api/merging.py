@@ -78,7 +78,7 @@ class MergeResult(Result):
         return [[drive.name for drive in piece.drives] for piece in self.session.pieces[1:]]
 
     def caption(self) -> list[str]:
-        """Lines that describe the map."""
+        """Return lines that describe the map."""
         grid = self.full.tiled_map
         height, width = (side * grid.resolution_m for side in grid.shape)
         drives = len(self.session.pieces[0].drives)

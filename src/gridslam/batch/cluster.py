@@ -87,7 +87,7 @@ class DaskCluster:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Cancel what is pending and disconnect; children that still run end within seconds."""
+        """Cancel pending jobs and disconnect; children that still run end within seconds."""
         self.close()
 
     def close(self) -> None:

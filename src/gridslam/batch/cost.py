@@ -1,4 +1,4 @@
-"""What the jobs of a batch will cost, before they are run: for their order, their limits and the remaining time."""
+"""Predict the cost of the jobs of a batch: for their order, their limits and the remaining time."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MEMORY_FACTOR = 4.0
 @final
 @dataclass(frozen=True)
 class Estimator:
-    """What is known of logs from their sizes, and from those that were run.
+    """Estimates the cost of logs from their sizes, and from runs that have ended.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Estimator:
 
     @classmethod
     def learn(cls, runs: Iterable[Run]) -> Estimator:
-        """Learn from the runs of earlier batches; the defaults hold for what they do not show."""
+        """Fit the estimate to the runs of earlier batches; defaults remain where these give no data."""
         work: list[Work] = []
         costs: list[Cost] = []
         ratios: dict[str, list[float]] = {}
@@ -88,7 +88,7 @@ class Estimator:
 
 
 def estimate(jobs: Sequence[Job], runs: Iterable[Run]) -> list[Cost]:
-    """Estimate what jobs will cost, from the sizes of their logs and from runs that have ended.
+    """Estimate the cost of jobs from the sizes of their logs and from runs that have ended.
 
     Parameters
     ----------
@@ -114,12 +114,12 @@ def estimate(jobs: Sequence[Job], runs: Iterable[Run]) -> list[Cost]:
 
 
 def limit_memory(cost: Cost) -> int:
-    """Limit of the address space of a job, bytes: four times what it is estimated to need, and at least 2 GB."""
+    """Return the limit of the address space of a job, bytes: four times its estimate, and at least 2 GB."""
     return max(_LEAST_LIMIT_BYTES, round(_MEMORY_FACTOR * cost.memory_bytes))
 
 
 def find_work(run: Run) -> Work | None:
-    """What a run of map has done; None where it is none, or has failed."""
+    """Return the work done by a run of map; None for other runs and for failed ones."""
     figures = run.figures
     if not run.is_done or not figures.get("scans") or "particles" not in figures or "map_width_m" not in figures:
         return None

@@ -1,4 +1,4 @@
-"""What follows the jobs of a batch: its page, its table, and copies of all results at a URL.
+"""Publish a finished batch: its page, its table, and copies of all results at a URL.
 
 The results of a job are uploaded by its child, so that as many connections as workers carry them; the page, the table
 and the journal by the batch itself.
@@ -29,7 +29,7 @@ _UPLOADS: Final = 32
 
 @final
 class Publisher:
-    """Writes the page and the table of a batch, and uploads what is wanted elsewhere.
+    """Writes the page and the table of a batch, and uploads the results.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Publisher:
     """
 
     def __init__(self, out: Path, url: str | None = None, *, parquet: bool = False) -> None:
-        """Check that what is needed is installed; nothing is read or written yet."""
+        """Check that the required libraries are installed; nothing is read or written yet."""
         if parquet and importlib.util.find_spec("pyarrow") is None:
             raise MissingDependencyError("runs.parquet", "pyarrow", "parquet")
         self._out = out
@@ -79,7 +79,7 @@ class Publisher:
                 self._uploads.append(self._threads.submit(self._upload_missing, row["folder"]))
 
     def parts(self) -> Iterator[Callable[[], str]]:
-        """Yield what writes the page, the table if it is wanted, and the uploads, and returns a line for the summary.
+        """Yield functions that write the page and the table or upload, each of which returns a line of the summary.
 
         Each raises OutputError where something cannot be written or uploaded; the other parts can be.
         """

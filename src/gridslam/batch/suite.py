@@ -156,7 +156,7 @@ def load_suite(name: str) -> Suite:
 
 
 def _locate(file: str, folders: Sequence[Path], cache: Path | None) -> tuple[Path | None, str]:
-    """Path of a file in the folders, or downloaded; else why there is none."""
+    """Return path of a file in the folders, or downloaded; else why there is none."""
     for folder in folders:
         if (folder / file).exists():
             return folder / file, ""

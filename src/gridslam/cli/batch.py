@@ -107,7 +107,7 @@ def _limit(memory_mb: float | Literal["auto"] | None, costs: Mapping[str, Cost])
 
 
 def _find_suite(name: str, folders: Sequence[str], command: str, reference: str | None) -> list[Entry]:
-    """The runs of a suite; what is absent is named."""
+    """Return the runs of a suite, and name missing logs."""
     if command != "map" or reference is not None:
         raise click.UsageError("--suite takes neither --command nor --reference", click.get_current_context())
     for folder in folders:
@@ -155,7 +155,7 @@ class _Maker:
         }
 
     def prepare(self, entry: Entry) -> dict[str, Any]:
-        """Arguments for a log, but for what its bytes determine; raises InputError for an unknown column."""
+        """Return arguments for a log, but for what its bytes determine; raises InputError for an unknown column."""
         if self._command == "evaluate" and entry.reference is None:
             raise click.ClickException("evaluate needs --reference PATTERN, or a manifest with a column reference")
         if self._command == "doctor" and entry.reference is not None:

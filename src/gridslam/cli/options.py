@@ -126,7 +126,7 @@ _WAIT_OPTION = click.option(
 
 
 def log_options(command: _Command) -> _Command:
-    """Add the options that choose what is read of a log, which a command gets as ``options``: LogOptions."""
+    """Add the options that select the data of a log; a command receives them as ``options``: LogOptions."""
 
     @functools.wraps(command)
     def wrapper(**given: Any) -> Any:  # noqa: ANN401
@@ -146,7 +146,7 @@ def live_options(command: _Command) -> _Command:
 
 
 def robot_live_options(command: _Command) -> _Command:
-    """Add what `live_options` does, with control instead of speed and waiting, as no robot waits."""
+    """Add the options of `live_options`, with control instead of speed and waiting, as no robot waits."""
     return _add_live_options(command, (_LIVE_OPTION, *_HOST_OPTIONS, _OPEN_OPTION, _CONTROL_OPTION))
 
 
@@ -216,7 +216,7 @@ def _read_live_options(given: dict[str, Any]) -> LiveOptions:
 
 @dataclass(frozen=True)
 class MapOptions:
-    """The options that determine the result of `gridslam map`, by their names; `options` choose what is read."""
+    """The options that determine the result of `gridslam map`; `options` select the data of the log."""
 
     particles: int | None
     seed: int

@@ -1,4 +1,4 @@
-"""Options of `gridslam map` that concern sessions, and what they do."""
+"""Session options of `gridslam map`, and their implementation."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ class SessionOptions:
             (out / _AUTOSAVE).unlink(missing_ok=True)
 
     def summarize(self, session: Session | None, result: MapResult, out: Path) -> Iterator[str]:
-        """Format what a session adds to the summary of a run."""
+        """Format the lines that a session adds to the summary of a run."""
         if session is None:
             return
         if session.decision is not None:

@@ -20,7 +20,7 @@ __all__ = ["merge_to_folder", "show_session"]
 
 
 def show_session(file: Path, picture: Path | None, as_json: bool) -> None:
-    """Print what is in a session file."""
+    """Print the content of a session file."""
     head = read_head(file)
     document = head.document
     groups = [*([] if document["run"] is None else [_of_run(document["run"])]), *document["pieces"]]

@@ -1,4 +1,4 @@
-"""Configurations by name: presets, and what suits a laser of a known model, by its data sheet."""
+"""Named configurations: presets, and settings for known lasers from their data sheets."""
 
 from __future__ import annotations
 

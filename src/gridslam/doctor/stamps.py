@@ -59,7 +59,7 @@ class LogHistogram:
         self._counts[min(max(place, 0), self._BINS - 1)] += 1
 
     def quantile(self, share: float) -> float:
-        """Number below which so large a share of the numbers lies; NaN where there are none."""
+        """Return number below which so large a share of the numbers lies; NaN where there are none."""
         total = self._counts.sum()
         place = int(np.searchsorted(np.cumsum(self._counts), share * total))
         return float(np.exp(self._LOW + self._WIDTH * (place + 0.5))) if total else math.nan
@@ -208,7 +208,7 @@ def _gaps(sensor: str, gaps: list[_Pause], figure: Figure) -> Finding:
 
 
 def _is_blind(gap: _Pause) -> bool:
-    """Whether too much may have been moved in a gap to find on by matching."""
+    """Return whether too much may have been moved in a gap to find on by matching."""
     if math.isnan(gap.metres):
         return gap.seconds > _BLIND_S
     return gap.metres > _BLIND_M or gap.radians > _BLIND_RAD

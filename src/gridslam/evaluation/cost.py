@@ -1,4 +1,4 @@
-"""What mapping a log costs: a model of time and memory, linear in the work, and how it is fitted."""
+"""Predict the cost of mapping a log by a model of time and memory that is linear in the work, and fit the model."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gridslam.types import FloatArray
 __all__ = ["DEFAULT_COSTS", "FEATURES", "Cost", "CostModel", "Work", "fit_costs"]
 
 FEATURES: Final = ("start", "scans", "key_scans", "key_scans x particles", "area_m2", "area_m2 x particles")
-"""What the cost is a sum of, each with a coefficient of at least 0."""
+"""Terms of the cost, each with a coefficient of at least 0."""
 
 _AREA_M2 = 63.0
 """Area of the map for the square root of the number of key scans, where it is unknown: longer drives return to places.
@@ -25,7 +25,7 @@ The median of the logs that the defaults are fitted to."""
 @final
 @dataclass(frozen=True)
 class Work:
-    """What there is to do.
+    """The amount of work of a run.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Work:
     area_m2: float | None = None
 
     def features(self) -> FloatArray:
-        """Values (6,) of `FEATURES`."""
+        """Return values (6,) of `FEATURES`."""
         area = _AREA_M2 * math.sqrt(self.key_scans) if self.area_m2 is None else self.area_m2
         return np.array([1.0, self.scans, self.key_scans, self.key_scans * self.particles, area, area * self.particles])
 
@@ -79,7 +79,7 @@ DEFAULT_COSTS: Final = CostModel(
 
 
 def fit_costs(work: Sequence[Work], costs: Sequence[Cost]) -> CostModel:
-    """Fit the coefficients to what runs have cost, by least squares of the relative errors.
+    """Fit the coefficients to the costs of runs, by least squares of the relative errors.
 
     Coefficients are at least 0, so that estimates of larger logs than these cannot become negative (Lawson, Hanson,
     *Solving least squares problems*, 1974, chapter 23).

@@ -68,7 +68,7 @@ class _Line(Generic[_Item]):
                 self._changed.notify_all()
 
     def take(self) -> Iterator[_Item]:
-        """Yield the items; raises what making them has raised."""
+        """Yield the items; re-raises exceptions of the thread that makes them."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: bool(self._waiting) or self._is_over)

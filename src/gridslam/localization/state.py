@@ -155,7 +155,7 @@ class MonteCarloState:
         return self.tracked is not None and self.tracked.replaces_odometry
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays, from which `from_arrays` restores a state with identical results."""
+        """Return plain arrays, from which `from_arrays` restores a state with identical results."""
         self._check()
         return serialization.to_arrays(self)
 

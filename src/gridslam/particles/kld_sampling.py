@@ -38,7 +38,7 @@ class ParticleNumber(Protocol):
     """Decides how many particles there are after a key scan."""
 
     def __call__(self, poses: FloatArray, log_weights: FloatArray, most: int) -> int:
-        """Choose the number of particles to go on with.
+        """Choose the number of particles of the next step.
 
         Parameters
         ----------
@@ -110,7 +110,7 @@ class KldNumber:
     bin_rad: float = bounded(0.05, gt=0, le=math.tau)
 
     def __call__(self, poses: FloatArray, log_weights: FloatArray, most: int) -> int:
-        """Return the number to go on with; see `ParticleNumber`."""
+        """Return the number of particles of the next step; see `ParticleNumber`."""
         count = len(poses)
         needed = int(kld_bound(np.array(self.count_bins(poses, log_weights)), self.error, self.z))
         needed = min(max(needed, self.particles_min), most)

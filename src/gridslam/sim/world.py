@@ -1,4 +1,4 @@
-"""A world: a floor plan, the robot's way through it, and what changes while it drives."""
+"""A world: a floor plan, the robot's route through it, and changes while it drives."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from gridslam.errors import ArgumentError
 __all__ = ["REDUCTION", "Rung", "halve", "plan_rungs"]
 
 REDUCTION = 3
-"""By what the number of configurations is divided, and the part of the logs is multiplied, from rung to rung."""
+"""Factor by which the number of configurations falls, and the part of the logs grows, from rung to rung."""
 
 _SHORTEST_PART = 1 / REDUCTION**2  # of a log: less than a ninth closes no loop
 

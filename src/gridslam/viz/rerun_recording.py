@@ -31,7 +31,7 @@ _HEIGHT_M: Final = {"path": 0.02, "closures": 0.03, "particles": 0.04, "scan": 0
 
 @final
 class RerunRecording:
-    """Observer that records what can be seen of a run; entered as a context, and closed in the end.
+    """Observer that records a run; a context manager, which closes the recording on exit.
 
     Under ``map`` are the best particle's map and path (after every tenth key scan), the particles (at key scans), the
     scan and the robot (ten times a second of the log); under ``filter`` the effective sample size, the latency and
@@ -96,14 +96,14 @@ class RerunRecording:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Write what is still to be written."""
+        """Write the pending data."""
         if self._known is not None:
             self._log_way()
         self._recording.flush()
         self._recording.disconnect()
 
     def followed(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
-        """The measurements of a source, as they come; the next session of a robot restarts the map."""
+        """Yield the measurements of a source, as they come; the next session of a robot restarts the map."""
         self._begin()
         for measurement in source:
             self._scan = measurement[1]
@@ -216,5 +216,5 @@ class RerunRecording:
 
 
 def _lift(points: FloatArray, height_m: float) -> NDArray[np.float32]:
-    """Points (K, 2) at a height: (K, 3)."""
+    """Return points (K, 2) at a height: (K, 3)."""
     return np.column_stack([points, np.full(len(points), height_m)]).astype(np.float32)

@@ -1,4 +1,4 @@
-"""The commands; a command's options are imported when it is asked for, and what it does when it runs."""
+"""The commands: options are imported when a command is requested, and its code when it runs."""
 
 from __future__ import annotations
 

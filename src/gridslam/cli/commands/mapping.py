@@ -99,7 +99,7 @@ def demo_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("--picture", type=OUTPUT_FILE, metavar="PNG", help="Write the map of the newest drive as a picture.")
 @json_option
 def session_command(**options: Any) -> None:  # noqa: ANN401
-    """Show what is in a session FILE: drives, logs, dates, sizes, and a picture."""
+    """Show the content of a session FILE: drives, logs, dates, sizes, and a picture."""
     from gridslam.cli.sessions import show_session
 
     show_session(**options)

@@ -34,7 +34,7 @@ _WHAT = "a saved localization"
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedLocalization:
-    """All that a localization is between two scans, but the map: go on with `pipeline.run`.
+    """The complete state of a localization between two scans, except the map; continue it by `pipeline.run`.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ def write_localization(path: str | Path, saved: SavedLocalization) -> None:
 
 
 def read_localization(path: str | Path) -> SavedLocalization:
-    """Read what `write_localization` wrote; resuming from it, in the same map, gives identical results.
+    """Read a file of `write_localization`; resuming from it, in the same map, gives identical results.
 
     Raises
     ------
