@@ -1,7 +1,7 @@
 """The one loop that drives the filter, offline and live: source -> algorithm -> observers.
 
 A step consumes its state. Where it raises an exception in its midst, the loop revives the state that it was given, and
-goes on without the scan that failed. No copy is kept to go back to: it would keep every tile that is written after it,
+continues without the scan that failed. No copy is kept to return to: it would keep every tile that is written later,
 a fifth of all tiles on the Intel log.
 """
 

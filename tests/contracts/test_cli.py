@@ -213,9 +213,11 @@ def test_the_summary_counts_what_was_rejected_and_not_compared(closed):
     lines = list(_summarize_loop_closure(loops | {"rejected": {reason: 2}, "unsearched": 3}))
     assert lines[1:] == [
         f"2 loop-closure candidates rejected: {reason} 2",
-        "3 parts of the way not compared with places that only a greater drift reaches",
+        "3 submaps not compared with places that only a greater drift reaches",
     ]
     assert len(list(_summarize_loop_closure(loops | {"rejected": {}, "unsearched": 0}))) == 1
+    *_, one = _summarize_loop_closure(loops | {"rejected": {reason: 1}, "unsearched": 0})
+    assert one == f"1 loop-closure candidate rejected: {reason} 1"
 
 
 def test_without_it_the_summary_has_no_line_of_it(loop_log, tmp_path, call):

@@ -37,9 +37,9 @@ class Autosave:
     period_s : float, s, > 0
         Time between two of them.
     on_failure : callable
-        Called with what has failed, such as a full disk; the run goes on.
+        Called with a failure, such as a full disk; the run continues.
     on_resume : callable
-        Called with the number of scans that an interrupted run had processed, before the run goes on from there.
+        Called with the number of scans that an interrupted run had processed, before the run continues from there.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Autosave:
         saved = read_session(self.path, threads)
         own = _read_progress(saved.job)
         if own is None or own.job != self._job or saved.version != __version__ or saved.run is None:
-            expected = "what an interrupted run of the same log, configuration and seed has left"
+            expected = "the autosave of an interrupted run of the same log, configuration and seed"
             raise InputError(self.path, f"expected {expected}, got that of another run (--restart replaces it)")
         self._on_resume(own.passed)
         failures = FailureRecorder(own.failed, own.first_failure)

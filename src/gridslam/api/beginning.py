@@ -70,7 +70,7 @@ class Beginning:
     run : SavedRun
         The filter and its observers so far; new ones for a new drive.
     pieces : tuple of SavedPiece
-        What earlier drives have left besides.
+        Other pieces of the map of earlier drives.
     passed : int
         Number of scans of the log that `run` has processed already.
     locator : EarlierPieces or None
@@ -159,7 +159,7 @@ def decide_place(run: SavedRun, slam: GridFastSlam, first: Measurement) -> Place
     """
     state = run.state
     if state is None:
-        return PlaceDecision(False, "there is nothing to go on from")
+        return PlaceDecision(False, "there is no earlier drive")
     odometry, scan = first
     gap_s = 1e-9 * (scan.stamp_ns - state.tracker.stamp_ns)
     moved = None if odometry is None else between(state.tracker.odometry, as_pose(odometry.pose))

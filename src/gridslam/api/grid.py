@@ -72,7 +72,7 @@ class GridResult(Result):
     repair : Repair
         What was taken out of the log.
     stopwatch : Stopwatch
-        Time spent; saving goes on counting.
+        Time spent; saving adds to it.
     """
 
     schema: ClassVar = "gridslam.grid/1"
@@ -208,7 +208,7 @@ def map_with_poses(
     on_progress : callable
         Called after each scan.
     stopwatch : Stopwatch, optional
-        To go on with.
+        A stopwatch to continue.
 
     Raises
     ------

@@ -176,7 +176,7 @@ def localize_by_landmarks(
     on_progress : callable
         Called after each step.
     stopwatch : Stopwatch, optional
-        To go on with.
+        A stopwatch to continue.
 
     Raises
     ------

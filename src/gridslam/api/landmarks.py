@@ -95,7 +95,7 @@ SENSORS: Final[dict[ObservationKind, LandmarkModel]] = {
 """Measurement model of each observation type."""
 
 _RELATIVE: Final = DepthBearing(sigma_bearing_rad=0.0045)
-"""The same for data association: what the bearings of a time have in common is part of the pose then.
+"""The same for data association: the common error of the bearings of a time is part of the pose then.
 
 Measured on MRCLAM 6, robots 1 and 3, against the truth: differences of two bearings of one time vary by 0.006 rad.
 """
@@ -109,8 +109,8 @@ more without observations, the NEES with `MOTION` is 13 instead of 3.
 """
 
 _SMOOTH_MOTION: Final = DiffusionMotion(sigma_xy_m=0.03, sigma_theta_rad=0.03)
-"""The same when correspondences are revised, for steps of a quarter of a second: what the errors of a long interval add
-up to would let each pose follow a wrong correspondence by itself, by the 45 mrad between two barcodes at 4 m.
+"""The same when correspondences are revised, for steps of a quarter of a second: the sum of a long interval's
+errors would let each pose follow a wrong correspondence by itself, by the 45 mrad between two barcodes at 4 m.
 """
 
 _PATIENT: Final = LandmarkExistence(detection=0.1, log_odds_confirmed=3.0)
@@ -176,7 +176,7 @@ class ResultByLandmarks(Result):
     digest : str
         SHA-256 of the log's file.
     stopwatch : Stopwatch
-        Time spent; saving goes on counting.
+        Time spent; saving adds to it.
     """
 
     picture_name: ClassVar = "landmarks.png"
@@ -370,7 +370,7 @@ def map_landmarks(
     on_progress : callable
         Called after each step.
     stopwatch : Stopwatch, optional
-        To go on with.
+        A stopwatch to continue.
 
     Raises
     ------

@@ -108,7 +108,7 @@ class LocalizationResult(Result):
     repair : Repair
         What was taken out of the log.
     stopwatch : Stopwatch
-        Time spent; saving goes on counting.
+        Time spent; saving adds to it.
     failures : tuple of str
         Scans at which the filter failed, which were skipped.
     """
@@ -298,7 +298,7 @@ def localize(
     on_progress : callable
         Called after each scan.
     stopwatch : Stopwatch, optional
-        To go on with.
+        A stopwatch to continue.
     digest : str, optional
         SHA-256 of the log, where it is known (see `gridslam.io.text.compute_digest`).
 

@@ -121,20 +121,20 @@ class MapResult(Result):
     record : RecordWriter
         The particles at each key scan.
     stopwatch : Stopwatch
-        Time spent; saving goes on counting.
+        Time spent; saving adds to it.
     failures : tuple of str
         What failed: scans that were skipped, or the final refinement.
     truth : Trajectory or None
         The true trajectory in the map's frame, where it is known; it is drawn into the picture.
     map_piece : SavedPiece or None
-        The map as a piece of a session, with the drives that have left it; None without loop closure, and if only the
+        The map as a piece of a session, with its drives; None without loop closure, and if only the
         best particle was kept.
     drives : tuple of Drive
-        The drives that have left the map, in the order of their key scans; none without loop closure.
+        The drives in the map, in the order of their key scans; none without loop closure.
     run : SavedRun or None
         The filter and its observers after the last scan; None if only the best particle was kept.
     pieces : tuple of SavedPiece
-        Of the session that the log goes on from: what was not joined with this map.
+        Pieces of the continued session that were not joined with this map.
     """
 
     schema: ClassVar = "gridslam.run/3"
@@ -462,14 +462,14 @@ def map_log(
     on_progress : callable
         Called after each scan, and periodically during the final refinement.
     stopwatch : Stopwatch, optional
-        To go on with.
+        A stopwatch to continue.
     keep_particles : bool
         False: after the last scan the best particle alone is kept, so that the final refinement can use the memory of
         the others' maps, and in the end no scan. The map and its trajectory are the same; no session can be saved.
     digest : str, optional
         SHA-256 of the log, where it is known (see `gridslam.io.text.compute_digest`).
     beginning : Beginning, optional
-        What the run goes on from (see `Session.add`).
+        The session that the run continues (see `Session.add`).
 
     Raises
     ------

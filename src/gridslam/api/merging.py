@@ -47,7 +47,7 @@ class MergeResult(Result):
     full : FullSlam
         The full SLAM answer of that piece.
     stopwatch : Stopwatch
-        Time spent; saving goes on counting.
+        Time spent; saving adds to it.
     """
 
     schema: ClassVar = "gridslam.merge/1"
@@ -141,9 +141,9 @@ def merge_sessions(
     threads : int, >= 1
         Threads of the kernels; never changes a result.
     on_progress : callable
-        Called now and then.
+        Called periodically.
     stopwatch : Stopwatch, optional
-        To go on with.
+        A stopwatch to continue.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Sessions: a map that is saved, continued with other logs, found again and merged."""
+"""Sessions: maps that are saved, continued with other logs, relocalized in, and merged."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Session:
     Parameters
     ----------
     configuration : Configuration, optional
-        Of all drives; `Configuration()` if not given. With loop closure, or nothing can be found again.
+        Of all drives; `Configuration()` if not given. With loop closure, which relocalization needs.
     seed : int, >= 0
         Of the first drive; drive k has seed + k.
     threads : int, >= 1
@@ -82,10 +82,10 @@ class Session:
     Attributes
     ----------
     decision : PlaceDecision or None
-        Whether the log that was added last went on where the one before it has ended, and why; None if there was none
+        Whether the log that was added last continued where the one before it ended, and why; None if there was none
         before.
     is_same_place : bool
-        Whether it went on there, be it decided or given.
+        Whether it continued there, be it decided or given.
     resumed : int
         Number of its scans that an interrupted run had processed, from which it was resumed; 0 if it was not.
     """
@@ -184,7 +184,7 @@ class Session:
     ) -> MapResult:
         """Map a log as the continuation of this session.
 
-        Where the robot was not moved since the last log the filter goes on as if there had been one log. Where it was,
+        Unless the robot was moved since the last log, the filter continues as if there had been one log. Where it was,
         a new drive begins, is searched for in all that was mapped before, and is joined with it once it is certain
         where it lies; if it never is, it stays a piece of its own.
 
@@ -205,14 +205,14 @@ class Session:
         options, repair
             As in `map_log`.
         autosave : Autosave, optional
-            Saves the run now and then; where it holds what the same run has left when it was killed, that goes on.
+            Saves the run periodically; an autosave of the same run that was killed is continued.
         **map_options
             Further arguments of `map_log`, but its configuration, seed, particles, preset and laser.
 
         Raises
         ------
         ArgumentError
-            There is no drive to go on with at the same place, or no piece in which the pose could be.
+            There is no drive to continue at the same place, or no piece in which the pose could be.
         InputError
             The log cannot be read.
         """
@@ -373,7 +373,7 @@ class Session:
         if saved.run is not None:
             self.decision = decide_place(saved.run, build(saved.configuration, self._threads), first)
         elif place is Place.SAME:
-            raise ArgumentError("place", "a session whose last drive can go on", "one without")
+            raise ArgumentError("place", "a session whose last drive can be continued", "one without")
         is_same = self.decision is not None and self.decision.is_same
         self.is_same_place = is_same if place is Place.AUTO else place is Place.SAME
 

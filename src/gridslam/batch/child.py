@@ -64,7 +64,7 @@ def run_job(job: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        The row of the journal: its columns, ``document`` an object or None. Whatever becomes of the child is a row with
+        The row of the journal: its columns, ``document`` an object or None. Every outcome of the child is a row with
         status "failed", a named ``error`` and the last bytes of its output.
 
     Raises

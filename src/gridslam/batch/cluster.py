@@ -143,7 +143,7 @@ class DaskCluster:
             future.set_result(row)
 
     def _lost(self) -> str:
-        return f"{self._scheduler}: the connection to the scheduler is lost; the same command again goes on"
+        return f"{self._scheduler}: the connection to the scheduler is lost; the same command again continues"
 
     def _connect(self, scheduler: str, workers: int | None) -> distributed.Client:
         from distributed import Client

@@ -73,7 +73,7 @@ def run_jobs(
 
     A job is done when run.json in its folder has its key. Such jobs are not run again, nor those that failed for their
     log's own sake (InputError); those that failed for another reason are. A row is written when its job has ended, so a
-    batch that is killed at any time goes on where it was.
+    batch that is killed at any time continues where it was.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Those who look on at a run: a page in the browser, and a recording for Rerun; each is imported where it is wanted."""
+"""Viewers of a run: a page in the browser, and a recording for Rerun; each is imported on request."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def open_viewers(
     is_localization: bool = False,
     has_history: bool = True,
 ) -> Iterator[Viewers]:
-    """Give those who look on; in the end the page stays as long as someone looks, and the recording is complete.
+    """Yield the viewers; at the end the page stays open while it is viewed, and the recording is complete.
 
     The known map is needed where a localization is looked at.
     """

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = [
     "TARGETS",
     "Progress",
+    "counted",
     "elapsed_progress",
     "end_by_signal",
     "handle_signals",
@@ -83,6 +84,11 @@ def print_json(document: Mapping[str, Any]) -> None:
     click.echo(json.dumps(document, indent=2, allow_nan=False))
 
 
+def counted(count: int, noun: str) -> str:
+    """Return a count with its noun, in the plural unless it is one."""
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 def print_result(document: Mapping[str, Any], summary: Iterable[str], as_json: bool) -> None:
     """Print the document of a run with --json, otherwise the lines of its summary; print failures on stderr."""
     warn(*document.get("failures", ()))
@@ -102,7 +108,7 @@ def warn(*warnings: str) -> None:
 def write_apart() -> Iterator[Callable[..., bool]]:
     """Return a function that writes one of several targets, and returns whether it succeeded.
 
-    Where it could not that is reported at once, the command goes on with the other targets, and fails in the end.
+    Where it could not that is reported at once, the command continues with the other targets, and fails in the end.
     """
     is_complete = True
 

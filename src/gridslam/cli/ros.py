@@ -82,7 +82,7 @@ def ros2(
 
 
 def make_viewer_opener(title: str, live: LiveOptions | None, rerun: str | None) -> ViewerOpener:
-    """Let in those who look on at a node: its page, and its recording."""
+    """Open the viewers of a node: its page, and its recording."""
 
     @contextmanager
     def open_viewers(core: NodeCore) -> Iterator[None]:

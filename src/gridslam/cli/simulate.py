@@ -45,7 +45,7 @@ SIMULATION_SCHEMA = "gridslam.simulation/1"
 
 _DEMO_LOG = "demo.clf.gz"
 _DEMO_SPEED = 30.0
-"""Times as fast as the robot drives, so that one can look on."""
+"""Speed of the page, a factor on real time, at which one can follow."""
 _DEMO_WAIT_S = 60.0
 _DAY_S = 86_400.0
 _CARMEN = (".clf", ".log", ".carmen")

@@ -176,8 +176,8 @@ def describe_error(error: ErrorDetails, table: Mapping[str, Any], known: Iterabl
 
 
 def suggest_names(name: str, known: Iterable[str]) -> str:
-    """Ask after names that look like this one; empty where none does."""
-    candidates = list(known)
+    """Return a question with the known names that look like this one; empty where none does."""
+    candidates = list(dict.fromkeys(known))
     last = name.rpartition(".")[2]
     close = [candidate for candidate in candidates if candidate.rpartition(".")[2] == last]
     close += [candidate for candidate in difflib.get_close_matches(name, candidates) if candidate not in close]

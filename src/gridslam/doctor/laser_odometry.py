@@ -32,7 +32,7 @@ _INSERT_M = 0.3
 _INSERT_RAD = 0.1
 _MAP_SCANS = 10
 _EVIDENCE = InverseSensorModel.from_log_odds(2.4, -0.01)
-"""Beams through a wall's near side hardly free it. Where they do, what is left of a wall lies behind it, each scan is
+"""Beams through a wall's near side hardly free it. Where they do, the rest of a wall lies behind it, each scan is
 drawn a little too far ahead, and the way comes out up to 1 % too long. So, and refined by the beams that fit best, it
 is within 0.3 %, measured with noise of 3 cm."""
 _ROUGH = GaussNewton()

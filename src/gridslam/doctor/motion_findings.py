@@ -40,7 +40,7 @@ _YAW_SPOILS = 0.35  # rad: from 20 degrees on matching begins too far off
 _SKEW = 0.014  # s: at 1 rad/s it moves what odometry alone would draw at 4 m by a cell
 _SKEW_HARMS_S = 0.3
 _SKEW_HARMS_RAD = 0.5
-"""Matching makes up for what is less: the maps of Intel, ACES and six simulated drives at about 1 rad/s had the same
+"""Matching corrects smaller errors: the maps of Intel, ACES and six simulated drives at about 1 rad/s had the same
 errors with skews of up to 1 s, six drives at 3 rad/s with 0.1 s; with 0.3 s two of these six were lost."""
 _FASTEST = 0.998  # quantile of the turn rates: the greatest but for single wrong matches
 _SKEW_SIGMAS = 3.0

@@ -185,12 +185,12 @@ class ViewBreaks:
         yield Finding(
             "robot_carried",
             Severity.ERROR,
-            "From one scan to the next the view is another one while odometry goes on: "
+            "From one scan to the next the view changes while the odometry is continuous: "
             f"{', '.join(times[:_SHOWN])}{more} (from the first scan, by odometry). The robot was carried there, or "
             "two recordings were joined.",
             start_s,
             "s",
-            f"Map what comes before by itself (--duration {begin} --save FILE), and then go on with the rest (--start "
-            f"{begin} --continue FILE): the robot is found again in that map.",
+            f"Map the first part by itself (--duration {begin} --save FILE), and then continue with the rest (--start "
+            f"{begin} --continue FILE): the robot is relocalized in that map.",
             sensor,
         )

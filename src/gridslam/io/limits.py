@@ -57,7 +57,7 @@ def limit_memory(size: int) -> Iterator[None]:
 
 
 def require_memory(path: str | Path, what: str, size: int) -> None:
-    """Raise InputError, before allocation, where `what` of a file needs more memory than allowed."""
+    """Raise InputError, before allocation, where a part of a file needs more memory than allowed."""
     if size > (most := max_memory_bytes()):
         problem = f"{what} takes {describe_bytes(size)} of memory, more than the {describe_bytes(most)} of --max-memory"
         raise InputError(path, problem)

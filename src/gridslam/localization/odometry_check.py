@@ -21,7 +21,7 @@ LOCAL_MAPS = OccupancyGridMapping()
 """Makes the local maps of the tracker."""
 
 _TRACKED_VARIANCES = np.square([0.03, 0.03, 0.02])
-"""Of the tracked motion between two updates, in x, y and theta: half a cell, and what that is as a turn at 1.5 m."""
+"""Of the tracked motion between two updates, in x, y and theta: half a cell, and its angle at a distance of 1.5 m."""
 
 
 @final

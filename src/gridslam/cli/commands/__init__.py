@@ -61,7 +61,7 @@ class _LazyGroup(click.Group):
     default=1.0,
     show_default=True,
     metavar="GB",
-    help="Refuse input of which a part takes more memory than this when it is read.",
+    help="Reject input that needs more than this much memory.",
 )
 @click.pass_context
 def gridslam(context: click.Context, max_memory: float) -> None:

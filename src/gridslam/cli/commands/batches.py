@@ -145,7 +145,7 @@ def tune_command(**options: Any) -> None:  # noqa: ANN401
       gridslam tune logs/*.clf -o best.toml --budget 1h --split 0.3
       gridslam map log.clf -o out --config best.toml
 
-    The same command again goes on where it was interrupted. Needs the extra: tune.
+    The same command again continues an interrupted search. Needs the extra: tune.
     """
     from gridslam.cli.tune import TuneOptions, run_tune
 

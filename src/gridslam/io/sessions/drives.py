@@ -94,7 +94,7 @@ class Drive:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedPiece:
-    """A piece of the map and the drives that have left it, in the order of their key scans.
+    """A piece of the map and its drives, in the order of their key scans.
 
     Attributes
     ----------

@@ -113,9 +113,9 @@ class SavedSession:
     seed : int
         Of the run.
     run : SavedRun or None
-        The newest drive, which can go on; None where pieces were merged.
+        The newest drive, which can be continued; None where pieces were merged.
     pieces : tuple of SavedPiece
-        What other drives have left; in frames that have nothing to do with each other.
+        Maps of other drives, in unrelated frames.
     thumbnail : bytes
         A small picture of the map, PNG; empty if there is none.
     written : str

@@ -227,7 +227,7 @@ class LandmarkParticles:
         return np.column_stack(columns).astype(np.float64)
 
     def resample(self, drawn: IntArray) -> IntArray:
-        """Let the particles `drawn` (N,) go on, with equal weights; returns the parents (N,), in another order.
+        """Replace the particles by the `drawn` ones (N,), with equal weights; return parents (N,), in another order.
 
         A particle that goes on stays where it is, and its further copies replace those that do not.
         """
