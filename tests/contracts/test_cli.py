@@ -499,6 +499,19 @@ def test_simulate_draws_worlds_from_the_seed(call, tmp_path, world):
     assert logs[0] != logs[1]
 
 
+def test_simulate_drives_one_random_world_twice(call, tmp_path):
+    """With --world-seed the walls are the same, and noise and way are others."""
+    told = {}
+    for seed, world_seed in ((1, 5), (2, 5), (2, 6)):
+        path = tmp_path / f"{seed}-{world_seed}.clf"
+        options = "--seed", seed, "--world-seed", world_seed, "--duration", 3, "--json"
+        document = json.loads(call("simulate", "random", "-o", path, *options)[1])
+        truth = read_tum(path.with_suffix(".truth.tum")).poses
+        told[seed, world_seed] = document["walls"], document["world_seed"], truth.tolist()
+    assert told[1, 5][:2] == told[2, 5][:2] != told[2, 6][:2]
+    assert told[1, 5][2] != told[2, 5][2]
+
+
 def test_demo_maps_a_simulated_building_and_tells_its_errors(call, tmp_path):
     status, out, err = call("demo", "-o", tmp_path / "demo", "--json")
     assert (status, err) == (0, "")

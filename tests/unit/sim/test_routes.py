@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from gridslam.sim import DRAWN_WORLDS, WORLDS, make_world, vary_route
 from gridslam.sim.floor_plan import clearance, polyline
 from gridslam.sim.world import distinct, tour, wander
 
@@ -35,6 +36,28 @@ def test_wandering_keeps_the_waypoints_and_stays_near_the_line():
     away = clearance(polyline(line), route)
     assert 0.1 < away.max() <= 0.2
     assert np.hypot(*np.diff(route, axis=0).T).min() > 2.9
+
+
+@pytest.mark.parametrize("name", sorted({*WORLDS, *DRAWN_WORLDS} - {"fleet", "campus"}))
+def test_another_way_through_a_world_keeps_its_walls_and_clears_them(name):
+    world = make_world(name, np.random.default_rng(4))
+    least = clearance(world.walls, world.route).min()
+    ways = [vary_route(world, np.random.default_rng(seed)) for seed in range(8)]
+    for other in ways:
+        np.testing.assert_array_equal(other.walls, world.walls)
+        assert len(other.changes) == len(world.changes)
+        assert clearance(world.walls, other.route).min() >= min(least, 0.3)
+    starts = {tuple(other.route[0].tolist()) for other in ways}
+    assert starts <= {tuple(world.route[0].tolist()), tuple(world.route[-1].tolist())}
+    assert len({other.route.tobytes() for other in ways}) > 1
+
+
+def test_a_world_that_changes_is_driven_forward_and_changes_at_the_same_waypoints():
+    world = make_world("moved_furniture", np.random.default_rng(4))
+    other = vary_route(world, np.random.default_rng(3))
+    assert world.changes
+    for before, after in zip(world.changes, other.changes, strict=True):
+        np.testing.assert_array_equal(other.route[after.waypoint], world.route[before.waypoint])
 
 
 def test_waypoints_that_repeat_are_dropped():
