@@ -171,8 +171,8 @@ def wander(
 def vary_route(world: World, rng: np.random.Generator) -> World:
     """Return the same floor plan with another route, such as that of another day.
 
-    The robot strays from the straight line otherwise, and drives the route in either direction, unless the world
-    changes on the way.
+    The robot strays from the straight line by other amounts, and drives the route in either direction, unless walls
+    change during the drive.
 
     Parameters
     ----------
