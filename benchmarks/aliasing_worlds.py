@@ -85,7 +85,7 @@ def _turned_four_times(spaces: list[_Space], about: float) -> list[_Space]:
 
 
 def _side(length: float, width: float, rng: np.random.Generator) -> list[_Space]:
-    """One side of a ring of corridors, along the x axis: with open rooms below it and niches above."""
+    """Return one side of a ring of corridors, along the x axis: with open rooms below it and niches above."""
     spaces: list[_Space] = [(0.0, 0.0, length, width)]
     for x in _spread(length - 2 * width, rng):
         door = width + x
@@ -98,13 +98,13 @@ def _side(length: float, width: float, rng: np.random.Generator) -> list[_Space]
 
 
 def _spread(length: float, rng: np.random.Generator) -> list[float]:
-    """Places along a wall, one in each of one to three equal parts of it, and not at their ends."""
+    """Return places along a wall, one in each of one to three equal parts of it, and not at their ends."""
     count = rng.integers(1, 4)
     return list(length / count * (np.arange(count) + rng.uniform(0.4, 0.6, count)))
 
 
 def _around(length: float, width: float) -> list[_Point]:
-    """Corners of the way around a ring of corridors, the one at the lower right first."""
+    """Return corners of the way around a ring of corridors, the one at the lower right first."""
     near = width / 2
     far = length - near
     return [(far, near), (far, far), (near, far), (near, near)]
@@ -222,7 +222,7 @@ class _Rooms(NamedTuple):
         return slot * self.pitch + self.door
 
     def spaces(self, slots: Iterable[int], y: float, side: int) -> list[_Space]:
-        """Rooms and doorways on one side of a corridor's wall at `y`: above it (1) or below (-1)."""
+        """Return rooms and doorways on one side of a corridor's wall at `y`: above it (1) or below (-1)."""
         found: list[_Space] = []
         near = y + side * _WALL_M
         for slot in slots:
@@ -233,7 +233,7 @@ class _Rooms(NamedTuple):
         return found
 
     def desks(self, slots: Iterable[int], y: float, side: int) -> FloatArray:
-        """A desk in each room, in the same place."""
+        """Return a desk in each room, in the same place."""
         near = y + side * (_WALL_M + self.depth - 0.9)
         far = y + side * (_WALL_M + self.depth - 0.2)
         return join(*(box(slot * self.pitch + 0.5, near, slot * self.pitch + 1.9, far) for slot in slots))
@@ -317,7 +317,7 @@ def long_way_round(rng: np.random.Generator) -> World:
 
 
 def _joined(length: float, far: float, width: float) -> list[_Space]:
-    """Two corridors along the x axis, at 0 and at y = `far`, and one that joins their right ends."""
+    """Return two corridors along the x axis, at 0 and at y = `far`, and one that joins their right ends."""
     corridors = [(-width, y, length + width, y + width) for y in (0.0, far)]
     return [*corridors, (length, 0.0, length + width, far)]
 
@@ -384,7 +384,7 @@ def _four_rooms(rng: np.random.Generator) -> _Plan:
 
 
 def _ring_with_closets(rng: np.random.Generator) -> _Plan:
-    """A ring of wide corridors with cabinets on their walls, and with closets whose doors are open or shut."""
+    """Return a ring of wide corridors with cabinets on their walls, and with closets whose doors are open or shut."""
     width, long, short = rng.uniform((2.4, 20.0, 15.0), (2.8, 28.0, 20.0)).tolist()
     near = width / 2
     right = long - width / 2
@@ -453,13 +453,13 @@ def _leaves_free(piece: list[float], lane: FloatArray) -> bool:
 
 
 SYMMETRIC: tuple[Callable[[np.random.Generator], World], ...] = (ring, cross, twins)
-"""What `symmetric` draws one of."""
+"""Floor plans of `symmetric`."""
 
 BARE_CORRIDORS: tuple[Callable[[np.random.Generator], World], ...] = (serpentine, bare_loop, alleys)
-"""What `bare_corridors` draws one of."""
+"""Floor plans of `bare_corridors`."""
 
 EQUAL_ROOMS: tuple[Callable[[np.random.Generator], World], ...] = (facing_corridors, long_way_round)
-"""What `equal_rooms` draws one of."""
+"""Floor plans of `equal_rooms`."""
 
 
 def campus(rng: np.random.Generator, length_m: float = 2000.0) -> World:

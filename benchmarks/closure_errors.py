@@ -30,7 +30,7 @@ OPEN_M = 1.0
 def closure_errors(
     truth: ArrayLike, edges: ArrayLike, measurements: ArrayLike, information: ArrayLike | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """How far measured relative poses of pairs of scans are from the true ones.
+    """Return how far measured relative poses of pairs of scans are from the true ones.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Write the README's figures and docs/scoreboard.md from the committed results: python benchmarks/readme.py.
 
 The tables between `<!-- figures -->` and `<!-- end of figures -->` are made here, of `results/suite.json` (by
-`scoreboard.py`) and `results/others.json`; the figures in the README's sentences stand in `results/quoted.json`, each
+`scoreboard.py`) and `results/others.json`; the figures in the page's sentences stand in `results/quoted.json`, each
 with the commit that it is of.
 """
 
@@ -48,7 +48,7 @@ _ROWS = (
 
 
 def block() -> str:
-    """The generated part of the README: what was measured on what, and the table."""
+    """Return the generated part of the README: commit, machine, and the table."""
     suite, others = _read("suite.json"), _read("others.json")
     head = ["", "gridslam", "filter only", *(system["name"] for system in others["systems"].values())]
     rows = [_cells(log, row, suite["cells"][log], others) for log in _LOGS for row in _ROWS]
@@ -56,7 +56,7 @@ def block() -> str:
 
 
 def scoreboard() -> str:
-    """The generated part of docs/scoreboard.md: all logs, variants and systems."""
+    """Return the generated part of docs/scoreboard.md: all logs, variants and systems."""
     suite = _read("suite.json")
     ratio = suite.get("ratio", {"to": "", "logs": {}})
     head = ["log", "variant", "seeds", *(row.name for row in _ROWS), f"CPU time beside {ratio['to']}"]
@@ -96,12 +96,12 @@ def _describe_ratio(suite: Mapping[str, Any]) -> str:
 
 
 def quoted() -> list[str]:
-    """Figures that sentences of the README tell."""
+    """Return the figures that sentences of docs/scoreboard.md quote."""
     return [text for figure in _read("quoted.json")["figures"] for text in figure["told"]]
 
 
 def strangers(section: str) -> list[str]:
-    """Figures with a unit in a section of the README, outside its table, that no committed result has."""
+    """List figures with a unit in a section, outside its table, that are in no committed result."""
     others = _read("others.json")
     known = set(quoted())
     for published in others["published"]:

@@ -7,6 +7,7 @@ shown where the reader asks for reduced motion (docs/_static/gridslam.css). All 
 from __future__ import annotations
 
 import math
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from panels import GAP, HEAD, ORANGE, VIOLET, Chart, Panel
 from PIL import Image, ImageDraw
 
-from gridslam import Configuration, GridFastSlam, GridFastSlamState, build, run
+from gridslam import Configuration, GridFastSlam, GridFastSlamState, OccupancyGrid, build, map_log, run
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose, transform_points
 from gridslam.localization import KnownMap, MonteCarloLocalization
@@ -31,6 +32,7 @@ from gridslam.types import FloatArray, LaserScan, StepReport
 from gridslam.viz.canvas import CLOSURE, FAINT, FREE, LOST, OCCUPIED, TRUTH, UNKNOWN, Colour, font
 
 DOCS = Path(__file__).parents[1]
+DATA = Path(os.environ.get("GRIDSLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 FRAME_MS, HOLD_MS = 90, 1800
 """How long a frame is shown, and one at which something has happened."""
 
@@ -38,11 +40,12 @@ FRAME_MS, HOLD_MS = 90, 1800
 class Film:
     """Frames of one size and how long each is shown; the still is the frame chosen last."""
 
-    def __init__(self, name: str, key: Sequence[tuple[str, Colour]]) -> None:
+    def __init__(self, name: str, key: Sequence[tuple[str, Colour]], quality: int = 62) -> None:
         self.name, self.key = name, key
         self.frames: list[Image.Image] = []
         self.durations: list[int] = []
         self.still = 0
+        self.quality = quality
 
     def add(self, panels: Sequence[Panel], hold: bool = False) -> None:
         """Add a frame of panels side by side, their heads above, and the key below; hold one that matters."""
@@ -66,12 +69,41 @@ class Film:
         """Write the animation, which repeats, and its still."""
         path = DOCS / "animations" / f"{self.name}.webp"
         first, *others = self.frames
-        first.save(path, save_all=True, append_images=others, duration=self.durations, loop=0, quality=62, method=4)
+        first.save(
+            path, save_all=True, append_images=others, duration=self.durations, loop=0, quality=self.quality, method=4
+        )
         still = self.frames[self.still].quantize(128, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
         still.save(DOCS / "_static" / "stills" / f"{self.name}.png", optimize=True)
         print(
             f"{path.name}: {len(self.frames)} frames, {sum(self.durations) / 1000:.1f} s, {path.stat().st_size} bytes"
         )
+
+
+def growing_map() -> None:
+    """Map the Intel Research Lab with the default configuration: the map and the trajectory grow."""
+    film = Film("growing_map", [("trajectory, coloured by time", VIOLET), ("robot", ORANGE)], quality=45)
+    stamps: list[int] = []
+    moments: list[tuple[int, OccupancyGrid, FloatArray]] = []
+
+    def watch(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+        if report.skipped is None:
+            stamps.append(report.stamp_ns)
+            if len(stamps) % 18 == 1:
+                path = state.ancestry.trajectory(state.best)
+                moments.append((stamps[-1], state.maps.occupancy(state.best), path))
+
+    result = map_log(DATA / "intel.clf.bz2", seed=0, observers=[watch])
+    poses = result.trajectory.poses
+    box = [*(poses[:, :2].min(0) - 4.0), *(poses[:, :2].max(0) + 4.0)]
+    for stamp, grid, path in [*moments, (0, result.map, poses)]:
+        panel = Panel(f"{(stamp - stamps[0]) / 60e9:.0f} min of driving" if stamp else "the final map", box, 480)
+        panel.grid(grid)
+        if len(path) > 1:
+            panel.timed(path[:, :2], 1.5)
+        panel.robot(path[-1], ORANGE, 0.8)
+        film.add([panel], hold=not stamp)
+    film.still = len(film.frames) - 1
+    film.save()
 
 
 def particles_at_a_loop() -> None:
@@ -280,7 +312,7 @@ def covariance_ellipses() -> None:
     film.save()
 
 
-ANIMATIONS = (particles_at_a_loop, kidnapping, closure, covariance_ellipses)
+ANIMATIONS = (growing_map, particles_at_a_loop, kidnapping, closure, covariance_ellipses)
 
 if __name__ == "__main__":
     for make in ANIMATIONS:

@@ -66,7 +66,7 @@ def sample_odometry(poses, increment, alphas, rng):
 
 
 # %% [markdown]
-# The check draws 100,000 successors for three increments whose mean and covariance are known by hand.
+# The check draws 100,000 successors for four increments whose mean and covariance are known by hand.
 
 # %%
 checks.odometry_motion(sample_odometry)

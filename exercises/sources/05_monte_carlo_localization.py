@@ -43,8 +43,12 @@ def low_variance_resampling(weights, size, rng):
     return np.searchsorted(ends, np.minimum(points, np.nextafter(ends[-1], 0)), side="right")
 
 
+# %% [markdown]
+# A resampling wheel is right as well: it turns by random steps, uniform between 0 and twice the greatest weight. The
+# check states which of the two it has found.
+
 # %%
-checks.low_variance_resampler(low_variance_resampling)
+print(checks.resampling(low_variance_resampling))
 print("passed")
 
 # %% [markdown]
@@ -80,6 +84,10 @@ def mcl_step(poses, sampler, log_likelihood, rng):
     return moved[low_variance_resampling(weights, len(moved), rng)]
 
 
+# %%
+checks.mcl_weights(mcl_step)
+print("passed")
+
 # %% [markdown]
 # The loop around it uses gridslam's models. It keeps 300 particles and reports their mean.
 
@@ -88,13 +96,12 @@ MOTION = OdometryMotion(alpha1=0.05, alpha2=0.02, alpha3=0.02, alpha4=0.02)
 SENSOR = LikelihoodField(tempering=0.1)
 
 
-def localize(grid, measurements, pose, rng):
-    """Poses (T, 3) of all measurements, from a first pose."""
+def follow(grid, measurements, poses, rng, sensor=SENSOR):
+    """Poses (T, 3) of all measurements, from the first particles (N, 3)."""
     known = KnownMap(grid)
-    poses = pose + rng.normal(0, [0.1, 0.1, 0.05], (300, 3))
     before, estimates = measurements[0].odometry.pose, []
     for odometry, scan in measurements:
-        weigh = SENSOR(scan.beams(0.05, 30.0))
+        weigh = sensor(scan.beams(0.05, 30.0))
 
         def log_likelihood(poses, weigh=weigh):
             return weigh(known, np.zeros(len(poses), np.int32), poses)
@@ -106,8 +113,57 @@ def localize(grid, measurements, pose, rng):
     return np.array(estimates)
 
 
+def localize(grid, measurements, pose, rng):
+    """Poses (T, 3) of all measurements, from a first pose."""
+    return follow(grid, measurements, pose + rng.normal(0, [0.1, 0.1, 0.05], (300, 3)), rng)
+
+
 # %%
 checks.robot_is_tracked(localize)
+print("passed")
+
+# %% [markdown]
+# **Global localization.** Without an initial pose the belief is uniform over all free cells and all headings. MCL needs
+# many more particles, one of which must be near the robot, and a wider likelihood: a narrow one soon leaves a few
+# particles, of which none may be right.
+
+
+# %% [task]
+def draw_uniformly(grid, count, rng):
+    """Draw poses anywhere in the free space of a map.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        `known` and `probability`, (H, W), [row = y, column = x]; cell [i, j] covers x from `origin[0] + j *
+        resolution_m` and y from `origin[1] + i * resolution_m`. A cell is free if it is known and its probability is
+        below 0.5.
+    count : int
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    (count, 3) float64
+        Uniform over the area of the free cells, and over headings in [-pi, pi).
+    """
+    cells = np.argwhere(grid.known & (grid.probability < 0.5))
+    row, column = cells[rng.integers(len(cells), size=count)].T
+    x = grid.origin[0] + (column + rng.random(count)) * grid.resolution_m
+    y = grid.origin[1] + (row + rng.random(count)) * grid.resolution_m
+    return np.stack([x, y, rng.uniform(-np.pi, np.pi, count)], axis=1)
+
+
+# %%
+WIDE = LikelihoodField(sigma_hit_m=0.5, tempering=0.02)
+
+
+def localize_globally(grid, measurements, rng):
+    """Poses (T, 3) of all measurements, from anywhere."""
+    return follow(grid, measurements, draw_uniformly(grid, 5000, rng), rng, WIDE)
+
+
+checks.poses_are_uniform(draw_uniformly)
+checks.robot_is_found(localize_globally)
 print("passed")
 
 # %%

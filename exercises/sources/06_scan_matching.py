@@ -28,13 +28,45 @@ from gridslam.geometry.se2 import transform_points
 
 
 # %% [task]
+def linearize(distance, pose, ends):
+    """Distances of the ends of a scan, and their derivatives by the pose.
+
+    Parameters
+    ----------
+    distance : callable
+        `distance(points)` of points (B, 2) in the map gives distances (B,) in m and their gradients (B, 2).
+    pose : (3,) float64
+        [x m, y m, theta rad].
+    ends : (B, 2) float64, m
+        Ends of the beams in the robot's frame; `transform_points(pose, ends)` brings them to the map.
+
+    Returns
+    -------
+    d : (B,) float64, m
+    J : (B, 3) float64
+    """
+    d, gradient = distance(transform_points(pose, ends))
+    c = math.cos(pose[2])
+    s = math.sin(pose[2])
+    by_heading = gradient[:, 0] * (-s * ends[:, 0] - c * ends[:, 1]) + gradient[:, 1] * (
+        c * ends[:, 0] - s * ends[:, 1]
+    )
+    return d, np.column_stack([gradient, by_heading])
+
+
+# %%
+checks.scan_jacobian(linearize)
+print("passed")
+
+
+# %% [task]
 def match(distance, guess, ends):
     """Pose at which the ends of a scan fit the walls best.
 
     Parameters
     ----------
     distance : callable
-        `distance(points)` of points (B, 2) in the map gives distances (B,) in m and their gradients (B, 2).
+        As of `linearize`.
     guess : (3,) float64
         [x m, y m, theta rad]; 15 cm and 3 degrees off at most.
     ends : (B, 2) float64, m
@@ -47,13 +79,7 @@ def match(distance, guess, ends):
     """
     pose = np.array(guess)
     for _ in range(20):
-        d, gradient = distance(transform_points(pose, ends))
-        c = math.cos(pose[2])
-        s = math.sin(pose[2])
-        by_heading = gradient[:, 0] * (-s * ends[:, 0] - c * ends[:, 1]) + gradient[:, 1] * (
-            c * ends[:, 0] - s * ends[:, 1]
-        )
-        J = np.column_stack([gradient, by_heading])
+        d, J = linearize(distance, pose, ends)
         w = 1 / (1 + np.square(d / 0.1))
         step = np.linalg.solve(J.T @ (w[:, None] * J), -J.T @ (w * d))
         pose += step

@@ -116,11 +116,13 @@ def ekf_slam(sensor, steps):
 
 
 # %% [markdown]
-# Without landmarks the prediction is that of EKF localization. Where all is linear, the result must be that of the
-# Kalman filter. Otherwise its errors must be as large as its covariance states.
+# Each function is compared with numerical derivatives. Where all is linear, the result must be that of the Kalman
+# filter. Otherwise its errors must be as large as its covariance states.
 
 # %%
-checks.prediction_is_linearized(predict)
+checks.slam_prediction(predict)
+checks.landmark_is_added(add_landmark)
+checks.slam_correction(correct)
 checks.slam_is_the_kalman_filter(ekf_slam)
 checks.ring_is_mapped(ekf_slam)
 print("passed")

@@ -96,6 +96,8 @@ def fastslam(sensor, steps, count, rng, propose=None):
 
 
 # %%
+checks.log_densities(log_density)
+checks.landmark_update(update_landmarks)
 checks.particles_find_the_kalman_filter(fastslam)
 print("passed")
 
@@ -141,6 +143,7 @@ def fastslam2(sensor, steps, count, rng):
     return fastslam(sensor, steps, count, rng, propose)
 
 
+checks.proposal(propose)
 checks.particles_find_the_kalman_filter(fastslam2)
 print("passed")
 

@@ -51,7 +51,7 @@ print("passed")
 
 # %%
 MOTION = OdometryMotion(alpha1=0.05, alpha2=0.02, alpha3=0.02, alpha4=0.02)
-MATCHER, SENSOR, MAPPER = GaussNewton(), CauchyEndPoint(), OccupancyGridMapping()
+MOTION, MATCHER, SENSOR, MAPPER = checks.recorded(MOTION, GaussNewton(), CauchyEndPoint(), OccupancyGridMapping())
 
 
 # %% [task]
@@ -116,9 +116,11 @@ def step_again(measurement, poses, log_weights, rng):
 
 
 # %% [markdown]
-# A particle that is copied takes its map along. The drive's odometry strays by 0.7 m; a pose of yours may be 0.1 m off.
+# The order matters, and is checked. A particle that is copied takes its map along. The drive's odometry strays by 0.7
+# m; a pose of yours may be 0.1 m off.
 
 # %%
+checks.fastslam_step(step, MAPPER)
 checks.survivors_keep_their_maps(step_again)
 checks.poor_odometry_is_corrected(lambda measurements, rng: map_drive(measurements, rng)[0])
 print("passed")

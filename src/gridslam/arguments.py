@@ -1,4 +1,4 @@
-"""Checks of what callers hand in: each raises an ArgumentError that names the argument, the expected and what came."""
+"""Checks of arguments: each raises an ArgumentError with the name, the expected and the actual value."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ __all__ = [
 
 @final
 class Size(NamedTuple):
-    """Annotates an object: its attribute `measure`, or the length of that, is the size `name` of what holds it."""
+    """Annotates an object: its attribute `measure`, or the length of it, is the size `name` of the container."""
 
     name: str
     measure: str
@@ -60,9 +60,9 @@ class Limits(NamedTuple):
 
 
 COUNT = Limits(0, 1 << 62)
-"""Of what was counted."""
+"""Range of counts."""
 SHARE = Limits(0.0, 1.0)
-"""Of a part in the whole."""
+"""Range of ratios."""
 
 
 def index_of(size: str) -> Limits:
@@ -71,7 +71,7 @@ def index_of(size: str) -> Limits:
 
 
 def freeze(values: ArrayLike, dtype: type, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
-    """A read-only copy of `values` with the given dtype and shape (None: any length)."""
+    """Return a read-only copy of `values` with the given dtype and shape (None: any length)."""
     try:
         array: NDArray[Any] = np.array(values, dtype=dtype)
     except (TypeError, ValueError):
@@ -83,7 +83,7 @@ def freeze(values: ArrayLike, dtype: type, shape: tuple[int | None, ...], name: 
 
 
 def require_array(name: str, array: object, dtype: type, shape: tuple[int | None, ...]) -> None:
-    """Refuse what is no NumPy array of exactly this dtype and shape (None: any length); nothing is converted."""
+    """Check that a value is a NumPy array of exactly this dtype and shape (None: any length); nothing is converted."""
     if isinstance(array, np.ndarray) and array.dtype.type is dtype and array.dtype.isnative and array.shape == shape:
         return  # the way of every scan
     if not isinstance(array, np.ndarray) or array.dtype != dtype:
@@ -98,7 +98,7 @@ def _has_shape(array: NDArray[Any], shape: tuple[int | None, ...]) -> bool:
 
 
 def require_covariance(name: str, matrix: object) -> None:
-    """Refuse what is no symmetric positive definite (3, 3) float64 array."""
+    """Check that an array is a symmetric positive definite (3, 3) float64 matrix."""
     require_array(name, matrix, np.float64, (3, 3))
     assert isinstance(matrix, np.ndarray)
     if not is_covariance(matrix):
@@ -106,7 +106,7 @@ def require_covariance(name: str, matrix: object) -> None:
 
 
 def is_covariance(matrix: NDArray[np.float64]) -> bool:
-    """Whether a (3, 3) matrix is finite, symmetric and positive definite, both beyond rounding."""
+    """Return whether a (3, 3) matrix is finite, symmetric and positive definite, both beyond rounding."""
     if not np.isfinite(matrix).all():
         return False
     scale = np.sqrt(np.abs(np.diagonal(matrix)))
@@ -132,7 +132,7 @@ _SURROGATE = re.compile("[\ud800-\udfff]")
 
 
 def require_plain(tree: object, *, odd_names: bool = False) -> None:
-    """Refuse values of a parser, lists and dicts, that programs cannot go on with.
+    """Check that the lists and dicts of a parser hold only values that programs can use.
 
     These are lists in lists and dicts in dicts of more than 100 levels, whole numbers beyond 1e300, which neither
     `float` nor `repr` take, and texts with halves of characters, which no file takes; these may be where files of odd
@@ -153,18 +153,18 @@ def require_plain(tree: object, *, odd_names: bool = False) -> None:
 
 
 def require_generator(rng: object) -> None:
-    """Refuse what is no random generator, such as a seed."""
+    """Check that a value is a random generator, and no seed."""
     if not isinstance(rng, np.random.Generator):
         raise ArgumentError("rng", "a numpy.random.Generator, as numpy.random.default_rng makes it", describe(rng))
 
 
 def require_seed(seed: object) -> None:
-    """Refuse what is no integer >= 0."""
+    """Check that a seed is an integer >= 0."""
     _require_least("seed", seed, 0, "a number >= 0")
 
 
 def require_threads(threads: object) -> None:
-    """Refuse what is no integer >= 1."""
+    """Check that a number of threads is an integer >= 1."""
     _require_least("threads", threads, 1, "at least one")
 
 
@@ -179,7 +179,7 @@ _LONGEST = 10**40  # beyond some thousand digits an integer has no text
 
 
 def describe(value: object) -> str:
-    """A value in a message: itself where it is short, else its class."""
+    """Return a value in a message: itself where it is short, else its class."""
     kind = type(value).__name__
     if isinstance(value, np.ndarray):
         return f"one of {value.dtype} and shape {value.shape}"

@@ -26,9 +26,9 @@ __all__ = ["checked"]
 _Public = TypeVar("_Public", bound=Callable[..., Any])
 _LARGEST = 1 << 62
 _READ_LOGS = ("gridslam.api.", "gridslam.pipeline")
-"""Of what maps whole logs numbers that do not go together are no argument's fault."""
+"""Modules that map whole logs: values that contradict each other there are no fault of an argument."""
 _KINDS = {"f": "fiu", "i": "iu", "u": "iu", "b": "b"}
-"""Of arrays that are taken, by what is annotated: nothing is lost by converting them."""
+"""Dtype kinds that convert without loss to the annotated kind."""
 _NUMBERS: Mapping[object, tuple[type, ...]] = {
     int: (int, np.integer),
     float: (int, float, np.integer, np.floating),
@@ -42,7 +42,7 @@ _is_within: ContextVar[bool] = ContextVar("is_within", default=False)
 
 
 class _Numbers:
-    """Stands for `ArrayLike`: whatever an array of numbers can be made of."""
+    """Stands for `ArrayLike`: any value that converts to an array of numbers."""
 
 
 class _Names(dict[str, Any]):
@@ -142,7 +142,7 @@ def _require_stated(name: str, value: object, hint: Any, sizes: dict[str, int]) 
 
 
 def _require(name: str, value: object, hint: Any, sizes: dict[str, int]) -> None:  # noqa: ANN401
-    """Raise ArgumentError where a value is not what an annotation states."""
+    """Raise ArgumentError if a value does not match its annotation."""
     notes: list[object] = []
     if get_origin(hint) is Annotated:
         hint, *notes = get_args(hint)
@@ -167,7 +167,7 @@ def _require_shape(name: str, got: tuple[int, ...], shape: Sequence[Any], sizes:
 
 
 def _is(value: Any, hint: Any) -> bool:  # noqa: ANN401
-    """Whether a value is of a type, as an annotation gives it."""
+    """Return whether a value is of a type, as an annotation gives it."""
     origin, items = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
         return any(_is(value, item) for item in _alternatives(items))
@@ -220,7 +220,7 @@ def _is_of_dtype(array: NDArray[Any], scalar: Any) -> bool:  # noqa: ANN401
 
 
 def _is_numeric(value: Any) -> bool:  # noqa: ANN401
-    """Whether an array of numbers can be made of a value."""
+    """Return whether an array of numbers can be made of a value."""
     try:
         return np.asarray(value).dtype.kind in "fiub"
     except (ValueError, TypeError, OverflowError):
@@ -228,7 +228,7 @@ def _is_numeric(value: Any) -> bool:  # noqa: ANN401
 
 
 def _has_items(value: Any, origin: Any, items: tuple[Any, ...]) -> bool:  # noqa: ANN401
-    """Whether what a container holds is of the types that are stated; nothing is looked at that is used up by that."""
+    """Return whether the items of a container have the stated types; iterators are not consumed."""
     if issubclass(origin, Mapping):
         return all(_is(key, items[0]) and _is(each, items[1]) for key, each in value.items())
     if origin is tuple and not (len(items) == 2 and items[1] is Ellipsis):
@@ -239,7 +239,7 @@ def _has_items(value: Any, origin: Any, items: tuple[Any, ...]) -> bool:  # noqa
 
 
 def _name(hint: Any) -> str:  # noqa: ANN401
-    """An annotation in a message."""
+    """Return an annotation in a message."""
     origin, items = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
         return " or ".join(_name(item) for item in _alternatives(items))

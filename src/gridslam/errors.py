@@ -20,7 +20,7 @@ class GridslamError(Exception):
 
 
 class ArgumentError(GridslamError, ValueError):
-    """An argument does not meet the contract: names the argument, what was expected and what came."""
+    """Raised for an invalid argument; has its name, the expected and the actual value."""
 
     def __init__(self, argument: str, expected: str, got: object) -> None:
         super().__init__(f"{argument}: expected {expected}, got {' '.join(str(got).split())}")
@@ -44,7 +44,7 @@ class ConsumedStateError(GridslamError, RuntimeError):
 
 
 class InputError(GridslamError):
-    """A file cannot be used: names the file, the line if there is one, what was expected and what was found."""
+    """Raised for an unusable file; has its name, the line if there is one, the expected and the actual content."""
 
     def __init__(self, path: str | Path, problem: str, line: int | None = None) -> None:
         where = f"{path}" if line is None else f"{path}, line {line}"
@@ -65,7 +65,7 @@ class OutputError(GridslamError):
 
 
 def describe_failure(error: Exception) -> str:
-    """Return in a few words, on one line, what a parser has come across; errors of any type have some."""
+    """Describe an exception of a parser of any type in a few words, on one line."""
     if isinstance(error, RecursionError):
         return "values nested too deeply"
     if isinstance(error, MemoryError):

@@ -23,7 +23,7 @@ __all__ = ["Latency", "RunStatistics", "StatisticsRecorder", "TrajectoryRecorder
 
 @final
 class TrajectoryRecorder:
-    """Records what is needed for the online and the full trajectory of all scans.
+    """Records the data of the online and the full trajectory of all scans.
 
     Between two key scans all particles move with the tracker (see `gridslam.slam.full_slam.full_trajectory`).
     Uses 8 bytes of memory for a scan, and 64 more for one that is not where the last one was.

@@ -47,7 +47,7 @@ def bounded(default: _Number, **bounds: float) -> _Number:
 
 
 def adapter(part: type[_Part]) -> TypeAdapter[_Part]:
-    """What pydantic checks objects of a class of parameters with."""
+    """Return the adapter by which pydantic checks objects of a class of parameters."""
     kind: Any = part
     return cast("TypeAdapter[_Part]", _adapter(kind))
 
@@ -58,7 +58,7 @@ def _adapter(part: type) -> TypeAdapter[Any]:
 
 
 def to_table(part: object) -> Table:
-    """Parameters of a part; those of its own parts are tables in it."""
+    """Return parameters of a part; those of its own parts are tables in it."""
     table: Table = adapter(type(part)).dump_python(part)
     return table
 

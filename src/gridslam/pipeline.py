@@ -1,7 +1,7 @@
 """The one loop that drives the filter, offline and live: source -> algorithm -> observers.
 
 A step consumes its state. Where it raises an exception in its midst, the loop revives the state that it was given, and
-goes on without the scan that failed. No copy is kept to go back to: it would keep every tile that is written after it,
+continues without the scan that failed. No copy is kept to return to: it would keep every tile that is written later,
 a fifth of all tiles on the Intel log.
 """
 
@@ -40,7 +40,7 @@ class FilterState(Protocol):
     """State of a filter."""
 
     def revive(self) -> None:
-        """Undo a step that failed: the state is as before it, except for what the step wrote in place.
+        """Undo a step that failed: the state is as before it, except for values that the step wrote in place.
 
         What that is: see the class of the state. The random generator is not set back.
         """
@@ -85,7 +85,7 @@ def describe_error(error: BaseException) -> str:
 
 
 def _without_frames(error: Exception) -> Exception:
-    """Drop the frames of an exception, which hold what its step has left of the state."""
+    """Drop the frames of an exception, which keep the state of its step alive."""
     error.__context__ = error.__cause__ = None
     return error.with_traceback(None)
 
@@ -202,7 +202,7 @@ class Stopwatch:
         return sum(wall for wall, _ in times), sum(cpu for _, cpu in times)
 
     def to_dict(self) -> dict[str, Any]:
-        """Times for run.json: `wall_s` and `cpu_s` of all stages, and of each under `stages`."""
+        """Return times for run.json: `wall_s` and `cpu_s` of all stages, and of each under `stages`."""
         wall, cpu = self.total()
         stages = {name: {"wall_s": times[0], "cpu_s": times[1]} for name, times in self.stages.items()}
         return {"wall_s": wall, "cpu_s": cpu, "stages": stages}

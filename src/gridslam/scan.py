@@ -1,4 +1,4 @@
-"""One sweep of a planar lidar: where its beams point, what they measured, and which of them are used."""
+"""One scan of a planar lidar: directions and ranges of its beams, and the selection of usable ones."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Rows = NDArray[np.integer[Any]]
 """Which map of a table of maps: one row for each pose."""
 Poses = Annotated[FloatArray, "K", 3]
 Points = Annotated[FloatArray, "B", 2]
-"""Of an argument: poses, or points, as many as whatever else of the call is annotated so."""
+"""Poses or points; all arguments with the same annotation have the same number of rows."""
 
 
 @final
@@ -106,7 +106,7 @@ _STRAIGHT = 1e-12  # rad/s: a turn below this moves nothing by a rounding error
 @checked
 @dataclass(frozen=True, slots=True, eq=False)
 class Beams:
-    """The usable beams of a scan in the base frame; what matchers, sensor models and mappers work on.
+    """The usable beams of a scan in the base frame; the input of matchers, sensor models and mappers.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class Beams:
 
     @property
     def reach_m(self) -> float:
-        """Distance of the farthest end or of the laser from the base; what a map must cover around the pose."""
+        """Distance of the farthest end or of the laser from the base; a map must cover this radius around the pose."""
         return _reach_m(self.ends, self.origin)
 
     @property
@@ -152,7 +152,7 @@ class Beams:
         return bool(self.ends.var(axis=0).sum() < _ONE_THING_M**2)
 
     def without_beams(self) -> Beams:
-        """The same scan with none of its beams."""
+        """Return the same scan with none of its beams."""
         return Beams(self.scan, self.indices[:0], self.ends[:0], self.origin)
 
     def deskew(self, twist: FloatArray) -> Beams:
@@ -242,7 +242,7 @@ class Thinning:
     dense_beams: int = bounded(400, ge=1, le=1_000_000)
 
     def __call__(self, ranges: FloatArray, widths: FloatArray) -> NDArray[np.bool_] | None:
-        """Which beams to take: the first ones in equal parts of the arc that they sweep; None for all.
+        """Return which beams to take: the first ones in equal parts of the arc that they sweep; None for all.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""States as plain arrays with dotted names, and back: what is saved of a state follows from its fields.
+"""Convert states to plain arrays with dotted names, and back, by the fields of their classes.
 
 A state is a dataclass or a named tuple. Its fields are numbers, texts, enumerators, tuples of numbers, arrays, other
 states, and lists and dicts of all these; of a list of states each field is one array, along the list. Where arrays in a
@@ -50,7 +50,7 @@ def to_arrays(state: object) -> dict[str, NDArray[Any]]:
 
 
 def from_arrays(kind: type[_State], arrays: _Arrays, restore: Mapping[type, _Restore] | None = None) -> _State:
-    """Restore a state from what `to_arrays` returned.
+    """Restore a state from the arrays of `to_arrays`.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ class _Form(NamedTuple):
         return {bool: np.bool_, int: np.int64, float: np.float64}.get(self.kind, np.str_)
 
     def convert(self, name: str, values: NDArray[Any]) -> object:
-        """The value that an array stands for."""
+        """Return the value that an array stands for."""
         if self.kind is np.ndarray:
             return values
         if issubclass(self.kind, Enum):

@@ -6,6 +6,7 @@ may only fall. Identifiers do not count: text in backticks, names of parameters 
 
 from __future__ import annotations
 
+import ast
 import io
 import re
 import tokenize
@@ -106,6 +107,39 @@ def test_a_planted_word_is_found_and_an_identifier_is_not(source, suffix, count)
 def test_a_planted_word_is_found_on_a_page():
     page = "A scan tells it.\n\n```python\ntells = 1\n```\n\nSee `tells` and [this](tells.md).\n"
     assert found(r"\btells?\b", {"planted": list(of_page(page))}) == ["planted: A scan tells it."]
+
+
+CLAUSE = re.compile(r"\b[Ww]hat(ever)?\b|\b[Ww]hoever\b|\b[Gg]o(es|ing|ne)? on\b|\b[Nn]ow and then\b")
+CLAUSES_LEFT = {"ros": 60, "slam": 41, "tracking": 5, "matching": 2}
+"""First lines of docstrings that are still to be rewritten, by folder; none elsewhere. A limit may only fall."""
+
+
+def first_lines(text: str) -> Iterator[str]:
+    """Yield the first line of each docstring, those of attributes included."""
+    for node in ast.walk(ast.parse(text)):
+        body = getattr(node, "body", [])
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
+            for statement in body if not isinstance(node, ast.FunctionDef) else body[:1]:
+                match statement:
+                    case ast.Expr(ast.Constant(str(value))):
+                        yield value.strip().partition("\n")[0]
+
+
+def test_first_lines_of_docstrings_are_plain():
+    found: dict[str, list[str]] = {}
+    for path in SOURCES:
+        if path.suffix == ".py":
+            folder = path.relative_to(PACKAGE).parts[0]
+            lines = first_lines(path.read_text(encoding="utf-8"))
+            found.setdefault(folder, []).extend(f"{path.name}: {line}" for line in lines if CLAUSE.search(line))
+    over = {folder: lines for folder, lines in found.items() if len(lines) > CLAUSES_LEFT.get(folder, 0)}
+    assert over == {}, "begin with a verb or a noun, without a clause: see language.tsv"
+
+
+def test_a_planted_clause_in_a_first_line_is_seen():
+    text = '"""What a run left."""\nX = 1\n"""Length, m."""\ndef f():\n    """Refuse what is no seed."""\n'
+    assert [bool(CLAUSE.search(line)) for line in first_lines(text)] == [True, False, True]
+    assert [bool(CLAUSE.search(line)) for line in ("It goes on.", "Return the result.")] == [True, False]
 
 
 IDENTIFIERS = {

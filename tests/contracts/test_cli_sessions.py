@@ -43,7 +43,7 @@ def test_a_session_goes_on(call, logs, monday, tmp_path):
     options = "--continue", monday, "--save", both
     status, out, err = call("map", logs / "tuesday.clf", "-o", tmp_path / "out", *options)
     assert (status, err) == (0, "")
-    assert "tuesday.clf goes on where the session has ended: the first scan is" in out
+    assert "tuesday.clf continues where the session ended: the first scan is" in out
     assert f"session: {both}" in out
     document = json.loads((tmp_path / "out" / "run.json").read_text())
     assert document["scans"]["read"] == 300
@@ -60,7 +60,7 @@ def test_what_was_moved_stays_apart_or_is_found_and_merging_is_written(call, log
     assert status == 0
     assert "tuesday.clf begins elsewhere (forced)" in out
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    found = "found again in the map of monday" in out
+    found = "relocalized in the map of monday" in out
     assert found == ("trajectory_robot2.tum" in names) != ("map_2.yaml" in names)
     other = tmp_path / "other.gridslam"
     assert call("map", logs / "tuesday.clf", "-o", tmp_path / "b", *FEW, "--save", other)[0] == 0
@@ -83,7 +83,7 @@ def test_a_known_map_is_gone_on_from(call, logs, monday, tmp_path):
         "map", logs / "tuesday.clf", "-o", tmp_path / "out", *FEW, "--prior", prior, "--pose", "0,0,0"
     )
     assert status == 0
-    assert "found again in the given map" in out or "given map), which stay apart" in out
+    assert "relocalized in the given map" in out or "given map), which stay apart" in out
 
 
 @pytest.mark.parametrize(

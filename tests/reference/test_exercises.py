@@ -12,6 +12,7 @@ import checks
 import make_notebooks
 import numpy as np
 import pytest
+from feedback import expect
 
 from gridslam import GraphSlam, GridFastSlam, KnownMap, MonteCarloLocalization
 from gridslam.evaluation import absolute_errors
@@ -20,7 +21,7 @@ from gridslam.localization.ekf import EkfLocalization, KnownLandmarks
 from gridslam.models import OdometryMotion
 from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RangeBearing
 from gridslam.models.motion import GaussianIncrement
-from gridslam.particles import Systematic
+from gridslam.particles import Multinomial, ResamplingWheel, Systematic
 from gridslam.particles.resampling import effective_sample_size
 from gridslam.types import Trajectory
 
@@ -59,6 +60,47 @@ def test_ekf_localization():
 
 def test_low_variance_resampling():
     checks.low_variance_resampler(Systematic())
+
+
+def test_a_resampler_is_recognized_by_the_variance_of_its_counts():
+    assert checks.resampling(Systematic()) == checks.LOW_VARIANCE
+    assert checks.resampling(ResamplingWheel()) == checks.WHEEL
+    with pytest.raises(AssertionError, match="independent draws"):
+        checks.resampling(Multinomial())
+
+
+def wheel_of_the_lecture(weights, size, rng, greatest=2.0):
+    """Begin at a random particle, and turn by steps between 0 and `greatest` of the largest weights."""
+    index, beta, drawn = int(rng.random() * len(weights)), 0.0, []
+    for _ in range(size):
+        beta += rng.random() * greatest * max(weights)
+        while beta > weights[index]:
+            beta -= weights[index]
+            index = (index + 1) % len(weights)
+        drawn.append(index)
+    return np.array(drawn)
+
+
+def test_the_wheel_of_the_lecture_passes_where_it_is_right():
+    assert checks.resampling(wheel_of_the_lecture) == checks.WHEEL
+    with pytest.raises(AssertionError, match="twice the greatest weight"):
+        checks.resampling(lambda weights, size, rng: wheel_of_the_lecture(weights, size, rng, greatest=0.5))
+
+
+def test_free_poses_are_uniform():
+    checks.poses_are_uniform(lambda grid, count, rng: KnownMap(grid).sample_poses(count, rng))
+
+
+def test_a_mistake_is_named_and_another_difference_shown():
+    with pytest.raises(AssertionError, match=r"^angle: wrap it$"):
+        expect("angle", 4.0, 4.0 - math.tau, mistakes={"wrap it": 4.0})
+    with pytest.raises(AssertionError, match=r"^angle: expected \[?1.*, got \[?2"):
+        expect("angle", 2.0, 1.0, mistakes={"wrap it": 4.0})
+    with pytest.raises(AssertionError, match="expected shape"):
+        expect("angle", np.zeros(2), 1.0)
+    with pytest.raises(AssertionError, match="expected numbers"):
+        expect("angle", {}, [1.0, 2.0])
+    expect("weights", [-np.inf, np.nan], [-np.inf, np.nan])
 
 
 def test_monte_carlo_localization():
@@ -111,7 +153,7 @@ def test_notebooks_are_those_of_their_sources():
     """After a change run exercises/make_notebooks.py."""
     made = make_notebooks.notebooks()
     assert set(made) == set(make_notebooks.HERE.glob("*.ipynb"))
-    assert len(made) == 20
+    assert len(made) == 22
     assert [path.name for path, text in made.items() if path.read_text(encoding="utf-8") != text] == []
 
 

@@ -91,7 +91,7 @@ AMCL_NAMES: Final = frozenset((*(name for name, *_ in _TABLE), *_COVARIANCE, *_B
 
 @final
 class AmclParameters(NamedTuple):
-    """What AMCL's parameters mean here.
+    """The parameters of AMCL, mapped to gridslam's.
 
     Attributes
     ----------
@@ -205,7 +205,7 @@ _AMCL_VARIANCES = 0.25, 0.25, (math.pi / 12) ** 2
 
 
 def _read_covariance(given: Mapping[str, Any]) -> FloatArray:
-    """Covariance (3, 3) of the initial pose; AMCL's where none is given."""
+    """Return covariance (3, 3) of the initial pose; AMCL's where none is given."""
     covariance = np.diag(_AMCL_VARIANCES)
     for name, (row, column) in _COVARIANCE.items():
         if name in given:
@@ -216,7 +216,7 @@ def _read_covariance(given: Mapping[str, Any]) -> FloatArray:
 
 
 def _check_values(parameters: Mapping[str, Any]) -> None:
-    """Refuse what is no number, or no boolean, among the parameters that are not handed on to a part."""
+    """Check that the parameters that no component takes are numbers or booleans."""
     for name, value in parameters.items():
         meaning = _ALIASES.get(name, name)
         if meaning in ("selective_resampling", "set_initial_pose") and not isinstance(value, bool):
@@ -244,7 +244,7 @@ def _with_amcl_name(error: ConfigurationError, spelled: Mapping[str, str]) -> Co
 
 
 def _changes(given: Mapping[str, Any], configuration: MonteCarloConfiguration) -> Table:
-    """Nested changes to the parts."""
+    """Return nested changes to the parts."""
     changes = _sensor(given, configuration) | _motion(given, configuration)
     for name, value in given.items():
         if name in _PLACES and not (name.endswith("_range") and value == -1):  # -1: the sensor's own
@@ -276,7 +276,7 @@ def _motion(given: Mapping[str, Any], configuration: MonteCarloConfiguration) ->
 
 
 def _sensor(given: Mapping[str, Any], configuration: MonteCarloConfiguration) -> Table:
-    """The sensor model; AMCL's shares need not sum to 1, and a factor on all of them changes nothing."""
+    """Return the sensor model; AMCL's shares need not sum to 1, and a factor on all of them changes nothing."""
     model = given.get("laser_model_type")
     if model not in (None, "likelihood_field", "likelihood_field_prob", "beam"):
         raise ConfigurationError(f"laser_model_type: expected likelihood_field or beam, got {model!r}")

@@ -1,4 +1,4 @@
-"""Autosave: a run leaves a session now and then, and the same run goes on from it after a kill."""
+"""Autosave: save the session of a run periodically; the same command continues it after a kill."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["Autosave"]
 
 @final
 class Autosave:
-    """Writes a run to a file now and then, by a thread of its own, so that it can go on after a kill.
+    """Writes a run to a file periodically, in a thread of its own, so that it can continue after a kill.
 
     The file is of no use to another run: it names what the run depends on, and is refused where that differs.
 
@@ -37,9 +37,9 @@ class Autosave:
     period_s : float, s, > 0
         Time between two of them.
     on_failure : callable
-        Called with what has failed, such as a full disk; the run goes on.
+        Called with a failure, such as a full disk; the run continues.
     on_resume : callable
-        Called with the number of scans that an interrupted run had processed, before the run goes on from there.
+        Called with the number of scans that an interrupted run had processed, before the run continues from there.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Autosave:
         self._writer = BackgroundWriter(lambda problem: on_failure(f"the run cannot be saved: {problem}"))
 
     def find(self, job: Mapping[str, Any], threads: int = 1) -> Beginning | None:
-        """Give what an interrupted run of the same job has left; None if there is nothing.
+        """Return the autosave of an interrupted run of the same job, or None.
 
         Parameters
         ----------
@@ -79,14 +79,14 @@ class Autosave:
         saved = read_session(self.path, threads)
         own = _read_progress(saved.job)
         if own is None or own.job != self._job or saved.version != __version__ or saved.run is None:
-            expected = "what an interrupted run of the same log, configuration and seed has left"
+            expected = "the autosave of an interrupted run of the same log, configuration and seed"
             raise InputError(self.path, f"expected {expected}, got that of another run (--restart replaces it)")
         self._on_resume(own.passed)
         failures = FailureRecorder(own.failed, own.first_failure)
         return Beginning(saved.run, saved.pieces, own.passed, failures=failures)
 
     def begin(self, session: SavedSession, beginning: Beginning) -> None:
-        """Begin with a session to which a log is added, and with what the run of that begins with."""
+        """Begin with a session to which a log is added, and with the beginning of its run."""
         self._begun = session, beginning
         self._passed = beginning.passed
         self._due_s = time.monotonic() + self.period_s
@@ -112,7 +112,7 @@ class Autosave:
         self._due_s = time.monotonic() + self.period_s
 
     def close(self) -> None:
-        """Wait for what is being written."""
+        """Wait until the current file is written."""
         self._writer.close()
 
     def remove(self) -> None:
@@ -123,7 +123,7 @@ class Autosave:
 
 @final
 class _Progress(NamedTuple):
-    """What a run was to do, and how far it has come: the part `job` of its file."""
+    """The job of a run and its progress: the entry `job` of its file."""
 
     job: str
     """Digest of all that its results depend on."""

@@ -1,4 +1,4 @@
-"""What a run begins with: nothing, or what earlier drives have left."""
+"""The start of a run: an empty map, or the maps of earlier drives."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 _MAX_GAP_S = 600.0
-"""Longest time between two logs of which the second goes on; a robot that is started again begins a new drive."""
+"""Longest time between two logs of one drive; after a longer one the robot begins a new drive."""
 _MAX_SPEED_M_S = 2.0
 _JITTER_M = 0.5
 _JITTER_RAD = 0.5
@@ -54,7 +54,7 @@ class Place(Enum):
 
 @final
 class PlaceDecision(NamedTuple):
-    """Whether a log goes on where the last one has ended, and what that follows from, in one line."""
+    """Whether a log continues at the end of the last one, and the reason in one line."""
 
     is_same: bool
     reason: str
@@ -63,14 +63,14 @@ class PlaceDecision(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Beginning:
-    """What a run begins with.
+    """The start of a run.
 
     Attributes
     ----------
     run : SavedRun
         The filter and its observers so far; new ones for a new drive.
     pieces : tuple of SavedPiece
-        What earlier drives have left besides.
+        Other pieces of the map of earlier drives.
     passed : int
         Number of scans of the log that `run` has processed already.
     locator : EarlierPieces or None
@@ -108,7 +108,7 @@ class Beginning:
             slam.loop_closure.join(state, closure_state, found)
 
     def go_on(self, state: GridFastSlamState, *logs: DrivenLog) -> Beginning:
-        """Give what the run is after a scan, to be saved or gone on from; `logs` are those that have ended since.
+        """Return the state of the run after a scan, to be saved or continued; `logs` are those that have ended since.
 
         Whatever saves a run, or computes its result, saves this: the drives of the piece in which the robot was found
         come before the run's own, and that piece is not among the others any more.
@@ -132,7 +132,7 @@ def locate_in(
     pose: FloatArray | None = None,
     state: GridFastSlamState | None = None,
 ) -> EarlierPieces | None:
-    """Give what looks for a robot in pieces: everywhere, or about a pose (3,) at which it begins in the first one.
+    """Return a locator of the robot in pieces: anywhere, or near a pose (3,) at which it begins in the first one.
 
     None without loop closure, without pieces, and where the state with which it begins is of a robot that was found.
     """
@@ -152,14 +152,14 @@ def locate_in(
 
 
 def decide_place(run: SavedRun, slam: GridFastSlam, first: Measurement) -> PlaceDecision:
-    """Decide whether a log that begins with this measurement goes on where a run has ended.
+    """Decide whether a log that begins with this measurement continues at the end of a run.
 
     It does if its stamps and its odometry go on, and its first scan fits the newest local map where the odometry
     expects it. Without odometry stamps and scan decide.
     """
     state = run.state
     if state is None:
-        return PlaceDecision(False, "there is nothing to go on from")
+        return PlaceDecision(False, "there is no earlier drive")
     odometry, scan = first
     gap_s = 1e-9 * (scan.stamp_ns - state.tracker.stamp_ns)
     moved = None if odometry is None else between(state.tracker.odometry, as_pose(odometry.pose))
@@ -189,7 +189,7 @@ def _describe_gap(seconds: float) -> str:
 
 
 def _match_first(state: GridFastSlamState, slam: GridFastSlam, scan: LaserScan, moved: Pose) -> tuple[float, float]:
-    """Inlier ratio of a scan in the newest local map, and the distance (m) from where it was expected."""
+    """Return inlier ratio of a scan in the newest local map, and the distance (m) from where it was expected."""
     if not isinstance(slam.tracker, Tracker):
         return 1.0, 0.0  # that tracker trusts its odometry
     tracker = state.tracker
@@ -203,7 +203,7 @@ def _match_first(state: GridFastSlamState, slam: GridFastSlam, scan: LaserScan, 
 
 
 def restart_at_same_place(state: GridFastSlamState, first: Measurement) -> None:
-    """Let a filter go on at the place where it is though odometry or clock were reset, as by a restart there."""
+    """Restart a filter at its current place although odometry or clock were reset, as by a restart there."""
     odometry, scan = first
     tracker = state.tracker
     tracker.stamp_ns = scan.stamp_ns
@@ -213,7 +213,7 @@ def restart_at_same_place(state: GridFastSlamState, first: Measurement) -> None:
 
 
 def restart_at_pose(state: GridFastSlamState, slam: GridFastSlam, first: Measurement, pose: FloatArray) -> None:
-    """Let a filter go on at another place, pose (3,) in its map: the tracker begins with local maps of this scan alone.
+    """Restart a filter at another pose (3,) of its map: the tracker begins with local maps of this scan alone.
 
     The way there is one step of the robot, with the noise of its length.
     """

@@ -54,7 +54,7 @@ _PACKED = ".gz", ".bz2"
 @final
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """What was written, and what was lost.
+    """The written file, and the data that its format cannot represent.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class Conversion:
 
 
 def infer_format(out: str | Path, to: str | None = None) -> OutFormat:
-    """The format of the new log: by the suffix of its name, or `to`.
+    """Return the format of the new log: by the suffix of its name, or `to`.
 
     Raises ArgumentError if the name has no known suffix, or that of a bag of another kind than `to`.
     """
@@ -176,7 +176,7 @@ def _write(
 
 
 def _with_beams(measurements: Iterable[Measurement], lost: Counter[str]) -> Iterator[Measurement]:
-    """The measurements whose scans have any beam."""
+    """Yield the measurements whose scans have any beam."""
     for measurement in measurements:
         if len(measurement.scan):
             yield measurement
@@ -185,7 +185,7 @@ def _with_beams(measurements: Iterable[Measurement], lost: Counter[str]) -> Iter
 
 
 def _with_odometry(measurements: Iterable[Measurement], lost: Counter[str]) -> Iterator[Measurement]:
-    """The odometry, each reading once, which is what a trajectory can represent."""
+    """Return the odometry readings, each once, which a trajectory can represent."""
     before: Odometry | None = None
     for measurement in measurements:
         odometry = measurement.odometry
@@ -206,7 +206,7 @@ def _write_odometry(target: Path, source: Path, measurements: Iterable[Measureme
 
 
 def _single_precision(measurements: Iterable[Measurement], lost: Counter[str]) -> Iterator[Measurement]:
-    """The measurements as they are; counts the scans whose ranges will be rounded."""
+    """Yield the measurements as they are; counts the scans whose ranges will be rounded."""
     for measurement in measurements:
         scan = measurement.scan
         hits = scan.ranges[scan.status == BeamStatus.HIT]

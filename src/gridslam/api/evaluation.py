@@ -72,7 +72,7 @@ def score_against_reference(
 
 
 def score_against_truth(estimate: Trajectory, truth: Trajectory, distance_m: float = 1.0) -> dict[str, Any]:
-    """Absolute errors after alignment, and relative ones over `distance_m` of the truth's path, as JSON values.
+    """Return absolute errors after alignment, and relative ones over `distance_m` of the truth's path, as JSON values.
 
     Also how many poses the estimate has, of which those without partner do not count, and up to which gap between its
     poses the truth was interpolated.
@@ -88,7 +88,7 @@ def score_against_truth(estimate: Trajectory, truth: Trajectory, distance_m: flo
 
 
 def _is_log(path: str | Path) -> bool:
-    """Whether a reference holds scans; a file that cannot be read is left to the reader of trajectories."""
+    """Return whether a reference holds scans; a file that cannot be read is left to the reader of trajectories."""
     try:
         detect_log_format(path)
     except InputError:

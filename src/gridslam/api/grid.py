@@ -72,7 +72,7 @@ class GridResult(Result):
     repair : Repair
         What was taken out of the log.
     stopwatch : Stopwatch
-        Time spent; saving goes on counting.
+        Time spent; saving adds to it.
     """
 
     schema: ClassVar = "gridslam.grid/1"
@@ -100,7 +100,7 @@ class GridResult(Result):
         """None: the poses are taken as exact."""
 
     def caption(self) -> list[str]:
-        """Lines that describe the map."""
+        """Return lines that describe the map."""
         height, width = (side * self.map.resolution_m for side in self.map.known.shape)
         fading = "" if self.half_life_scans is None else f", half-life {self.half_life_scans:g} scans"
         name = {"bayes": "binary Bayes filter", "counting": "counting model"}[self.model]
@@ -208,7 +208,7 @@ def map_with_poses(
     on_progress : callable
         Called after each scan.
     stopwatch : Stopwatch, optional
-        To go on with.
+        A stopwatch to continue.
 
     Raises
     ------
@@ -313,7 +313,7 @@ def _choose_configuration(base: Configuration | None, laser: str | None, resolut
 
 
 def _explain_no_map(source: Log, poses: KnownPoses, unplaced: Counter[NoPoseReason]) -> str:
-    """Why there is no map."""
+    """Return why there is no map."""
     log = source.statistics
     if log.first_stamp_ns is None or log.last_stamp_ns is None or not sum(unplaced.values()):
         return "expected a log with scans, got one without"

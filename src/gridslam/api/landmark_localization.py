@@ -90,7 +90,7 @@ class LandmarkLocalizationResult(ResultByLandmarks):
         return absolute_errors(*compared, aligned=not self.in_true_frame, tolerance_ns=0)
 
     def caption(self) -> list[str]:
-        """Lines that describe the result."""
+        """Return lines that describe the result."""
         lines = [
             f"EKF localization, {self._correspondences()} correspondences",
             f"{len(self.stamps_ns)} steps, {self.log.statistics.observations} observations, "
@@ -176,7 +176,7 @@ def localize_by_landmarks(
     on_progress : callable
         Called after each step.
     stopwatch : Stopwatch, optional
-        To go on with.
+        A stopwatch to continue.
 
     Raises
     ------

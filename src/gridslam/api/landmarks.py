@@ -94,7 +94,7 @@ SENSORS: Final[dict[ObservationKind, LandmarkModel]] = {
 """Measurement model of each observation type."""
 
 _RELATIVE: Final = DepthBearing(sigma_bearing_rad=0.0045)
-"""The same for data association: what the bearings of a time have in common is part of the pose then.
+"""The same for data association: the common error of the bearings of a time is part of the pose then.
 
 Measured on MRCLAM 6, robots 1 and 3, against the truth: differences of two bearings of one time vary by 0.006 rad.
 """
@@ -108,8 +108,8 @@ more without observations, the NEES with `MOTION` is 13 instead of 3.
 """
 
 _SMOOTH_MOTION: Final = DiffusionMotion(sigma_xy_m=0.03, sigma_theta_rad=0.03)
-"""The same when correspondences are revised, for steps of a quarter of a second: what the errors of a long interval add
-up to would let each pose follow a wrong correspondence by itself, by the 45 mrad between two barcodes at 4 m.
+"""The same when correspondences are revised, for steps of a quarter of a second: the sum of a long interval's
+errors would let each pose follow a wrong correspondence by itself, by the 45 mrad between two barcodes at 4 m.
 """
 
 _PATIENT: Final = LandmarkExistence(detection=0.1, log_odds_confirmed=3.0)
@@ -161,7 +161,7 @@ class LandmarkEstimate(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ResultByLandmarks(Result):
-    """What mapping of landmarks and localization by them share.
+    """Base of the results of landmark mapping and landmark localization.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ class ResultByLandmarks(Result):
     digest : str
         SHA-256 of the log's file.
     stopwatch : Stopwatch
-        Time spent; saving goes on counting.
+        Time spent; saving adds to it.
     """
 
     picture_name: ClassVar = "landmarks.png"
@@ -256,7 +256,7 @@ class LandmarkResult(ResultByLandmarks):
         return self.estimate.landmarks
 
     def errors(self) -> tuple[PoseErrors | None, LandmarkErrors | None]:
-        """Errors against the truth, after alignment of the trajectory and of the landmarks, each by itself."""
+        """Return errors against the truth, after alignment of the trajectory and of the landmarks, each by itself."""
         compared = self.compare()
         poses = None if compared is None else absolute_errors(*compared, tolerance_ns=0)
         known = self.log.truth
@@ -273,7 +273,7 @@ class LandmarkResult(ResultByLandmarks):
         return poses, found
 
     def caption(self) -> list[str]:
-        """Lines that describe the result."""
+        """Return lines that describe the result."""
         particles = f", {self.particles} particles, seed {self.seed}" if self.particles else ""
         observations = self.log.statistics.observations
         lines = [
@@ -331,7 +331,7 @@ class LandmarkResult(ResultByLandmarks):
 
 
 def align_trajectory(found: Trajectory, truth: Trajectory) -> FloatArray:
-    """Pose `true_from_map` (3,) that aligns a trajectory with the true one, pose by pose."""
+    """Return pose `true_from_map` (3,) that aligns a trajectory with the true one, pose by pose."""
     return align(found.poses[:, :2], truth.poses[:, :2])
 
 
@@ -369,7 +369,7 @@ def map_landmarks(
     on_progress : callable
         Called after each step.
     stopwatch : Stopwatch, optional
-        To go on with.
+        A stopwatch to continue.
 
     Raises
     ------
@@ -500,7 +500,7 @@ def _spread_of_draw(
     motion: MotionModel,
     has_noise: bool,
 ) -> LandmarkEstimate:
-    """Covariances of the full path and the landmarks of a particle filter.
+    """Return covariances of the full path and the landmarks of a particle filter.
 
     All particles share one past after some resamplings, so their spread is far below the error. The path of a particle
     is a draw from p(x_1:t | z_1:t, u_1:t), and so is the truth: they differ by twice the covariance of the posterior,

@@ -108,7 +108,7 @@ class LocalizationResult(Result):
     repair : Repair
         What was taken out of the log.
     stopwatch : Stopwatch
-        Time spent; saving goes on counting.
+        Time spent; saving adds to it.
     failures : tuple of str
         Scans at which the filter failed, which were skipped.
     """
@@ -155,7 +155,7 @@ class LocalizationResult(Result):
         return np.array([report.lost for report in self.reports])
 
     def intervals(self) -> list[LocalizationInterval]:
-        """Where the robot was found and where it was lost, in order."""
+        """Return where the robot was found and where it was lost, in order."""
         lost = self.lost
         begins = np.flatnonzero(np.diff(lost, prepend=~lost[:1]))
         ends = np.append(begins[1:], len(lost)) - 1
@@ -163,7 +163,7 @@ class LocalizationResult(Result):
         return [LocalizationInterval(bool(lost[a]), a, b, float(self.driven_m[a])) for a, b in pairs]
 
     def warnings(self) -> Iterator[str]:
-        """Yield what the user should know of log and map, a sentence each."""
+        """Yield warnings about log and map, a sentence each."""
         for fault in self.repair.describe():
             yield f"{self.source}: {fault}: corrected (disable with --repair none; details: gridslam doctor)"
         yield from (f"{self.map_path}: {remark}" for remark in self.remarks)
@@ -174,7 +174,7 @@ class LocalizationResult(Result):
             )
 
     def caption(self) -> list[str]:
-        """Lines that describe the result."""
+        """Return lines that describe the result."""
         scans = len(self.reports)
         found = next((interval for interval in self.intervals() if not interval.lost), None)
         where = "never found" if found is None else f"found after {found.driven_m:.1f} m"
@@ -294,7 +294,7 @@ def localize(
     on_progress : callable
         Called after each scan.
     stopwatch : Stopwatch, optional
-        To go on with.
+        A stopwatch to continue.
     digest : str, optional
         SHA-256 of the log, where it is known (see `gridslam.io.text.compute_digest`).
 
@@ -378,7 +378,7 @@ def known_map(
     *,
     strict_thresholds: bool = False,
 ) -> tuple[Path, KnownMap, tuple[str, ...]]:
-    """Read a map and lay it out; also gives its path, empty for a map at hand, and what is odd about its file.
+    """Read a map; return it with its path (empty for a map in memory) and remarks about its file.
 
     Raises InputError where a file is no map in which a robot could be.
     """

@@ -121,20 +121,20 @@ class MapResult(Result):
     record : RecordWriter
         The particles at each key scan.
     stopwatch : Stopwatch
-        Time spent; saving goes on counting.
+        Time spent; saving adds to it.
     failures : tuple of str
         What failed: scans that were skipped, or the final refinement.
     truth : Trajectory or None
         The true trajectory in the map's frame, where it is known; it is drawn into the picture.
     map_piece : SavedPiece or None
-        The map as a piece of a session, with the drives that have left it; None without loop closure, and if only the
+        The map as a piece of a session, with its drives; None without loop closure, and if only the
         best particle was kept.
     drives : tuple of Drive
-        The drives that have left the map, in the order of their key scans; none without loop closure.
+        The drives in the map, in the order of their key scans; none without loop closure.
     run : SavedRun or None
         The filter and its observers after the last scan; None if only the best particle was kept.
     pieces : tuple of SavedPiece
-        Of the session that the log goes on from: what was not joined with this map.
+        Pieces of the continued session that were not joined with this map.
     """
 
     schema: ClassVar = "gridslam.run/3"
@@ -177,7 +177,7 @@ class MapResult(Result):
 
     @property
     def found_again(self) -> FoundAgain | None:
-        """Where the robot was found in what earlier drives have left; None if it was not looked for, or not found."""
+        """Where the robot was relocalized in maps of earlier drives; None if not searched for, or not found."""
         state = None if self.run is None or self.run.state is None else self.run.state.closure_state
         if state is None or state.joined < 0 or not self.drives:
             return None
@@ -207,7 +207,7 @@ class MapResult(Result):
         return poses
 
     def to_session(self) -> SavedSession:
-        """Give what later logs can go on from, to be saved by `Session.save`.
+        """Return a session that later logs can continue; save it by `Session.save`.
 
         Raises ArgumentError where only the best particle was kept.
         """
@@ -229,7 +229,7 @@ class MapResult(Result):
         }
 
     def warnings(self) -> Iterator[str]:
-        """Yield what the user should know of the log, a sentence each."""
+        """Yield warnings about the log, a sentence each."""
         log = self.log
         for fault in self.repair.describe():
             yield f"{fault}: corrected before mapping (disable with --repair none; details: gridslam doctor)"
@@ -246,7 +246,7 @@ class MapResult(Result):
             yield f"{log.invalid_beams} of {beams} ranges are invalid (zero, negative or not a number)"
 
     def caption(self) -> list[str]:
-        """Lines that describe the map."""
+        """Return lines that describe the map."""
         height, width = (side * self.tiled_map.resolution_m for side in self.tiled_map.shape)
         wall = self.stopwatch.total()[0]
         places = ""
@@ -262,7 +262,7 @@ class MapResult(Result):
         ]
 
     def closure_ends(self, pairs: IntArray) -> FloatArray:
-        """Ends (K, 4) of loop closures, x0, y0, x1, y1 in m, map frame, from their pairs (K, 2) of key scans."""
+        """Return ends (K, 4) of loop closures, x0, y0, x1, y1 in m, map frame, from their pairs (K, 2) of key scans."""
         ends: FloatArray = self.graph.poses[pairs, :2].reshape(-1, 4)
         return ends
 
@@ -338,7 +338,7 @@ class MapResult(Result):
         }
 
     def _describe_session(self) -> dict[str, Any] | None:
-        """What the map goes on from; None for a single log."""
+        """Describe the session that the map continues; None for a single log."""
         drives = self.drives
         logs = [log for drive in drives for log in drive.logs]
         if len(logs) < 2 and not self.pieces and self.found_again is None:
@@ -462,14 +462,14 @@ def map_log(
     on_progress : callable
         Called after each scan, and periodically during the final refinement.
     stopwatch : Stopwatch, optional
-        To go on with.
+        A stopwatch to continue.
     keep_particles : bool
         False: after the last scan the best particle alone is kept, so that the final refinement can use the memory of
         the others' maps, and in the end no scan. The map and its trajectory are the same; no session can be saved.
     digest : str, optional
         SHA-256 of the log, where it is known (see `gridslam.io.text.compute_digest`).
     beginning : Beginning, optional
-        What the run goes on from (see `Session.add`).
+        The session that the run continues (see `Session.add`).
 
     Raises
     ------
@@ -554,7 +554,7 @@ def finish_mapping(
     failures: tuple[str, ...] = (),
     pieces: tuple[SavedPiece, ...] = (),
 ) -> MapResult:
-    """Refine the trajectory after the last scan, and put together what a run gives; the arguments are `MapResult`'s.
+    """Refine the trajectory after the last scan, and build the result of a run; the arguments are `MapResult`'s.
 
     Where the final refinement raises an exception the trajectory is that of the best particle.
     """
@@ -617,7 +617,7 @@ def finish_mapping(
 
 
 def _sort_scans(drives: Sequence[Drive]) -> IntArray:
-    """Indices (N,) that sort the scans of all drives, concatenated drive by drive, by their stamps."""
+    """Return indices (N,) that sort the scans of all drives, concatenated drive by drive, by their stamps."""
     return np.argsort(np.concatenate([drive.stamps_ns for drive in drives]), kind="stable")
 
 

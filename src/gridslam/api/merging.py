@@ -47,7 +47,7 @@ class MergeResult(Result):
     full : FullSlam
         The full SLAM answer of that piece.
     stopwatch : Stopwatch
-        Time spent; saving goes on counting.
+        Time spent; saving adds to it.
     """
 
     schema: ClassVar = "gridslam.merge/1"
@@ -78,7 +78,7 @@ class MergeResult(Result):
         return [[drive.name for drive in piece.drives] for piece in self.session.pieces[1:]]
 
     def caption(self) -> list[str]:
-        """Lines that describe the map."""
+        """Return lines that describe the map."""
         grid = self.full.tiled_map
         height, width = (side * grid.resolution_m for side in grid.shape)
         drives = len(self.session.pieces[0].drives)
@@ -141,9 +141,9 @@ def merge_sessions(
     threads : int, >= 1
         Threads of the kernels; never changes a result.
     on_progress : callable
-        Called now and then.
+        Called periodically.
     stopwatch : Stopwatch, optional
-        To go on with.
+        A stopwatch to continue.
 
     Raises
     ------

@@ -42,7 +42,7 @@ def return_large_blocks() -> None:
 
 
 def return_freed_memory() -> None:
-    """Let the C library give back what lies free between blocks in use, where it can; takes milliseconds."""
+    """Return free memory between used blocks to the system, where the C library can; takes milliseconds."""
     if sys.platform == "linux":
         with suppress(AttributeError):
             ctypes.CDLL(None).malloc_trim(0)

@@ -1,4 +1,4 @@
-"""A given map as a piece of a session: what a robot that stood all over it would have seen."""
+"""Convert a known map to a map piece by simulated scans."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["piece_of_map"]
 
 _SPACING_M = 1.0
 _CLEARANCE_M = 0.15
-"""A robot's radius would leave out what only narrow gaps show."""
+"""Clearance of simulated poses from obstacles, m; a robot's radius would miss structure in narrow gaps."""
 _BEAMS = 720
 _SURE_M2 = 1e-6
 _SURE_RAD2 = 1e-8
@@ -27,7 +27,7 @@ _SURE_RAD2 = 1e-8
 
 
 def piece_of_map(grid: OccupancyGrid, range_max_m: float = 30.0) -> MapPiece:
-    """Make a piece of a given map, such as `gridslam.io.maps.read_map` reads: to be found in, and to go on from.
+    """Convert a known map, such as `gridslam.io.maps.read_map` reads, to a piece in which drives are relocalized.
 
     Its key scans are cast in the map, 720 beams from a place in each square metre of free space, in an order in which
     neighbours follow one another. A beam ends at the first occupied cell; one that leaves the known map before is left
@@ -67,7 +67,7 @@ def piece_of_map(grid: OccupancyGrid, range_max_m: float = 30.0) -> MapPiece:
 
 
 def _block_unknown(grid: OccupancyGrid, known: KnownMap) -> OccupancyGrid:
-    """The same map with all that is not free as an obstacle, so that no beam passes through what is unknown."""
+    """Return the map with every cell that is not free as an obstacle, so that no beam crosses unknown cells."""
     log_odds = np.where(known.free, -10.0, 10.0).astype(np.float32)
     return OccupancyGrid(log_odds, np.ones_like(known.free), grid.resolution_m, grid.origin)
 
@@ -75,7 +75,7 @@ def _block_unknown(grid: OccupancyGrid, known: KnownMap) -> OccupancyGrid:
 def _is_occupied(
     grid: OccupancyGrid, known: KnownMap, points: FloatArray
 ) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Whether points (B, 2) of the map lie in occupied cells."""
+    """Return whether points (B, 2) of the map lie in occupied cells."""
     column, row = np.floor((points - grid.origin) / grid.resolution_m).astype(np.int64).T
     height, width = grid.shape
     inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
@@ -83,7 +83,7 @@ def _is_occupied(
 
 
 def _order(places: FloatArray) -> FloatArray:
-    """Places (N, 2) in the order of a walk that goes on to the nearest one left."""
+    """Order places (N, 2) by a walk that always continues to the nearest one left."""
     left = places.copy()
     walk = np.empty_like(places)
     here = left.min(axis=0) if len(left) else np.zeros(2)

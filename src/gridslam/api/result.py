@@ -1,4 +1,4 @@
-"""What the results of all tasks share: a folder of files, a picture, a table, and one line in a session of Python."""
+"""Base of all results: a folder of files, a picture, a table, and a representation in one line."""
 
 from __future__ import annotations
 
@@ -57,17 +57,17 @@ class Result(ABC):
 
         @property
         def stopwatch(self) -> Stopwatch:
-            """Time spent; saving goes on counting."""
+            """Time spent; saving adds to it."""
             ...
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """What failed, a sentence each; the result is that of the rest."""
+        """Failures, a sentence each; the result is that of all other scans."""
         return ()
 
     @abstractmethod
     def caption(self) -> list[str]:
-        """Lines that describe the result."""
+        """Return lines that describe the result."""
 
     @abstractmethod
     def picture(self) -> Picture:
@@ -75,7 +75,7 @@ class Result(ABC):
 
     @abstractmethod
     def _describe(self) -> dict[str, Any]:
-        """Content of run.json besides schema, version and times."""
+        """Return content of run.json besides schema, version and times."""
 
     @abstractmethod
     def _write_files(self, out: OutputFolder) -> None:
@@ -149,5 +149,5 @@ def describe_input(source: Path, digest: str, log: LogStatistics, repair: Repair
 
 
 def find_repair(log: Log) -> Repair:
-    """What was taken out of a log that was read."""
+    """Return the repair of a log that was read."""
     return (log.repair if isinstance(log, RepairedLog) else None) or Repair()

@@ -1,4 +1,4 @@
-"""Sessions: a map that is saved, continued with other logs, found again and merged."""
+"""Sessions: maps that are saved, continued with other logs, relocalized in, and merged."""
 
 from __future__ import annotations
 
@@ -68,12 +68,12 @@ class _Map(NamedTuple):
 @final
 @checked
 class Session:
-    """What was mapped so far, and goes on: of one robot or several, of one day or many.
+    """A map that grows over logs, days and robots.
 
     Parameters
     ----------
     configuration : Configuration, optional
-        Of all drives; `Configuration()` if not given. With loop closure, or nothing can be found again.
+        Of all drives; `Configuration()` if not given. With loop closure, which relocalization needs.
     seed : int, >= 0
         Of the first drive; drive k has seed + k.
     threads : int, >= 1
@@ -82,10 +82,10 @@ class Session:
     Attributes
     ----------
     decision : PlaceDecision or None
-        Whether the log that was added last went on where the one before it has ended, and why; None if there was none
+        Whether the log that was added last continued where the one before it ended, and why; None if there was none
         before.
     is_same_place : bool
-        Whether it went on there, be it decided or given.
+        Whether it continued there, be it decided or given.
     resumed : int
         Number of its scans that an interrupted run had processed, from which it was resumed; 0 if it was not.
     """
@@ -117,7 +117,7 @@ class Session:
 
     @classmethod
     def of(cls, saved: SavedSession, *, threads: int = 1) -> Session:
-        """Go on from what a run has left."""
+        """Continue the result of a run."""
         self = cls(saved.configuration, seed=saved.seed, threads=threads)
         self._saved = saved
         return self
@@ -182,9 +182,9 @@ class Session:
         autosave: Autosave | None = None,
         **map_options: Any,  # noqa: ANN401 those of map_log
     ) -> MapResult:
-        """Map a log that goes on from here.
+        """Map a log as the continuation of this session.
 
-        Where the robot was not moved since the last log the filter goes on as if there had been one log. Where it was,
+        Unless the robot was moved since the last log, the filter continues as if there had been one log. Where it was,
         a new drive begins, is searched for in all that was mapped before, and is joined with it once it is certain
         where it lies; if it never is, it stays a piece of its own.
 
@@ -205,14 +205,14 @@ class Session:
         options, repair
             As in `map_log`.
         autosave : Autosave, optional
-            Saves the run now and then; where it holds what the same run has left when it was killed, that goes on.
+            Saves the run periodically; an autosave of the same run that was killed is continued.
         **map_options
             Further arguments of `map_log`, but its configuration, seed, particles, preset and laser.
 
         Raises
         ------
         ArgumentError
-            There is no drive to go on with at the same place, or no piece in which the pose could be.
+            There is no drive to continue at the same place, or no piece in which the pose could be.
         InputError
             The log cannot be read.
         """
@@ -250,7 +250,7 @@ class Session:
         return result
 
     def keep(self, result: MapResult) -> None:
-        """Go on from the result of a run."""
+        """Continue from the result of a run."""
         self._saved = replace(result.to_session(), thumbnail=b"")
         self._maps = None  # without loop closure there are no pieces
         if result.map_piece is not None:
@@ -258,7 +258,7 @@ class Session:
             self._maps = [newest, *(_Map.draw(piece, self.configuration) for piece in result.pieces)]
 
     def add_map(self, grid: OccupancyGrid) -> None:
-        """Add a given map, such as one of map_server: drives are found in it and go on from there.
+        """Add a known map, such as one of map_server: drives are relocalized in it and extend it.
 
         Raises ArgumentError where no cell of it is free or none is occupied.
         """
@@ -349,7 +349,7 @@ class Session:
         name: str,
         repair: str,
     ) -> dict[str, Any]:
-        """All that the results of a log depend on, as JSON values."""
+        """Return all that the results of a log depend on, as JSON values."""
         saved = self._saved
         return {
             "log": digest,
@@ -367,18 +367,18 @@ class Session:
         }
 
     def _decide(self, first: Measurement, place: Place) -> None:
-        """Decide whether the log goes on where the last one has ended."""
+        """Decide whether the log continues at the end of the last one."""
         saved = self._saved
         self.decision = None
         if saved.run is not None:
             self.decision = decide_place(saved.run, build(saved.configuration, self._threads), first)
         elif place is Place.SAME:
-            raise ArgumentError("place", "a session whose last drive can go on", "one without")
+            raise ArgumentError("place", "a session whose last drive can be continued", "one without")
         is_same = self.decision is not None and self.decision.is_same
         self.is_same_place = is_same if place is Place.AUTO else place is Place.SAME
 
     def _begin(self, first: Measurement, pose: FloatArray | None, frozen: bool, name: str) -> Beginning:
-        """Give what the run of a log begins with."""
+        """Return the beginning of the run of a log."""
         saved = self._saved
         if self.is_same_place and saved.run is not None:
             run = saved.run.snapshot()  # that of the session is kept as it is
@@ -417,7 +417,7 @@ class Session:
         return self._maps
 
     def _thumbnail(self) -> bytes:
-        """A small picture of the newest map, PNG; empty without a map."""
+        """Return a small picture of the newest map, PNG; empty without a map."""
         if not self._maps:
             return self._saved.thumbnail
         from gridslam.viz.notebook import encode_png
@@ -427,7 +427,7 @@ class Session:
 
 
 def _order(piece: SavedPiece) -> tuple[Any, ...]:
-    """What pieces are sorted by, so that the order in which they are given changes nothing."""
+    """Return the sort key of a piece, so that results do not depend on the order in which pieces are given."""
     stamps = piece.stamps_ns
     first = int(stamps[0]) if len(stamps) else -1
     logs = [(log.sha256, log.path) for drive in piece.drives for log in drive.logs]
@@ -448,7 +448,7 @@ def _name_apart(pieces: Sequence[SavedPiece]) -> list[SavedPiece]:
 
 
 def _follow(members: Sequence[SavedPiece]) -> tuple[Drive, ...]:
-    """The drives of several pieces whose key scans follow one another."""
+    """Return the drives of several pieces whose key scans follow one another."""
     drives = []
     first = 0
     for member in members:

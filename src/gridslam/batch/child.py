@@ -1,4 +1,4 @@
-"""`run_job`, the one function that workers import: a job in a child process, and the row of whatever became of it.
+"""Run a job in a child process by `run_job`, the one function that workers import, and return a row with its outcome.
 
 Children come from a server of the standard library that has imported gridslam (forkserver of `multiprocessing`), so
 that they begin in milliseconds; each has one job, and ends with the worker.
@@ -64,7 +64,7 @@ def run_job(job: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        The row of the journal: its columns, ``document`` an object or None. Whatever becomes of the child is a row with
+        The row of the journal: its columns, ``document`` an object or None. Every outcome of the child is a row with
         status "failed", a named ``error`` and the last bytes of its output.
 
     Raises
@@ -129,13 +129,13 @@ def _claim_attempt(claim: Path, host: str) -> int:
 
 
 def lost_row(job: Mapping[str, Any], attempts: int) -> dict[str, Any]:
-    """Row of a job all of whose workers were lost."""
+    """Return row of a job all of whose workers were lost."""
     times = "1 worker that ran it was" if attempts == 1 else f"all {attempts} workers that ran it were"
     return _start_row(job, attempts) | {"error": "lost worker", "message": f"{times} killed or ended"}
 
 
 def remove_partial(folder: Path) -> None:
-    """Remove what a killed process has left of a job's results."""
+    """Remove partial results that a killed process left of a job."""
     with suppress(OSError):
         StagingFolder(folder.parent, folder.name).remove()
         if folder.is_dir():
@@ -240,7 +240,7 @@ def _kill_group(pid: int | None, *, ended: bool = False) -> None:
 
 
 def _count_oom_kills() -> int:
-    """Number of processes that Linux has killed because memory was short, as far as it counts them."""
+    """Return number of processes that Linux has killed because memory was short, as far as it counts them."""
     try:
         lines = Path("/proc/vmstat").read_text(encoding="ascii").splitlines()
     except OSError:
@@ -249,7 +249,7 @@ def _count_oom_kills() -> int:
 
 
 def _work(request: Mapping[str, Any], output: Path, result: Path) -> None:
-    """Run a request in this process, a child; what it prints goes to a file, and what came of it to another."""
+    """Run a request in this process, a child; write its output to one file and its outcome to another."""
     if hasattr(os, "setsid"):
         os.setsid()
     threading.Thread(target=_end_with_worker, daemon=True).start()

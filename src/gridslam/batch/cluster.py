@@ -87,7 +87,7 @@ class DaskCluster:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Cancel what is pending and disconnect; children that still run end within seconds."""
+        """Cancel pending jobs and disconnect; children that still run end within seconds."""
         self.close()
 
     def close(self) -> None:
@@ -143,7 +143,7 @@ class DaskCluster:
             future.set_result(row)
 
     def _lost(self) -> str:
-        return f"{self._scheduler}: the connection to the scheduler is lost; the same command again goes on"
+        return f"{self._scheduler}: the connection to the scheduler is lost; the same command again continues"
 
     def _connect(self, scheduler: str, workers: int | None) -> distributed.Client:
         from distributed import Client

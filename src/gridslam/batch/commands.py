@@ -1,4 +1,4 @@
-"""What a job of `gridslam batch` calls: map, doctor, localize and evaluate, each with a JSON object of arguments.
+"""The commands that a job of `gridslam batch` runs: map, doctor, localize, evaluate; arguments are a JSON object.
 
 Importing this module imports all that they need, so that children are forked with it.
 """

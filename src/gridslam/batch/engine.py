@@ -1,4 +1,4 @@
-"""`run_jobs`: many jobs by an executor, each with exactly one row in the journal; what is done is not done again."""
+"""Run many jobs by an executor (`run_jobs`), each with exactly one row in the journal; finished jobs are skipped."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _FULL: Final = tuple(os.strerror(number) for number in (errno.ENOSPC, errno.EDQU
 
 
 class Executor(Protocol):
-    """Runs jobs somewhere; a context manager that ends what is still running when it is left."""
+    """Runs jobs; a context manager that ends running jobs on exit."""
 
     def capacity(self) -> int:
         """Return how many jobs are to be handed over at a time: enough that no worker waits."""
@@ -73,7 +73,7 @@ def run_jobs(
 
     A job is done when run.json in its folder has its key. Such jobs are not run again, nor those that failed for their
     log's own sake (InputError); those that failed for another reason are. A row is written when its job has ended, so a
-    batch that is killed at any time goes on where it was.
+    batch that is killed at any time continues where it was.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def _attempts(out: str) -> Iterator[None]:
 
 
 def _count_attempts(out: str, folder: str) -> int:
-    """How often workers have begun the job of a folder."""
+    """Return how often workers have begun the job of a folder."""
     try:
         return (attempts_folder(out) / folder).stat().st_size
     except OSError:
@@ -234,7 +234,7 @@ def _find_earlier(job: Job, out: Path, journal: Journal) -> dict[str, Any] | Non
 
 
 def _read_costs(document: dict[str, Any]) -> dict[str, Any]:
-    """What run.json contains of the costs of its job."""
+    """Read the costs of a job from its run.json."""
     time_ = document.get("time")
     times = time_ if isinstance(time_, dict) else {}
     return {
@@ -245,7 +245,7 @@ def _read_costs(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _read_done(path: Path, key: str) -> dict[str, Any] | None:
-    """Content of run.json, if it is the result of the job with this key."""
+    """Return content of run.json, if it is the result of the job with this key."""
     if not path.is_file():
         return None
     try:
@@ -257,7 +257,7 @@ def _read_done(path: Path, key: str) -> dict[str, Any] | None:
 
 
 def _is_disk_full(row: Mapping[str, Any]) -> bool:
-    """Whether a job has failed since the disk is full: the others would, too."""
+    """Return whether a job has failed since the disk is full: the others would, too."""
     message = row["message"] or ""
     return row["error"] in ("OutputError", "OSError") and any(text in message for text in _FULL)
 
@@ -275,7 +275,7 @@ def _check(jobs: Sequence[Job], timeout_s: float | None, memory_bytes: int | Non
 
 
 def _clean(out: Path) -> None:
-    """Remove what killed processes have left in OUT; nothing else is running there but those that are about to end."""
+    """Remove files that killed processes left in OUT; no other process uses OUT but those that are about to end."""
     shutil.rmtree(attempts_folder(out), ignore_errors=True)  # where it is gone, workers end their children
     end = time.monotonic() + _ENDING_S
     with suppress(OSError):

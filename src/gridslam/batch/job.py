@@ -62,7 +62,7 @@ class Job:
         return asdict(self)
 
     def summary(self) -> dict[str, Any]:
-        """Return what run.json contains of the job under ``job``: by its key a result is recognized as done."""
+        """Return the entry ``job`` of run.json: its key identifies the result of a finished job."""
         return {"key": self.key, "command": self.command, "log": self.log, "folder": self.folder}
 
 

@@ -168,7 +168,7 @@ class Journal:
 
 
 def _to_text(value: Any) -> Any:  # noqa: ANN401
-    """A value as SQLite can store it: bytes in the name of a file that are no text are escaped."""
+    """Return a value as SQLite can store it: bytes in the name of a file that are no text are escaped."""
     return value.encode("utf-8", "backslashreplace").decode("utf-8") if isinstance(value, str) else value
 
 

@@ -163,7 +163,7 @@ def _walk(folder: Path, trajectories: bool) -> Iterator[Path]:
 
 
 def _strip(name: str) -> tuple[str, str]:
-    """A file's name without its suffixes, and the suffix without that of a compression."""
+    """Return a file's name without its suffixes, and the suffix without that of a compression."""
     stem, suffix = os.path.splitext(name)
     if suffix in _PACKED:
         stem, suffix = os.path.splitext(stem)
@@ -173,7 +173,7 @@ def _strip(name: str) -> tuple[str, str]:
 
 
 def _is_manifest(path: Path) -> bool:
-    """Whether a CSV has a column log; raises InputError if it is no log either."""
+    """Return whether a CSV has a column log; raises InputError if it is no log either."""
     try:
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             header = {name.strip() for name in next(csv.reader([file.readline(1 << 16)]), [])}
@@ -251,7 +251,7 @@ def _name_all(entries: Sequence[Entry], trajectories: bool) -> list[Entry]:
 
 
 def _find_path(entry: Entry) -> str:
-    """Path of a log, of a URL without its query."""
+    """Return path of a log, of a URL without its query."""
     return entry.log.partition("?")[0] if is_url(entry.path) else entry.path
 
 
@@ -269,7 +269,7 @@ def _list_names(path: str, trajectories: bool) -> list[str]:
 
 
 def _shorten(name: str, path: str) -> str:
-    """The name of a folder, as far as every file system and table can hold it; what is left is told apart by the path.
+    """Shorten the name of a folder to the length of all file systems; a digest of the path keeps names distinct.
 
     Letters that are no text are those of a file name in another encoding.
     """

@@ -1,4 +1,4 @@
-"""Two runs of the same logs beside each other: what became worse beyond the noise of the seeds."""
+"""Compare two runs of the same logs: list changes for the worse beyond the noise of the seeds."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FIGURES: Final = {
     "peak_memory_bytes": "memory",
     "failed": "failures",
 }
-"""Figures that are compared, and what they are called."""
+"""Figures that are compared, and their labels."""
 
 _COSTS = ("cpu_s", "peak_memory_bytes")
 _SEEDED = re.compile(r"(.+)-seed(\d+)")
@@ -75,7 +75,7 @@ class Regression:
         return [change for change in self.changes if change.p_better <= self.level]
 
     def document(self) -> dict[str, Any]:
-        """The comparison as JSON values."""
+        """Return the comparison as JSON values."""
         return {
             "schema": REGRESSION_SCHEMA,
             "old": str(self.old),
@@ -90,7 +90,7 @@ class Regression:
         }
 
     def lines(self) -> list[str]:
-        """The comparison in sentences: first the verdict."""
+        """Return the comparison in sentences: first the verdict."""
         worse, better = self.worse, self.better
         verdict = f"worse in {len(worse)} of {len(self.changes)} figures" if worse else "nothing is worse beyond noise"
         lines = [f"{verdict} ({self.pairs} pairs; at most {self.level:.0%} false alarms)"]
@@ -183,7 +183,7 @@ def _pair(old: Mapping[str, Run], new: Mapping[str, Run], unpaired: Mapping[str,
 
 
 def _difference(name: str, old: Run, new: Run) -> float:
-    """Logarithm of the ratio, new to old; of failures the difference. NaN where one of both has no value."""
+    """Return logarithm of the ratio, new to old; of failures the difference. NaN where one of both has no value."""
     if name == "failed":
         return float(old.is_done) - float(new.is_done)
     a, b = (_figure(name, run) for run in (old, new))

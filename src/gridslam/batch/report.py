@@ -101,7 +101,7 @@ def _fill(title: str, data: dict[str, Any]) -> str:
 
 
 def _describe(out: Path, run: Run) -> dict[str, Any]:
-    """What the page shows of a run."""
+    """Return the values of a run that the page shows."""
     row = run.row
     figures = run.figures | {
         name: row[name] for name in ("attempts", "wall_s", "cpu_s", "peak_memory_bytes") if row[name] is not None
@@ -161,7 +161,7 @@ def _make_thumbnail(folder: Path, picture: str) -> bool:
 
 
 def _outline(path: Path) -> tuple[str | None, str | None]:
-    """Points of a trajectory in a square, y down, and its extent in metres; of a file that can be read."""
+    """Return points of a trajectory in a square, y down, and its extent in metres; of a file that can be read."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):

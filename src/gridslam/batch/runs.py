@@ -131,7 +131,7 @@ def _of_doctor(document: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
 
 
 def _errors(document: Mapping[str, Any]) -> dict[str, float | None]:
-    """Errors of a trajectory: of `gridslam evaluate` itself, or of a run that was scored (key `evaluation`)."""
+    """Return errors of a trajectory: of `gridslam evaluate` itself, or of a run that was scored (key `evaluation`)."""
     scores = document.get("evaluation", document)
     found: dict[str, float | None] = {}
     for kind, names in _ERRORS.items():
@@ -151,7 +151,7 @@ def _number(document: object, keys: tuple[str, ...]) -> float | None:
 
 
 def _findings(document: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """What the doctor found: in its report, and in `run.json` the faults met while mapping and the repairs."""
+    """Return the findings of the doctor: from its report, and of `run.json` the faults and the repairs."""
     for finding in document.get("findings") or ():
         if finding.get("severity") != "info":
             yield finding["severity"], finding["code"], finding["message"]

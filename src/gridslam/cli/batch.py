@@ -121,7 +121,7 @@ class _Maker:
         }
 
     def prepare(self, entry: Entry) -> dict[str, Any]:
-        """Arguments for a log, but for what its bytes determine; raises InputError for an unknown column."""
+        """Return the arguments for a log, except those from its bytes; raises InputError for an unknown column."""
         if self._command == "evaluate" and entry.reference is None:
             raise click.ClickException("evaluate needs --reference PATTERN, or a manifest with a column reference")
         if self._command == "doctor" and entry.reference is not None:

@@ -1,4 +1,4 @@
-"""What an exception that nobody foresaw leaves: a file for a report, and one line; imported where that happens."""
+"""Write a report of an unexpected exception to a file, and name the file in one line; imported only then."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["write_report"]
 
 _LIBRARIES = "click", "numpy", "scipy", "pillow", "pydantic", "rosbags"
 _MOST_LETTERS = 500
-"""Of a message of an exception: it may quote what was read."""
+"""Maximum length of the quoted message of an exception, which may contain text of the input."""
 
 
 def write_report(error: BaseException) -> str:

@@ -26,7 +26,7 @@ def evaluate(trajectory: Path, reference: Path, distance_m: float, as_json: bool
 
 
 def format_scores(scores: dict[str, Any]) -> list[str]:
-    """The scores of `evaluate_trajectory` in words."""
+    """Return the scores of `evaluate_trajectory` in words."""
     if "relations" in scores:
         return [_format_relation_errors(RelationErrors(**scores["relations"]))]
     if "self_consistency" in scores:

@@ -133,7 +133,7 @@ def _write(
 
 
 def _write_weights(path: Path, source: G2oGraph, solution: GraphSolution) -> None:
-    """Write what each edge counts and how far it is off, in the order of the file."""
+    """Write the weight and the residual of each edge, in the order of the file."""
     chi2 = squared_mahalanobis(solution.graph, solution.graph.errors())
     rows = zip(source.edge_ids.tolist(), solution.weights.tolist(), chi2.tolist(), strict=True)
     with path.open("w", encoding="ascii", newline="\n") as file:

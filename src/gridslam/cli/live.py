@@ -1,4 +1,4 @@
-"""The page of a run in the browser, and its history; each is imported where it is wanted."""
+"""Viewers of a run: a page in the browser and a recorded history; each is imported on request."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Viewers(NamedTuple):
     history: HistoryRecorder | None = None
 
     def watch(self, source: Log, watch: Stopwatch) -> dict[str, Any]:
-        """Arguments `observers` and `gate` of a run on a log: each scan goes on when the page's viewers want it."""
+        """Return the arguments `observers` and `gate` of a run on a log: viewers control when scans are processed."""
         if self.page is not None:
             self.page.set_progress(lambda: source.statistics.share_read)
 
@@ -72,17 +72,17 @@ class Viewers(NamedTuple):
                 self.page.control.set_speed(None)
 
     def show_session(self, name: str, drives: Sequence[str]) -> None:
-        """Show on the page which session goes on: the name of its file, and of the drives in it."""
+        """Show on the page the session that the run continues: the name of its file, and its drives."""
         if self.page is not None:
             self.page.show_session(name, drives)
 
     def offer_session(self, path: Path | None) -> None:
-        """Let those who look on save the file from which a later run goes on, if there is one."""
+        """Let viewers download the session file that a later run can continue, if there is one."""
         if self.page is not None and path is not None:
             self.page.offer_session(path)
 
     def show_result(self, result: MapResult) -> None:
-        """Show what a run came to in the end."""
+        """Show the result of a run on the page."""
         loops = result.loop_summary
         ends = np.zeros((0, 4)) if loops is None else result.closure_ends(loops.shown)
         if self.page is not None:
@@ -96,7 +96,7 @@ NOBODY = Viewers(None)
 
 
 def _warn_once(viewer: str) -> Callable[[str], None]:
-    """Give what reports the first exception of a viewer."""
+    """Return a function that reports the first exception of a viewer."""
     is_reported = False
 
     def report(problem: str) -> None:
@@ -118,7 +118,7 @@ def open_viewers(
     is_localization: bool = False,
     has_history: bool = True,
 ) -> Iterator[Viewers]:
-    """Give those who look on; in the end the page stays as long as someone looks.
+    """Yield the viewers; at the end the page stays open while it is viewed.
 
     The known map is needed where a localization is looked at.
     """
@@ -142,7 +142,7 @@ def open_viewers(
 
 
 def _record_history(range_max_m: float, is_localization: bool) -> HistoryRecorder:
-    """Give what records the past of a run at which nobody looks while it goes on: fewer moments, at less cost."""
+    """Return an observer that records the history of an unwatched run: fewer moments, at less cost."""
     from gridslam.live.history_recorder import HistoryRecorder
 
     return HistoryRecorder(

@@ -1,4 +1,4 @@
-"""gridslam doctor, convert and dataset: what there is to do with logs besides mapping them."""
+"""The commands doctor, convert and dataset."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def _check_target(log: Path, out: Path, to: str | None) -> None:
 
 
 def _describe_lost(conversion: Conversion) -> str:
-    """What was lost; in how many scans, where it was not in all."""
+    """Describe the lost data, with the number of scans unless it was lost in all."""
     read = conversion.log.scan_count
     return ", ".join(
         what if count >= min(read, conversion.scans) else f"{what} ({count} of {read})"

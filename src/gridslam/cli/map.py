@@ -14,7 +14,7 @@ from gridslam.api.peak_memory import return_large_blocks
 from gridslam.cli import STARTED_S
 from gridslam.cli.live import NOBODY, Viewers, open_viewers
 from gridslam.cli.options import MapOptions
-from gridslam.cli.output import mapping_progress, open_output, print_result, warn, write_apart
+from gridslam.cli.output import counted, mapping_progress, open_output, print_result, warn, write_apart
 from gridslam.cli.session_options import SessionOptions
 from gridslam.io.log import Log, open_log
 from gridslam.live.options import LiveOptions
@@ -101,13 +101,13 @@ def summarize(document: dict[str, Any], result: MapResult, out: Path) -> list[st
     seconds = document["time"]["wall_s"]
     latency = document["latency"]["all_scans"]
     log = result.log
-    lost = f"; lost at {scans['lost']} scans" if scans["lost"] else ""
+    lost = f"; lost at {counted(scans['lost'], 'scan')}" if scans["lost"] else ""
     return [
         f"{result.source.name}: {scans['read']} scans, {log.duration_s:.0f} s, {result.driven}",
         f"mapped in {seconds:.1f} s: {log.duration_s / seconds:.0f} x real time, "
         f"{scans['read'] / seconds:.0f} scans/s, {document['peak_memory_bytes'] / 1e6:.0f} MB",
-        f"{scans['used']} key scans, N_eff {filter_['n_eff_mean']:.1f} of {filter_['particles_mean']:.3g} on average, "
-        f"resampled {filter_['resamplings']} times{lost}",
+        f"{counted(scans['used'], 'key scan')}, N_eff {filter_['n_eff_mean']:.1f} of {filter_['particles_mean']:.3g} "
+        f"on average, resampled {counted(filter_['resamplings'], 'time')}{lost}",
         f"a scan took {1e3 * latency['median_s']:.2f} ms (median), {1e3 * latency['p99_s']:.1f} ms (99 of 100), "
         f"{1e3 * latency['max_s']:.1f} ms (longest)",
         *_summarize_loop_closure(document["loop_closure"]),
@@ -122,14 +122,13 @@ def _summarize_loop_closure(loops: dict[str, Any] | Literal[False]) -> Iterator[
         return
     rejected = loops["rejected"]
     reasons = ", ".join(f"{reason} {count}" for reason, count in rejected.items())
-    corrections = f"{loops['corrections']} online correction{'s' * (loops['corrections'] != 1)}"
+    corrections = counted(loops["corrections"], "online correction")
     moved = f"the final refinement moved key scans by up to {loops['max_correction_m']:.2f} m"
     tracked = loops["constraints"]["tracked"]
     recognized = len(loops["closures"])
-    count = recognized + tracked
     kinds = f"{recognized} recognized, {tracked} tracked"
-    yield f"{count} loop closure{'s' * (count != 1)} ({kinds}), {corrections}; {moved}"
+    yield f"{counted(recognized + tracked, 'loop closure')} ({kinds}), {corrections}; {moved}"
     if rejected:
-        yield f"{sum(rejected.values())} loop-closure candidates rejected: {reasons}"
+        yield f"{counted(sum(rejected.values()), 'loop-closure candidate')} rejected: {reasons}"
     if loops["unsearched"]:
-        yield f"{loops['unsearched']} parts of the way not compared with places that only a greater drift reaches"
+        yield f"{counted(loops['unsearched'], 'submap')} not compared with places that only a greater drift reaches"

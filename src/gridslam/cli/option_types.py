@@ -1,4 +1,4 @@
-"""Types of options: each checks what the command line gives, a target that it can be written, before the work begins.
+"""Types of options: each checks its value before the work begins, and that a target can be written.
 
 Importing this module is cheap, so that help is quick.
 """

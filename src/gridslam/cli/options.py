@@ -118,7 +118,7 @@ _WAIT_OPTION = click.option(
 
 
 def log_options(command: _Command) -> _Command:
-    """Add the options that choose what is read of a log, which a command gets as ``options``: LogOptions."""
+    """Add the options that select the data of a log; a command receives them as ``options``: LogOptions."""
 
     @functools.wraps(command)
     def wrapper(**given: Any) -> Any:  # noqa: ANN401
@@ -138,7 +138,7 @@ def live_options(command: _Command) -> _Command:
 
 
 def robot_live_options(command: _Command) -> _Command:
-    """Add what `live_options` does, with control instead of speed and waiting, as no robot waits."""
+    """Add the options of `live_options`, with control instead of speed and waiting, as no robot waits."""
     return _add_live_options(command, (_LIVE_OPTION, *_HOST_OPTIONS, _OPEN_OPTION, _CONTROL_OPTION))
 
 
@@ -208,7 +208,7 @@ def _read_live_options(given: dict[str, Any]) -> LiveOptions:
 
 @dataclass(frozen=True)
 class MapOptions:
-    """The options that determine the result of `gridslam map`, by their names; `options` choose what is read."""
+    """The options that determine the result of `gridslam map`; `options` select the data of the log."""
 
     particles: int | None
     seed: int
@@ -287,11 +287,11 @@ _MAP_OPTIONS = (
 )
 _SESSION_OPTIONS = (
     click.option("--save", type=OUTPUT_FILE, metavar="FILE", help="Save the session to this file (NAME.gridslam)."),
-    click.option("--continue", "continued", type=PATH, metavar="FILE", help="Go on from a saved session."),
+    click.option("--continue", "continued", type=PATH, metavar="FILE", help="Continue a saved session."),
     click.option(
-        "--same-place", is_flag=True, help="LOG begins where the session has ended.  [default: decided by the data]"
+        "--same-place", is_flag=True, help="LOG begins where the session ended.  [default: decided by the data]"
     ),
-    click.option("--elsewhere", is_flag=True, help="LOG begins elsewhere; the robot is found again in the map."),
+    click.option("--elsewhere", is_flag=True, help="LOG begins elsewhere; relocalize the robot in the map."),
     click.option(
         "--pose",
         metavar="X,Y,THETA",
@@ -302,15 +302,15 @@ _SESSION_OPTIONS = (
         "--frozen", is_flag=True, help="What the session has mapped stays where it is; LOG is aligned with it."
     ),
     click.option("--name", metavar="NAME", help="Name of the drive, such as the robot's.  [default: that of LOG]"),
-    click.option("--prior", type=PATH, metavar="YAML", help="Known map (map_server) to be found in and to go on from."),
+    click.option("--prior", type=PATH, metavar="YAML", help="Known map (map_server) to relocalize in and to extend."),
     click.option(
         "--autosave",
         "autosave_min",
         type=Number(0, 1e6, above=True),
         metavar="MINUTES",
-        help="Save the run this often to OUT/autosave.gridslam; after a kill the same command goes on from there.",
+        help="Save the run this often to OUT/autosave.gridslam; after a kill the same command continues it.",
     ),
-    click.option("--restart", is_flag=True, help="Begin with the first scan, whatever a killed run has left in OUT."),
+    click.option("--restart", is_flag=True, help="Ignore any autosave in OUT and start over."),
 )
 _SESSION_FIELDS = (
     *("save", "continued", "same_place", "elsewhere", "pose", "frozen", "name", "prior"),

@@ -1,4 +1,4 @@
-"""What commands print and write, how far they are, and how they are interrupted; importing this module is cheap."""
+"""Output, progress and interruption of commands; importing this module is cheap."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = [
     "TARGETS",
     "Progress",
+    "counted",
     "elapsed_progress",
     "end_by_signal",
     "handle_signals",
@@ -83,8 +84,13 @@ def print_json(document: Mapping[str, Any]) -> None:
     click.echo(json.dumps(document, indent=2, allow_nan=False))
 
 
+def counted(count: int, noun: str) -> str:
+    """Return a count with its noun, in the plural unless it is one."""
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 def print_result(document: Mapping[str, Any], summary: Iterable[str], as_json: bool) -> None:
-    """Print the document of a run with --json, and otherwise the lines of its summary; and what failed on stderr."""
+    """Print the document of a run with --json, otherwise the lines of its summary; print failures on stderr."""
     warn(*document.get("failures", ()))
     if as_json:
         print_json(document)
@@ -100,9 +106,9 @@ def warn(*warnings: str) -> None:
 
 @contextmanager
 def write_apart() -> Iterator[Callable[..., bool]]:
-    """Give what calls a function that writes one of several targets, and returns whether it could.
+    """Return a function that writes one of several targets, and returns whether it succeeded.
 
-    Where it could not that is reported at once, the command goes on with the other targets, and fails in the end.
+    Where it could not that is reported at once, the command continues with the other targets, and fails in the end.
     """
     is_complete = True
 
@@ -149,7 +155,7 @@ def handle_signals(*, until_exit: bool = False) -> Iterator[None]:
 
 @contextmanager
 def end_by_signal() -> Iterator[None]:
-    """Let a signal end what runs until it is stopped: that is no failure, and SIGINT does so behind a shell's `&`, too.
+    """End a service by a signal, which is no failure; SIGINT does so also in the background of a shell (`&`).
 
     A shell without job control lets programs that it starts with `&` ignore SIGINT, by which ROS ends nodes.
     """
@@ -199,7 +205,7 @@ def hold_interrupts() -> Iterator[None]:
 
 
 def is_interrupted() -> bool:
-    """Whether an interrupt has come, whatever Python has made of it: in a class being made it becomes RuntimeError."""
+    """Return whether an interrupt has come, even where Python has converted it to a RuntimeError."""
     return _interrupted
 
 
@@ -218,7 +224,7 @@ def mapping_progress(statistics: Callable[[], LogStatistics], *, shown: bool = T
 
 @contextmanager
 def elapsed_progress(what: str, *, shown: bool = True) -> Iterator[Callable[[], None]]:
-    """Give what is called now and then while no share is known: it shows for how long, and stops if interrupted."""
+    """Return a callback that shows the elapsed time where no progress is known, and stops if interrupted."""
     with open_display(shown) as (show, every_s):
         yield _show_now_and_then(
             lambda steps, passed_s: show(0.0, f"{what}, {steps} steps in {passed_s:.0f} s"), every_s
@@ -226,7 +232,7 @@ def elapsed_progress(what: str, *, shown: bool = True) -> Iterator[Callable[[], 
 
 
 def _show_now_and_then(show: Callable[[int, float], None], every_s: float) -> Callable[[], None]:
-    """Give what is called after each step: it shows their number and the time at times, and stops if interrupted."""
+    """Return a callback for each step that periodically shows their number and the time, and stops if interrupted."""
     began = time.perf_counter()
     due = began + every_s
     steps = 0
@@ -245,7 +251,7 @@ def _show_now_and_then(show: Callable[[int, float], None], every_s: float) -> Ca
 
 @contextmanager
 def reading_progress(statistics: Callable[[], LogStatistics], *, shown: bool = True) -> Iterator[Callable[[], None]]:
-    """Give what is called after each scan: it shows now and then how far the reading is, and stops if interrupted."""
+    """Return a callback for each scan that periodically shows the progress of reading, and stops if interrupted."""
     with open_display(shown) as (show, every_s):
         yield _show_now_and_then(
             lambda scans, passed_s: show(statistics().share_read, f"{scans} scans, {scans / passed_s:.0f}/s"), every_s
@@ -254,7 +260,7 @@ def reading_progress(statistics: Callable[[], LogStatistics], *, shown: bool = T
 
 @final
 class Progress:
-    """Observer that periodically shows rate, N_eff, map size and time left, or that the final refinement goes on."""
+    """Observer that periodically shows rate, N_eff, map size and remaining time, or the final refinement."""
 
     def __init__(
         self, statistics: Callable[[], LogStatistics], show: Callable[[float, str], None], every_s: float

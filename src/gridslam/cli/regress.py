@@ -14,7 +14,7 @@ EXIT_WORSE = 1
 
 
 def regress(old: Path, new: Path, level: float, error_margin: float, cost_margin: float, as_json: bool) -> int:
-    """Compare two runs of the same logs, print what changed, and return the exit status."""
+    """Compare two runs of the same logs, print the changes, and return the exit status."""
     found = compare_batches(old, new, level=level, error_margin=error_margin / 100.0, cost_margin=cost_margin / 100.0)
     print_result(found.document(), found.lines(), as_json)
     return EXIT_WORSE if found.worse else 0

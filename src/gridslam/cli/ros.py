@@ -29,7 +29,7 @@ def _collect_parameters(
     begin_pose: tuple[float, float, float] | None = None,
     **options: Any,  # noqa: ANN401
 ) -> dict[str, Any]:
-    """Options of the command line under the names of the node's parameters; what is not given is left out."""
+    """Return the options of the command line under the names of the node's parameters, without those not given."""
     if same_place and (elsewhere or begin_pose is not None):
         raise ConfigurationError("--same-place contradicts --elsewhere and --pose")
     place = Place.SAME.value if same_place else Place.ELSEWHERE.value if elsewhere else None
@@ -80,7 +80,7 @@ def ros2(
 
 
 def make_viewer_opener(title: str, live: LiveOptions | None) -> ViewerOpener:
-    """Return what serves the page of a node, if one is wanted."""
+    """Open the page of a node, if one is wanted."""
 
     @contextmanager
     def open_viewers(core: NodeCore) -> Iterator[None]:

@@ -10,7 +10,7 @@ import click
 
 from gridslam.api.merging import MergeResult, merge_sessions
 from gridslam.cli.options import name_option
-from gridslam.cli.output import elapsed_progress, open_output, print_json, print_result, write_apart
+from gridslam.cli.output import counted, elapsed_progress, open_output, print_json, print_result, write_apart
 from gridslam.errors import InputError
 from gridslam.io.output import write_atomically
 from gridslam.io.sessions.session_file import read_head
@@ -20,7 +20,7 @@ __all__ = ["merge_to_folder", "show_session"]
 
 
 def show_session(file: Path, picture: Path | None, as_json: bool) -> None:
-    """Print what is in a session file."""
+    """Print the content of a session file."""
     head = read_head(file)
     document = head.document
     groups = [*([] if document["run"] is None else [_of_run(document["run"])]), *document["pieces"]]
@@ -58,7 +58,7 @@ def _describe(content: dict[str, Any]) -> Iterator[str]:
     drives = sum(len(piece) for piece in content["pieces"])
     yield f"{content['path']}: {content['bytes'] / 1e6:.1f} MB, written {content['written']} by {content['version']}"
     yield (
-        f"{drives} drive{'s' * (drives != 1)} of {days} day{'s' * (days != 1)}, {content['scans']} scans, "
+        f"{counted(drives, 'drive')} of {counted(days, 'day')}, {counted(content['scans'], 'scan')}, "
         f"{content['length_m']:.0f} m driven, {content['key_scans']} key scans, {content['constraints']} constraints"
     )
     pieces = content["pieces"]
@@ -90,7 +90,7 @@ def merge_to_folder(files: tuple[Path, ...], out: Path, save: Path | None, threa
 
 def _summarize_merge(result: MergeResult, out: Path, save: Path | None) -> Iterator[str]:
     joined = ", ".join(result.trajectories)
-    yield f"one map of {len(result.trajectories)} drives: {joined}"
+    yield f"one map of {counted(len(result.trajectories), 'drive')}: {joined}"
     for names in result.apart:
         yield f"apart, as nothing in common was found: {', '.join(names)}"
     yield f"map: {out / 'map.png'}, {out / 'map.yaml'}"

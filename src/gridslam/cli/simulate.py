@@ -35,6 +35,7 @@ from gridslam.sim import (
     make_world,
     simulate,
     simulate_stream,
+    vary_route,
 )
 from gridslam.types import Trajectory
 
@@ -45,7 +46,7 @@ SIMULATION_SCHEMA = "gridslam.simulation/1"
 
 _DEMO_LOG = "demo.clf.gz"
 _DEMO_SPEED = 30.0
-"""Times as fast as the robot drives, so that one can look on."""
+"""Speed of the page, a factor on real time, at which one can follow."""
 _DEMO_WAIT_S = 60.0
 _DAY_S = 86_400.0
 _CARMEN = (".clf", ".log", ".carmen")
@@ -56,6 +57,7 @@ def simulate_to_log(
     world: str,
     out: Path,
     seed: int,
+    world_seed: int | None,
     beams: int,
     fov_deg: float,
     range_max_m: float,
@@ -74,7 +76,11 @@ def simulate_to_log(
     crowd = PeopleConfig(count=people)
     with open_output(out.parent) as folder:
         with name_option(name="WORLD"):
-            log = simulate_stream(make_world(world, rng), RobotConfig(), OdometryNoise(), lidar, rng, people=crowd)
+            if world_seed is None:
+                driven = make_world(world, rng)
+            else:
+                driven = vary_route(make_world(world, np.random.default_rng(world_seed)), rng)
+            log = simulate_stream(driven, RobotConfig(), OdometryNoise(), lidar, rng, people=crowd)
         truth = Trajectory(log.truth.stamps_ns[:scans], log.truth.poses[:scans])
         write_carmen(folder.file(out.name), islice(log.measurements, scans))
         write_tum(folder.file(truth_path.name), truth)
@@ -85,6 +91,7 @@ def simulate_to_log(
         "schema": SIMULATION_SCHEMA,
         "world": world,
         "seed": seed,
+        "world_seed": seed if world_seed is None else world_seed,
         "log": str(out),
         "truth": str(truth_path),
         "scans": len(truth),

@@ -1,4 +1,4 @@
-"""Standard input, output and error of a command, whatever they are: closed, full, or in an encoding without letters."""
+"""Standard input, output and error of a command, also if they are closed, full, or of a limited encoding."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def open_streams(*, own_process: bool) -> None:
 
 
 def close_output() -> OSError | ValueError | None:
-    """Write what is still to be printed on standard output; return why that is not possible.
+    """Flush standard output; return the reason if that is not possible.
 
     Then it becomes the null device, as Python would try again when it ends.
     """
@@ -55,7 +55,7 @@ class _Output(io.FileIO):
 
 @final
 class _Unfailing(io.FileIO):
-    """A file that drops what cannot be written."""
+    """A file that drops text that cannot be written."""
 
     def write(self, data: Any) -> int:  # noqa: ANN401
         try:
@@ -65,7 +65,7 @@ class _Unfailing(io.FileIO):
 
 
 def _wrap(raw: io.FileIO, before: TextIO | None) -> io.TextIOWrapper:
-    """A text stream with the encoding of the one before, if there was one."""
+    """Return a text stream with the encoding of the one before, if there was one."""
     encoding = "utf-8" if before is None else before.encoding
     return io.TextIOWrapper(io.BufferedWriter(raw), encoding, line_buffering=raw.fileno() == 2 or raw.isatty())
 

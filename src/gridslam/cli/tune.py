@@ -38,7 +38,7 @@ _UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 
 
 def read_duration_s(text: str) -> float:
-    """Seconds of ``90``, ``90s``, ``15m`` or ``1.5h``; raises ClickException for another text."""
+    """Return seconds of ``90``, ``90s``, ``15m`` or ``1.5h``; raises ClickException for another text."""
     found = re.fullmatch(r"(\d+(?:\.\d*)?)\s*([a-z]*)", text.strip())
     if found is None or found[2] not in _UNITS or not float(found[1]):
         raise click.ClickException(f"--budget: expected a time above 0, as 90s, 15m or 1h, got {text!r}")
@@ -144,7 +144,7 @@ def _draw(file: Path, figure: Any, caption: str) -> None:  # noqa: ANN401
 
 
 def _digest(log: TunedLog, journal: Journal) -> TunedLog:
-    """The log with what its results are recognized by."""
+    """Return the log with the digest that identifies its results."""
     reference = None if log.reference is None else journal.digest(Path(log.reference))
     return replace(log, digest=journal.digest(Path(log.path)), reference_digest=reference)
 

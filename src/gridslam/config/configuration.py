@@ -44,7 +44,7 @@ class Search(NamedTuple):
 
 @final
 class Parameter(NamedTuple):
-    """A parameter that faces the user: its dotted name, what it is, and where it is tuned; None: it is not."""
+    """A parameter for users: its dotted name, its description, and the range in which it is tuned, or None."""
 
     path: str
     description: str

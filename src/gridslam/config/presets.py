@@ -1,4 +1,4 @@
-"""Configurations by name: presets, and what suits a laser of a known model, by its data sheet."""
+"""Named configurations: presets, and settings for known lasers from their data sheets."""
 
 from __future__ import annotations
 
@@ -87,8 +87,8 @@ class Laser(NamedTuple):
     description : str
         Which one it is, and its data sheet's figures.
     range_min_m, range_max_m : float
-        Ranges outside are ignored, whatever the log declares: nearer ones hit the robot, and farther ones are noise, or
-        what the driver reports where nothing returned. 30 m at most, as beyond it beams are wider than what they hit.
+        Ranges outside are ignored, even within the log's limits: nearer ones hit the robot, farther ones are noise, or
+        the driver's value where nothing returned. 30 m at most, as beyond it beams are wider than what they hit.
     fine : bool
         Its ranges are exact enough, and its beams dense enough, for cells of 3 cm and ends that belong to a wall 5 cm
         about it. In six simulated buildings the error of the trajectory fell by a fifth to a third, at 1.4 times the

@@ -45,7 +45,7 @@ _DECIMAL = re.compile(r"[-+]?(\d+\.\d*|\.\d+)([eE][-+]?\d+)?")  # TOML wants dig
 
 
 def value_of(part: object, name: str) -> object:
-    """Value of the parameter of that dotted name; of a part that may be None, whether it is there."""
+    """Return value of the parameter of that dotted name; of a part that may be None, whether it is there."""
     value = functools.reduce(getattr, name.split("."), part)
     return value is not None if value is None or is_dataclass(value) else value
 
@@ -56,7 +56,7 @@ def names(part: object) -> Iterator[str]:
 
 
 def nest(values: Mapping[str, Any]) -> Table:
-    """Nested tables of values by dotted names.
+    """Return nested tables of values by dotted names.
 
     Raises ConfigurationError where a name is given a value and is a table, too.
     """
@@ -91,7 +91,7 @@ def read_assignments(assignments: Iterable[str]) -> Table:
 
 
 def parse_toml(text: str) -> Table:
-    """Read TOML; raises ConfigurationError where the text is none, whatever the parser comes across."""
+    """Read TOML; raises ConfigurationError for any text that is not valid TOML."""
     try:
         return _parse(text)
     except tomllib.TOMLDecodeError as error:
@@ -99,7 +99,7 @@ def parse_toml(text: str) -> Table:
 
 
 def _parse(text: str) -> Table:
-    """Read TOML; raises TOMLDecodeError, and ConfigurationError for what TOML allows but no configuration holds."""
+    """Read TOML; raises TOMLDecodeError, and ConfigurationError for TOML that no configuration can hold."""
     if any(line.count(".") > _MOST_DOTS for line in text.split("\n")):
         raise ConfigurationError(f"expected TOML with at most {_MOST_DOTS} dots in a line, got more")
     try:
@@ -113,7 +113,7 @@ def _parse(text: str) -> Table:
 
 
 def _read_value(text: str) -> Any:  # noqa: ANN401
-    """Value of TOML, a number as YAML and Python write it (``0.``, ``.5``, ``True``), or the text itself."""
+    """Return value of TOML, a number as YAML and Python write it (``0.``, ``.5``, ``True``), or the text itself."""
     try:
         return _parse(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
@@ -151,7 +151,7 @@ def replace_parameters(part: _Part, changes: Mapping[str, Any], also: Iterable[s
 
 
 def describe_error(error: ErrorDetails, table: Mapping[str, Any], known: Iterable[str] = ()) -> str:
-    """One line: which parameter of a table, what was expected, and what came, with names that look like it."""
+    """Describe in one line the parameter of a table, the expected and the actual value, with similar names."""
     path = list[str]()
     value: Any = table
     for key in error["loc"]:
@@ -176,8 +176,8 @@ def describe_error(error: ErrorDetails, table: Mapping[str, Any], known: Iterabl
 
 
 def suggest_names(name: str, known: Iterable[str]) -> str:
-    """Ask after names that look like this one; empty where none does."""
-    candidates = list(known)
+    """Return a question with the known names that look like this one; empty where none does."""
+    candidates = list(dict.fromkeys(known))
     last = name.rpartition(".")[2]
     close = [candidate for candidate in candidates if candidate.rpartition(".")[2] == last]
     close += [candidate for candidate in difflib.get_close_matches(name, candidates) if candidate not in close]
@@ -193,7 +193,7 @@ def _names(table: Table) -> Iterator[str]:
 
 
 def _merge(table: Any, changes: Any) -> Any:  # noqa: ANN401
-    """Lay changes over a table; what is of another kind, or no table, replaces it."""
+    """Merge changes into a table; a value of another kind, or a value that is no table, replaces the old one."""
     if not isinstance(table, dict):
         return changes
     kind = table.get("kind")

@@ -34,7 +34,7 @@ _FEWEST = 8  # intervals
 _VARIANCES = (1e-4, 2e-4)  # of odometry: heading per metre and per radian (rad^2), way per metre and per radian (m^2)
 _LEAST_SPREAD = 0.1  # of the residuals, in the standard deviations assumed
 _DETERMINED = {"scale": 0.01, "turn_scale": 0.015, "drift": 0.004, "yaw": 0.03, "skew": 0.015, "lever": 0.05}
-"""Greatest standard deviations of what counts as determined: a third or less of what harms a map."""
+"""Greatest standard deviations of determined values: a third or less of the errors that harm a map."""
 
 _BRIEF = (0.4, 0.25, 0.4)  # metres, radians, seconds of an interval: short beside the time a turn takes to begin
 _TURNS = (1.5, 1.0, 2.0)  # long enough for odometry that comes late to catch up
@@ -115,7 +115,7 @@ def _determined(value: float, sigma: float, limit: float) -> ParameterEstimate:
 
 
 def _estimate(fit: Fit, index: int, limit: float) -> ParameterEstimate:
-    """One parameter of a fit."""
+    """Return one parameter of a fit."""
     return _determined(float(fit.parameters[index]), math.sqrt(max(fit.covariance[index, index], 0.0)), limit)
 
 
@@ -228,7 +228,7 @@ def calibrate(motion: LaserMotion) -> MotionCalibration:
 
 
 def _improves(reported: FloatArray, predicted: FloatArray, yaw_rad: float) -> bool:
-    """Whether ways (N, 2) are as predicted with a yaw offset, and differ at least twice as much without it."""
+    """Return whether ways (N, 2) are as predicted with a yaw offset, and differ at least twice as much without it."""
     moved = np.hypot(*reported.T) > _STEP_M
     if np.count_nonzero(moved) < _FEWEST:
         return False
@@ -238,7 +238,7 @@ def _improves(reported: FloatArray, predicted: FloatArray, yaw_rad: float) -> bo
 
 
 def _chords(ways: Intervals, laser: FloatArray) -> FloatArray:
-    """Odometry of the paths (N, 2), corrected for the wrong rotation that bends them."""
+    """Return odometry of the paths (N, 2), corrected for the wrong rotation that bends them."""
     bend = -0.5 * wrap(ways.odometry[:, 2] - laser[:, 2])
     c = np.cos(bend)
     s = np.sin(bend)
@@ -362,7 +362,7 @@ def _fit_lags(
 
 
 def _best_lag(motion: LaserMotion, lags_s: FloatArray) -> tuple[float, float]:
-    """The lag in s at which turns correlate best, and their correlation there; NaN where nothing turns."""
+    """Return the lag in s at which turns correlate best, and their correlation there; NaN where nothing turns."""
     best = 0.0
     agreement = math.nan
     parts = intervals(motion, interpolate_odometry(motion, 0.0), _BRIEF)
@@ -393,7 +393,7 @@ def _rates(motion: LaserMotion) -> FloatArray:
 def _fit_turns_at(
     motion: LaserMotion, headings: FloatArray, rates: FloatArray, lag: float, reach: tuple[float, float, float]
 ) -> Fit | None:
-    """Turn scale, drift and what remains of the skew; None where there are too few intervals."""
+    """Fit turn scale, drift and the remaining skew; return None where there are too few intervals."""
     odometry = interpolate_odometry(motion, lag)
     parts = intervals(motion, odometry, reach)
     change = rates[parts.ends] - rates[parts.begins]

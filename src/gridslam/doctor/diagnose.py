@@ -43,7 +43,7 @@ _REPORTED_ELSEWHERE = ("unreadable",)
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class LaserFacts:
-    """What is known of one laser.
+    """Facts about one laser.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class Diagnosis:
 @final
 @dataclass(slots=True)
 class _Laser:
-    """What is looked at of each laser."""
+    """The checks of each laser."""
 
     stamps: StampStatistics = field(default_factory=StampStatistics)
     beams: BeamStatistics = field(default_factory=BeamStatistics)
@@ -379,7 +379,7 @@ class CheckedLog:
 
     @property
     def statistics(self) -> LogStatistics:
-        """What the latest iteration has met so far, with all faults found."""
+        """Statistics of the latest iteration so far, with all faults found."""
         statistics = self._log.statistics
         statistics.faults.update(self._faults)
         return statistics

@@ -1,4 +1,4 @@
-"""Findings of the doctor, their figures, and what those who look for them need."""
+"""Findings of the doctor, their figures, and helpers of the checks that look for them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Series:
 @final
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A line across a figure, at a value of x or of y, with what it means."""
+    """A line across a figure at a value of x or of y, with its meaning."""
 
     name: str
     value: float
@@ -51,7 +51,7 @@ class Mark:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Figure:
-    """What a picture of a finding shows; who draws it decides how.
+    """The data of a figure of a finding, independent of how it is drawn.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ class Trace:
             self._count = self._each * (len(greater) - 1) + 1
 
     def arrays(self) -> tuple[FloatArray, FloatArray]:
-        """Times (K,) and values (K,), in the order they came."""
+        """Return times (K,) and values (K,), in the order they came."""
         return np.array(self._times), np.array(self._values)
 
 

@@ -49,12 +49,12 @@ class Intervals:
         return len(self.begins)
 
     def __getitem__(self, chosen: NDArray[np.bool_]) -> Intervals:
-        """The intervals chosen (N,)."""
+        """Return the intervals chosen (N,)."""
         return Intervals(*(getattr(self, name)[chosen] for name in self.__slots__))
 
 
 def intervals(motion: LaserMotion, odometry: FloatArray, reach: tuple[float, float, float]) -> Intervals:
-    """Cut where `reach` (metres, radians, seconds) is used up together; keep what was tracked, where something moved.
+    """Split the motion where `reach` (metres, radians, seconds) is exceeded; keep tracked intervals with motion.
 
     `odometry` (K, 3) is the motion's own, or that at other times.
     """
@@ -84,7 +84,7 @@ def intervals(motion: LaserMotion, odometry: FloatArray, reach: tuple[float, flo
 
 
 def cumulative_headings(poses: FloatArray) -> FloatArray:
-    """Headings (K,) of poses (K, 3) without jumps of a turn; what is not finite counts as no turn."""
+    """Unwrap the headings (K,) of poses (K, 3); values that are not finite count as no rotation."""
     return np.concatenate([[0.0], np.cumsum(np.nan_to_num(wrap(np.diff(poses[:, 2]))))])
 
 

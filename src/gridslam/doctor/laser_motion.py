@@ -116,7 +116,7 @@ class BeamTimes:
         return field_of_view_rad(scan.geometry.bearings) / math.tau * self.period_s
 
     def of(self, scan: LaserScan, beams: IntArray) -> FloatArray | None:
-        """Times (K,) of beams (K,), relative to their mean, s; None where they are not known."""
+        """Return times (K,) of beams (K,), relative to their mean, s; None where they are not known."""
         if not len(beams):
             return None
         times = scan.beam_times_s
@@ -124,11 +124,11 @@ class BeamTimes:
         return None if math.isnan(found[0]) else found - found.mean()
 
     def is_informative(self, turned_rad: float) -> bool:
-        """Whether a scan in which the robot turns so much is to be tried in each order."""
+        """Return whether a scan in which the robot turns so much is to be tried in each order."""
         return abs(turned_rad) > MIN_TURN_RAD and self.order.scans < _ORDER_SCANS
 
     def deskew_times(self, times_s: FloatArray | None) -> FloatArray | None:
-        """The times (K,) by which to deskew a scan, in the order that is certain; None before, also if reported.
+        """Return the times (K,) by which to deskew a scan, in the order that is certain; None before, also if reported.
 
         Scans deskewed in the wrong order would build a map that they fit best.
         """
@@ -214,7 +214,7 @@ class LaserMotionEstimator:
         return information, share
 
     def _ends(self, scan: LaserScan) -> tuple[FloatArray, IntArray]:
-        """Ends (K, 2) of at most 360 beams in the laser's frame, and which beams (K,) they are."""
+        """Return ends (K, 2) of at most 360 beams in the laser's frame, and which beams (K,) they are."""
         if scan.geometry is not self._geometry:
             self._geometry = scan.geometry
             self._first = self._first or scan.geometry
@@ -271,7 +271,7 @@ def laser_motion(measurements: Iterable[Measurement], sensor: str | None = None)
 
 
 def _covariances(information: FloatArray, poses: FloatArray, shares: FloatArray, beams: int) -> FloatArray:
-    """Covariances (K, 3, 3) in the laser's frame from normal matrices (K, 3, 3) in the track's frame.
+    """Return covariances (K, 3, 3) in the laser's frame from normal matrices (K, 3, 3) in the track's frame.
 
     A direction of the position in which the match kept its guess gets 1 m^2. The first pose of a track is certain.
     """

@@ -32,7 +32,7 @@ _INSERT_M = 0.3
 _INSERT_RAD = 0.1
 _MAP_SCANS = 10
 _EVIDENCE = InverseSensorModel.from_log_odds(2.4, -0.01)
-"""Beams through a wall's near side hardly free it. Where they do, what is left of a wall lies behind it, each scan is
+"""Beams through a wall's near side hardly free it. Where they do, the rest of a wall lies behind it, each scan is
 drawn a little too far ahead, and the way comes out up to 1 % too long. So, and refined by the beams that fit best, it
 is within 0.3 %, measured with noise of 3 cm."""
 _ROUGH = GaussNewton()
@@ -119,7 +119,7 @@ class LaserOdometry:
         return match.information[0], share
 
     def score_orders(self, ends: FloatArray, times_s: FloatArray) -> Iterator[float]:
-        """Inlier ratios of a scan's ends (K, 2), measured at `times_s` (K,), where the last `step` found it.
+        """Yield inlier ratios of a scan's ends (K, 2), measured at `times_s` (K,), where the last `step` found it.
 
         One for each of `gridslam.matching.beam_order.ORDERS`.
         """
@@ -133,12 +133,12 @@ class LaserOdometry:
         return float(self._twist[2])
 
     def _deskew(self, ends: FloatArray, times_s: FloatArray) -> FloatArray:
-        """What the motion adds to ends (K, 2) that are measured at `times_s` (K,)."""
+        """Return the displacement of ends (K, 2) by the motion at `times_s` (K,)."""
         vx, vy, omega = self._twist.tolist()
         return times_s[:, None] * np.stack([vx - omega * ends[:, 1], vy + omega * ends[:, 0]], axis=1)
 
     def _passed(self, stamp_ns: int) -> float:
-        """Seconds since the last scan; the usual ones where stamps jitter so much that they go backward."""
+        """Return seconds since the last scan; the usual ones where stamps jitter so much that they go backward."""
         seconds = (stamp_ns - self._stamp_ns) * 1e-9
         self._stamp_ns = stamp_ns
         self._backward += seconds < 0

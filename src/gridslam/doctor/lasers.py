@@ -1,4 +1,4 @@
-"""What is known of each laser from its scans alone: number, directions and status of its beams, and its mounting."""
+"""Facts about each laser from its scans alone: number, directions and status of its beams, and its mounting."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ _SAME = 1e-3  # m, and rad: two lasers that are no farther apart are in one plac
 
 
 def field_of_view_rad(bearings: FloatArray) -> float:
-    """Angle over which beams with bearings (B,) are spread, one step for each beam, at most a full turn."""
+    """Return angle over which beams with bearings (B,) are spread, one step for each beam, at most a full turn."""
     if len(bearings) < 2:
         return 0.0
     return min(abs(float(bearings[-1] - bearings[0])) * len(bearings) / (len(bearings) - 1), math.tau)
 
 
 def planar_mounting(geometry: ScanGeometry) -> FloatArray:
-    """Where a laser is in the base frame and where bearing 0 points: [x m, y m, yaw rad]."""
+    """Return where a laser is in the base frame and where bearing 0 points: [x m, y m, yaw rad]."""
     mounting = geometry.base_from_laser
     return np.array([mounting[0, 3], mounting[1, 3], math.atan2(mounting[1, 0], mounting[0, 0])])
 

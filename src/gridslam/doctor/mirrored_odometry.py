@@ -13,7 +13,7 @@ from gridslam.types import FloatArray
 __all__ = ["Mirrored", "contradicts_its_heading", "unmirror_odometry"]
 
 Mirrored: TypeAlias = Literal["", "heading", "path"]
-"""What of an odometry has the wrong sign: nothing, its headings, or the y of its positions."""
+"""Component of the odometry with the wrong sign: none, the heading, or the y of the position."""
 
 _SIGNS: Final = {"": (1.0, 1.0, 1.0), "heading": (1.0, 1.0, -1.0), "path": (1.0, -1.0, 1.0)}
 _STEP_M = 0.1  # of the path: directions of shorter steps are noise
@@ -23,7 +23,7 @@ _UNLIKE = 0.6
 
 
 def contradicts_its_heading(odometry: FloatArray) -> bool:
-    """Whether a path leads where the headings would if they had the other sign, and not where they point.
+    """Return whether a path leads where the headings would if they had the other sign, and not where they point.
 
     A robot with wheels mostly drives where it points, up to a constant, for the base may be turned. A straight path
     fits both signs, and that of a robot which drives sideways, or as often backward, neither: they decide nothing.
@@ -48,7 +48,7 @@ def contradicts_its_heading(odometry: FloatArray) -> bool:
 
 
 def unmirror_odometry(poses: FloatArray, mirrored: Mirrored) -> FloatArray:
-    """Poses (..., 3) with the sign that they should have."""
+    """Return poses (..., 3) with the sign that they should have."""
     changed = poses * _SIGNS[mirrored]
     changed[..., 2] = np.where(changed[..., 2] == math.pi, -math.pi, changed[..., 2])
     return changed

@@ -40,7 +40,7 @@ _YAW_SPOILS = 0.35  # rad: from 20 degrees on matching begins too far off
 _SKEW = 0.014  # s: at 1 rad/s it moves what odometry alone would draw at 4 m by a cell
 _SKEW_HARMS_S = 0.3
 _SKEW_HARMS_RAD = 0.5
-"""Matching makes up for what is less: the maps of Intel, ACES and six simulated drives at about 1 rad/s had the same
+"""Matching corrects smaller errors: the maps of Intel, ACES and six simulated drives at about 1 rad/s had the same
 errors with skews of up to 1 s, six drives at 3 rad/s with 0.1 s; with 0.3 s two of these six were lost."""
 _FASTEST = 0.998  # quantile of the turn rates: the greatest but for single wrong matches
 _SKEW_SIGMAS = 3.0
@@ -96,7 +96,7 @@ class _Laser:
         return found if found or calibration.scale.determined else None
 
     def _is_half_of_the_sweep(self, skew: ParameterEstimate) -> bool:
-        """Whether scans look late or early because they are stamped by their last beam, or by their first."""
+        """Return whether scans look late or early because they are stamped by their last beam, or by their first."""
         half_s = 0.5 * self.sweep_s
         apart_s = abs(abs(skew.value) - half_s)
         return not self.has_beam_times and apart_s < max(_HALF * half_s, _HALF_SIGMAS * skew.sigma)
@@ -187,7 +187,7 @@ def _unrelated(motion: LaserMotion, found: MotionCalibration) -> Finding:
 
 
 def _laser_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Finding]:
-    """Direction, yaw and clock of the laser."""
+    """Yield direction, yaw and clock of the laser."""
     if found.mirrored:
         yield _mirrored(motion, found)
     if found.agreement < _OPPOSITE and found.laser_rad >= _TURNED_RAD:
@@ -404,7 +404,7 @@ def wheel_slips(motion: LaserMotion, calibration: MotionCalibration) -> list[Sli
 
 
 def _even(odometry: FloatArray, begins: IntArray, ends: IntArray) -> NDArray[np.bool_]:
-    """Whether odometry moves evenly enough from scan to scan, in each of N intervals and just before it."""
+    """Return whether odometry moves evenly enough from scan to scan, in each of N intervals and just before it."""
     steps = np.nan_to_num(between(odometry[:-1], odometry[1:])[:, :2])
     leaps = np.concatenate([[False], np.hypot(*np.diff(steps, axis=0).T) > _LEAP_M, [False]])
     before = np.concatenate([[0], np.cumsum(leaps)])

@@ -103,7 +103,7 @@ class OdometryExaminer:
             self.radians += turned
 
     def _note_turn(self, scan: LaserScan, place: _Place) -> None:
-        """Compare the turn since this laser's scan before with what the two can have in common."""
+        """Compare the rotation since this laser's previous scan with the bound of both scans."""
         before = self._previous.get(scan.sensor)
         self._previous[scan.sensor] = place
         if scan.sensor not in self._fields:
@@ -235,12 +235,12 @@ class OdometryExaminer:
 
 
 def _motion(before: _Place, after: _Place) -> tuple[float, float]:
-    """Metres and radians between two poses, both positive."""
+    """Return metres and radians between two poses, both positive."""
     return math.dist(before[:2], after[:2]), abs((after[2] - before[2] + math.pi) % math.tau - math.pi)
 
 
 def _share_changed(before: LaserScan, after: LaserScan) -> float:
-    """Ratio of beams with two hits whose ranges differ by more than noise; 0 if there are too few."""
+    """Return ratio of beams with two hits whose ranges differ by more than noise; 0 if there are too few."""
     if len(before) != len(after):
         return 0.0
     both = (before.status == BeamStatus.HIT) & (after.status == BeamStatus.HIT)

@@ -118,7 +118,7 @@ class _FrozenScans:
 
 
 def _changes_view(scan: LaserScan, motion: FloatArray) -> bool:
-    """Whether a motion (3,) of the base must change the scan."""
+    """Return whether a motion (3,) of the base must change the scan."""
     view = polar_scan(scan)
     if view is None:
         return False

@@ -70,7 +70,7 @@ class RangeCounts:
             self.count()
 
     def count(self) -> None:
-        """Count what waits."""
+        """Count the pending beams."""
         if self._waiting:
             bins = np.concatenate([_bins(ranges) for ranges, _ in self._waiting])
             sectors = np.concatenate([sectors for _, sectors in self._waiting])
@@ -84,7 +84,7 @@ class RangeCounts:
         self._pending = 0
 
     def find_peak(self) -> _RangePeak | None:
-        """The value near the far end at which hits pile up as walls never do, if there is one."""
+        """Return the value near the far end at which hits pile up as walls never do, if there is one."""
         by_bin = self._hits.sum(axis=1)
         total = int(by_bin.sum())
         if total < _LEAST:
@@ -109,7 +109,7 @@ class RangeCounts:
         return peak.value_m - _MARGIN_M
 
     def share_beyond_limit(self) -> tuple[float, float]:
-        """Share of all readings that are ranges beyond the stated maximum, and the farthest of them, m."""
+        """Return share of all readings that are ranges beyond the stated maximum, and the farthest of them, m."""
         ranges = self._beyond.copy()
         ranges[ranges.argmax()] = 0  # the code for "no return", which is no range
         total = int(ranges.sum())
@@ -165,7 +165,7 @@ class RangeCounts:
         )
 
     def _figure(self, mark: Mark) -> Figure:
-        """How often each range is reported, in bins of 10 cm, up to the farthest; counts as 1 + their number."""
+        """Return how often each range is reported, in bins of 10 cm, up to the farthest; counts as 1 + their number."""
         by_bin = self._hits.sum(axis=1) + self._beyond
         coarse = np.add.reduceat(by_bin, np.arange(0, len(by_bin), 10))
         coarse = coarse[: int(np.flatnonzero(coarse)[-1]) + 1]

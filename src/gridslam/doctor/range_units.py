@@ -62,7 +62,7 @@ _CODES = 1.2  # ratio of the quartiles of readings beyond the limit: codes for "
 
 
 def measured_beams(scan: LaserScan) -> NDArray[np.bool_]:
-    """Which beams (B,) measured a distance: hits, and readings beyond the stated limit that vary as walls do.
+    """Return which beams (B,) measured a distance: hits, and readings beyond the stated limit that vary as walls do.
 
     A limit in metres over ranges in millimetres turns them all into beams that hit nothing. And beams that hit nothing
     may be reported as hits at the greatest range: where many stand together there, they are left out.
@@ -87,7 +87,7 @@ def _without_codes(ranges: FloatArray, some: NDArray[np.bool_]) -> NDArray[np.bo
 
 
 def polar_scan(scan: LaserScan) -> PolarScan | None:
-    """The measured ranges of a scan by their bearings; None if they are too few."""
+    """Return the measured ranges of a scan by their bearings; None if they are too few."""
     measured = measured_beams(scan)
     return PolarScan(scan, measured) if np.count_nonzero(measured) >= FEWEST_BEAMS else None
 
@@ -103,7 +103,7 @@ class _Placed:
     _is_viewed: bool = False
 
     def view(self) -> PolarScan | None:
-        """The scan by its bearings; None if it has too few ranges."""
+        """Return the scan by its bearings; None if it has too few ranges."""
         if not self._is_viewed:
             self._is_viewed = True
             self._view = polar_scan(self.scan)
@@ -113,7 +113,7 @@ class _Placed:
 @final
 @dataclass(slots=True)
 class PairComparison:
-    """Pairs of scans, compared by what odometry moved between them, for each unit that the ranges may have.
+    """Pairs of scans, compared by the odometry between them, for each unit that the ranges may have.
 
     At most 48 pairs are compared, each in some 0.3 ms, 12 of each of eight distances; another scan costs microseconds.
     """
@@ -173,12 +173,12 @@ class PairComparison:
                 self._stopped.append(unmoved < _STOPPED * min(predicted, _UNLIKE))
 
     def find_unit(self) -> tuple[str, int] | None:
-        """The unit, if it is surely another one than metres, and the number of pairs that were compared."""
+        """Return the unit, if it is surely another one than metres, and the number of pairs that were compared."""
         best = self._find_scale(1.0)
         return None if best is None or best < _OTHERS else (list(UNITS)[best - _OTHERS], len(self._pairs))
 
     def _find_scale(self, factor: float) -> int | None:
-        """Which of the scales predicts better than all others, with `factor` times the evidence needed."""
+        """Return which of the scales predicts better than all others, with `factor` times the evidence needed."""
         if len(self._pairs) < _FEWEST_PAIRS:
             return None
         found = np.array(self._pairs)
@@ -202,7 +202,7 @@ class PairComparison:
 @final
 @dataclass(slots=True)
 class RangeSizes:
-    """Sizes of ranges that are not in metres whatever the odometry: far beyond every laser, or all whole numbers."""
+    """Range values that cannot be metres, independent of the odometry: beyond every laser, or all integers."""
 
     _readings: int = 0
     _far: int = 0
@@ -219,7 +219,7 @@ class RangeSizes:
             self._distinct.update(ranges[whole].tolist())
 
     def describe(self) -> str | None:
-        """What is wrong with the sizes; None if they may be in metres."""
+        """Describe the fault of the range values; None if they may be in metres."""
         if self._readings < _FEWEST_READINGS:
             return None
         if 2 * self._far > self._readings:

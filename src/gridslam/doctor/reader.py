@@ -1,4 +1,4 @@
-"""What the reader of a log met: topics, missing transforms, a file that is cut off."""
+"""Findings from reading a log: topics, missing transforms, a truncated file."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _two_clocks(offset_s: float) -> Finding:
 
 
 def _missing(reason: str, scans: int, of: int) -> Finding:
-    """A transform that came late for some scans, or never came."""
+    """Return a transform that came late for some scans, or never came."""
     late = _LATE in reason
     share = min(scans / max(of, 1), 1.0)
     few = late and share <= _FEW
@@ -86,7 +86,7 @@ def _missing(reason: str, scans: int, of: int) -> Finding:
 
 
 def _topics(statistics: LogStatistics) -> Finding:
-    """All that the log holds; of a bag its topics with their types."""
+    """Return all that the log holds; of a bag its topics with their types."""
     if statistics.topics:
         counted = [(name, topic.type, topic.messages) for name, topic in sorted(statistics.topics.items())]
     else:

@@ -48,7 +48,7 @@ _SIGMAS = 6.0
 @final
 @dataclass(frozen=True, slots=True)
 class Repair:
-    """What is to be taken out of a log; the defaults leave it as it is.
+    """Corrections of a log; the defaults leave it unchanged.
 
     Attributes
     ----------
@@ -78,11 +78,11 @@ class Repair:
     mirrored: Mirrored = ""
 
     def __bool__(self) -> bool:
-        """Whether there is anything to take out."""
+        """Return whether there is anything to take out."""
         return self != Repair()
 
     def describe(self) -> Iterator[str]:
-        """What is taken out, in words."""
+        """Describe the corrections in words."""
         if self.reflected:
             yield (
                 "laser or odometry is mirrored, undecided which: the beam order is reversed (a clockwise "
@@ -107,7 +107,7 @@ class Repair:
 
 
 def find_needed_repair(calibration: MotionCalibration, range_max_m: float | None = None) -> Repair:
-    """What would make any map wrong: laser or odometry mirrored, or a laser that looks 20 degrees past where it should.
+    """Find faults that make any map wrong: mirrored laser or odometry, or a mounting that is off by 20 degrees.
 
     Matching compensates for all other errors, but these it cannot detect: it relies on the odometry there. The yaw is
     corrected only where that brings laser and odometry together. Hits from `range_max_m` on that are none follow the
@@ -121,14 +121,14 @@ def find_needed_repair(calibration: MotionCalibration, range_max_m: float | None
 
 
 def _is_clean(calibration: MotionCalibration) -> bool:
-    """Whether neither fault of `find_needed_repair` can be there."""
+    """Return whether neither fault of `find_needed_repair` can be there."""
     yaw = calibration.yaw_rad
     upright = calibration.agreement > -_SURELY_REFLECTED and calibration.laser_rad > _TURNED_RAD
     return upright and yaw.determined and abs(yaw.value) + _SIGMAS * yaw.sigma < _SPOILING_YAW_RAD
 
 
 def find_full_repair(calibration: MotionCalibration, range_max_m: float | None = None) -> Repair:
-    """All faults that the calibration determines reliably: those larger than four standard deviations."""
+    """Return all faults that the calibration determines reliably: those larger than four standard deviations."""
 
     def sure(estimate: ParameterEstimate, usual: float) -> float:
         return estimate.value if estimate.differs(usual, 0.0) else usual
@@ -220,7 +220,7 @@ def repair_measurements(
 
 
 def _true_increment(before: FloatArray, after: FloatArray, repair: Repair) -> FloatArray:
-    """Pose (3,) of `after` seen from `before`, without the errors of odometry."""
+    """Return pose (3,) of `after` seen from `before`, without the errors of odometry."""
     x, y, turn = (log(between(before, after)) / [repair.scale, repair.scale, 1.0]).tolist()
     return exp([x, y, (turn - repair.drift_rad_per_m * math.copysign(math.hypot(x, y), x)) / repair.turn_scale])
 
@@ -245,7 +245,7 @@ def _remove_skew(measurements: Iterable[Measurement], skew_s: float, sensor: str
 
 
 def _at(measurement: Measurement, readings: deque[Odometry], skew_ns: int, sensor: str | None) -> Measurement:
-    """The scan with the odometry of the time it was taken at; forgets readings that are not needed again."""
+    """Return the scan with the odometry of the time it was taken at; forgets readings that are not needed again."""
     odometry, scan = measurement
     if odometry is None or scan.sensor != sensor:
         return measurement
@@ -301,7 +301,7 @@ class RepairedLog:
 
     @property
     def statistics(self) -> LogStatistics:
-        """What the latest iteration has met so far."""
+        """Statistics of the latest iteration so far."""
         return self._log.statistics
 
     def __iter__(self) -> Iterator[Measurement]:

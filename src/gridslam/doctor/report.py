@@ -23,7 +23,7 @@ _HEADS = {
 
 
 def document(diagnosis: Diagnosis) -> dict[str, Any]:
-    """All of a diagnosis as JSON values; what is unknown or unlimited is null."""
+    """Return a diagnosis as JSON values; unknown or unlimited values are null."""
     statistics = diagnosis.statistics
     return {
         "schema": SCHEMA,

@@ -1,4 +1,4 @@
-"""What a laser sees from another place: one scan predicted from another, for any unit of the ranges.
+"""Predict the scan of a laser at another pose from one scan, for any unit of the ranges.
 
 A surface seen from one place is seen from another at a bearing and range that follow from the motion between the two.
 How far the measured ranges are from those is a ratio, so that the unit of the ranges does not matter, only the length
@@ -97,7 +97,7 @@ def move_laser(first: PolarScan, second: PolarScan, motion: FloatArray) -> Float
 
 
 def disagreements(first: PolarScan, second: PolarScan, motion: FloatArray, scales: FloatArray) -> FloatArray:
-    """How badly the second scan agrees with the first one, seen after a motion of the laser.
+    """Return how badly the second scan agrees with the first one, seen after a motion of the laser.
 
     Parameters
     ----------
@@ -137,13 +137,13 @@ def log_ratios_as_reported(first: PolarScan, second: PolarScan, motion: FloatArr
 
 
 def _predict(first: PolarScan, motion: FloatArray, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Ranges and bearings (S, K) of the ends of a scan after a motion of the laser."""
+    """Return ranges and bearings (S, K) of the ends of a scan after a motion of the laser."""
     moved = (first.ends - scales[:, None, None] * motion[:2]) @ adjoint([0.0, 0.0, motion[2]])[:2, :2]
     return np.maximum(np.hypot(moved[..., 0], moved[..., 1]), _NEAREST), np.arctan2(moved[..., 1], moved[..., 0])
 
 
 def _medians(scan: PolarScan, ranges: FloatArray, bearings: FloatArray, turns: FloatArray) -> FloatArray:
-    """Median disagreements (S, T) of predicted ranges (S, K) at bearings (S, K), turned by -`turns` (S, T)."""
+    """Return median disagreements (S, T) of predicted ranges (S, K) at bearings (S, K), turned by -`turns` (S, T)."""
     turned = wrap(bearings[:, None, :] - turns[:, :, None])
     apart = np.abs(np.log(ranges[:, None, :] * scan.nearness_at(turned)))
     apart.sort(axis=2)  # what is unknown comes last

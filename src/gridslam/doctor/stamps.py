@@ -20,7 +20,7 @@ __all__ = ["LogHistogram", "StampStatistics"]
 _MANY_PERIODS = 5.0  # a pause this many times as long as 9 of 10 others is none that the laser makes by itself
 _BLIND_M = 1.0
 _BLIND_RAD = 0.5
-"""Moved unseen, this leaves a new view: a tenth of it, which odometry errs by, is a fifth of what matching reaches."""
+"""An unseen motion of this size gives a new view: the odometry's error, a tenth, is a fifth of the matcher's reach."""
 _BLIND_S = 1.0  # without odometry the motion within a gap is not known at all
 _DISORDER = 0.1  # share of backward steps: jitter of a busy recorder makes some hundredths, no order at all one half
 _DEEP_S = 2.0  # a stamp so wrong puts a robot at walking pace a metre off
@@ -59,7 +59,7 @@ class LogHistogram:
         self._counts[min(max(place, 0), self._BINS - 1)] += 1
 
     def quantile(self, share: float) -> float:
-        """Number below which so large a share of the numbers lies; NaN where there are none."""
+        """Return number below which so large a share of the numbers lies; NaN where there are none."""
         total = self._counts.sum()
         place = int(np.searchsorted(np.cumsum(self._counts), share * total))
         return float(np.exp(self._LOW + self._WIDTH * (place + 0.5))) if total else math.nan
@@ -208,7 +208,7 @@ def _gaps(sensor: str, gaps: list[_Pause], figure: Figure) -> Finding:
 
 
 def _is_blind(gap: _Pause) -> bool:
-    """Whether too much may have been moved in a gap to find on by matching."""
+    """Return whether too much may have been moved in a gap to find on by matching."""
     if math.isnan(gap.metres):
         return gap.seconds > _BLIND_S
     return gap.metres > _BLIND_M or gap.radians > _BLIND_RAD

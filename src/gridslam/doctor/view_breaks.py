@@ -1,4 +1,4 @@
-"""Where a robot was carried: from one scan to the next the view is another one, and the odometry goes on."""
+"""Detect where a robot was carried: the view changes from one scan to the next while the odometry is continuous."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class _View:
         return self.scan.ranges[:: max(len(self.scan) // _SAMPLES, 1)]
 
     def is_changed_from(self, before: _View) -> bool:
-        """Whether more than half of the ranges are others than before."""
+        """Return whether more than half of the ranges are others than before."""
         if len(self.scan) != len(before.scan):
             return True
         was, now = before.sampled, self.sampled
@@ -70,7 +70,7 @@ class _View:
         return float(disagreements(before, view, move_laser(before, view, between(pose, self.pose)), np.ones(1))[0])
 
     def is_both_sides_of(self, before: PolarScan, pose: FloatArray) -> bool:
-        """Whether many beams end nearer, and many farther than by the view from before.
+        """Return whether many beams end nearer, and many farther than by the view from before.
 
         Who passes a door sees farther in most directions, or nearer.
         """
@@ -95,7 +95,7 @@ class _Candidate:
     from_step_to_step: list[float] = field(default_factory=list)
 
     def watch(self, view: _View) -> bool | None:
-        """Whether the robot was carried, by one scan more; None as long as that is open."""
+        """Return whether the robot was carried, by one scan more; None as long as that is open."""
         self.from_before.append(view.differs_from(self.before, self.pose))
         latest = self.latest.polar
         step = math.nan if latest is None else view.differs_from(latest, self.latest.pose)
@@ -185,12 +185,12 @@ class ViewBreaks:
         yield Finding(
             "robot_carried",
             Severity.ERROR,
-            "From one scan to the next the view is another one while odometry goes on: "
+            "From one scan to the next the view changes while the odometry is continuous: "
             f"{', '.join(times[:_SHOWN])}{more} (from the first scan, by odometry). The robot was carried there, or "
             "two recordings were joined.",
             start_s,
             "s",
-            f"Map what comes before by itself (--duration {begin} --save FILE), and then go on with the rest (--start "
-            f"{begin} --continue FILE): the robot is found again in that map.",
+            f"Map the first part by itself (--duration {begin} --save FILE), and then continue with the rest (--start "
+            f"{begin} --continue FILE): the robot is relocalized in that map.",
             sensor,
         )

@@ -46,7 +46,7 @@ class LandmarkErrors:
 
 
 def pair_by_name(names: IntArray, true_names: IntArray) -> tuple[IntArray, IntArray]:
-    """Places (K,) in both of the names, each there once, that both have."""
+    """Return places (K,) in both of the names, each there once, that both have."""
     _, ours, theirs = np.intersect1d(names, true_names, assume_unique=True, return_indices=True)
     return ours, theirs
 
@@ -90,7 +90,7 @@ def pair_by_position(
 
 
 def align_points(positions: FloatArray, truth: FloatArray, reach_m: float = 0.5) -> FloatArray:
-    """Pose `true_from_map` (3,) that brings most landmarks (M, 2) near true ones (L, 2), without a first guess.
+    """Return pose `true_from_map` (3,) that brings most landmarks (M, 2) near true ones (L, 2), without a first guess.
 
     Each pair of landmarks is brought onto each pair of true ones that is as far apart, within `reach_m`, and the
     landmarks are counted that then have a true one within it; of equal counts the nearest.

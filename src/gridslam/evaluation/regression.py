@@ -25,7 +25,7 @@ _SPREAD_FLOOR: Final = 1e-12
 @final
 @dataclass(frozen=True)
 class Change:
-    """What became of one figure of one group of pairs.
+    """The change of one figure in one group of pairs.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""How well a trajectory agrees with its own scans, where there is no truth: their probability, whatever the map."""
+"""Score a trajectory by the probability of its own scans, with the map integrated out; needs no truth."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _PLACES: Final = ((0.011, 0.017, 0.2), (0.031, 0.001, 0.2 + math.pi / 6), (0.003
 
 _NEAREST_M: Final = 0.05
 _FARTHEST_M: Final = 30.0
-"""Ranges that count, whatever the configuration uses: the default's, for the same reasons."""
+"""Ranges that count, independent of the configuration: the default's, for the same reasons."""
 
 _SAME_TIME_NS: Final = 1_000_000
 
@@ -102,7 +102,7 @@ def measure_self_consistency(trajectory: Trajectory, scans: Iterable[LaserScan])
 
 
 def score_drawn_scans(scans: Sequence[BeamEnds], poses: FloatArray) -> SelfConsistency:
-    """Do what `measure_self_consistency` does for beams (N) that were chosen and the pose of each, (N, 3).
+    """Compute `measure_self_consistency` for selected beams (N) and the pose of each, (N, 3).
 
     Raises
     ------
@@ -151,7 +151,7 @@ def sample_evenly(items: Iterable[_Item], most: int = MAX_SCANS) -> list[_Item]:
 
 
 def _pair_with_poses(trajectory: Trajectory, scans: Iterable[LaserScan]) -> Iterator[tuple[LaserScan, FloatArray]]:
-    """Scans with the pose nearest in time, if within 1 ms."""
+    """Yield scans with the pose nearest in time, if within 1 ms."""
     order = np.argsort(trajectory.stamps_ns, kind="stable")
     stamps = trajectory.stamps_ns[order]
     for scan in scans:

@@ -65,7 +65,7 @@ def _statistics(values: FloatArray) -> tuple[float, float, float, float]:
 
 
 def _neighbours(stamps: IntArray, times: IntArray) -> tuple[IntArray, IntArray]:
-    """Indices of the ascending stamps that enclose each time; the outermost two beyond the ends."""
+    """Return indices of the ascending stamps that enclose each time; the outermost two beyond the ends."""
     last = len(stamps) - 1
     high = np.clip(np.searchsorted(stamps, times), min(1, last), last)
     return np.maximum(high - 1, 0), high
@@ -116,7 +116,7 @@ def interpolate(
 
 
 def clip_to_truth(estimate: Trajectory, truth: Trajectory) -> tuple[Trajectory, Trajectory] | None:
-    """Poses of the estimate within the truth's span, and the truth at their stamps; None where there is none.
+    """Return poses of the estimate within the truth's span, and the truth at their stamps; None where there is none.
 
     The truth has at least one pose, and ascending stamps.
     """
@@ -161,7 +161,7 @@ def associate(
 def _pair_poses(
     estimate: Trajectory, reference: Trajectory, tolerance_ns: int, max_gap_ns: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Poses of the estimate, and those of the reference at their stamps.
+    """Return poses of the estimate, and those of the reference at their stamps.
 
     These are the reference's own where it has that stamp, else interpolated where it has poses before and after that
     are `max_gap_ns` apart or less, else the nearest within `tolerance_ns`.
@@ -232,7 +232,7 @@ def absolute_errors(
     tolerance_ns: int = 20_000_000,
     max_gap_ns: int = MAX_GAP_NS,
 ) -> PoseErrors:
-    """Absolute trajectory error (ATE): how far the poses lie from the reference's, after alignment on SE(2).
+    """Return absolute trajectory error (ATE): how far the poses lie from the reference's, after alignment on SE(2).
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ _FARTHEST_M = 1e9  # no frame on Earth is farther from another: such a number is
 
 @checked
 def from_quaternion(translation: Sequence[float], xyzw: Sequence[float]) -> Rigid:
-    """Motion of a translation (3,) in m and a quaternion (4,), which is brought to unit norm.
+    """Return motion of a translation (3,) in m and a quaternion (4,), which is brought to unit norm.
 
     Raises ArgumentError for a value that is not finite, a translation of 1e9 m or more, and a squared norm farther than
     0.01 from 1: a quaternion of zeros, which stands in many a log, is no rotation.
@@ -48,7 +48,7 @@ def from_quaternion(translation: Sequence[float], xyzw: Sequence[float]) -> Rigi
 
 @checked
 def from_matrix(matrix: ArrayLike) -> Rigid:
-    """Motion of a homogeneous matrix (4, 4).
+    """Return motion of a homogeneous matrix (4, 4).
 
     Raises ArgumentError if its shape is another, a value is not finite, its last row is not (0, 0, 0, 1) or the upper
     left block is no rotation (to 1e-6).
@@ -99,7 +99,7 @@ def to_matrix(a: Rigid) -> NDArray[np.float64]:
 
 @checked
 def planar(a: Rigid) -> tuple[float, float, float]:
-    """Pose (x m, y m, yaw rad) seen from above: yaw in [-pi, pi] is the direction of the projected x axis.
+    """Return pose (x m, y m, yaw rad) seen from above: yaw in [-pi, pi] is the direction of the projected x axis.
 
     Raises ArgumentError where the x axis is vertical (to 1e-6) and so points nowhere on the ground.
     """

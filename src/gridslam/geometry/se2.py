@@ -70,7 +70,7 @@ def compose(a: ArrayLike, b: ArrayLike) -> FloatArray:
 
 @checked
 def between(a: ArrayLike, b: ArrayLike) -> FloatArray:
-    """Pose of `b` seen from `a`, that is inverse(a) compose b, for poses (..., 3) given in one frame.
+    """Return pose of `b` seen from `a`, that is inverse(a) compose b, for poses (..., 3) given in one frame.
 
     Raises ArgumentError if the last dimension of an argument is not 3.
     """
@@ -95,7 +95,7 @@ def inverse(a: ArrayLike) -> FloatArray:
 
 @checked
 def exp(xi: ArrayLike) -> FloatArray:
-    """Pose (..., 3) reached by moving with the constant twist `xi` for one unit of time.
+    """Return pose (..., 3) reached by moving with the constant twist `xi` for one unit of time.
 
     The robot drives an arc; its chord is the arc's length times sinc(omega / 2) and points half the turn to the side,
     which is exact for every omega and needs no series near 0.
@@ -122,7 +122,7 @@ def exp(xi: ArrayLike) -> FloatArray:
 
 @checked
 def log(pose: ArrayLike) -> FloatArray:
-    """Twist (..., 3) [m, m, rad] whose `exp` is `pose` (..., 3), the one with omega in [-pi, pi).
+    """Return twist (..., 3) [m, m, rad] whose `exp` is `pose` (..., 3), the one with omega in [-pi, pi).
 
     sinc(omega / 2) >= 2 / pi there, so the division is harmless near pi as well as near 0. Raises ArgumentError if the
     last dimension of `pose` is not 3.
@@ -236,7 +236,7 @@ def _rotate_covariance(covariance: FloatArray, angle: Component) -> FloatArray:
 
 @checked
 def lever_arm_jacobian(frames: FloatArray, carried: FloatArray) -> FloatArray:
-    """Jacobians of poses that a frame carries along when it moves, by the pose of that frame.
+    """Return Jacobians of poses that a frame carries along when it moves, by the pose of that frame.
 
     Parameters
     ----------

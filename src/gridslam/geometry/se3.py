@@ -1,4 +1,4 @@
-"""SE(3), the rigid motions of space, as homogeneous matrices (4, 4), and what of them is seen in the plane.
+"""SE(3), the rigid motions of space, as homogeneous matrices (4, 4), and their projection to the plane.
 
 With frames in the names, `map_from_robot @ robot_from_laser` is `map_from_laser`. Frames are right-handed with x ahead,
 y to the left and z up; quaternions are [x, y, z, w] as in ROS.
@@ -65,7 +65,7 @@ def from_planar(pose: ArrayLike) -> FloatArray:
 
 @checked
 def to_planar(transform: ArrayLike) -> FloatArray:
-    """Pose (3,) = [x m, y m, yaw rad] of a transform (4, 4) seen from above.
+    """Return pose (3,) = [x m, y m, yaw rad] of a transform (4, 4) seen from above.
 
     Yaw in [-pi, pi) is the direction of the x axis projected on the ground plane: for a laser mounted upside down,
     the way it looks. Raises ArgumentError where the transform is not rigid or its x axis is vertical.

@@ -41,13 +41,13 @@ UNKNOWN_POSE: Pose = (math.nan, math.nan, math.nan)
 
 
 def as_pose(values: NDArray[np.float64]) -> Pose:
-    """The pose in an array (3,)."""
+    """Return the pose in an array (3,)."""
     x, y, theta = values.tolist()
     return x, y, theta
 
 
 def is_known(pose: Pose) -> bool:
-    """Whether a pose is another than `UNKNOWN_POSE`."""
+    """Return whether a pose is another than `UNKNOWN_POSE`."""
     return not math.isnan(pose[0])
 
 
@@ -61,7 +61,7 @@ def compose(a: Pose, b: Pose) -> Pose:
 
 
 def between(a: Pose, b: Pose) -> Pose:
-    """Pose of `b` seen from `a`, that is inverse(a) compose b, for poses given in one frame."""
+    """Return pose of `b` seen from `a`, that is inverse(a) compose b, for poses given in one frame."""
     ax, ay, at = a
     bx, by, bt = b
     c = math.cos(at)
@@ -72,7 +72,7 @@ def between(a: Pose, b: Pose) -> Pose:
 
 
 def exp(xi: Pose) -> Pose:
-    """Pose reached by moving with the constant twist `xi` for one unit of time.
+    """Return pose reached by moving with the constant twist `xi` for one unit of time.
 
     Source: Sola et al., A micro Lie theory (2018), equations 156 and 158.
     """
@@ -85,7 +85,7 @@ def exp(xi: Pose) -> Pose:
 
 
 def log(pose: Pose) -> Pose:
-    """Twist whose `exp` is `pose`, the one with omega in [-pi, pi).
+    """Return twist whose `exp` is `pose`, the one with omega in [-pi, pi).
 
     Source: Sola et al., A micro Lie theory (2018), equation 157.
     """
@@ -99,6 +99,6 @@ def log(pose: Pose) -> Pose:
 
 
 def motion_of(increment: Pose) -> tuple[float, float]:
-    """Metres and radians of an increment, both >= 0."""
+    """Return metres and radians of an increment, both >= 0."""
     x, y, turn = increment
     return math.hypot(x, y), abs(turn)

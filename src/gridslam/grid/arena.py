@@ -72,7 +72,7 @@ class TileArena:
         self._lent: Int32Array = np.zeros((0, 1, 1), np.int32)
 
     def __del__(self) -> None:
-        """Return what was lent, by whatever thread has read it last."""
+        """Release the lent tiles, in any thread."""
         if getattr(self, "_lender", None) is not None and self._lender is not None:
             self._lender._returned.append(self._lent)
 
@@ -159,7 +159,7 @@ class TileArena:
             self._free_tiles = np.concatenate([_count_down(first, size), self._free_tiles])
 
     def take_back(self) -> None:
-        """Release what readers have returned; called by the owner before it writes."""
+        """Reclaim tiles that readers have released; called by the owner before it writes."""
         while self._returned:
             self.release(self._returned.popleft())
             self._readers -= 1
@@ -193,7 +193,7 @@ class TileArena:
         return self._free_pages, self._free_tiles
 
     def grow(self) -> None:
-        """Make more pages or tiles, or both, where none is free: a 32nd of what there is.
+        """Grow the pages or tiles, or both, by a 32nd where none is free.
 
         Ids are free only once their memory is there: after a MemoryError all is as it was.
         """
@@ -221,7 +221,7 @@ class TileArena:
 
     @staticmethod
     def _extend_ids(refs: Int32Array) -> tuple[Int32Array, int]:
-        """Ids to be added to those that `refs` counts, and how many there are then."""
+        """Return ids to be added to those that `refs` counts, and how many there are then."""
         size = min(len(refs) + max(len(refs) // 32, 64), np.iinfo(np.int32).max)
         return _count_down(len(refs), size), size
 
@@ -237,7 +237,7 @@ class TileArena:
         self.page_refs += _uses(roots, len(self.page_refs))
 
     def release(self, roots: Int32Array) -> None:
-        """Count one use less of every page in `roots`; what nothing uses any more becomes free."""
+        """Decrement the use count of every page in `roots`; unused ones become free."""
         if self._lender is not None:
             return
         dead_pages = _release(self.page_refs, roots)
@@ -247,7 +247,7 @@ class TileArena:
             self._free_tiles = np.concatenate([self._free_tiles, dead_tiles])
 
     def tiles_of(self, roots: Int32Array) -> int:
-        """Number of tiles on the pages of `roots`, each counted once."""
+        """Return number of tiles on the pages of `roots`, each counted once."""
         pages = np.zeros(len(self.pages), np.bool_)
         tiles = np.zeros(len(self.log_odds), np.bool_)
         pages[roots] = True
@@ -255,7 +255,7 @@ class TileArena:
         return int(np.count_nonzero(tiles[1:]))
 
     def steps_of(self, tiles: IntArray | Int32Array) -> NDArray[np.int16]:
-        """Log-odds (K, 32, 32) of tiles (K,) in steps of `gridslam.grid.LOG_ODDS_UNIT`; `UNKNOWN` is unknown."""
+        """Return log-odds (K, 32, 32) of tiles (K,) in steps of `gridslam.grid.LOG_ODDS_UNIT`; `UNKNOWN` is unknown."""
         return _unpack(self.log_odds[tiles], self.unit)
 
     def widen(self) -> None:
@@ -283,7 +283,7 @@ class TileArena:
 
 
 def _unpack(stored: LogOdds, unit: int) -> NDArray[np.int16]:
-    """Log-odds in steps of `gridslam.grid.LOG_ODDS_UNIT`, `unit` of them in what is stored."""
+    """Convert stored log-odds of `unit` steps to steps of `gridslam.grid.LOG_ODDS_UNIT`."""
     if stored.dtype == np.int16:
         return np.asarray(stored, np.int16)
     steps = np.multiply(stored, unit, dtype=np.int16)
@@ -300,7 +300,7 @@ def _pack(steps: NDArray[np.int16], unit: int) -> NDArray[np.int8] | None:
 
 
 def _count_down(first: int, end: int) -> Int32Array:
-    """Ids from `end` - 1 down to `first`: those at the end are taken first."""
+    """Return ids from `end` - 1 down to `first`: those at the end are taken first."""
     return np.arange(end - 1, first - 1, -1, dtype=np.int32)
 
 
@@ -314,7 +314,7 @@ def renumber(ids: Int32Array) -> tuple[Int32Array, IntArray]:
 
 
 def _uses(ids: Int32Array, size: int) -> Int32Array:
-    """How often each id below `size` occurs in `ids`, 0 for the empty one."""
+    """Return how often each id below `size` occurs in `ids`, 0 for the empty one."""
     counts = np.bincount(ids.ravel(), minlength=size).astype(np.int32)
     counts[0] = 0
     return counts
@@ -328,7 +328,7 @@ def _release(refs: Int32Array, ids: Int32Array) -> Int32Array:
 
 
 def _count_uses(name: str, ids: Int32Array, size: int) -> Int32Array:
-    """How often each id below `size` occurs in `ids`, 0 for the empty one; every other one must."""
+    """Return how often each id below `size` occurs in `ids`, 0 for the empty one; every other one must."""
     if ids.size and (ids.min() < 0 or ids.max() >= size):
         raise ArgumentError(name, f"ids from 0 to {size - 1}", f"{ids.min()} to {ids.max()}")
     counts = _uses(ids, size)

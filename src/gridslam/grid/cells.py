@@ -50,7 +50,7 @@ _BYTE = 127
 @final
 @checked
 class Evidence:
-    """What a beam adds to a cell's log-odds, and the clamps, rounded to steps of `LOG_ODDS_UNIT`.
+    """The evidence of a beam for a cell in log-odds, and the clamps, rounded to steps of `LOG_ODDS_UNIT`.
 
     Parameters
     ----------

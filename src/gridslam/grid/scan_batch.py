@@ -59,7 +59,7 @@ class ScanBatch(NamedTuple):
 
 @final
 class Weighing(NamedTuple):
-    """What becomes of the beams of a batch that is weighed while it is drawn.
+    """Weights of the beams of a batch that is weighed while it is drawn.
 
     Attributes
     ----------

@@ -102,14 +102,14 @@ class TiledGrid:
         return self.rows(0, self.shape[0])
 
     def _tile_ids(self, first: int, last: int) -> Int32Array:
-        """Ids (last - first, C) of rows of tiles `first` to `last` - 1."""
+        """Return ids (last - first, C) of rows of tiles `first` to `last` - 1."""
         row, column = (cell // TILE for cell in self._corner)
         return self._maps.tile_ids_within(0, (row + first, row + last), (column, column + self.shape[1] // TILE))
 
 
 @lru_cache(8)
 def _make_cone(reach_cells: float) -> NDArray[np.uint8]:
-    """The field about one obstacle, (2 r + 1, 2 r + 1) cells with r the whole part of its reach."""
+    """Return the field about one obstacle, (2 r + 1, 2 r + 1) cells with r the whole part of its reach."""
     r = int(reach_cells)
     apart = np.hypot(*np.mgrid[-r : r + 1, -r : r + 1])
     cone: NDArray[np.uint8] = np.rint(255 * np.maximum(0, 1 - apart / reach_cells)).astype(np.uint8)
@@ -141,7 +141,7 @@ class _ScanUpdate:
         return self._begun is not None
 
     def end(self, arena: TileArena) -> None:
-        """Wait until what was begun has ended."""
+        """Wait until the update has ended."""
         updated = backend.end_update(self._begun)
         self._begun = None
         self._go_on(arena, self._table, updated)
@@ -250,7 +250,7 @@ class TileMaps:
         return self._arena.tiles_used
 
     def tiles_of(self, rows: _RowNumbers) -> int:
-        """Number of tiles that maps `rows` (K,) use together."""
+        """Return number of tiles that maps `rows` (K,) use together."""
         return self._arena.tiles_of(self._roots[rows])
 
     @property
@@ -260,7 +260,7 @@ class TileMaps:
 
     @property
     def _arena(self) -> TileArena:
-        """The arena when no update is under way: then the table holds what the maps are, too."""
+        """The arena when no update is under way: then the table describes the maps."""
         arena = self._shared_arena
         arena.end_update()
         return arena
@@ -290,18 +290,18 @@ class TileMaps:
         return twin
 
     def shares_tiles(self, other: TileMaps) -> bool:
-        """Whether ids of tiles mean the same in both."""
+        """Return whether ids of tiles mean the same in both."""
         return self._shared_arena is other._shared_arena
 
     def freeze(self) -> TileMaps:
-        """All maps as they are now, to be read by another thread while the owner goes on; they are never written to."""
+        """Return all maps as they are now, for another thread to read while the owner continues; never written to."""
         twin = self.snapshot()
         twin._arena.release(twin._roots)
         twin._shared_arena = self._arena.freeze(twin._roots)
         return twin
 
     def select(self, parents: Annotated[Rows, "M", index_of("self")]) -> None:
-        """Let map i become what map parents[i] was; parents (M,) int64."""
+        """Replace map i by the old map parents[i]; parents (M,) int64."""
         arena = self._arena
         roots = self._roots[parents]
         arena.retain(roots)
@@ -309,7 +309,7 @@ class TileMaps:
         self._roots = roots
 
     def compact(self) -> None:
-        """Give the memory back that no map uses; ids of tiles change, and what is written to a map stays its own."""
+        """Release memory that no map uses; ids of tiles change, and maps stay independent of each other."""
         self._arena.compact()
 
     def clear(self, row: _Row) -> None:
@@ -474,20 +474,20 @@ class TileMaps:
         return found
 
     def is_known(self, row: _Row, points: Points, pose: Annotated[FloatArray, 3] = _ORIGIN) -> NDArray[np.bool_]:
-        """Whether the cells (B,) of points (B, 2), seen from a pose (3,), were observed, in one map."""
+        """Return whether the cells (B,) of points (B, 2), seen from a pose (3,), were observed, in one map."""
         found: NDArray[np.bool_] = backend.known_cells(*self._view, row, pose, points, self.resolution_m)
         return found
 
     def tiled(self, row: _Row) -> TiledGrid:
-        """The map as a rectangle, cut to the tiles that hold something, that stays in them."""
+        """Return the map as a rectangle, cut to the tiles that hold something, that stays in them."""
         return TiledGrid(self, row)
 
     def occupancy(self, row: _Row) -> OccupancyGrid:
-        """The map as such a rectangle, unfolded; a single unknown cell if no tile holds anything."""
+        """Return the map as such a rectangle, unfolded; a single unknown cell if no tile holds anything."""
         return self.tiled(row).whole()
 
     def field(self, row: _Row, most_cells: _Side = 2**13) -> tuple[NDArray[np.uint8], tuple[int, int]]:
-        """The distance field (H, W) uint8 as such a rectangle, and the cell (row, column) that is its corner.
+        """Return the distance field (H, W) uint8 as such a rectangle, and the cell (row, column) that is its corner.
 
         255 at an occupied cell, falling with the distance to 0 at the field's reach. A rectangle of more cells than a
         square of `most_cells` a side, 410 m in cells of 5 cm, is cut to such a square, about the median of the tiles
@@ -548,7 +548,7 @@ class TileMaps:
         return self._arena.steps_of(ids)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays that hold the maps, each shared tile once; equal maps that share alike give equal arrays.
+        """Return plain arrays that hold the maps, each shared tile once; equal maps that share alike give equal arrays.
 
         Returns
         -------
@@ -579,7 +579,7 @@ class TileMaps:
         threads: int = 1,
         most_tiles: int = MOST_TILES,
     ) -> TileMaps:
-        """Maps from the arrays of `to_arrays`, over an arena of their own; they go on bit for bit as the others would.
+        """Restore maps from the arrays of `to_arrays`, over an arena of their own; later updates are bit-identical.
 
         Raises
         ------

@@ -69,7 +69,7 @@ _OF_LASER = (
     "range_min_m",
     "range_max_m",
 )
-"""Columns of what scans of one laser have in common."""
+"""Columns whose values are the same in all scans of one laser."""
 
 _HEAD_BYTES = 1 << 16
 _DEFAULTS = {"sensor": "laser", "frame": "laser", "range_max_m": "inf"} | dict.fromkeys((*LASER, "range_min_m"), "0")
@@ -177,7 +177,7 @@ class CsvLog:
 
 
 class _CellError(ValueError):
-    """A cell cannot be read: names its column, what was expected and what was found."""
+    """Raised for an unreadable cell; has its column, the expected and the actual content."""
 
     def __init__(self, column: str, expected: str, got: str) -> None:
         super().__init__(f"column {column}: expected {expected}, got {got}")
@@ -193,7 +193,7 @@ class _Rows:
         self._laser = lru_cache(maxsize=256)(self._make_laser)  # one that tilts is another one in each row
 
     def parse(self, line: str) -> Measurement | None:
-        """The measurement of a row; None for the header, comments and blank lines."""
+        """Return the measurement of a row; None for the header, comments and blank lines."""
         text = line.rstrip("\r")
         if not self._names:
             text = text.removeprefix("\xef\xbb\xbf")  # the mark that some programs put before UTF-8
@@ -274,7 +274,7 @@ def _odometry(cells: _Cells, stamp_ns: int) -> Odometry | None:
 
 
 def _split(line: str) -> list[str]:
-    """Cells of a line; names of sensors may be quoted."""
+    """Return cells of a line; names of sensors may be quoted."""
     if '"' not in line:
         return line.split(",")
     try:
@@ -324,7 +324,7 @@ def _parse_ranges(text: str) -> list[float]:
 
 
 def _utf8(column: str, text: str) -> str:
-    """The text whose bytes were taken for Latin-1."""
+    """Return the text whose bytes were taken for Latin-1."""
     try:
         return text.encode("latin-1").decode("utf-8")
     except UnicodeDecodeError:
@@ -359,7 +359,7 @@ def write_csv_log(path: str | Path, measurements: Iterable[Measurement]) -> None
 
 
 def _cells(odometry: Odometry | None, scan: LaserScan) -> Iterator[str]:
-    """The cells of a row."""
+    """Yield the cells of a row."""
     yield format_stamp_ns(scan.stamp_ns)
     yield _name(scan.sensor)
     yield _name(scan.frame)
@@ -380,14 +380,14 @@ def _name(text: str) -> str:
 
 @lru_cache(maxsize=256)
 def _geometry(geometry: ScanGeometry) -> str:
-    """The cells of a mounting and of bearings."""
+    """Return the cells of a mounting and of bearings."""
     transform = geometry.base_from_laser
     values = [*transform[:3, 3].tolist(), *angles_of_rotation(transform[:3, :3]), *_even("bearings", geometry.bearings)]
     return ",".join(repr(value + 0.0) for value in values)  # no -0.0
 
 
 def _even(name: str, values: FloatArray) -> tuple[float, float]:
-    """First value and step of evenly spread ones."""
+    """Return first value and step of evenly spread ones."""
     if not len(values):
         raise ArgumentError(name, "at least one beam", "none")
     steps = max(len(values) - 1, 1)
@@ -405,7 +405,7 @@ def _time_increment_s(times: FloatArray) -> float:
 
 
 def _format_ranges(scan: LaserScan) -> str:
-    """Ranges with blanks between them: what `CsvLog` decides each beam's status by."""
+    """Format ranges with blanks between them; `CsvLog` derives each beam's status from them."""
     hit = scan.status == BeamStatus.HIT
     hits = scan.ranges[hit]
     if not ((hits > 0) & (hits >= scan.range_min_m) & (hits < scan.range_max_m)).all():

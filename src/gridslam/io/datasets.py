@@ -1,4 +1,4 @@
-"""Public logs: what they are, whose they are, and how to get them."""
+"""Public logs: their content, authors and licences, and their download."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ DATASETS = (
 
 
 def find_dataset(name: str) -> Dataset:
-    """The dataset of this name; raises ArgumentError, with the names that there are."""
+    """Return the dataset of this name; raises ArgumentError, with the names that there are."""
     names = [dataset.name for dataset in DATASETS]
     if name not in names:
         near = difflib.get_close_matches(name, names, 1)
@@ -148,7 +148,7 @@ def _retrieve(source: str, dataset: Dataset, file: Path) -> None:
 
 
 def _reason(error: BaseException) -> str:
-    """The first cause: the message of requests is a paragraph."""
+    """Return the first cause: the message of requests is a paragraph."""
     response = getattr(error, "response", None)
     if response is not None:
         return f"{response.status_code} {response.reason}"

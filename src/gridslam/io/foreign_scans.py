@@ -38,7 +38,7 @@ _PERIOD_NS = 100_000_000  # of scans without stamps
 
 
 class ForeignRows(Protocol):
-    """What makes measurements of the lines of a table, one after the other."""
+    """Converts the lines of a table to measurements, one after the other."""
 
     def parse(self, line: str) -> Measurement | None:
         """Take the next line; return a scan that is complete, or None. Raises ValueError for a malformed line."""
@@ -50,12 +50,12 @@ class ForeignRows(Protocol):
 
 
 def is_foreign_table(head: str) -> bool:
-    """Whether a text that begins with `head` is such a table."""
+    """Return whether a text that begins with `head` is such a table."""
     return _find_header(head) != ""
 
 
 def find_foreign_rows(head: str, statistics: LogStatistics) -> ForeignRows | None:
-    """Return what reads a table that begins with `head`; None where it is no such table.
+    """Return a converter for a table that begins with `head`; None where the table is of another kind.
 
     Raises ValueError where it is one, without the columns of a scan.
     """
@@ -87,7 +87,7 @@ def _split(text: str) -> list[str]:
 
 
 def _match(pattern: re.Pattern[str], names: Sequence[str]) -> tuple[int, str] | None:
-    """The first column of a kind: its place, and its unit, empty where its name has none."""
+    """Return the first column of a kind: its place, and its unit, empty where its name has none."""
     for place, name in enumerate(names):
         if found := pattern.fullmatch(name):
             return place, found[1] or ""
@@ -196,7 +196,7 @@ class _PointRows:
         return self._finish() if self._beams else None
 
     def _starts_over(self, angle: float) -> bool:
-        """Whether a beam goes back against the direction of its scan."""
+        """Return whether a beam goes back against the direction of its scan."""
         if len(self._beams) < 2:
             return False
         swept = self._beams[-1][0] - self._beams[0][0]

@@ -43,7 +43,7 @@ _VALUES = {
     _TORO_EDGE: "x y theta I_xx I_xy I_yy I_tt I_xt I_yt",
 }
 _SAME_AS = {_POINT: _VERTEX, _POINT_EDGE: _EDGE, _TORO_VERTEX: _VERTEX, _TORO_EDGE: _EDGE}
-"""As what lines of other tags are kept: a landmark is a pose whose heading is nearly free."""
+"""The tag as which lines of another tag are kept: a landmark is a pose whose heading is nearly free."""
 _TAGS = {(1, False): _VERTEX, (1, True): _POINT, (2, False): _EDGE, (2, True): _POINT_EDGE}
 _FREE_HEADING = 1e-9  # information about a landmark's heading, of that about its place: it moves nothing
 _FIELDS = {tag: f"{ids} {_VALUES[tag]}".strip() for tag, ids in _IDS.items()}
@@ -189,7 +189,7 @@ def write_g2o(
 
 
 def _format(is_landmark: bool, ids: IntArray, values: FloatArray) -> str:
-    """The line of a vertex (one id) or an edge (two)."""
+    """Return the line of a vertex (one id) or an edge (two)."""
     tag = _TAGS[len(ids), bool(is_landmark)]
     kept = values[[0, 1, 3, 4, 6][: len(_VALUES[tag].split())]] if is_landmark else values
     return f"{tag} {' '.join(map(repr, [*ids.tolist(), *kept.tolist()]))}\n"
@@ -237,7 +237,7 @@ def _table(path: str | Path, tag: str, ids: array[int], values: array[float], li
 
 
 def _merge(tables: dict[str, _Rows], tag: str) -> _Rows:
-    """The lines that are kept as those of a tag, in the order of the file."""
+    """Return the lines that are kept as those of a tag, in the order of the file."""
     parts = [_as(other, tables[other]) for other in _FIELDS if _SAME_AS.get(other, other) == tag]
     lines = [line for part in parts for line in part.lines]
     order = np.argsort(np.array(lines, np.int64))
@@ -246,7 +246,7 @@ def _merge(tables: dict[str, _Rows], tag: str) -> _Rows:
 
 
 def _as(tag: str, rows: _Rows) -> _Rows:
-    """The rows with the columns of the tag as which they are kept."""
+    """Return the rows with the columns of the tag as which they are kept."""
     values = rows.values
     nothing = np.zeros(len(values))
     if tag == _POINT:
@@ -260,7 +260,7 @@ def _as(tag: str, rows: _Rows) -> _Rows:
 
 
 def _wrapped(poses: FloatArray) -> FloatArray:
-    """Poses (N, 3) with headings in [-pi, pi)."""
+    """Return poses (N, 3) with headings in [-pi, pi)."""
     return np.column_stack([poses[:, :2], wrap(poses[:, 2])])
 
 
@@ -286,7 +286,7 @@ def _check_vertices(path: str | Path, vertices: _Rows, row_of: dict[int, int]) -
 
 
 def _fixed_row(path: str | Path, fixes: _Rows, row_of: dict[int, int]) -> int:
-    """Which vertex of the file is fixed."""
+    """Return which vertex of the file is fixed."""
     names = fixes.ids[:, 0].tolist()
     for name, line in zip(names, fixes.lines, strict=True):
         if name not in row_of:
@@ -297,7 +297,7 @@ def _fixed_row(path: str | Path, fixes: _Rows, row_of: dict[int, int]) -> int:
 
 
 def _edge_rows(path: str | Path, edges: _Rows, row_of: dict[int, int]) -> IntArray:
-    """Which vertices of the file (M, 2) the edges join."""
+    """Return which vertices of the file (M, 2) the edges join."""
     ends = np.array([row_of.get(name, -1) for name in edges.ids.ravel().tolist()], np.int64).reshape(-1, 2)
 
     def describe_missing(edge: int) -> str:

@@ -1,4 +1,4 @@
-"""The one place where image files are opened, whatever Pillow would make of their content."""
+"""Open image files, in this one place, by formats that are safe to read."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["FORMATS", "LONGEST_SIDE_PX", "open_image"]
 
 FORMATS = "PNG", "PPM", "BMP", "TIFF", "JPEG", "GIF"
-"""What maps and pictures come in. Pillow chooses by the content and knows fifty, of which EPS starts Ghostscript."""
+"""Formats of maps and pictures. Pillow detects fifty by the content, of which EPS starts Ghostscript."""
 
 LONGEST_SIDE_PX = 1 << 16
 """3.3 km in cells of 5 cm. Images are read some rows at a time, of which there are not 10^8."""

@@ -1,4 +1,4 @@
-"""Logs of landmarks, UTIAS MRCLAM and Victoria Park: as steps of the robot's motion and what it observes."""
+"""Logs of landmarks, UTIAS MRCLAM and Victoria Park, as steps of motion and observations."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _MOST_VARIANCE = 1e12
 @final
 @dataclass(slots=True)
 class LandmarkLogStatistics:
-    """What was met so far while a log is read.
+    """Statistics of a log that is being read.
 
     Attributes
     ----------
@@ -222,7 +222,7 @@ class MrclamLog:
             yield row.stamps_ns[0] + self._delay_ns, (row.values[0], row.values[1])
 
     def _read_observations(self) -> Iterator[tuple[int, LandmarkObservations]]:
-        """Landmarks seen, all of one stamp together; stamps at which there is none are left out."""
+        """Yield landmarks seen, all of one stamp together; stamps at which there is none are left out."""
         rows = read_rows(self._measurement, _MEASUREMENT, stamps=1, in_order=True)
         for (stamp,), group in groupby(rows, key=lambda row: row.stamps_ns):
             seen: dict[int, tuple[float, float]] = {}
@@ -270,7 +270,7 @@ def _read_barcodes(path: Path) -> dict[int, int]:
 
 
 def _read_trajectory(path: Path) -> Trajectory:
-    """The truth about a robot of MRCLAM."""
+    """Return the truth about a robot of MRCLAM."""
     table = read_table(path, "time_s x_m y_m theta_rad", stamps=1, in_order=True)
     return Trajectory(table.stamps_ns[:, 0], np.column_stack([table.values[:, :2], wrap(table.values[:, 2])]))
 
@@ -331,14 +331,14 @@ class VictoriaParkLog:
     def _step(
         self, motion: tuple[FloatArray, FloatArray], seen: dict[int, tuple[FloatArray, FloatArray]]
     ) -> LandmarkStep:
-        """The step of an increment, and of the landmarks seen after it, each with its covariance."""
+        """Return the step of an increment, and of the landmarks seen after it, each with its covariance."""
         values = np.array([value for value, _ in seen.values()]).reshape(-1, 2)
         covariances = np.array([covariance for _, covariance in seen.values()]).reshape(-1, 2, 2)
         observations = LandmarkObservations.of(values, list(seen), covariances)
         return self.statistics.count(LandmarkStep(self.statistics.steps * _SECOND_NS, *motion, observations))
 
     def _rows(self) -> Iterator[tuple[int, str, list[int], tuple[FloatArray, FloatArray]]]:
-        """Number, tag, two ids, and measurement (3,) or (2,) with covariance of each line."""
+        """Yield number, tag, two ids, and measurement (3,) or (2,) with covariance of each line."""
         for line, text in read_numbered_lines(self.path):
             tag = text.split(None, 1)[0]
             if tag not in _PARK_COLUMNS:
@@ -389,7 +389,7 @@ def open_landmark_log(path: str | Path) -> LandmarkLog:
 
 
 def open_landmark_log_if_path(log: str | Path | LandmarkLog) -> LandmarkLog:
-    """Open the log at a path, and give one that is open as it is; raises ArgumentError for what is neither."""
+    """Open the log at a path, or return an open one; raises ArgumentError for other values."""
     if isinstance(log, str | Path):
         return open_landmark_log(log)
     if not isinstance(log, LandmarkLog):

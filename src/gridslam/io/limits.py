@@ -37,7 +37,7 @@ _max_memory = ContextVar("max_memory", default=DEFAULT_MEMORY_BYTES)
 
 
 def max_memory_bytes() -> int:
-    """What a reader may hold in memory of one file."""
+    """Return the limit of the memory that a reader uses for one file."""
     return _max_memory.get()
 
 
@@ -57,7 +57,7 @@ def limit_memory(size: int) -> Iterator[None]:
 
 
 def require_memory(path: str | Path, what: str, size: int) -> None:
-    """Raise InputError, before anything is allocated, where `what` is in a file takes more memory than is allowed."""
+    """Raise InputError, before allocation, where a part of a file needs more memory than allowed."""
     if size > (most := max_memory_bytes()):
         problem = f"{what} takes {describe_bytes(size)} of memory, more than the {describe_bytes(most)} of --max-memory"
         raise InputError(path, problem)
@@ -65,7 +65,7 @@ def require_memory(path: str | Path, what: str, size: int) -> None:
 
 @final
 class UnpackingLimit:
-    """What is left of the bytes that a file may unpack to, over one pass through it.
+    """Remaining bytes that a file may unpack to, over one pass through it.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class UnpackingLimit:
 
     @property
     def problem(self) -> str:
-        """What to report where there is more."""
+        """Message for a file that unpacks to more."""
         packed = f"{describe_bytes(self._packed)} unpack to more than"
         if self.at_once < self.left:
             return f"{packed} the {describe_bytes(max_memory_bytes())} of --max-memory"
@@ -104,7 +104,7 @@ class UnpackingLimit:
 
 
 def describe_bytes(size: int) -> str:
-    """A size with its unit, such as 1.5 GB."""
+    """Return a size with its unit, such as 1.5 GB."""
     for unit, factor in (("GB", 10**9), ("MB", 10**6), ("KB", 10**3)):
         if size >= factor:
             return f"{size / factor:.3g} {unit}"

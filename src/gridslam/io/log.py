@@ -23,7 +23,7 @@ from gridslam.io.trajectories import CSV_HEADER
 __all__ = ["Log", "LogFormat", "LogOptions", "LogSource", "detect_log_format", "open_if_path", "open_log"]
 
 LogSource: TypeAlias = str | Path | Log
-"""What calls that read a log accept as one: where it is, or what `open_log` gives."""
+"""Arguments that functions accept as a log: a path, or an open log as of `open_log`."""
 
 _ALL = LogOptions()
 _LOG_FORMATS = "a CARMEN log or a CSV of scans (plain, .gz or .bz2), a ROS 1 bag, a ROS 2 bag (folder, .db3 or .mcap)"
@@ -137,7 +137,7 @@ def _has_carmen_tag(head: bytes) -> bool:
 
 
 def _first_line(head: bytes) -> str:
-    """The first line that is not blank."""
+    """Return the first line that is not blank."""
     lines = (line.strip() for line in head.decode("utf-8-sig", "replace").split("\n"))
     return next((line for line in lines if line and not line.startswith("#")), "")
 

@@ -1,4 +1,4 @@
-"""What was met while a log was read."""
+"""Statistics of reading a log."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _BY_SCAN = (
     "_last_sensor",
     "_last_place",
 )
-"""What is counted of each scan, and not of the file as a whole."""
+"""Counts of scans, as opposed to counts of the file as a whole."""
 
 
 @final
@@ -164,11 +164,11 @@ class LogStatistics:
 
     @property
     def share_read(self) -> float:
-        """How much of what is wanted of the log has been read, in [0, 1]."""
+        """Ratio of the requested part of the log that has been read, in [0, 1]."""
         return max(self.bytes_read / max(self.total_bytes, 1), self.span_read)
 
     def of_scans(self, counts: LogStatistics) -> LogStatistics:
-        """These statistics of the file, with those of the scans replaced by what `counts` has counted."""
+        """Return these statistics of the file, with those of the scans replaced by `counts`."""
         return replace(self, **{name: getattr(counts, name) for name in _BY_SCAN})
 
     def count(self, measurement: Measurement) -> None:

@@ -87,7 +87,7 @@ class MapDescription:
     remarks: tuple[str, ...] = ()
 
     def to_yaml(self) -> str:
-        """Text of the YAML file."""
+        """Return text of the YAML file."""
         plain = self.image.replace(".", "").replace("_", "").replace("-", "").isalnum()
         name = self.image if plain else "'" + self.image.replace("'", "''") + "'"
         return (
@@ -235,7 +235,7 @@ def read_map_description(path: str | Path) -> MapDescription:
 
 
 def _find_image(folder: Path, name: str, remarks: list[str]) -> str:
-    """The image as it is named; where it is not there, the one of its name beside the YAML file, with a remark.
+    """Return the image as it is named; where it is not there, the one of its name beside the YAML file, with a remark.
 
     Maps are often moved with an absolute path, one of Windows or one from the home folder in them.
     """
@@ -263,7 +263,7 @@ def _check_yaw(path: str | Path, word: str, line: int, remarks: list[str]) -> No
 
 
 def _read_fields(path: str | Path) -> _Fields:
-    """Text of each key's value as it stands there, or texts of a list; and the line."""
+    """Return text of each key's value as it stands there, or texts of a list; and the line."""
     with refuse_unreadable(path, "'key: value' in YAML"):
         tree = parse_yaml(read_text(path, _LARGEST_YAML_BYTES), as_nodes=True)
     if getattr(tree, "id", None) != "mapping":
@@ -305,7 +305,7 @@ def read_map_image(path: str | Path) -> MapImage:
 
 
 def _read_bands(path: str | Path, image: Image) -> MapImage:
-    """Brightness and opacity, some rows at a time."""
+    """Return brightness and opacity, some rows at a time."""
     width, height = image.size
     transparent = "A" in image.getbands() or "transparency" in image.info
     opaque = np.ones((height, width), np.bool_)
@@ -329,7 +329,7 @@ def _read_bands(path: str | Path, image: Image) -> MapImage:
 
 
 def _brightness(image: Image) -> tuple[NDArray[Any], int]:
-    """Brightness (H, W) from 0 to 255, and in how many pixels there are colours."""
+    """Return brightness (H, W) from 0 to 255, and in how many pixels there are colours."""
     if image.mode == "I" or image.mode.startswith("I;16"):  # Pillow would cut 16 bits off at 255
         return np.asarray(image).astype(np.float64) / 257, 0
     if image.mode in ("1", "L", "LA"):
@@ -341,7 +341,7 @@ def _brightness(image: Image) -> tuple[NDArray[Any], int]:
 def occupancy_percent(
     image: MapImage, description: MapDescription, *, strict_thresholds: bool = False
 ) -> NDArray[np.int8]:
-    """How occupied each cell is (H, W), 0 to 100, and -1 where that is unknown: the data of a ROS OccupancyGrid.
+    """Return how occupied each cell is (H, W), 0 to 100, and -1 where that is unknown: the data of a ROS OccupancyGrid.
 
     The first row is the lowest one. The rules are those of map_server and nav2:
 
@@ -377,7 +377,7 @@ def _band_percent(image: MapImage, description: MapDescription, strict_threshold
 
 
 def unknown_read_as_free(image: MapImage, description: MapDescription) -> NDArray[np.bool_]:
-    """Which pixels (H, W) savers write for unknown, but the file's thresholds, read literally, make free."""
+    """Return which pixels (H, W) savers write for unknown, but the file's thresholds, read literally, make free."""
     if description.mode != "trinary" or description.negate:
         return np.zeros(image.opaque.shape, np.bool_)
     if description.free_thresh <= (255 - _UNKNOWN) / 255:

@@ -1,4 +1,4 @@
-"""What a log yields: one laser scan and the odometry that belongs to it."""
+"""A measurement of a log: one laser scan and its odometry."""
 
 from __future__ import annotations
 

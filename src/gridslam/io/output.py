@@ -90,7 +90,7 @@ def open_for_writing(path: Path, suffix: str) -> Iterator[IO[bytes]]:
 
 @final
 class OutputFolder:
-    """The folder OUT of a run; use it as a context manager and write to what `file` gives.
+    """The folder OUT of a run; a context manager: write to the paths that `file` returns.
 
     When the context is left without an exception the files move into OUT, replacing those of the same names; other
     files in OUT stay. When an exception passes (an interrupt too), OUT is as it was before. A process that is killed
@@ -144,7 +144,7 @@ class OutputFolder:
             self._staging.remove()
 
     def file(self, name: str) -> Path:
-        """Path to write the file `name` of OUT to, within the context."""
+        """Return path to write the file `name` of OUT to, within the context."""
         if Path(name).name != name or name in ("", ".."):
             raise ArgumentError("name", "the name of a file, without a folder", name)
         assert self._staging is not None

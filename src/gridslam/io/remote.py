@@ -27,17 +27,17 @@ __all__ = [
 
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 _STATE = ("ETag", "etag", "LastModified", "mtime", "md5Hash", "crc32c", "generation", "VersionId", "content_md5")
-"""What the file systems report of a file's content beside its size, as far as they do."""
+"""Properties of a file's content, besides its size, that file systems may report."""
 _MASK: Final = "***"
 
 
 def is_url(path: str | Path) -> bool:
-    """Whether a path is a URL, such as ``s3://bucket/log.bag``."""
+    """Return whether a path is a URL, such as ``s3://bucket/log.bag``."""
     return isinstance(path, str) and _URL.match(path) is not None
 
 
 def mask_url(url: str) -> str:
-    """A URL without its credentials: user, password and the query, which holds the signature of a signed URL."""
+    """Return a URL without its credentials: user, password and the query, which holds the signature of a signed URL."""
     match = _URL.match(url)
     if match is None:
         return url
@@ -52,12 +52,12 @@ def mask_url(url: str) -> str:
 
 
 def mask_urls(text: str) -> str:
-    """A text in which URLs are without their credentials."""
+    """Return a text in which URLs are without their credentials."""
     return re.sub(_URL.pattern + r"\S+", lambda found: mask_url(found[0]), text)
 
 
 def describe_remote(url: str) -> str:
-    """What distinguishes this content of a URL from another, as far as it is known without reading it.
+    """Return properties that identify the content of a URL without reading it.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def list_files(pattern: str) -> dict[str, str]:
 
 
 def _connect(url: str) -> tuple[Any, str]:
-    """The file system of a URL, and the path in it."""
+    """Return the file system of a URL, and the path in it."""
     try:
         import fsspec  # an extra, and slow to import
     except ImportError:
@@ -172,7 +172,7 @@ def _download(system: Any, path: str, target: Path, info: dict[str, Any], url: s
 
 @contextmanager
 def _translate(url: str) -> Iterator[None]:
-    """Turn whatever the libraries raise into one line without secrets."""
+    """Convert any exception of the libraries to one line without secrets."""
     try:
         yield
     except GridslamError:
@@ -193,7 +193,7 @@ def _reason(error: BaseException, url: str) -> str:
 
 
 def _without_secrets(error: BaseException, url: str) -> str:
-    """The message of an error, in which URLs and the secrets of this one are masked."""
+    """Return the message of an error, in which URLs and the secrets of this one are masked."""
     text = mask_urls(" ".join(str(error).split()))
     for secret in sorted(_secrets(url), key=len, reverse=True):
         text = text.replace(secret, _MASK)

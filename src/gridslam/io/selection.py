@@ -1,4 +1,4 @@
-"""What every log offers, and a part of one: a time span, some of its sensors, every n-th scan, with odometry or not."""
+"""The interface of logs, and the selection of a part: time span, sensors, every n-th scan, use of the odometry."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Log(Protocol):
 
     @property
     def statistics(self) -> LogStatistics:
-        """What the latest iteration has met so far."""
+        """Statistics of the latest iteration so far."""
         ...
 
     def __iter__(self) -> Iterator[Measurement]:
@@ -46,7 +46,7 @@ class Log(Protocol):
 @checked
 @dataclass(frozen=True, slots=True)
 class LogOptions:
-    """What to read of a log, and how.
+    """The part of a log to read, and how to read it.
 
     Attributes
     ----------
@@ -97,16 +97,16 @@ class LogOptions:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> LogOptions:
-        """Options from the JSON values of `to_dict`; raises ArgumentError where a number is out of its range."""
+        """Return options from the JSON values of `to_dict`; raises ArgumentError where a number is out of its range."""
         return cls(**{**values, "scan_topics": tuple(values["scan_topics"])})
 
     def to_dict(self) -> dict[str, Any]:
-        """All options as JSON values."""
+        """Return all options as JSON values."""
         return {**asdict(self), "scan_topics": list(self.scan_topics)}
 
 
 def select(log: Log, options: LogOptions) -> Log:
-    """The part of a log that is asked for; the log itself where that is all of it."""
+    """Return the part of a log that is asked for; the log itself where that is all of it."""
     part = options.scan_topics or options.no_odometry or options.start_s or options.duration_s or options.every > 1
     return SelectedLog(log, options) if part else log
 
@@ -176,7 +176,7 @@ class SelectedLog:
             raise InputError(self.path, f"expected scans {span}: the log lasts {self._log.statistics.duration_s:.1f} s")
 
     def _in_span(self, counts: LogStatistics) -> Iterator[Measurement]:
-        """Measurements of the chosen span of time."""
+        """Yield measurements of the chosen span of time."""
         start_ns = round(self._options.start_s * 1e9)
         duration_s = self._options.duration_s
         length_ns = math.inf if duration_s is None else max(1, round(duration_s * 1e9))
@@ -189,7 +189,7 @@ class SelectedLog:
             yield measurement
 
     def _selection(self) -> dict[str, Any]:
-        """The options that leave something out."""
+        """Return the options that leave something out."""
         values = {name: getattr(self._options, name) for name in _CHOOSING}
         return {name: value for name, value in values.items() if value != getattr(LogOptions(), name)}
 

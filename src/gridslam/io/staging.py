@@ -55,7 +55,7 @@ class StagingFolder:
     """
 
     def __init__(self, parent: Path, name: str, target: Path | None = None) -> None:
-        """Remove what was left, and create the folder."""
+        """Remove abandoned files, and create the folder."""
         for left in parent.glob(f".{_escape(name)}.????????.partial"):
             _remove_unless_locked(left, target)
         while True:
@@ -81,7 +81,7 @@ class StagingFolder:
 
 
 def remove_abandoned(folder: Path) -> None:
-    """Remove from a folder what killed processes have left half written, whatever files it was to become."""
+    """Remove half-written files of killed processes from a folder."""
     for left in folder.iterdir():
         if _PARTIAL.fullmatch(left.name):
             _remove_unless_locked(left, None)
@@ -152,5 +152,5 @@ def _remove_unless_locked(left: Path, target: Path | None) -> None:
 
 
 def _escape(name: str) -> str:
-    """Escape what has a meaning in a pattern."""
+    """Escape the special characters of a pattern."""
     return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in name)

@@ -55,7 +55,7 @@ class Table(NamedTuple):
 
 
 def parse_stamp_ns(text: str) -> int:
-    """Nanoseconds of a decimal number of seconds, exactly; raises ValueError, with what was expected."""
+    """Convert a decimal number of seconds to nanoseconds, exactly; raises ValueError, with the expected form."""
     seconds, _, fraction = text.partition(".")
     if seconds.isdecimal() and fraction.isdecimal() and len(seconds) <= 10 and len(fraction) <= 9:  # the usual form
         stamp_ns = int(seconds) * 10**9 + int(fraction.ljust(9, "0"))
@@ -78,7 +78,7 @@ def format_stamp_ns(stamp_ns: int, decimals: int = 6) -> str:
 
 
 def parse_whole_ns(text: str) -> int:
-    """A stamp that is written in whole nanoseconds; raises ValueError, with what was expected."""
+    """Convert a stamp that is written in whole nanoseconds; raises ValueError, with the expected form."""
     if text.strip().isdecimal() and len(text) <= 20 and int(text) < _STAMPS_NS[1]:
         return int(text)
     raise ValueError(f"expected a stamp in whole nanoseconds that fits 64 bits, got {text!r:.60}")

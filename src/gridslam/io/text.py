@@ -116,7 +116,7 @@ def _open_at_once(path: str, flags: int) -> int:
 
 @contextmanager
 def refuse_unreadable(path: str | Path, expected: str) -> Iterator[None]:
-    """Raise InputError, which names the file, for whatever a parser comes across within the context.
+    """Convert any exception of a parser within the context to an InputError that names the file.
 
     Parsers raise errors of any type on damaged or hostile content: by this, all of them become the one line that a user
     gets. Where an error knows its line as `line` or `lineno`, from 1, the line is named, too.
@@ -143,7 +143,7 @@ def read_text(path: str | Path, most: int = _LARGEST_TEXT_BYTES) -> str:
 
 
 def parse_json(text: str, *, odd_names: bool = False) -> Any:  # noqa: ANN401
-    """Read JSON; raises an error of any kind where the text is none, or holds what `require_plain` refuses."""
+    """Read JSON; raises an error of any kind for invalid text, or for values that `require_plain` rejects."""
     document = json.loads(text)
     require_plain(document, odd_names=odd_names)
     return document
@@ -160,7 +160,7 @@ def read_json(path: str | Path) -> dict[str, Any]:
 
 
 def read_head(path: str | Path, size: int) -> bytes:
-    """First bytes of a file, decompressed; fewer than `size` where it is shorter, cut off or damaged."""
+    """Return first bytes of a file, decompressed; fewer than `size` where it is shorter, cut off or damaged."""
     head = b""
     with open_for_reading(path) as file, _decompressed(file) as stream:
         try:
@@ -172,7 +172,7 @@ def read_head(path: str | Path, size: int) -> bytes:
 
 
 def compute_digest(path: str | Path) -> str:
-    """SHA-256, in hexadecimal, of a file's bytes as they stand on disk, or of what a folder holds.
+    """Compute the SHA-256, in hexadecimal, of the bytes of a file on disk, or of the content of a folder.
 
     Of a folder it is the SHA-256 of lines `<SHA-256 of the file>  <path in the folder>`, as `sha256sum` writes them,
     one for each file below it that is not empty, sorted by path: where the folder stands does not matter. Raises
@@ -193,7 +193,7 @@ def compute_digest(path: str | Path) -> str:
 
 
 def measure_size(path: Path) -> int:
-    """Bytes of a file, or of all files in a folder; raises InputError if it is absent."""
+    """Return bytes of a file, or of all files in a folder; raises InputError if it is absent."""
     try:
         files = path.rglob("*") if path.is_dir() else [path]
         return sum(file.stat().st_size for file in files if not file.is_dir())
@@ -220,7 +220,7 @@ def read_numbered_lines(path: str | Path, *, with_comments: bool = False) -> Ite
 
 
 def _find_compression(file: IO[bytes]) -> str:
-    """Return "bz2", "gzip" or "" by the first bytes of a file, whatever its name; it stands at its begin then."""
+    """Return "bz2", "gzip" or "" by the first bytes of a file, independent of its name; the file is rewound."""
     magic = file.read(3)
     file.seek(0)
     return "bz2" if magic == b"BZh" else "gzip" if magic[:2] == b"\x1f\x8b" else ""

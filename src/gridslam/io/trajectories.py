@@ -100,7 +100,7 @@ def read_trajectory(path: str | Path, stamps_ns: IntArray | None = None) -> Traj
 
 
 def _is_ns(stamp: str) -> bool:
-    """Whether a stamp is one in ns."""
+    """Return whether a stamp is one in ns."""
     return stamp.isdecimal() and len(stamp) >= _DIGITS_OF_NS
 
 
@@ -154,7 +154,7 @@ def _of_quaternions(path: str | Path, table: Table) -> Trajectory:
 
 
 def write_trajectory_csv(path: str | Path, trajectory: Trajectory, covariances: FloatArray) -> None:
-    """Write a trajectory, in its own order, and what is known of each pose; the first line is `CSV_HEADER`.
+    """Write a trajectory, in its own order, with the data of each pose; the first line is `CSV_HEADER`.
 
     Stamps are exact to the nanosecond, poses have nine decimals, covariances nine significant digits.
 

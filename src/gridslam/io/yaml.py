@@ -17,13 +17,13 @@ class YamlError(ValueError):
     """A text is no YAML; `line` is where, from 1, or None."""
 
     def __init__(self, problem: str, line: int | None) -> None:
-        """State what is wrong, and where."""
+        """State the fault and its position."""
         super().__init__(problem)
         self.line = line
 
 
 def parse_yaml(text: str, *, as_nodes: bool = False) -> Any:  # noqa: ANN401
-    """Numbers, texts, lists and dicts of a text; or nodes (of `ruamel.yaml.nodes`), which know what stands where.
+    """Parse YAML to numbers, texts, lists and dicts, or to nodes (of `ruamel.yaml.nodes`) with their positions.
 
     Keys of dicts are texts as they stand there, as in ROS: `y` is a coordinate, though the value `y` is true.
 

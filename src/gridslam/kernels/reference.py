@@ -1,4 +1,4 @@
-"""The NumPy twins of the compiled kernels: what each computes, readable; the oracle of their tests, and the fallback.
+"""The NumPy twins of the compiled kernels: readable, the oracle of their tests, and the fallback.
 
 All functions but `max_pyramid`, `correlate` and `sum_at_ends`, which work on what they are given, `parse_numbers`,
 `format_rows` and those of landmarks work on maps of one layout, five arguments that always come first:

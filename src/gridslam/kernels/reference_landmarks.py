@@ -137,7 +137,7 @@ def draw_gaussians(means: FloatArray, covariances: FloatArray, numbers: FloatArr
 def _measure(
     sensor: int, dx: FloatArray, dy: FloatArray, theta: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """h (R, 2) of what lies at (dx, dy), its Jacobians by the landmark (R, 2, 2), and by the heading (R, 2)."""
+    """Return h (R, 2) of points at (dx, dy), its Jacobians by the landmark (R, 2, 2), and by the heading (R, 2)."""
     c, s = np.cos(theta), np.sin(theta)
     ahead, left = c * dx + s * dy, c * dy - s * dx
     if sensor == RELATIVE_POSITION:

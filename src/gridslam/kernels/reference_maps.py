@@ -28,13 +28,13 @@ MOST_BEAM_CELLS = 21_000
 """Cells from the robot to the end of a beam, 1050 m in cells of 5 cm: with them all around, a scan spans 2^31 cells."""
 
 OUTSIDE = -1
-"""The tables do not hold what a scan may write to."""
+"""Return code: the tables do not cover the cells that a scan may write to."""
 
 NO_ROOM = -2
 """A scan crosses more tiles than there is room for."""
 
 Updated: TypeAlias = tuple[int, int, int, Int32Array, Int32Array]
-"""What `update` returns."""
+"""The result of `update`."""
 
 
 def update(
@@ -121,7 +121,7 @@ def update(
 
 
 def begin_update(*arguments: Any) -> Updated | None:  # noqa: ANN401 (those of `update`)
-    """Begin what `update` does, in the background; None where it cannot be known at once that the maps hold the scan.
+    """Begin `update` in the background; return None where it is not known at once that the maps cover the scan.
 
     Here it is done at once. What it reads and writes must be left alone until `end_update`.
     """
@@ -130,7 +130,7 @@ def begin_update(*arguments: Any) -> Updated | None:  # noqa: ANN401 (those of `
 
 
 def end_update(begun: Updated) -> Updated:
-    """Help to do what was begun, wait for it, and give what `update` returns."""
+    """Help with the pending update, wait for it, and return the result of `update`."""
     return begun
 
 
@@ -143,7 +143,7 @@ def _covers(
     resolution: float,
     margin_m: float,
 ) -> bool:
-    """Whether tables of this shape hold whatever the scan can write to; what is not finite is held by none."""
+    """Return whether tables of this shape cover all cells that the scan can write to; False if not finite."""
     reach_m = math.sqrt((ends**2).sum(axis=1).max(initial=float(origin @ origin)))
     if not (reach_m <= MOST_BEAM_CELLS * resolution * (1 + 1e-9) and np.isfinite(poses).all()):
         return False

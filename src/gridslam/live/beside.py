@@ -1,4 +1,4 @@
-"""What a finished run is compared with: another map, another trajectory, or the truth."""
+"""The reference shown beside a finished run: another map, another trajectory, or the truth."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TRUTH = "truth.tum"
 
 @final
 class Beside(NamedTuple):
-    """What is shown beside a run, in its map frame.
+    """The reference that is shown beside a run, in its map frame.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ NOTHING = Beside("truth", NO_POINTS, None)
 
 
 def read_beside(out: Path, other: Path | None, trajectory: Trajectory | None) -> Beside:
-    """Read what a run is compared with.
+    """Read the reference of a run.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Connections of the page's server: how many there are, and what each of them takes of memory and time."""
+"""Connections of the page's server: their number, and the memory and time of each."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def find_max_connections() -> int:
 
 
 async def drop_stalled(connections: Collection[Any]) -> None:
-    """End connections whose other end takes nothing of what waits for it, again and again."""
+    """Periodically end connections whose peer receives none of its pending data."""
     waiting: dict[Any, tuple[int, int]] = {}
     while True:
         await asyncio.sleep(_STALL_S)
@@ -51,7 +51,7 @@ class _Drained:
     drained = 0
 
     def resume_writing(self) -> None:
-        """Go on, when nothing waits any more."""
+        """Resume when no data are pending."""
         self.drained += 1
         super().resume_writing()  # type: ignore[misc]
 
@@ -87,7 +87,7 @@ class LimitedSocket(_Drained, WebSocketsSansIOProtocol):
     """A viewer's socket, which a visitor who sends and never reads cannot make grow."""
 
     def data_received(self, data: bytes) -> None:
-        """Take what came; a request that is none of a socket, which always comes as a whole, is refused."""
+        """Receive data; refuse a request that is not of a socket, which always comes as a whole."""
         super().data_received(data)
         if not self.handshake_initiated:
             self.transport.write(_NO_HANDSHAKE)

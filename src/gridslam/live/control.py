@@ -136,7 +136,7 @@ class Control:
 
 @final
 class RobotCommands(NamedTuple):
-    """What viewers may make a robot's filter do; None for each that it does not offer.
+    """Commands of viewers to a robot's filter; None for each that it does not offer.
 
     Attributes
     ----------
@@ -167,7 +167,7 @@ NO_COMMANDS = RobotCommands()
 
 @final
 class RobotControl:
-    """What viewers can do with a live robot, whose scans can be dropped but not delayed.
+    """Control of a live robot by viewers: scans can be dropped but not delayed.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ class RobotControl:
         self._saving = threading.Lock()
 
     def execute(self, command: Mapping[str, Any], answer: Callable[[str], None]) -> None:
-        """Execute a viewer's command; `answer` gets what came of it, also from another thread.
+        """Execute a viewer's command; `answer` receives the outcome, also from another thread.
 
         Raises ArgumentError, KeyError, TypeError or ValueError if this is no command that is offered.
         """

@@ -1,4 +1,4 @@
-"""What visitors can save: the map, the trajectory, and what a later run needs to go on."""
+"""Downloads of visitors: the map, the trajectory, and the session that a later run can continue."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _REFUSED = "this needs the token of the page"
 
 
 class DownloadableContent(Protocol):
-    """What there is to save; used by the thread of the page's content only."""
+    """The downloadable files; used by the thread of the page's content only."""
 
     def find_channel(self, channel: int) -> int:
         """Return the channel whose files are given for this one: of all that there are not the same."""
@@ -43,7 +43,7 @@ class DownloadableContent(Protocol):
         """Return the trajectory of a channel; None if there is none."""
 
     def open_session(self) -> IO[bytes] | None:
-        """Open the file from which a later run goes on; None if there is none; raises InputError if it is gone."""
+        """Open the session file that a later run can continue, or return None; raises InputError if it is gone."""
 
 
 def make_download_routes(

@@ -29,7 +29,7 @@ _WRITERS = "gridslam map, localize, grid or landmarks"
 
 
 def read_results(out: Path) -> tuple[Results, str]:
-    """Return the results in the folder that a command wrote, and the name of what they are of.
+    """Return the results in the folder of a command, and their name.
 
     Raises
     ------

@@ -43,7 +43,7 @@ _UNKNOWN_TILE = bytes(TILE_BYTES)
 
 @final
 class Moment(NamedTuple):
-    """A run after one of its key scans, by what has changed since the moment before.
+    """A run after one of its key scans, as changes since the moment before.
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ class History:
             self.moments = [*self._join_moments()]
 
     def _join_moments(self) -> Iterator[Moment]:
-        """Yield the first moment, and those at multiples of the interval with what lies between them."""
+        """Yield the first moment, and those at multiples of the interval with all changes between them."""
         first, *others = self.moments
         yield first
         begun: Moment | None = None
@@ -184,7 +184,7 @@ class History:
 
 
 def _join(one: Moment, other: Moment) -> Moment:
-    """Return the second of two moments, with what changed at both of them."""
+    """Return the second of two moments, with the changes of both."""
     if other.first >= one.first:
         first = one.first
         path = np.concatenate([one.path[: other.first - one.first], other.path])
@@ -237,7 +237,7 @@ class PastMaps:
 
 @final
 class PastReplica:
-    """What a viewer sees of past maps; each change of a tile gets the next sequence number, as in a `TileReplica`."""
+    """The past maps that a viewer sees; each change of a tile gets the next sequence number, as in a `TileReplica`."""
 
     def __init__(self) -> None:
         """Start with an empty map."""
@@ -280,7 +280,7 @@ def count_common(a: Float32Array, b: Float32Array) -> int:
 
 
 def round_scan(ends: FloatArray | Float32Array) -> NDArray[np.int16]:
-    """Round end points (K, 2), m, to `SCAN_UNIT_M`; what is beyond 327 m is left out."""
+    """Round end points (K, 2), m, to `SCAN_UNIT_M`; points beyond 327 m are left out."""
     steps = np.rint(ends / SCAN_UNIT_M)
     near = (np.abs(steps) < np.iinfo(np.int16).max).all(axis=1)
     rounded: NDArray[np.int16] = steps[near].astype(np.int16)

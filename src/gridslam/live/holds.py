@@ -27,7 +27,7 @@ class Holds:
         self._speed_setter: object = None
 
     def pause(self, viewer: object) -> None:
-        """Pause until a viewer resumes, or all who paused are gone; what another paused before stays paused."""
+        """Pause until a viewer resumes, or all who paused are gone; pauses of other viewers remain."""
         self._add(viewer)
         self._control.pause()
 
@@ -37,7 +37,7 @@ class Holds:
         self._control.step(to_key_scan=to_key_scan)
 
     def resume(self) -> None:
-        """End the pause, whoever wanted it."""
+        """End all pauses."""
         self._holders.clear()
         self._control.resume()
 
@@ -47,7 +47,7 @@ class Holds:
         self._speed_setter = viewer
 
     def release(self, viewer: object) -> None:
-        """End what a viewer wanted that is gone."""
+        """End the pause and the speed of a viewer that is gone."""
         if viewer in self._holders:
             self._holders.remove(viewer)
             if not self._holders:

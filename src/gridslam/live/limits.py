@@ -1,4 +1,4 @@
-"""Limits of what visitors take: computing time and files, so that none of them holds a run up."""
+"""Limits of visitors' computing time and files, so that none of them delays a run."""
 
 from __future__ import annotations
 

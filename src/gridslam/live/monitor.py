@@ -1,4 +1,4 @@
-"""Monitors of filters: they collect what the page shows, in the filter's thread; the server's thread renders it.
+"""Monitors of filters: they collect the page's data in the filter's thread; the server's thread renders it.
 
 SLAM and localization send the same data to the page; what one of them does not have (pasts, closures, maps of its own)
 is empty there.
@@ -84,7 +84,7 @@ class ClosureCollector:
         self._seen = 0
 
     def add(self, recognized: Iterable[tuple[int, int]]) -> None:
-        """Add what was recognized at a scan: the older and the later key scan of each."""
+        """Add closures recognized at a scan: the older and the later key scan of each."""
         self._recognized += recognized
 
     def find(self, state: GridFastSlamState) -> tuple[IntArray, int]:
@@ -185,7 +185,7 @@ class MappingMonitor:
         return StateView(maps, rows, state.maps.resolution_m, status, make_frame)
 
     def find_again(self, state: GridFastSlamState) -> dict[str, Any]:
-        """Whether the robot is looked for in the map of earlier drives ("searches"), and where it was "found".
+        """Return whether the robot is looked for in the map of earlier drives ("searches"), and where it was "found".
 
         That is the key scan at which it was certain: its pose [x, y, theta], and how far the robot had driven then, m.
         """
@@ -279,7 +279,7 @@ class LocalizationMonitor:
 
 
 FilterMonitor: TypeAlias = MappingMonitor | LocalizationMonitor
-"""Collects what changes from a filter's reports and states; used by the filter's thread only."""
+"""Collects changes from a filter's reports and states; used by the filter's thread only."""
 
 
 def _find_children(line: IntArray, parents: IntArray) -> IntArray:

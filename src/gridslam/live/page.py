@@ -119,11 +119,11 @@ class LivePage:
         self._server.call(self._run.finish, grid, poses, closures)
 
     def offer_session(self, path: Path) -> None:
-        """Let viewers save the file from which a later run goes on."""
+        """Let viewers download the session file that a later run can continue."""
         self._server.call(self._run.offer_session, path)
 
     def show_session(self, name: str, drives: Sequence[str]) -> None:
-        """Show which session goes on: the name of its file, and of the drives in it."""
+        """Show the session that the run continues: the name of its file, and its drives."""
         self._server.call(self._run.show_session, name, drives)
 
     def wait_for_viewer(self, timeout_s: float) -> bool:

@@ -49,7 +49,7 @@ _HIGHEST = _LOWEST + 15 * _STEP - 1  # of level 15
 
 
 def levels(log_odds: NDArray[np.int16]) -> NDArray[np.uint8]:
-    """Levels (...) of stored log-odds (...), 0 to 15."""
+    """Return levels (...) of stored log-odds (...), 0 to 15."""
     found = np.clip(log_odds, np.int16(_LOWEST), np.int16(_HIGHEST))
     found -= np.int16(_LOWEST - _STEP)
     found //= np.int16(_STEP)
@@ -58,7 +58,7 @@ def levels(log_odds: NDArray[np.int16]) -> NDArray[np.uint8]:
 
 
 def pack_tiles(tiles: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Levels (K, 32, 32) as (K, 512) bytes: of two neighbours in a row the first is in the lower four bits."""
+    """Return levels (K, 32, 32) as (K, 512) bytes: of two neighbours in a row the first is in the lower four bits."""
     pairs = np.ascontiguousarray(tiles).reshape(len(tiles), TILE * TILE).view("<u2")
     both: NDArray[np.uint8] = (pairs | pairs >> np.uint16(4)).astype(np.uint8)
     return both

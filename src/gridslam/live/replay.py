@@ -98,7 +98,7 @@ class Replay:
         return self.results.trajectory
 
     def open_session(self) -> IO[bytes] | None:
-        """Open the newest file of the folder from which a later run goes on; None if there is none."""
+        """Open the newest session file of the folder; return None without one."""
         if self._session is None:
             return None
         with stay_below(self._out):
@@ -190,7 +190,7 @@ class ReplayViewer:
         self._find_selected_path()
 
     def _look(self) -> None:
-        """Find what there is to see, as it was then; of a map its final form in the end."""
+        """Build the scene of a moment; of a map the final form at the end."""
         at = self._at
         self._frame = self._results.frame(at)
         is_map = isinstance(self._results, MappedRun)

@@ -151,7 +151,7 @@ class MappedRun:
         return max(int(np.searchsorted(self._scan_times_s, time_s, "right")) - 1, 0)
 
     def status(self, at: int, time_s: float) -> dict[str, Any]:
-        """Values at a time at or after a key scan."""
+        """Return values at a time at or after a key scan."""
         record = self._record
         scan = self._find_scan(time_s)
         return {
@@ -232,7 +232,7 @@ class TrajectoryRun:
         return Frame(self.path[: at + 1])
 
     def status(self, at: int, time_s: float) -> dict[str, Any]:
-        """Values at a pose."""
+        """Return values at a pose."""
         values = {"pose": self._poses[at].tolist(), "covariance": self._covariances[at].tolist()}
         if self._belief is None:
             return {**values, "keys": at + 1, "landmarks": len(self.landmarks)}
@@ -313,5 +313,5 @@ series, landmarks
 
 
 def _elapsed(stamps_ns: IntArray, first_ns: int) -> FloatArray:
-    """Seconds since the first stamp, never going back."""
+    """Return seconds since the first stamp, never going back."""
     return np.maximum.accumulate((stamps_ns - first_ns) * 1e-9)

@@ -139,7 +139,7 @@ class LiveRun:
         self.notify_viewers()
 
     def answer(self, text: str) -> None:
-        """Show all viewers what came of a command for the robot; thread-safe."""
+        """Show the outcome of a robot command to all viewers; thread-safe."""
         self._answer = text
 
     def add_viewer(self, notify: Callable[[], None]) -> LiveViewer:
@@ -181,25 +181,25 @@ class LiveRun:
         return Trajectory(stamps_ns[known], poses[: len(stamps_ns)][known]) if known.any() else None
 
     def open_session(self) -> IO[bytes] | None:
-        """Open the file from which a later run goes on; None if this one offers none."""
+        """Open the session file that a later run can continue; return None if this one offers none."""
         return None if self._session is None else open_for_reading(self._session)
 
     def offer_session(self, path: Path) -> None:
-        """Let viewers save the file from which a later run goes on."""
+        """Let viewers download the session file that a later run can continue."""
         if self._session != path:
             self._session = path
             self._run_info = self._add_session(self._run_info)
             self.notify_viewers()
 
     def show_session(self, name: str, drives: Sequence[str]) -> None:
-        """Show which session goes on: the name of its file, and of the drives in it."""
+        """Show the session that the run continues: the name of its file, and its drives."""
         goes_on = {"name": name, "drives": list(drives)}
         if goes_on != self._goes_on:
             self._goes_on = goes_on
             self.notify_viewers()
 
     def _add_session(self, run_info: dict[str, Any]) -> dict[str, Any]:
-        """Add the session to what there is to save, if it is offered."""
+        """Add the session to the downloads, if it is offered."""
         return run_info if self._session is None else {**run_info, "layers": (*run_info["layers"], "session")}
 
     def open_channel(self, particle: int) -> int:
@@ -373,7 +373,7 @@ class LiveViewer:
         self._at = None
 
     def _seek(self, at: int) -> None:
-        """Look at the run as it was after a key scan, counted from 0; at the newest one at what comes, too."""
+        """Show the run after a key scan, counted from 0; at the newest one follow the run."""
         self._at = None if at >= self._run.keys - 1 else max(at, 0)
         if self._at is not None:
             self._reader = self._run.find_reader(self._reader)

@@ -163,13 +163,13 @@ def make_run_info(
 
 
 def finite_or_none(value: float) -> float | None:
-    """The value, or None if JSON cannot represent it."""
+    """Return the value, or None if JSON cannot represent it."""
     return value if math.isfinite(value) else None
 
 
 @final
 class SentState:
-    """What a viewer has received; `next_message` encodes the rest."""
+    """The data that a viewer has received; `next_message` encodes the rest."""
 
     __slots__ = ("_arrays", "_numbers", "_replicas", "_rows", "_run_info", "_status")
 
@@ -217,7 +217,7 @@ class SentState:
         return encode(header, arrays) if header or arrays else None
 
     def _add_rows(self, name: str, rows: Float32Array, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-        """Add what follows the first rows, which the viewer has."""
+        """Add the rows after those that the viewer has."""
         before = self._rows[name]
         first = count_common(before, rows)
         if first < max(len(before), len(rows)):

@@ -175,19 +175,19 @@ async def _cancel_tasks() -> None:
 
 
 def _ignore_connections(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Report what failed, but for connections: they come and go."""
+    """Report failures, except of connections."""
     if not isinstance(context.get("exception"), OSError):
         loop.default_exception_handler(context)
 
 
 def _raise_again(call: Future[None]) -> None:
-    """Let what failed in the content's thread be reported."""
+    """Raise failures of the content's thread, so that they are reported."""
     if not call.cancelled():
         call.result()
 
 
 def _make_application(content: PageContent, host: str, token: str | None, share: float, thread: PacedThread) -> ASGIApp:
-    """The page of a show, for everyone who has the token; without one for requests to this very host alone."""
+    """Return the page of a show, for everyone who has the token; without one for requests to this very host alone."""
     joining = asyncio.Lock()
     viewers = asyncio.BoundedSemaphore(max(LimitedConnection.most // 2, 1))
 

@@ -39,7 +39,7 @@ class Viewer(Protocol):
         """Execute a command; raises ArgumentError, KeyError, TypeError or ValueError if it is invalid."""
 
     def close(self) -> None:
-        """Remove the viewer, and end what it has asked of all."""
+        """Remove the viewer, and end its pause and speed."""
 
 
 async def serve_viewer(line: ViewerLine) -> None:
@@ -69,7 +69,7 @@ async def serve_viewer(line: ViewerLine) -> None:
 
 @final
 class ViewerLine:
-    """What goes to and fro between the server and one viewer.
+    """Messages between the server and one viewer.
 
     Of the commands of each kind that come before the last ones are done the newest is executed, and the others never
     are: who asks for a hundred moments of the past in a second wants to see the last of them.
@@ -147,7 +147,7 @@ class ViewerLine:
         return self._added.result()
 
     def _notify(self) -> None:
-        """Look for what is new; called in the content's thread."""
+        """Check for new data; called in the content's thread."""
         with suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(self._changed.set)
 
@@ -172,7 +172,7 @@ class ViewerLine:
             await asyncio.sleep(due - clock())
 
     async def _next_message(self) -> bytes:
-        """The data that the viewer lacks, or an empty heartbeat."""
+        """Return the data that the viewer lacks, or an empty heartbeat."""
         clock = asyncio.get_running_loop().time
         due = clock() + _HEARTBEAT_S
         while True:

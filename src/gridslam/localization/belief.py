@@ -83,7 +83,7 @@ def estimate_pose(poses: FloatArray, weights: FloatArray) -> PoseEstimate:
 
 
 def cluster_bins(x: FloatArray, y: FloatArray, theta: FloatArray) -> IntArray:
-    """Number (N,) of the bin that each pose is in; bins are as wide as a cluster, and numbered in order."""
+    """Return number (N,) of the bin that each pose is in; bins are as wide as a cluster, and numbered in order."""
     sides = (2 * CLUSTER_RADIUS_M, 2 * CLUSTER_RADIUS_M, 2 * CLUSTER_RADIUS_RAD)
     if all(np.ptp(values) < side for values, side in zip((x, y, theta), sides, strict=True)):
         return np.zeros(len(x), np.int64)
@@ -98,18 +98,18 @@ def cluster_bins(x: FloatArray, y: FloatArray, theta: FloatArray) -> IntArray:
 
 
 def is_in_cluster(poses: FloatArray, centre: FloatArray) -> NDArray[np.bool_]:
-    """Which of poses (N, 3) are as near to a centre (3,) as belongs to one cluster."""
+    """Return which of poses (N, 3) are as near to a centre (3,) as belongs to one cluster."""
     x, y, theta = poses.T.copy()
     return _is_in_cluster(_relative_coordinates(x, y, theta, centre))
 
 
 def _is_in_cluster(away: FloatArray) -> NDArray[np.bool_]:
-    """Which of coordinates (3, N), as seen from a centre, belong to its cluster."""
+    """Return which of coordinates (3, N), as seen from a centre, belong to its cluster."""
     return np.asarray((away[0] ** 2 + away[1] ** 2 < CLUSTER_RADIUS_M**2) & (np.abs(away[2]) < CLUSTER_RADIUS_RAD))
 
 
 def _relative_coordinates(x: FloatArray, y: FloatArray, theta: FloatArray, centre: FloatArray) -> FloatArray:
-    """Coordinates (3, N) as seen from a centre (3,)."""
+    """Return coordinates (3, N) as seen from a centre (3,)."""
     turn = theta - centre[2]  # of two angles in [-pi, pi): at most one turn too far
     turn[turn >= math.pi] -= math.tau
     turn[turn < -math.pi] += math.tau
@@ -216,16 +216,16 @@ class HypothesisTracker:
         return self.without_refuted(places[1:], odds + self.evidence(agreement[1:] - agreement[0]))
 
     def evidence(self, better: FloatArray) -> FloatArray:
-        """Log-odds (K,) by a scan of which the inlier ratio is `better` (K,) than at the reported place."""
+        """Return log-odds (K,) by a scan of which the inlier ratio is `better` (K,) than at the reported place."""
         return np.asarray(self.log_odds_per_scan * np.sign(better) * np.maximum(np.abs(better) - self.margin, 0))
 
     def without_refuted(self, places: FloatArray, log_odds: FloatArray) -> PoseHypotheses:
-        """Hypotheses at places (K, 3) with limited log-odds (K,), but for those that are refuted."""
+        """Return hypotheses at places (K, 3) with limited log-odds (K,), but for those that are refuted."""
         kept = log_odds > -_REFUTED
         return PoseHypotheses(places[kept], np.minimum(log_odds[kept], _REFUTED / 2))
 
     def join(self, first: PoseHypotheses, second: PoseHypotheses, estimate: FloatArray) -> PoseHypotheses:
-        """Hypotheses of both, the more probable of two in one cluster, without those at the `estimate` (3,)."""
+        """Return hypotheses of both, the more probable of two in one cluster, without those at the `estimate` (3,)."""
         log_odds = np.append(first.log_odds, second.log_odds)
         order = np.argsort(-log_odds, kind="stable")
         return PoseHypotheses(
@@ -266,7 +266,7 @@ class HypothesisTracker:
     def refine(
         self, places: FloatArray, agree: PoseLikelihood, rng: np.random.Generator
     ) -> tuple[FloatArray, FloatArray]:
-        """The pose about each of places (K, 3) where most beams agree, and their share (K,)."""
+        """Return the pose about each of places (K, 3) where most beams agree, and their share (K,)."""
         noise = rng.standard_normal((len(places), self.jitter_samples, 3))
         noise *= [self.jitter_m, self.jitter_m, self.jitter_rad]
         noise[:, 0] = 0

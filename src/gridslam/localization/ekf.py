@@ -62,7 +62,7 @@ class KnownLandmarks:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseGaussian:
-    """The belief: a Gaussian over the pose, the systematic errors, and what the errors of a landmark have in common.
+    """The belief: a Gaussian over the pose, the systematic errors, and the correlated errors of each landmark.
 
     Attributes
     ----------

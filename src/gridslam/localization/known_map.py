@@ -107,7 +107,7 @@ class KnownMap:
             raise ArgumentError("pose", f"a place in the map, {' and '.join(sides)}", f"{place[0]:g}, {place[1]:g}")
 
     def is_free(self, poses: Poses) -> NDArray[np.bool_]:
-        """Whether each of poses (N, 3) stands on a free cell."""
+        """Return whether each of poses (N, 3) stands on a free cell."""
         standing: NDArray[np.bool_] = backend.are_true(self.free, self._origin, 1 / self.resolution_m, poses)
         return standing
 
@@ -120,7 +120,7 @@ class KnownMap:
         return spread
 
     def sample_poses(self, count: Annotated[int, Limits(0, 1 << 30)], rng: np.random.Generator) -> FloatArray:
-        """Poses (count, 3), uniform over free cells and headings."""
+        """Return poses (count, 3), uniform over free cells and headings."""
         cells = self._free_cells[rng.integers(len(self._free_cells), size=count)]
         poses = rng.random((count, 3))
         poses[:, :2] = (poses[:, :2] + cells[:, ::-1]) * self.resolution_m + self.grid.origin

@@ -60,7 +60,7 @@ class MatchCovariance:
         return np.asarray(np.linalg.inv(np.linalg.inv(belief) + information / variance))
 
     def _thin(self, pose: FloatArray, beams: Beams) -> Beams:
-        """One beam for each patch of the map."""
+        """Return one beam for each patch of the map."""
         column, row = np.floor(transform_points(pose, beams.ends) / self.patch_m).astype(np.int64).T
         first = np.unique(column * (1 << 24) + row, return_index=True)[1]
         return replace(beams, indices=beams.indices[first], ends=beams.ends[first])

@@ -166,7 +166,7 @@ class MonteCarloConfiguration:
 @checked
 @dataclass(frozen=True)
 class MonteCarloLocalization:
-    """The filter; what it knows is in the state that goes in and comes out of `step`.
+    """The filter; it has no state of its own: `step` takes a state and returns the next one.
 
     Attributes
     ----------
@@ -248,7 +248,7 @@ class MonteCarloLocalization:
         return state, report
 
     def _moved(self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan) -> FloatArray:
-        """Motion (3,) since the last update: by the odometry, unless the scans contradict it."""
+        """Return motion (3,) since the last update: by the odometry, unless the scans contradict it."""
         check = self.configuration.odometry_check
         if check is not None:
             beams = scan.beams(self.configuration.range_min_m, self.configuration.range_max_m, Thinning())
@@ -324,7 +324,7 @@ class MonteCarloLocalization:
         return self.map.match(self.configuration.matcher, guesses, self._prior(covariance), beams).poses
 
     def _prior(self, covariance: FloatArray) -> FloatArray:
-        """Information (3, 3) of a pose with this covariance (3, 3), beside residuals in m."""
+        """Return information (3, 3) of a pose with this covariance (3, 3), beside residuals in m."""
         variance = self.map.blurred_sigma_m(self.configuration.sensor.sigma_hit_m) ** 2
         return np.asarray(variance * np.linalg.inv(covariance), np.float64)
 
@@ -368,7 +368,7 @@ class MonteCarloLocalization:
         return share
 
     def _inlier_ratio(self, beams: Beams) -> PoseLikelihood:
-        """Share (N,) of the beams that agree with the map at poses (N, 3)."""
+        """Return share (N,) of the beams that agree with the map at poses (N, 3)."""
         return self.map.inlier_ratio(beams.ends)
 
     def _inject_particles(
@@ -474,7 +474,7 @@ class MonteCarloLocalization:
     def _with_lost_probability(
         self, state: MonteCarloState, pose: FloatArray, covariance: FloatArray
     ) -> tuple[FloatArray, float, bool]:
-        """Covariance, probability of being lost, and the lost flag.
+        """Return covariance, probability of being lost, and the lost flag.
 
         A lost robot may be at any of its pose hypotheses and, with the remaining probability, anywhere on the map.
         """

@@ -21,12 +21,12 @@ _LOCAL_MAPS = OccupancyGridMapping()
 """Makes the local maps of the tracker."""
 
 _TRACKED_VARIANCES = np.square([0.03, 0.03, 0.02])
-"""Of the tracked motion between two updates, in x, y and theta: half a cell, and what that is as a turn at 1.5 m."""
+"""Of the tracked motion between two updates, in x, y and theta: half a cell, and its angle at a distance of 1.5 m."""
 
 
 @final
 class TrackedMotion(NamedTuple):
-    """The tracker, and what it knew at the last update of the particles.
+    """The tracker, and its estimate at the last update of the particles.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class OdometryCheck:
     def __call__(
         self, tracked: TrackedMotion, measured: FloatArray, motion: Callable[[FloatArray], MotionSampler]
     ) -> tuple[TrackedMotion, FloatArray]:
-        """Motion (3,) since the last update: as `measured` (3,) by the odometry, or as tracked.
+        """Return motion (3,) since the last update: as `measured` (3,) by the odometry, or as tracked.
 
         Parameters
         ----------
@@ -100,7 +100,7 @@ class OdometryCheck:
     def _contradicts(
         self, found: FloatArray, measured: FloatArray, motion: Callable[[FloatArray], MotionSampler]
     ) -> bool:
-        """Whether tracked motion (3,) is improbable given what the odometry measured."""
+        """Return whether tracked motion (3,) is improbable given the odometry."""
         apart = found - measured
         apart[2] = wrap(float(apart[2]))
         if apart @ (apart / _TRACKED_VARIANCES) <= self.gate:  # so it is the more with the noise of the odometry

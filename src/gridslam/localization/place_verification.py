@@ -120,7 +120,7 @@ class PlaceVerification:
         return tracker.without_refuted(places, odds)
 
     def _search(self, known_map: KnownMap, ends: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Poses (K, 3) where most beams with these ends agree, one of each cluster, the best first."""
+        """Return poses (K, 3) where most beams with these ends agree, one of each cluster, the best first."""
         count = int(min(self.samples_per_m2 * known_map.free_area_m2, self.samples_max)) + 1
         poses = known_map.sample_poses(count, rng)
         scores = known_map.inlier_ratio(ends[::2], CauchyEndPoint(scale_m=self.scale_m, tempering=1.0))(poses)

@@ -104,7 +104,7 @@ class MonteCarloState:
     driven_since_found_m : float, m
         Path length since the reported place was found on which the odometry was not rejected; infinite if it was given.
     hypotheses : PoseHypotheses
-        Places that the particles have left, and that nothing has refuted yet.
+        Places without particles that no scan has refuted yet.
     recent : RecentScans
         The scans of the last updates, back to where a place was found among particles drawn from all over the map.
     verified : bool

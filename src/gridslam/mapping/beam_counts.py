@@ -92,18 +92,18 @@ class BeamCounts:
         return slots, (row, column)
 
     def unfold(self, slots: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Hits and misses (32 R, 32 C) of slots (R, C); both are 0 in cells that were not observed."""
+        """Return hits and misses (32 R, 32 C) of slots (R, C); both are 0 in cells that were not observed."""
         shape = tuple(TILE * side for side in slots.shape)
         hits, net = (counts[slots].swapaxes(1, 2).reshape(shape) for counts in (self._hits, self._net))
         return hits, np.maximum(hits - net, 0.0)
 
     def observed(self) -> tuple[FloatArray, FloatArray]:
-        """Hits and misses (S, 32, 32) of the S tiles that were observed; both are 0 in cells that were not."""
+        """Return hits and misses (S, 32, 32) of the S tiles that were observed; both are 0 in cells that were not."""
         hits, net = (counts[1 : len(self._slots) + 1] for counts in (self._hits, self._net))
         return hits, np.maximum(hits - net, 0.0)
 
     def _slots_of(self, tiles: IntArray) -> list[int]:
-        """Slots (K,) of tiles (K, 2) = [row, column], new ones where need be."""
+        """Return slots (K,) of tiles (K, 2) = [row, column], new ones where need be."""
         slots = [self._slots.setdefault((row, column), len(self._slots) + 1) for row, column in tiles.tolist()]
         if len(self._slots) >= _MOST_TILES:
             raise ArgumentError("poses", f"scans that observe less than {_MOST_TILES} tiles of 32 x 32 cells", "more")

@@ -94,7 +94,7 @@ class KnownPoses:
         return beams.deskew(log(between(self._interpolate(start), self._interpolate(end))) / (1e-9 * (end - start)))
 
     def _interpolate(self, stamp_ns: int) -> FloatArray:
-        """Pose (3,) at a stamp; the first or the last one beyond them."""
+        """Return pose (3,) at a stamp; the first or the last one beyond them."""
         passed_ns = stamp_ns - int(self._stamps[0])
         x, y, theta = (np.interp(passed_ns, self._passed_ns, values) for values in self._coordinates)
         return np.array([x, y, wrap(theta)])

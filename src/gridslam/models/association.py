@@ -57,7 +57,7 @@ class KnownCorrespondence:
     def __call__(
         self, observations: LandmarkObservations, names: IntArray, distances: FloatArray, log_dets: FloatArray
     ) -> IntArray:
-        """Indices (K,) of the observed landmarks among M, or `NEW`, or `AMBIGUOUS`.
+        """Return indices (K,) of the observed landmarks among M, or `NEW`, or `AMBIGUOUS`.
 
         Parameters
         ----------
@@ -116,7 +116,7 @@ class MaximumLikelihood:
     def __call__(
         self, observations: LandmarkObservations, names: IntArray, distances: FloatArray, log_dets: FloatArray
     ) -> IntArray:
-        """Indices (K,), as for `KnownCorrespondence`, estimated from the distances."""
+        """Return indices (K,), as for `KnownCorrespondence`, estimated from the distances."""
         costs = np.where(distances <= self.match_gate, distances + log_dets, math.inf)
         chosen = np.full(len(costs), NEW)
         free = np.ones(len(names), np.bool_)
@@ -191,7 +191,7 @@ class LandmarkExistence:
 
     @property
     def log_odds_missed(self) -> float:
-        """What not being seen in view adds, nats; below 0."""
+        """Log-odds of a missed detection in view, nats; below 0."""
         return math.log((1 - self.detection) / (1 - self.false_alarm))
 
     def __call__(

@@ -19,7 +19,7 @@ _REACH = 6.0  # standard deviations beyond which a Gaussian's tail, 1e-9, counts
 
 
 def _normal_cdf(scores: FloatArray | float) -> FloatArray:
-    """Standard normal distribution function, by linear interpolation in a table: within 2e-7."""
+    """Return standard normal distribution function, by linear interpolation in a table: within 2e-7."""
     return np.asarray(np.interp(scores, *_tabulate_normal_cdf()))
 
 

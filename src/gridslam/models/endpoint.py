@@ -154,7 +154,7 @@ class GMappingEndPoint:
     likelihood_gain: float = bounded(3.0, ge=1e-6, le=1e6)
 
     def _charges_m2(self, distances: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Squared distance charged to a beam for the distance (...) in m of its end to the nearest obstacle."""
+        """Return squared distance charged to a beam for the distance (...) in m of its end to the nearest obstacle."""
         near = distances <= np.float32(self.kernel_m)
         return np.where(near, np.square(distances), np.float32(self.miss_penalty_m2))
 

@@ -1,4 +1,4 @@
-"""Landmark observations, and measurement models of point landmarks: what the robot sees of one, and where one is then.
+"""Landmark observations, and measurement models of point landmarks with their inverses.
 
 A pose is (..., 3) [x m, y m, theta rad] and a landmark (..., 2) [x m, y m], both in the map frame; the leading
 dimensions of the two broadcast, so one call serves all particles and all landmarks.
@@ -151,11 +151,11 @@ class LandmarkModel(Protocol):
         ...
 
     def residual(self, measured: FloatArray, predicted: FloatArray) -> FloatArray:
-        """Difference (..., 2) of two measurements, angles in [-pi, pi)."""
+        """Return difference (..., 2) of two measurements, angles in [-pi, pi)."""
         ...
 
     def locate(self, poses: FloatArray, measured: FloatArray) -> FloatArray:
-        """Where the landmark (..., 2) is that is measured so: h^-1(x, z)."""
+        """Return where the landmark (..., 2) is that is measured so: h^-1(x, z)."""
         ...
 
     def noise(self, observations: LandmarkObservations) -> FloatArray:
@@ -346,7 +346,7 @@ def linearize_calibrated(
 def locate_calibrated(
     sensor: LandmarkModel, poses: FloatArray, measured: FloatArray, calibration: FloatArray
 ) -> FloatArray:
-    """Where the landmark (..., 2) is that is measured so by a sensor with systematic errors (..., 2)."""
+    """Return where the landmark (..., 2) is that is measured so by a sensor with systematic errors (..., 2)."""
     ahead = np.stack([np.cos(poses[..., 2]), np.sin(poses[..., 2])], axis=-1)
     at = poses[..., :2] + calibration[..., :1] * ahead
     sensors = np.concatenate([at, poses[..., 2:]], axis=-1)
@@ -373,7 +373,7 @@ def _bearing(dx: FloatArray, dy: FloatArray, poses: FloatArray) -> FloatArray:
 
 
 def _with_bearing(dx: FloatArray, dy: FloatArray, by_pose: _Row, by_landmark: _Row) -> tuple[FloatArray, FloatArray]:
-    """Jacobians of two numbers of which the second is the bearing, from the rows of the first."""
+    """Return Jacobians of two numbers of which the second is the bearing, from the rows of the first."""
     square = dx * dx + dy * dy
     x = dx / square
     y = dy / square

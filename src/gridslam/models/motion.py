@@ -70,14 +70,14 @@ class GaussianIncrement:
 
     @classmethod
     def from_std(cls, increment: Annotated[FloatArray, 3], std: Annotated[FloatArray, 3]) -> GaussianIncrement:
-        """Sampler with noise `std` (3,) directly on x, y (m) and theta (rad) of `increment` (3,)."""
+        """Return sampler with noise `std` (3,) directly on x, y (m) and theta (rad) of `increment` (3,)."""
         return cls(increment, std, increment, _IDENTITY)
 
     @classmethod
     def with_covariance(
         cls, increment: Annotated[FloatArray, 3], covariance: Annotated[FloatArray, 3, 3]
     ) -> GaussianIncrement:
-        """Sampler with noise of a `covariance` (3, 3), by x, y (m) and theta (rad) of `increment` (3,)."""
+        """Return sampler with noise of a `covariance` (3, 3), by x, y (m) and theta (rad) of `increment` (3,)."""
         variances, axes = np.linalg.eigh(covariance)
         std = np.sqrt(np.maximum(variances, 0.0))
         return cls(np.zeros(3), std, increment, axes, lambda values: increment + values @ axes.T)

@@ -78,7 +78,7 @@ class SystematicErrors:
         return np.asarray(errors @ self._of_sensor)
 
     def by_calibration(self, derivative: FloatArray) -> FloatArray:
-        """Derivatives (..., 2, B) by the errors, of those (..., 2, 2) by the calibration of the sensor."""
+        """Return derivatives (..., 2, B) by the errors, of those (..., 2, 2) by the calibration of the sensor."""
         of_sensor = self._of_sensor
         return np.asarray(derivative @ of_sensor.T) if len(of_sensor) else np.empty((*derivative.shape[:-1], 0))
 
@@ -125,7 +125,7 @@ class SystematicErrors:
         return moved, F, Q
 
     def by_errors(self, increments: FloatArray) -> FloatArray:
-        """Derivatives (..., 3, B) of increments (..., 3), [dx, dy, dtheta], by the errors."""
+        """Return derivatives (..., 3, B) of increments (..., 3), [dx, dy, dtheta], by the errors."""
         derivatives = np.zeros((*increments.shape, 5))
         derivatives[..., 2, 0] = increments[..., 0]
         derivatives[..., 2, 1] = increments[..., 2]

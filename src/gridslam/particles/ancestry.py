@@ -125,7 +125,7 @@ class Ancestry:
         return np.repeat(last[None], len(self), axis=0)
 
     def trajectory(self, particle: int) -> FloatArray:
-        """Poses (T, 3) of one particle at steps 0 .. T - 1, along its own past.
+        """Return poses (T, 3) of one particle at steps 0 .. T - 1, along its own past.
 
         Raises ArgumentError unless `particle` is in [0, N).
         """
@@ -135,7 +135,7 @@ class Ancestry:
         return only
 
     def newest_positions(self, particle: int, known: FloatArray) -> tuple[int, FloatArray]:
-        """Return what differs between the positions of one particle's past and an earlier answer, walking back to it.
+        """Return the positions of one particle's past that differ from an earlier answer, walking back to it.
 
         Parameters
         ----------
@@ -168,7 +168,7 @@ class Ancestry:
         return first, np.concatenate([trunk[first:], np.array(rows[::-1]).reshape(-1, 2)])
 
     def trajectories(self) -> FloatArray:
-        """Poses (N, T, 3) of all particles."""
+        """Return poses (N, T, 3) of all particles."""
         return self._trajectories(self._leaves)
 
     def snapshot(self) -> Ancestry:
@@ -217,7 +217,7 @@ class Ancestry:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Ancestry:
-        """Rebuild the state that `to_arrays` gave; it goes on exactly as the original would.
+        """Restore the state that `to_arrays` returned; later results are identical.
 
         Raises ArgumentError if the arrays are not such a state: a wrong shape or type, or a node that is nobody's past.
         """
@@ -284,7 +284,7 @@ class Ancestry:
         self._pruned -= min(lone, self._pruned)
 
     def _trajectories(self, places: IntArray) -> FloatArray:
-        """Poses (len(places), T, 3) along the pasts of nodes of the newest level."""
+        """Return poses (len(places), T, 3) along the pasts of nodes of the newest level."""
         trunk = self._trunk_poses
         past = np.empty((len(places), self.steps, self._width))
         past[:, : len(trunk)] = trunk

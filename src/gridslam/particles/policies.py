@@ -23,7 +23,7 @@ class ResamplingPolicy(Protocol):
     """Decides whether to resample now."""
 
     def __call__(self, effective_sample_size: float, count: int) -> bool:
-        """Whether `count` particles of this effective sample size, in [1, count], are to be resampled."""
+        """Return whether `count` particles of this effective sample size, in [1, count], are to be resampled."""
         ...
 
 
@@ -32,7 +32,7 @@ class UpdatePolicy(Protocol):
     """Decides whether a scan becomes a key scan, at which the particles are stepped."""
 
     def __call__(self, translation_m: float, rotation_rad: float) -> bool:
-        """Whether the motion since the last key scan (translation >= 0 in m, rotation in rad) calls for one."""
+        """Return whether the motion since the last key scan (translation >= 0 in m, rotation in rad) calls for one."""
         ...
 
 
@@ -53,7 +53,7 @@ class EffectiveSampleSizeBelow:
     fraction: float = bounded(0.5, ge=1e-12, le=1)
 
     def __call__(self, effective_sample_size: float, count: int) -> bool:
-        """Whether the effective sample size is below `fraction` * `count`."""
+        """Return whether the effective sample size is below `fraction` * `count`."""
         return effective_sample_size < self.fraction * count
 
 
@@ -100,5 +100,5 @@ class MotionThreshold:
     rotation_rad: float = bounded(0.25, ge=1e-12, le=math.inf, allow_inf_nan=True)
 
     def __call__(self, translation_m: float, rotation_rad: float) -> bool:
-        """Whether the translation (m) or the magnitude of the rotation (rad) has reached its threshold."""
+        """Return whether the translation (m) or the magnitude of the rotation (rad) has reached its threshold."""
         return translation_m >= self.translation_m or abs(rotation_rad) >= self.rotation_rad

@@ -71,7 +71,7 @@ def normalize(log_weights: FloatArray) -> FloatArray:
 
 @checked
 def effective_sample_size(log_weights: FloatArray) -> float:
-    """Effective sample size 1 / sum(w^2) of the normalized weights.
+    """Return effective sample size 1 / sum(w^2) of the normalized weights.
 
     From 1, where one particle holds all, to N, where all are equal. `log_weights` (N,) need not be normalized; raises
     as `normalize` does.
@@ -109,7 +109,7 @@ def require_log_weights(log_weights: FloatArray) -> None:
 
 
 def _exponentiate(log_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Weights relative to the greatest, and their logarithms."""
+    """Return weights relative to the greatest, and their logarithms."""
     given = np.asarray(log_weights, dtype=np.float64)
     if given.ndim != 1 or len(given) == 0:
         raise ArgumentError("log_weights", "shape (N,) with N >= 1", given.shape)
@@ -174,7 +174,7 @@ class Multinomial:
 @checked
 @parameters(frozen=True)
 class Residual:
-    """Each particle floor(size * weight) times for certain, the rest multinomially from what the floors cut off.
+    """Each particle floor(size * weight) times for certain, the rest multinomially from the remainders.
 
     Source: Liu and Chen, Sequential Monte Carlo methods for dynamic systems (1998).
     """
@@ -235,7 +235,7 @@ def _relative(weights: FloatArray, size: int, rng: np.random.Generator) -> Float
 
 
 def _slots(ends: FloatArray, points: FloatArray) -> IntArray:
-    """Slots in which ascending points lie.
+    """Return slots in which ascending points lie.
 
     Slots [end of the one before, end) are half open, so an empty one (weight 0) holds no point.
     """

@@ -7,7 +7,7 @@ buildings drawn from a seed: `random`.
 from gridslam.sim.lidar import LidarConfig
 from gridslam.sim.robot import OdometryNoise, RobotConfig
 from gridslam.sim.simulate import PeopleConfig, SimulatedLog, SimulatedStream, simulate, simulate_stream
-from gridslam.sim.world import Change, World
+from gridslam.sim.world import Change, World, vary_route
 from gridslam.sim.worlds import DRAWN_WORLDS, WORLDS, make_world
 
 __all__ = [
@@ -24,4 +24,5 @@ __all__ = [
     "make_world",
     "simulate",
     "simulate_stream",
+    "vary_route",
 ]

@@ -78,7 +78,7 @@ def wall(
 
 
 def room(x0: float, y0: float, x1: float, y1: float, **doors: Sequence[tuple[float, float]]) -> FloatArray:
-    """Four walls around an upright rectangle (centre lines, m).
+    """Return four walls around an upright rectangle (centre lines, m).
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def room(x0: float, y0: float, x1: float, y1: float, **doors: Sequence[tuple[flo
 
 
 def carve(spaces: ArrayLike) -> FloatArray:
-    """Walls (S, 4) around free space: the outline of the union of upright rectangles.
+    """Return walls (S, 4) around free space: the outline of the union of upright rectangles.
 
     Corridors, rooms, doorways through the thickness of a wall and niches are all rectangles; where they overlap or
     touch, one opens into the other. No wall is there twice, and those in one line are one.
@@ -156,7 +156,7 @@ def place(walls: FloatArray, pose: ArrayLike) -> FloatArray:
 
 
 def clearance(walls: FloatArray, points: FloatArray) -> FloatArray:
-    """Distance in m (N,) from points (N, 2) to the nearest of walls (S, 4); infinite where there are none."""
+    """Return distance in m (N,) from points (N, 2) to the nearest of walls (S, 4); infinite where there are none."""
     distances = np.full(len(points), np.inf)
     for x0, y0, x1, y1 in walls.tolist():
         dx = x1 - x0
@@ -169,7 +169,7 @@ def clearance(walls: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def near(walls: FloatArray, points: FloatArray, reach_m: float) -> FloatArray:
-    """Those of walls (S, 4), in their order, that may be within `reach_m` of one of points (N, 2).
+    """Return those of walls (S, 4), in their order, that may be within `reach_m` of one of points (N, 2).
 
     Uses upright boxes around each wall and around all points: no near wall is left out, some far ones are kept.
     """

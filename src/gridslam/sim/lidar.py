@@ -90,7 +90,7 @@ class LidarConfig:
         return self.spread(self.beams)
 
     def spread(self, beams: Annotated[int, Limits(0, 1 << 24)]) -> FloatArray:
-        """Bearings (beams,) in rad in the order in which they are measured: ascending unless `clockwise`.
+        """Return bearings (beams,) in rad in the order in which they are measured: ascending unless `clockwise`.
 
         An odd number of beams includes both ends of the field of view, an even number (and a full circle) leaves the
         last one out: the rule by which CARMEN logs, which hold no angles, are read. A single beam looks ahead.
@@ -118,12 +118,12 @@ class LidarConfig:
 
     @property
     def reach_m(self) -> float:
-        """Range in m beyond which a wall is not seen, whatever the noise: eight of its standard deviations."""
+        """Range in m beyond which no wall is seen, with eight standard deviations of noise."""
         return self.range_max_m + 8 * (self.sigma_range_m + self.sigma_range_share * self.range_max_m)
 
 
 def cast_rays(walls: FloatArray, lasers: FloatArray, bearings: FloatArray, reach_m: float = math.inf) -> FloatArray:
-    """Distance along each beam to the first wall.
+    """Return distance along each beam to the first wall.
 
     Seen from a laser, a wall covers an interval of bearings. Only the beams in it are intersected with the wall,
     some hundredth of all pairs in a building.
@@ -238,7 +238,7 @@ def disc_ranges(centres: FloatArray, radius_m: float, lasers: FloatArray, bearin
 def measure(
     true_ranges: FloatArray, lidar: LidarConfig, rng: np.random.Generator, losses: np.random.Generator | None = None
 ) -> FloatArray:
-    """Ranges (N, B) in m as the sensor reports them: with noise, and what it reports for a beam without return.
+    """Simulate ranges (N, B) in m as the sensor reports them: with noise, and its value for a beam without return.
 
     The noise is drawn from `rng`, and then, which beams are lost: from `losses` where it is given.
     """

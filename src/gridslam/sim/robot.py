@@ -1,4 +1,4 @@
-"""A simulated differential-drive robot: the path it drives along a route, and what its odometry makes of it."""
+"""A simulated differential-drive robot: the path that it drives along a route, and its odometry."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ class Drive:
         self.duration_s = float(self._times[-1])
 
     def at(self, seconds: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Poses (N, 3) at times (N,) from 0 on, and the leg of the route (N,) int64 that each is on.
+        """Return poses (N, 3) at times (N,) from 0 on, and the leg of the route (N,) int64 that each is on.
 
         Leg k leads from waypoint k to waypoint k + 1, the turn there included. After the end the robot stands.
         """
@@ -132,7 +132,7 @@ class Drive:
         return se2.compose(self._starts[index], se2.exp(self._twists[index] * share[:, None])), self._legs[index]
 
     def _driven(self, seconds: FloatArray) -> FloatArray:
-        """Metres driven (N,); between nodes on the path the acceleration is constant."""
+        """Return metres driven (N,); between nodes on the path the acceleration is constant."""
         node = np.clip(np.searchsorted(self._times, seconds, side="right") - 1, 0, len(self._times) - 2)
         passed = np.minimum(seconds, self.duration_s) - self._times[node]
         gain = (np.diff(self._speeds) / np.diff(self._times))[node]
@@ -194,7 +194,7 @@ def _speeds(pieces: list[_Piece], begins: FloatArray, acceleration: float) -> tu
 
 
 def simulate_odometry(truth: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> FloatArray:
-    """Poses (N, 3) that odometry reports for true poses (N, 3); the first is the true one."""
+    """Return poses (N, 3) that odometry reports for true poses (N, 3); the first is the true one."""
     twists = se2.log(se2.between(truth[:-1], truth[1:]))
     distance = np.hypot(twists[:, 0], twists[:, 1])
     turn = np.abs(twists[:, 2])

@@ -54,7 +54,7 @@ class PeopleConfig:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedLog:
-    """What a simulated robot recorded, and what was true.
+    """The log of a simulated robot, and the truth.
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ def simulate_stream(
     *,
     people: PeopleConfig | None = None,
 ) -> SimulatedStream:
-    """Do what `simulate` does, bit for bit, but make each measurement when it is asked for: for logs of any length.
+    """Simulate like `simulate`, bit for bit, but make each measurement on request: for logs of any length.
 
     `rng` is left as `simulate` leaves it, at once: what is drawn from it while the stream is read changes nothing.
 
@@ -207,7 +207,7 @@ def _record(
     crowd: _Crowd,
     rng: np.random.Generator,
 ) -> Iterator[LaserScan]:
-    """Scans of one lidar, with the robot at true poses (N, 3) on legs (N,) of its route.
+    """Yield scans of one lidar, with the robot at true poses (N, 3) on legs (N,) of its route.
 
     `rng` is left as after the whole drive, at once: the scans draw from copies of it.
     """

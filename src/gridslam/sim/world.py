@@ -1,4 +1,4 @@
-"""A world: a floor plan, the robot's way through it, and what changes while it drives."""
+"""A world: a floor plan, the robot's route through it, and changes while it drives."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Change", "World", "distinct", "tour", "wander"]
+__all__ = ["Change", "World", "distinct", "tour", "vary_route", "wander"]
 
 
 @final
@@ -166,3 +166,24 @@ def wander(
         parts += [start[None], start + share * along + aside]
         places.append(places[-1] + 1 + between)
     return np.concatenate([*parts, route[-1:]]), np.array(places, np.int64)
+
+
+def vary_route(world: World, rng: np.random.Generator) -> World:
+    """Return the same floor plan with another route, such as that of another day.
+
+    The robot strays from the straight line by other amounts, and drives the route in either direction, unless walls
+    change during the drive.
+
+    Parameters
+    ----------
+    world : World
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    World
+    """
+    backward = not world.changes and rng.random() < 0.5
+    route, places = wander(world.route[::-1] if backward else world.route, rng, every_m=2.0)
+    changes = [Change(int(places[change.waypoint]), change.walls) for change in world.changes]
+    return World.of(world.name, world.walls, route, changes)

@@ -72,7 +72,7 @@ def _pieces(*places: tuple[float, ...]) -> FloatArray:
 
 
 def _bay(x: float, y: float, half_width: float) -> list[tuple[float, float]]:
-    """Points of a bay window: an arc of 100 degrees that bulges to the east, its chord on x."""
+    """Return points of a bay window: an arc of 100 degrees that bulges to the east, its chord on x."""
     angles = np.deg2rad(np.linspace(-50, 50, 9))
     radius = half_width / np.sin(angles[-1])
     return [(x + radius * (np.cos(a) - np.cos(angles[-1])), y + radius * np.sin(a)) for a in angles]
@@ -196,7 +196,7 @@ def _furnish(left: float, right: float, depth: float, way: FloatArray, rng: np.r
 
 
 def _core(corridor: float, inside: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Two rooms inside of the ring, one with a door to the south, one with a door to the north."""
+    """Return two rooms inside of the ring, one with a door to the south, one with a door to the north."""
     x0 = y0 = corridor
     x1, y1 = (corridor + inside).tolist()
     split = inside[0] * rng.uniform(0.35, 0.65)

@@ -158,7 +158,7 @@ class OdometryCalibration:
         errors.determined = True
 
     def _update_trust(self, errors: OdometryErrorModel, moved: Pose, left: Pose) -> None:
-        """Whether the odometry, as corrected, explains the motion; `left` is what it does not."""
+        """Decide whether the corrected odometry explains the motion; `left` is the unexplained part."""
         left_m, left_rad = motion_of(left)
         moved_m, turned = motion_of(moved)
         errors.sums = 0.95 * errors.sums + np.array([left_m, moved_m, left_rad, turned])

@@ -161,7 +161,7 @@ class ConstantVelocity:
         return Prediction(pose, False, seconds, 0.0, turned, *self.sigmas(seconds), _BEAM_SIGMA_M)
 
     def exceeds(self, a: Pose, b: Pose, seconds: float, margin_m: float, margin_rad: float) -> bool:
-        """Whether poses are farther apart than the margins and what the robot drives in `seconds`."""
+        """Return whether poses are farther apart than the margins and the way that the robot drives in `seconds`."""
         far = math.hypot(b[0] - a[0], b[1] - a[1]) > margin_m + self.speed_mps * seconds
         return far or abs(math.remainder(b[2] - a[2], math.tau)) > margin_rad + self.turn_rps * seconds
 

@@ -200,7 +200,7 @@ class TrackerState:
         self.scans = (scans[0], scans[1])
 
     def take_unmatched(self) -> UnmatchedMotion:
-        """Return what accumulated since the last key scan, and begin again."""
+        """Return the values accumulated since the last key scan, and reset them."""
         taken = self.unmatched
         self.unmatched = UnmatchedMotion()
         return taken

@@ -346,7 +346,7 @@ class Tracker:
         state.unmatched = replace(state.unmatched, open_covariance=state.unmatched.open_covariance + added)
 
     def _learn(self, state: TrackerState, found: PoseEstimate) -> None:
-        """Learn what the odometry's errors are, from where the scan was taken."""
+        """Learn the odometry's errors from the pose of the scan."""
         if self.calibration is not None:
             is_good_match = found.inlier_ratio >= self.search_inlier_ratio
             self.calibration.learn(state.odometry_errors, found.pose, state.odometry, is_good_match, found.determined)

@@ -145,7 +145,7 @@ class TransformBuffer:
         return np.array((x, y, wrap(yaw)))
 
     def extrapolate_planar(self, target: str, source: str, stamp_ns: int, most_s: float) -> FloatArray | None:
-        """Pose (3,) as of `planar` at a stamp after the last reading, with the velocity up to there.
+        """Return pose (3,) as of `planar` at a stamp after the last reading, with the velocity up to there.
 
         Parameters
         ----------
@@ -181,7 +181,7 @@ class TransformBuffer:
         return se2.compose(last, se2.exp(velocity * ((stamp_ns - stamps[-1]) * 1e-9)))
 
     def __contains__(self, link: tuple[str, str]) -> bool:
-        """Whether there is a link between two frames, parent and child."""
+        """Return whether there is a link between two frames, parent and child."""
         parent, child = link
         return (_bare(parent), _bare(child)) in self._links
 

@@ -18,7 +18,7 @@ _IDENTITY: Rigid = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 class Coverage(Enum):
-    """What is known of a transform at a stamp."""
+    """Whether a transform is known at a stamp."""
 
     KNOWN = "known"
     NOT_YET = "after the last reading of a link: it may come"
@@ -79,14 +79,14 @@ class Link:
         return was_static
 
     def coverage(self, stamp_ns: int) -> Coverage:
-        """Whether the link is known at a stamp."""
+        """Return whether the link is known at a stamp."""
         stamps = self.stamps_ns
         if self.fixed is not None or stamps[0] <= stamp_ns <= stamps[-1]:
             return Coverage.KNOWN
         return Coverage.TOO_EARLY if stamp_ns < stamps[0] else Coverage.NOT_YET
 
     def at(self, stamp_ns: int) -> Rigid:
-        """Value at a stamp at which the link is known, interpolated between two readings."""
+        """Return value at a stamp at which the link is known, interpolated between two readings."""
         if self.fixed is not None:
             return self.fixed
         after = bisect_left(self.stamps_ns, stamp_ns)
@@ -145,12 +145,12 @@ class Chain:
                 self._parts += group
 
     def at(self, stamp_ns: int) -> Rigid:
-        """Motion target_from_source at a stamp at which all links are known."""
+        """Return motion target_from_source at a stamp at which all links are known."""
         motions = [part.at(stamp_ns) if isinstance(part, _Step) else part for part in self._parts]
         return reduce(rigid.compose, motions or [_IDENTITY])
 
     def lacking(self, stamp_ns: int) -> tuple[Coverage, Link | None]:
-        """Whether it is known at a stamp, and which link is not: one that will not come before one that may."""
+        """Return whether it is known at a stamp, and which link is not: one that will not come before one that may."""
         found = [(link.coverage(stamp_ns), link) for link in self._moving]
         lacking = [(coverage, link) for coverage, link in found if coverage is not Coverage.KNOWN]
         return min(lacking, key=lambda pair: pair[0] is Coverage.NOT_YET, default=(Coverage.KNOWN, None))

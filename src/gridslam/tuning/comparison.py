@@ -18,8 +18,8 @@ __all__ = ["CONFIDENCE", "Comparison", "Pair", "compare"]
 CONFIDENCE = 0.95
 
 _LOGS_AS_UNITS = 4
-"""From this many logs on the mean of each log is one observation: what holds for other logs is asked, and seeds of one
-log are no independent evidence of that. With fewer, each pair of runs is one, and the answer holds for these logs."""
+"""From this many logs on the mean of each log is one observation: the question is about other logs, and seeds of one
+log are no independent evidence. With fewer, each pair of runs is one, and the answer holds for these logs."""
 
 _FAILED = math.log(10.0)
 """Difference that is counted where one configuration fails and the other does not: an error ten times as large."""

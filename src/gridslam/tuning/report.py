@@ -1,4 +1,4 @@
-"""What a tuning writes: the configuration with its verdict, a JSON document, and two figures."""
+"""Files of a tuning: the configuration with its verdict, a JSON document, and two figures."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _HIGHEST = 3.0  # ratio to the start up to which trials are drawn
 
 
 def describe_verdict(tuning: Tuning, logs: Sequence[TunedLog]) -> list[str]:
-    """State in plain lines whether the best is recommended, and by what."""
+    """State in plain lines whether the best is recommended, and the reason."""
     held_out = any(log.held_out for log in logs)
     if tuning.comparison is None:
         return ["no gain: nothing that was tried is better than the configuration that the search began with"]

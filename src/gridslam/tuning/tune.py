@@ -61,7 +61,7 @@ class TunedLog:
 @final
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What a tuning does, whatever the logs are.
+    """Settings of a tuning, independent of the logs.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class Trial:
 @final
 @dataclass(frozen=True, slots=True)
 class Tuning:
-    """What a search found.
+    """The result of a search.
 
     Attributes
     ----------
@@ -184,7 +184,7 @@ class Tuner:
             raise ArgumentError("logs", "at least one that is not held out", "none")
 
     def __call__(self) -> Tuning:
-        """Search, judge and give what was found.
+        """Search, judge and return the result.
 
         Raises
         ------
@@ -329,7 +329,7 @@ class Tuner:
         return Job(TARGET, arguments, log.path, f"{log.name}-{key[:16]}", key, "tune")
 
     def _plan_trials(self) -> int:
-        """Number of trials: as given, or as many as the budget allows by what the start has cost."""
+        """Return the number of trials: as given, or as many as the budget allows by the cost of the start."""
         trials = self.settings.trials
         if self.budget is None:
             return trials
@@ -343,7 +343,7 @@ class Tuner:
         return min(trials, affordable)
 
     def _judging_s(self) -> float:
-        """What the comparison will cost, by the length of its logs."""
+        """Estimate the cost of the comparison from the length of its logs."""
         searched_s = sum(log.duration_s for log in self._searched)
         judged_s = sum(log.duration_s for log in self.judged)
         one = self._base_s() * judged_s / searched_s if searched_s else 0.0

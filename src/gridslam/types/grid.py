@@ -77,7 +77,7 @@ class OccupancyGrid:
         return height, width
 
     def rows(self, first: int, last: int) -> OccupancyGrid:
-        """Rows `first` to `last` - 1, sharing the arrays."""
+        """Return rows `first` to `last` - 1, sharing the arrays."""
         x, y = self.origin
         origin = x, y + first * self.resolution_m
         return OccupancyGrid(self.log_odds[first:last], self.known[first:last], self.resolution_m, origin)
@@ -109,7 +109,7 @@ class GridRows(Protocol):
         ...
 
     def rows(self, first: int, last: int) -> OccupancyGrid:
-        """Rows `first` to `last` - 1."""
+        """Return rows `first` to `last` - 1."""
         ...
 
 

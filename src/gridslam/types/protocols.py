@@ -17,7 +17,7 @@ class DistanceMaps(Protocol):
     """Maps with distance queries, one per particle (see `gridslam.grid.TileMaps`)."""
 
     def distances(self, rows: Rows, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
-        """Distance in m to the nearest occupied cell, (K, B), capped at `reach_m`.
+        """Return distance in m to the nearest occupied cell, (K, B), capped at `reach_m`.
 
         Of points (B, 2) in the base frame, seen from poses (K, 3).
         """

@@ -31,13 +31,13 @@ __all__ = [
 
 @checked
 def describe_time(stamp_ns: int) -> str:
-    """A stamp in seconds, to the millisecond."""
+    """Return a stamp in seconds, to the millisecond."""
     return f"{stamp_ns * 1e-9:.3f} s"
 
 
 @checked
 def describe_pose(pose: FloatArray) -> str:
-    """A pose (3,), to the millimetre and the tenth of a milliradian."""
+    """Return a pose (3,), to the millimetre and the tenth of a milliradian."""
     x, y, theta = pose.tolist()
     return f"x {x:.3f} m, y {y:.3f} m, theta {theta:.4f} rad"
 
@@ -69,7 +69,7 @@ class Odometry:
     covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        """Check what is given."""
+        """Check the values."""
         require_instance("stamp_ns", self.stamp_ns, int, np.integer)
         require_array("pose", self.pose, np.float64, (3,))
         if not math.isfinite(sum(self.pose.tolist())):
@@ -100,7 +100,7 @@ class Odometry:
 
     @classmethod
     def at(cls, stamp_ns: int, pose: ArrayLike, covariance: ArrayLike | None = None) -> Odometry:
-        """Copy what is given; raises ArgumentError as the constructor does."""
+        """Copy the values; raises ArgumentError as the constructor does."""
         checked = freeze(pose, np.float64, (3,), "pose")
         spread = None if covariance is None else freeze(covariance, np.float64, (3, 3), "covariance")
         return cls(stamp_ns, checked, spread)
@@ -134,13 +134,13 @@ class Trajectory:
 
 
 def require_measurement(odometry: object, scan: object) -> None:
-    """Refuse what is no measurement for a filter: neither of them, or both in the wrong order."""
+    """Check the types of odometry and scan."""
     require_instance("odometry", odometry, Odometry, optional=True)
     require_instance("scan", scan, LaserScan)
 
 
 def require_step(kind: type, state: object, odometry: object, scan: object, rng: object) -> None:
-    """Refuse what is no state of this kind, no measurement or no random generator: before a step consumes the state."""
+    """Check the types of state, odometry, scan and generator, before a step consumes the state."""
     require_instance("state", state, kind)
     require_measurement(odometry, scan)
     require_generator(rng)

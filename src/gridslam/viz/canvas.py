@@ -1,4 +1,4 @@
-"""What all pictures are painted with: colours, letters, pages, antialiased strokes, paths, and the footer."""
+"""Tools of all pictures: colours, letters, pages, antialiased strokes, paths, and the footer."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def fit_page(
 
 
 def time_colours(shares: FloatArray) -> list[Colour]:
-    """Colours of times (K,) in [0, 1], from early to late."""
+    """Return colours of times (K,) in [0, 1], from early to late."""
     at = np.linspace(0.0, 1.0, len(_TIME_STOPS))
     channels = [np.interp(shares, at, stops).astype(int).tolist() for stops in np.array(_TIME_STOPS).T]
     return list(zip(*channels, strict=True))
@@ -234,7 +234,7 @@ def paint_path(
 
 
 def label_time(trajectory: Trajectory, stamped: bool = True) -> tuple[str, str]:
-    """Return what stands at both ends of the colours of time; if stamps only count the steps, no time."""
+    """Return the labels at both ends of the colours of time; without a time if stamps only count the steps."""
     seconds = round(float(np.ptp(trajectory.stamps_ns)) * 1e-9)
     minutes, rest = divmod(seconds, 60)
     if not stamped:
@@ -303,7 +303,7 @@ def round_length(limit_m: float) -> float:
 
 
 def _paint_time_key(page: Image.Image, right: int, top: int, ends: tuple[str, str], u: float) -> None:
-    """Paint a bar of the colours of time with the marks of start and end, and what these are."""
+    """Paint a bar of the colours of time with the marks of start and end, and their legend."""
     width = round(_KEY_WIDTH * u)
     height = round(10 * u)
     left = right - width
@@ -317,7 +317,7 @@ def _paint_time_key(page: Image.Image, right: int, top: int, ends: tuple[str, st
 def _paint_keys(
     draw: ImageDraw.ImageDraw, right: float, top: int, keys: Sequence[tuple[str, Colour]], u: float
 ) -> None:
-    """Paint below the other keys a row of what lines mean, each after a sample of its colour."""
+    """Paint a row of the meanings of lines below the other keys, each after a sample of its colour."""
     letters = font(TEXT_SIZE, u)
     base = top + 70 * u
     for name, colour in reversed(keys):

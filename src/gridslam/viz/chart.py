@@ -52,7 +52,7 @@ _Values = TypeVar("_Values", float, FloatArray)
 @final
 @dataclass(frozen=True, slots=True)
 class _Axis:
-    """From values to pixels of what is drawn: `low` at `first_px`, `high` at `last_px`."""
+    """Maps values to pixels: `low` to `first_px`, `high` to `last_px`."""
 
     low: float
     high: float
@@ -72,7 +72,7 @@ class _Axis:
         return cls(low if name == "y" and low == 0 else low - room, high + room, first_px, last_px)
 
     def at(self, values: _Values) -> _Values:
-        """Pixels (K,) of values (K,), or of one."""
+        """Return pixels (K,) of values (K,), or of one."""
         return self.first_px + (values - self.low) / (self.high - self.low) * (self.last_px - self.first_px)
 
     def ticks(self) -> list[float]:
@@ -161,7 +161,7 @@ def _paint_name(draw: ImageDraw.ImageDraw, mark: Mark, x: _Axis, y: _Axis, row: 
 
 
 def _paint_words(draw: ImageDraw.ImageDraw, figure: Figure) -> None:
-    """Paint the title, what the axes are, and a key where there are several series."""
+    """Paint the title, the labels of the axes, and a key where there are several series."""
     right = _LEFT + _WIDTH
     letters = font(TEXT_SIZE, 1.0)
     paint_caption(draw, _LEFT, _TOP - TITLE_LINE - 26, figure.title, (), 1.0)
@@ -175,7 +175,7 @@ def _paint_words(draw: ImageDraw.ImageDraw, figure: Figure) -> None:
 
 
 def _wrapped(line: str, width: float) -> list[str]:
-    """Parts of a line that fit the width, broken between words."""
+    """Return parts of a line that fit the width, broken between words."""
     letters = font(TEXT_SIZE, 1.0)
     parts = [""]
     for word in line.split():

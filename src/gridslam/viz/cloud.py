@@ -13,7 +13,7 @@ MOST_SHOWN = 1000
 
 
 def select_representatives(weights: FloatArray, most: int = MOST_SHOWN) -> tuple[IntArray, FloatArray]:
-    """Who stands for a cloud, and for what share of it; all particles where there are at most `most`.
+    """Select particles that represent a cloud, with their shares; all particles where there are at most `most`.
 
     Parameters
     ----------

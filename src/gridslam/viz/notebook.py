@@ -10,13 +10,13 @@ from PIL import Image
 __all__ = ["Picture", "encode_png"]
 
 Picture: TypeAlias = Image.Image
-"""What the functions that draw give."""
+"""Return type of the functions that draw."""
 
 _MOST_PX = 1000
 
 
 def encode_png(picture: Picture) -> bytes:
-    """A picture as PNG, made smaller where a side has more than 1000 px; the picture is changed."""
+    """Return a picture as PNG, made smaller where a side has more than 1000 px; the picture is changed."""
     picture.thumbnail((_MOST_PX, _MOST_PX))
     file = io.BytesIO()
     picture.save(file, "png")

@@ -298,7 +298,7 @@ def lay_out(grid: GridRows, title: str = "", caption: Sequence[str] = ()) -> Lay
 
 
 def known_part(grid: GridRows) -> tuple[slice, slice]:
-    """The rows and columns from the first to the last with a known cell; all of them, where there is none."""
+    """Return the rows and columns from the first to the last with a known cell; all of them, where there is none."""
     height, width = grid.shape
     in_row = np.zeros(height, np.bool_)
     in_column = np.zeros(width, np.bool_)
@@ -340,7 +340,7 @@ def _paint_cells(grid: GridRows, layout: Layout) -> Image.Image:
 
 
 def _palette() -> bytes:
-    """Colours (r, g, b) by how free and how occupied a pixel is."""
+    """Return colours (r, g, b) by how free and how occupied a pixel is."""
     share = np.linspace(0.0, 1.0, _SHADES)[:, None]
     ground = UNKNOWN + share * np.subtract(FREE, UNKNOWN)
     colours = ground[:, None] + share * (np.array(OCCUPIED) - ground[:, None])

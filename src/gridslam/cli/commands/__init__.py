@@ -1,4 +1,4 @@
-"""The commands; a command's options are imported when it is asked for, and what it does when it runs."""
+"""The commands: options are imported when a command is requested, and its code when it runs."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class _LazyGroup(click.Group):
     default=1.0,
     show_default=True,
     metavar="GB",
-    help="Refuse input of which a part takes more memory than this when it is read.",
+    help="Reject input that needs more than this much memory.",
 )
 @click.pass_context
 def gridslam(context: click.Context, max_memory: float) -> None:

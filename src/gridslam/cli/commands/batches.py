@@ -13,10 +13,10 @@ __all__ = ["batch_command", "tune_command"]
 
 
 class _BatchCommand(click.Command):
-    """Command that hands on what follows ``--``: the options of the command that it runs."""
+    """Command that passes the arguments after ``--`` to the command that it runs."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse what precedes ``--``."""
+        """Parse the arguments before ``--``."""
         at = args.index("--") if "--" in args else len(args)
         ctx.meta["gridslam.batch"] = args[at + 1 :]
         return super().parse_args(ctx, args[:at])
@@ -135,7 +135,7 @@ def tune_command(**options: Any) -> None:  # noqa: ANN401
       gridslam tune logs/*.clf -o best.toml --budget 1h --split 0.3
       gridslam map log.clf -o out --config best.toml
 
-    The same command again goes on where it was interrupted. Needs the extra: tune.
+    The same command again continues an interrupted search. Needs the extra: tune.
     """
     from gridslam.cli.tune import TuneOptions, run_tune
 

@@ -85,6 +85,7 @@ def dataset_get_command(**options: Any) -> None:  # noqa: ANN401
 @click.argument("world")
 @click.option("-o", "--out", type=OUTPUT_FILE, required=True, help="Output log, .clf, .clf.gz or .clf.bz2.")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed of the noise and of random worlds.")
+@click.option("--world-seed", type=SEED, help="Seed of the world alone: drive one random world again, by another way.")
 @click.option("--beams", type=click.IntRange(min=2), default=180, show_default=True, help="Beams per scan.")
 @click.option(
     "--fov",

@@ -63,8 +63,8 @@ def map_command(**options: Any) -> None:  # noqa: ANN401
     record.npz (the particles at each key scan) and run.json (counts, times, parameters).
 
     With --save and --continue a map grows over several logs, days and robots: where the robot was not moved in between
-    the filter goes on as if there had been one log; else it is found again in the map first. Then trajectory_NAME.tum
-    is the trajectory of each drive, and map_2.yaml, ... are pieces in which it was not found.
+    the filter continues as if there had been one log; otherwise the robot is relocalized in the map first. Then
+    trajectory_NAME.tum is the trajectory of each drive, and map_2.yaml, ... are pieces in which it was not found.
     """
     from gridslam.cli.map import map_to_folder
 
@@ -96,7 +96,7 @@ def demo_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("--picture", type=OUTPUT_FILE, metavar="PNG", help="Write the map of the newest drive as a picture.")
 @json_option
 def session_command(**options: Any) -> None:  # noqa: ANN401
-    """Show what is in a session FILE: drives, logs, dates, sizes, and a picture."""
+    """Show the content of a session FILE: drives, logs, dates, sizes, and a picture."""
     from gridslam.cli.sessions import show_session
 
     show_session(**options)

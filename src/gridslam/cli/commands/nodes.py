@@ -26,8 +26,8 @@ _NODE_OPTIONS = (
         "--record", type=OUTPUT_FILE, metavar="FILE", help="Record the accepted scans to FILE for offline mapping."
     ),
     click.option("--save", type=OUTPUT_FILE, metavar="FILE", help="Save the session to this file at the end."),
-    click.option("--continue", "continued", type=PATH, metavar="FILE", help="Go on from this session file."),
-    click.option("--same-place", is_flag=True, help="The robot is where the session has ended."),
+    click.option("--continue", "continued", type=PATH, metavar="FILE", help="Continue this session file."),
+    click.option("--same-place", is_flag=True, help="The robot is where the session ended."),
     click.option("--elsewhere", is_flag=True, help="The robot is elsewhere in the session's map, or beside it."),
     click.option(
         "--pose", "begin_pose", callback=read_pose, metavar="X,Y,THETA", help="About where in that map, m, rad."

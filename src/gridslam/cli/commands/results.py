@@ -77,7 +77,7 @@ def evaluate_command(**options: Any) -> None:  # noqa: ANN401
 )
 @json_option
 def regress_command(**options: Any) -> Any:  # noqa: ANN401
-    """Compare NEW with OLD, two output folders of gridslam batch, and report what became worse beyond noise.
+    """Compare NEW with OLD, two output folders of gridslam batch, and report changes for the worse beyond noise.
 
     Runs are paired by log and seed (the folders of their results). Errors, CPU time, memory and failures of each log
     and of all logs together are tested by permutation, which assumes no distribution; --level bounds the probability

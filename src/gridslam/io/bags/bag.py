@@ -109,7 +109,7 @@ def _open(path: Path, keep_truncated: bool) -> BagSource:
 
 
 def _remarks(seen: Survey, choice: Choice) -> Counter[str]:
-    """What the user may want to know before the log is read."""
+    """List remarks for the user before the log is read."""
     found = Counter(choice.remarks)
     for what, count in seen.unusable.items():
         found[f"{what} is no pose (not finite, or no rotation): left out"] += count
@@ -197,7 +197,7 @@ class _BagReading:
             yield measurement
 
     def _measurement(self, scan: _Waiting, time_ns: float) -> Measurement | None:
-        """Measurement of a scan; None where its odometry or an earlier scan may still come."""
+        """Return measurement of a scan; None where its odometry or an earlier scan may still come."""
         last = time_ns > scan.until_ns or len(self._waiting) > _MOST_WAITING
         if not last and (min(self._latest_ns.values()) < scan.stamp_ns or self._rig.latest_ns < scan.stamp_ns):
             return None

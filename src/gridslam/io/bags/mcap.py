@@ -83,7 +83,7 @@ class McapFile:
         self.topics = count_topics((topic, kind, self._counts[k]) for k, (topic, kind, _) in self._channels.items())
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Messages of some topics, by the time of their recording.
+        """Yield messages of some topics, by the time of their recording.
 
         Raises DamageError at the end where a chunk is damaged, and at once where chunks take too much memory.
         """
@@ -161,7 +161,7 @@ class McapFile:
         self._chunks.append(chunk)
 
     def _messages_in(self, file: IO[bytes], chunk: Chunk, limit: UnpackingLimit) -> list[_Numbered]:
-        """Messages of a chunk, or of the record that is a message, as far as they can be read."""
+        """Return messages of a chunk, or of the record that is a message, as far as they can be read."""
         place = file.tell()
         found: list[_Numbered] = []
         try:
@@ -179,7 +179,7 @@ class McapFile:
         return found
 
     def _unpack(self, content: bytes, limit: UnpackingLimit, found: list[_Numbered]) -> None:
-        """Add the messages in a chunk; raises DamageError, after what there is, where it is cut off or damaged."""
+        """Add the messages in a chunk; raises DamageError, after the readable ones, if it is truncated or damaged."""
         _, _, size, crc, length = _CHUNK_HEAD.unpack_from(content)
         begin = _CHUNK_HEAD.size + length
         data = decompress(content[_CHUNK_HEAD.size : begin], content[begin + 8 :], limit, size)

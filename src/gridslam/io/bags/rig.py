@@ -191,7 +191,7 @@ class Rig:
         return Coverage.KNOWN, Odometry(stamp_ns, pose, covariance)
 
     def laser(self, frame: str) -> MountedLaser:
-        """The laser of this frame."""
+        """Return the laser of this frame."""
         found = self._lasers.get(frame)
         if found is None:
             found = self._lasers[frame] = self._mounted(frame)
@@ -284,7 +284,7 @@ class PoseCovariances:
     def _noise(
         self, before: FloatArray, known: FloatArray, pose: FloatArray, covariance: FloatArray, same: bool
     ) -> FloatArray | None:
-        """Noise of the motion between two readings, if the covariances of their poses determine it."""
+        """Return noise of the motion between two readings, if the covariances of their poses determine it."""
         increment = between(before, pose)
         if np.abs(increment).max() <= _STILL and (same or np.abs(covariance - known).max() <= _FLOOR[0, 0]):
             return _FLOOR if self._grown >= _PROOF else None

@@ -41,7 +41,7 @@ _PAIR = struct.Struct("<II")
 _MESSAGE_HEADER = re.compile(
     rb"\x26\0\0\0(?:\x09\0\0\0conn=(.{4})|\x04\0\0\0op=\x02|\x0d\0\0\0time=(.{8})){3}(.{4})", re.DOTALL
 )
-"""A message record up to its data, whatever the order of its fields: connection, time, length of the data."""
+"""A message record up to its data, with fields in any order: connection, time, length of the data."""
 
 
 class _Op:
@@ -79,7 +79,7 @@ class _Record(NamedTuple):
         return self.field(name).decode("utf-8", "replace")
 
     def field(self, name: bytes, size: int | None = None) -> bytes:
-        """Value of a field; raises DamageError where there is none of this size."""
+        """Return value of a field; raises DamageError where there is none of this size."""
         value = self.fields.get(name)
         if value is None or (size is not None and len(value) != size):
             raise DamageError(f"a record without a proper field '{name.decode()}'")
@@ -128,7 +128,7 @@ class Ros1Bag:
         )
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Messages of some topics in the order of recording."""
+        """Yield messages of some topics in the order of recording."""
         numbers = {
             number: connection.topic
             for number, connection in self._connections.items()
@@ -211,7 +211,7 @@ class Ros1Bag:
             position = record.end
 
     def _walk(self, file: IO[bytes]) -> str:
-        """Find connections and chunks by reading the file from its start; returns what stopped it before the end."""
+        """Find connections and chunks by reading the file from its start; return the error that stopped it early."""
         position = len(_MAGIC)
         limit = UnpackingLimit(self.total_bytes)
         while position < self.total_bytes:

@@ -71,7 +71,7 @@ class Ros2Bag:
         return any(storage.is_truncated for storage in self._storages)
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Messages of some topics in the order of recording."""
+        """Yield messages of some topics in the order of recording."""
         before = 0
         for storage in self._storages:
             bytes_per_ns = storage.total_bytes / max(storage.end_ns - storage.start_ns, 1)
@@ -99,7 +99,7 @@ def _missing_files(folder: Path, files: Sequence[Path]) -> tuple[str, ...]:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Files of a bag, by their suffix: a recorder that is killed never writes its metadata.yaml."""
+    """Return files of a bag, by their suffix: a recorder that is killed never writes its metadata.yaml."""
     found = sorted({path for name in _NAMES for path in folder.glob(name)})
     if not found:
         raise InputError(folder, "expected the folder of a ROS 2 bag, got one without .db3 or .mcap files")

@@ -141,7 +141,7 @@ def wire_of_ros1(data: bytes) -> Wire:
 
 
 def wire_of_cdr(data: bytes) -> Wire:
-    """Detect the encoding of a ROS 2 message from its first bytes; raises MessageError for what is no plain CDR."""
+    """Detect the encoding of a ROS 2 message from its first bytes; raises MessageError unless it is plain CDR."""
     if data[:2] == b"\x00\x01":
         return _CDR_LITTLE
     if data[:2] == b"\x00\x00":

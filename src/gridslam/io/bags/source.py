@@ -1,4 +1,4 @@
-"""What every kind of bag offers to the reader of logs, how bags are compressed, and what goes wrong with them."""
+"""The interface of bags of every format, their compression, and their errors."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def merge_chunks(chunks: Iterable[tuple[int, Iterable[Message]]]) -> Iterator[Me
 
 
 def _size_of(messages: Iterable[Message]) -> int:
-    """About what messages take in memory, bytes."""
+    """Estimate the memory of messages, bytes."""
     return sum(len(data) + _MESSAGE_BYTES for _, _, data in messages)
 
 
@@ -181,5 +181,5 @@ def decompress_file(packed: Path, target: Path) -> str:
 
 
 def _zstd() -> Any:  # noqa: ANN401
-    """The module of the standard library, or what stands in for it before Python 3.14 and comes with rosbags."""
+    """Import the module of the standard library, or its backport for Python before 3.14, which rosbags brings."""
     return importlib.import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")

@@ -71,7 +71,7 @@ class SqliteFile:
         self.topics = count_topics((name, self._kinds[number], counts[number]) for number, name in self._topics.items())
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Messages of some topics; raises DamageError at the first one that is damaged, after those before it."""
+        """Yield messages of some topics; raises DamageError at the first one that is damaged, after those before it."""
         before = self.problem
         self.problem = ""
         wanted = {
@@ -93,7 +93,7 @@ class SqliteFile:
             raise DamageError(problem)
 
     def _rows(self, numbers: int, query: str) -> Iterator[Any]:
-        """Rows whose first columns are `numbers` whole numbers, as they are where nothing is damaged."""
+        """Yield rows whose first columns are `numbers` whole numbers, as they are where nothing is damaged."""
         left = self._bytes
         try:
             with closing(open_database(self._path, _TABLES)) as connection:

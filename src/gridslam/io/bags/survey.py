@@ -74,7 +74,7 @@ class Step(NamedTuple):
 @final
 @dataclass(slots=True)
 class TopicInfo:
-    """A topic of scans or odometry: frames of its first messages, whether they are stamped, and what is wrong."""
+    """A topic of scans or odometry: frames of its first messages, whether they are stamped, and their faults."""
 
     frame: str
     child_frame: str
@@ -86,7 +86,7 @@ class TopicInfo:
 
     @property
     def problem(self) -> str:
-        """What is wrong with most of the messages; empty where nothing is."""
+        """The fault of most of the messages; empty where there is none."""
         found, count = next(iter(self.problems.most_common(1)), ("", 0))
         return found if 2 * count > self.messages else ""
 
@@ -123,7 +123,7 @@ class LinkInfo:
 @final
 @dataclass(slots=True)
 class Survey:
-    """What was seen: topics of scans and of odometry by name, links by parent and child, readings that are no pose."""
+    """Content of a bag: topics of scans and odometry by name, links by parent and child, invalid readings."""
 
     scans: dict[str, TopicInfo] = field(default_factory=dict)
     odometry: dict[str, TopicInfo] = field(default_factory=dict)
@@ -132,14 +132,14 @@ class Survey:
     _parents: dict[str, str] = field(default_factory=dict)
 
     def ancestors(self, frame: str) -> list[str]:
-        """The frame, its parent, the parent's parent, up to the root."""
+        """Return the frame, its parent, the parent's parent, up to the root."""
         found = [frame]
         while (parent := self._parents.get(found[-1])) is not None and parent not in found:
             found.append(parent)
         return found
 
     def names(self, frame: str) -> bool:
-        """Whether a link names the frame."""
+        """Return whether a link names the frame."""
         return any(frame in ends for ends in self.links)
 
     def way(self, target: str, source: str) -> list[Step] | None:
@@ -169,7 +169,7 @@ class Survey:
             link.samples.append((transform.stamp_ns, pose))
 
     def pose(self, values: Rigid, what: str) -> Rigid | None:
-        """The pose of a message, or None, counted, if it is invalid."""
+        """Return the pose of a message, or None, counted, if it is invalid."""
         try:
             return rigid.from_quaternion(values[:3], values[3:])
         except ArgumentError:
@@ -178,7 +178,7 @@ class Survey:
 
 
 def differs(a: Rigid, b: Rigid) -> bool:
-    """Whether two poses differ by more than 5 mm or 0.01 rad."""
+    """Return whether two poses differ by more than 5 mm or 0.01 rad."""
     x, y, z, i, j, k, _ = rigid.compose(rigid.inverse(a), b)
     return x * x + y * y + z * z > _MOVED_M**2 or 4 * (i * i + j * j + k * k) > _MOVED_RAD**2
 
@@ -262,7 +262,7 @@ def _note(found: Survey, name: str, message: Decoded) -> bool:
 
 
 def _scan_problem(message: ScanMessage) -> str:
-    """Why no map can be made of such scans; empty where nothing is wrong."""
+    """Return why no map can be made of such scans; empty where nothing is wrong."""
     beams = len(message.ranges)
     if not beams and message.intensities:
         return f"expected ranges, got none, and {message.intensities} intensities: record the ranges"
@@ -272,7 +272,7 @@ def _scan_problem(message: ScanMessage) -> str:
 @final
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """What is read of a bag.
+    """The part of a bag that is read.
 
     Attributes
     ----------
@@ -407,7 +407,7 @@ def _one_of_each_laser(source: BagSource, seen: Survey, names: list[str], remark
 
 
 def _why_not_one_robot(seen: Survey, names: Sequence[str]) -> str:
-    """Why these cannot be taken for different lasers of one robot; empty where they can."""
+    """Return why these cannot be taken for different lasers of one robot; empty where they can."""
     frames = {name: seen.scans[name].frame for name in names}
     bases = {name: _base_above(seen, frame) for name, frame in frames.items()}
     reported = set(bases.values())
@@ -448,7 +448,7 @@ def _odometry_topic(
 
 
 def _agrees(seen: Survey, name: str) -> bool:
-    """Whether the transforms agree with the poses of this topic."""
+    """Return whether the transforms agree with the poses of this topic."""
     topic = seen.odometry[name]
     link = seen.links.get((topic.frame, topic.child_frame))
     if link is None:
@@ -477,7 +477,7 @@ def _odometry_frame(seen: Survey, above: list[list[str]]) -> str:
 
 
 def _below(seen: Survey, odometry_frame: str, above: list[list[str]]) -> str:
-    """The base: what the odometry frame is the parent of, between it and a laser if there is one."""
+    """Return the base: the child of the odometry frame, between it and a laser if there is one."""
     if not odometry_frame:
         return ""
     for frames in above:
@@ -489,7 +489,7 @@ def _below(seen: Survey, odometry_frame: str, above: list[list[str]]) -> str:
 
 
 def _base_above(seen: Survey, frame: str) -> str:
-    """The base that a laser is mounted on, by the transforms; empty if unknown."""
+    """Return the base that a laser is mounted on, by the transforms; empty if unknown."""
     frames = seen.ancestors(frame)
     if len(frames) == 1:
         return ""
@@ -514,6 +514,6 @@ def _last(name: str) -> str:
 
 
 def _namespace(topic: str) -> str:
-    """First part of a topic's name, if it has several."""
+    """Return first part of a topic's name, if it has several."""
     first, _, rest = topic.strip("/").partition("/")
     return first if rest else ""

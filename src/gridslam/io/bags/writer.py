@@ -160,7 +160,7 @@ class _Messages:
         self._geometries: dict[int, tuple[ScanGeometry, float, float]] = {}
 
     def of(self, measurement: Measurement) -> Iterator[_Message]:
-        """Messages of one measurement, in the order in which a robot would send them."""
+        """Yield messages of one measurement, in the order in which a robot would send them."""
         odometry, scan = measurement
         if odometry is not None and not _same(odometry, self._odometry):
             stamp_ns = odometry.stamp_ns
@@ -177,7 +177,7 @@ class _Messages:
         yield _Message(sensor.topic, _SCAN, scan.stamp_ns, self._scan(scan, sensor))
 
     def _mountings(self, stamp_ns: int) -> list[Values]:
-        """All mountings known so far: who comes late is given the last message alone."""
+        """Return all mountings known so far: who comes late is given the last message alone."""
         by_frame = {sensor.frame: sensor.mounting for sensor in self._sensors.values() if sensor.frame != _BASE}
         return [
             (self._header("/tf_static", stamp_ns, _BASE), frame, se3.to_quaternion(mounting))
@@ -210,7 +210,7 @@ class _Messages:
         return header, *angles, *times, scan.range_min_m, scan.range_max_m, _ranges(scan), ()
 
     def _angles(self, scan: LaserScan, sensor: _Sensor) -> tuple[float, float]:
-        """First bearing and step of a scan, looked at once for each geometry."""
+        """Return first bearing and step of a scan, looked at once for each geometry."""
         geometry = scan.geometry
         known = self._geometries.get(id(geometry))
         if known is None:
@@ -228,7 +228,7 @@ def _same(a: Odometry, b: Odometry | None) -> bool:
 
 
 def _in_space(pose: FloatArray) -> Values:
-    """Translation (3,) and quaternion xyzw (4,) of a planar pose."""
+    """Return translation (3,) and quaternion xyzw (4,) of a planar pose."""
     x, y, theta = pose.tolist()
     return (x, y, 0.0), (0.0, 0.0, math.sin(theta / 2), math.cos(theta / 2))
 
@@ -243,7 +243,7 @@ def _twist(before: Odometry | None, now: Odometry) -> Values:
 
 
 def _even(name: str, values: FloatArray, tolerance: float) -> tuple[float, float]:
-    """First value and step of evenly spread ones."""
+    """Return first value and step of evenly spread ones."""
     if len(values) < 2:
         return float(values.sum()), 0.0
     step = float(values[-1] - values[0]) / (len(values) - 1)
@@ -262,7 +262,7 @@ def _time_increment_s(times: FloatArray | None) -> float:
 
 
 def _ranges(scan: LaserScan) -> NDArray[np.float32]:
-    """Ranges as a message has them: NO_RETURN is infinite, INVALID is NaN."""
+    """Return ranges as a message has them: NO_RETURN is infinite, INVALID is NaN."""
     hit = scan.status == BeamStatus.HIT
     hits = scan.ranges[hit]
     nearest, farthest = hits.min(initial=np.inf), hits.max(initial=0.0)

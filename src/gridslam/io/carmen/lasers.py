@@ -106,7 +106,7 @@ class CarmenLasers:
         return number
 
     def _bearings(self, sensor: str, n: int, layout: BeamLayout | None) -> FloatArray:
-        """Bearings (n,) in rad, counter-clockwise from the right.
+        """Return bearings (n,) in rad, counter-clockwise from the right.
 
         An even number of beams divides the field of view (180 degrees unless stated) into n steps and leaves out its
         last edge, an odd number has a beam on both edges. A stated resolution counts where it fits the number of beams.
@@ -139,7 +139,7 @@ class CarmenLasers:
         return Mounting(configured, "parameters" if known else "assumed")
 
     def _offset_in_lines(self, tag: str, rows: ScanRows) -> FloatArray | None:
-        """Pose (3,) of the laser seen from the robot, where the log's lines agree on one.
+        """Return pose (3,) of the laser seen from the robot, where the log's lines agree on one.
 
         The laser's pose in a line is either the robot's composed with the mounting, or a pose that some SLAM corrected.
         Only the former keeps its distance while the robot drives and turns. Equal poses are not informative.

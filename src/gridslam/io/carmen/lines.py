@@ -60,7 +60,7 @@ class ScanRows:
 
 
 def parse_pose(words: Sequence[str]) -> FloatArray:
-    """Pose (3,) of three words; raises LineError where one is no number, or too large for a pose."""
+    """Return pose (3,) of three words; raises LineError where one is no number, or too large for a pose."""
     try:
         pose = np.array([float(word) for word in words])
     except ValueError:
@@ -103,7 +103,7 @@ def _have_same_form(tag: str, values: FloatArray) -> bool:
 
 
 def _numbers(tag: str, text: str) -> FloatArray:
-    """Values (1, L) of one line."""
+    """Return values (1, L) of one line."""
     numbers = []
     for place, word in enumerate(text.split(), 2):
         try:

@@ -170,7 +170,7 @@ class _Parser:
         self._waiting[tag, form].append(_ScanLine(number, text, stamp_ns, self._odometry_line))
 
     def _flush(self) -> Iterator[Measurement]:
-        """Convert what waits and yield it in file order."""
+        """Convert the pending lines and yield them in file order."""
         scans: list[tuple[int, Measurement]] = []
         for (tag, _), lines in self._waiting.items():
             try:
@@ -200,7 +200,7 @@ class _Parser:
             raise InputError(self._path, problem, number)
 
     def _measurements(self, tag: str, rows: ScanRows, lines: list[_ScanLine]) -> Iterator[tuple[int, Measurement]]:
-        """The scans of one form, each with the number of its line."""
+        """Yield the scans of one form, each with the number of its line."""
         sensor = SCAN_TAGS[tag]
         geometry = self._lasers.geometry(tag, sensor, rows)
         self.statistics.mountings[sensor] = self._lasers.mountings[sensor]
@@ -233,7 +233,7 @@ class _Parser:
         return status
 
     def _odometry(self, source: tuple[str, int] | None) -> Odometry | None:
-        """Odometry of an ODOM line."""
+        """Return odometry of an ODOM line."""
         if source is None:
             return None
         line, number = source

@@ -1,4 +1,4 @@
-"""Writer of CARMEN logs, and conversion of measurements to what CARMEN can represent."""
+"""Writer of CARMEN logs, and conversion of measurements to values that CARMEN can represent."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def _ranges(scan: LaserScan) -> str:
 
 
 def to_carmen_form(measurements: Iterable[Measurement], lost: Counter[str]) -> Iterator[Measurement]:
-    """Change measurements so that `write_carmen` can write them; what is lost is counted, in scans, by its name.
+    """Change measurements so that `write_carmen` can write them; count the scans with lost data, by its name.
 
     A laser that is level but upside down, clockwise or not symmetric about its axis becomes one that is upright,
     counter-clockwise and symmetric, with the very same beams. Scans without odometry after one with odometry are left
@@ -225,7 +225,7 @@ def _symmetric(geometry: ScanGeometry) -> tuple[ScanGeometry, int]:
 
 
 def _has_carmen_form(bearings: FloatArray) -> bool:
-    """Whether the beams lie about the axis as CARMEN has them: from -fov/2 on, with or without the last edge."""
+    """Return whether the beams lie about the axis as CARMEN has them: from -fov/2 on, with or without the last edge."""
     if len(bearings) == 1:
         return bool(bearings[0] == 0)
     step, fov = _spread(bearings)

@@ -1,1 +1,1 @@
-"""What a run leaves: states and records."""
+"""Files of a run: states and records."""

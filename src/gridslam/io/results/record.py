@@ -1,4 +1,4 @@
-"""record.npz: what the particles did at each key scan, for replaying a run; archives of plain arrays."""
+"""record.npz: the particles at each key scan, for replaying a run; archives of plain arrays."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ _FORMS: dict[str, tuple[type, int]] = {
 
 
 def _fill(name: str, row: Any, most: int) -> Any:  # noqa: ANN401
-    """Fill up what a key scan has of each particle with copies of the last one, of weight 0, to those of `most`."""
+    """Pad the values of each particle at a key scan with copies of the last one, of weight 0, to `most` particles."""
     missing = 0 if _FORMS[name][1] == 1 else most - len(row)
     if not missing:
         return row
@@ -109,7 +109,7 @@ def _fill(name: str, row: Any, most: int) -> Any:  # noqa: ANN401
 
 @lru_cache(maxsize=1)
 def _count_up(count: int) -> NDArray[np.int32]:
-    """The parents of particles that were not resampled, shared by all such key scans."""
+    """Return the parents of particles that were not resampled, shared by all such key scans."""
     parents = np.arange(count, dtype=np.int32)
     parents.flags.writeable = False
     return parents
@@ -151,7 +151,7 @@ class RecordWriter:
         return sum(np.count_nonzero(row > -np.inf) for row in rows) / max(len(rows), 1)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return what was collected as the arrays of `Record`; of length 0 without any key scan."""
+        """Return the collected values as the arrays of `Record`; of length 0 without any key scan."""
         shape = (0, 0, 3)  # of the poses, where there are none
         most = max((len(row) for name in ("poses", "parents") for row in self._rows[name]), default=0)
         return {
@@ -161,7 +161,7 @@ class RecordWriter:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> RecordWriter:
-        """Go on from the arrays of `to_arrays`; raises ArgumentError for other arrays."""
+        """Continue a recorder from the arrays of `to_arrays`; raises ArgumentError for other arrays."""
         self = cls()
         sizes: dict[str, int] = {}
         for name, (dtype, ndim) in _FORMS.items():
@@ -178,7 +178,7 @@ class RecordWriter:
         return twin
 
     def write(self, path: str | Path, revisits: IntArray | None = None) -> None:
-        """Write what was collected, compressed, and tracked revisits (R, 2); arrays of length 0 without a key scan."""
+        """Write the collected values, compressed, and tracked revisits (R, 2); arrays of length 0 without key scans."""
         arrays: dict[str, Any] = self.to_arrays()
         arrays["revisits"] = np.zeros((0, 2), np.int32) if revisits is None else revisits.astype(np.int32)
         with Path(path).open("wb") as file:
@@ -224,7 +224,7 @@ def _read_revisits(path: str | Path, arrays: dict[str, NDArray[Any]], steps: int
 
 
 def read_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[Any]]:
-    """All arrays of an .npz without pickles.
+    """Return all arrays of an .npz without pickles.
 
     Raises InputError where the file is not `what`, is of another schema, or unpacks to more than
     is allowed.

@@ -1,1 +1,1 @@
-"""What a run or a localization leaves to go on from."""
+"""Saved states of runs and localizations, which can be continued."""

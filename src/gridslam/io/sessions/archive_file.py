@@ -62,7 +62,7 @@ def write_sealed_arrays(path: str | Path, arrays: Arrays) -> None:
 
 
 def read_sealed_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[Any]]:
-    """Read what `write_sealed_arrays` wrote, of this schema.
+    """Read arrays that `write_sealed_arrays` wrote, of this schema.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def read_text_array(arrays: Arrays, name: str) -> str:
 
 
 def dump_generator(rng: np.random.Generator) -> dict[str, Any]:
-    """State of a generator as JSON values; raises ArgumentError where it is not plain integers."""
+    """Return state of a generator as JSON values; raises ArgumentError where it is not plain integers."""
     state: dict[str, Any] = dict(rng.bit_generator.state)
     if state["bit_generator"] not in _GENERATORS:
         raise ArgumentError("rng", f"a generator over {' or '.join(_GENERATORS)}", state["bit_generator"])
@@ -130,7 +130,7 @@ def dump_generator(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def load_generator(state: Mapping[str, Any]) -> np.random.Generator:
-    """Generator that goes on where that of the state was; raises ArgumentError where it is no state."""
+    """Restore a generator from its saved state; raises ArgumentError for other values."""
     try:
         bits = _GENERATORS[state["bit_generator"]]()
         bits.state = state

@@ -1,4 +1,4 @@
-"""Sessions written while the filter goes on, by a thread of their own."""
+"""Write sessions in a thread of their own while the filter continues."""
 
 from __future__ import annotations
 
@@ -57,13 +57,13 @@ class BackgroundWriter:
         self._thread.start()
 
     def report(self) -> None:
-        """Report what has failed since the last call."""
+        """Report failures since the last call."""
         problem, self._problem = self._problem, ""
         if problem:
             self._on_failure(problem)
 
     def close(self) -> None:
-        """Wait for what is being written, and report."""
+        """Wait for the file being written, and report failures."""
         if self._thread is not None:
             self._thread.join()
         self.report()

@@ -1,4 +1,4 @@
-"""Drives: what is remembered of the logs of a session once they were mapped."""
+"""Drives: metadata of the mapped logs of a session."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class DrivenLog:
     length_m: float
 
     def __post_init__(self) -> None:
-        """Refuse what no log has; raises ArgumentError."""
+        """Check the values; raises ArgumentError."""
         for name in ("path", "sha256"):
             require_instance(name, getattr(self, name), str)
         for name in ("scans", "first_stamp_ns", "last_stamp_ns"):
@@ -57,7 +57,7 @@ class DrivenLog:
 
     @classmethod
     def of(cls, path: str, digest: str, log: LogStatistics) -> DrivenLog:
-        """Describe what was read of a log."""
+        """Describe a log that was read."""
         stamps_ns = log.first_stamp_ns or 0, log.last_stamp_ns or 0
         return cls(path, digest, log.scan_count, *stamps_ns, log.odometry_length_m)
 
@@ -65,7 +65,7 @@ class DrivenLog:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
-    """One robot's way without an interruption that it was moved in: one log, or several of which each goes on.
+    """The path of one robot without being moved in between: one log, or several that continue each other.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class Drive:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedPiece:
-    """A piece of the map and the drives that have left it, in the order of their key scans.
+    """A piece of the map and its drives, in the order of their key scans.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class SavedPiece:
         return digest.hexdigest()
 
     def thin(self, mapper: OccupancyGridMapping) -> SavedPiece:
-        """Leave out what newer drives have seen (see `thin_piece`), and drives of which nothing is left.
+        """Remove the parts that newer drives have seen (see `thin_piece`), and drives of which nothing remains.
 
         A piece that began with a given map stays as it is.
         """
@@ -142,7 +142,7 @@ class SavedPiece:
         return SavedPiece(thinned.piece, tuple(drives))
 
     def freeze(self, poses: FloatArray) -> SavedPiece:
-        """The same piece, its key scans frozen, and all its scans at poses (N, 3)."""
+        """Return the same piece, its key scans frozen, and all its scans at poses (N, 3)."""
         own = self.split(poses).values()
         drives = (
             replace(drive, scans=drive.scans._replace(poses=there))

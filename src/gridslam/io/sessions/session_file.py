@@ -1,4 +1,4 @@
-"""The session file NAME.gridslam: all that later logs need to go on from, in one file."""
+"""The session file NAME.gridslam: the complete state that later logs continue, in one file."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _WHAT = "a session of gridslam"
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedRun:
-    """The filter between two scans, and what its observers have recorded: go on with `pipeline.run`.
+    """The filter between two scans, and the values of its observers; continue it by `pipeline.run`.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class SavedRun:
         )
 
     def freeze(self) -> SavedRun:
-        """Give a copy that another thread may write while the filter goes on."""
+        """Return a copy that another thread may write while the filter continues."""
         frozen = replace(self, state=None).snapshot()
         return replace(frozen, state=None if self.state is None else self.state.freeze())
 
@@ -103,7 +103,7 @@ class SavedRun:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedSession:
-    """What one or several drives have left.
+    """The maps and the state of one or several drives.
 
     Attributes
     ----------
@@ -112,9 +112,9 @@ class SavedSession:
     seed : int
         Of the run.
     run : SavedRun or None
-        The newest drive, which can go on; None where pieces were merged.
+        The newest drive, which can be continued; None where pieces were merged.
     pieces : tuple of SavedPiece
-        What other drives have left; in frames that have nothing to do with each other.
+        Maps of other drives, in unrelated frames.
     thumbnail : bytes
         A small picture of the map, PNG; empty if there is none.
     written : str
@@ -143,7 +143,7 @@ class SavedSession:
             yield from self.run.drives
 
     def dump(self) -> dict[str, Any]:
-        """Return plain arrays and texts, copies of all that a run goes on to change."""
+        """Return plain arrays and texts, with copies of all values that a run may change."""
         arrays: dict[str, Any] = {"schema": np.array(SESSION_SCHEMA), "head": np.array(json.dumps(self._head()))}
         arrays["thumbnail"] = np.frombuffer(self.thumbnail, np.uint8)
         for number, piece in enumerate(self.pieces):
@@ -181,7 +181,7 @@ class SavedSession:
 @final
 @dataclass(frozen=True, slots=True)
 class SessionHead:
-    """What a session file holds, without its arrays.
+    """The content of a session file, without its arrays.
 
     Attributes
     ----------
@@ -215,7 +215,7 @@ def write_session(path: str | Path, session: SavedSession) -> None:
 
 
 def read_session(path: str | Path, threads: int = 1) -> SavedSession:
-    """Read a session; going on from it gives the same results as without interruption.
+    """Read a session; continuing it gives the same results as a run without interruption.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def read_session(path: str | Path, threads: int = 1) -> SavedSession:
 
 
 def read_head(path: str | Path) -> SessionHead:
-    """Read what a session file holds, without restoring it; raises InputError as `read_session`."""
+    """Read the head of a session file, without restoring it; raises InputError as `read_session`."""
     arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT)
     with name_file(path, _WHAT):
         head = _parse_head(arrays)

@@ -1,4 +1,4 @@
-"""What the numbers of a saved state can be: a damaged one is found when it is read, not scans later.
+"""Check the numbers of a saved state when it is read, so that damage is not found scans later.
 
 Types, shapes, counts and indices follow from the states themselves (`gridslam.serialization`); here are the ranges of
 floats, by the names of the arrays.

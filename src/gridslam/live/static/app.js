@@ -243,7 +243,7 @@ addEventListener("resize", resize);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", applyColours);
 
 new Keys([
-  [[" "], "pause, go on", () => panel.toggle()],
+  [[" "], "pause, resume", () => panel.toggle()],
   [["."], "to the next key scan", () => panel.step(false)],
   [[">"], "to the next scan", () => panel.step(true)],
   [["ArrowLeft", "ArrowRight"], "back and on in time; with Shift, or without a time line, move the map", arrow],

@@ -201,7 +201,7 @@ class ComponentAlignment:
 
 @final
 class KnownMap(NamedTuple):
-    """What a component is aligned with: key scans `keys` (L,) of `scans`, at `poses` (T, 3) of all, and their map."""
+    """The map to align a component with: key scans `keys` (L,) of `scans`, at `poses` (T, 3) of all, and their map."""
 
     scans: ScanArchive
     poses: FloatArray
@@ -238,7 +238,7 @@ class Hypothesis(NamedTuple):
 
     @property
     def evidence(self) -> float:
-        """Log likelihood less what the drift makes improbable, nats: its covariances are generous."""
+        """Log likelihood less the improbability by the drift, nats: its covariances are generous."""
         return self.log_likelihood - self.squared_sigmas
 
     def distance_m(self, other: Hypothesis) -> float:

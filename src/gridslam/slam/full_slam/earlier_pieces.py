@@ -1,4 +1,4 @@
-"""Found again: where the robot is in what earlier drives have left, from nothing but what it sees."""
+"""Relocalize the robot in maps of earlier drives, by its scans alone."""
 
 from __future__ import annotations
 

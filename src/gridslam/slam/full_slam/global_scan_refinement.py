@@ -166,8 +166,7 @@ class GlobalScanRefinement:
     distinct_candidate_m : float, m
         The online constraints form a separate candidate if they move a key scan farther than this.
     max_searches : int
-        So often at most the whole log is searched for places seen again, each time from what the last one has made of
-        it.
+        Maximum number of whole-log searches for revisited places, each with the trajectory of the one before.
     component_alignment : ComponentAlignment
         Alignment of rigid components that are separated by gaps in the laser data.
     robust : CauchyEstimator

@@ -21,7 +21,7 @@ from gridslam.types import FloatArray, IntArray
 __all__ = ["VISIT_GAP", "KeyScanMatching"]
 
 _RECENT_SUBMAPS = 3
-"""Submaps so near in time show what the tracker has matched already."""
+"""Submaps so near in time that the tracker has matched them already."""
 
 _KEY_SCANS_AT_A_TIME = 32
 """Compared with the submaps about them in one go: what is near one is near the next."""

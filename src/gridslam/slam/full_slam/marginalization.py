@@ -1,4 +1,4 @@
-"""Leaving key scans out of a key graph: what was known through them is kept as far as that counts nothing twice."""
+"""Marginalize key scans out of a key graph: their information is kept as far as none is counted twice."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class _Way(NamedTuple):
 
 @final
 class _Closure(NamedTuple):
-    """A closure, and the ways on which it is reached."""
+    """A closure, and the paths that lead to it."""
 
     constraint: Constraint
     from_: _Way

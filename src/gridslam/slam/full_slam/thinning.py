@@ -1,4 +1,4 @@
-"""Lifelong mapping: a piece forgets what newer drives have seen, so that it stays as large as the place is."""
+"""Lifelong mapping: a piece forgets parts that newer drives have seen, so that its size is bounded by the place."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from gridslam.types import IntArray
 __all__ = ["ThinnedPiece", "thin_piece"]
 
 _DRIVES = 2
-"""Newest drives of which the sights of a cell are kept: one shows what the place is like now, and another one keeps it
-where that one saw it from one side."""
+"""Number of newest drives kept per cell: one shows the place as it is now, and another one keeps it where the first saw
+it from one side only."""
 
 _LEAST_SHARE = 0.15
 """A submap is kept for more than this share of the cells that it sees: single beams reach where no other one happened
@@ -33,7 +33,7 @@ to."""
 
 @final
 class ThinnedPiece(NamedTuple):
-    """A piece without what newer drives have seen.
+    """A piece without the parts that newer drives have seen.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class ThinnedPiece(NamedTuple):
 
 
 def thin_piece(piece: MapPiece, drives: Sequence[TrackedScans], mapper: OccupancyGridMapping) -> ThinnedPiece:
-    """Leave out of a piece the submaps that add nothing: what they see two newer drives have seen since.
+    """Remove the submaps of a piece whose cells two newer drives have seen since.
 
     A submap, of ten consecutive key scans, adds something if more than 15 % of the cells that it sees were seen in
     fewer than two later drives. Time does not matter: a place that is never visited again is never forgotten. Submaps

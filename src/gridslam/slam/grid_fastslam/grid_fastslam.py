@@ -60,7 +60,7 @@ _FREEDOM = 4e5
 @checked
 @dataclass(frozen=True)
 class GridFastSlam:
-    """The filter; it holds only its parts, and what it knows is in the state that goes in and comes out of `step`.
+    """The filter: it holds only its components; `step` takes the state and returns the next one.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""A bound on what the maps of all particles take together."""
+"""Bound the memory of all particles' maps together."""
 
 from __future__ import annotations
 

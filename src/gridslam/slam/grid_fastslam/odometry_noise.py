@@ -39,7 +39,7 @@ def is_worse_than_velocity(odometry: Odometry, seconds: float, velocity: Constan
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class OdometryNoise:
-    """Covariance of the odometry's motion since the pose from which it goes on.
+    """Covariance of the odometry's motion since the pose at which the interval began.
 
     Attributes
     ----------

@@ -159,7 +159,7 @@ class GridFastSlamState:
         return owner
 
     def revive(self) -> None:
-        """Undo a step that failed: the state is as before it, except for what the step wrote in place.
+        """Undo a failed step: restore the state, except for values that the step wrote in place.
 
         The tracker may have followed the scan, and maps may hold it where it was matched. If the particles were
         resampled already, they are those that survived, with equal weights. The graph may be corrected already.
@@ -196,7 +196,7 @@ class GridFastSlamState:
             self.best = int(self.log_ancestry.argmax())
 
     def accept(self, estimate: Estimate) -> None:
-        """Take over what is estimated at a key scan, and let the drift grow by its covariance."""
+        """Accept the estimate at a key scan, and add its covariance to the drift."""
         self.lost = estimate.lost
         self._covariance = estimate.covariance
         self.drift_covariance = estimate.drift_covariance
@@ -244,7 +244,7 @@ class GridFastSlamState:
         )
 
     def freeze(self) -> GridFastSlamState:
-        """Give this state as it is now, to be written by another thread while the filter goes on.
+        """Return this state as it is now, to be written by another thread while the filter continues.
 
         No filter can go on from it, but from what `from_arrays` makes of its arrays.
         """

@@ -122,7 +122,7 @@ class BiasProposal(PoseProposal):
         return shift
 
     def sample(self, rng: np.random.Generator) -> SampledPoses:
-        """Sample what of the poses is independent of the errors; the covariance of these, and by these, is left."""
+        """Sample the part of the poses that is independent of the errors; return the covariances that remain."""
         left = (self.covariance + transpose(self.covariance)) / 2  # what is never drawn adds up its rounding, too
         whole = left[:, :3, :3].copy()
         shared = left[:, :3, 3:]

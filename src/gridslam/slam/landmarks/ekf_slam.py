@@ -37,7 +37,7 @@ __all__ = ["EkfSlam", "EkfSlamState"]
 @final
 @dataclass(frozen=True)
 class EkfSlam:
-    """The filter; what it knows is in the state that goes in and comes out of `step`.
+    """The filter: it has no state of its own; `step` takes a state and returns the next one.
 
     Attributes
     ----------

@@ -28,7 +28,7 @@ __all__ = ["FastSlam1"]
 @final
 @dataclass(frozen=True)
 class FastSlam1:
-    """The filter; what it knows is in the state that goes in and comes out of `step`.
+    """The filter: it has no state of its own; `step` takes a state and returns the next one.
 
     The pose is sampled from the motion model alone, so the weight is the likelihood of the observations.
 

@@ -89,7 +89,7 @@ class PoseProposal:
 
 @dataclass(frozen=True)
 class FastSlam2:
-    """The filter; what it knows is in the state that goes in and comes out of `step`.
+    """The filter: it has no state of its own; `step` takes a state and returns the next one.
 
     The pose is sampled from p(x_t | x_t-1, u_t, z_t, c_t), a Gaussian by linearizing the measurement model about the
     mean so far, one observation after the other. The weight is p(z_t | x_t-1, u_t, c_t), in which neither the sampled

@@ -1,4 +1,4 @@
-"""What FastSLAM 1.0 and 2.0 share: the correspondences and the landmarks of each particle, all particles at once."""
+"""Base of FastSLAM 1.0 and 2.0: correspondences and landmarks of each particle, for all particles at once."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ _ANY = 1.0  # rad^-2, of a heading without any other information
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkGraphSolution:
-    """What GraphSLAM found.
+    """The solution of GraphSLAM.
 
     Attributes
     ----------

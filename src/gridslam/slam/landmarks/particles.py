@@ -187,7 +187,7 @@ class LandmarkParticles:
             self.log_ancestry = accumulated - accumulated.max()
 
     def resample(self, drawn: IntArray) -> IntArray:
-        """Let the particles `drawn` (N,) go on, with equal weights; returns the parents (N,), in another order.
+        """Replace the particles by the `drawn` ones (N,), with equal weights; return parents (N,), in another order.
 
         A particle that goes on stays where it is, and its further copies replace those that do not.
         """

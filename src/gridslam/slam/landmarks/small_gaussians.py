@@ -53,7 +53,7 @@ def mahalanobis(residuals: FloatArray, covariances: FloatArray) -> tuple[FloatAr
 
 
 def log_density(squared: FloatArray | float, log_dets: FloatArray) -> FloatArray:
-    """log N (...) in nats, of what `mahalanobis` returns."""
+    """Compute log N (...) in nats from the result of `mahalanobis`."""
     return np.asarray(-0.5 * (squared + log_dets) - math.log(2 * math.pi))
 
 

@@ -82,7 +82,7 @@ class DriftModel:
         *,
         first: bool = False,
     ) -> FloatArray:
-        """Covariance (3, 3) that is expected of an increment, in the frame in which it ends.
+        """Return the expected covariance (3, 3) of an increment, in the frame in which it ends.
 
         `unmatched` is in a frame in which that one's heading is `heading`; `first`: it begins at the first scan.
         """
@@ -144,7 +144,7 @@ def compute_moments(poses: FloatArray, covariances: FloatArray) -> FloatArray:
 
 
 def compute_step_moments(pose: Pose, covariance: FloatArray) -> FloatArray:
-    """Moments (9,) of one step to `pose`: what `compute_moments` gives for many."""
+    """Return the moments (9,) of one step to `pose`, as `compute_moments` does for many."""
     x, y, theta = pose
     (xx, xy, _), (_, yy, _), (_, _, q) = covariance.tolist()
     c = math.cos(theta)

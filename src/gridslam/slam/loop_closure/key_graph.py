@@ -396,7 +396,7 @@ class KeyGraph:
         )
 
     def snapshot(self) -> KeyGraph:
-        """Keep a copy for later; what never changes is shared."""
+        """Return a copy for later; arrays that never change are shared."""
         twin = KeyGraph()
         for own in fields(self):
             value = getattr(self, own.name)

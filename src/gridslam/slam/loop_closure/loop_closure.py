@@ -34,7 +34,7 @@ __all__ = ["FilterState", "LoopClosure"]
 
 
 class FilterState(Protocol):
-    """What loop closure needs of a particle filter."""
+    """The interface to a particle filter that loop closure needs."""
 
     @property
     def tracker(self) -> TrackerState:
@@ -65,7 +65,7 @@ class FilterState(Protocol):
     """Moments (9,) of the drift since the start (see `compute_moments`)."""
 
     closure_state: LoopClosureState | None
-    """What loop closure remembers."""
+    """The state of loop closure."""
 
     def best_trajectory(self) -> FloatArray:
         """Poses (T, 3) of the best particle at all key scans."""

@@ -22,7 +22,7 @@ __all__ = ["UNKNOWN_VARIANCES", "MapPiece", "PieceMatch"]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class MapPiece:
-    """What earlier drives have left of a place: all that a later one needs to be located in it and joined with it.
+    """The map of earlier drives: all data by which a later drive is relocalized in it and joined with it.
 
     Of one drive or of several that were joined. Drives follow one another in the order of the key scans, separated by
     an increment of `UNKNOWN_VARIANCES`.

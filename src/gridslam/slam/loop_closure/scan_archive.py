@@ -200,7 +200,7 @@ class ScanArchive:
         return twin
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays, from which `from_arrays` makes an archive that goes on alike."""
+        """Return plain arrays, from which `from_arrays` restores an identical archive."""
         stored = np.flatnonzero(self._places.array[:, 0] != _NOTHING)
         frames = self._frames.array
         saved = _SavedScans(

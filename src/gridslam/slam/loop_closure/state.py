@@ -103,7 +103,7 @@ class SubmapSearch:
     unsearched: Annotated[int, COUNT] = 0
 
     def snapshot(self) -> SubmapSearch:
-        """Return a copy that goes on by itself."""
+        """Return an independent copy."""
         return replace(self, left=self.left.copy(), candidates=self.candidates.copy())
 
     def truncate(self, submaps: int, key_scans: int) -> None:

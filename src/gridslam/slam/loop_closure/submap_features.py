@@ -1,4 +1,4 @@
-"""Keypoints and binary descriptors of a submap: what it looks like from above, at any heading."""
+"""Keypoints and binary descriptors of a submap, seen from above, at any heading."""
 
 from __future__ import annotations
 

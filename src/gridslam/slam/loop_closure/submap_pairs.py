@@ -100,7 +100,7 @@ class SubmapPairs:
         return sum(int(submap.keys[-1]) < key_scans for submap in self.submaps)
 
     def copy(self) -> SubmapPairs:
-        """Return a copy that goes on by itself; submaps are shared."""
+        """Return an independent copy; submaps are shared."""
         twin = SubmapPairs()
         for name in self.__slots__:
             value = getattr(self, name)

@@ -43,7 +43,7 @@ class DescentResult:
 
 
 def squared_mahalanobis(graph: PoseGraph, errors: FloatArray) -> FloatArray:
-    """Squared Mahalanobis lengths (M,) of errors (M, 3): what each measurement adds to chi2."""
+    """Return squared Mahalanobis lengths (M,) of errors (M, 3): the chi2 of each measurement."""
     weighted = np.matmul(graph.information, errors[:, :, None])[:, :, 0]
     return np.asarray((errors * weighted).sum(axis=1))
 

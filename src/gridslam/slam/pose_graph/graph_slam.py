@@ -28,7 +28,7 @@ _RETRY_RATIOS = (0.1, 0.001)
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class GraphSolution:
-    """What GraphSLAM found.
+    """The solution of GraphSLAM.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class GraphSlam:
         return run_to_completion(self.solve_in_steps(graph))
 
     def solve_in_steps(self, graph: PoseGraph) -> Computation[GraphSolution]:
-        """Do what `solve` does, in steps of about one linear system each."""
+        """Solve as `solve` does, in steps of about one linear system each."""
         require_connected(graph.edges, len(graph.poses))
         weights = np.ones(len(graph.edges))
         if len(graph.poses) == graph.held:

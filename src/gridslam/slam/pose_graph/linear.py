@@ -31,7 +31,7 @@ _REFINEMENTS = 5
 
 
 class MatrixBlocks(NamedTuple):
-    """What each of M measurements adds to the normal equations, in blocks of `size` unknowns for each pose.
+    """Contributions of M measurements to the normal equations, in blocks of `size` unknowns for each pose.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The pose graph: what GraphSLAM solves, loop closure builds and a g2o file holds."""
+"""The pose graph: solved by GraphSLAM, built by loop closure, stored in g2o files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["PoseGraph"]
 @checked
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseGraph:
-    """Poses, and what was measured between pairs of them.
+    """Poses, and relative measurements between pairs of them.
 
     Attributes
     ----------
