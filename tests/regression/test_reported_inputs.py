@@ -80,3 +80,14 @@ def test_a_robot_that_follows_a_person_does_not_jump(data_dir, name):
     stamps, poses = zip(*((o.stamp_ns, o.pose) for o, _ in open_log(path) if o is not None), strict=True)
     scores = score_against_truth(map_log(path).trajectory, Trajectory(np.array(stamps), np.array(poses)))
     assert scores["ate"]["trans_max_m"] < 0.01
+
+
+def test_a_carried_robot_is_found_again_in_its_own_map(data_dir):
+    """It is carried after 100 scans, over 80 of the truth."""
+    folder = reports(data_dir)
+    result = map_log(folder / "kidnapped")
+    truth = read_tum(folder / "truth.tum").poses[np.r_[0:100, 180:301]]
+    assert result.found_again is not None
+    assert [len(path) for path in result.trajectories.values()] == [100, 121]
+    scores = score_against_truth(result.trajectory, Trajectory(result.trajectory.stamps_ns, truth))
+    assert scores["ate"]["trans_rmse_m"] < 0.005

@@ -112,9 +112,23 @@ def summarize(document: dict[str, Any], result: MapResult, out: Path) -> list[st
         f"a scan took {1e3 * latency['median_s']:.2f} ms (median), {1e3 * latency['p99_s']:.1f} ms (99 of 100), "
         f"{1e3 * latency['max_s']:.1f} ms (longest)",
         *_summarize_loop_closure(document["loop_closure"]),
+        *_summarize_pieces(result, out),
         f"map, {filter_['map_width_m']:.1f} m x {filter_['map_height_m']:.1f} m: {out / 'map.png'}, {out / 'map.yaml'}",
         f"trajectory: {out / 'trajectory.tum'}",
     ]
+
+
+def _summarize_pieces(result: MapResult, out: Path) -> Iterator[str]:
+    """Format where the robot was found again, and what stays apart."""
+    found = result.found_again
+    if found is not None and found.stamp_ns >= (result.log.first_stamp_ns or 0):  # else in an earlier log
+        where = f"the map of {', '.join(found.drives)}" if found.drives else "the given map"
+        yield f"found again in {where} after {found.way_m:.1f} m"
+    elif found is None and result.pieces:
+        apart = "; ".join(", ".join(drive.name for drive in piece.drives) or "given map" for piece in result.pieces)
+        yield f"not found in {len(result.pieces)} earlier piece(s) ({apart}), which stay apart: map_2.yaml, ..."
+    if len(result.trajectories) > 1:
+        yield f"trajectories of {len(result.trajectories)} drives: {out / 'trajectory_NAME.tum'}"
 
 
 def _summarize_loop_closure(loops: dict[str, Any] | Literal[False]) -> Iterator[str]:

@@ -138,15 +138,6 @@ class SessionOptions:
             where = "goes on where the session has ended" if session.is_same_place else "begins elsewhere"
             forced = " (forced)" if session.is_same_place != session.decision.is_same else ""
             yield f"{result.source.name} {where}{forced}: {session.decision.reason}"
-        found = result.found_again
-        if found is not None and not session.is_same_place:
-            where = f"the map of {', '.join(found.drives)}" if found.drives else "the given map"
-            yield f"found again in {where} after {found.way_m:.1f} m"
-        elif result.pieces:
-            apart = "; ".join(", ".join(drive.name for drive in piece.drives) or "given map" for piece in result.pieces)
-            yield f"not found in {len(result.pieces)} earlier piece(s) ({apart}), which stay apart: map_2.yaml, ..."
-        if len(result.trajectories) > 1:
-            yield f"trajectories of {len(result.trajectories)} drives: {out / 'trajectory_NAME.tum'}"
         if self.save is not None:
             yield f"session: {self.save}, {self.save.stat().st_size / 1e6:.1f} MB"
 

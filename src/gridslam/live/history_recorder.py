@@ -85,7 +85,8 @@ class HistoryRecorder:
         self._collector = ClosureCollector()
 
     def follow(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
-        """Yield the measurements of a source, and note their scans."""
+        """Start anew, yield the measurements of a source, and note their scans."""
+        self.reset()
         for measurement in source:
             self._scan = measurement[1]
             yield measurement

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gridslam.doctor import CheckedLog, Doctor, Severity, quick_check
-from gridslam.doctor.view_breaks import ViewBreaks
+from gridslam.doctor.view_breaks import ViewBreaks, split_where_carried
 from gridslam.geometry.se2 import between, compose
 from gridslam.types import Odometry
 from support.hand_logs import MadeLog
@@ -52,7 +52,7 @@ def test_a_carried_robot_is_named_with_time_and_place():
     (finding,) = (found for found in doctor.findings() if found.is_fault)
     assert (finding.code, finding.severity) == ("robot_carried", Severity.ERROR)
     assert f"after 20.0 s at x {place[0]:.2f} m, y {place[1]:.2f} m" in finding.message
-    assert "--duration 20 --save FILE" in finding.remedy
+    assert "begins a new piece" in finding.remedy
 
 
 def test_the_rest_of_a_drive_and_an_odometry_that_knows_are_no_break():
@@ -98,3 +98,61 @@ def test_it_is_reported_while_the_log_is_read_long_after_the_first_minute():
     assert [entry for entry in told if entry[1] == "robot_carried"] == [(400 + LOST.start + 9, "robot_carried")]
     assert "view is another one" in checked.statistics.faults["robot_carried (laser)"]
     assert "robot_carried" not in {finding.code for finding in quick_check(MadeLog(carried()))}
+
+
+def of_sensor(measurements, sensor):
+    return [m._replace(scan=replace(m.scan, sensor=sensor)) for m in measurements]
+
+
+def split(measurements, passed=0):
+    return [list(drive) for drive in split_where_carried(measurements, passed)]
+
+
+def test_each_drive_has_its_own_scans_in_their_order():
+    measurements = carried()
+    drives = split(measurements)
+    assert [len(drive) for drive in drives] == [LOST.start, len(measurements) - LOST.start]
+    assert all(one is other for one, other in zip(sum(drives, []), measurements, strict=True))
+    healthy = log(scans=300)[0]
+    assert split(healthy) == [list(healthy)]
+    assert split([]) == []
+
+
+def test_scans_are_held_back_only_where_the_view_changes():
+    """Of the scans before none waits, of those after each comes once ten were seen."""
+    given = []
+
+    def reading():
+        for measurement in carried():
+            given.append(measurement)
+            yield measurement
+
+    ahead = [
+        [len(given) - number for number, _ in enumerate(drive, first)]
+        for drive, first in zip(split_where_carried(reading()), (1, LOST.start + 1), strict=True)
+    ]
+    assert set(ahead[0]) == {0}
+    assert ahead[1] == [9, 8, 7, 6, 5, 4, 3, 2, 1, 0] + [0] * (len(ahead[1]) - 10)
+
+
+@pytest.mark.parametrize("passed", [0, 1, 50, LOST.start - 1, LOST.start, LOST.start + 1, LOST.start + 30])
+def test_a_run_that_goes_on_gets_the_rest_and_knows_whether_a_drive_begins(passed):
+    measurements = carried()
+    drives = split(measurements, passed)
+    assert all(one is other for one, other in zip(sum(drives, []), measurements[passed:], strict=True))
+    assert len(drives) == (2 if passed <= LOST.start else 1)
+    assert len(drives[0]) == (LOST.start if passed <= LOST.start else len(measurements)) - passed
+
+
+def test_two_lasers_of_a_carried_robot_are_one_break():
+    both = [m for pair in zip(carried(), of_sensor(carried(), "rear"), strict=True) for m in pair]
+    drives = split(both)
+    assert [len(drive) for drive in drives] == [2 * LOST.start, len(both) - 2 * LOST.start]
+
+
+def test_a_laser_that_falls_silent_holds_no_others_back_for_ever():
+    measurements = carried()
+    healthy = of_sensor(log(scans=300)[0], "rear")
+    both = [m for pair in zip(measurements[: LOST.start + 3], healthy, strict=False) for m in pair]
+    drives = split([*both, *healthy[LOST.start + 3 :]])
+    assert [len(drive) for drive in drives] == [len(both) + len(healthy) - LOST.start - 3]
