@@ -74,6 +74,11 @@ class Viewers(NamedTuple):
             if not self.page.wait_for_viewer(timeout_s):
                 self.page.control.set_speed(None)
 
+    def show_warning(self, text: str) -> None:
+        """Show a warning on the page until the next one."""
+        if self.page is not None:
+            self.page.show_message(text)
+
     def show_session(self, name: str, drives: Sequence[str]) -> None:
         """Show on the page which session goes on: the name of its file, and of the drives in it."""
         if self.page is not None:

@@ -40,7 +40,12 @@ def map_to_folder(
     opened = session.open(configuration, given.seed, given.threads)
     if opened is not None:
         configuration = opened.configuration
-    source = check_log(open_log(log, given.options), given.options, warn)
+
+    def tell(text: str) -> None:
+        warn(text)
+        viewers.show_warning(text)
+
+    source = check_log(open_log(log, given.options), given.options, tell)
     with (
         write_apart() as write,
         open_viewers(live, rerun, source.path.name, configuration.range_max_m, has_history=not no_history) as viewers,

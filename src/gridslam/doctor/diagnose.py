@@ -27,7 +27,7 @@ from gridslam.io.measurement import Measurement
 from gridslam.pipeline import describe_error
 from gridslam.types import FloatArray
 
-__all__ = ["CheckedLog", "Diagnosis", "Doctor", "EarlyCheck", "LaserFacts", "diagnose", "quick_check"]
+__all__ = ["BreakCheck", "CheckedLog", "Diagnosis", "Doctor", "EarlyCheck", "LaserFacts", "diagnose", "quick_check"]
 
 _QUICK_S = 60.0
 _QUICK_SCANS = 300
@@ -352,6 +352,20 @@ class EarlyCheck:
 
 
 @final
+class BreakCheck:
+    """Checks the scans of all lasers, one after the other, for where the robot was carried (see `ViewBreaks`)."""
+
+    def __init__(self) -> None:
+        """Begin with nothing seen."""
+        self._breaks: defaultdict[str, ViewBreaks] = defaultdict(ViewBreaks)
+
+    def take(self, measurement: Measurement) -> tuple[Finding, ...]:
+        """Look at the next measurement; return the finding that is certain from here on, with all before."""
+        sensor = measurement.scan.sensor
+        return tuple(self._breaks[sensor].findings(sensor)) if self._breaks[sensor].take(measurement) else ()
+
+
+@final
 @checked
 class CheckedLog:
     """A log that is checked while it is read: its begin by `EarlyCheck`, and where the robot was carried to its end.
@@ -372,7 +386,7 @@ class CheckedLog:
         self._log = log
         self._on_findings = on_findings
         self._check = EarlyCheck()
-        self._breaks: defaultdict[str, ViewBreaks] = defaultdict(ViewBreaks)
+        self._breaks = BreakCheck()
         self._checked = 0
         self._has_failed = False
         self._faults: dict[str, str] = {}
@@ -404,10 +418,7 @@ class CheckedLog:
         found = list(self._check.take(measurement))
         if self._check.is_first_minute_over and not was_over:
             found += (finding for finding in self._of_reader() if finding.code in _OF_READER_AT_ONCE)
-        sensor = measurement.scan.sensor
-        if self._breaks[sensor].take(measurement):
-            found += self._breaks[sensor].findings(sensor)
-        return tuple(found)
+        return (*found, *self._breaks.take(measurement))
 
     def _of_reader(self) -> tuple[Finding, ...]:
         """Warnings of the reader that were not reported."""

@@ -197,7 +197,8 @@ class ViewBreaks:
             "two recordings were joined.",
             self.found[0][0],
             "s",
-            "gridslam map begins a new piece of the map there, and looks for the robot in what it has mapped before.",
+            "gridslam map begins a new piece of the map there, and looks for the robot in what it has mapped before; a "
+            "node that maps has to be reset.",
             sensor,
         )
 
