@@ -37,8 +37,8 @@ CONFIG = override(gridslam.Configuration(), "particles=3", "mapper.resolution_m=
 SCANS = 260
 """Of the second day; the robot is found again after about 70 of them, earlier where its pose is given."""
 _BEGINS = 60
-CARRIED_AFTER = 130
-"""Scans of the log in which the robot is carried."""
+CARRIED_AFTER, CARRIED_SCANS = 200, 330
+"""Of the log in which the robot is carried: scans before, and in all."""
 _FILES = ("trajectory.tum", "trajectory.csv", "trajectory_online.tum", "map.pgm", "graph.g2o")
 _DAY_S = 86_400
 
@@ -86,7 +86,7 @@ def carry(before: Sequence[Measurement], after: Sequence[Measurement]) -> list[M
             )
             for odometry, scan in after
         ),
-    ][:SCANS]
+    ]
 
 
 def make_building(folder: Path) -> None:
@@ -94,7 +94,7 @@ def make_building(folder: Path) -> None:
     write_csv_log(folder / "monday.csv", drive()[:450])
     write_csv_log(folder / "annex.csv", drive("random")[:120])
     write_csv_log(folder / "tuesday.csv", moved(drive(seed=2)[_BEGINS : _BEGINS + SCANS]))
-    write_csv_log(folder / "carried.csv", carry(drive()[:CARRIED_AFTER], drive(seed=2)[_BEGINS : _BEGINS + SCANS]))
+    write_csv_log(folder / "carried.csv", carry(drive()[:CARRIED_AFTER], drive(seed=2)[20:150]))
     session = gridslam.Session(CONFIG)
     monday = session.add(folder / "monday.csv")
     write_map(folder / "known.yaml", monday.map)

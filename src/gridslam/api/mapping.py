@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from itertools import islice
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, final
 
@@ -22,6 +22,7 @@ from gridslam.checked import checked
 from gridslam.config import Configuration, apply_laser, build
 from gridslam.config import preset as preset_of
 from gridslam.config.tables import to_table
+from gridslam.doctor.finding import Finding
 from gridslam.doctor.repair import Repair, open_repaired
 from gridslam.doctor.view_breaks import split_where_carried
 from gridslam.errors import ArgumentError
@@ -426,10 +427,12 @@ def map_log(
     keep_particles: bool = True,
     digest: str | None = None,
     beginning: Beginning | None = None,
+    on_finding: Callable[[Finding], None] = lambda finding: None,
 ) -> MapResult:
     """Map a log with grid-based FastSLAM and loop closure.
 
     A scan at which the filter raises an exception is skipped, and the result reports it (see `MapResult.failures`).
+    Where the robot was carried a new piece of the map begins, and the robot is looked for in what was mapped before.
 
     Parameters
     ----------
@@ -467,6 +470,8 @@ def map_log(
         SHA-256 of the log, where it is known (see `gridslam.io.text.compute_digest`).
     beginning : Beginning, optional
         What the run goes on from (see `Session.add`).
+    on_finding : callable
+        Called where the robot was carried (`robot_carried`).
 
     Raises
     ------
@@ -513,7 +518,15 @@ def map_log(
         watch.lap("finish")
         return state
 
-    drives = _split(source, begun.passed, configuration)
+    carried: dict[str, str] = {}
+
+    def note_break(finding: Finding) -> None:
+        carried[f"{finding.code} ({finding.sensor})"] = finding.message
+        on_finding(finding)
+
+    drives = split_where_carried(source, begun.passed, note_break)
+    if configuration.loop_closure is None:  # nothing can be found again
+        drives = iter([chain.from_iterable(drives)])
     state = drive(next(drives, iter(())), begun)
     for measurements in drives:
         ended = begun.go_on(state, _describe_part(begun, describe_log(source, digest)))
@@ -521,12 +534,14 @@ def map_log(
         watch.lap("final refinement")
         state = drive(measurements, begun)
     ended = begun.go_on(state, _describe_part(begun, describe_log(source, digest)))
+    statistics = source.statistics
+    statistics.faults.update(carried)
     result = finish_mapping(
         ended.run,
         configuration,
         seed=seed,
         threads=threads,
-        log=source.statistics,
+        log=statistics,
         source=source.path,
         digest=digest,
         repair=find_repair(source),
@@ -538,11 +553,6 @@ def map_log(
     )
     watch.lap("finish")
     return result
-
-
-def _split(log: Log, passed: int, configuration: Configuration) -> Iterator[Iterable[Measurement]]:
-    """Yield the measurements of each drive of a log; all of them where nothing can be found again."""
-    return iter([islice(log, passed, None)]) if configuration.loop_closure is None else split_where_carried(log, passed)
 
 
 def _describe_part(begun: Beginning, log: DrivenLog) -> DrivenLog:

@@ -51,6 +51,7 @@ class Viewers(NamedTuple):
         def gate(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
             paced = iter(measurements) if self.page is None else self.page.pace(measurements, watch)
             if self.page is None and self.history is not None:
+                self.history.reset()  # of a piece before
                 paced = self.history.follow(paced)
             return paced if self.recording is None else self.recording.followed(paced)
 

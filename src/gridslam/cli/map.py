@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from gridslam.api.diagnosis import check_log
+from gridslam.api.diagnosis import check_log, describe_finding
 from gridslam.api.mapping import MapResult, map_log
 from gridslam.api.peak_memory import return_large_blocks
 from gridslam.cli import STARTED_S
@@ -45,7 +45,7 @@ def map_to_folder(
         warn(text)
         viewers.show_warning(text)
 
-    source = check_log(open_log(log, given.options), given.options, tell)
+    source = check_log(open_log(log, given.options), given.options, tell, is_mapped=True)
     with (
         write_apart() as write,
         open_viewers(live, rerun, source.path.name, configuration.range_max_m, has_history=not no_history) as viewers,
@@ -58,6 +58,7 @@ def map_to_folder(
                 run = partial(map_log, configuration=configuration, seed=given.seed, threads=given.threads)
             else:
                 run = partial(session.add, opened, out)
+            run = partial(run, on_finding=lambda finding: tell(describe_finding(source, finding)))
             result = map_with_progress(source, run, watch, viewers, shown=not as_json, repair=given.repair)
             is_saved = opened is None or session.save is None or write(opened.save, session.save)
             viewers.write_history(folder)

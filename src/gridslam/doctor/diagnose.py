@@ -286,7 +286,10 @@ def diagnose(
                 "a log that is cut off is mapped as far as it goes with --keep-truncated.",
             )
         )
-    return doctor.diagnosis(source, [*found, *doctor.findings(), *reader_findings(source.statistics), doctor.cost()])
+    seen = list(doctor.findings())
+    if source.statistics.clock_offset_s:  # which is the cause: the scans have the odometry of another time
+        seen = [finding for finding in seen if finding.code != "odometry_unrelated"]
+    return doctor.diagnosis(source, [*found, *seen, *reader_findings(source.statistics), doctor.cost()])
 
 
 @final
@@ -379,14 +382,18 @@ class CheckedLog:
     on_findings : callable
         Gets findings that are more than information, as soon as they are certain; each once, however often the log is
         read.
+    has_breaks : bool
+        Whether it is looked where the robot was carried, too; `map_log` does that itself.
     """
 
-    def __init__(self, log: Log, on_findings: Callable[[tuple[Finding, ...]], None]) -> None:
+    def __init__(
+        self, log: Log, on_findings: Callable[[tuple[Finding, ...]], None], *, has_breaks: bool = True
+    ) -> None:
         """Nothing is read before the iteration."""
         self._log = log
         self._on_findings = on_findings
         self._check = EarlyCheck()
-        self._breaks = BreakCheck()
+        self._breaks = BreakCheck() if has_breaks else None
         self._checked = 0
         self._has_failed = False
         self._faults: dict[str, str] = {}
@@ -418,7 +425,7 @@ class CheckedLog:
         found = list(self._check.take(measurement))
         if self._check.is_first_minute_over and not was_over:
             found += (finding for finding in self._of_reader() if finding.code in _OF_READER_AT_ONCE)
-        return (*found, *self._breaks.take(measurement))
+        return (*found, *(() if self._breaks is None else self._breaks.take(measurement)))
 
     def _of_reader(self) -> tuple[Finding, ...]:
         """Warnings of the reader that were not reported."""

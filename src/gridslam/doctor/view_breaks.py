@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import groupby, islice
@@ -18,7 +18,7 @@ from gridslam.doctor.range_units import polar_scan
 from gridslam.doctor.scan_prediction import PolarScan, disagreements, log_ratios_as_reported, move_laser
 from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
-from gridslam.types import FloatArray, LaserScan
+from gridslam.types import BeamStatus, FloatArray, LaserScan
 
 __all__ = ["ViewBreaks", "split_where_carried"]
 
@@ -27,6 +27,8 @@ _SMALL_RAD = 0.3
 _SAMPLES = 60  # ranges of a scan that are looked at first
 _CHANGED_M = 0.1  # change of a range above noise, and
 _CHANGED = 0.02  # of the range
+_COVER_M = 0.3  # hands and arms are nearer while the robot is carried
+_BLIND = 0.25  # of the beams that saw something before
 _MOST_CHANGED = 0.5  # of these ranges: where fewer change no scan is predicted
 _OTHER = 0.2  # median logarithm of the ratio of predicted and measured range; on real logs a hundredth to a tenth
 _STILL_OTHER = 0.15
@@ -56,6 +58,16 @@ class _View:
     def sampled(self) -> FloatArray:
         """Some of the ranges."""
         return self.scan.ranges[:: max(len(self.scan) // _SAMPLES, 1)]
+
+    @cached_property
+    def seen(self) -> int:
+        """How many of the beams hit something that is no cover."""
+        stride = max(len(self.scan) // _SAMPLES, 1)
+        return int(np.count_nonzero((self.scan.status[::stride] == BeamStatus.HIT) & (self.sampled > _COVER_M)))
+
+    def is_blind_beside(self, before: _View) -> bool:
+        """Whether hardly anything is seen, beside before: the laser is covered, or held to floor or ceiling."""
+        return self.seen < _BLIND * before.seen
 
     def is_changed_from(self, before: _View) -> bool:
         """Whether more than half of the ranges are others than before."""
@@ -148,6 +160,8 @@ class ViewBreaks:
             return False
         view = _View(odometry.pose, scan)
         self._first = self._first or view
+        if self._last is not None and view.is_blind_beside(self._last):
+            return False  # what is seen next is compared with what was seen before
         if self._candidate is not None:
             carried = self._candidate.watch(view)
             if carried:
@@ -203,7 +217,9 @@ class ViewBreaks:
         )
 
 
-def split_where_carried(measurements: Iterable[Measurement], passed: int = 0) -> Iterator[Iterator[Measurement]]:
+def split_where_carried(
+    measurements: Iterable[Measurement], passed: int = 0, on_break: Callable[[Finding], None] = lambda finding: None
+) -> Iterator[Iterator[Measurement]]:
     """Yield the measurements of each drive; a new one begins where a laser shows that the robot was carried.
 
     They come in their order, each drive's before the next one's. Scans are held back as long as it is open whether they
@@ -215,15 +231,19 @@ def split_where_carried(measurements: Iterable[Measurement], passed: int = 0) ->
         Of one or several lasers.
     passed : int, >= 0
         Number of first measurements that are only looked at; the first drive is that of the last one of them.
+    on_break : callable
+        Gets the finding robot_carried, with all breaks so far, as soon as one more is certain.
     """
-    numbered = _number_drives(measurements)
+    numbered = _number_drives(measurements, on_break)
     skipped = min(passed, 1)
     for _, drive in groupby(islice(numbered, passed - skipped, None), key=itemgetter(0)):
         yield map(itemgetter(1), islice(drive, skipped, None))
         skipped = 0
 
 
-def _number_drives(measurements: Iterable[Measurement]) -> Iterator[tuple[int, Measurement]]:
+def _number_drives(
+    measurements: Iterable[Measurement], on_break: Callable[[Finding], None]
+) -> Iterator[tuple[int, Measurement]]:
     """Yield each measurement with the number of its drive, once that is certain."""
     breaks: defaultdict[str, ViewBreaks] = defaultdict(ViewBreaks)
     held: list[Measurement] = []
@@ -234,6 +254,8 @@ def _number_drives(measurements: Iterable[Measurement]) -> Iterator[tuple[int, M
         is_carried = breaks[sensor].take(measurement)
         held.append(measurement)
         if is_carried:
+            for finding in breaks[sensor].findings(sensor):
+                on_break(finding)
             begin = opened[sensor]
             yield from ((number, before) for before in held[:begin])
             number += 1

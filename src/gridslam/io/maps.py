@@ -158,8 +158,8 @@ def read_map(
 ) -> OccupancyGrid:
     """Read a map as map_server and nav2 do, modes trinary, scale and raw (`occupancy_percent` has the rules).
 
-    Occupied cells get probability 0.99, free ones 0.01, and percentages between get probabilities between. A map that is
-    turned is sampled along the axes (see `turn_cells`), with a remark.
+    Occupied cells get probability 0.99, free ones 0.01, and percentages between get probabilities between. A map
+    that is turned is sampled along the axes (see `turn_cells`), with a remark.
 
     Parameters
     ----------

@@ -85,8 +85,7 @@ class HistoryRecorder:
         self._collector = ClosureCollector()
 
     def follow(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
-        """Start anew, yield the measurements of a source, and note their scans."""
-        self.reset()
+        """Yield the measurements of a source, and note their scans."""
         for measurement in source:
             self._scan = measurement[1]
             yield measurement

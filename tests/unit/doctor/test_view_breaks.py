@@ -10,7 +10,7 @@ import pytest
 from gridslam.doctor import CheckedLog, Doctor, Severity, quick_check
 from gridslam.doctor.view_breaks import ViewBreaks, split_where_carried
 from gridslam.geometry.se2 import between, compose
-from gridslam.types import Odometry
+from gridslam.types import LaserScan, Odometry
 from support.hand_logs import MadeLog
 from support.laser_drives import log
 
@@ -58,6 +58,23 @@ def test_a_carried_robot_is_named_with_time_and_place():
 def test_the_rest_of_a_drive_and_an_odometry_that_knows_are_no_break():
     assert breaks(log(scans=300)[0]) == []
     assert breaks(carried(odometry_knows=True)) == []
+
+
+@pytest.mark.parametrize("seen_m", [0.0, 0.15, np.nan, np.inf])
+def test_a_laser_that_is_covered_while_it_is_carried(seen_m):
+    before, after = carried()[: LOST.start], carried()[LOST.start :]
+    last = before[-1]
+
+    def wait(measurements, seconds):
+        late = round(seconds * 1e9)
+        return [m._replace(scan=replace(m.scan, stamp_ns=m.scan.stamp_ns + late)) for m in measurements]
+
+    ranges = np.full(len(last.scan), seen_m)
+    scan = LaserScan.from_ranges(last.scan.stamp_ns, ranges, last.scan.geometry, sensor=last.scan.sensor)
+    covered = [own for k in range(1, 9) for own in wait([last._replace(scan=scan)], 0.2 * k)]
+    ((at_s, _),) = breaks([*before, *covered, *wait(after, 1.6)])
+    assert at_s == pytest.approx(21.6, abs=0.01)
+    assert breaks([*before, *covered, *wait(log(scans=300)[0][LOST.start :], 1.6)]) == []
 
 
 def test_who_passes_closely_is_none():
