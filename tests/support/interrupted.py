@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -152,15 +152,17 @@ def resume_after(scan: int, scenario: str, folder: Path, out: Path) -> dict[str,
     out.mkdir()
     autosave = Autosave(out / "autosave.gridslam", 3600.0)
 
+    numbers = count(1)  # over all drives
+
     def gate(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
-        for number, measurement in enumerate(measurements, start=1):
+        for measurement in measurements:
+            number = next(numbers)
             if number == scan:
                 autosave._due_s = -math.inf
             yield measurement
             if number == scan:
-                break
-        autosave.close()
-        raise KilledError
+                autosave.close()
+                raise KilledError
 
     with pytest.raises(KilledError):
         run_whole(scenario, folder, out, autosave=autosave, gate=gate)

@@ -95,6 +95,18 @@ def test_what_every_robot_has_is_information():
     assert not any(finding.is_fault for finding in found)
 
 
+def test_odometry_in_feet_is_named():
+    found = faults(perfect(60.0, scale=1 / 0.3048))
+    assert list(found) == ["odometry_scale"]
+    assert "3.281: it is in feet" in found["odometry_scale"].remedy
+
+
+def test_odometry_without_headings_is_named():
+    motion = perfect(60.0)
+    odometry = motion.odometry * [1.0, 1.0, 0.0]
+    assert "stays the same" in faults(replace(motion, odometry=odometry))["odometry_rotation_bias"].remedy
+
+
 def test_odometry_of_another_robot_is_unrelated():
     motion = perfect(120.0)
     other = np.cumsum(np.random.default_rng(0).normal(0, [0.02, 0.0, 0.05], motion.odometry.shape), axis=0)

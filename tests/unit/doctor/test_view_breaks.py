@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -129,7 +130,7 @@ def test_each_drive_has_its_own_scans_in_their_order():
     measurements = carried()
     drives = split(measurements)
     assert [len(drive) for drive in drives] == [LOST.start, len(measurements) - LOST.start]
-    assert all(one is other for one, other in zip(sum(drives, []), measurements, strict=True))
+    assert all(one is other for one, other in zip(chain.from_iterable(drives), measurements, strict=True))
     healthy = log(scans=300)[0]
     assert split(healthy) == [list(healthy)]
     assert split([]) == []
@@ -156,7 +157,7 @@ def test_scans_are_held_back_only_where_the_view_changes():
 def test_a_run_that_goes_on_gets_the_rest_and_knows_whether_a_drive_begins(passed):
     measurements = carried()
     drives = split(measurements, passed)
-    assert all(one is other for one, other in zip(sum(drives, []), measurements[passed:], strict=True))
+    assert all(one is other for one, other in zip(chain.from_iterable(drives), measurements[passed:], strict=True))
     assert len(drives) == (2 if passed <= LOST.start else 1)
     assert len(drives[0]) == (LOST.start if passed <= LOST.start else len(measurements)) - passed
 

@@ -227,3 +227,11 @@ def test_one_scan_of_other_angles_among_many_is_no_reason(tmp_path):
 def test_intensities_without_ranges_are_named(tmp_path):
     said = refused(tmp_path, [scan("/scan", step / 10, [], intensities=FOUR) for step in range(4)])
     assert "the scans of /scan: expected ranges, got none, and 4 intensities" in said
+
+
+@pytest.mark.parametrize("frames", [("a", "b"), ("", "")])
+def test_where_it_cannot_be_told_the_usual_name_is_taken_and_said(tmp_path, frames):
+    said = [scan(name, 0.0, FOUR, frame=frame) for name, frame in zip(("/scan", "/stable_scan"), frames, strict=True)]
+    chosen = choice_of(tmp_path, said)
+    assert chosen.scans == ("/scan",)
+    assert any("/stable_scan left out, /scan taken" in remark for remark in chosen.remarks)

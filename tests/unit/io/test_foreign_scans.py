@@ -55,6 +55,9 @@ def test_units_that_are_not_stated_are_said(tmp_path):
     [
         ("angle_rad,range_m", "0,1\n1,2\n2,3\n", [0, 1, 2], [1, 2, 3], 0),
         ("angle;distance", "0;1\n1;2\n2;3\n", [0, 1, 2], [1, 2, 3], 0),
+        ("Time; Angle (rad); Distance (m)", "1,5; 0,5; 1,25\n1,5; 1; 2\n", [0.5, 1], [1.25, 2], 1_500_000_000),
+        ("t, angle [deg], range [mm]", "2, 0, 1000\n2, 90, 2000\n", [0, np.pi / 2], [1, 2], 2_000_000_000),
+        ("azimuth_deg\tr", "0\t1\n90\t2\n", [0, np.pi / 2], [1, 2], 0),
         ("timestamp_ms theta[deg] dist(cm)", "1500 0 100\n1500 90 200\n", [0, np.pi / 2], [1, 2], 1_500_000_000),
         ("time,angle,dist", "1700000000000000001,180,500\n1700000000000000001,90,500\n", [np.pi, np.pi / 2], [0.5, 0.5],
          1700000000000000001),
@@ -65,6 +68,15 @@ def test_units_are_those_of_the_names(tmp_path, header, rows, bearings, ranges, 
     np.testing.assert_allclose(scan.geometry.bearings, bearings)
     np.testing.assert_allclose(scan.ranges, ranges)
     assert scan.stamp_ns == stamp_ns
+
+
+def test_rows_in_which_each_value_is_named(tmp_path):
+    """As the example of the RPLIDAR SDK prints them."""
+    turn = [("S ", 0.5, 1500), ("  ", 120.25, 0), ("  ", 240.0, 2000)]
+    rows = "".join(f"{sync} theta: {angle:03.2f} Dist: {distance:08.2f} Q: 47 \n" for sync, angle, distance in turn)
+    (first, second), _ = read(tmp_path, 2 * rows)
+    np.testing.assert_allclose(np.degrees(first.scan.geometry.bearings), [0.5, 120.25, 240])
+    np.testing.assert_allclose(second.scan.ranges, [1.5, 0, 2])
 
 
 def test_a_scan_ends_where_the_angle_begins_anew_in_either_direction(tmp_path):
