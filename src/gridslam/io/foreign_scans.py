@@ -1,7 +1,7 @@
 """Scans in tables that other programs write: `rostopic echo -p`, and rows of an angle and a distance each.
 
-Both come without odometry and mounting. A table is known by its header, or by names in each row (``theta: 1.5 Dist: 300``,
-as of the RPLIDAR SDK's example).
+Both come without odometry and mounting. A table is known by its header, or by the names in each row
+(``theta: 1.5 Dist: 300``, as of the RPLIDAR SDK's example).
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def _find_header(head: str) -> str:
 
 
 def _split(text: str) -> list[str]:
-    """Words of a row: separated by semicolons, which leave the comma to decimals, or by commas or tabs, or by blanks."""
+    """Words of a row, between semicolons (then a comma is a decimal one), or commas or tabs, or blanks."""
     plain = text.replace('"', "").strip()
     if ";" in plain:
         return [word.strip().replace(",", ".") for word in plain.split(";")]

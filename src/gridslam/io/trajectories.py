@@ -129,7 +129,8 @@ def _read_kitti(path: str | Path, stamps_ns: IntArray | None) -> Trajectory:
 def read_tum(path: str | Path) -> Trajectory:
     """Read a trajectory, in file order; the heading is the yaw of the quaternion.
 
-    Values are separated by blanks, or by commas. Stamps are in s, or in ns where the first one is a whole number of 17 digits or more.
+    Values are separated by blanks, or by commas. Stamps are in s, or in ns where the first one is a whole number of 17
+    digits or more.
 
     Raises
     ------
