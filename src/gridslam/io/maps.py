@@ -51,6 +51,8 @@ _FARTHEST_CELL = 1 << 30  # rows and columns of cells are numbers of 32 bits
 _FINEST_M = 0.001  # what lies outside is another unit, or a slip
 _COARSEST_M = 10.0
 _TINY_YAW_RAD = 1e-3  # half a cell of 5 cm in 25 m
+_ROUNDED_RAD = 1e-9  # less comes of arithmetic
+_NO_NUMBERS = ("nan", "+nan", "-nan", ".nan", "null", "~")  # as YAML, C and Python spell them
 _Fields: TypeAlias = Mapping[str, tuple[Any, int]]
 
 
@@ -258,15 +260,15 @@ def _find_image(folder: Path, name: str, remarks: list[str]) -> str:
 
 def _read_yaw(path: str | Path, word: str, line: int, remarks: list[str]) -> float:
     """The yaw, with a remark where there is one; 0 for one that is no number, or turns no map visibly."""
-    try:
-        is_number = not math.isnan(float(word.replace(".nan", "nan")))  # YAML's spelling, and C's
-    except ValueError:
-        is_number = True
-    yaw = math.remainder(_finite(path, "origin", word, line), 2 * math.pi) if is_number else 0.0
+    is_number = word.lower() not in _NO_NUMBERS
+    yaw = _finite(path, "origin", word, line) if is_number else 0.0
+    if abs(yaw) > math.tau + _TINY_YAW_RAD:
+        raise InputError(path, f"expected the yaw of the origin in rad, got {yaw:g}: it looks like degrees", line)
+    yaw = math.remainder(yaw, math.tau)
     if abs(yaw) > _TINY_YAW_RAD:
         remarks.append(f"the map is turned by {math.degrees(yaw):.4g} degrees about its corner, as its origin states")
         return yaw
-    if yaw or not is_number:
+    if abs(yaw) > _ROUNDED_RAD or not is_number:
         remarks.append(f"the yaw {word} of the origin is taken as 0")
     return 0.0
 

@@ -122,6 +122,7 @@ def test_ways_to_say_the_same(tmp_path, yaml):
         (YAML.replace("0.05", "wide"), 2, "number for resolution"),
         (YAML.replace("[-1.5, 2, 0]", "[-1.5, 2]"), 3, "origin"),
         (YAML.replace("2, 0]", "2, inf]"), 3, "number for origin"),
+        (YAML.replace("2, 0]", "2, -90.0]"), 3, "yaw of the origin in rad, got -90: it looks like degrees"),
         (YAML.replace("2, 0]", "nan, 0]"), 3, "number for origin"),
         (YAML.replace("negate: 0", "negate: maybe"), 4, "negate"),
         (YAML.replace("0.196", "0.7"), 6, "free_thresh"),
@@ -157,7 +158,7 @@ def test_an_image_that_is_where_it_is_named_is_read(tmp_path):
     assert told == []
 
 
-@pytest.mark.parametrize("yaw", ["0.0001", "-0.001", ".nan", "nan", "-nan"])
+@pytest.mark.parametrize("yaw", ["0.0001", "-0.001", ".nan", ".NaN", "nan", "-nan", "null"])
 def test_a_yaw_that_turns_nothing_is_taken_as_0(tmp_path, yaw):
     told = []
     path = write(tmp_path, [[0, 254]], YAML.replace("2, 0]", f"2, {yaw}]"))
