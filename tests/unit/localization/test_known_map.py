@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import distance_transform_edt
 
 from gridslam.errors import ArgumentError
 from gridslam.localization import KnownMap
@@ -192,3 +193,21 @@ def test_spread_about_a_pose_is_that_of_poses_drawn_from_the_map():
     away = known.sample_poses(200_000, np.random.default_rng(0)) - pose
     # Cells count by their centres: they leave out the 0.1^2 / 12 that a cell is wide.
     np.testing.assert_allclose(known.spread_about(pose), away.T @ away / len(away), atol=0.03)
+
+
+@pytest.mark.parametrize(("share", "reach_m"), [(0.01, 2.0), (0.3, 0.1), (0.0003, 9.0), (0.05, 0.75)])
+def test_distances_are_those_of_the_exact_transform(share, reach_m):
+    """Of a map of several bands of rows."""
+    occupied = np.random.default_rng(1).random((150, 130)) < share
+    occupied[70, 5] = True
+    known = KnownMap(grid_of(occupied.astype(int)), reach_m=reach_m)
+    exact = distance_transform_edt(~np.pad(occupied, known._rim)) * CELL
+    np.testing.assert_allclose(known._distances, np.minimum(exact, reach_m), rtol=1e-6)
+
+
+def test_the_spread_is_that_of_the_free_cells():
+    known = KnownMap(grid_of(room()))
+    cells = np.argwhere(room() == 0)[:, ::-1]
+    middle = (cells.mean(axis=0) + 0.5) * CELL + ORIGIN
+    spread = known.spread_about(np.array([*middle, 0.0]))
+    np.testing.assert_allclose(spread[:2, :2], np.cov(cells.T, bias=True) * CELL**2, rtol=1e-9)
