@@ -41,11 +41,11 @@ def map_to_folder(
     if opened is not None:
         configuration = opened.configuration
 
-    def tell(text: str) -> None:
+    def report(text: str) -> None:
         warn(text)
         viewers.show_warning(text)
 
-    source = check_log(open_log(log, given.options), given.options, tell, is_mapped=True)
+    source = check_log(open_log(log, given.options), given.options, report, is_mapped=True)
     with (
         write_apart() as write,
         open_viewers(live, rerun, source.path.name, configuration.range_max_m, has_history=not no_history) as viewers,
@@ -58,7 +58,7 @@ def map_to_folder(
                 run = partial(map_log, configuration=configuration, seed=given.seed, threads=given.threads)
             else:
                 run = partial(session.add, opened, out)
-            run = partial(run, on_finding=lambda finding: tell(describe_finding(source, finding)))
+            run = partial(run, on_finding=lambda finding: report(describe_finding(source, finding)))
             result = map_with_progress(source, run, watch, viewers, shown=not as_json, repair=given.repair)
             is_saved = opened is None or session.save is None or write(opened.save, session.save)
             viewers.write_history(folder)

@@ -52,7 +52,7 @@ _FINEST_M = 0.001  # what lies outside is another unit, or a slip
 _COARSEST_M = 10.0
 _TINY_YAW_RAD = 1e-3  # half a cell of 5 cm in 25 m
 _ROUNDED_RAD = 1e-9  # less comes of arithmetic
-_NO_NUMBERS = ("nan", "+nan", "-nan", ".nan", "null", "~")  # as YAML, C and Python spell them
+_NO_NUMBERS = ("nan", "+nan", "-nan", ".nan", "null", "~")  # in YAML, C and Python
 _Fields: TypeAlias = Mapping[str, tuple[Any, int]]
 
 
