@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.images import open_image
+from gridslam.io.limits import require_memory
 from gridslam.io.text import read_text, refuse_unreadable
-from gridslam.io.turned_maps import turn_cells
+from gridslam.io.turned_maps import count_turned_cells, turn_cells
 from gridslam.io.yaml import parse_yaml
 from gridslam.types import GridRows, OccupancyGrid
 
@@ -186,6 +187,9 @@ def read_map(
     percent = occupancy_percent(image, description, strict_thresholds=strict_thresholds)
     origin = description.origin
     if description.yaw_rad:
+        cells = count_turned_cells(percent.shape, description.yaw_rad)
+        what = f"the map of {percent.shape[1]} x {percent.shape[0]} cells, turned by {description.yaw_rad:g} rad,"
+        require_memory(yaml_path, what, cells * _BYTES_PER_PIXEL)
         percent, origin = turn_cells(percent, description.resolution_m, origin, description.yaw_rad, -1)
     probability = (1 - _SURE) / 2 + _SURE * np.arange(101) / 100.0
     log_odds = np.append(np.log(probability / (1 - probability)), 0.0).astype(np.float32)  # the last: of -1, unknown

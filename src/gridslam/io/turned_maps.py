@@ -8,12 +8,34 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["turn_cells"]
+__all__ = ["count_turned_cells", "turn_cells"]
 
 _QUARTER_RAD = 1e-3  # from a quarter turn: half a cell of 5 cm in 25 m
 _BAND = 256  # rows at a time
 
 _Value = TypeVar("_Value", bound=np.generic)
+
+
+def count_turned_cells(shape: tuple[int, int], yaw_rad: float) -> int:
+    """How many cells `turn_cells` makes of those of a shape (H, W)."""
+    rows, columns = shape if _find_quarters(yaw_rad) is not None else _find_bounds(shape, yaw_rad)[1]
+    return rows * columns
+
+
+def _find_quarters(yaw_rad: float) -> int | None:
+    """The number of quarter turns that a yaw is; None for another."""
+    quarters = round(yaw_rad / (math.pi / 2))
+    return quarters if abs(yaw_rad - quarters * math.pi / 2) < _QUARTER_RAD else None
+
+
+def _find_bounds(shape: tuple[int, int], yaw_rad: float) -> tuple[NDArray[np.float64], tuple[int, int]]:
+    """Lowest x and y (2,) of a turned map, in cells from its corner, and how many rows and columns hold it."""
+    height, width = shape
+    cosine, sine = math.cos(yaw_rad), math.sin(yaw_rad)
+    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) @ np.array([[cosine, sine], [-sine, cosine]])
+    low = corners.min(axis=0)
+    columns, rows = np.ceil(corners.max(axis=0) - low).astype(int).tolist()
+    return low, (rows, columns)
 
 
 def turn_cells(
@@ -45,16 +67,13 @@ def turn_cells(
         Their lower left corner.
     """
     height, width = cells.shape
-    quarters = round(yaw_rad / (math.pi / 2))
-    is_quarter = abs(yaw_rad - quarters * math.pi / 2) < _QUARTER_RAD
-    yaw_rad = quarters * math.pi / 2 if is_quarter else yaw_rad
-    cosine, sine = math.cos(yaw_rad), math.sin(yaw_rad)
-    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) @ np.array([[cosine, sine], [-sine, cosine]])
-    low = corners.min(axis=0)
+    quarters = _find_quarters(yaw_rad)
+    yaw_rad = yaw_rad if quarters is None else quarters * math.pi / 2
+    low, (rows, columns) = _find_bounds((height, width), yaw_rad)
     x, y = (np.array(corner) + resolution_m * low).tolist()
-    if is_quarter:
+    if quarters is not None:
         return np.rot90(cells, -quarters), (x, y)
-    columns, rows = np.ceil(corners.max(axis=0) - low).astype(int).tolist()
+    cosine, sine = math.cos(yaw_rad), math.sin(yaw_rad)
     turned = np.full((rows, columns), unknown, cells.dtype)
     across = low[0] + 0.5 + np.arange(columns)
     for first in range(0, rows, _BAND):

@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from gridslam.errors import InputError
 from gridslam.geometry.se2 import compose
 from gridslam.io.maps import MapDescription, read_map
-from gridslam.io.turned_maps import turn_cells
+from gridslam.io.turned_maps import count_turned_cells, turn_cells
 
 CORNER = (-1.5, 2.0)
 CELL_M = 0.1
@@ -61,6 +62,7 @@ def test_other_turns_move_nothing_by_more_than_half_a_diagonal(yaw):
 def test_what_lies_outside_is_unknown():
     turned, _ = turn_cells(np.ones((4, 4), np.int8), CELL_M, CORNER, math.pi / 4, -1)
     assert turned[0, 0] == turned[-1, -1] == -1
+    assert turned.size == count_turned_cells((4, 4), math.pi / 4)
     assert set(turned.ravel().tolist()) == {1, -1}
 
 
@@ -82,3 +84,11 @@ def test_a_map_with_a_yaw_is_read_with_a_remark(tmp_path, written):
 def test_a_description_with_a_yaw_is_written_as_it_was_read(tmp_path):
     description = MapDescription("map.pgm", 0.05, (1.0, 2.0), yaw_rad=0.5)
     assert "origin: [1.0, 2.0, 0.5]" in description.to_yaml()
+
+
+def test_a_long_map_that_turned_would_fill_the_memory_is_refused(tmp_path):
+    (tmp_path / "map.pgm").write_bytes(b"P5\n60000 1\n255\n" + bytes(60000))
+    text = MapDescription("map.pgm", 0.05, (0.0, 0.0), yaw_rad=math.pi / 4).to_yaml()
+    (tmp_path / "map.yaml").write_text(text)
+    with pytest.raises(InputError, match=r"turned by 0\.785398 rad, takes 14\.4 GB of memory"):
+        read_map(tmp_path / "map.yaml")

@@ -218,6 +218,21 @@ def test_what_is_no_map_is_named(change, says):
         grid_of(encoder.decode("nav_msgs/OccupancyGrid", data))
 
 
+def map_of_quaternion(quaternion):
+    turn = SimpleNamespace(**dict(zip("xyzw", quaternion, strict=True)))
+    origin = SimpleNamespace(position=SimpleNamespace(x=1.0, y=2.0, z=0.0), orientation=turn)
+    info = SimpleNamespace(resolution=0.5, width=3, height=2, origin=origin)
+    return SimpleNamespace(header=SimpleNamespace(frame_id="map"), info=info, data=[0, 1, 2, 3, 4, 5])
+
+
+def test_a_map_that_is_turned_is_sampled_along_the_axes_and_a_tilted_one_refused():
+    found = grid_of(map_of_quaternion((0.0, 0.0, 1.0, 0.0)))
+    assert found.cells.tolist() == [[5, 4, 3], [2, 1, 0]]
+    assert found.origin == pytest.approx((-0.5, 1.0))
+    with pytest.raises(MessageError, match="tilted"):
+        grid_of(map_of_quaternion((0.1, 0.0, 0.0, 0.995)))
+
+
 def test_what_has_changed_of_a_map_is_a_rectangle():
     cells = np.full((5, 7), -1, np.int8)
     before = GridMessage(1, "map", 0.05, (0.0, 0.0), cells)

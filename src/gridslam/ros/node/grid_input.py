@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from gridslam.io.bags.ros_messages import MessageError
-from gridslam.io.turned_maps import turn_cells
+from gridslam.io.turned_maps import count_turned_cells, turn_cells
 from gridslam.ros.node.messages import GridMessage
 from gridslam.types import FloatArray, OccupancyGrid
 
@@ -63,6 +63,9 @@ def _make(
         raise MessageError("a map with values that are not between -1 and 100")
     corner = origin[0], origin[1]
     own = cells.reshape(height, width)
-    if abs(origin[5]) > _ALMOST_ZERO:
-        own, corner = turn_cells(own, resolution, corner, 2 * math.atan2(origin[5], origin[6]), -1)
+    yaw = 2 * math.atan2(origin[5], origin[6])
+    if abs(yaw) > _ALMOST_ZERO:
+        if count_turned_cells(own.shape, yaw) > _MAX_CELLS:
+            raise MessageError(f"a map of {width} x {height} cells that is turned by {yaw:g} rad")
+        own, corner = turn_cells(own, resolution, corner, yaw, -1)
     return GridMessage(0, frame, float(resolution), corner, own)
