@@ -38,6 +38,7 @@ _RANGE_SCANS = 3000  # after which no motion is waited for: a robot that is park
 _ONLY_WHOLE = ("standing_still", "robot_carried")
 _OF_READER_AT_ONCE = ("missing_files", "missing_transform")
 _REPORTED_ELSEWHERE = ("unreadable",)
+_OF_TWO_CLOCKS = ("odometry_unrelated", "no_odometry")
 
 
 @final
@@ -288,7 +289,7 @@ def diagnose(
         )
     seen = list(doctor.findings())
     if source.statistics.clock_offset_s:  # which is the cause: the scans have the odometry of another time
-        seen = [finding for finding in seen if finding.code != "odometry_unrelated"]
+        seen = [finding for finding in seen if finding.code not in _OF_TWO_CLOCKS]
     return doctor.diagnosis(source, [*found, *seen, *reader_findings(source.statistics), doctor.cost()])
 
 

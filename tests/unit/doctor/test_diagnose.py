@@ -269,3 +269,16 @@ def test_what_the_reader_misses_is_reported_at_once_and_kept():
     assert set(log.statistics.faults) == {"missing_files", "missing_transform", "clock_skew"}
     assert "split_1.db3" in log.statistics.faults["missing_files"]
     assert "odometry are 2.5 s ahead" in log.statistics.faults["clock_skew"]
+
+
+def test_two_clocks_are_the_cause_and_not_that_there_is_no_odometry():
+    source = Memory(measurement._replace(odometry=None) for measurement in drive(10))
+
+    class Late(Memory):
+        def __iter__(self):
+            yield from super().__iter__()
+            self.statistics.clock_offset_s = 1e5
+
+    late = Late(source._measurements)
+    assert [finding.code for finding in diagnose(source).faults] == ["no_odometry"]
+    assert [finding.code for finding in diagnose(late).faults] == ["clock_skew"]
