@@ -561,7 +561,8 @@ def _describe_part(begun: Beginning, log: DrivenLog) -> DrivenLog:
     stamps_ns = begun.run.trajectory.online_trajectory().stamps_ns[before:].tolist()
     if len(stamps_ns) + begun.failures.count >= log.scans or not stamps_ns:
         return log
-    others = [own for piece in begun.pieces for drive in piece.drives for own in drive.logs if own.sha256 == log.sha256]
+    drives = [*begun.run.earlier, *(drive for piece in begun.pieces for drive in piece.drives)]
+    others = [own for drive in drives for own in drive.logs if own.sha256 == log.sha256]
     length_m = max(log.length_m - sum(own.length_m for own in others), 0.0)
     return DrivenLog(log.path, log.sha256, len(stamps_ns), stamps_ns[0], stamps_ns[-1], length_m)
 
