@@ -98,6 +98,8 @@ class ScanGeometry:
 
 
 _LITTLE = 1 / 3  # of a scan's beams
+_APART_M = 0.5  # neighbouring ends that are farther apart are of two things
+_FEW_THINGS = 3
 _ONE_THING_M = 0.5  # root mean square distance of its ends from their middle; walls spread over metres
 _STRAIGHT = 1e-12  # rad/s: a turn below this moves nothing by a rounding error
 
@@ -151,9 +153,21 @@ class Beams:
             return False
         return bool(self.ends.var(axis=0).sum() < _ONE_THING_M**2)
 
-    def without_beams(self) -> Beams:
-        """Return the same scan with none of its beams."""
-        return Beams(self.scan, self.indices[:0], self.ends[:0], self.origin)
+    def without_movable(self) -> Beams:
+        """Leave out what may move by itself: one to three things of a person's size, where little else is seen.
+
+        Of scans that show something over a third of the view at most. Four things are mostly trees or columns, or a
+        wall so far away that beams hit it metres apart.
+        """
+        if not 0 < len(self) < _LITTLE * len(self.scan):
+            return self
+        gaps = np.flatnonzero(np.hypot(*np.diff(self.ends, axis=0).T) > _APART_M) + 1
+        things = np.split(np.arange(len(self)), gaps)
+        small = [own for own in things if self.ends[own].var(axis=0).sum() < _ONE_THING_M**2]
+        if not 0 < len(small) <= _FEW_THINGS:
+            return self
+        kept = np.setdiff1d(np.arange(len(self)), np.concatenate(small))
+        return Beams(self.scan, self.indices[kept], self.ends[kept], self.origin)
 
     def deskew(self, twist: FloatArray) -> Beams:
         """Undo the robot's motion during the scan: all beams as if they had been measured at the scan's stamp.

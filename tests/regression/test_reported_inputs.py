@@ -9,6 +9,7 @@ from gridslam.api.evaluation import score_against_truth
 from gridslam.api.mapping import map_log
 from gridslam.doctor import diagnose
 from gridslam.errors import InputError
+from gridslam.evaluation import measure_self_consistency
 from gridslam.io.log import open_log
 from gridslam.io.trajectories import read_tum
 from gridslam.types import Trajectory
@@ -80,3 +81,31 @@ def test_a_robot_that_follows_a_person_does_not_jump(data_dir, name):
     stamps, poses = zip(*((o.stamp_ns, o.pose) for o, _ in open_log(path) if o is not None), strict=True)
     scores = score_against_truth(map_log(path).trajectory, Trajectory(np.array(stamps), np.array(poses)))
     assert scores["ate"]["trans_max_m"] < 0.01
+
+
+def test_a_carried_robot_is_found_again_in_its_own_map(data_dir):
+    """It is carried after 100 scans, over 80 of the truth."""
+    folder = reports(data_dir)
+    result = map_log(folder / "kidnapped")
+    truth = read_tum(folder / "truth.tum").poses[np.r_[0:100, 180:301]]
+    assert result.found_again is not None
+    assert [len(path) for path in result.trajectories.values()] == [100, 121]
+    scores = score_against_truth(result.trajectory, Trajectory(result.trajectory.stamps_ns, truth))
+    assert scores["ate"]["trans_rmse_m"] < 0.005
+
+
+@pytest.mark.parametrize(
+    "name", ["soltan_square_hard", "soltan_obstacle", "keenan_wall", "yycho_person", "yycho_square"]
+)
+def test_logs_of_small_robots_agree_with_themselves_better_than_by_their_odometry(data_dir, name):
+    """Of the first one 82 % of the beams are invalid."""
+    path = data_dir / "neato" / f"neato_{name}.bag"
+    if not path.exists():
+        pytest.skip("needs neato/ of the shared data")
+    measurements = [m for m in open_log(path) if m.odometry is not None]
+    scans = [scan for _, scan in measurements]
+    odometry = Trajectory(
+        np.array([scan.stamp_ns for scan in scans]), np.array([odometry.pose for odometry, _ in measurements])
+    )
+    own = measure_self_consistency(map_log(path).trajectory, scans).nats_per_beam
+    assert own < 0.9 * measure_self_consistency(odometry, scans).nats_per_beam

@@ -64,6 +64,7 @@ INNER_RANKS = {
         "text": 0,
         "database": 0,
         "images": 1,
+        "turned_maps": 1,
         "yaml": 0,
         "datasets": 1,
         "cache": 1,

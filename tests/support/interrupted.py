@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ import gridslam
 from gridslam.api.autosave import Autosave
 from gridslam.api.beginning import Place
 from gridslam.config import override
-from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.se2 import between, compose, inverse
 from gridslam.io.csv import write_csv_log
 from gridslam.io.maps import read_map, write_map
 from gridslam.io.measurement import Measurement
@@ -37,6 +37,8 @@ CONFIG = override(gridslam.Configuration(), "particles=3", "mapper.resolution_m=
 SCANS = 260
 """Of the second day; the robot is found again after about 70 of them, earlier where its pose is given."""
 _BEGINS = 60
+CARRIED_AFTER, CARRIED_SCANS = 200, 330
+"""Of the log in which the robot is carried: scans before, and in all."""
 _FILES = ("trajectory.tum", "trajectory.csv", "trajectory_online.tum", "map.pgm", "graph.g2o")
 _DAY_S = 86_400
 
@@ -71,11 +73,28 @@ def moved(measurements: Iterable[Measurement], later_s: float = _DAY_S) -> list[
     ]
 
 
+def carry(before: Sequence[Measurement], after: Sequence[Measurement]) -> list[Measurement]:
+    """One log of two drives, of which the odometry and the clock know nothing."""
+    later_ns = 2 * before[-1].scan.stamp_ns - before[-2].scan.stamp_ns - after[0].scan.stamp_ns
+    frame = compose(before[-1].odometry.pose, inverse(after[0].odometry.pose))
+    return [
+        *before,
+        *(
+            Measurement(
+                replace(odometry, pose=compose(frame, odometry.pose), stamp_ns=odometry.stamp_ns + later_ns),
+                replace(scan, stamp_ns=scan.stamp_ns + later_ns),
+            )
+            for odometry, scan in after
+        ),
+    ]
+
+
 def make_building(folder: Path) -> None:
     """Write what earlier days have left: a session of two buildings, a map of one, and the log of the next day."""
     write_csv_log(folder / "monday.csv", drive()[:450])
     write_csv_log(folder / "annex.csv", drive("random")[:120])
     write_csv_log(folder / "tuesday.csv", moved(drive(seed=2)[_BEGINS : _BEGINS + SCANS]))
+    write_csv_log(folder / "carried.csv", carry(drive()[:CARRIED_AFTER], drive(seed=2)[20:150]))
     session = gridslam.Session(CONFIG)
     monday = session.add(folder / "monday.csv")
     write_map(folder / "known.yaml", monday.map)
@@ -103,11 +122,16 @@ def _posed(folder: Path) -> tuple[gridslam.Session, dict[str, Any]]:
     return session, {"pose": between(odometry[0], odometry[_BEGINS]) + np.array([0.5, -0.5, 0.1])}
 
 
+def _carried(folder: Path) -> tuple[gridslam.Session, dict[str, Any]]:
+    return gridslam.Session(CONFIG), {"log": "carried.csv"}
+
+
 SCENARIOS: Mapping[str, Callable[[Path], tuple[gridslam.Session, dict[str, Any]]]] = {
     "continued": _continued,
     "frozen": _frozen,
     "prior": _prior,
     "prior, its pose given": _posed,
+    "carried within a log": _carried,
 }
 """What the second day goes on from: a session, and the options of `Session.add`."""
 
@@ -115,10 +139,11 @@ SCENARIOS: Mapping[str, Callable[[Path], tuple[gridslam.Session, dict[str, Any]]
 def run_whole(scenario: str, folder: Path, out: Path, **options: Any) -> tuple[dict[str, Any], int]:
     """Map the second day; returns what it gives (see `contents`), and after which scan the robot was found."""
     session, own = SCENARIOS[scenario](folder)
-    result = session.add(folder / "tuesday.csv", **own, **options)
+    result = session.add(folder / own.pop("log", "tuesday.csv"), **own, **options)
     found = result.found_again
     assert found is not None
-    at = int(np.searchsorted(result.online_trajectory.stamps_ns, found.stamp_ns))
+    online = result.online_trajectory
+    at = result.log.scan_count - len(online) + int(np.searchsorted(online.stamps_ns, found.stamp_ns))
     return contents(session, result, out), at
 
 
@@ -127,15 +152,17 @@ def resume_after(scan: int, scenario: str, folder: Path, out: Path) -> dict[str,
     out.mkdir()
     autosave = Autosave(out / "autosave.gridslam", 3600.0)
 
+    numbers = count(1)  # over all drives
+
     def gate(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
-        for number, measurement in enumerate(measurements, start=1):
+        for measurement in measurements:
+            number = next(numbers)
             if number == scan:
                 autosave._due_s = -math.inf
             yield measurement
             if number == scan:
-                break
-        autosave.close()
-        raise KilledError
+                autosave.close()
+                raise KilledError
 
     with pytest.raises(KilledError):
         run_whole(scenario, folder, out, autosave=autosave, gate=gate)

@@ -91,6 +91,11 @@ class Autosave:
         self._passed = beginning.passed
         self._due_s = time.monotonic() + self.period_s
 
+    def go_on(self, beginning: Beginning) -> None:
+        """Go on with what a new piece of the same log begins with."""
+        if self._begun is not None:
+            self._begun = self._begun[0], beginning
+
     def count(self, measurements: Iterable[Measurement]) -> Iterator[Measurement]:
         """Count the measurements on their way to the filter."""
         for measurement in measurements:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import NamedTuple, final
@@ -13,11 +13,12 @@ import numpy as np
 from gridslam.config import Configuration
 from gridslam.geometry.single_pose import ORIGIN, Pose, as_pose, between, compose, is_known, motion_of
 from gridslam.io.measurement import Measurement
-from gridslam.io.sessions.drives import DrivenLog, SavedPiece
+from gridslam.io.sessions.drives import DrivenLog, SavedPiece, choose_name
 from gridslam.io.sessions.session_file import SavedRun
 from gridslam.matching.gauss_newton import NO_PRIOR
 from gridslam.pipeline import FailureRecorder, Observer
 from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
+from gridslam.slam.full_slam.full_slam import full_slam
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.tracking.state import SensorTrack, TrackerState, pose_of
@@ -28,6 +29,7 @@ __all__ = [
     "Beginning",
     "Place",
     "PlaceDecision",
+    "begin_new_piece",
     "decide_place",
     "locate_in",
     "restart_at_pose",
@@ -79,6 +81,8 @@ class Beginning:
         Called after each scan, when all others have been.
     failures : FailureRecorder
         The scans of the log so far at which the filter has failed.
+    on_new_piece : callable
+        Called with what each further piece of the log begins with (see `begin_new_piece`).
     """
 
     run: SavedRun
@@ -87,6 +91,7 @@ class Beginning:
     locator: EarlierPieces | None = None
     observers: Sequence[Observer] = ()
     failures: FailureRecorder = field(default_factory=FailureRecorder)
+    on_new_piece: Callable[[Beginning], None] = lambda beginning: None
 
     def attach(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Let a filter that has just begun look for the robot in the pieces."""
@@ -149,6 +154,31 @@ def locate_in(
         refinement.score,
         begin=pose,
     )
+
+
+def begin_new_piece(
+    ended: Beginning, configuration: Configuration, seed: int, on_progress: Callable[[], None] = lambda: None
+) -> Beginning:
+    """Give what a robot that was carried begins with: what it has mapped is a piece in which it is looked for.
+
+    The same as where another log is added to a session; `ended` is what `Beginning.go_on` gives after the last scan.
+    """
+    run = ended.run
+    if run.state is None:
+        return ended
+    drives = [drive.scans for drive in run.drives]
+    refinement = configuration.final_refinement
+    full = full_slam(run.state, drives, configuration.mapper, configuration.loop_closure, refinement, on_progress)
+    if full.piece is None:
+        return ended  # without loop closure nothing can be found again
+    pieces = (SavedPiece(full.piece, run.drives), *ended.pieces)
+    names = [drive.name for piece in pieces for drive in piece.drives]
+    begun = SavedRun(
+        np.random.default_rng(seed + len(names)), name=choose_name(run.name, names), statistics=run.statistics
+    )
+    begins = replace(ended, run=begun, pieces=pieces, locator=locate_in(pieces, configuration))
+    ended.on_new_piece(begins)
+    return begins
 
 
 def decide_place(run: SavedRun, slam: GridFastSlam, first: Measurement) -> PlaceDecision:

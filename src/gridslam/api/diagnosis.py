@@ -10,21 +10,27 @@ from gridslam.doctor.report import document, markdown, picture_name
 from gridslam.io.log import Log, LogOptions
 from gridslam.io.output import OutputFolder
 
-__all__ = ["check_log", "write_diagnosis"]
+__all__ = ["check_log", "describe_finding", "write_diagnosis"]
 
 
-def check_log(log: Log, options: LogOptions, warn: Callable[[str], None]) -> CheckedLog:
+def check_log(log: Log, options: LogOptions, warn: Callable[[str], None], *, is_mapped: bool = False) -> CheckedLog:
     """Wrap a log so that faults at its beginning are reported while it is read, one line each.
 
-    That there is no odometry is no news to who asked for it.
+    That there is no odometry is no news to who asked for it. Where it is mapped, `map_log` finds where the robot was
+    carried.
     """
 
     def report(found: tuple[Finding, ...]) -> None:
         for finding in found:
             if finding.code != "no_odometry" or not options.no_odometry:
-                warn(f"{log.path}: {finding.code}: {finding.message} {finding.remedy}".rstrip())
+                warn(describe_finding(log, finding))
 
-    return CheckedLog(log, report)
+    return CheckedLog(log, report, has_breaks=not is_mapped)
+
+
+def describe_finding(log: Log, finding: Finding) -> str:
+    """Describe what was found in a log in one line."""
+    return f"{log.path}: {finding.code}: {finding.message} {finding.remedy}".rstrip()
 
 
 def write_diagnosis(diagnosis: Diagnosis, folder: OutputFolder) -> dict[str, Any]:

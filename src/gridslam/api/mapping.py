@@ -7,13 +7,14 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, final
 
 import numpy as np
 
 from gridslam import __version__
-from gridslam.api.beginning import Beginning
+from gridslam.api.beginning import Beginning, begin_new_piece
 from gridslam.api.peak_memory import find_peak_memory_bytes
 from gridslam.api.result import Result, describe_input, find_repair, write_trajectory
 from gridslam.arguments import require_instance, require_seed, require_threads
@@ -21,7 +22,9 @@ from gridslam.checked import checked
 from gridslam.config import Configuration, apply_laser, build
 from gridslam.config import preset as preset_of
 from gridslam.config.tables import to_table
+from gridslam.doctor.finding import Finding
 from gridslam.doctor.repair import Repair, open_repaired
+from gridslam.doctor.view_breaks import split_where_carried
 from gridslam.errors import ArgumentError
 from gridslam.grid.tiles import TiledGrid
 from gridslam.io.cache import find_origin
@@ -43,7 +46,7 @@ from gridslam.slam.full_slam.full_slam import LoopClosureSummary, full_slam
 from gridslam.slam.full_slam.full_trajectory import find_open_directions
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.constraints import ConstraintSource
-from gridslam.slam.loop_closure.state import RejectionReason
+from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.tracking.tracker import Tracker, TrackerState
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, StepReport, Trajectory
@@ -134,7 +137,10 @@ class MapResult(Result):
     run : SavedRun or None
         The filter and its observers after the last scan; None if only the best particle was kept.
     pieces : tuple of SavedPiece
-        Pieces of the continued session that were not joined with this map.
+        Pieces that were not joined with this map: of the continued session, and of the log itself where the robot was
+        carried.
+    found_again : FoundAgain or None
+        Where the robot was relocalized in maps of earlier drives; None if it was not looked for, or not found.
     """
 
     schema: ClassVar = "gridslam.run/3"
@@ -169,22 +175,12 @@ class MapResult(Result):
     drives: tuple[Drive, ...] = ()
     run: SavedRun | None = None
     pieces: tuple[SavedPiece, ...] = ()
+    found_again: FoundAgain | None = None
 
     @property
     def trajectories(self) -> dict[str, Trajectory]:
         """The trajectory of each drive in this map, by its name."""
         return self._by_drive(self.trajectory)
-
-    @property
-    def found_again(self) -> FoundAgain | None:
-        """Where the robot was relocalized in maps of earlier drives; None if not searched for, or not found."""
-        state = None if self.run is None or self.run.state is None else self.run.state.closure_state
-        if state is None or state.joined < 0 or not self.drives:
-            return None
-        *earlier, newest = self.drives
-        first = int(newest.scans.keys[0])
-        stamp_ns = int(newest.key_stamps_ns[state.joined_after - 1])
-        return FoundAgain(tuple(drive.name for drive in earlier), stamp_ns, state.driven_before_found_m(first))
 
     @property
     def map(self) -> OccupancyGrid:
@@ -288,6 +284,8 @@ class MapResult(Result):
             for name, trajectory in trajectories.items():
                 write_tum(out.file(f"trajectory_{name}.tum"), trajectory)
         for number, apart in enumerate(self.pieces, start=2):
+            for name, trajectory in apart.trajectories.items():
+                write_tum(out.file(f"trajectory_{name}.tum"), trajectory)
             write_map(out.file(f"map_{number}.yaml"), apart.piece.build_map(self.configuration.mapper).tiled(0))
         write_tum(out.file("trajectory_online.tum"), self.online_trajectory)
         write_g2o(out.file("graph.g2o"), self.graph)
@@ -429,10 +427,12 @@ def map_log(
     keep_particles: bool = True,
     digest: str | None = None,
     beginning: Beginning | None = None,
+    on_finding: Callable[[Finding], None] = lambda finding: None,
 ) -> MapResult:
     """Map a log with grid-based FastSLAM and loop closure.
 
     A scan at which the filter raises an exception is skipped, and the result reports it (see `MapResult.failures`).
+    Where the robot was carried a new piece of the map begins, and the robot is looked for in what was mapped before.
 
     Parameters
     ----------
@@ -470,6 +470,8 @@ def map_log(
         SHA-256 of the log, where it is known (see `gridslam.io.text.compute_digest`).
     beginning : Beginning, optional
         The session that the run continues (see `Session.add`).
+    on_finding : callable
+        Called where the robot was carried (`robot_carried`).
 
     Raises
     ------
@@ -493,33 +495,53 @@ def map_log(
     watch = stopwatch or Stopwatch()
     source = open_repaired(log, options, repair)
     begun = beginning or Beginning(SavedRun(np.random.default_rng(seed), name=source.path.name.partition(".")[0]))
-    so_far = begun.run
     slam = build(configuration, threads)
+    digest = digest or compute_digest(source.path)
     watch.lap("start")
 
-    def note(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-        so_far.record.add(report, seconds)
-        on_progress()
+    def drive(measurements: Iterable[Measurement], begun: Beginning) -> GridFastSlamState:
+        def note(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+            begun.run.record.add(report, seconds)
+            on_progress()
 
-    state = run(
-        gate(source),
-        slam,
-        rng=so_far.rng,
-        observers=[begun.attach, so_far.trajectory, so_far.statistics, *observers, note, *begun.observers],
-        state=begun.attach_to(so_far.state),
-        stopwatch=watch,
-        on_failure=begun.failures,
-    )
-    begun.finish(state, slam)
-    digest = digest or compute_digest(source.path)
-    watch.lap("finish")
-    ended = begun.go_on(state, describe_log(source, digest))
+        so_far = begun.run
+        state = run(
+            gate(measurements),
+            slam,
+            rng=so_far.rng,
+            observers=[begun.attach, so_far.trajectory, so_far.statistics, *observers, note, *begun.observers],
+            state=begun.attach_to(so_far.state),
+            stopwatch=watch,
+            on_failure=begun.failures,
+        )
+        begun.finish(state, slam)
+        watch.lap("finish")
+        return state
+
+    carried: dict[str, str] = {}
+
+    def note_break(finding: Finding) -> None:
+        carried[f"{finding.code} ({finding.sensor})"] = finding.message
+        on_finding(finding)
+
+    drives = split_where_carried(source, begun.passed, note_break)
+    if configuration.loop_closure is None:  # nothing can be found again
+        drives = iter([chain.from_iterable(drives)])
+    state = drive(next(drives, iter(())), begun)
+    for measurements in drives:
+        ended = begun.go_on(state, _describe_part(begun, describe_log(source, digest)))
+        begun = begin_new_piece(ended, configuration, seed, on_progress)
+        watch.lap("final refinement")
+        state = drive(measurements, begun)
+    ended = begun.go_on(state, _describe_part(begun, describe_log(source, digest)))
+    statistics = source.statistics
+    statistics.faults.update(carried)
     result = finish_mapping(
         ended.run,
         configuration,
         seed=seed,
         threads=threads,
-        log=source.statistics,
+        log=statistics,
         source=source.path,
         digest=digest,
         repair=find_repair(source),
@@ -531,6 +553,18 @@ def map_log(
     )
     watch.lap("finish")
     return result
+
+
+def _describe_part(begun: Beginning, log: DrivenLog) -> DrivenLog:
+    """Describe what a drive has of a log so far: of one in which the robot was carried it is a part."""
+    before = sum(driven.scans for driven in begun.run.logs)
+    stamps_ns = begun.run.trajectory.online_trajectory().stamps_ns[before:].tolist()
+    if len(stamps_ns) + begun.failures.count >= log.scans or not stamps_ns:
+        return log
+    drives = [*begun.run.earlier, *(drive for piece in begun.pieces for drive in piece.drives)]
+    others = [own for drive in drives for own in drive.logs if own.sha256 == log.sha256]
+    length_m = max(log.length_m - sum(own.length_m for own in others), 0.0)
+    return DrivenLog(log.path, log.sha256, len(stamps_ns), stamps_ns[0], stamps_ns[-1], length_m)
 
 
 def describe_log(log: Log, digest: str) -> DrivenLog:
@@ -580,6 +614,7 @@ def finish_mapping(
         problem = f"the final refinement failed: {describe_error(error)}; the trajectory is that of the best particle"
         failures = (*failures, problem)
         full = refine(replace(state, closure_state=None))
+    found_again = None if state.closure_state is None else _describe_joined(state.closure_state, drives)
     if not keep_particles:
         state.closure_state = None
     stopwatch.lap("final refinement")
@@ -613,7 +648,18 @@ def finish_mapping(
         drives=() if full.piece is None else drives,
         run=run if keep_particles else None,
         pieces=pieces,
+        found_again=found_again,
     )
+
+
+def _describe_joined(closure_state: LoopClosureState, drives: Sequence[Drive]) -> FoundAgain | None:
+    """Describe where the newest drive was joined with the earlier ones; None if it was not."""
+    if closure_state.joined < 0:
+        return None
+    *earlier, newest = drives
+    stamp_ns = int(newest.key_stamps_ns[closure_state.joined_after - 1])
+    way_m = closure_state.driven_before_found_m(int(newest.scans.keys[0]))
+    return FoundAgain(tuple(drive.name for drive in earlier), stamp_ns, way_m)
 
 
 def _sort_scans(drives: Sequence[Drive]) -> IntArray:

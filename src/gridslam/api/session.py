@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from datetime import datetime, timezone
-from itertools import islice
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, final
 
@@ -161,13 +160,7 @@ class Session:
     @property
     def trajectories(self) -> dict[str, Trajectory]:
         """The trajectory of each drive by its name, in the frame of its piece's map."""
-        found = {}
-        for piece in self.pieces:
-            if piece.drives:
-                poses = full_trajectories(piece.piece.poses, piece.tracked_scans)
-                for drive, own in zip(piece.drives, piece.split(poses).values(), strict=True):
-                    found[drive.name] = Trajectory(drive.stamps_ns, own)
-        return found
+        return {name: path for piece in self.pieces for name, path in piece.trajectories.items()}
 
     def add(
         self,
@@ -232,7 +225,7 @@ class Session:
         self.resumed = begun.passed
         if autosave is not None:
             autosave.begin(self._saved, begun)
-            begun = replace(begun, observers=[autosave])
+            begun = replace(begun, observers=[autosave], on_new_piece=autosave.go_on)
         count = iter if autosave is None else autosave.count
         result = map_log(
             source,
@@ -243,7 +236,7 @@ class Session:
             beginning=begun,
             keep_particles=True,
             digest=digest,
-            gate=lambda measurements: count(gate(islice(measurements, begun.passed, None))),
+            gate=lambda measurements: count(gate(measurements)),
             **map_options,
         )
         self.keep(result)

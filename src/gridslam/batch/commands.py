@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import gridslam.viz  # noqa: F401
-from gridslam.api.diagnosis import check_log, write_diagnosis
+from gridslam.api.diagnosis import check_log, describe_finding, write_diagnosis
 from gridslam.api.evaluation import evaluate_trajectory, score_against_reference
 from gridslam.api.localization import LocalizationResult, localize
 from gridslam.api.mapping import MapResult, map_log
@@ -47,14 +47,16 @@ def run_map(arguments: Mapping[str, Any]) -> dict[str, Any]:
         The content of run.json; with a reference, its scores under ``evaluation``.
     """
     with _open_output(arguments, MapResult.all_names()) as folder:
+        log = _open(arguments, is_mapped=True)
         result = map_log(
-            _open(arguments),
+            log,
             configuration=replace_parameters(Configuration(), arguments["configuration"]),
             seed=arguments["seed"],
             threads=arguments["threads"],
             repair=arguments["repair"],
             digest=arguments["digest"],
             keep_particles=False,
+            on_finding=lambda finding: _warn(describe_finding(log, finding)),
         )
         _warn(*result.warnings(), *result.failures)
         return _write(result, folder, arguments)
@@ -120,10 +122,10 @@ def _write(
     return document
 
 
-def _open(arguments: Mapping[str, Any]) -> Log:
+def _open(arguments: Mapping[str, Any], *, is_mapped: bool = False) -> Log:
     """Open the log; faults at its beginning go to standard error, and so to the row's output."""
     options = _read_options(arguments)
-    return check_log(open_log(arguments["log"], options), options, _warn)
+    return check_log(open_log(arguments["log"], options), options, _warn, is_mapped=is_mapped)
 
 
 def _read_options(arguments: Mapping[str, Any]) -> LogOptions:

@@ -49,6 +49,7 @@ class Viewers(NamedTuple):
         def gate(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
             paced = iter(measurements) if self.page is None else self.page.pace(measurements, watch)
             if self.page is None and self.history is not None:
+                self.history.reset()  # of a piece before
                 paced = self.history.follow(paced)
             return paced
 
@@ -70,6 +71,11 @@ class Viewers(NamedTuple):
             warn(f"open the page to begin; without it the run begins in {timeout_s:.0f} s")
             if not self.page.wait_for_viewer(timeout_s):
                 self.page.control.set_speed(None)
+
+    def show_warning(self, text: str) -> None:
+        """Show a warning on the page until the next one."""
+        if self.page is not None:
+            self.page.show_message(text)
 
     def show_session(self, name: str, drives: Sequence[str]) -> None:
         """Show on the page the session that the run continues: the name of its file, and its drives."""

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from gridslam.api.diagnosis import check_log
+from gridslam.api.diagnosis import check_log, describe_finding
 from gridslam.api.mapping import MapResult, map_log
 from gridslam.api.peak_memory import return_large_blocks
 from gridslam.cli import STARTED_S
@@ -39,7 +39,12 @@ def map_to_folder(
     opened = session.open(configuration, given.seed, given.threads)
     if opened is not None:
         configuration = opened.configuration
-    source = check_log(open_log(log, given.options), given.options, warn)
+
+    def report(text: str) -> None:
+        warn(text)
+        viewers.show_warning(text)
+
+    source = check_log(open_log(log, given.options), given.options, report, is_mapped=True)
     with (
         write_apart() as write,
         open_viewers(live, source.path.name, configuration.range_max_m, has_history=not no_history) as viewers,
@@ -52,6 +57,7 @@ def map_to_folder(
                 run = partial(map_log, configuration=configuration, seed=given.seed, threads=given.threads)
             else:
                 run = partial(session.add, opened, out)
+            run = partial(run, on_finding=lambda finding: report(describe_finding(source, finding)))
             result = map_with_progress(source, run, watch, viewers, shown=not as_json, repair=given.repair)
             is_saved = opened is None or session.save is None or write(opened.save, session.save)
             viewers.write_history(folder)
@@ -111,9 +117,23 @@ def summarize(document: dict[str, Any], result: MapResult, out: Path) -> list[st
         f"a scan took {1e3 * latency['median_s']:.2f} ms (median), {1e3 * latency['p99_s']:.1f} ms (99 of 100), "
         f"{1e3 * latency['max_s']:.1f} ms (longest)",
         *_summarize_loop_closure(document["loop_closure"]),
+        *_summarize_pieces(result, out),
         f"map, {filter_['map_width_m']:.1f} m x {filter_['map_height_m']:.1f} m: {out / 'map.png'}, {out / 'map.yaml'}",
         f"trajectory: {out / 'trajectory.tum'}",
     ]
+
+
+def _summarize_pieces(result: MapResult, out: Path) -> Iterator[str]:
+    """Format where the robot was found again, and what stays apart."""
+    found = result.found_again
+    if found is not None and found.stamp_ns >= (result.log.first_stamp_ns or 0):  # else in an earlier log
+        where = f"the map of {', '.join(found.drives)}" if found.drives else "the given map"
+        yield f"found again in {where} after {found.way_m:.1f} m"
+    elif found is None and result.pieces:
+        apart = "; ".join(", ".join(drive.name for drive in piece.drives) or "given map" for piece in result.pieces)
+        yield f"not found in {len(result.pieces)} earlier piece(s) ({apart}), which stay apart: map_2.yaml, ..."
+    if len(result.trajectories) > 1:
+        yield f"trajectories of {len(result.trajectories)} drives: {out / 'trajectory_NAME.tum'}"
 
 
 def _summarize_loop_closure(loops: dict[str, Any] | Literal[False]) -> Iterator[str]:

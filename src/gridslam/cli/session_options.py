@@ -15,7 +15,7 @@ from gridslam.api.autosave import Autosave
 from gridslam.api.beginning import Place
 from gridslam.api.mapping import MapResult
 from gridslam.api.session import Session
-from gridslam.cli.output import counted, warn
+from gridslam.cli.output import warn
 from gridslam.config import Configuration
 from gridslam.errors import ArgumentError
 from gridslam.io.log import Log
@@ -138,16 +138,6 @@ class SessionOptions:
             where = "continues where the session ended" if session.is_same_place else "begins elsewhere"
             forced = " (forced)" if session.is_same_place != session.decision.is_same else ""
             yield f"{result.source.name} {where}{forced}: {session.decision.reason}"
-        found = result.found_again
-        if found is not None and not session.is_same_place:
-            where = f"the map of {', '.join(found.drives)}" if found.drives else "the given map"
-            yield f"relocalized in {where} after {found.way_m:.1f} m"
-        elif result.pieces:
-            apart = "; ".join(", ".join(drive.name for drive in piece.drives) or "given map" for piece in result.pieces)
-            pieces = counted(len(result.pieces), "earlier piece")
-            yield f"not found in {pieces} ({apart}), which stay apart: map_2.yaml, ..."
-        if len(result.trajectories) > 1:
-            yield f"trajectories of {counted(len(result.trajectories), 'drive')}: {out / 'trajectory_NAME.tum'}"
         if self.save is not None:
             yield f"session: {self.save}, {self.save.stat().st_size / 1e6:.1f} MB"
 

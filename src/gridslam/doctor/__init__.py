@@ -1,10 +1,20 @@
 """Log diagnosis: content and faults; docs/doctor.md lists every finding."""
 
-from gridslam.doctor.diagnose import CheckedLog, Diagnosis, Doctor, EarlyCheck, LaserFacts, diagnose, quick_check
+from gridslam.doctor.diagnose import (
+    BreakCheck,
+    CheckedLog,
+    Diagnosis,
+    Doctor,
+    EarlyCheck,
+    LaserFacts,
+    diagnose,
+    quick_check,
+)
 from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
 from gridslam.doctor.repair import Repair, RepairedLog
 
 __all__ = [
+    "BreakCheck",
     "CheckedLog",
     "Diagnosis",
     "Doctor",

@@ -276,7 +276,7 @@ def _ways(
     along = np.array([c, s, 0, 0])
     across = np.array([-s, c, 0, 0]) / scale
     along_sigma, across_sigma = (math.sqrt(max(float(g @ fit.covariance @ g), 0.0)) for g in (along, across))
-    factor = _determined(scale, math.hypot(along_sigma, _SCALE_FLOOR), _DETERMINED["scale"])
+    factor = _determined(scale, math.hypot(along_sigma, _SCALE_FLOOR), _DETERMINED["scale"] * max(scale, 1.0))
     yaw = _determined(float(wrap(angle - declared_yaw)), across_sigma, _DETERMINED["yaw"])
     levers = (_estimate(fit, k, _DETERMINED["lever"] * min(scale, 1.0)) for k in (2, 3))
     x, y = (ParameterEstimate(e.value / scale, e.sigma / scale, e.determined) for e in levers)

@@ -27,7 +27,7 @@ from gridslam.io.measurement import Measurement
 from gridslam.pipeline import describe_error
 from gridslam.types import FloatArray
 
-__all__ = ["CheckedLog", "Diagnosis", "Doctor", "EarlyCheck", "LaserFacts", "diagnose", "quick_check"]
+__all__ = ["BreakCheck", "CheckedLog", "Diagnosis", "Doctor", "EarlyCheck", "LaserFacts", "diagnose", "quick_check"]
 
 _QUICK_S = 60.0
 _QUICK_SCANS = 300
@@ -38,6 +38,7 @@ _RANGE_SCANS = 3000  # after which no motion is waited for: a robot that is park
 _ONLY_WHOLE = ("standing_still", "robot_carried")
 _OF_READER_AT_ONCE = ("missing_files", "missing_transform")
 _REPORTED_ELSEWHERE = ("unreadable",)
+_OF_TWO_CLOCKS = ("odometry_unrelated", "no_odometry")
 
 
 @final
@@ -281,7 +282,10 @@ def diagnose(
                 "a log that is cut off is mapped as far as it goes with --keep-truncated.",
             )
         )
-    return doctor.diagnosis(source, [*found, *doctor.findings(), *reader_findings(source.statistics)])
+    seen = list(doctor.findings())
+    if source.statistics.clock_offset_s:  # which is the cause: the scans have the odometry of another time
+        seen = [finding for finding in seen if finding.code not in _OF_TWO_CLOCKS]
+    return doctor.diagnosis(source, [*found, *seen, *reader_findings(source.statistics)])
 
 
 @final
@@ -347,6 +351,20 @@ class EarlyCheck:
 
 
 @final
+class BreakCheck:
+    """Checks the scans of all lasers, one after the other, for where the robot was carried (see `ViewBreaks`)."""
+
+    def __init__(self) -> None:
+        """Begin with nothing seen."""
+        self._breaks: defaultdict[str, ViewBreaks] = defaultdict(ViewBreaks)
+
+    def take(self, measurement: Measurement) -> tuple[Finding, ...]:
+        """Look at the next measurement; return the finding that is certain from here on, with all before."""
+        sensor = measurement.scan.sensor
+        return tuple(self._breaks[sensor].findings(sensor)) if self._breaks[sensor].take(measurement) else ()
+
+
+@final
 @checked
 class CheckedLog:
     """A log that is checked while it is read: its begin by `EarlyCheck`, and where the robot was carried to its end.
@@ -360,14 +378,18 @@ class CheckedLog:
     on_findings : callable
         Gets findings that are more than information, as soon as they are certain; each once, however often the log is
         read.
+    has_breaks : bool
+        Whether it is looked where the robot was carried, too; `map_log` does that itself.
     """
 
-    def __init__(self, log: Log, on_findings: Callable[[tuple[Finding, ...]], None]) -> None:
+    def __init__(
+        self, log: Log, on_findings: Callable[[tuple[Finding, ...]], None], *, has_breaks: bool = True
+    ) -> None:
         """Nothing is read before the iteration."""
         self._log = log
         self._on_findings = on_findings
         self._check = EarlyCheck()
-        self._breaks: defaultdict[str, ViewBreaks] = defaultdict(ViewBreaks)
+        self._breaks = BreakCheck() if has_breaks else None
         self._checked = 0
         self._has_failed = False
         self._faults: dict[str, str] = {}
@@ -399,10 +421,7 @@ class CheckedLog:
         found = list(self._check.take(measurement))
         if self._check.is_first_minute_over and not was_over:
             found += (finding for finding in self._of_reader() if finding.code in _OF_READER_AT_ONCE)
-        sensor = measurement.scan.sensor
-        if self._breaks[sensor].take(measurement):
-            found += self._breaks[sensor].findings(sensor)
-        return tuple(found)
+        return (*found, *(() if self._breaks is None else self._breaks.take(measurement)))
 
     def _of_reader(self) -> tuple[Finding, ...]:
         """Warnings of the reader that were not reported."""

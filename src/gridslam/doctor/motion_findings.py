@@ -34,6 +34,8 @@ _SCALE = 0.02
 _REPORTED_TURN_SCALE = 0.015
 _TURN_SCALE = 0.025
 _REPORTED_DRIFT = 0.006
+_NO_TURN = 0.05  # turn scale of a heading that is not computed
+_FOOT_M = 0.3048
 _DRIFT = 0.01  # rad/m: half a degree a metre
 _YAW = 0.06  # rad: 6 % of the way sideways
 _YAW_SPOILS = 0.35  # rad: from 20 degrees on matching begins too far off
@@ -275,7 +277,7 @@ def _odometry_findings(motion: LaserMotion, found: MotionCalibration) -> Iterato
             f"laser measures, over {found.laser_m:.0f} m.",
             scale.value - 1,
             "m/m",
-            f"Divide the odometry's distances (the wheels' diameter) by {scale.value:.3f}.",
+            f"Divide the odometry's distances (the wheels' diameter) by {scale.value:.3f}{_name_unit(scale.value)}.",
             motion.sensor,
         )
     turn = found.turn_scale
@@ -288,7 +290,9 @@ def _odometry_findings(motion: LaserMotion, found: MotionCalibration) -> Iterato
             f"over {found.laser_rad:.0f} rad.",
             turn.value - 1,
             "rad/rad",
-            f"Multiply the distance between the wheels by {turn.value:.3f}.",
+            f"Multiply the distance between the wheels by {turn.value:.3f}."
+            if abs(turn.value) > _NO_TURN
+            else "Compute the heading of the odometry: it stays the same while the robot turns.",
             motion.sensor,
         )
     drift = found.drift_rad_per_m
@@ -304,6 +308,11 @@ def _odometry_findings(motion: LaserMotion, found: MotionCalibration) -> Iterato
             f"Make the {_side(-degrees)} wheel's diameter in the odometry smaller until it is gone.",
             motion.sensor,
         )
+
+
+def _name_unit(scale: float) -> str:
+    """Name the unit that explains a scale, in brackets; empty where none does."""
+    return ": it is in feet" if abs(scale * _FOOT_M - 1) < _SCALE else ""
 
 
 def _slip_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Finding]:

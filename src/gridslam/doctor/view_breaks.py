@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import groupby, islice
+from operator import itemgetter
 from typing import final
 
 import numpy as np
@@ -15,15 +18,17 @@ from gridslam.doctor.range_units import polar_scan
 from gridslam.doctor.scan_prediction import PolarScan, disagreements, log_ratios_as_reported, move_laser
 from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
-from gridslam.types import FloatArray, LaserScan
+from gridslam.types import BeamStatus, FloatArray, LaserScan
 
-__all__ = ["ViewBreaks"]
+__all__ = ["ViewBreaks", "split_where_carried"]
 
 _SMALL_M = 0.3  # odometry between two scans: after more the view is another one anyway
 _SMALL_RAD = 0.3
 _SAMPLES = 60  # ranges of a scan that are looked at first
 _CHANGED_M = 0.1  # change of a range above noise, and
 _CHANGED = 0.02  # of the range
+_COVER_M = 0.3  # hands and arms are nearer while the robot is carried
+_BLIND = 0.25  # of the beams that saw something before
 _MOST_CHANGED = 0.5  # of these ranges: where fewer change no scan is predicted
 _OTHER = 0.2  # median logarithm of the ratio of predicted and measured range; on real logs a hundredth to a tenth
 _STILL_OTHER = 0.15
@@ -34,6 +39,7 @@ _WATCHED = 10  # scans after a break: who passes closely is gone by then, or the
 _FEWEST = 8  # of them that have enough in common with the view from before to differ from it
 _MOSTLY = 0.75  # of the scans after it that agree with the one before: a laser that fails sees another room in each
 _SHOWN = 5
+_MOST_HELD = 100  # scans: a laser that falls silent decides nothing
 
 
 @final
@@ -52,6 +58,16 @@ class _View:
     def sampled(self) -> FloatArray:
         """Some of the ranges."""
         return self.scan.ranges[:: max(len(self.scan) // _SAMPLES, 1)]
+
+    @cached_property
+    def seen(self) -> int:
+        """How many of the beams hit something that is no cover."""
+        stride = max(len(self.scan) // _SAMPLES, 1)
+        return int(np.count_nonzero((self.scan.status[::stride] == BeamStatus.HIT) & (self.sampled > _COVER_M)))
+
+    def is_blind_beside(self, before: _View) -> bool:
+        """Whether hardly anything is seen, beside before: the laser is covered, or held to floor or ceiling."""
+        return self.seen < _BLIND * before.seen
 
     def is_changed_from(self, before: _View) -> bool:
         """Return whether more than half of the ranges are others than before."""
@@ -131,6 +147,11 @@ class ViewBreaks:
     _agreed: bool = False
     _candidate: _Candidate | None = None
 
+    @property
+    def is_open(self) -> bool:
+        """Whether the next scans show if the robot was carried."""
+        return self._candidate is not None
+
     def take(self, measurement: Measurement) -> bool:
         """Take the next scan of the laser; return whether it shows that the robot was carried some scans ago."""
         odometry, scan = measurement
@@ -139,6 +160,8 @@ class ViewBreaks:
             return False
         view = _View(odometry.pose, scan)
         self._first = self._first or view
+        if self._last is not None and view.is_blind_beside(self._last):
+            return False  # what is seen next is compared with what was seen before
         if self._candidate is not None:
             carried = self._candidate.watch(view)
             if carried:
@@ -180,17 +203,71 @@ class ViewBreaks:
             return
         times = [f"after {at_s:.1f} s at x {place[0]:.2f} m, y {place[1]:.2f} m" for at_s, place in self.found]
         more = f" and {len(times) - _SHOWN} times more" if len(times) > _SHOWN else ""
-        start_s = self.found[0][0]
-        begin = f"{math.floor(1e3 * start_s) / 1e3:g}"  # never later: the scan belongs to what comes after
         yield Finding(
             "robot_carried",
             Severity.ERROR,
             "From one scan to the next the view changes while the odometry is continuous: "
             f"{', '.join(times[:_SHOWN])}{more} (from the first scan, by odometry). The robot was carried there, or "
             "two recordings were joined.",
-            start_s,
+            self.found[0][0],
             "s",
-            f"Map the first part by itself (--duration {begin} --save FILE), and then continue with the rest (--start "
-            f"{begin} --continue FILE): the robot is relocalized in that map.",
+            "gridslam map begins a new piece of the map there, and looks for the robot in what it has mapped before; a "
+            "node that maps has to be reset.",
             sensor,
         )
+
+
+def split_where_carried(
+    measurements: Iterable[Measurement], passed: int = 0, on_break: Callable[[Finding], None] = lambda finding: None
+) -> Iterator[Iterator[Measurement]]:
+    """Yield the measurements of each drive; a new one begins where a laser shows that the robot was carried.
+
+    They come in their order, each drive's before the next one's. Scans are held back as long as it is open whether they
+    begin a drive: ten of a laser at most, and only where the view changes.
+
+    Parameters
+    ----------
+    measurements : iterable of Measurement
+        Of one or several lasers.
+    passed : int, >= 0
+        Number of first measurements that are only looked at; the first drive is that of the last one of them.
+    on_break : callable
+        Gets the finding robot_carried, with all breaks so far, as soon as one more is certain.
+    """
+    numbered = _number_drives(measurements, on_break)
+    skipped = min(passed, 1)
+    for _, drive in groupby(islice(numbered, passed - skipped, None), key=itemgetter(0)):
+        yield map(itemgetter(1), islice(drive, skipped, None))
+        skipped = 0
+
+
+def _number_drives(
+    measurements: Iterable[Measurement], on_break: Callable[[Finding], None]
+) -> Iterator[tuple[int, Measurement]]:
+    """Yield each measurement with the number of its drive, once that is certain."""
+    breaks: defaultdict[str, ViewBreaks] = defaultdict(ViewBreaks)
+    held: list[Measurement] = []
+    opened: dict[str, int] = {}  # where in them the view of a laser has changed
+    number = 0
+    for measurement in measurements:
+        sensor = measurement.scan.sensor
+        is_carried = breaks[sensor].take(measurement)
+        held.append(measurement)
+        if is_carried:
+            for finding in breaks[sensor].findings(sensor):
+                on_break(finding)
+            begin = opened[sensor]
+            yield from ((number, before) for before in held[:begin])
+            number += 1
+            del held[:begin]
+        if is_carried or len(held) > _MOST_HELD:  # what the other lasers saw before is of another place
+            breaks = defaultdict(ViewBreaks, {sensor: breaks[sensor]})
+            opened = {}
+        elif breaks[sensor].is_open:
+            opened.setdefault(sensor, len(held) - 1)
+        else:
+            opened.pop(sensor, None)
+        if not opened:
+            yield from ((number, own) for own in held)
+            held = []
+    yield from ((number, own) for own in held)

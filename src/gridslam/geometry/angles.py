@@ -16,7 +16,7 @@ __all__ = ["find_wrong_beam_angles", "wrap"]
 FloatArray = NDArray[np.float64]
 
 _ONE_WAY_RAD = 1e-4  # a laser's beams are spread over more
-_MOST_TURNS = 2.0  # larger angles were never meant in radians
+_MOST_TURNS = 3.5  # larger angles are degrees; smaller ones may come of a wrong factor, of two or three
 _UNEVEN = 0.02  # of the sweep: drivers round the increment, and some count other beams than they send
 _OFF_BY_ONE = 1.5  # increments: angle_max is that of the last beam, or of the one that would follow
 

@@ -1,6 +1,7 @@
 """Scans in tables that other programs write: `rostopic echo -p`, and rows of an angle and a distance each.
 
-Both come without odometry and mounting. A table is known by its header.
+Both come without odometry and mounting. A table is known by its header, or by the names in each row
+(``theta: 1.5 Dist: 300``, as of the RPLIDAR SDK's example).
 """
 
 from __future__ import annotations
@@ -24,9 +25,10 @@ __all__ = ["ForeignRows", "find_foreign_rows", "is_foreign_table"]
 _ROSTOPIC = "%time,"
 _STAMP = "header.stamp"
 _NUMBERS = "angle_min", "angle_max", "angle_increment", "time_increment", "range_min", "range_max"
-_SEPARATORS = re.compile(r"[,;\t ]+")
-_ANGLE = re.compile(r"(?:angle|theta|bearing)(?:[ _(\[]*(deg|rad)\w*[)\]]?)?")
-_DISTANCE = re.compile(r"(?:dist|distance|range)(?:[ _(\[]*(mm|cm|m)[)\]]?)?")
+_KEY = re.compile(r"([A-Za-z]\w*):\s*")
+_SYNC = re.compile(r"^S\s+(?=[A-Za-z]\w*:)")  # of a beam that begins a turn
+_ANGLE = re.compile(r"(?:angle|theta|bearing|azimuth)(?:[ _(\[]*(deg|rad)\w*[)\]]?)?")
+_DISTANCE = re.compile(r"(?:dist|distance|range|radius|r)(?:[ _(\[]*(mm|cm|m)[)\]]?)?")
 _TIME = re.compile(r"(?:t|time|stamp|timestamp)(?:[ _(\[]*(ns|us|ms|s)[)\]]?)?")
 _OF_A_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 _OF_A_SECOND = {"s": 0, "ms": 3, "us": 6, "ns": 9}  # powers of ten
@@ -73,7 +75,7 @@ def _find_header(head: str) -> str:
         text = line.strip().removeprefix("\ufeff")
         if text.startswith(_ROSTOPIC) and "angle_min" in text:
             return text
-        names = text.lstrip("# ").lower()
+        names = " ".join(_KEY.findall(text)).lower() or text.lstrip("# ").lower()
         words = _split(names)
         if _match(_ANGLE, words) and _match(_DISTANCE, words):
             return names
@@ -83,7 +85,11 @@ def _find_header(head: str) -> str:
 
 
 def _split(text: str) -> list[str]:
-    return _SEPARATORS.split(text.replace('"', "").strip())
+    """Words of a row, between semicolons (then a comma is a decimal one), or commas or tabs, or blanks."""
+    plain = text.replace('"', "").strip()
+    if ";" in plain:
+        return [word.strip().replace(",", ".") for word in plain.split(";")]
+    return [word.strip() for word in re.split("[,\t]", plain)] if re.search("[,\t]", plain) else plain.split()
 
 
 def _match(pattern: re.Pattern[str], names: Sequence[str]) -> tuple[int, str] | None:
@@ -173,7 +179,7 @@ class _PointRows:
         text = line.strip().removeprefix("\xef\xbb\xbf")
         if not text or text.startswith("#"):
             return None
-        words = _split(text)
+        words = _split(_KEY.sub("", _SYNC.sub("", text)))
         if self._is_header:
             self._is_header = False
             if [word.lower() for word in words] == self._names:

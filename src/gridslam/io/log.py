@@ -40,7 +40,11 @@ _OTHER_MAGIC = {
     b"\x89HDF": "an HDF5 file",
     b"PAR1": "a Parquet file",
     b"# .PCD": "a point cloud",
-    b"#ROSRECORD V": "a ROS 1 bag of the old format V1 (rosbag filter OLD.bag NEW.bag True writes it as V2.0)",
+    **dict.fromkeys(
+        (b"#ROSRECORD V", b"#ROSLOG V"),
+        "a ROS 1 bag of the old format V1 (rosbag filter OLD.bag NEW.bag True writes it as V2.0)",
+    ),
+    b"header:": "messages as text (the table of rostopic echo -p -b BAG /scan is read, and so is the bag itself)",
     b"version https://git-lfs": "a pointer of Git LFS (fetch the file itself: git lfs pull)",
 }
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")

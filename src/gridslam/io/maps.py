@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.images import open_image
+from gridslam.io.limits import require_memory
 from gridslam.io.text import read_text, refuse_unreadable
+from gridslam.io.turned_maps import count_turned_cells, turn_cells
 from gridslam.io.yaml import parse_yaml
 from gridslam.types import GridRows, OccupancyGrid
 
@@ -50,6 +52,8 @@ _FARTHEST_CELL = 1 << 30  # rows and columns of cells are numbers of 32 bits
 _FINEST_M = 0.001  # what lies outside is another unit, or a slip
 _COARSEST_M = 10.0
 _TINY_YAW_RAD = 1e-3  # half a cell of 5 cm in 25 m
+_ROUNDED_RAD = 1e-9  # less comes of arithmetic
+_NO_NUMBERS = ("nan", "+nan", "-nan", ".nan", "null", "~")  # in YAML, C and Python
 _Fields: TypeAlias = Mapping[str, tuple[Any, int]]
 
 
@@ -75,6 +79,8 @@ class MapDescription:
         "trinary", "scale" or "raw".
     remarks : tuple of str
         What was made of odd values, a sentence each.
+    yaw_rad : float, rad
+        By how much the map is turned to the left about its lower left corner.
     """
 
     image: str
@@ -85,6 +91,7 @@ class MapDescription:
     free_thresh: float = FREE_THRESH
     mode: str = "trinary"
     remarks: tuple[str, ...] = ()
+    yaw_rad: float = 0.0
 
     def to_yaml(self) -> str:
         """Return text of the YAML file."""
@@ -92,7 +99,7 @@ class MapDescription:
         name = self.image if plain else "'" + self.image.replace("'", "''") + "'"
         return (
             f"image: {name}\nmode: {self.mode}\nresolution: {self.resolution_m!r}\n"
-            f"origin: [{self.origin[0]!r}, {self.origin[1]!r}, 0.0]\nnegate: {int(self.negate)}\n"
+            f"origin: [{self.origin[0]!r}, {self.origin[1]!r}, {self.yaw_rad!r}]\nnegate: {int(self.negate)}\n"
             f"occupied_thresh: {self.occupied_thresh!r}\nfree_thresh: {self.free_thresh!r}\n"
         )
 
@@ -154,7 +161,8 @@ def read_map(
 ) -> OccupancyGrid:
     """Read a map as map_server and nav2 do, modes trinary, scale and raw (`occupancy_percent` has the rules).
 
-    Occupied cells get probability 0.99, free ones 0.01, and percentages between get probabilities between.
+    Occupied cells get probability 0.99, free ones 0.01, and percentages between get probabilities between. A map
+    that is turned is sampled along the axes (see `turn_cells`), with a remark.
 
     Parameters
     ----------
@@ -170,17 +178,22 @@ def read_map(
     Raises
     ------
     InputError
-        The YAML file or the image cannot be read, a value is missing or out of range, the map is rotated, or the image
-        is not grey.
+        The YAML file or the image cannot be read, a value is missing or out of range, or the image is not grey.
     """
     description = read_map_description(yaml_path)
     for remark in description.remarks:
         on_remark(remark)
     image = read_map_image(Path(yaml_path).parent / description.image)
     percent = occupancy_percent(image, description, strict_thresholds=strict_thresholds)
+    origin = description.origin
+    if description.yaw_rad:
+        cells = count_turned_cells(percent.shape, description.yaw_rad)
+        what = f"the map of {percent.shape[1]} x {percent.shape[0]} cells, turned by {description.yaw_rad:g} rad,"
+        require_memory(yaml_path, what, cells * _BYTES_PER_PIXEL)
+        percent, origin = turn_cells(percent, description.resolution_m, origin, description.yaw_rad, -1)
     probability = (1 - _SURE) / 2 + _SURE * np.arange(101) / 100.0
     log_odds = np.append(np.log(probability / (1 - probability)), 0.0).astype(np.float32)  # the last: of -1, unknown
-    grid = OccupancyGrid(log_odds[percent], percent >= 0, description.resolution_m, description.origin)
+    grid = OccupancyGrid(log_odds[percent], percent >= 0, description.resolution_m, origin)
     spared = 0 if strict_thresholds else int(unknown_read_as_free(image, description).sum())
     if spared:
         on_remark(
@@ -226,12 +239,12 @@ def read_map_description(path: str | Path) -> MapDescription:
     if not (isinstance(origin, list) and len(origin) == 3):
         raise InputError(path, f"expected origin: [x, y, yaw], got {origin!r}", line)
     x, y = (_finite(path, "origin", word, line) for word in origin[:2])
-    _check_yaw(path, origin[2], line, remarks)
+    yaw = _read_yaw(path, origin[2], line, remarks)
     if not max(abs(x), abs(y)) <= _FARTHEST_CELL * resolution:
         problem = f"expected an origin within {_FARTHEST_CELL * resolution:g} m (2^30 cells) of 0, got [{x:g}, {y:g}]"
         raise InputError(path, problem, line)
     negated = negate.lower() in ("1", "true")
-    return MapDescription(image, resolution, (x, y), negated, high, low, mode, tuple(remarks))
+    return MapDescription(image, resolution, (x, y), negated, high, low, mode, tuple(remarks), yaw)
 
 
 def _find_image(folder: Path, name: str, remarks: list[str]) -> str:
@@ -249,17 +262,19 @@ def _find_image(folder: Path, name: str, remarks: list[str]) -> str:
     return beside
 
 
-def _check_yaw(path: str | Path, word: str, line: int, remarks: list[str]) -> None:
-    """Take a yaw that is not a number, or turns no map visibly, as 0, with a remark; refuse others."""
-    try:
-        is_number = not math.isnan(float(word.replace(".nan", "nan")))  # YAML's spelling, and C's
-    except ValueError:
-        is_number = True
+def _read_yaw(path: str | Path, word: str, line: int, remarks: list[str]) -> float:
+    """The yaw, with a remark where there is one; 0 for one that is no number, or turns no map visibly."""
+    is_number = word.lower() not in _NO_NUMBERS
     yaw = _finite(path, "origin", word, line) if is_number else 0.0
+    if abs(yaw) > math.tau + _TINY_YAW_RAD:
+        raise InputError(path, f"expected the yaw of the origin in rad, got {yaw:g}: it looks like degrees", line)
+    yaw = math.remainder(yaw, math.tau)
     if abs(yaw) > _TINY_YAW_RAD:
-        raise InputError(path, f"expected a map that is not rotated (yaw 0), got yaw {yaw:g}", line)
-    if yaw or not is_number:
+        remarks.append(f"the map is turned by {math.degrees(yaw):.4g} degrees about its corner, as its origin states")
+        return yaw
+    if abs(yaw) > _ROUNDED_RAD or not is_number:
         remarks.append(f"the yaw {word} of the origin is taken as 0")
+    return 0.0
 
 
 def _read_fields(path: str | Path) -> _Fields:

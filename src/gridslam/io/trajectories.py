@@ -91,7 +91,7 @@ def read_trajectory(path: str | Path, stamps_ns: IntArray | None = None) -> Traj
         As `read_tum`; and of KITTI where there are no stamps for it, or not as many as it has rows.
     """
     first = next(read_numbered_lines(path), (0, ""))[1]
-    words = first.replace(",", " ").split()
+    words = _split(first)
     if "," in first and len(words) >= 8 and _is_ns(words[0]):
         columns = "timestamp x y z qw qx qy qz"
         table = read_table(path, columns, 1, parse_stamp=parse_whole_ns, split=lambda line: line.split(",")[:8])
@@ -129,7 +129,8 @@ def _read_kitti(path: str | Path, stamps_ns: IntArray | None) -> Trajectory:
 def read_tum(path: str | Path) -> Trajectory:
     """Read a trajectory, in file order; the heading is the yaw of the quaternion.
 
-    Stamps are in s, or in ns where the first one is a whole number of 17 digits or more.
+    Values are separated by blanks, or by commas. Stamps are in s, or in ns where the first one is a whole number of 17
+    digits or more.
 
     Raises
     ------
@@ -137,9 +138,14 @@ def read_tum(path: str | Path) -> Trajectory:
         Where the file cannot be read, holds no pose, or a line is not eight finite numbers with a position within 1e9 m
         and a quaternion of unit norm (within 1 %).
     """
-    first = next(read_numbered_lines(path), (0, ""))[1].split()
+    first = _split(next(read_numbered_lines(path), (0, ""))[1])
     parse = parse_whole_ns if first and _is_ns(first[0]) else parse_stamp_ns
-    return _of_quaternions(path, read_table(path, "stamp x y z qx qy qz qw", 1, parse_stamp=parse))
+    return _of_quaternions(path, read_table(path, "stamp x y z qx qy qz qw", 1, parse_stamp=parse, split=_split))
+
+
+def _split(line: str) -> list[str]:
+    """Words of a line, separated by blanks or commas."""
+    return line.replace(",", " ").split()
 
 
 def _of_quaternions(path: str | Path, table: Table) -> Trajectory:

@@ -99,7 +99,12 @@ class LivePage:
         self.observer.progress = progress
 
     def pace(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
-        """Yield measurements at the pace that the viewers set; the stopwatch does not count the waiting time."""
+        """Reset the page, and yield measurements at the pace that the viewers set.
+
+        The stopwatch does not count the waiting time.
+        """
+        self._server.call(self._run.reset)
+        self.observer.reset()
         yield from self.observer.pace(source, stopwatch)
         self._server.call(self._run.set_stage, self._last_stage)
 

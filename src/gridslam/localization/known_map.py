@@ -32,6 +32,7 @@ _Point = Annotated[FloatArray, 2]
 _OCCUPIED = math.log(0.65 / 0.35)  # as map_server writes and reads maps
 _FREE = math.log(0.196 / 0.804)
 _PAGE_CELLS = TILE * PAGE
+_BAND = 64  # rows at a time
 _CLOSE_CELLS = 15.5  # as far as tiles know distances
 _INLIER_WEIGHT = CauchyEndPoint(scale_m=0.1, tempering=1.0)
 _NONE = Evidence(1.0, -1.0, -1.0, 1.0, 0.0)  # never asked for: nothing is written into a known map
@@ -73,17 +74,15 @@ class KnownMap:
         self.reach_m = reach_m
         self.threads = threads
         self.resolution_m = grid.resolution_m
-        self._free_cells = np.argwhere(self.free)
+        self._free_cells = np.flatnonzero(self.free).astype(np.int32)  # of the flat map, which has fewer than 2^31
         self._origin = np.array(grid.origin, np.float64)
-        self._middle = (self._free_cells.mean(axis=0)[::-1] + 0.5) * grid.resolution_m + grid.origin
-        self._spread = np.cov(self._free_cells[:, ::-1].T, bias=True) * grid.resolution_m**2
+        middle, spread = _moments(self.free)
+        self._middle = (middle + 0.5) * grid.resolution_m + grid.origin
+        self._spread = spread * grid.resolution_m**2
         reach = math.ceil(reach_m / grid.resolution_m)
         self._rim = reach + 1  # the field is extended beyond the map, to where it is constant
         self._corner = np.array(grid.origin) - self._rim * grid.resolution_m
-        from scipy.ndimage import distance_transform_edt  # only a map to localize in pays for its import
-
-        exact: Any = distance_transform_edt(~np.pad(occupied, self._rim))
-        cells = np.minimum(exact, reach).astype(np.float32)
+        cells = _distances_within(np.pad(occupied, self._rim), reach)
         self._distances: NDArray[np.float32] = np.minimum(cells * np.float32(grid.resolution_m), np.float32(reach_m))
         self._tabulated: dict[LikelihoodField | CauchyEndPoint, FieldTable] = {}
 
@@ -121,9 +120,9 @@ class KnownMap:
 
     def sample_poses(self, count: Annotated[int, Limits(0, 1 << 30)], rng: np.random.Generator) -> FloatArray:
         """Return poses (count, 3), uniform over free cells and headings."""
-        cells = self._free_cells[rng.integers(len(self._free_cells), size=count)]
+        rows, columns = self._find_cells(rng.integers(len(self._free_cells), size=count))
         poses = rng.random((count, 3))
-        poses[:, :2] = (poses[:, :2] + cells[:, ::-1]) * self.resolution_m + self.grid.origin
+        poses[:, :2] = (poses[:, :2] + np.column_stack([columns, rows])) * self.resolution_m + self.grid.origin
         poses[:, 2] = (poses[:, 2] - 0.5) * math.tau
         return poses
 
@@ -132,14 +131,20 @@ class KnownMap:
 
         In a square it is the free cell farthest from obstacles; of the clearance no more than `reach_m` is known.
         """
-        rows, columns = self._free_cells.T
+        rows, columns = self._find_cells(slice(None))
         away = self._distances[rows + self._rim, columns + self._rim]
         side = max(round(spacing_m / self.resolution_m), 1)
         squares = (rows // side) * (self.free.shape[1] // side + 1) + columns // side
         order = np.lexsort((-away, squares))
         best = order[np.unique(squares[order], return_index=True)[1]]
-        chosen = self._free_cells[best[away[best] >= min(clearance_m, self.reach_m)]]
-        return np.asarray((chosen[:, ::-1] + 0.5) * self.resolution_m + self.grid.origin, np.float64)
+        chosen = best[away[best] >= min(clearance_m, self.reach_m)]
+        places = np.column_stack([columns[chosen], rows[chosen]]) + 0.5
+        return np.asarray(places * self.resolution_m + self.grid.origin, np.float64)
+
+    def _find_cells(self, which: NDArray[np.int64] | slice) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Rows and columns of some of the free cells."""
+        rows, columns = np.divmod(self._free_cells[which], np.int32(self.free.shape[1]))
+        return rows, columns
 
     def blurred_sigma_m(self, sigma_m: float) -> float:
         """Standard deviation of an end's distance to the map's obstacles: a beam's, and the map's rounding to cells."""
@@ -224,6 +229,45 @@ class KnownMap:
             field = sensor.tempering * blurred.log_likelihoods(self._distances)
             self._tabulated[sensor] = FieldTable.of(field, self._corner, self.resolution_m)
         return self._tabulated[sensor]
+
+
+def _moments(cells: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    """Mean (2,) and covariance (2, 2), x first, of the cells that are true, in cells; a band of rows at a time."""
+    height, width = cells.shape
+    across = np.arange(width, dtype=np.float64)
+    in_rows, in_columns = cells.sum(axis=1, dtype=np.float64), cells.sum(axis=0, dtype=np.float64)
+    along = np.concatenate([cells[first : first + _BAND] @ across for first in range(0, height, _BAND)])
+    up = np.arange(height, dtype=np.float64)
+    count = in_rows.sum()
+    middle = np.array([in_columns @ across, in_rows @ up]) / count
+    squares = np.array([[in_columns @ across**2, along @ up], [along @ up, in_rows @ up**2]]) / count
+    return middle, squares - np.outer(middle, middle)
+
+
+def _distances_within(occupied: NDArray[np.bool_], reach: int) -> NDArray[np.float32]:
+    """Distances in cells (H, W) to the nearest occupied cell, `reach` at most; exact.
+
+    First along the columns, then along the rows, some rows at a time: a transform without limit takes gigabytes.
+    Source: Felzenszwalb and Huttenlocher, Distance transforms of sampled functions (2012), for the two passes.
+    """
+    kind = np.min_scalar_type(2 * reach * reach)
+    squares = np.where(occupied, 0, reach).astype(kind)
+    for row in range(1, len(squares)):
+        np.minimum(squares[row], squares[row - 1] + 1, out=squares[row])
+    for row in range(len(squares) - 2, -1, -1):
+        np.minimum(squares[row], squares[row + 1] + 1, out=squares[row])
+    np.multiply(squares, squares, out=squares)
+    lengths = np.sqrt(np.arange(reach * reach + 1)).astype(np.float32)
+    found = np.full(occupied.shape, reach, np.float32)
+    for first in range(0, len(squares), _BAND):
+        along = squares[first : first + _BAND]
+        nearest = along.copy()
+        for away in range(1, reach) if (along < reach * reach).any() else ():
+            other = along + kind.type(away * away)
+            np.minimum(nearest[:, away:], other[:, :-away], out=nearest[:, away:])
+            np.minimum(nearest[:, :-away], other[:, away:], out=nearest[:, :-away])
+        found[first : first + _BAND] = lengths[np.minimum(nearest, reach * reach)]
+    return found
 
 
 def _tiles_of(log_odds: NDArray[np.int16], field: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:

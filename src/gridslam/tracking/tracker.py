@@ -150,8 +150,8 @@ class Tracker:
         seconds = self.velocity.seconds(state, stamp_ns)
         predicted = self._predict(state, reading, stamp_ns, seconds, odometry_covariance)
         spread = state.velocity_variances
-        if predicted.by_odometry and beams.shows_one_thing:  # it may move by itself, the odometry is better
-            beams = beams.without_beams()
+        if predicted.by_odometry:  # which is better than what may move by itself
+            beams = beams.without_movable()
         if self.deskew and beams.scan.beam_times_s is not None:
             found, beams = self._locate_deskewed(state, predicted, beams)
         else:

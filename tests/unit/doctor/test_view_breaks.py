@@ -51,7 +51,7 @@ def test_a_carried_robot_is_named_with_time_and_place():
     (finding,) = (found for found in doctor.findings() if found.is_fault)
     assert (finding.code, finding.severity) == ("robot_carried", Severity.ERROR)
     assert f"after 20.0 s at x {place[0]:.2f} m, y {place[1]:.2f} m" in finding.message
-    assert "--duration 20 --save FILE" in finding.remedy
+    assert "begins a new piece" in finding.remedy
 
 
 def test_the_rest_of_a_drive_and_an_odometry_that_knows_are_no_break():

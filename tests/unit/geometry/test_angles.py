@@ -67,3 +67,14 @@ def test_the_angles_of_drivers_that_are_used_are_right(start, step, beams, end):
 )
 def test_angles_that_no_laser_has_are_described_by_their_numbers(start, step, beams, end, problem):
     assert problem in find_wrong_beam_angles(start, step, beams, end)
+
+
+@pytest.mark.parametrize("factor", [2, 3])
+def test_a_step_that_is_a_few_times_too_long_is_not_called_degrees(factor):
+    assert find_wrong_beam_angles(0.0, factor * TURN / 360, 360, factor * TURN).endswith("more than one turn")
+
+
+@pytest.mark.parametrize(("start", "step"), [(-28.5, 0.5), (-90.0, 1.0), (0.0, 0.5), (-135.0, 0.25)])
+def test_degrees_of_any_field_of_view_are_called_so(start, step):
+    beams = round(max(2 * abs(start), 57) / step) + 1
+    assert "look like degrees" in find_wrong_beam_angles(start, step, beams, start + step * (beams - 1))

@@ -166,7 +166,7 @@ def test_a_database_that_is_no_bag(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"#ROSBAG V1.2\n" + bytes(100), "version 2.0"),
+        (b"#ROSBAG V1.2\n" + bytes(100), r"version 2\.0, .* \(rosbag filter OLD.bag NEW.bag True"),
         (b"#ROSBAG V2.0\n", "ends with its first line"),
         (b"#ROSBAG V2.0\n" + b"\xff" * 99, "damaged or cut off at byte 13"),
     ],

@@ -55,6 +55,9 @@ def test_units_that_are_not_stated_are_said(tmp_path):
     [
         ("angle_rad,range_m", "0,1\n1,2\n2,3\n", [0, 1, 2], [1, 2, 3], 0),
         ("angle;distance", "0;1\n1;2\n2;3\n", [0, 1, 2], [1, 2, 3], 0),
+        ("Time; Angle (rad); Distance (m)", "1,5; 0,5; 1,25\n1,5; 1; 2\n", [0.5, 1], [1.25, 2], 1_500_000_000),
+        ("t, angle [deg], range [mm]", "2, 0, 1000\n2, 90, 2000\n", [0, np.pi / 2], [1, 2], 2_000_000_000),
+        ("azimuth_deg\tr", "0\t1\n90\t2\n", [0, np.pi / 2], [1, 2], 0),
         ("timestamp_ms theta[deg] dist(cm)", "1500 0 100\n1500 90 200\n", [0, np.pi / 2], [1, 2], 1_500_000_000),
         ("time,angle,dist", "1700000000000000001,180,500\n1700000000000000001,90,500\n", [np.pi, np.pi / 2], [0.5, 0.5],
          1700000000000000001),

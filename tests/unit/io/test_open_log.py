@@ -52,6 +52,8 @@ def test_bags(tmp_path, head):
         (b"\x01\x02\x03\x00rest", "got binary data that begins with 01 02 03 00 72 65 73 74"),
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:00\n", "got a pointer of Git LFS"),
         (b"#ROSRECORD V1.2\n" + bytes(50), "got a ROS 1 bag of the old format V1 (rosbag filter OLD.bag"),
+        (b"#ROSLOG V1.1\n" + bytes(50), "got a ROS 1 bag of the old format V1 (rosbag filter OLD.bag"),
+        (b"header: \n  seq: 7\n", "got messages as text (the table of rostopic echo -p -b BAG /scan is read"),
         (b"# stamp x y\n1.5 0 0 0 0 0 0 1\n", "got poses without scans"),
         (CSV_HEADER.encode() + b"\n", "got poses without scans"),
         (b"VERTEX_SE2 0 0 0 0\n", "got a pose graph (gridslam graph solves it)"),

@@ -59,6 +59,10 @@ def in_form(form):
             f"{format_stamp_ns(s)} {x} {y} 0 0 0 {z} {w}"
             for s, (x, y, _), (z, w) in zip(STAMPS.tolist(), POSES.tolist(), QUATERNIONS, strict=True)
         ],
+        "tum_commas": [
+            f"{format_stamp_ns(s)},{x}, {y},0,0,0,{z},{w}"
+            for s, (x, y, _), (z, w) in zip(STAMPS.tolist(), POSES.tolist(), QUATERNIONS, strict=True)
+        ],
         "tum_ns": [
             f"{s} {x} {y} 0 0 0 {z} {w}" for s, (x, y, _), (z, w) in zip(STAMPS, POSES, QUATERNIONS, strict=True)
         ],
@@ -79,7 +83,7 @@ def in_form(form):
     return "\n".join(lines) + "\n"
 
 
-@pytest.mark.parametrize("form", ["tum", "tum_ns", "euroc", "euroc_17", "kitti", "kitti_camera"])
+@pytest.mark.parametrize("form", ["tum", "tum_commas", "tum_ns", "euroc", "euroc_17", "kitti", "kitti_camera"])
 def test_the_same_trajectory_in_every_form(tmp_path, form):
     (tmp_path / "t.txt").write_text(in_form(form))
     back = read_trajectory(tmp_path / "t.txt", STAMPS)

@@ -19,6 +19,7 @@ from gridslam.ros.node import rendering
 from gridslam.ros.node.messages import GridMessage, Level
 from gridslam.ros.node.rendering import make_grid_message, map_cells
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from support.interrupted import carry
 from support.ros_node import ODOM, RecordedOutputs, mounting, odometry_message, play, scan_message, until
 
 SHIFT_NS = 1_700_000_000 * 10**9
@@ -267,3 +268,13 @@ def test_a_scan_that_fails_is_left_out_and_the_rest_is_saved(drive, tmp_path, mo
     scans = len((tmp_path / "out" / "trajectory.tum").read_text().splitlines())
     assert 60 < scans < len(drive)
     assert document["scans"]["read"] == len(drive)
+
+
+def test_a_robot_that_is_carried_is_reported(drive):
+    outputs = RecordedOutputs()
+    core = node(outputs)
+    drive_all(core, outputs, carry(drive[:40], drive[80:]))
+    assert outputs.warnings().count("robot_carried") == 1
+    assert "view is another one" in core.diagnostics().summary
+    assert core.diagnostics().values["robot_carried, times"] == "1"
+    core.close()

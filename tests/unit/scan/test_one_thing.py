@@ -52,17 +52,47 @@ def test_one_thing_is_small_and_leaves_most_of_the_view_empty(ranges, is_one_thi
     assert scan(ranges).beams(0.05, 8.0).shows_one_thing is is_one_thing
 
 
-def follow(count=120):
+def person(x, y):
+    return ranges_to_circle(np.array([x, y]), 0.22)
+
+
+FAR_WALL = np.where(np.abs(BEARINGS - 2.5) < 0.3, 4.0, np.inf)
+
+
+@pytest.mark.parametrize(
+    ("things", "kept"),
+    [
+        ([person(1.0, 1.0)], 0),
+        ([person(1.0, 1.0), person(1.0, -1.0)], 0),
+        ([person(1.0, 1.0), person(1.0, -1.0), person(-2.0, 0.5)], 0),
+        ([person(1.0, 0.0), FAR_WALL], np.isfinite(FAR_WALL).sum()),
+        ([person(2.0, 0.0), person(0.0, 2.0), person(-2.0, 0.0), person(0.0, -2.0)], None),  # columns
+        ([ranges_to_wall(2.0, 2.0)], None),
+        ([np.full(360, 2.0), person(1.0, 0.0)], None),  # more is seen than could be hidden
+        ([np.full(360, np.inf)], None),
+    ],
+)
+def test_what_may_move_by_itself_is_left_out(things, kept):
+    beams = scan(np.minimum.reduce(things)).beams(0.05, 8.0)
+    left = beams.without_movable()
+    assert (left is beams) if kept is None else len(left) == kept
+    assert set(left.indices.tolist()) <= set(beams.indices.tolist())
+    np.testing.assert_array_equal(left.ends, beams.ends[np.isin(beams.indices, left.indices)])
+
+
+def follow(count=120, others=()):
     """A robot that drives a bend at 0.3 m/s, and a person ahead of it who walks from side to side."""
     pose = np.zeros(3)
     for k in range(count):
         place = np.array([1.0 + 0.25 * math.sin(0.31 * k), 0.35 * math.sin(0.23 * k)])
-        yield Measurement(Odometry.at(round(2e8 * k), pose), scan(ranges_to_circle(place, 0.25), 0.2 * k))
+        ranges = np.minimum.reduce([ranges_to_circle(place, 0.25), *(other(k) for other in others)])
+        yield Measurement(Odometry.at(round(2e8 * k), pose), scan(ranges, 0.2 * k))
         pose = pose + np.array([0.06 * math.cos(pose[2]), 0.06 * math.sin(pose[2]), 0.01])
 
 
-def test_a_robot_that_follows_a_person_is_where_its_odometry_is():
-    measurements = list(follow())
+@pytest.mark.parametrize("others", [(), (lambda k: person(-1.5 + 0.02 * k, 1.5),)])
+def test_a_robot_that_sees_nobody_but_people_is_where_its_odometry_is(others):
+    measurements = list(follow(others=others))
     recorder = TrajectoryRecorder()
     run(measurements, GridFastSlam(), particles=5, rng=np.random.default_rng(0), observers=[recorder])
     true = np.array([odometry.pose for odometry, _ in measurements])

@@ -171,7 +171,9 @@ class Ros1Bag:
         file.seek(0)
         magic = file.read(len(_MAGIC))
         if magic != _MAGIC:
-            raise InputError(self.path, f"expected a ROS 1 bag of version 2.0, got one that begins with {magic!r}")
+            remedy = " (rosbag filter OLD.bag NEW.bag True rewrites it)" if magic.startswith(b"#ROSBAG V1") else ""
+            problem = f"expected a ROS 1 bag of version 2.0, got one that begins with {magic!r}{remedy}"
+            raise InputError(self.path, problem)
         try:
             header = _read_record(file, len(_MAGIC))
             if header.fields.get(b"encryptor"):

@@ -48,6 +48,7 @@ _LOOK_NS = 10_000_000_000  # of the log, at least: transforms are published at 1
 _SAMPLES = 200
 _MOVED_M = 0.005  # a mounting that has moved by less has not: rounding, a calibration's last digits
 _MOVED_RAD = 0.01
+_USUAL = "/scan"
 _TRUTH = re.compile(r"truth|ground|(?:^|[/_])gt(?:$|[/_])", re.IGNORECASE)
 _ABOVE_BASE = re.compile(r"odom|^map$|^world$|^earth$", re.IGNORECASE)
 _ODOMETRY_FRAME = re.compile(r"odom", re.IGNORECASE)
@@ -365,8 +366,12 @@ def _scans(source: BagSource, seen: Survey, options: LogOptions, remarks: list[s
         names = _one_of_each_laser(source, seen, _still(seen, names, remarks), remarks)
     if len(names) > 1:
         problem = _why_not_one_robot(seen, names)
-        if problem:
+        if problem and _USUAL not in names:
             raise InputError(source.path, f"{problem}: choose with --scan TOPIC among {', '.join(names)}")
+        if problem:
+            others = ", ".join(name for name in names if name != _USUAL)
+            remarks.append(f"{others} left out, {_USUAL} taken: {problem} (--scan TOPIC takes others, too)")
+            names = [_USUAL]
     return tuple(names)
 
 
@@ -398,7 +403,7 @@ def _one_of_each_laser(source: BagSource, seen: Survey, names: list[str], remark
         of_laser.setdefault(laser, []).append(name)
     chosen = []
     for (frame, _), topics in of_laser.items():
-        best = max(topics, key=lambda name: (name == "/scan", _last(name) == "scan", source.topics[name].messages))
+        best = max(topics, key=lambda name: (name == _USUAL, _last(name) == "scan", source.topics[name].messages))
         others = ", ".join(name for name in topics if name != best)
         if others:
             remarks.append(f"{others} left out: scans of the same laser ({frame}) as {best} (--scan TOPIC takes it)")

@@ -13,10 +13,10 @@ from gridslam import serialization
 from gridslam.arguments import require_instance
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.slam.full_slam.full_trajectory import TrackedScans
+from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
 from gridslam.slam.full_slam.thinning import thin_piece
 from gridslam.slam.loop_closure.map_piece import MapPiece
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import FloatArray, IntArray, Trajectory
 
 __all__ = ["Drive", "DrivenLog", "SavedPiece", "choose_name"]
 
@@ -111,6 +111,14 @@ class SavedPiece:
     def tracked_scans(self) -> list[TrackedScans]:
         """The scans of all drives."""
         return [drive.scans for drive in self.drives]
+
+    @property
+    def trajectories(self) -> dict[str, Trajectory]:
+        """The trajectory of each drive by its name, in the frame of the piece's map."""
+        if not self.drives:
+            return {}
+        own = self.split(full_trajectories(self.piece.poses, self.tracked_scans))
+        return {drive.name: Trajectory(drive.stamps_ns, own[drive.name]) for drive in self.drives}
 
     @property
     def stamps_ns(self) -> IntArray:

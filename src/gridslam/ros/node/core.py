@@ -15,7 +15,7 @@ import numpy as np
 
 from gridslam.api.beginning import Place
 from gridslam.config import Configuration
-from gridslam.doctor import EarlyCheck
+from gridslam.doctor import BreakCheck, EarlyCheck
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, OutputError
 from gridslam.io.measurement import Measurement
 from gridslam.localization import KnownMap, MonteCarloConfiguration
@@ -514,9 +514,9 @@ class NodeCore:
             self._warn("record", describe_error(error))
 
     def _report_findings(self, measurement: Measurement) -> None:
-        """Warn of what the doctor finds in the beginning of the session."""
+        """Warn of what the doctor finds in the beginning of the session, and where the robot is carried."""
         try:
-            for finding in self._check.take(measurement):
+            for finding in (*self._check.take(measurement), *self._breaks.take(measurement)):
                 self._warn(finding.code, f"{finding.message} {finding.remedy}".rstrip())
         except Exception as error:  # a check must not end the map
             self._warn("checks failed", describe_error(error))
@@ -544,6 +544,7 @@ class NodeCore:
     def _begin_session(self) -> None:
         self._publisher.start_session()
         self._check = EarlyCheck()
+        self._breaks = BreakCheck()
         self._session: Session | LocalizationSession | WaitingSession
         if isinstance(self.configuration, Localization):
             waits = self.configuration.known is None
