@@ -22,6 +22,8 @@ _WIDEST_DOOR_M = 1.4
 _WIDEST_TO_SIDE_M = 1.6
 """Between a wall's end and the side of another one: beyond it is a corridor's width."""
 _JAMB_M = 0.06
+_UNSEEN_M = 0.06
+"""Behind a wall's only seen face: a wall is thicker than this."""
 _ASIDE_M = 0.25
 _PARALLEL_RAD = np.deg2rad(6)
 _CROSSING_RAD = np.deg2rad(45)
@@ -100,7 +102,8 @@ def _measure(wall: Wall, start: FloatArray, along: FloatArray, gap: float, point
     """The opening from a wall's end on, its jambs where points in the thickness of the wall are."""
     thickness = wall.thickness_m or 0.0
     middle = start + gap / 2 * along
-    steps = [sign * _find_jamb(middle, sign * along, gap / 2, thickness, points) for sign in (-1, 1)]
+    within = middle if wall.thickness_m else middle - _UNSEEN_M * Segments.of(wall.ends).normals[0]
+    steps = [sign * _find_jamb(within, sign * along, gap / 2, thickness, points) for sign in (-1, 1)]
     return Opening(middle + np.outer(steps, along), thickness)
 
 

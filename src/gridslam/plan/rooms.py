@@ -19,7 +19,7 @@ from gridslam.types import FloatArray
 __all__ = ["Room", "find_rooms"]
 
 _LEAST_AREA_M2 = 2.0
-_LEAST_ENCLOSED = 0.4
+_LEAST_ENCLOSED = 0.2
 _SMALLEST_HOLE_M2 = 0.3
 _SIMPLE_M = 0.12
 _SNAP_M = 0.2

@@ -26,10 +26,13 @@ _LEAST_OVERLAP_M = 0.15
 _REACH_M = 0.3
 """One face of a wall may end this much before the other: at a corner, by the thickness of the next wall."""
 _SHORTEST_M = 0.3
-_LONGEST_FURNITURE_M = 3.2
+_LONGEST_FURNITURE_M = 3.6
 _DEEPEST_FURNITURE_M = 1.5
 _SHALLOWEST_FURNITURE_M = 0.2
-_CORNER_M = 0.2
+_CORNER_M = 0.35
+_SHORT_M = 2.0
+_BESIDE_M = 1.0
+_SQUARE_RAD = np.deg2rad(20)
 
 
 @final
@@ -119,26 +122,26 @@ def find_furniture_faces(faces: Sequence[Face], raster: Raster) -> tuple[BoolArr
     has_back = np.array([bool(_find_backs(face, segments)) for face in faces], np.bool_)
     is_short = (segments.lengths < _LONGEST_FURNITURE_M) & ~has_back & ~is_furniture
     outlines = []
-    for k in np.flatnonzero(is_short).tolist():
-        depth = _depth_before_wall(k, segments)
-        if depth is not None:
-            is_furniture[k] = True
-            outlines.append(np.concatenate([faces[k].ends, faces[k].ends - depth * faces[k].normal]))
     for group in _find_protruding(segments, np.flatnonzero(is_short)):
         is_furniture[group] = True
         outlines.append(segments.ends[group].reshape(-1, 2))
+    for k in np.flatnonzero(is_short).tolist():
+        depth = _depth_before_wall(k, segments, ~is_furniture)
+        if depth is not None:
+            is_furniture[k] = True
+            outlines.append(np.concatenate([faces[k].ends, faces[k].ends - depth * faces[k].normal]))
     return is_furniture, [hull(outline) for outline in outlines]
 
 
 def _find_protruding(segments: Segments, chosen: IntArray) -> list[IntArray]:
-    """Groups of the chosen segments, by their numbers, that meet at corners of more than 30 degrees which protrude."""
+    """Groups of the chosen segments, by their numbers, that meet at square corners which protrude."""
     ends, normals, count = segments.ends[chosen], segments.normals[chosen], len(chosen)
     meets = np.zeros((count, count), np.bool_)
     for here, there in ((0, 0), (0, 1), (1, 0), (1, 1)):
         apart = np.hypot(*(ends[:, None, here] - ends[None, :, there]).transpose(2, 0, 1))
         outward = ((ends[None, :, 1 - there] - ends[:, None, here]) * normals[:, None]).sum(axis=2)
         meets |= (apart < _CORNER_M) & (outward < 0)
-    meets &= np.abs(normals @ normals.T) < np.cos(np.deg2rad(30))
+    meets &= np.abs(normals @ normals.T) < np.sin(_SQUARE_RAD)
     _, labels = connected_components(meets, directed=False)
     groups = [chosen[labels == label] for label in np.unique(labels)]
     return [group for group in groups if len(group) > 1]
@@ -162,13 +165,20 @@ def _turns_right(a: FloatArray, b: FloatArray, c: FloatArray) -> bool:
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) <= 1e-12
 
 
-def _depth_before_wall(k: int, segments: Segments) -> float | None:
-    """How far behind a face the nearest longer face is that goes on at a side of it, facing the same way."""
+def _depth_before_wall(k: int, segments: Segments, is_wall: BoolArray) -> float | None:
+    """How far behind a face the nearest wall is that faces the same way; None if there is none.
+
+    It must be longer than the face, or be seen on both sides of it; beside a short face one side is enough.
+    """
+    length = segments.lengths[k]
     steps, offsets = segments.locate(segments.ends[k, 0], segments.alongs[k])
     depths = -offsets.mean(axis=1)
-    behind = (segments.lengths > segments.lengths[k]) & (segments.alongs @ segments.alongs[k] > np.cos(_PARALLEL_RAD))
+    behind = is_wall & (segments.alongs @ segments.alongs[k] > np.cos(_PARALLEL_RAD))
     behind &= (depths > _SHALLOWEST_FURNITURE_M) & (depths < _DEEPEST_FURNITURE_M)
-    behind &= (steps.min(axis=1) < segments.lengths[k]) & (steps.max(axis=1) > 0)
+    behind &= (steps.min(axis=1) < length + _BESIDE_M) & (steps.max(axis=1) > -_BESIDE_M)
+    if length > _SHORT_M and not (behind & (segments.lengths > length)).any():
+        sides = (steps[behind].min(initial=0) < 0) and (steps[behind].max(initial=0) > length)
+        return float(depths[behind].min()) if sides else None
     return float(depths[behind].min()) if behind.any() else None
 
 
