@@ -13,7 +13,7 @@ from gridslam.plan.openings import Opening, find_openings
 from gridslam.plan.rasters import BoolArray, Raster, fill_polygons, make_raster
 from gridslam.plan.rooms import Room, find_rooms, require_map_extra
 from gridslam.plan.surfaces import SurfacePoints, points_of_grid
-from gridslam.plan.walls import Wall, find_furniture_faces, hull, join_faces, make_walls
+from gridslam.plan.walls import Wall, close_corners, find_furniture_faces, hull, join_faces, make_walls
 from gridslam.types import FloatArray, OccupancyGrid
 
 __all__ = ["FloorPlan", "make_plan"]
@@ -106,7 +106,7 @@ def make_plan(grid: OccupancyGrid, points: SurfacePoints | None = None) -> Floor
     joined = snap_directions(join_faces(found, raster), dominant)
     is_furniture, against_walls = find_furniture_faces(joined, raster)
     faces = [face for face, is_other in zip(joined, is_furniture, strict=True) if not is_other]
-    walls = make_walls(faces)
+    walls = close_corners(make_walls(faces))
     floor = _close_floor(raster, [wall.outline for wall in walls], against_walls)
     openings = find_openings(floor, raster, walls, points)
     rooms = find_rooms(floor, raster, faces, openings)

@@ -22,6 +22,7 @@ _WIDEST_DOOR_M = 1.4
 _WIDEST_TO_SIDE_M = 1.6
 """Between a wall's end and the side of another one: beyond it is a corridor's width."""
 _JAMB_M = 0.06
+_SHORTEST_FACE_M = 0.6
 _UNSEEN_M = 0.06
 """Behind a wall's only seen face: a wall is thicker than this."""
 _ASIDE_M = 0.25
@@ -64,6 +65,8 @@ def find_openings(
     segments = Segments.of(np.array([wall.ends for wall in walls]))
     halves = np.array([0.5 * (wall.thickness_m or 0.0) for wall in walls])
     for k in sorted(range(len(walls)), key=lambda k: (walls[k].thickness_m is None, -walls[k].length_m)):
+        if walls[k].thickness_m is None and walls[k].length_m < _SHORTEST_FACE_M:
+            continue
         for start, along in ((walls[k].ends[1], segments.alongs[k]), (walls[k].ends[0], -segments.alongs[k])):
             gap = _find_gap(k, start, along, segments, halves)
             if gap is None or not _is_passage(start, along, gap, floor, raster):

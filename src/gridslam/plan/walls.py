@@ -14,7 +14,7 @@ from gridslam.plan.rasters import BoolArray, Raster
 from gridslam.plan.segments import Segments
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Wall", "find_furniture_faces", "hull", "join_faces", "make_walls"]
+__all__ = ["Wall", "close_corners", "find_furniture_faces", "hull", "join_faces", "make_walls"]
 
 _PARALLEL_RAD = np.deg2rad(3)
 _SAME_LINE_M = 0.05
@@ -127,7 +127,7 @@ def find_furniture_faces(faces: Sequence[Face], raster: Raster) -> tuple[BoolArr
         outlines.append(segments.ends[group].reshape(-1, 2))
     for k in np.flatnonzero(is_short).tolist():
         depth = _depth_before_wall(k, segments, ~is_furniture)
-        if depth is not None:
+        if depth is not None and _is_solid(faces[k], depth, raster):
             is_furniture[k] = True
             outlines.append(np.concatenate([faces[k].ends, faces[k].ends - depth * faces[k].normal]))
     return is_furniture, [hull(outline) for outline in outlines]
@@ -180,6 +180,32 @@ def _depth_before_wall(k: int, segments: Segments, is_wall: BoolArray) -> float 
         sides = (steps[behind].min(initial=0) < 0) and (steps[behind].max(initial=0) > length)
         return float(depths[behind].min()) if sides else None
     return float(depths[behind].min()) if behind.any() else None
+
+
+def _is_solid(face: Face, depth: float, raster: Raster) -> bool:
+    """Whether nothing free is seen from a face to what is behind it."""
+    along = np.linspace(face.begin + 0.1, face.end - 0.1, 10)
+    across = np.linspace(0.1, depth - 0.1, 5)
+    places = face.middle + along[:, None, None] * face.along - across[None, :, None] * face.normal
+    return raster.share_free(places.reshape(-1, 2)) < 0.2
+
+
+def close_corners(walls: Sequence[Wall]) -> list[Wall]:
+    """Lengthen walls that end up to 35 cm before the middle of another one that crosses their direction."""
+    segments = Segments.of(np.array([wall.ends for wall in walls]))
+    closed = []
+    for k, wall in enumerate(walls):
+        ends = wall.ends.copy()
+        for end, along in ((0, -segments.alongs[k]), (1, segments.alongs[k])):
+            steps, offsets = segments.locate(ends[end], along)
+            crossing = np.abs(segments.normals @ along) > np.sin(np.pi / 4)
+            crossing &= (offsets.min(axis=1) < _CORNER_M) & (offsets.max(axis=1) > -_CORNER_M)
+            slopes = (steps[:, 1] - steps[:, 0]) / np.where(crossing, offsets[:, 1] - offsets[:, 0], 1.0)
+            meetings = (steps[:, 0] - offsets[:, 0] * slopes)[crossing]
+            meetings = meetings[(meetings > 0) & (meetings < _CORNER_M)]
+            ends[end] += meetings.min(initial=np.inf) * along if len(meetings) else 0.0
+        closed.append(Wall(ends, wall.thickness_m))
+    return closed
 
 
 def make_walls(faces: Sequence[Face]) -> list[Wall]:
