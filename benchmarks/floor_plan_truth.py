@@ -164,7 +164,7 @@ def cover(part: FloatArray, lines: Segments) -> tuple[float, FloatArray, FloatAr
 
 
 def compare_walls(sides: FloatArray, truth: Truth, seen: Seen) -> dict[str, Any]:
-    """Recall of seen walls of 1 m and more, precision of found ones, by number; offsets and directions at all places."""
+    """Seen walls of 1 m and more, found ones, and which of both are right; offsets and directions at all places."""
     parts = seen_walls(truth, seen)
     lines = Segments.of(sides)
     shares, offsets, angles = zip(*(cover(part, lines) for part in parts), strict=True)
@@ -212,9 +212,11 @@ def compare_rooms(plan: FloorPlan, truth: Truth, seen: Seen, pose: FloatArray) -
     solid = fill_polygons(seen.raster, [*truth.solid, *lines])
     labels, _ = ndimage.label(~solid)
     labels[labels == labels[0, 0]] = 0
-    furniture = fill_polygons(seen.raster, [box[:, 0] for box in truth.furniture.reshape(-1, 4, 2, 2)]) if (
-        len(truth.furniture) % 4 == 0
-    ) else np.zeros_like(solid)
+    furniture = (
+        fill_polygons(seen.raster, [box[:, 0] for box in truth.furniture.reshape(-1, 4, 2, 2)])
+        if (len(truth.furniture) % 4 == 0)
+        else np.zeros_like(solid)
+    )
     visible = ndimage.binary_fill_holes(seen.free | furniture)
     regions = [(labels == k) & visible for k in range(1, labels.max() + 1)]
     found = []

@@ -119,9 +119,7 @@ def summarize(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
 def failures(summary: dict[str, float]) -> list[str]:
     """Targets that are missed."""
     return [
-        name
-        for name, (target, more) in TARGETS.items()
-        if (summary[name] < target if more else summary[name] > target)
+        name for name, (target, more) in TARGETS.items() if (summary[name] < target if more else summary[name] > target)
     ]
 
 

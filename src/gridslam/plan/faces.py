@@ -9,6 +9,7 @@ from typing import final
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
+from gridslam.plan.rasters import BoolArray
 from gridslam.plan.surfaces import SurfacePoints, link
 from gridslam.types import FloatArray, IntArray
 
@@ -104,11 +105,11 @@ def _choose_seed(points: SurfacePoints, left: IntArray) -> int:
     positions = points.positions[left]
     offsets = np.abs((positions[None] - positions[tried][:, None]) @ normals[:, :, None])[..., 0]
     facing = points.normals[left] @ normals.T
-    agree = (offsets < _OFFSET_M) & (facing.T > np.cos(_ANGLE_RAD))
+    agree = (offsets < _OFFSET_M) & (np.cos(_ANGLE_RAD) < facing.T)
     return int(tried[np.argmax(agree @ points.weights[left].clip(max=20.0))])
 
 
-def _grow(points: SurfacePoints, left: IntArray, seed: int) -> tuple[FloatArray, Face | None]:
+def _grow(points: SurfacePoints, left: IntArray, seed: int) -> tuple[BoolArray, Face | None]:
     """Fit a line to the points that agree with it, again and again; which of `left` are taken, and the face."""
     positions, normals = points.positions[left], points.normals[left]
     weights = points.weights[left].clip(max=20.0)
@@ -128,7 +129,7 @@ def _grow(points: SurfacePoints, left: IntArray, seed: int) -> tuple[FloatArray,
     return taken, Face(middle, direction, float(along.min()), float(along.max()), float(weights[agree].sum()))
 
 
-def _run_about(along: FloatArray, agree: FloatArray) -> FloatArray:
+def _run_about(along: FloatArray, agree: BoolArray) -> BoolArray:
     """Of the points that agree those of the run without a gap that has most of them."""
     chosen = np.flatnonzero(agree)
     chosen = chosen[np.argsort(along[chosen])]

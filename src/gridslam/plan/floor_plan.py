@@ -52,7 +52,7 @@ class FloorPlan:
     @property
     def bounds(self) -> FloatArray:
         """Lower left and upper right corner (2, 2) of all that is shown, m; zeros of an empty plan."""
-        shown = [wall.outline for wall in self.walls] + [room.outline for room in self.rooms]
+        shown = [*(wall.outline for wall in self.walls), *(room.outline for room in self.rooms)]
         if not shown:
             return np.zeros((2, 2))
         points = np.concatenate(shown)
@@ -120,7 +120,7 @@ def _close_floor(raster: Raster, walls: list[FloatArray], furniture: list[FloatA
     floor = raster.floor | fill_polygons(raster, furniture)
     blocked = (raster.occupied & ~floor) | fill_polygons(raster, walls)
     floor = (floor | ndimage.binary_closing(floor, disc)) & ~blocked
-    return ndimage.binary_opening(floor, disc) & ~blocked
+    return np.asarray(ndimage.binary_opening(floor, disc) & ~blocked, np.bool_)
 
 
 def _outline_furniture(raster: Raster) -> list[FloatArray]:
@@ -128,7 +128,7 @@ def _outline_furniture(raster: Raster) -> list[FloatArray]:
     labels, _ = ndimage.label(raster.furniture, np.ones((3, 3)))
     outlines = []
     for number, part in enumerate(ndimage.find_objects(labels), start=1):
-        cells = np.argwhere(labels[part] == number) + [part[0].start, part[1].start]
+        cells = np.argwhere(labels[part] == number) + np.array([part[0].start, part[1].start])
         if not raster.occupied[tuple(cells.T)].any() or len(cells) * raster.cell_m**2 < 0.02:
             continue
         half = raster.cell_m / 2

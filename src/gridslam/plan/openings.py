@@ -52,14 +52,18 @@ class Opening:
         return float(np.hypot(*(self.ends[1] - self.ends[0])))
 
     @property
+    def normal(self) -> FloatArray:
+        """Unit vector (2,) through the opening."""
+        along = (self.ends[1] - self.ends[0]) / max(self.width_m, 1e-9)
+        return np.array([-along[1], along[0]])
+
+    @property
     def kind(self) -> str:
         """ "door" up to 1.4 m, "opening" beyond."""
         return "door" if self.width_m <= _WIDEST_DOOR_M else "opening"
 
 
-def find_openings(
-    floor: BoolArray, raster: Raster, walls: Sequence[Wall], points: SurfacePoints
-) -> list[Opening]:
+def find_openings(floor: BoolArray, raster: Raster, walls: Sequence[Wall], points: SurfacePoints) -> list[Opening]:
     """Find where a wall ends and goes on, or meets another one, 0.5 to 2.6 m further, with floor between."""
     openings: list[Opening] = []
     segments = Segments.of(np.array([wall.ends for wall in walls]))

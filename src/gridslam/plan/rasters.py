@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import TypeAlias, final
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from scipy import ndimage
-
-from numpy.typing import NDArray
 
 from gridslam.types import FloatArray, OccupancyGrid
 
@@ -96,7 +95,7 @@ def _shrink(cells: BoolArray, factor: int) -> BoolArray:
     margins = [(0, -side % factor) for side in cells.shape]
     padded = np.pad(cells, margins)
     height, width = (side // factor for side in padded.shape)
-    return padded.reshape(height, factor, width, factor).any(axis=(1, 3))
+    return np.asarray(padded.reshape(height, factor, width, factor).any(axis=(1, 3)), np.bool_)
 
 
 def fill_polygons(raster: Raster, polygons: list[FloatArray]) -> BoolArray:

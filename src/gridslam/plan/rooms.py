@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, TypeAlias, final
 
 import numpy as np
@@ -54,6 +55,14 @@ class Room:
     unknown: FloatArray
     area_m2: float
 
+    @property
+    def label_point(self) -> FloatArray:
+        """A point (2,) well inside, m: where a label has most room."""
+        _, shapely = require_map_extra()
+        polygon = shapely.Polygon(self.outline, self.holes)
+        middle = shapely.maximum_inscribed_circle(polygon, tolerance=0.1).coords[0]
+        return np.array(middle)
+
 
 def require_map_extra() -> tuple[Any, Any]:
     """Import contourpy and shapely.
@@ -71,13 +80,11 @@ def require_map_extra() -> tuple[Any, Any]:
     return contourpy, shapely
 
 
-def find_rooms(
-    floor: BoolArray, raster: Raster, faces: Sequence[Face], openings: Sequence[Opening]
-) -> list[Room]:
+def find_rooms(floor: BoolArray, raster: Raster, faces: Sequence[Face], openings: Sequence[Opening]) -> list[Room]:
     """Cut the floor at the openings; each part of 2 m² and more with walls about it is a room, the largest first."""
     bars = [_extend(opening.ends, 2 * raster.cell_m) for opening in openings]
     cut = floor & ~fill_polygons(raster, bars)
-    labels, count = ndimage.label(cut)
+    labels, _ = ndimage.label(cut)
     sides = _sides_of(faces, openings)
     rooms = []
     for number, part in enumerate(ndimage.find_objects(labels), start=1):
@@ -103,7 +110,8 @@ def _sides_of(faces: Sequence[Face], openings: Sequence[Opening]) -> Segments:
     """Sides that rooms may have, free space to their left: faces, and openings from both sides."""
     sides = [face.ends for face in faces]
     for opening in openings:
-        sides += [opening.ends, opening.ends[::-1]]
+        aside = 0.5 * opening.thickness_m * opening.normal
+        sides += [opening.ends + aside, (opening.ends - aside)[::-1]]
     return Segments.of(np.array(sides))
 
 
@@ -117,7 +125,7 @@ def _make_room(mask: BoolArray, corner: FloatArray, raster: Raster, sides: Segme
     points, offsets = generator.filled(0.5, 2.0)
     pieces = []
     for xy, cuts in zip(points, offsets, strict=True):
-        rings = [(corner + (xy[a:b] - 0.5) * raster.cell_m) for a, b in zip(cuts, cuts[1:], strict=False)]
+        rings = [(corner + (xy[a:b] - 0.5) * raster.cell_m) for a, b in pairwise(cuts)]
         pieces.append(shapely.Polygon(rings[0], rings[1:]))
     traced = shapely.simplify(max(pieces, key=lambda piece: piece.area), _SIMPLE_M)
     if traced.is_empty or traced.geom_type != "Polygon":
@@ -142,7 +150,7 @@ def _fill_small_holes(mask: BoolArray, cell_m: float) -> BoolArray:
     sizes = np.bincount(holes.reshape(-1), minlength=count + 1)
     small = sizes * cell_m**2 < _SMALLEST_HOLE_M2
     small[0] = False
-    return mask | small[holes]
+    return np.asarray(mask | small[holes], np.bool_)
 
 
 def _snap(ring: FloatArray, sides: Segments) -> FloatArray:

@@ -109,9 +109,7 @@ def _orient(positions: FloatArray, views: FloatArray, weights: FloatArray) -> Su
     return SurfacePoints(positions, normals, weights)
 
 
-def _find_normals(
-    positions: FloatArray, views: FloatArray, weights: FloatArray, pairs: NDArray[np.intp]
-) -> FloatArray:
+def _find_normals(positions: FloatArray, views: FloatArray, weights: FloatArray, pairs: NDArray[np.intp]) -> FloatArray:
     """Normals (N, 2) by the principal axes of each point's neighbourhood."""
     apart = positions[pairs[:, 1]] - positions[pairs[:, 0]]
     count = len(positions)

@@ -209,7 +209,7 @@ def close_corners(walls: Sequence[Wall]) -> list[Wall]:
 
 
 def make_walls(faces: Sequence[Face]) -> list[Wall]:
-    """Pair faces that are back to back, 3 to 45 cm apart, the longest overlaps first; the rest are walls of one face."""
+    """Pair faces back to back, 3 to 45 cm apart, the longest overlaps first; what is left are walls of one face."""
     segments = Segments.of(np.array([face.ends for face in faces]))
     covered: list[list[tuple[float, float]]] = [[] for _ in faces]
     pairs = [(a, *back) for a, face in enumerate(faces) for back in _find_backs(face, segments) if back[0] < a]
@@ -256,4 +256,3 @@ def _subtract(parts: list[tuple[float, float]], taken: list[tuple[float, float]]
             if piece[1] > piece[0]
         ]
     return parts
-

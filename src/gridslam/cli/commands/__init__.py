@@ -26,6 +26,7 @@ _MODULES: Final = {
     "localize": "algorithms",
     "map": "mapping",
     "merge": "mapping",
+    "plan": "plans",
     "regress": "results",
     "ros1": "nodes",
     "ros2": "nodes",
