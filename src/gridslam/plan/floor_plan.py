@@ -13,7 +13,7 @@ from gridslam.plan.openings import Opening, find_openings
 from gridslam.plan.rasters import BoolArray, Raster, fill_polygons, make_raster
 from gridslam.plan.rooms import Room, find_rooms, require_map_extra
 from gridslam.plan.surfaces import SurfacePoints, points_of_grid
-from gridslam.plan.walls import Wall, close_corners, find_furniture_faces, hull, join_faces, make_walls
+from gridslam.plan.walls import Wall, close_corners, drop_clutter, find_furniture_faces, hull, join_faces, make_walls
 from gridslam.types import FloatArray, OccupancyGrid
 
 __all__ = ["FloorPlan", "make_plan"]
@@ -99,11 +99,11 @@ def make_plan(grid: OccupancyGrid, points: SurfacePoints | None = None) -> Floor
         shapely or contourpy is not installed; the extra ``map`` brings them.
     """
     require_map_extra()
-    points = points_of_grid(grid) if points is None else points
     raster = make_raster(grid)
+    points = points_of_grid(grid) if points is None else points.select(~raster.is_vacated(points.positions))
     found = find_faces(points)
     dominant = dominant_direction(found)
-    joined = snap_directions(join_faces(found, raster), dominant)
+    joined = snap_directions(drop_clutter(join_faces(found, raster)), dominant)
     is_furniture, against_walls = find_furniture_faces(joined, raster)
     faces = [face for face, is_other in zip(joined, is_furniture, strict=True) if not is_other]
     walls = close_corners(make_walls(faces))

@@ -60,6 +60,12 @@ class Raster:
         """Middles (N, 2) of cells (N, 2), rows and columns, m."""
         return self.origin + (cells[:, ::-1] + 0.5) * self.cell_m
 
+    def is_vacated(self, points: FloatArray) -> BoolArray:
+        """Whether each of points (N, 2) is in a free cell without an occupied one beside it: who was there has gone."""
+        row, column = self.cells(points)
+        beside = ndimage.binary_dilation(self.occupied, np.ones((3, 3)))
+        return np.asarray(self.free[row, column] & ~beside[row, column], np.bool_)
+
     def share_free(self, points: FloatArray) -> float:
         """Share of points (N, 2) that are in free cells."""
         return float(self.free[self.cells(points)].mean())

@@ -38,6 +38,10 @@ class SurfacePoints:
     normals: FloatArray
     weights: FloatArray
 
+    def select(self, chosen: NDArray[np.bool_]) -> SurfacePoints:
+        """Those that are chosen (N,)."""
+        return SurfacePoints(self.positions[chosen], self.normals[chosen], self.weights[chosen])
+
     def __len__(self) -> int:
         """Return the number of points."""
         return len(self.positions)

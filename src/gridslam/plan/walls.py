@@ -14,7 +14,7 @@ from gridslam.plan.rasters import BoolArray, Raster
 from gridslam.plan.segments import Segments
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Wall", "close_corners", "find_furniture_faces", "hull", "join_faces", "make_walls"]
+__all__ = ["Wall", "close_corners", "drop_clutter", "find_furniture_faces", "hull", "join_faces", "make_walls"]
 
 _PARALLEL_RAD = np.deg2rad(3)
 _SAME_LINE_M = 0.05
@@ -31,6 +31,9 @@ _DEEPEST_FURNITURE_M = 1.5
 _SHALLOWEST_FURNITURE_M = 0.2
 _CORNER_M = 0.35
 _SHORT_M = 2.0
+_CLUTTER_M = 0.2
+_CLUTTER_RAD = np.deg2rad(10)
+_SHORTEST_ALONE_M = 0.6
 _BESIDE_M = 1.0
 _SQUARE_RAD = np.deg2rad(20)
 
@@ -97,6 +100,23 @@ def _find_continuation(face: Face, others: Sequence[Face], raster: Raster) -> in
         if gap <= 0 or raster.share_free(hidden) < 0.3:
             return int(k)
     return None
+
+
+def drop_clutter(faces: Sequence[Face]) -> list[Face]:
+    """Leave out short faces close in front of or behind a longer one, and those of less than 60 cm that touch none."""
+    segments = Segments.of(np.array([face.ends for face in faces]))
+    kept = []
+    for k, face in enumerate(faces):
+        steps, offsets = segments.locate(face.middle, face.along)
+        longer = segments.lengths > 2 * face.length_m
+        beside = longer & (segments.alongs @ face.along > np.cos(_CLUTTER_RAD))
+        beside &= (np.abs(offsets.mean(axis=1)) < _CLUTTER_M) & (steps.min(axis=1) < face.begin + 0.2 * face.length_m)
+        beside &= steps.max(axis=1) > face.end - 0.2 * face.length_m
+        touching = segments.distances(face.ends).min(axis=0) < _CORNER_M
+        touching[k] = False
+        if not beside.any() and (face.length_m >= _SHORTEST_ALONE_M or touching.any()):
+            kept.append(face)
+    return kept
 
 
 def _unite(long: Face, short: Face) -> Face:
