@@ -101,6 +101,7 @@ def _find_log(out: Path, source: dict[str, Any]) -> Path | None:
     """Where the log of a run is: one with the digest that the run has recorded."""
     recorded = Path(str(source.get("path") or ""))
     for path in (recorded, out / recorded.name, out.resolve().parent / recorded.name):
-        if recorded.name and path.exists() and compute_digest(path) == source.get("sha256"):
+        is_log = recorded.name and (path.is_file() or (path / "metadata.yaml").is_file())
+        if is_log and compute_digest(path) == source.get("sha256"):
             return path
     return None

@@ -145,7 +145,7 @@ def find_furniture_faces(faces: Sequence[Face], raster: Raster) -> tuple[BoolArr
     for group in _find_protruding(segments, np.flatnonzero(is_short)):
         is_furniture[group] = True
         outlines.append(segments.ends[group].reshape(-1, 2))
-    for k in np.flatnonzero(is_short).tolist():
+    for k in np.flatnonzero(is_short & ~is_furniture).tolist():
         depth = _depth_before_wall(k, segments, ~is_furniture)
         if depth is not None and _is_solid(faces[k], depth, raster):
             is_furniture[k] = True
