@@ -1,4 +1,4 @@
-"""gridslam plan."""
+"""gridslam plan and changes."""
 
 from __future__ import annotations
 
@@ -10,15 +10,22 @@ import numpy as np
 
 from gridslam.cli.output import open_output, print_result, warn
 from gridslam.errors import InputError
+from gridslam.plan.alignment import Alignment, align_points
+from gridslam.plan.changes import Changes, find_changes
+from gridslam.plan.changes_files import describe_changes, write_changes_geojson, write_changes_png
 from gridslam.plan.drawing import draw_plan
 from gridslam.plan.exports import WorldOrigin, write_dxf, write_geojson
 from gridslam.plan.floor_plan import FloorPlan, make_plan
 from gridslam.plan.sheet import write_pdf, write_png, write_svg
 from gridslam.plan.source import read_source
+from gridslam.plan.surfaces import points_of_grid
 
-__all__ = ["plan_to_folder"]
+__all__ = ["changes_to_folder", "plan_to_folder"]
 
 _NAMES = "plan.svg", "plan.pdf", "plan.png", "plan.dxf", "plan.geojson", "plan.json"
+_CHANGES_NAMES = "changes.png", "changes.geojson", "changes.json"
+_LEAST_SHARE = 0.3
+"""Of a map's surfaces that must lie on the other one's: two days of one building have more than half."""
 
 
 def plan_to_folder(
@@ -74,3 +81,46 @@ def _summarize(plan: FloorPlan, document: dict[str, Any], out: Path) -> Iterator
     yield f"{len(plan.rooms)} rooms, {sum(room.area_m2 for room in plan.rooms):.0f} m\u00b2"
     yield f"plan, 1:{document['scale']}: {out / 'plan.png'}, {out / 'plan.svg'}, {out / 'plan.pdf'}"
     yield f"for other programs: {out / 'plan.dxf'}, {out / 'plan.geojson'}"
+
+
+def changes_to_folder(first: Path, second: Path, out: Path, same_frame: bool, as_json: bool) -> None:
+    """Find what has changed between two maps, write it to a folder and print a summary."""
+    with open_output(out, _CHANGES_NAMES) as folder:
+        maps = [read_source(path, warn) for path in (first, second)]
+        points = [points_of_grid(given.grid) if given.points is None else given.points for given in maps]
+        for path, found in zip((first, second), points, strict=True):
+            if not len(found):
+                raise InputError(path, "expected a map with walls, got one without")
+        alignment = Alignment(np.zeros(3), 0.0, 1.0) if same_frame else align_points(points[1], points[0])
+        if alignment.share < _LEAST_SHARE:
+            problem = (
+                f"expected another map of what {first} shows, but only {alignment.share:.0%} of its walls lie on it"
+            )
+            raise InputError(second, problem)
+        changes = find_changes(maps[0].grid, maps[1].grid, alignment)
+        write_changes_png(folder.file("changes.png"), changes)
+        write_changes_geojson(folder.file("changes.geojson"), changes)
+        document = {
+            "schema": "gridslam.changes/1",
+            "first": str(first),
+            "second": str(second),
+            "second_in_first": alignment.pose.tolist(),
+            "walls_in_common": alignment.share,
+            "residual_m": alignment.residual_m,
+            "both_known_m2": changes.both_m2,
+            "changes": describe_changes(changes),
+        }
+        folder.write_json("changes.json", document)
+    print_result(document, _summarize_changes(changes, out), as_json)
+
+
+def _summarize_changes(changes: Changes, out: Path) -> Iterator[str]:
+    x, y, heading = changes.alignment.pose.tolist()
+    yield (
+        f"aligned: {x:.2f} m, {y:.2f} m, {np.rad2deg(heading):.2f} deg; {changes.alignment.share:.0%} of the walls agree, "
+        f"to {changes.alignment.residual_m:.3f} m; {changes.both_m2:.0f} m\u00b2 are in both maps"
+    )
+    for kind in ("gone", "new"):
+        own = [change.area_m2 for change in changes.changes if change.kind == kind]
+        yield f"{kind}: {len(own)}" + (f", {', '.join(f'{area:.2f}' for area in own[:8])} m\u00b2" if own else "")
+    yield f"changes: {out / 'changes.png'}, {out / 'changes.geojson'}"

@@ -15,6 +15,7 @@ __all__ = ["gridslam"]
 
 _MODULES: Final = {
     "batch": "batches",
+    "changes": "plans",
     "convert": "logs",
     "dataset": "logs",
     "demo": "mapping",

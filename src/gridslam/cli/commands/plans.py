@@ -1,4 +1,4 @@
-"""gridslam plan: options and help."""
+"""gridslam plan and changes: options and help."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import click
 from gridslam.cli.option_types import PATH
 from gridslam.cli.options import json_option, out_option
 
-__all__ = ["plan_command"]
+__all__ = ["changes_command", "plan_command"]
 
 
 def _read_origin(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float, float, float] | None:
@@ -59,3 +59,22 @@ def plan_command(**options: Any) -> None:  # noqa: ANN401
     from gridslam.cli.plan import plan_to_folder
 
     plan_to_folder(**options)
+
+
+@click.command("changes")
+@click.argument("first", type=PATH)
+@click.argument("second", type=PATH)
+@out_option
+@click.option("--same-frame", is_flag=True, help="Both maps have one frame; do not align them by their walls.")
+@json_option
+def changes_command(**options: Any) -> None:  # noqa: ANN401
+    """Show what has gone and what is new between two maps of a building.
+
+    FIRST and SECOND are each a map's YAML file, the folder OUT of `gridslam map`, or a session. What either has not
+    seen is left open.
+
+    Writes to OUT: changes.png, changes.geojson (in the frame of FIRST) and changes.json.
+    """
+    from gridslam.cli.plan import changes_to_folder
+
+    changes_to_folder(**options)
