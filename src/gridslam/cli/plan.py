@@ -94,7 +94,7 @@ def changes_to_folder(first: Path, second: Path, out: Path, same_frame: bool, as
         alignment = Alignment(np.zeros(3), 0.0, 1.0) if same_frame else align_points(points[1], points[0])
         if alignment.share < _LEAST_SHARE:
             problem = (
-                f"expected another map of what {first} shows, but only {alignment.share:.0%} of its walls lie on it"
+                f"expected another map of what {first} shows, but {alignment.share:.0%} of its walls agree with it"
             )
             raise InputError(second, problem)
         changes = find_changes(maps[0].grid, maps[1].grid, alignment)
@@ -117,8 +117,8 @@ def changes_to_folder(first: Path, second: Path, out: Path, same_frame: bool, as
 def _summarize_changes(changes: Changes, out: Path) -> Iterator[str]:
     x, y, heading = changes.alignment.pose.tolist()
     yield (
-        f"aligned: {x:.2f} m, {y:.2f} m, {np.rad2deg(heading):.2f} deg; {changes.alignment.share:.0%} of the walls agree, "
-        f"to {changes.alignment.residual_m:.3f} m; {changes.both_m2:.0f} m\u00b2 are in both maps"
+        f"aligned: {x:.2f} m, {y:.2f} m, {np.rad2deg(heading):.2f} deg; {changes.alignment.share:.0%} of the walls "
+        f"agree, to {changes.alignment.residual_m:.3f} m; {changes.both_m2:.0f} m\u00b2 are in both maps"
     )
     for kind in ("gone", "new"):
         own = [change.area_m2 for change in changes.changes if change.kind == kind]
