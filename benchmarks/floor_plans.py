@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from floor_plan_truth import Truth, compare_doors, compare_rooms, compare_walls, look, plan_sides, read_truth
+from floor_plan_truth import Seen, Truth, compare_doors, compare_rooms, compare_walls, look, plan_sides, read_truth
 from gridslam.config import Configuration
 from gridslam.evaluation.trajectory import align
 from gridslam.geometry import se2
@@ -89,11 +89,15 @@ def plan_building(building: Building, points: str = "scans", worse: str = "") ->
     return plan
 
 
-def score(building: Building, plan: FloorPlan) -> dict[str, Any]:
-    """Compare a plan with the truth."""
-    truth: Truth = read_truth(building.log.walls)
+def see(building: Building) -> tuple[Truth, Seen]:
+    """The truth of a building, and what was seen of it."""
+    truth = read_truth(building.log.walls)
     origins, ends = zip(*building.scans(building.log.truth.poses), strict=True)
-    seen = look(truth, np.array(origins), list(ends))
+    return truth, look(truth, np.array(origins), list(ends))
+
+
+def score(building: Building, plan: FloorPlan, truth: Truth, seen: Seen) -> dict[str, Any]:
+    """Compare a plan with the truth."""
     pose = align(building.poses[:, :2], building.log.truth.poses[:, :2])
     sides = se2.transform_points(pose, plan_sides(plan).reshape(-1, 2)).reshape(-1, 2, 2)
     openings = [se2.transform_points(pose, opening.ends) for opening in plan.openings]
@@ -102,6 +106,15 @@ def score(building: Building, plan: FloorPlan) -> dict[str, Any]:
         "walls": compare_walls(sides, truth, seen),
         "doors": compare_doors(openings, truth, seen),
         "rooms": compare_rooms(plan, truth, seen, pose),
+    }
+
+
+def score_variants(building: Building) -> dict[str, dict[str, Any]]:
+    """Score the plans of a building by all variants."""
+    truth, seen = see(building)
+    return {
+        variant: score(building, plan_building(building, points, worse), truth, seen)
+        for variant, (points, worse) in VARIANTS.items()
     }
 
 
@@ -140,24 +153,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     groups = {"20 buildings": BUILDINGS, "10 more, not used to choose anything": UNSEEN}
     if given.buildings:
         groups = {"given": tuple((world, int(seed)) for world, seed in (name.split(":") for name in given.buildings))}
+    scores = {group: [score_variants(map_building(*name)) for name in chosen] for group, chosen in groups.items()}
+    return report(scores, given.out)
+
+
+def report(scores: dict[str, list[dict[str, dict[str, Any]]]], out: Path | None) -> int:
+    """Print and write what groups of buildings scored; gives 1 where anything is not as it must be."""
     tables: dict[str, dict[str, Any]] = {}
-    for group, chosen in groups.items():
-        scores: dict[str, list[dict[str, Any]]] = {variant: [] for variant in VARIANTS}
-        for world, seed in chosen:
-            building = map_building(world, seed)
-            for variant, (points, worse) in VARIANTS.items():
-                scores[variant].append(score(building, plan_building(building, points, worse)))
-            print(scores["end points"][-1], flush=True)
-        for variant, rows in scores.items():
+    for group, buildings in scores.items():
+        for variant in VARIANTS:
+            rows = [building[variant] for building in buildings]
             summary = summarize(rows)
-            missed = failures(summary)
-            print(group, variant, summary, "missed:", missed, flush=True)
-            tables[f"{group}: {variant}"] = {"summary": summary, "missed": missed}
+            tables[f"{group}: {variant}"] = table = {"summary": summary, "missed": failures(summary)}
+            print(group, variant, table)
             if variant == "end points":
-                tables[f"{group}: {variant}"]["rows"] = rows
-    if given.out is not None:
-        how = f"python benchmarks/floor_plans.py --out benchmarks/results/{given.out.name}"
-        write_document(given.out, how, targets={name: least for name, (least, _) in TARGETS.items()}, tables=tables)
+                table["rows"] = rows
+    if out is not None:
+        how = f"python benchmarks/floor_plans.py --out benchmarks/results/{out.name}"
+        write_document(out, how, targets={name: least for name, (least, _) in TARGETS.items()}, tables=tables)
     wrong = [
         name
         for name, table in tables.items()

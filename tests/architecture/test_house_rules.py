@@ -9,7 +9,19 @@ import pytest
 from house_rules import ALLOWED, ONLY_IN, impurities, is_pure, misplaced, upward, violations
 from support.house import ROOT, Source, find_cycle, sources
 
-EXTRAS = {"cmaes", "dask", "dask_jobqueue", "distributed", "fsspec", "pandas", "pooch", "pyarrow"}
+EXTRAS = {
+    "cmaes",
+    "contourpy",
+    "dask",
+    "dask_jobqueue",
+    "distributed",
+    "ezdxf",
+    "fsspec",
+    "pandas",
+    "pooch",
+    "pyarrow",
+    "shapely",
+}
 """Of the dependencies, what is installed on demand."""
 
 UNSEEN = {"backports"}

@@ -4,32 +4,30 @@ from __future__ import annotations
 
 import pytest
 
-from floor_plans import failures, map_building, plan_building, score, summarize
+from floor_plans import VARIANTS, failures, map_building, score_variants, summarize
 
 
 @pytest.fixture(scope="module")
-def buildings():
-    return [map_building("rooms", 7), map_building("random", 31)]  # of which the benchmark has none
+def summaries():
+    """Of two buildings that the benchmark has not, by variant."""
+    scores = [score_variants(map_building(*name)) for name in (("rooms", 7), ("random", 31))]
+    return {variant: summarize([building[variant] for building in scores]) for variant in VARIANTS}
 
 
-def _summary(buildings, points="scans", worse=""):
-    return summarize([score(building, plan_building(building, points, worse)) for building in buildings])
-
-
-def test_walls_doors_and_rooms_are_where_they_are(buildings):
-    summary = _summary(buildings)
+def test_walls_doors_and_rooms_are_where_they_are(summaries):
+    summary = summaries["end points"]
     assert not failures(summary)
     assert summary["offset_m"] < 0.01
     assert summary["door_recall"] > 0.9
     assert summary["door_precision"] > 0.9
 
 
-def test_cells_alone_find_walls_to_a_cell(buildings):
-    summary = _summary(buildings, points="cells")
+def test_cells_alone_find_walls_to_a_cell(summaries):
+    summary = summaries["cells"]
     assert summary["wall_precision"] > 0.9
     assert 0.005 < summary["offset_m"] < 0.03
 
 
 @pytest.mark.parametrize(("worse", "noticed"), [("noisy", "direction_deg"), ("undivided", "rooms_right")])
-def test_what_makes_it_worse_is_noticed(buildings, worse, noticed):
-    assert noticed in failures(_summary(buildings, worse=worse))
+def test_what_makes_it_worse_is_noticed(summaries, worse, noticed):
+    assert noticed in failures(summaries[worse])

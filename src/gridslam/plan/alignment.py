@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import NamedTuple, final
 
 import numpy as np
-from scipy import fft
-from scipy.spatial import cKDTree
 
 from gridslam.geometry import se2
 from gridslam.plan.surfaces import SurfacePoints
+from gridslam.plan.untyped import fft, spatial
 from gridslam.types import FloatArray
 
 __all__ = ["Alignment", "align_points"]
 
 _COARSE_M = 0.2
 _HEADINGS = 8
-"""Tried at most: a building has four that its walls cannot tell apart."""
+"""Tried at most: at four of them a building's walls look alike."""
 _REACHES_M = (0.6, 0.6, 0.4, 0.3, 0.2, 0.2, 0.15, 0.15, 0.15, 0.15)
 _AGREES_M = 0.1
 _MOST_POINTS = 20_000
@@ -48,11 +47,10 @@ def align_points(moved: SurfacePoints, fixed: SurfacePoints) -> Alignment:
     cross-correlation of the surfaces; each is refined by matching points to lines, and the one that most points agree
     with is taken.
     """
-    tree = cKDTree(fixed.positions)
     chosen = np.linspace(0, len(moved) - 1, min(len(moved), _MOST_POINTS)).astype(np.int64)
     few = SurfacePoints(moved.positions[chosen], moved.normals[chosen], moved.weights[chosen].clip(max=20.0))
     found = [
-        _refine(np.array([*_find_shift(few, fixed, heading), heading]), few, fixed, tree)
+        _refine(np.array([*_find_shift(few, fixed, heading), heading]), few, fixed)
         for heading in _find_headings(few, fixed)
     ]
     return max(found, key=lambda alignment: alignment.share)
@@ -94,8 +92,9 @@ def _find_shift(moved: SurfacePoints, fixed: SurfacePoints, heading: float) -> F
     return np.asarray(wrapped * _COARSE_M + lows[1] - lows[0])
 
 
-def _refine(pose: FloatArray, moved: SurfacePoints, fixed: SurfacePoints, tree: cKDTree) -> Alignment:
+def _refine(pose: FloatArray, moved: SurfacePoints, fixed: SurfacePoints) -> Alignment:
     """Match points to lines, with ever shorter reach; weighed by Cauchy's function."""
+    tree = spatial.cKDTree(fixed.positions)
     residuals, agreeing = np.zeros(0), np.zeros(len(moved), np.bool_)
     for reach in _REACHES_M:
         positions = se2.transform_points(pose, moved.positions)

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from scipy import ndimage
 
 from gridslam.geometry import se2
 from gridslam.plan.alignment import Alignment
 from gridslam.plan.rasters import BoolArray, Raster, make_raster
+from gridslam.plan.untyped import ndimage
 from gridslam.types import FloatArray, OccupancyGrid
 
 __all__ = ["Change", "Changes", "find_changes"]

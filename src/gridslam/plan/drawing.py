@@ -105,11 +105,11 @@ def _foot(sheet: Sheet, name: str, scale: int, per_m: float) -> list[Mark]:
     length = next(m for m in (0.5, 1, 2, 5, 10, 20, 50, 100, 1000) if m * per_m >= 20 or m == 1000)
     width, height = sheet.size_mm
     ends = np.array([[_MARGIN_MM, 10.0], [_MARGIN_MM + length * per_m, 10.0]])
-    ticks = [end + np.array([[0, -1.0], [0, 1.0]]) for end in ends]
+    edges = [end + np.array([[0, -1.0], [0, 1.0]]) for end in ends]
     title = np.array([[width / 2, height - 10.0]])
     return [
         Mark("title", title, _INK, None, 4.0, text=f"{name}   1:{scale}"),
         Mark("title", ends, None, _INK, 0.35),
-        *(Mark("title", tick, None, _INK, 0.35) for tick in ticks),
+        *(Mark("title", edge, None, _INK, 0.35) for edge in edges),
         Mark("title", ends.mean(axis=0)[None] - [[0, 3.0]], _INK, None, _LETTERS_MM, text=f"{length:g} m"),
     ]

@@ -111,11 +111,13 @@ def write_dxf(path: Path, plan: FloorPlan) -> None:
         ezdxf is not installed; the extra ``map`` brings it.
     """
     try:
-        import ezdxf
+        from ezdxf import units
+        from ezdxf.document import Drawing
         from ezdxf.enums import TextEntityAlignment
     except ImportError:
         raise MissingDependencyError("DXF", "ezdxf", "map") from None
-    drawing = ezdxf.new("R2010", units=ezdxf.units.M)
+    drawing = Drawing.new("R2010")
+    drawing.units = units.M
     for layer, colour in _LAYERS.items():
         drawing.layers.add(layer, color=colour)
     space = drawing.modelspace()

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from gridslam.plan.rasters import BoolArray
-from gridslam.plan.surfaces import SurfacePoints, link
+from gridslam.plan.surfaces import SurfacePoints, label_surfaces
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["Face", "dominant_direction", "find_faces", "snap_directions"]
@@ -79,7 +78,7 @@ def find_faces(points: SurfacePoints) -> list[Face]:
     """Find straight faces of 0.25 m and more, the longest of each connected surface first."""
     if not len(points):
         return []
-    _, labels = connected_components(link(points, _GAP_M, np.deg2rad(25), _OFFSET_M + 0.03), directed=False)
+    labels = label_surfaces(points)
     order = np.argsort(labels, kind="stable")
     starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
     faces: list[Face] = []

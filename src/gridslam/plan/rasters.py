@@ -8,8 +8,8 @@ from typing import TypeAlias, final
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
-from scipy import ndimage
 
+from gridslam.plan.untyped import ndimage
 from gridslam.types import FloatArray, OccupancyGrid
 
 BoolArray: TypeAlias = NDArray[np.bool_]

@@ -8,13 +8,13 @@ from itertools import pairwise
 from typing import Any, TypeAlias, final
 
 import numpy as np
-from scipy import ndimage
 
 from gridslam.errors import MissingDependencyError
 from gridslam.plan.faces import Face
 from gridslam.plan.openings import Opening
 from gridslam.plan.rasters import BoolArray, Raster, fill_polygons
 from gridslam.plan.segments import Segments
+from gridslam.plan.untyped import ndimage
 from gridslam.types import FloatArray
 
 __all__ = ["Room", "find_rooms"]

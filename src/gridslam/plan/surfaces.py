@@ -8,15 +8,17 @@ from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.spatial import cKDTree
 
+from gridslam.plan.untyped import connected_components, coo_matrix, spatial
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
-__all__ = ["SurfacePoints", "points_of_grid", "points_of_scans"]
+__all__ = ["SurfacePoints", "label_surfaces", "points_of_grid", "points_of_scans"]
 
 _NEAR_M = 0.25
 """Neighbours within this distance determine a normal: two cells in each direction are five, enough for a line."""
+_LINK_M = 0.3
+_LINK_RAD = np.deg2rad(25)
+_LINK_OFFSET_M = 0.08
 _SIDES = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])
 
 
@@ -93,7 +95,7 @@ def points_of_grid(grid: OccupancyGrid) -> SurfacePoints:
     for side in _SIDES:
         beside = free[rows + 1 + side[1], columns + 1 + side[0]]
         cells = np.column_stack([columns, rows])[beside]
-        positions.append(np.array(grid.origin) + (cells + 0.5) * grid.resolution_m)
+        positions.append(np.asarray(np.array(grid.origin) + (cells + 0.5) * grid.resolution_m, np.float64))
         views.append(np.broadcast_to(side, cells.shape))
     where = np.concatenate(positions)
     return _orient(where, np.concatenate(views).astype(np.float64), np.ones(len(where)))
@@ -106,7 +108,7 @@ def _orient(positions: FloatArray, views: FloatArray, weights: FloatArray) -> Su
     """
     if len(positions) < 2:
         return SurfacePoints(positions[:0], views[:0], weights[:0])
-    pairs = cKDTree(positions).query_pairs(_NEAR_M, output_type="ndarray")
+    pairs = spatial.cKDTree(positions).query_pairs(_NEAR_M, output_type="ndarray")
     normals = _find_normals(positions, views, weights, pairs)
     facing = np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > 0.5
     normals = _find_normals(positions, views, weights, pairs[facing])
@@ -130,13 +132,14 @@ def _find_normals(positions: FloatArray, views: FloatArray, weights: FloatArray,
     return normals
 
 
-def link(points: SurfacePoints, far_m: float, most_rad: float, offset_m: float) -> coo_matrix:
-    """Adjacency (N, N) of points that may lie on one smooth surface."""
-    pairs = cKDTree(points.positions).query_pairs(far_m, output_type="ndarray")
+def label_surfaces(points: SurfacePoints) -> IntArray:
+    """Number (N,) of the smooth surface that each point is on: neighbours lie in the line of both, and face one way."""
+    pairs = spatial.cKDTree(points.positions).query_pairs(_LINK_M, output_type="ndarray")
     first, second = pairs.T
     apart = points.positions[second] - points.positions[first]
-    normals = points.normals
-    smooth = np.einsum("ij,ij->i", normals[first], normals[second]) > np.cos(most_rad)
+    smooth = np.einsum("ij,ij->i", points.normals[first], points.normals[second]) > np.cos(_LINK_RAD)
     for end in (first, second):
-        smooth &= np.abs(np.einsum("ij,ij->i", apart, normals[end])) < offset_m
-    return coo_matrix((np.ones(smooth.sum(), np.bool_), (first[smooth], second[smooth])), (len(points),) * 2)
+        smooth &= np.abs(np.einsum("ij,ij->i", apart, points.normals[end])) < _LINK_OFFSET_M
+    graph = coo_matrix((np.ones(smooth.sum(), np.bool_), (first[smooth], second[smooth])), (len(points),) * 2)
+    labels: IntArray = connected_components(graph, directed=False)[1]
+    return labels

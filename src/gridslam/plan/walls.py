@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from gridslam.plan.faces import Face
 from gridslam.plan.rasters import BoolArray, Raster
 from gridslam.plan.segments import Segments
+from gridslam.plan.untyped import connected_components
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["Wall", "close_corners", "drop_clutter", "find_furniture_faces", "hull", "join_faces", "make_walls"]
@@ -96,7 +96,7 @@ def _find_continuation(face: Face, others: Sequence[Face], raster: Raster) -> in
         gap = max(before[k], after[k])
         begin = face.end if after[k] > before[k] else face.begin - gap
         places = begin + np.linspace(0, gap, max(2, int(gap / raster.cell_m) + 1))
-        hidden = face.middle + np.outer(places, face.along) - 0.02 * face.normal
+        hidden = np.asarray(face.middle + np.outer(places, face.along) - 0.02 * face.normal, np.float64)
         if gap <= 0 or raster.share_free(hidden) < 0.3:
             return int(k)
     return None
