@@ -15,13 +15,13 @@ from support.house import IMPURE_FROM, INNER_RANKS, RANKS, Source, find_cycle, s
 ONLY_IN = {
     "click": {"cli"},
     "rich": {"cli"},
-    "PIL": {"io", "viz"},
+    "PIL": {"io", "viz", "plan"},
     "tomli": {"config"},
     "tomli_w": {"config"},
     "pydantic": set(RANKS),
     "pydantic_core": {"parameters", "config"},
     "numpy": set(RANKS),
-    "scipy": {"slam", "localization", "evaluation", "tuning"},
+    "scipy": {"slam", "localization", "evaluation", "tuning", "plan"},
     "optuna": {"tuning"},
     "qdldl": {"slam"},
     "rosbags": {"io"},
@@ -36,6 +36,9 @@ ONLY_IN = {
     "dask": {"batch"},
     "dask_jobqueue": {"batch"},
     "distributed": {"batch"},
+    "contourpy": {"plan"},
+    "shapely": {"plan"},
+    "ezdxf": {"plan"},
 }
 """Who may import which dependency: help must not pay for drawing, nor the filter for a terminal."""
 

@@ -33,6 +33,7 @@ from gridslam.io.measurement import Measurement
 from gridslam.io.trajectories import read_relations
 from gridslam.localization import KnownMap, MonteCarloLocalization
 from gridslam.mapping import OccupancyGridMapping
+from gridslam.plan.changes_files import write_changes_png
 from gridslam.sim import LidarConfig
 from gridslam.tuning.report import plot_convergence
 from gridslam.tuning.tune import Trial, Tuning
@@ -40,6 +41,9 @@ from gridslam.types import FloatArray, StepReport
 from gridslam.viz import draw_graph
 from gridslam.viz.canvas import CLOSURE, TRUTH
 from gridslam.viz.chart import draw_chart
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+from map_changes import compare, make_days
 
 DATA = Path(os.environ.get("GRIDSLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 RESULTS = Path(__file__).resolve().parents[2] / "benchmarks" / "results"
@@ -258,8 +262,34 @@ def sessions() -> None:
         keep("sessions", session.add(second).picture(), 1000)
 
 
+def floor_plans() -> None:
+    """The plan of the demo's office; of the Intel log, if it is there; and what moved between two days."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
+        gridslam("demo", out / "demo")
+        gridslam("plan", out / "demo", out / "plan", "--straighten")
+        keep("floor_plan", Image.open(out / "plan" / "plan.png"), 900)
+        if (DATA / "intel.clf.bz2").exists():
+            gridslam("map", DATA / "intel.clf.bz2", out / "intel")
+            gridslam("plan", out / "intel", out / "plan", "--straighten")
+            keep("floor_plan_intel", Image.open(out / "plan" / "plan.png"), 900)
+        days, _ = make_days(2)
+        changes = compare(days)
+        write_changes_png(out / "changes.png", changes)
+        keep("map_changes", Image.open(out / "changes.png"), 760)
+
+
+def gridslam(command: str, *arguments: str | Path) -> None:
+    """Run a command whose output folder is the last argument that is no option."""
+    given = [str(argument) for argument in arguments]
+    options = [word for word in given if word.startswith("--")]
+    *inputs, out = [word for word in given if not word.startswith("--")]
+    subprocess.run([sys.executable, "-m", "gridslam.cli.main", command, *inputs, "-o", out, *options], check=True)
+
+
 PICTURES = (
     sessions,
+    floor_plans,
     tuning,
     first_map,
     grid_fastslam,

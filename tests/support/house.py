@@ -40,6 +40,7 @@ RANKS = {
     "viz": 12,
     "api": 13,
     "live": 13,
+    "plan": 14,
     "ros": 14,
     "batch": 14,
     "tuning": 15,

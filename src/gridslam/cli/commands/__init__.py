@@ -15,6 +15,7 @@ __all__ = ["gridslam"]
 
 _MODULES: Final = {
     "batch": "batches",
+    "changes": "plans",
     "convert": "logs",
     "dataset": "logs",
     "demo": "mapping",
@@ -26,6 +27,7 @@ _MODULES: Final = {
     "localize": "algorithms",
     "map": "mapping",
     "merge": "mapping",
+    "plan": "plans",
     "regress": "results",
     "ros1": "nodes",
     "ros2": "nodes",

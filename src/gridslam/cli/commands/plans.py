@@ -1,0 +1,80 @@
+"""gridslam plan and changes: options and help."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import click
+
+from gridslam.cli.option_types import PATH
+from gridslam.cli.options import json_option, out_option
+
+__all__ = ["changes_command", "plan_command"]
+
+
+def _read_origin(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float, float, float] | None:
+    """Read latitude, longitude and, if it is there, bearing; 90, east, if not."""
+    if text is None:
+        return None
+    try:
+        latitude, longitude, bearing = (
+            float(number) for number in (text if text.count(",") > 1 else f"{text},90").split(",")
+        )
+    except ValueError:
+        latitude = longitude = bearing = math.nan
+    if not (abs(latitude) <= 85 and abs(longitude) <= 180 and abs(bearing) <= 360):
+        problem = "expected LAT,LON[,BEARING] in degrees, at most 85, 180 and 360 from 0"
+        raise click.BadParameter(f"{problem}, got {text!r}", ctx, param)
+    return latitude, longitude, bearing
+
+
+@click.command("plan")
+@click.argument("source", type=PATH)
+@out_option
+@click.option(
+    "--scale",
+    type=click.IntRange(1, 10_000),
+    default=100,
+    show_default=True,
+    metavar="N",
+    help="Scale 1:N of the SVG and the PDF.",
+)
+@click.option("--straighten", is_flag=True, help="Turn the plan so that most walls run along its axes.")
+@click.option(
+    "--origin",
+    metavar="LAT,LON[,BEARING]",
+    callback=_read_origin,
+    help="Where the map's origin is, degrees (WGS84), and the bearing of its x axis (90: east): GeoJSON in degrees.",
+)
+@json_option
+def plan_command(**options: Any) -> None:  # noqa: ANN401
+    """Make a floor plan of SOURCE: walls, doors, rooms and their measures (extra: map).
+
+    SOURCE is a map's YAML file, the folder OUT of `gridslam map`, or a session. Where there are scans the walls are
+    fitted to their end points, and otherwise to the map's cells.
+
+    Writes to OUT: plan.svg and plan.pdf (to scale), plan.png, plan.dxf (CAD), plan.geojson and plan.json.
+    """
+    from gridslam.cli.plan import plan_to_folder
+
+    plan_to_folder(**options)
+
+
+@click.command("changes")
+@click.argument("first", type=PATH)
+@click.argument("second", type=PATH)
+@out_option
+@click.option("--same-frame", is_flag=True, help="Both maps have one frame; do not align them by their walls.")
+@json_option
+def changes_command(**options: Any) -> None:  # noqa: ANN401
+    """Show what has gone and what is new between two maps of a building.
+
+    FIRST and SECOND are each a map's YAML file, the folder OUT of `gridslam map`, or a session. What either has not
+    seen is left open.
+
+    Writes to OUT: changes.png, changes.geojson (in the frame of FIRST) and changes.json.
+    """
+    from gridslam.cli.plan import changes_to_folder
+
+    changes_to_folder(**options)

@@ -1,0 +1,126 @@
+"""gridslam plan and changes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gridslam.cli.output import open_output, print_result, warn
+from gridslam.errors import InputError
+from gridslam.plan.alignment import Alignment, align_points
+from gridslam.plan.changes import Changes, find_changes
+from gridslam.plan.changes_files import describe_changes, write_changes_geojson, write_changes_png
+from gridslam.plan.drawing import draw_plan
+from gridslam.plan.exports import WorldOrigin, write_dxf, write_geojson
+from gridslam.plan.floor_plan import FloorPlan, make_plan
+from gridslam.plan.sheet import write_pdf, write_png, write_svg
+from gridslam.plan.source import read_source
+from gridslam.plan.surfaces import points_of_grid
+
+__all__ = ["changes_to_folder", "plan_to_folder"]
+
+_NAMES = "plan.svg", "plan.pdf", "plan.png", "plan.dxf", "plan.geojson", "plan.json"
+_CHANGES_NAMES = "changes.png", "changes.geojson", "changes.json"
+_LEAST_SHARE = 0.3
+"""Of a map's surfaces that must lie on the other one's: two days of one building have more than half."""
+
+
+def plan_to_folder(
+    source: Path, out: Path, scale: int, straighten: bool, origin: tuple[float, float, float] | None, as_json: bool
+) -> None:
+    """Make a floor plan, write it to a folder and print a summary."""
+    with open_output(out, _NAMES) as folder:
+        given = read_source(source, warn)
+        plan = make_plan(given.grid, given.points)
+        if not plan.walls:
+            raise InputError(source, "expected a map with walls, got one without a straight surface of 0.25 m")
+        shown = plan.straighten() if straighten else plan
+        sheet = draw_plan(shown, given.name, scale)
+        write_svg(folder.file("plan.svg"), sheet)
+        write_pdf(folder.file("plan.pdf"), sheet)
+        write_png(folder.file("plan.png"), sheet)
+        write_dxf(folder.file("plan.dxf"), shown)
+        world = None if origin is None else WorldOrigin(*origin)
+        write_geojson(folder.file("plan.geojson"), shown if world is None else plan, given.name, world)
+        document = _describe(source, shown, scale, "cells" if given.points is None else "end points")
+        folder.write_json("plan.json", document)
+    print_result(document, _summarize(shown, document, out), as_json)
+
+
+def _describe(source: Path, plan: FloorPlan, scale: int, made_from: str) -> dict[str, Any]:
+    low, high = plan.bounds.tolist()
+    return {
+        "schema": "gridslam.plan/1",
+        "source": str(source),
+        "made_from": made_from,
+        "scale": scale,
+        "bounds_m": [low, high],
+        "dominant_deg": float(np.rad2deg(plan.dominant_rad)),
+        "turned_deg": float(np.rad2deg(plan.turned_rad)),
+        "walls": len(plan.walls),
+        "walls_length_m": sum(wall.length_m for wall in plan.walls),
+        "doors": [
+            {"kind": o.kind, "width_m": o.width_m, "middle_m": o.ends.mean(axis=0).tolist()} for o in plan.openings
+        ],
+        "rooms": [{"name": r.name, "area_m2": r.area_m2, "complete": not len(r.unknown)} for r in plan.rooms],
+        "furniture": len(plan.furniture),
+    }
+
+
+def _summarize(plan: FloorPlan, document: dict[str, Any], out: Path) -> Iterator[str]:
+    thick = sum(wall.thickness_m is not None for wall in plan.walls)
+    yield (
+        f"{len(plan.walls)} walls, {document['walls_length_m']:.0f} m, {thick} of them with their thickness, "
+        f"from {document['made_from']}; most run at {document['dominant_deg']:.2f} deg"
+    )
+    widths = sorted(opening.width_m for opening in plan.openings)
+    yield f"{len(widths)} doors and openings" + (f", {widths[0]:.2f} to {widths[-1]:.2f} m wide" if widths else "")
+    yield f"{len(plan.rooms)} rooms, {sum(room.area_m2 for room in plan.rooms):.0f} m\u00b2"
+    yield f"plan, 1:{document['scale']}: {out / 'plan.png'}, {out / 'plan.svg'}, {out / 'plan.pdf'}"
+    yield f"for other programs: {out / 'plan.dxf'}, {out / 'plan.geojson'}"
+
+
+def changes_to_folder(first: Path, second: Path, out: Path, same_frame: bool, as_json: bool) -> None:
+    """Find what has changed between two maps, write it to a folder and print a summary."""
+    with open_output(out, _CHANGES_NAMES) as folder:
+        maps = [read_source(path, warn) for path in (first, second)]
+        points = [points_of_grid(given.grid) if given.points is None else given.points for given in maps]
+        for path, found in zip((first, second), points, strict=True):
+            if not len(found):
+                raise InputError(path, "expected a map with walls, got one without")
+        alignment = Alignment(np.zeros(3), 0.0, 1.0) if same_frame else align_points(points[1], points[0])
+        if alignment.share < _LEAST_SHARE:
+            problem = (
+                f"expected another map of what {first} shows, but {alignment.share:.0%} of its walls agree with it"
+            )
+            raise InputError(second, problem)
+        changes = find_changes(maps[0].grid, maps[1].grid, alignment)
+        write_changes_png(folder.file("changes.png"), changes)
+        write_changes_geojson(folder.file("changes.geojson"), changes)
+        document = {
+            "schema": "gridslam.changes/1",
+            "first": str(first),
+            "second": str(second),
+            "second_in_first": alignment.pose.tolist(),
+            "walls_in_common": alignment.share,
+            "residual_m": alignment.residual_m,
+            "both_known_m2": changes.both_m2,
+            "changes": describe_changes(changes),
+        }
+        folder.write_json("changes.json", document)
+    print_result(document, _summarize_changes(changes, out), as_json)
+
+
+def _summarize_changes(changes: Changes, out: Path) -> Iterator[str]:
+    x, y, heading = changes.alignment.pose.tolist()
+    yield (
+        f"aligned: {x:.2f} m, {y:.2f} m, {np.rad2deg(heading):.2f} deg; {changes.alignment.share:.0%} of the walls "
+        f"agree, to {changes.alignment.residual_m:.3f} m; {changes.both_m2:.0f} m\u00b2 are in both maps"
+    )
+    for kind in ("gone", "new"):
+        own = [change.area_m2 for change in changes.changes if change.kind == kind]
+        yield f"{kind}: {len(own)}" + (f", {', '.join(f'{area:.2f}' for area in own[:8])} m\u00b2" if own else "")
+    yield f"changes: {out / 'changes.png'}, {out / 'changes.geojson'}"

@@ -1,0 +1,175 @@
+"""Faces: the straight surfaces of walls and furniture, found among surface points and fitted to them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from gridslam.plan.rasters import BoolArray
+from gridslam.plan.surfaces import SurfacePoints, label_surfaces
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["Face", "dominant_direction", "find_faces", "snap_directions"]
+
+_GAP_M = 0.3
+"""Along a face points are no farther apart: less than a door, more than beams are at 15 m."""
+_OFFSET_M = 0.05
+_ANGLE_RAD = np.deg2rad(15)
+_SHORTEST_M = 0.25
+_ROUNDS = 4
+_SNAP_M = 0.02
+"""Ends may move by so much when a face is turned to a dominant direction."""
+_SNAP_RAD = np.deg2rad(3)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Face:
+    """A straight surface, seen from one side.
+
+    Attributes
+    ----------
+    middle : (2,) float64, m
+        A point on it.
+    direction : float, rad
+        Direction along it; free space lies to its left.
+    begin, end : float, m
+        From `middle` along the direction, begin < end.
+    weight : float
+        Of the points that it was fitted to.
+    """
+
+    middle: FloatArray
+    direction: float
+    begin: float
+    end: float
+    weight: float
+
+    @property
+    def along(self) -> FloatArray:
+        """Unit vector (2,) along the face."""
+        return np.array([np.cos(self.direction), np.sin(self.direction)])
+
+    @property
+    def normal(self) -> FloatArray:
+        """Unit vector (2,) into free space."""
+        return np.array([-np.sin(self.direction), np.cos(self.direction)])
+
+    @property
+    def length_m(self) -> float:
+        """Length of the face."""
+        return self.end - self.begin
+
+    @property
+    def ends(self) -> FloatArray:
+        """Both ends (2, 2), m."""
+        return self.middle + np.outer([self.begin, self.end], self.along)
+
+    def locate(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Distances (N,) of points (N, 2) from the middle along the face, and to its left."""
+        apart = points - self.middle
+        return apart @ self.along, apart @ self.normal
+
+
+def find_faces(points: SurfacePoints) -> list[Face]:
+    """Find straight faces of 0.25 m and more, the longest of each connected surface first."""
+    if not len(points):
+        return []
+    labels = label_surfaces(points)
+    order = np.argsort(labels, kind="stable")
+    starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
+    faces: list[Face] = []
+    for component in np.split(order, starts[1:]):
+        if len(component) >= 4:
+            faces += _peel(points, component)
+    return faces
+
+
+def _peel(points: SurfacePoints, left: IntArray) -> Iterator[Face]:
+    """Take face after face from the points of a component, each grown from where most points agree."""
+    while len(left) >= 4:
+        taken, face = _grow(points, left, _choose_seed(points, left))
+        if face is not None and face.length_m >= _SHORTEST_M:
+            yield face
+        left = left[~taken]
+
+
+def _choose_seed(points: SurfacePoints, left: IntArray) -> int:
+    """The point whose line has most points: of at most 40 that are tried, evenly distributed."""
+    tried = np.linspace(0, len(left) - 1, min(40, len(left))).astype(np.int64)
+    normals = points.normals[left[tried]]
+    positions = points.positions[left]
+    offsets = np.abs((positions[None] - positions[tried][:, None]) @ normals[:, :, None])[..., 0]
+    facing = points.normals[left] @ normals.T
+    agree = (offsets < _OFFSET_M) & (np.cos(_ANGLE_RAD) < facing.T)
+    return int(tried[np.argmax(agree @ points.weights[left].clip(max=20.0))])
+
+
+def _grow(points: SurfacePoints, left: IntArray, seed: int) -> tuple[BoolArray, Face | None]:
+    """Fit a line to the points that agree with it, again and again; which of `left` are taken, and the face."""
+    positions, normals = points.positions[left], points.normals[left]
+    weights = points.weights[left].clip(max=20.0)
+    middle, normal = positions[seed], normals[seed]
+    taken = np.zeros(len(left), np.bool_)
+    taken[seed] = True
+    for _ in range(_ROUNDS):
+        apart = positions - middle
+        agree = (np.abs(apart @ normal) < _OFFSET_M) & (normals @ normal > np.cos(_ANGLE_RAD))
+        if agree.sum() < 3:
+            return taken, None
+        agree = _run_about(apart @ np.array([normal[1], -normal[0]]), agree)
+        middle, normal = _fit(positions[agree], weights[agree], normal)
+        taken |= agree
+    direction = float(np.arctan2(-normal[0], normal[1]))
+    along = (positions[agree] - middle) @ np.array([normal[1], -normal[0]])
+    return taken, Face(middle, direction, float(along.min()), float(along.max()), float(weights[agree].sum()))
+
+
+def _run_about(along: FloatArray, agree: BoolArray) -> BoolArray:
+    """Of the points that agree those of the run without a gap that has most of them."""
+    chosen = np.flatnonzero(agree)
+    chosen = chosen[np.argsort(along[chosen])]
+    runs = np.split(chosen, np.flatnonzero(np.diff(along[chosen]) > _GAP_M) + 1)
+    found = np.zeros(len(along), np.bool_)
+    found[max(runs, key=len)] = True
+    return found
+
+
+def _fit(positions: FloatArray, weights: FloatArray, normal: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Middle and normal of the line through points, by total least squares."""
+    middle = np.average(positions, axis=0, weights=weights)
+    apart = positions - middle
+    _, axes = np.linalg.eigh((apart * weights[:, None]).T @ apart)
+    across = axes[:, 0]
+    return middle, across if across @ normal > 0 else -across
+
+
+def dominant_direction(faces: list[Face]) -> float:
+    """Direction (rad, [-pi/4, pi/4)) in or across which most of the faces' length lies; 0 without faces."""
+    if not faces:
+        return 0.0
+    angles = np.array([face.direction for face in faces])
+    lengths = np.array([face.length_m for face in faces])
+    histogram = np.bincount((np.rad2deg(angles) % 90).astype(np.int64) % 90, lengths**2, 90)
+    peak = np.deg2rad(np.argmax(histogram + np.roll(histogram, 1) + np.roll(histogram, -1)) + 0.5)
+    off = (angles - peak + np.pi / 4) % (np.pi / 2) - np.pi / 4
+    near = np.abs(off) < np.deg2rad(3)
+    found = peak + np.average(off[near], weights=lengths[near] ** 3)
+    return float((found + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+
+
+def snap_directions(faces: list[Face], dominant_rad: float) -> list[Face]:
+    """Turn faces to the dominant direction, or across it, where their ends move by less than 2 cm."""
+    snapped = []
+    for face in faces:
+        off = (face.direction - dominant_rad + np.pi / 4) % (np.pi / 2) - np.pi / 4
+        if abs(off) < _SNAP_RAD and abs(off) * face.length_m / 2 < _SNAP_M:
+            shift = (face.begin + face.end) / 2
+            middle = face.middle + shift * face.along
+            half = face.length_m / 2
+            face = replace(face, middle=middle, direction=face.direction - off, begin=-half, end=half)
+        snapped.append(face)
+    return snapped

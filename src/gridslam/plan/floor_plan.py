@@ -1,0 +1,137 @@
+"""From a map to a floor plan: walls, openings, rooms and furniture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from gridslam.plan.faces import Face, dominant_direction, find_faces, snap_directions
+from gridslam.plan.openings import Opening, find_openings
+from gridslam.plan.rasters import BoolArray, Raster, fill_polygons, make_raster
+from gridslam.plan.rooms import Room, find_rooms, require_map_extra
+from gridslam.plan.surfaces import SurfacePoints, points_of_grid
+from gridslam.plan.untyped import ndimage
+from gridslam.plan.walls import Wall, close_corners, drop_clutter, find_furniture_faces, hull, join_faces, make_walls
+from gridslam.types import FloatArray, OccupancyGrid
+
+__all__ = ["FloorPlan", "make_plan"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class FloorPlan:
+    """What a floor plan shows, in the frame of the map or turned by `turned_rad`.
+
+    Attributes
+    ----------
+    walls : tuple of Wall
+    openings : tuple of Opening
+        Doors and wider openings.
+    rooms : tuple of Room
+        The largest first.
+    furniture : tuple of (K, 2) float64, m
+        Outlines of what stands in rooms, anticlockwise.
+    faces : tuple of Face
+        The surfaces that walls were made from.
+    dominant_rad : float, rad, [-pi/4, pi/4)
+        Direction in or across which most walls run.
+    turned_rad : float, rad
+        By what the plan was turned about the origin of the map.
+    """
+
+    walls: tuple[Wall, ...]
+    openings: tuple[Opening, ...]
+    rooms: tuple[Room, ...]
+    furniture: tuple[FloatArray, ...]
+    faces: tuple[Face, ...]
+    dominant_rad: float
+    turned_rad: float = 0.0
+
+    @property
+    def bounds(self) -> FloatArray:
+        """Lower left and upper right corner (2, 2) of all that is shown, m; zeros of an empty plan."""
+        shown = [*(wall.outline for wall in self.walls), *(room.outline for room in self.rooms)]
+        if not shown:
+            return np.zeros((2, 2))
+        points = np.concatenate(shown)
+        return np.array([points.min(axis=0), points.max(axis=0)])
+
+    def turn(self, angle_rad: float) -> FloorPlan:
+        """Turn the plan about the origin of the map, anticlockwise."""
+        c, s = np.cos(angle_rad), np.sin(angle_rad)
+        turn = np.array([[c, s], [-s, c]])  # of rows
+        return FloorPlan(
+            tuple(Wall(wall.ends @ turn, wall.thickness_m) for wall in self.walls),
+            tuple(Opening(opening.ends @ turn, opening.thickness_m) for opening in self.openings),
+            tuple(
+                Room(r.name, r.outline @ turn, tuple(h @ turn for h in r.holes), r.unknown @ turn, r.area_m2)
+                for r in self.rooms
+            ),
+            tuple(outline @ turn for outline in self.furniture),
+            tuple(
+                Face(face.middle @ turn, face.direction + angle_rad, face.begin, face.end, face.weight)
+                for face in self.faces
+            ),
+            self.dominant_rad + angle_rad,
+            self.turned_rad + angle_rad,
+        )
+
+    def straighten(self) -> FloorPlan:
+        """Turn the plan so that most walls run along its axes."""
+        return self.turn(-self.dominant_rad)
+
+
+def make_plan(grid: OccupancyGrid, points: SurfacePoints | None = None) -> FloorPlan:
+    """Find walls, openings, rooms and furniture in a map.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        Its occupied cells are surfaces where there are no points; its free cells are the floor.
+    points : SurfacePoints, optional
+        Of the scans that the map was made from, in its frame: exacter than cells.
+
+    Raises
+    ------
+    MissingDependencyError
+        shapely or contourpy is not installed; the extra ``map`` brings them.
+    """
+    require_map_extra()
+    raster = make_raster(grid)
+    points = points_of_grid(grid) if points is None else points.select(~raster.is_vacated(points.positions))
+    found = find_faces(points)
+    dominant = dominant_direction(found)
+    joined = snap_directions(drop_clutter(join_faces(found, raster)), dominant)
+    is_furniture, against_walls = find_furniture_faces(joined, raster)
+    faces = [face for face, is_other in zip(joined, is_furniture, strict=True) if not is_other]
+    walls = close_corners(make_walls(faces))
+    floor = _close_floor(raster, [wall.outline for wall in walls], against_walls)
+    openings = find_openings(floor, raster, walls, points)
+    rooms = find_rooms(floor, raster, faces, openings)
+    furniture = [*_outline_furniture(raster), *against_walls]
+    return FloorPlan(tuple(walls), tuple(openings), tuple(rooms), tuple(furniture), tuple(faces), dominant)
+
+
+def _close_floor(raster: Raster, walls: list[FloatArray], furniture: list[FloatArray]) -> BoolArray:
+    """What is floor (H, W): free, or beneath furniture, or between the beams of a sparse scan; no walls, no slits."""
+    disc = np.hypot(*np.mgrid[-2:3, -2:3]) < 2.5
+    floor = raster.floor | fill_polygons(raster, furniture)
+    blocked = (raster.occupied & ~floor) | fill_polygons(raster, walls)
+    floor = (floor | ndimage.binary_closing(floor, disc)) & ~blocked
+    return np.asarray(ndimage.binary_opening(floor, disc) & ~blocked, np.bool_)
+
+
+def _outline_furniture(raster: Raster) -> list[FloatArray]:
+    """Convex outlines (K, 2) of what stands alone."""
+    labels, _ = ndimage.label(raster.furniture, np.ones((3, 3)))
+    outlines = []
+    for number, part in enumerate(ndimage.find_objects(labels), start=1):
+        cells = np.argwhere(labels[part] == number) + np.array([part[0].start, part[1].start])
+        if not raster.occupied[tuple(cells.T)].any() or len(cells) * raster.cell_m**2 < 0.02:
+            continue
+        half = raster.cell_m / 2
+        corners = raster.points(cells)[:, None] + half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+        outlines.append(hull(corners.reshape(-1, 2)))
+    return outlines

@@ -1,0 +1,247 @@
+"""Rooms: the floor between walls and openings, as polygons whose sides are the walls' faces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, TypeAlias, final
+
+import numpy as np
+
+from gridslam.errors import MissingDependencyError
+from gridslam.plan.faces import Face
+from gridslam.plan.openings import Opening
+from gridslam.plan.rasters import BoolArray, Raster, fill_polygons
+from gridslam.plan.segments import Segments
+from gridslam.plan.untyped import ndimage
+from gridslam.types import FloatArray
+
+__all__ = ["Room", "find_rooms"]
+
+_LEAST_AREA_M2 = 2.0
+_LEAST_ENCLOSED = 0.2
+_SMALLEST_HOLE_M2 = 0.3
+_SIMPLE_M = 0.12
+_SNAP_M = 0.2
+_SNAP_RAD = np.deg2rad(10)
+_LEAST_SIDE_M = 0.3
+_CUT_CORNER_M = 0.45
+_Line: TypeAlias = tuple[FloatArray, FloatArray, bool]
+"""A point of it, its direction, and whether it is that of a wall or an opening."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Room:
+    """A room, or what was seen of it.
+
+    Attributes
+    ----------
+    name : str
+    outline : (K, 2) float64, m
+        Corners, anticlockwise, the first not repeated.
+    holes : tuple of (K, 2) float64, m
+        Pillars and cores, clockwise.
+    unknown : (U, 2, 2) float64, m
+        Sides of the outline where nothing was seen: the room goes on there, or a wall was hidden.
+    area_m2 : float
+        With what furniture stands on.
+    """
+
+    name: str
+    outline: FloatArray
+    holes: tuple[FloatArray, ...]
+    unknown: FloatArray
+    area_m2: float
+
+    @property
+    def label_point(self) -> FloatArray:
+        """A point (2,) well inside, m: where a label has most room."""
+        _, shapely = require_map_extra()
+        polygon = shapely.Polygon(self.outline, self.holes)
+        middle = shapely.maximum_inscribed_circle(polygon, tolerance=0.1).coords[0]
+        return np.array(middle)
+
+
+def require_map_extra() -> tuple[Any, Any]:
+    """Import contourpy and shapely.
+
+    Raises
+    ------
+    MissingDependencyError
+        One of them is not installed; the extra ``map`` brings them.
+    """
+    try:
+        import contourpy
+        import shapely
+    except ImportError as error:
+        raise MissingDependencyError("a floor plan", str(error.name), "map") from None
+    return contourpy, shapely
+
+
+def find_rooms(floor: BoolArray, raster: Raster, faces: Sequence[Face], openings: Sequence[Opening]) -> list[Room]:
+    """Cut the floor at the openings; each part of 2 m² and more with walls about it is a room, the largest first."""
+    bars = [_extend(opening.ends, 2 * raster.cell_m) for opening in openings]
+    cut = floor & ~fill_polygons(raster, bars)
+    labels, _ = ndimage.label(cut)
+    sides = _sides_of(faces, openings)
+    rooms = []
+    for number, part in enumerate(ndimage.find_objects(labels), start=1):
+        window = tuple(slice(max(0, s.start - 1), s.stop + 1) for s in part)
+        mask = labels[window] == number
+        if mask.sum() * raster.cell_m**2 >= _LEAST_AREA_M2:
+            corner = raster.origin + np.array([window[1].start, window[0].start]) * raster.cell_m
+            room = _make_room(mask, corner, raster, sides)
+            if room is not None:
+                rooms.append(room)
+    rooms.sort(key=lambda room: -room.area_m2)
+    return [
+        Room(f"room {k}", room.outline, room.holes, room.unknown, room.area_m2) for k, room in enumerate(rooms, start=1)
+    ]
+
+
+def _extend(ends: FloatArray, by_m: float) -> FloatArray:
+    along = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0]))
+    return ends + np.outer([-by_m, by_m], along)
+
+
+def _sides_of(faces: Sequence[Face], openings: Sequence[Opening]) -> Segments:
+    """Sides that rooms may have, free space to their left: faces, and openings from both sides."""
+    sides = [face.ends for face in faces]
+    for opening in openings:
+        aside = 0.5 * opening.thickness_m * opening.normal
+        sides += [opening.ends + aside, (opening.ends - aside)[::-1]]
+    return Segments.of(np.array(sides))
+
+
+def _make_room(mask: BoolArray, corner: FloatArray, raster: Raster, sides: Segments) -> Room | None:
+    """Polygon of a part of the floor; None where too little of its outline is wall or opening."""
+    contourpy, shapely = require_map_extra()
+    filled = _fill_small_holes(mask, raster.cell_m)
+    generator = contourpy.contour_generator(
+        z=np.pad(filled.astype(np.float64), 1), fill_type=contourpy.FillType.OuterOffset
+    )
+    points, offsets = generator.filled(0.5, 2.0)
+    pieces = []
+    for xy, cuts in zip(points, offsets, strict=True):
+        rings = [(corner + (xy[a:b] - 0.5) * raster.cell_m) for a, b in pairwise(cuts)]
+        pieces.append(shapely.Polygon(rings[0], rings[1:]))
+    traced = shapely.simplify(max(pieces, key=lambda piece: piece.area), _SIMPLE_M)
+    if traced.is_empty or traced.geom_type != "Polygon":
+        return None
+    rings = [_snap(np.array(ring.coords)[:-1], sides) for ring in (traced.exterior, *traced.interiors)]
+    polygon = shapely.make_valid(shapely.Polygon(rings[0], [ring for ring in rings[1:] if len(ring) >= 3]))
+    if polygon.geom_type != "Polygon":
+        parts = [part for part in getattr(polygon, "geoms", ()) if part.geom_type == "Polygon"]
+        polygon = max(parts, key=lambda part: part.area, default=traced)
+    polygon = shapely.geometry.polygon.orient(polygon)
+    outline = np.array(polygon.exterior.coords)[:-1]
+    unknown, share = _find_unknown(outline, raster, sides)
+    if polygon.area < _LEAST_AREA_M2 or 1 - share < _LEAST_ENCLOSED:
+        return None
+    holes = tuple(np.array(ring.coords)[:-1] for ring in polygon.interiors)
+    return Room("", outline, holes, unknown, float(polygon.area))
+
+
+def _fill_small_holes(mask: BoolArray, cell_m: float) -> BoolArray:
+    """Fill holes that are no pillar, but cells that nothing was seen of."""
+    holes, count = ndimage.label(ndimage.binary_fill_holes(mask) & ~mask)
+    sizes = np.bincount(holes.reshape(-1), minlength=count + 1)
+    small = sizes * cell_m**2 < _SMALLEST_HOLE_M2
+    small[0] = False
+    return np.asarray(mask | small[holes], np.bool_)
+
+
+def _snap(ring: FloatArray, sides: Segments) -> FloatArray:
+    """Move the sides of a ring (K, 2) onto walls' faces and openings near them, and its corners to where they meet.
+
+    A short side between two that were moved is a corner which the cells have cut off.
+    """
+    ends = np.roll(ring, -1, axis=0)
+    lines = [_match(begin, end, sides) for begin, end in zip(ring, ends, strict=True)]
+    count = len(ring)
+    kept = [
+        k
+        for k in range(count)
+        if lines[k][2]
+        or np.hypot(*(ends[k] - ring[k])) > _CUT_CORNER_M
+        or not (lines[k - 1][2] and lines[(k + 1) % count][2])
+    ]
+    corners: list[FloatArray] = []
+    for before, after in zip([kept[-1], *kept], kept, strict=False):
+        corner = (ends[before] + ring[after]) / 2
+        meeting = _meet(lines[before], lines[after])
+        if meeting is not None and np.hypot(*(meeting - corner)) < 2 * _SNAP_M:
+            corners.append(meeting)
+        else:
+            corners += [place + ((corner - place) @ along) * along for place, along, _ in (lines[before], lines[after])]
+    return _drop_repeated(np.array(corners))
+
+
+def _meet(first: _Line, second: _Line) -> FloatArray | None:
+    """Where two lines meet; None where they are parallel to 20 degrees."""
+    turn = first[1][0] * second[1][1] - first[1][1] * second[1][0]
+    if abs(turn) < np.sin(np.deg2rad(20)):
+        return None
+    apart = second[0] - first[0]
+    return np.asarray(first[0] + (apart[0] * second[1][1] - apart[1] * second[1][0]) / turn * first[1])
+
+
+def _drop_repeated(ring: FloatArray) -> FloatArray:
+    """Without corners that repeat the one before or lie on the line between their neighbours."""
+    while len(ring) > 3:
+        before, after = np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0)
+        first, second = ring - before, after - ring
+        cross = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+        flat = (cross < 0.01 * np.hypot(*(after - before).T)) | (np.hypot(*first.T) < 0.01)
+        if not flat.any():
+            break
+        ring = np.delete(ring, np.argmax(flat), axis=0)
+    return ring
+
+
+def _match(begin: FloatArray, end: FloatArray, sides: Segments) -> _Line:
+    """Point and direction of the side of a wall or an opening that a side of a ring is; its own if there is none."""
+    length = float(np.hypot(*(end - begin)))
+    along = (end - begin) / max(length, 1e-9)
+    if length >= _LEAST_SIDE_M and len(sides):
+        middle = (begin + end) / 2
+        offsets = np.abs(((middle - sides.ends[:, 0]) * sides.normals).sum(axis=1))
+        steps, _ = sides.locate(begin, along)
+        overlaps = np.minimum(steps.max(axis=1), length) - np.maximum(steps.min(axis=1), 0)
+        fits = (sides.alongs @ along > np.cos(_SNAP_RAD)) & (offsets < _SNAP_M) & (overlaps > 0.3 * length)
+        if fits.any():
+            chosen = int(np.argmax(np.where(fits, overlaps, -np.inf)))
+            return sides.ends[chosen, 0], sides.alongs[chosen], True
+    return begin, along, False
+
+
+def _find_unknown(outline: FloatArray, raster: Raster, sides: Segments) -> tuple[FloatArray, float]:
+    """Parts (U, 2, 2) of an outline without anything occupied, wall or opening near, and their share of its length."""
+    near = sides.near(outline.min(axis=0) - 0.1, outline.max(axis=0) + 0.1)
+    unknown, hidden, total = [], 0.0, 0.0
+    for begin, end in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        along = end - begin
+        length = float(np.hypot(*along))
+        total += length
+        count = max(1, round(length / 0.1))
+        places = begin + np.outer((np.arange(count) + 0.5) / count, along)
+        is_known = _is_beside(places, raster) | (near.distances(places).min(axis=1, initial=np.inf) < 0.05)
+        edges = np.flatnonzero(np.diff(np.concatenate([[True], is_known, [True]]).astype(np.int8)))
+        for first, last in zip(edges[::2], edges[1::2], strict=True):
+            hidden += (last - first) / count * length
+            if (last - first) / count * length >= _LEAST_SIDE_M:
+                unknown.append(begin + np.outer([first / count, last / count], along))
+    return np.array(unknown).reshape(-1, 2, 2), hidden / max(total, 1e-9)
+
+
+def _is_beside(places: FloatArray, raster: Raster) -> BoolArray:
+    """Whether a cell within two of each place is occupied."""
+    row, column = raster.cells(places)
+    height, width = raster.occupied.shape
+    found = np.zeros(len(places), np.bool_)
+    for up in range(-2, 3):
+        for aside in range(-2, 3):
+            found |= raster.occupied[(row + up).clip(0, height - 1), (column + aside).clip(0, width - 1)]
+    return found

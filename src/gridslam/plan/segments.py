@@ -1,0 +1,60 @@
+"""Many line segments as arrays: where all of them lie as seen from one of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from gridslam.types import FloatArray
+
+__all__ = ["Segments"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Segments:
+    """Directed line segments.
+
+    Attributes
+    ----------
+    ends : (S, 2, 2) float64, m
+    alongs, normals : (S, 2) float64
+        Unit vectors along each, and to its left.
+    lengths : (S,) float64, m
+    """
+
+    ends: FloatArray
+    alongs: FloatArray
+    normals: FloatArray
+    lengths: FloatArray
+
+    @classmethod
+    def of(cls, ends: FloatArray) -> Segments:
+        """Take segments (S, 2, 2)."""
+        ends = np.asarray(ends, np.float64).reshape(-1, 2, 2)
+        apart = ends[:, 1] - ends[:, 0]
+        lengths = np.hypot(*apart.T)
+        alongs = apart / np.maximum(lengths, 1e-9)[:, None]
+        return cls(ends, alongs, np.column_stack([-alongs[:, 1], alongs[:, 0]]), lengths)
+
+    def __len__(self) -> int:
+        """Return the number of segments."""
+        return len(self.ends)
+
+    def near(self, low: FloatArray, high: FloatArray) -> Segments:
+        """Those whose upright boxes touch the one from `low` to `high`."""
+        touching = ((self.ends.max(axis=1) >= low) & (self.ends.min(axis=1) <= high)).all(axis=1)
+        return Segments(self.ends[touching], self.alongs[touching], self.normals[touching], self.lengths[touching])
+
+    def locate(self, start: FloatArray, along: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """How far all ends (S, 2) are from a point along a direction, and to its left."""
+        apart = self.ends - start
+        return apart @ along, apart @ np.array([-along[1], along[0]])
+
+    def distances(self, points: FloatArray) -> FloatArray:
+        """Distances (N, S) of points (N, 2) from the segments."""
+        apart = points[:, None] - self.ends[None, :, 0]
+        steps = np.clip((apart * self.alongs).sum(axis=2), 0, self.lengths)
+        return np.asarray(np.hypot(*(apart - steps[..., None] * self.alongs).transpose(2, 0, 1)))

@@ -1,0 +1,107 @@
+"""What a plan is made from: a map_server map, the folder of a run, or a session."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from gridslam.api.session import Session
+from gridslam.doctor.repair import open_repaired
+from gridslam.errors import ArgumentError, InputError
+from gridslam.geometry import se2
+from gridslam.io.maps import read_map
+from gridslam.io.text import compute_digest, read_json
+from gridslam.io.trajectories import read_tum
+from gridslam.mapping.known_poses import KnownPoses
+from gridslam.plan.surfaces import SurfacePoints, points_of_scans
+from gridslam.types import FloatArray, OccupancyGrid
+
+__all__ = ["MapSource", "read_source"]
+
+_NEAREST_M = 0.05
+_FARTHEST_M = 30.0
+
+
+@final
+class MapSource(NamedTuple):
+    """A map, the surface points of its scans if there are any, and the name that a plan of it has."""
+
+    grid: OccupancyGrid
+    points: SurfacePoints | None
+    name: str
+
+
+def read_source(path: str | Path, on_remark: Callable[[str], None] = lambda remark: None) -> MapSource:
+    """Read what a plan is made from.
+
+    Parameters
+    ----------
+    path : str or Path
+        A map's YAML file, the folder OUT of `gridslam map` or `grid`, or a session NAME.gridslam.
+    on_remark : callable
+        Gets what is odd, a sentence each; so, that walls are taken from cells, as a folder's log is not there.
+
+    Raises
+    ------
+    InputError
+        Nothing of these is there, or it cannot be read.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return _read_folder(path, on_remark)
+    if path.suffix == ".gridslam":
+        return _read_session(path)
+    return MapSource(read_map(path, on_remark=on_remark), None, path.stem)
+
+
+def _read_session(path: Path) -> MapSource:
+    """The map of a session's newest piece, and the end points of its key scans."""
+    session = Session.open(path)
+    try:
+        grid = session.map
+    except ArgumentError:
+        raise InputError(path, "expected a session with a map, got one without a scan") from None
+    piece = session.pieces[0].piece
+
+    def scans() -> Iterator[tuple[FloatArray, FloatArray]]:
+        for key, pose in enumerate(piece.poses):
+            scan = piece.scans.key(key)
+            yield se2.transform_points(pose, scan.origin[None])[0], se2.transform_points(pose, scan.ends)
+
+    return MapSource(grid, points_of_scans(scans(), grid.resolution_m), path.stem)
+
+
+def _read_folder(out: Path, on_remark: Callable[[str], None]) -> MapSource:
+    """The map of a run, and the end points of its log, if that is still where it was, or beside OUT, or in it."""
+    grid = read_map(out / "map.yaml", on_remark=on_remark)
+    name = out.resolve().name
+    document = read_json(out / "run.json") if (out / "run.json").is_file() else {}
+    source = document.get("input")
+    log = _find_log(out, source) if isinstance(source, dict) else None
+    if log is None or not (out / "trajectory.tum").is_file():
+        on_remark(f"{out}: the log of this run is not there: walls are taken from the cells of its map")
+        return MapSource(grid, None, name)
+    poses = KnownPoses(read_tum(out / "trajectory.tum"))
+
+    def scans() -> Iterator[tuple[FloatArray, FloatArray]]:
+        for _, scan in open_repaired(log, None, "needed"):
+            pose = poses.at(scan.stamp_ns)
+            if isinstance(pose, np.ndarray):
+                beams = poses.deskew(scan.beams(_NEAREST_M, _FARTHEST_M))
+                yield se2.transform_points(pose, beams.origin[None])[0], se2.transform_points(pose, beams.ends)
+
+    points = points_of_scans(scans(), grid.resolution_m)
+    return MapSource(grid, points if len(points) else None, name)
+
+
+def _find_log(out: Path, source: dict[str, Any]) -> Path | None:
+    """Where the log of a run is: one with the digest that the run has recorded."""
+    recorded = Path(str(source.get("path") or ""))
+    for path in (recorded, out / recorded.name, out.resolve().parent / recorded.name):
+        is_log = recorded.name and (path.is_file() or (path / "metadata.yaml").is_file())
+        if is_log and compute_digest(path) == source.get("sha256"):
+            return path
+    return None

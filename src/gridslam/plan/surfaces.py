@@ -1,0 +1,145 @@
+"""Points on surfaces with their normals, from the end points of scans or from the cells of a grid."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.plan.untyped import connected_components, coo_matrix, spatial
+from gridslam.types import FloatArray, IntArray, OccupancyGrid
+
+__all__ = ["SurfacePoints", "label_surfaces", "points_of_grid", "points_of_scans"]
+
+_NEAR_M = 0.25
+"""Neighbours within this distance determine a normal: two cells in each direction are five, enough for a line."""
+_LINK_M = 0.3
+_LINK_RAD = np.deg2rad(25)
+_LINK_OFFSET_M = 0.08
+_SIDES = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfacePoints:
+    """Points on what beams ended at, each on one side of a surface.
+
+    Attributes
+    ----------
+    positions : (N, 2) float64, m
+    normals : (N, 2) float64
+        Unit vectors that point to where the surface was seen from, into free space.
+    weights : (N,) float64, > 0
+        How many beams, or how much of a cell, a point stands for.
+    """
+
+    positions: FloatArray
+    normals: FloatArray
+    weights: FloatArray
+
+    def select(self, chosen: NDArray[np.bool_]) -> SurfacePoints:
+        """Those that are chosen (N,)."""
+        return SurfacePoints(self.positions[chosen], self.normals[chosen], self.weights[chosen])
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.positions)
+
+
+def points_of_scans(scans: Iterable[tuple[FloatArray, FloatArray]], cell_m: float) -> SurfacePoints:
+    """Average end points in cells, apart by the side from which they were seen.
+
+    Parameters
+    ----------
+    scans : iterable of (origin (2,), ends (B, 2)), m
+        Where the laser was, and where its beams ended, in the map frame.
+    cell_m : float, m
+        Side of the cells.
+    """
+    keys, sums = np.zeros((0, 3), np.int64), np.zeros((0, 5))
+    pending: list[FloatArray] = []
+    for origin, ends in scans:
+        views = origin - ends
+        views /= np.maximum(np.hypot(*views.T), 1e-9)[:, None]
+        pending.append(np.concatenate([ends, views, np.ones((len(ends), 1))], axis=1))
+        if sum(map(len, pending)) > 500_000:
+            keys, sums = _add_to_cells(keys, sums, pending, cell_m)
+            pending = []
+    keys, sums = _add_to_cells(keys, sums, pending, cell_m)
+    counts = sums[:, 4]
+    return _orient(sums[:, :2] / counts[:, None], sums[:, 2:4], counts)
+
+
+def _add_to_cells(
+    keys: IntArray, sums: FloatArray, pending: list[FloatArray], cell_m: float
+) -> tuple[IntArray, FloatArray]:
+    """Add points (N, 5), position, view and count, to the sums in their cells; a cell has a part for each side."""
+    rows = np.concatenate([np.zeros((0, 5)), *pending])
+    sides = (rows[:, 2] > 0) + 2 * (rows[:, 3] > 0)
+    own = np.column_stack([np.floor(rows[:, :2] / cell_m).astype(np.int64), sides])
+    found, inverse = np.unique(np.concatenate([keys, own]), axis=0, return_inverse=True)
+    together = np.zeros((len(found), 5))
+    np.add.at(together, inverse.reshape(-1), np.concatenate([sums, rows]))
+    return found, together
+
+
+def points_of_grid(grid: OccupancyGrid) -> SurfacePoints:
+    """Take each occupied cell beside a free one as a point of a surface, once for each side at which one is free."""
+    occupied = grid.known & (grid.log_odds > 0)
+    free = np.pad(grid.known & (grid.log_odds < 0), 1)
+    rows, columns = np.nonzero(occupied)
+    positions, views = [np.zeros((0, 2))], [np.zeros((0, 2))]
+    for side in _SIDES:
+        beside = free[rows + 1 + side[1], columns + 1 + side[0]]
+        cells = np.column_stack([columns, rows])[beside]
+        positions.append(np.asarray(np.array(grid.origin) + (cells + 0.5) * grid.resolution_m, np.float64))
+        views.append(np.broadcast_to(side, cells.shape))
+    where = np.concatenate(positions)
+    return _orient(where, np.concatenate(views).astype(np.float64), np.ones(len(where)))
+
+
+def _orient(positions: FloatArray, views: FloatArray, weights: FloatArray) -> SurfacePoints:
+    """Give points normals: across the direction in which their neighbours lie, to the side of the views.
+
+    The second pass leaves out neighbours on the other side of a thin wall.
+    """
+    if len(positions) < 2:
+        return SurfacePoints(positions[:0], views[:0], weights[:0])
+    pairs = spatial.cKDTree(positions).query_pairs(_NEAR_M, output_type="ndarray")
+    normals = _find_normals(positions, views, weights, pairs)
+    facing = np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > 0.5
+    normals = _find_normals(positions, views, weights, pairs[facing])
+    return SurfacePoints(positions, normals, weights)
+
+
+def _find_normals(positions: FloatArray, views: FloatArray, weights: FloatArray, pairs: NDArray[np.intp]) -> FloatArray:
+    """Normals (N, 2) by the principal axes of each point's neighbourhood."""
+    apart = positions[pairs[:, 1]] - positions[pairs[:, 0]]
+    count = len(positions)
+    moments = []
+    for a, b in ((0, 0), (0, 1), (1, 1)):
+        product = apart[:, a] * apart[:, b]
+        both = np.concatenate([product * weights[pairs[:, 1]], product * weights[pairs[:, 0]]])
+        moments.append(np.bincount(np.concatenate([pairs[:, 0], pairs[:, 1]]), both, count))
+    xx, xy, yy = moments
+    across = 0.5 * np.arctan2(2 * xy, xx - yy) + np.pi / 2
+    normals = np.column_stack([np.cos(across), np.sin(across)])
+    flipped = np.einsum("ij,ij->i", normals, views) < 0
+    normals[flipped] *= -1
+    return normals
+
+
+def label_surfaces(points: SurfacePoints) -> IntArray:
+    """Number (N,) of the smooth surface that each point is on: neighbours lie in the line of both, and face one way."""
+    pairs = spatial.cKDTree(points.positions).query_pairs(_LINK_M, output_type="ndarray")
+    first, second = pairs.T
+    apart = points.positions[second] - points.positions[first]
+    smooth = np.einsum("ij,ij->i", points.normals[first], points.normals[second]) > np.cos(_LINK_RAD)
+    for end in (first, second):
+        smooth &= np.abs(np.einsum("ij,ij->i", apart, points.normals[end])) < _LINK_OFFSET_M
+    graph = coo_matrix((np.ones(smooth.sum(), np.bool_), (first[smooth], second[smooth])), (len(points),) * 2)
+    labels: IntArray = connected_components(graph, directed=False)[1]
+    return labels

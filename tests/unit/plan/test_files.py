@@ -1,0 +1,123 @@
+"""The files of a plan are what their formats ask for, and have its measures."""
+
+from __future__ import annotations
+
+import json
+import re
+import zlib
+from xml.etree import ElementTree
+
+import ezdxf
+import numpy as np
+import pytest
+from PIL import Image
+
+from gridslam.plan import make_plan
+from gridslam.plan.drawing import draw_plan
+from gridslam.plan.exports import WorldOrigin, write_dxf, write_geojson
+from gridslam.plan.sheet import write_pdf, write_png, write_svg
+from support.drawn_maps import draw_two_rooms
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return make_plan(draw_two_rooms())
+
+
+@pytest.mark.parametrize("scale", [50, 100])
+def test_the_svg_is_to_scale(plan, tmp_path, scale):
+    write_svg(tmp_path / "plan.svg", draw_plan(plan, "<two> & rooms", scale))
+    root = ElementTree.parse(tmp_path / "plan.svg").getroot()
+    space = "{http://www.w3.org/2000/svg}"
+    assert root.find(f"{space}title").text == f"<two> & rooms, 1:{scale}"
+    width = float(root.get("width").removesuffix("mm"))
+    assert root.get("viewBox").split()[2] == f"{width:.2f}"  # a unit is a millimetre
+    layers = {group.get("class") for group in root.iter(f"{space}g")}
+    assert {"rooms", "walls", "doors", "furniture", "dimensions"} <= layers
+    rooms = next(group for group in root.iter(f"{space}g") if group.get("class") == "rooms")
+    corners = np.array([pair.split(",") for pair in rooms[0].get("points").split()], float)
+    assert np.ptp(corners, axis=0) == pytest.approx([6000 / scale, 4000 / scale], abs=150 / scale)
+
+
+def test_the_pdf_has_its_objects_where_its_table_has_them(plan, tmp_path):
+    sheet = draw_plan(plan, "two (rooms) \\", 100)
+    write_pdf(tmp_path / "plan.pdf", sheet)
+    data = (tmp_path / "plan.pdf").read_bytes()
+    start = int(re.search(rb"startxref\n(\d+)\n%%EOF", data).group(1))
+    assert data[start:].startswith(b"xref\n0 7\n")
+    offsets = [int(row) for row in re.findall(rb"(\d{10}) 00000 n ", data[start:])]
+    assert [data[at:].split(b" obj")[0] for at in offsets] == [f"{k} 0".encode() for k in range(1, 7)]
+    box = re.search(rb"MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", data)
+    assert [float(side) for side in box.groups()] == pytest.approx([s * 72 / 25.4 for s in sheet.size_mm], abs=0.01)
+    stream = re.search(rb"/Length (\d+) /Filter /FlateDecode >>\nstream\n", data)
+    content = zlib.decompress(data[stream.end() : stream.end() + int(stream.group(1))])
+    assert rb"(two \(rooms\) \\   1:100) Tj" in content
+    assert "m\u00b2".encode("latin-1") in content
+
+
+def test_the_png_shows_the_walls(plan, tmp_path):
+    sheet = draw_plan(plan, "two rooms", 100)
+    write_png(tmp_path / "plan.png", sheet)
+    with Image.open(tmp_path / "plan.png") as image:
+        assert image.size == tuple(round(8 * side) for side in sheet.size_mm)
+        dark = (np.asarray(image.convert("L")) < 60).sum()
+    walls_mm2 = sum(wall.length_m * (wall.thickness_m or 0.05) for wall in plan.walls) * 100
+    assert dark / 64 == pytest.approx(walls_mm2, rel=0.35)  # and letters
+
+
+def test_the_dxf_is_without_faults_and_in_metres(plan, tmp_path):
+    write_dxf(tmp_path / "plan.dxf", plan)
+    drawing = ezdxf.readfile(tmp_path / "plan.dxf")
+    auditor = drawing.audit()
+    assert not auditor.has_errors
+    assert not auditor.has_fixes
+    assert drawing.units == ezdxf.units.M
+    lines = drawing.modelspace().query("LWPOLYLINE")
+    assert {"WALLS", "DOORS", "ROOMS", "UNKNOWN", "FURNITURE"} <= {layer.dxf.name for layer in drawing.layers}
+    assert sum(line.dxf.layer == "WALLS" for line in lines) == len(plan.walls)
+    room = next(line for line in lines if line.dxf.layer == "ROOMS")
+    assert room.closed
+    corners = np.array([point[:2] for point in room.get_points()])
+    assert corners == pytest.approx(plan.rooms[0].outline)
+
+
+def _signed_area(ring):
+    x, y = np.array(ring[:-1]).T
+    return 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
+
+
+@pytest.mark.parametrize("origin", [None, WorldOrigin(48.0, 11.5), WorldOrigin(-33.9, 151.2, 20.0)])
+def test_the_geojson_keeps_to_rfc_7946(plan, tmp_path, origin):
+    write_geojson(tmp_path / "plan.geojson", plan, "two rooms", origin)
+    document = json.loads((tmp_path / "plan.geojson").read_text(encoding="utf-8"))
+    assert document["type"] == "FeatureCollection"
+    assert "crs" not in document  # section 4: no longer there
+    layers = set()
+    for feature in document["features"]:
+        assert feature.keys() == {"type", "properties", "geometry"}
+        layers.add(feature["properties"]["layer"])
+        geometry = feature["geometry"]
+        rings = geometry["coordinates"] if geometry["type"] == "Polygon" else [geometry["coordinates"]]
+        for number, ring in enumerate(rings):
+            assert np.isfinite(ring).all()
+            if geometry["type"] == "Polygon":
+                assert len(ring) >= 4
+                assert ring[0] == ring[-1]
+                assert (_signed_area(ring) > 0) == (number == 0)  # section 3.1.6: the right-hand rule
+            if origin is not None:
+                assert np.abs(np.array(ring) - [origin.longitude, origin.latitude]).max() < 0.001
+    assert {"walls", "doors", "rooms", "furniture"} <= layers
+
+
+@pytest.mark.parametrize(
+    ("latitude", "north_m", "east_m"),
+    [(0.0, 110_574.3, 111_319.5), (45.0, 111_131.7, 78_846.8), (60.0, 111_412.2, 55_800.0)],
+)
+def test_a_degree_is_as_long_as_on_the_ellipsoid(latitude, north_m, east_m):
+    """Lengths of a degree on WGS84 as tables have them (National Geospatial-Intelligence Agency), m."""
+    origin = WorldOrigin(latitude, 10.0)
+    (lon, lat), *_ = origin.to_degrees(np.array([[100.0, 50.0]]))
+    assert (lon - 10.0) * east_m == pytest.approx(100.0, abs=0.003)
+    assert (lat - latitude) * north_m == pytest.approx(50.0, abs=0.003)
+    turned = origin._replace(bearing=0.0).to_degrees(np.array([[50.0, -100.0]]))  # the x axis to the north
+    assert turned[0] == pytest.approx([lon, lat], abs=1e-9)
