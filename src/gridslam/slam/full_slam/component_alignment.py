@@ -9,7 +9,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.geometry.se2 import between, compose, inverse
+from gridslam.geometry.se2 import between, compose, inverse, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton
@@ -24,7 +24,7 @@ from gridslam.slam.loop_closure.submap_matching import SubmapMatching
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.loop_closure.submap_recognition import drift_distance
 from gridslam.slam.loop_closure.submaps import ROW, build_map
-from gridslam.types import BeamEnds, FloatArray, IntArray
+from gridslam.types import BeamEnds, FloatArray, IntArray, StoredScan
 
 __all__ = ["Alignment", "ComponentAlignment", "Hypothesis", "KnownMap", "SearchHit", "group_hits"]
 
@@ -44,7 +44,10 @@ _MIN_OVERLAP = 0.4
 _REACH_M = 30.0
 """A key scan farther away sees nothing of the same."""
 
-_MOST_SCORED = 40
+_DENSE_M = 5.0
+"""Within so far of the way of a few scans their beams meet the walls close together."""
+
+_MOST_SCORED = 20
 """Key scans by which a hypothesis is scored, spread evenly, in either direction."""
 
 _SHIFTS = np.column_stack([np.cos(np.arange(8) * math.pi / 4), np.sin(np.arange(8) * math.pi / 4), np.zeros(8)])
@@ -291,7 +294,8 @@ class Alignment:
             for index in way:
                 key = int(self.keys[index])
                 guess = compose(pose, between(graph.tracked[last], graph.tracked[key]))
-                variances = np.array(graph.variances[max(key, last)]) + _MATCH_VARIANCES
+                steps = np.array(graph.variances[min(key, last) + 1 : max(key, last) + 1]).reshape(-1, 2)
+                variances = steps.sum(axis=0) + _MATCH_VARIANCES
                 pose = self._match_key_scan(self.closure_state.scans.key(key), guess, variances)
                 poses[index] = pose
                 last = key
@@ -322,25 +326,32 @@ class Alignment:
         """
         scans, old_poses, old, maps = self.known
         likelihood, overlap, agreement = self._score(maps, poses, self.closure_state.scans, self.keys)
-        away = np.full(len(old), np.inf)
-        for pose in poses[:: KEY_SCANS_PER_SUBMAP // 2]:
-            away = np.minimum(away, np.hypot(*(old_poses[old] - pose)[:, :2].T))
+        way = poses[:: KEY_SCANS_PER_SUBMAP // 2, :2]
+        away = np.min([np.hypot(*(old_poses[old, :2] - place).T) for place in way], axis=0)
         near = old[away < _REACH_M]
-        back, _, _ = self._score(own, old_poses[near] - shift, scans, near)
+        moved = old_poses[near] - shift
+        back, _, _ = self._score(own, moved, scans, near, way - np.atleast_1d(shift)[:2])
         return min(likelihood, back), overlap, agreement
 
     def _score(
-        self, maps: TileMaps, poses: FloatArray, scans: ScanArchive, keys: IntArray
+        self, maps: TileMaps, poses: FloatArray, scans: ScanArchive, keys: IntArray, way: FloatArray | None = None
     ) -> tuple[float, float, float]:
-        """Log likelihood of key scans (K,) at poses (K, 3) given a map, and their overlap and agreement with it."""
+        """Log likelihood of key scans (K,) at poses (K, 3) given a map, and their overlap and agreement with it.
+
+        Beams that end farther than some metres from a `way` (P, 2) are left out: beams there are far apart in its map.
+        """
         stride = max(1, -(-len(keys) // _MOST_SCORED))
         agreeing, known, beams = 0.0, 0, 0
         for key, pose in zip(keys[::stride].tolist(), poses[::stride], strict=True):
-            ends = scans.key(key).ends
+            scan = scans.key(key)
+            ends = scan.ends
+            if way is not None and len(ends):
+                away = transform_points(pose, ends)[:, None] - way
+                ends = ends[(np.square(away).sum(axis=2) < _DENSE_M**2).any(axis=1)]
             if len(ends):
-                own, number = self.scorer.agreement(maps, pose, ends)
-                agreeing += own
-                known += number
+                weights = self.scorer.weigh_same_side(maps, pose, StoredScan(ends, scan.origin))
+                agreeing += float(weights.sum(dtype=np.float64))
+                known += len(weights)
                 beams += len(ends)
         likelihood = stride * self.scorer.log_likelihood(agreeing, known)
         return likelihood, known / max(beams, 1), agreeing / max(known, 1)

@@ -9,12 +9,14 @@ from typing import final
 
 import numpy as np
 
-from gridslam.geometry.se2 import between, compose, transform_points
+from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid, thin_points
+from gridslam.matching.branch_and_bound import thin_points
+from gridslam.matching.gauss_newton import NO_PRIOR, weigh_known_beams
 from gridslam.slam.full_slam.component_alignment import (
     Alignment,
     ComponentAlignment,
+    Hypothesis,
     KnownMap,
     SearchHit,
     group_hits,
@@ -23,25 +25,20 @@ from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
 from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
 from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.loop_closure.state import FoundPiece, LoopClosureState
-from gridslam.slam.loop_closure.submaps import build_map
-from gridslam.types import FloatArray, IntArray
+from gridslam.slam.loop_closure.submap_matching import Submap
+from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
+from gridslam.slam.loop_closure.submaps import ROW
+from gridslam.types import FloatArray, IntArray, StoredScan
 
 __all__ = ["EarlierPieces"]
 
-_WINDOW_M = 50.0
-"""Half the side of a square that is searched at a time; a larger map is searched square by square."""
-_SEARCH = BranchAndBound(window_m=_WINDOW_M, window_rad=math.pi, gate_sigmas=2.5, min_score=0.45)
-_SEARCH_INTERVAL = 3
-"""Key scans from one search to the next."""
-_QUERY_KEY_SCANS = 8
-"""Key scans whose points are searched together."""
-_SIMILAR = 0.85
-"""A drive is self-similar if, in its own map, the runner-up of a quarter of its key scans reaches so much of the best
-score."""
-
 _NEAR_M = 5.0
 _NEAR_RAD = 0.5
-"""Half the sides of the window that is searched about a pose that was given."""
+"""So far from a pose that was given the drive may begin."""
+
+_SAME_M = 1.0
+_SAME_RAD = 0.15
+"""Proposed poses nearer to each other in both are the same place."""
 
 _FIRST_KEY_SCANS = 12
 """A drive is not compared before it has this many key scans, about 5 m: less of it looks alike in too many places."""
@@ -49,32 +46,40 @@ _FIRST_KEY_SCANS = 12
 _LAST_KEY_SCANS = 90
 """Key scans, about 40 m, by which a drive is located: what was driven before may lie where the map ends."""
 
-_MIN_OVERLAP = 0.5
+_COMPARED_AT_A_TIME = 32
+_MATCHED = 48
+_MATCHED_AT_A_TIME = 16
+_MATCHED_POINTS = 500
+_TRACKED = 6
+"""Submaps of a piece that one is compared with at a key scan; places, those on which most keypoints agree, to which
+points of it are matched; and hypotheses that are tracked, each at a key scan of its own."""
+
+_ALIGNED = 45
+"""Key scans of a drive, spread evenly, that are tracked through a piece."""
+
+_MIN_LOG_LIKELIHOOD = 20.0
+"""Nats. A whole floor has some ten million places to be, 16 nats, where a drift allows for few; in other buildings the
+best place had -12 at most."""
+
+_AMBIGUITY_RATIO = 0.5
+"""Maximum evidence for any other place, as a fraction of the best."""
+
+_MIN_OVERLAP = 0.6
 """Ratio of beams that end in what the piece knows: beams that end outside of it contradict nothing. In other buildings
 the best places had 0.16 to 0.22, all but off the map; right ones 0.77 to 0.99."""
 
-_MIN_AGREEMENT = 0.87
+_MIN_AGREEMENT = 0.9
 """Agreement (see `TrajectoryScorer`) of those that do: on another floor of equal rooms 0.80, in right places from 0.93,
 where people walk about, to 0.99."""
-
-_VOTE_INTERVAL = 6
-_MIN_VOTES = 8
-_MIN_VOTE_RATIO = 0.5
-_MAX_RUNNER_UP_RATIO = 1 / 3
-"""Drives on one floor of equal rooms had 73 to 82 % of the votes and the runner-up 8 to 18 % of these; on other
-floors that look alike at most 15 % of the votes, and the runner-up nearly as many."""
-
-_PATIENCE = 30
-"""After each multiple of this many key scans without success searches are half as frequent, down to an eighth."""
 
 
 @final
 class EarlierPieces:
-    """Locates a drive in earlier pieces: every few key scans the newest points are searched everywhere.
+    """Locates a drive in earlier pieces, by submaps of its way that are matched with all submaps of a piece.
 
-    The hits of all searches are judged as those of a component behind a gap (see `ComponentAlignment`), but for the
-    drift, of which nothing is known: the drive as a whole is tracked through the piece's map from each place where
-    several of its searches agree, and only if one place explains it much better than any other it is found.
+    It is as with a component behind a gap in the laser data (see `ComponentAlignment`), but nothing is known of the
+    drift: the drive is tracked through the piece's map from each place where submaps match, and if only one of them
+    explains it, it is found. While the robot drives, the work is spread over key scans by counts alone.
 
     What was searched is remembered by what was searched for, so that results depend on the drive alone: a state that
     was saved, or stepped again, is located at the same key scan.
@@ -86,9 +91,9 @@ class EarlierPieces:
     mapper : OccupancyGridMapping
         How their maps are drawn.
     places : PlaceMatching
-        How key scans are matched, and what makes a place ambiguous.
+        How key scans are matched in the end.
     alignment : ComponentAlignment
-        When an alignment is certain.
+        How submaps are cut and matched, and what makes an alignment certain.
     scorer : TrajectoryScorer
         How hypotheses are scored.
     begin : (3,) float64, optional
@@ -107,162 +112,191 @@ class EarlierPieces:
         self.pieces = list(pieces)
         self._mapper = mapper
         self._places = places
-        self._alignment = alignment
+        certain = replace(alignment, min_log_likelihood=_MIN_LOG_LIKELIHOOD, ambiguity_ratio=_AMBIGUITY_RATIO)
+        self._alignment = certain if begin is None else alignment
         self._scorer = scorer
         self._begin = begin
         self._maps = [piece.build_map(mapper) for piece in self.pieces]
-        self._pyramids = [Pyramid.of(maps, 0) for maps in self._maps]
-        self._hits: dict[tuple[int, int, bytes, bytes], list[SearchHit]] = {}
+        self._submaps = [self._cut(LoopClosureState(scans=piece.scans, graph=piece.graph)) for piece in self.pieces]
+        for submap in (submap for submaps in self._submaps for submap in submaps):
+            submap.describe()
+        compared = sum(-(-len(submaps) // _COMPARED_AT_A_TIME) for submaps in self._submaps)
+        self._interval = compared + len(self.pieces) * (_MATCHED // _MATCHED_AT_A_TIME + _TRACKED + 2)
+        self._searches: dict[int, _Search] = {}
 
     def locate(self, closure_state: LoopClosureState) -> FoundPiece | None:
-        """Search for the newest key scan, and give the first piece in which the drive so far is found."""
+        """Do the newest key scan's share of the search, and give the first piece in which the drive so far is found."""
         newest = len(closure_state.graph) - 1
-        if newest + 1 < _FIRST_KEY_SCANS or not self._is_searched(newest):
+        if newest + 1 < _FIRST_KEY_SCANS:
             return None
-        poses = np.array(closure_state.graph.poses)
-        recent = np.arange(max(0, len(poses) - _LAST_KEY_SCANS), len(poses))
-        for number, piece in enumerate(self.pieces if self._begin is None else self.pieces[:1]):
-            found = self.align(closure_state, number, recent, [k for k in recent.tolist() if self._is_searched(k)])
-            if found is not None:
-                before = compose(found.poses[0], between(poses[recent[0]], poses[: recent[0]]))
-                match = found._replace(poses=np.concatenate([before, found.poses]))
-                return FoundPiece(number, piece, self._maps[number], match)
-        return None
+        done = (newest + 1 - _FIRST_KEY_SCANS) % self._interval
+        key = newest - done
+        searched = range(key % self._interval, key + 1, self._interval)
+        found = None
+        for begun in [k for k in searched if k + 1 >= max(_FIRST_KEY_SCANS, key - _LAST_KEY_SCANS)]:
+            submap = self._submap_ending(closure_state, begun)
+            if begun not in self._searches or not self._searches[begun].is_for(submap):
+                self._searches[begun] = _Search(submap, self._search(closure_state, begun, submap))
+            found = self._searches[begun].advance(done + 1 if begun == key else self._interval)
+        if found is None:
+            return None
+        return found
 
-    def locate_by_votes(self, closure_state: LoopClosureState) -> FoundPiece | None:
-        """Give the first piece in which a drive that has ended is found as a whole (see `align_by_votes`)."""
-        keys = np.arange(len(closure_state.graph))
+    def locate_whole(self, closure_state: LoopClosureState) -> FoundPiece | None:
+        """Give the first piece in which a drive that has ended is found as a whole.
+
+        In rooms that are all alike no part of a drive is certain, but as a whole it lies in one place alone.
+        """
         for number, piece in enumerate(self.pieces):
-            match = self.align_by_votes(closure_state, number, keys)
+            match = self.align(closure_state, number, np.arange(len(closure_state.graph)))
             if match is not None:
                 return FoundPiece(number, piece, self._maps[number], match)
         return None
 
-    def align_by_votes(self, closure_state: LoopClosureState, number: int, keys: IntArray) -> PieceMatch | None:
-        """Align all key scans (K,) of a drive with a piece; None if that is not certain.
+    def align(self, closure_state: LoopClosureState, number: int, keys: IntArray) -> PieceMatch | None:
+        """Align consecutive key scans (K,) of a drive with piece `number`; None if that is not certain."""
+        hits: list[SearchHit] = []
+        for submap in self._cut(closure_state):
+            if keys[0] <= submap.keys[0] and submap.keys[-1] <= keys[-1]:
+                hits += list(self._match(closure_state, number, submap))[-1]
+        *_, match = self._judge(closure_state, number, keys, hits, keys)
+        return match
 
-        In rooms that are all alike no part of a drive is certain, but as a whole it lies in one place alone. Each
-        search votes for its two best places. The drive lies where the votes of most searches agree with how it was
-        tracked, if no other place has a third as many.
+    def _cut(self, closure_state: LoopClosureState) -> list[Submap]:
+        pairs = SubmapPairs()
+        length_m, step_m = self._alignment.length_m, self._alignment.step_m
+        pairs.cut(closure_state.graph, closure_state.scans, self._mapper, length_m, step_m, is_over=True)
+        return pairs.submaps
+
+    def _submap_ending(self, closure_state: LoopClosureState, key: int) -> Submap:
+        graph = closure_state.graph
+        keys = graph.select_without_gap(np.arange(max(0, key + 1 - _LAST_KEY_SCANS), key + 1), key)
+        way = graph.driven_m()[keys]
+        keys = keys[way >= way[-1] - self._alignment.length_m]
+        return Submap.of(graph, int(keys[len(keys) // 2]), keys, closure_state.scans, self._mapper)
+
+    def _search(self, closure_state: LoopClosureState, key: int, submap: Submap) -> Iterator[FoundPiece | None]:
+        """Search for the submap that ends at a key scan, one share of the work after the other."""
+        graph = closure_state.graph
+        keys = graph.select_without_gap(np.arange(max(0, key + 1 - _LAST_KEY_SCANS), key + 1), key)
+        for number in range(len(self.pieces) if self._begin is None else 1):
+            for hits in self._match(closure_state, number, submap):
+                self._searches[key].hits[number] = hits
+                yield None
+        for number, piece in enumerate(self.pieces):
+            hits = [
+                hit
+                for begun, search in sorted(self._searches.items())
+                for hit in search.hits.get(number, [])
+                if begun <= key and keys[0] <= hit.key <= keys[-1]
+            ]
+            for match in self._judge(closure_state, number, keys, hits):
+                yield None if match is None else FoundPiece(number, piece, self._maps[number], match)
+                if match is not None:
+                    return
+
+    def _match(self, closure_state: LoopClosureState, number: int, submap: Submap) -> Iterator[list[SearchHit]]:
+        """Match a submap with all of a piece: what was found so far after each share of the work."""
+        matching, graph = self._alignment.matching, closure_state.graph
+        piece, older = self.pieces[number], self._submaps[number]
+        expected = (
+            None if self._begin is None else compose(self._begin, graph.tracked_poses_from(0, submap.keys[:1])[0])
+        )
+        if expected is not None:
+            expected = compose(expected, graph.tracked_poses_from(int(submap.keys[0]), np.array([submap.anchor]))[0])
+        proposed: list[tuple[int, FloatArray]] = []
+        for first in range(0, len(older), _COMPARED_AT_A_TIME):
+            for old in older[first : first + _COMPARED_AT_A_TIME]:
+                for pose, keypoints in matching.propose(old, submap):
+                    there = compose(piece.graph.poses[old.anchor], pose)
+                    if expected is None or _is_near(expected, there, _NEAR_M, _NEAR_RAD):
+                        proposed.append((-keypoints, there))
+            yield []
+        places = _select_distinct(sorted(proposed, key=lambda proposal: proposal[0]), _MATCHED)
+        maps = self._maps[number]
+        points = StoredScan(thin_points(submap.collect_points(), _MATCHED_POINTS), np.zeros(2))
+        hits: list[SearchHit] = []
+        for first in range(0, len(places), _MATCHED_AT_A_TIME):
+            some = places[first : first + _MATCHED_AT_A_TIME]
+            rows = np.zeros(len(some), np.int32)
+            priors = np.broadcast_to(NO_PRIOR, (len(some), 3, 3)).copy()
+            found = matching.coarse(maps, rows, np.array([pose for _, pose in some]), priors, points)
+            found = matching.fine(maps, rows, found.poses, priors, points)
+            for (keypoints, _), pose in zip(some, found.poses, strict=True):
+                weights = weigh_known_beams(maps, ROW, pose, points.ends, self._scorer.scale_m)
+                if weights.mean(dtype=np.float64) > self._scorer.neutral:
+                    hits.append(SearchHit(submap.anchor, pose, -keypoints))
+            yield hits[:_TRACKED]
+
+    def _judge(
+        self,
+        closure_state: LoopClosureState,
+        number: int,
+        keys: IntArray,
+        hits: list[SearchHit],
+        wanted: IntArray | None = None,
+    ) -> Iterator[PieceMatch | None]:
+        """Judge where key scans (K,) lie by hits of their submaps, one share of the work after the other.
+
+        The match has the poses of those `wanted`, by default all of the drive.
         """
-        searched = keys[_VOTE_INTERVAL - 1 :: _VOTE_INTERVAL].tolist()
-        hits = [hit for key in searched for hit in self._search(closure_state, number, key)]
-        groups = sorted(group_hits(closure_state.graph, hits), key=len, reverse=True)
-        if not groups or len(groups[0]) < max(_MIN_VOTES, _MIN_VOTE_RATIO * len(searched)):
-            return None
-        if len(groups) > 1 and len(groups[1]) > _MAX_RUNNER_UP_RATIO * len(groups[0]):
-            return None
-        alignment = self._begin_alignment(closure_state, number, keys)
-        best = alignment.track_component(groups[0])
-        constraints = alignment.match_constraints(best)
-        return PieceMatch(best.poses, constraints) if constraints else None
-
-    def align(
-        self, closure_state: LoopClosureState, number: int, keys: IntArray, searched: Sequence[int]
-    ) -> PieceMatch | None:
-        """Align consecutive key scans (K,) of a drive with piece `number`; None if that is not certain.
-
-        `searched` are those of them for which the piece is searched. The match has the poses (K, 3) of these key scans.
-        """
-        parameters = self._alignment
-        hits = [hit for key in searched for hit in self._search(closure_state, number, key)]
-        agreeing = max((len(group) for group in group_hits(closure_state.graph, hits)), default=0)
-        if agreeing < parameters.min_constraints:
-            return None
-        alignment = self._begin_alignment(closure_state, number, keys)
-        best = alignment.select_hypothesis(hits)
-        if best is None or best.overlap < _MIN_OVERLAP or best.agreement < _MIN_AGREEMENT:
-            return None
-        if self._is_self_similar(closure_state, keys):
-            return None
-        constraints = alignment.match_constraints(best)
-        return PieceMatch(best.poses, constraints) if constraints else None
-
-    def _begin_alignment(self, closure_state: LoopClosureState, number: int, keys: IntArray) -> Alignment:
+        graph = closure_state.graph
         piece = self.pieces[number]
         known = KnownMap(piece.scans, piece.poses, np.arange(len(piece)), self._maps[number])
-        return Alignment(self._alignment, closure_state, self._mapper, self._places, self._scorer, keys, known)
-
-    def _is_self_similar(self, closure_state: LoopClosureState, keys: IntArray) -> bool:
-        """Whether key scans (K,) also match their own map elsewhere."""
-        poses = np.array(closure_state.graph.poses)
-        own = Pyramid.of(build_map(self._mapper, closure_state.scans, keys, poses[keys]), 0)
-        within = replace(_SEARCH, window_m=15.0, window_rad=0.35)
-        ratios = []
-        for key in keys[min(_QUERY_KEY_SCANS, len(keys)) - 1 :: max(len(keys) // 8, 1)].tolist():
-            points = thin_points(collect_recent_points(closure_state, key, _QUERY_KEY_SCANS), _SEARCH.max_points)
-            found = within.search(own, poses[key], None, points)
-            ratios.append(0.0 if found is None else found.runner_up_score / found.score)
-        return float(np.quantile(ratios, 0.75)) >= _SIMILAR
-
-    def _is_searched(self, key: int) -> bool:
-        """Whether a key scan is one of those that are searched."""
-        interval = _SEARCH_INTERVAL * 2 ** min(key // _PATIENCE, 3)
-        return bool((key + 1) % interval == 0)
-
-    def _search(self, closure_state: LoopClosureState, number: int, key: int) -> list[SearchHit]:
-        """The two best places of a key scan's points in a piece."""
-        points = collect_recent_points(closure_state, key, _QUERY_KEY_SCANS)
-        few = thin_points(points, _SEARCH.max_points)
-        expected = None
-        if self._begin is not None:
-            poses = closure_state.graph.poses
-            expected = compose(self._begin, between(poses[0], poses[key]))
-        known = (number, key, few.tobytes(), b"" if expected is None else expected.tobytes())
-        if known not in self._hits:
-            found = (
-                self._search_everywhere(number, key, few)
-                if expected is None
-                else self._search_near(number, key, few, expected)
-            )
-            self._hits[known] = list(found)
-        return self._hits[known]
-
-    def _search_near(self, number: int, key: int, points: FloatArray, expected: FloatArray) -> Iterator[SearchHit]:
-        """Search a piece about the pose (3,) where the key scan is expected."""
-        search = replace(_SEARCH, window_m=_NEAR_M, window_rad=_NEAR_RAD)
-        found = search.search(self._pyramids[number], expected, None, points)
-        if found is not None:
-            yield SearchHit(key, found.pose, found.score)
-
-    def _search_everywhere(self, number: int, key: int, points: FloatArray) -> Iterator[SearchHit]:
-        """Search a piece square by square."""
-        places: list[tuple[float, FloatArray]] = []
-        search = _SEARCH
-        for centre in self._centres(number):
-            found = search.search(self._pyramids[number], centre, None, points)
-            if found is not None:
-                places.append((found.score, found.pose))
-                if found.runner_up_pose is not None:
-                    places.append((found.runner_up_score, found.runner_up_pose))
-        places.sort(key=lambda place: -place[0])
-        best: list[tuple[float, FloatArray]] = []
-        for score, pose in places:  # squares overlap by nothing, but a place on their border may be found in both
-            if not any(np.hypot(*(pose - other)[:2]) < search.runner_up_distance_m for _, other in best):
-                best.append((score, pose))
-        for score, pose in best[:2]:
-            yield SearchHit(key, pose, score)
-
-    def _centres(self, number: int) -> Iterator[FloatArray]:
-        """Poses (3,) in the middle of the squares that cover a piece's map."""
-        pyramid = self._pyramids[number]
-        low = np.array(pyramid.corner)[::-1] * pyramid.resolution_m
-        sides = np.array(pyramid.shape[::-1]) * pyramid.resolution_m
-        across, up = np.ceil(sides / (2 * _WINDOW_M)).astype(int).tolist()
-        for column in range(across):
-            for row in range(up):
-                yield np.append(low + sides * [(column + 0.5) / across, (row + 0.5) / up], 0.0)
+        few = keys[:: -(-len(keys) // _ALIGNED)]
+        alignment = Alignment(self._alignment, closure_state, self._mapper, self._places, self._scorer, few, known)
+        hypotheses: list[Hypothesis] = []
+        for group in group_hits(graph, hits)[:_TRACKED]:
+            hypotheses.append(alignment.track_component(group))
+            yield None
+        best = alignment.decide(hypotheses)
+        yield None
+        if best is None or best.overlap < _MIN_OVERLAP or best.agreement < _MIN_AGREEMENT:
+            return
+        constraints = alignment.match_constraints(best)
+        tracked = np.array(graph.tracked)
+        every = np.arange(len(tracked)) if wanted is None else wanted
+        nearest = np.abs(every[:, None] - few).argmin(axis=1)
+        poses = compose(best.poses[nearest], between(tracked[few[nearest]], tracked[every]))
+        yield PieceMatch(poses, constraints) if constraints else None
 
 
-def collect_recent_points(closure_state: LoopClosureState, key: int, scans: int) -> FloatArray:
-    """Points (B, 2) of a key scan and those before it, `scans` in all at most, seen from it.
+@final
+class _Search:
+    """A search for one submap that is done bit by bit: `hits` in each piece so far, by its number."""
 
-    Stops at a gap in the laser data.
-    """
-    graph = closure_state.graph
-    keys = graph.select_without_gap(np.arange(max(key - scans + 1, 0), key + 1), key)
-    tracked = graph.tracked_poses_from(key, keys)
-    points = [
-        transform_points(pose, closure_state.scans.key(k).ends) for k, pose in zip(keys.tolist(), tracked, strict=True)
-    ]
-    return np.concatenate(points)
+    def __init__(self, submap: Submap, work: Iterator[FoundPiece | None]) -> None:
+        self.hits: dict[int, list[SearchHit]] = {}
+        self._submap = submap
+        self._work = work
+        self._done = 0
+        self._found: FoundPiece | None = None
+
+    def is_for(self, submap: Submap) -> bool:
+        """Whether it is one for the same submap."""
+        own = self._submap
+        return np.array_equal(own.poses, submap.poses) and np.array_equal(own.collect_points(), submap.collect_points())
+
+    def advance(self, steps: int) -> FoundPiece | None:
+        """Go on until `steps` of the work are done, and return what was found by then."""
+        while self._done < steps:
+            self._found = next(self._work, self._found)
+            self._done += 1
+        return self._found
+
+
+def _select_distinct(proposed: list[tuple[int, FloatArray]], most: int) -> list[tuple[int, FloatArray]]:
+    """Select the first of proposals whose poses (3,) are not the same place as others before."""
+    chosen: list[tuple[int, FloatArray]] = []
+    for proposal in proposed:
+        if len(chosen) == most:
+            break
+        if not any(_is_near(pose, proposal[1], _SAME_M, _SAME_RAD) for _, pose in chosen):
+            chosen.append(proposal)
+    return chosen
+
+
+def _is_near(expected: FloatArray, pose: FloatArray, most_m: float, most_rad: float) -> bool:
+    """Whether a pose (3,) is no farther than this from another."""
+    x, y, turn = between(expected, pose).tolist()
+    return math.hypot(x, y) < most_m and abs(turn) < most_rad
