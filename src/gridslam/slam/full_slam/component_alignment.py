@@ -384,9 +384,10 @@ class Alignment:
                 ConstraintSource.RECOGNIZED,
                 anchor,
             )
-            if isinstance(constraint, Constraint) and constraint.determined:
+            if isinstance(constraint, Constraint):
                 found.append(constraint)
-        return found if len(found) >= self.parameters.min_constraints else []
+        is_enough = len(found) >= self.parameters.min_constraints and any(each.determined for each in found)
+        return found if is_enough else []
 
 
 def group_hits(graph: KeyGraph, hits: list[SearchHit]) -> list[list[SearchHit]]:

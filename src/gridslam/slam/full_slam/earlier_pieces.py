@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.branch_and_bound import thin_points
-from gridslam.matching.gauss_newton import NO_PRIOR, weigh_known_beams
+from gridslam.matching.gauss_newton import weigh_known_beams
 from gridslam.slam.full_slam.component_alignment import (
     Alignment,
     ComponentAlignment,
@@ -22,13 +20,15 @@ from gridslam.slam.full_slam.component_alignment import (
     group_hits,
 )
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
+from gridslam.slam.loop_closure.constraints import Constraint
+from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
+from gridslam.slam.loop_closure.map_search import MapSearch
 from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.loop_closure.state import FoundPiece, LoopClosureState
 from gridslam.slam.loop_closure.submap_matching import Submap
-from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.loop_closure.submaps import ROW
-from gridslam.types import FloatArray, IntArray, StoredScan
+from gridslam.types import FloatArray, IntArray
 
 __all__ = ["EarlierPieces"]
 
@@ -36,23 +36,16 @@ _NEAR_M = 5.0
 _NEAR_RAD = 0.5
 """So far from a pose that was given the drive may begin."""
 
-_SAME_M = 1.0
-_SAME_RAD = 0.15
-"""Proposed poses nearer to each other in both are the same place."""
-
 _FIRST_KEY_SCANS = 12
 """A drive is not compared before it has this many key scans, about 5 m: less of it looks alike in too many places."""
 
 _LAST_KEY_SCANS = 90
 """Key scans, about 40 m, by which a drive is located: what was driven before may lie where the map ends."""
 
-_COMPARED_AT_A_TIME = 32
-_MATCHED = 48
-_MATCHED_AT_A_TIME = 16
-_MATCHED_POINTS = 500
 _TRACKED = 6
-"""Submaps of a piece that one is compared with at a key scan; places, those on which most keypoints agree, to which
-points of it are matched; and hypotheses that are tracked, each at a key scan of its own."""
+_SHARES = _TRACKED + 2
+"""Hypotheses that are tracked, and key scans from one search to the next: one of them searches, each of the others
+tracks a hypothesis, and the last one decides."""
 
 _ALIGNED = 45
 """Key scans of a drive, spread evenly, that are tracked through a piece."""
@@ -75,11 +68,12 @@ where people walk about, to 0.99."""
 
 @final
 class EarlierPieces:
-    """Locates a drive in earlier pieces, by submaps of its way that are matched with all submaps of a piece.
+    """Locates a drive in earlier pieces: submaps of its way are searched in their maps (see `MapSearch`).
 
-    It is as with a component behind a gap in the laser data (see `ComponentAlignment`), but nothing is known of the
-    drift: the drive is tracked through the piece's map from each place where submaps match, and if only one of them
-    explains it, it is found. While the robot drives, the work is spread over key scans by counts alone.
+    What is found is judged as with a component behind a gap in the laser data (see `ComponentAlignment`), but nothing
+    is known of the drift: the drive is tracked through the piece's map from each place where submaps of it fit, and if
+    only one of them explains it, it is found. While the robot drives, the work is spread over key scans by counts
+    alone, and pieces take turns.
 
     What was searched is remembered by what was searched for, so that results depend on the drive alone: a state that
     was saved, or stepped again, is located at the same key scan.
@@ -93,7 +87,7 @@ class EarlierPieces:
     places : PlaceMatching
         How key scans are matched in the end.
     alignment : ComponentAlignment
-        How submaps are cut and matched, and what makes an alignment certain.
+        How long submaps are, how they are matched, and what makes an alignment certain.
     scorer : TrajectoryScorer
         How hypotheses are scored.
     begin : (3,) float64, optional
@@ -116,187 +110,106 @@ class EarlierPieces:
         self._alignment = certain if begin is None else alignment
         self._scorer = scorer
         self._begin = begin
-        self._maps = [piece.build_map(mapper) for piece in self.pieces]
-        self._submaps = [self._cut(LoopClosureState(scans=piece.scans, graph=piece.graph)) for piece in self.pieces]
-        for submap in (submap for submaps in self._submaps for submap in submaps):
-            submap.describe()
-        compared = sum(-(-len(submaps) // _COMPARED_AT_A_TIME) for submaps in self._submaps)
-        self._interval = compared + len(self.pieces) * (_MATCHED // _MATCHED_AT_A_TIME + _TRACKED + 2)
-        self._searches: dict[int, _Search] = {}
+        self._searches = [MapSearch(piece.build_map(mapper), alignment.matching) for piece in self.pieces]
+        self._turns = len(self.pieces) if begin is None else 1
+        self._hits: dict[tuple[int, int, bytes], list[SearchHit]] = {}
+        self._round: tuple[bytes, Iterator[PieceMatch | None]] = b"", iter(())
 
     def locate(self, closure_state: LoopClosureState) -> FoundPiece | None:
-        """Do the newest key scan's share of the search, and give the first piece in which the drive so far is found."""
+        """Do the newest key scan's share of the search, and give the piece in which the drive so far is found."""
         newest = len(closure_state.graph) - 1
-        if newest + 1 < _FIRST_KEY_SCANS:
+        turn, share = divmod(newest + 1 - _FIRST_KEY_SCANS, _SHARES)
+        if turn < 0:
             return None
-        done = (newest + 1 - _FIRST_KEY_SCANS) % self._interval
-        key = newest - done
-        searched = range(key % self._interval, key + 1, self._interval)
-        found = None
-        for begun in [k for k in searched if k + 1 >= max(_FIRST_KEY_SCANS, key - _LAST_KEY_SCANS)]:
-            submap = self._submap_ending(closure_state, begun)
-            if begun not in self._searches or not self._searches[begun].is_for(submap):
-                self._searches[begun] = _Search(submap, self._search(closure_state, begun, submap))
-            found = self._searches[begun].advance(done + 1 if begun == key else self._interval)
-        if found is None:
-            return None
-        return found
+        last = newest - share
+        number = turn % self._turns
+        keys = closure_state.graph.select_without_gap(np.arange(max(0, last + 1 - _LAST_KEY_SCANS), last + 1), last)
+        known = np.array(closure_state.graph.tracked)[keys].tobytes()
+        if known != self._round[0]:
+            self._round = known, self._align_in_shares(closure_state, number, keys)
+            for _ in range(share):
+                next(self._round[1], None)
+        aligned = next(self._round[1], None)
+        return None if aligned is None else self._find(closure_state, number, aligned)
 
     def locate_whole(self, closure_state: LoopClosureState) -> FoundPiece | None:
         """Give the first piece in which a drive that has ended is found as a whole.
 
         In rooms that are all alike no part of a drive is certain, but as a whole it lies in one place alone.
         """
-        for number, piece in enumerate(self.pieces):
-            match = self.align(closure_state, number, np.arange(len(closure_state.graph)))
-            if match is not None:
-                return FoundPiece(number, piece, self._maps[number], match)
+        for number in range(self._turns):
+            for aligned in self._align_in_shares(closure_state, number, np.arange(len(closure_state.graph))):
+                if aligned is not None:
+                    return self._find(closure_state, number, aligned)
         return None
 
     def align(self, closure_state: LoopClosureState, number: int, keys: IntArray) -> PieceMatch | None:
-        """Align consecutive key scans (K,) of a drive with piece `number`; None if that is not certain."""
-        hits: list[SearchHit] = []
-        for submap in self._cut(closure_state):
-            if keys[0] <= submap.keys[0] and submap.keys[-1] <= keys[-1]:
-                hits += list(self._match(closure_state, number, submap))[-1]
-        *_, match = self._judge(closure_state, number, keys, hits, keys)
-        return match
+        """Align consecutive key scans (K,) of a drive with piece `number`; None if that is not certain.
 
-    def _cut(self, closure_state: LoopClosureState) -> list[Submap]:
-        pairs = SubmapPairs()
-        length_m, step_m = self._alignment.length_m, self._alignment.step_m
-        pairs.cut(closure_state.graph, closure_state.scans, self._mapper, length_m, step_m, is_over=True)
-        return pairs.submaps
+        The match has the poses of all key scans of the drive.
+        """
+        for aligned in self._align_in_shares(closure_state, number, keys):
+            if aligned is not None:
+                return self._find(closure_state, number, aligned).match
+        return None
 
-    def _submap_ending(self, closure_state: LoopClosureState, key: int) -> Submap:
+    def _find(self, closure_state: LoopClosureState, number: int, aligned: _Aligned) -> FoundPiece:
+        """Lay the key scans that were not aligned as they were tracked from the nearest one that was."""
+        tracked = np.array(closure_state.graph.tracked)
+        nearest = np.abs(np.arange(len(tracked))[:, None] - aligned.keys).argmin(axis=1)
+        poses = compose(aligned.poses[nearest], between(tracked[aligned.keys[nearest]], tracked))
+        match = PieceMatch(poses, aligned.constraints)
+        return FoundPiece(number, self.pieces[number], self._searches[number].maps, match)
+
+    def _align_in_shares(
+        self, closure_state: LoopClosureState, number: int, keys: IntArray
+    ) -> Iterator[_Aligned | None]:
+        """Align key scans (K,) with a piece, one share of the work after the other."""
+        graph, piece = closure_state.graph, self.pieces[number]
+        searched = range(_FIRST_KEY_SCANS - 1 + _SHARES * number, int(keys[-1]) + 1, _SHARES * self._turns)
+        hits = [hit for key in searched if key >= keys[0] for hit in self._search(closure_state, number, key)]
+        groups = group_hits(graph, [hit for hit in hits if hit.key >= keys[0]])
+        yield None
+        few = keys[:: -(-len(keys) // _ALIGNED)]
+        known = KnownMap(piece.scans, piece.poses, np.arange(len(piece)), self._searches[number].maps)
+        alignment = Alignment(self._alignment, closure_state, self._mapper, self._places, self._scorer, few, known)
+        hypotheses: list[Hypothesis] = []
+        for group in groups[:_TRACKED]:
+            hypotheses.append(alignment.track_component(group))
+            yield None
+        best = alignment.decide(hypotheses)
+        if best is not None and best.overlap >= _MIN_OVERLAP and best.agreement >= _MIN_AGREEMENT:
+            constraints = alignment.match_constraints(best)
+            yield _Aligned(few, best.poses, constraints) if constraints else None
+
+    def _search(self, closure_state: LoopClosureState, number: int, key: int) -> list[SearchHit]:
+        """Search a piece for the submap that ends at a key scan: where most of its points agree."""
         graph = closure_state.graph
         keys = graph.select_without_gap(np.arange(max(0, key + 1 - _LAST_KEY_SCANS), key + 1), key)
         way = graph.driven_m()[keys]
         keys = keys[way >= way[-1] - self._alignment.length_m]
-        return Submap.of(graph, int(keys[len(keys) // 2]), keys, closure_state.scans, self._mapper)
+        known = (number, key, np.array(graph.tracked)[keys].tobytes())
+        if known not in self._hits:
+            submap = Submap.of(graph, int(keys[len(keys) // 2]), keys, closure_state.scans, self._mapper)
+            self._hits[known] = list(self._match(graph, number, submap))
+        return self._hits[known]
 
-    def _search(self, closure_state: LoopClosureState, key: int, submap: Submap) -> Iterator[FoundPiece | None]:
-        """Search for the submap that ends at a key scan, one share of the work after the other."""
-        graph = closure_state.graph
-        keys = graph.select_without_gap(np.arange(max(0, key + 1 - _LAST_KEY_SCANS), key + 1), key)
-        for number in range(len(self.pieces) if self._begin is None else 1):
-            for hits in self._match(closure_state, number, submap):
-                self._searches[key].hits[number] = hits
-                yield None
-        for number, piece in enumerate(self.pieces):
-            hits = [
-                hit
-                for begun, search in sorted(self._searches.items())
-                for hit in search.hits.get(number, [])
-                if begun <= key and keys[0] <= hit.key <= keys[-1]
-            ]
-            for match in self._judge(closure_state, number, keys, hits):
-                yield None if match is None else FoundPiece(number, piece, self._maps[number], match)
-                if match is not None:
-                    return
-
-    def _match(self, closure_state: LoopClosureState, number: int, submap: Submap) -> Iterator[list[SearchHit]]:
-        """Match a submap with all of a piece: what was found so far after each share of the work."""
-        matching, graph = self._alignment.matching, closure_state.graph
-        piece, older = self.pieces[number], self._submaps[number]
-        expected = (
-            None if self._begin is None else compose(self._begin, graph.tracked_poses_from(0, submap.keys[:1])[0])
-        )
-        if expected is not None:
-            expected = compose(expected, graph.tracked_poses_from(int(submap.keys[0]), np.array([submap.anchor]))[0])
-        proposed: list[tuple[int, FloatArray]] = []
-        for first in range(0, len(older), _COMPARED_AT_A_TIME):
-            for old in older[first : first + _COMPARED_AT_A_TIME]:
-                for pose, keypoints in matching.propose(old, submap):
-                    there = compose(piece.graph.poses[old.anchor], pose)
-                    if expected is None or _is_near(expected, there, _NEAR_M, _NEAR_RAD):
-                        proposed.append((-keypoints, there))
-            yield []
-        places = _select_distinct(sorted(proposed, key=lambda proposal: proposal[0]), _MATCHED)
-        maps = self._maps[number]
-        points = StoredScan(thin_points(submap.collect_points(), _MATCHED_POINTS), np.zeros(2))
-        hits: list[SearchHit] = []
-        for first in range(0, len(places), _MATCHED_AT_A_TIME):
-            some = places[first : first + _MATCHED_AT_A_TIME]
-            rows = np.zeros(len(some), np.int32)
-            priors = np.broadcast_to(NO_PRIOR, (len(some), 3, 3)).copy()
-            found = matching.coarse(maps, rows, np.array([pose for _, pose in some]), priors, points)
-            found = matching.fine(maps, rows, found.poses, priors, points)
-            for (keypoints, _), pose in zip(some, found.poses, strict=True):
-                weights = weigh_known_beams(maps, ROW, pose, points.ends, self._scorer.scale_m)
-                if weights.mean(dtype=np.float64) > self._scorer.neutral:
-                    hits.append(SearchHit(submap.anchor, pose, -keypoints))
-            yield hits[:_TRACKED]
-
-    def _judge(
-        self,
-        closure_state: LoopClosureState,
-        number: int,
-        keys: IntArray,
-        hits: list[SearchHit],
-        wanted: IntArray | None = None,
-    ) -> Iterator[PieceMatch | None]:
-        """Judge where key scans (K,) lie by hits of their submaps, one share of the work after the other.
-
-        The match has the poses of those `wanted`, by default all of the drive.
-        """
-        graph = closure_state.graph
-        piece = self.pieces[number]
-        known = KnownMap(piece.scans, piece.poses, np.arange(len(piece)), self._maps[number])
-        few = keys[:: -(-len(keys) // _ALIGNED)]
-        alignment = Alignment(self._alignment, closure_state, self._mapper, self._places, self._scorer, few, known)
-        hypotheses: list[Hypothesis] = []
-        for group in group_hits(graph, hits)[:_TRACKED]:
-            hypotheses.append(alignment.track_component(group))
-            yield None
-        best = alignment.decide(hypotheses)
-        yield None
-        if best is None or best.overlap < _MIN_OVERLAP or best.agreement < _MIN_AGREEMENT:
-            return
-        constraints = alignment.match_constraints(best)
-        tracked = np.array(graph.tracked)
-        every = np.arange(len(tracked)) if wanted is None else wanted
-        nearest = np.abs(every[:, None] - few).argmin(axis=1)
-        poses = compose(best.poses[nearest], between(tracked[few[nearest]], tracked[every]))
-        yield PieceMatch(poses, constraints) if constraints else None
+    def _match(self, graph: KeyGraph, number: int, submap: Submap) -> Iterator[SearchHit]:
+        search = self._searches[number]
+        near = None
+        if self._begin is not None:
+            near = compose(self._begin, between(graph.tracked[0], graph.tracked[submap.anchor]))
+        for pose, points in search(submap, near, _NEAR_M, _NEAR_RAD):
+            weights = weigh_known_beams(search.maps, ROW, pose, points.ends, self._scorer.scale_m)
+            score = self._scorer.log_likelihood(float(weights.sum(dtype=np.float64)), len(weights))
+            if score > 0:
+                yield SearchHit(submap.anchor, pose, score)
 
 
 @final
-class _Search:
-    """A search for one submap that is done bit by bit: `hits` in each piece so far, by its number."""
+class _Aligned(NamedTuple):
+    """Key scans (K,) of a drive, their poses (K, 3) in a piece, and what constrains them."""
 
-    def __init__(self, submap: Submap, work: Iterator[FoundPiece | None]) -> None:
-        self.hits: dict[int, list[SearchHit]] = {}
-        self._submap = submap
-        self._work = work
-        self._done = 0
-        self._found: FoundPiece | None = None
-
-    def is_for(self, submap: Submap) -> bool:
-        """Whether it is one for the same submap."""
-        own = self._submap
-        return np.array_equal(own.poses, submap.poses) and np.array_equal(own.collect_points(), submap.collect_points())
-
-    def advance(self, steps: int) -> FoundPiece | None:
-        """Go on until `steps` of the work are done, and return what was found by then."""
-        while self._done < steps:
-            self._found = next(self._work, self._found)
-            self._done += 1
-        return self._found
-
-
-def _select_distinct(proposed: list[tuple[int, FloatArray]], most: int) -> list[tuple[int, FloatArray]]:
-    """Select the first of proposals whose poses (3,) are not the same place as others before."""
-    chosen: list[tuple[int, FloatArray]] = []
-    for proposal in proposed:
-        if len(chosen) == most:
-            break
-        if not any(_is_near(pose, proposal[1], _SAME_M, _SAME_RAD) for _, pose in chosen):
-            chosen.append(proposal)
-    return chosen
-
-
-def _is_near(expected: FloatArray, pose: FloatArray, most_m: float, most_rad: float) -> bool:
-    """Whether a pose (3,) is no farther than this from another."""
-    x, y, turn = between(expected, pose).tolist()
-    return math.hypot(x, y) < most_m and abs(turn) < most_rad
+    keys: IntArray
+    poses: FloatArray
+    constraints: list[Constraint]

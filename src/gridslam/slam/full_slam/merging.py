@@ -115,7 +115,7 @@ def _link(
         if match is None:
             continue
         middle = len(window) // 2
-        frame = compose(match.poses[middle], inverse(poses[window[middle]]))
+        frame = compose(match.poses[window[middle]], inverse(poses[window[middle]]))
         for group in groups:
             if _agree(group[0][0], frame, poses[window[middle]]):
                 group.append((frame, match.constraints))
