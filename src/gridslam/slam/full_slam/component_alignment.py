@@ -279,8 +279,13 @@ class Alignment:
         if any(other.evidence > limit for other in hypotheses if best.distance_m(other) >= parameters.merge_m):
             return None
         own = self._draw(best.poses)
-        shifted = (self._score_both(best.poses + shift, own, shift)[0] for shift in parameters.shift_m * _SHIFTS)
-        return None if any(likelihood - best.squared_sigmas > limit for likelihood in shifted) else best
+        limit += best.squared_sigmas
+        for shift in parameters.shift_m * _SHIFTS:
+            poses = best.poses + shift
+            forward, _, _ = self._score(self.known.maps, poses, self.closure_state.scans, self.keys)
+            if forward > limit and self._score_both(poses, own, shift)[0] > limit:
+                return None
+        return best
 
     def track_component(self, group: list[SearchHit]) -> Hypothesis:
         """Track a component through the map from the best hit to both of its ends, correcting where a scan matches."""
@@ -393,15 +398,18 @@ class Alignment:
 def group_hits(graph: KeyGraph, hits: list[SearchHit]) -> list[list[SearchHit]]:
     """Group hits that are consistent with the tracked motion, those of the greatest sum of scores first."""
     groups: list[list[SearchHit]] = []
+    tracked = np.array(graph.tracked)
+    keys = np.empty(len(hits), np.int64)  # of each group the newest hit
+    poses = np.empty((len(hits), 3))
     for hit in sorted(hits, key=lambda hit: hit.key):
-        for group in groups:
-            last = group[-1]
-            moved = between(graph.tracked[last.key], graph.tracked[hit.key])
-            x, y, turn = between(compose(last.pose, moved), hit.pose).tolist()
-            reach_m = _CONSISTENT_M + _CONSISTENT_M_PER_KEY_SCAN * (hit.key - last.key)
-            if np.hypot(x, y) < reach_m and abs(turn) < _CONSISTENT_RAD:
-                group.append(hit)
-                break
-        else:
-            groups.append([hit])
+        newest = keys[: len(groups)]
+        moved = between(tracked[newest], tracked[hit.key])
+        error = between(compose(poses[: len(groups)], moved), hit.pose)
+        reach_m = _CONSISTENT_M + _CONSISTENT_M_PER_KEY_SCAN * (hit.key - newest)
+        agrees = (np.hypot(error[:, 0], error[:, 1]) < reach_m) & (np.abs(error[:, 2]) < _CONSISTENT_RAD)
+        number = int(agrees.argmax()) if agrees.any() else len(groups)
+        if number == len(groups):
+            groups.append([])
+        groups[number].append(hit)
+        keys[number], poses[number] = hit.key, hit.pose
     return sorted(groups, key=lambda group: -sum(hit.score for hit in group))

@@ -42,10 +42,16 @@ _FIRST_KEY_SCANS = 12
 _LAST_KEY_SCANS = 90
 """Key scans, about 40 m, by which a drive is located: what was driven before may lie where the map ends."""
 
-_TRACKED = 6
-_SHARES = _TRACKED + 2
-"""Hypotheses that are tracked, and key scans from one search to the next: one of them searches, each of the others
-tracks a hypothesis, and the last one decides."""
+_TRACKED = 4
+_TRACKED_AT_A_TIME = 2
+_SHARES = 2 + _TRACKED // _TRACKED_AT_A_TIME
+"""Hypotheses that are tracked, and key scans over which the work is spread: one searches, in 20 ms, some track two
+hypotheses each, in 15 ms each, and the last one decides, in 40 ms."""
+
+_EAGER_KEY_SCANS = 51
+_INTERVAL = 4 * _SHARES
+"""Until a drive has so many key scans a search follows the other, then there are so many key scans between them: in
+rooms that are all alike a drive that is not found costs as much as its mapping."""
 
 _ALIGNED = 45
 """Key scans of a drive, spread evenly, that are tracked through a piece."""
@@ -57,7 +63,7 @@ best place had -12 at most."""
 _AMBIGUITY_RATIO = 0.5
 """Maximum evidence for any other place, as a fraction of the best."""
 
-_MIN_OVERLAP = 0.6
+_MIN_OVERLAP = 0.4
 """Ratio of beams that end in what the piece knows: beams that end outside of it contradict nothing. In other buildings
 the best places had 0.16 to 0.22, all but off the map; right ones 0.77 to 0.99."""
 
@@ -118,16 +124,16 @@ class EarlierPieces:
     def locate(self, closure_state: LoopClosureState) -> FoundPiece | None:
         """Do the newest key scan's share of the search, and give the piece in which the drive so far is found."""
         newest = len(closure_state.graph) - 1
-        turn, share = divmod(newest + 1 - _FIRST_KEY_SCANS, _SHARES)
-        if turn < 0:
+        begins = _list_begins(newest)
+        if not begins:
             return None
-        last = newest - share
-        number = turn % self._turns
+        last = begins[-1]
+        number = (len(begins) - 1) % self._turns
         keys = closure_state.graph.select_without_gap(np.arange(max(0, last + 1 - _LAST_KEY_SCANS), last + 1), last)
         known = np.array(closure_state.graph.tracked)[keys].tobytes()
         if known != self._round[0]:
             self._round = known, self._align_in_shares(closure_state, number, keys)
-            for _ in range(share):
+            for _ in range(newest - last):
                 next(self._round[1], None)
         aligned = next(self._round[1], None)
         return None if aligned is None else self._find(closure_state, number, aligned)
@@ -166,16 +172,16 @@ class EarlierPieces:
     ) -> Iterator[_Aligned | None]:
         """Align key scans (K,) with a piece, one share of the work after the other."""
         graph, piece = closure_state.graph, self.pieces[number]
-        searched = range(_FIRST_KEY_SCANS - 1 + _SHARES * number, int(keys[-1]) + 1, _SHARES * self._turns)
-        hits = [hit for key in searched if key >= keys[0] for hit in self._search(closure_state, number, key)]
+        searched = [key for key in _list_begins(int(keys[-1]))[number :: self._turns] if key >= keys[0]]
+        hits = [hit for key in searched for hit in self._search(closure_state, number, key)]
         groups = group_hits(graph, [hit for hit in hits if hit.key >= keys[0]])
         yield None
         few = keys[:: -(-len(keys) // _ALIGNED)]
         known = KnownMap(piece.scans, piece.poses, np.arange(len(piece)), self._searches[number].maps)
         alignment = Alignment(self._alignment, closure_state, self._mapper, self._places, self._scorer, few, known)
         hypotheses: list[Hypothesis] = []
-        for group in groups[:_TRACKED]:
-            hypotheses.append(alignment.track_component(group))
+        for first in range(0, min(len(groups), _TRACKED), _TRACKED_AT_A_TIME):
+            hypotheses += [alignment.track_component(group) for group in groups[first : first + _TRACKED_AT_A_TIME]]
             yield None
         best = alignment.decide(hypotheses)
         if best is not None and best.overlap >= _MIN_OVERLAP and best.agreement >= _MIN_AGREEMENT:
@@ -191,11 +197,12 @@ class EarlierPieces:
         known = (number, key, np.array(graph.tracked)[keys].tobytes())
         if known not in self._hits:
             submap = Submap.of(graph, int(keys[len(keys) // 2]), keys, closure_state.scans, self._mapper)
-            self._hits[known] = list(self._match(graph, number, submap))
+            self._hits[known] = self._match(graph, number, submap)
         return self._hits[known]
 
-    def _match(self, graph: KeyGraph, number: int, submap: Submap) -> Iterator[SearchHit]:
+    def _match(self, graph: KeyGraph, number: int, submap: Submap) -> list[SearchHit]:
         search = self._searches[number]
+        hits = []
         near = None
         if self._begin is not None:
             near = compose(self._begin, between(graph.tracked[0], graph.tracked[submap.anchor]))
@@ -203,7 +210,8 @@ class EarlierPieces:
             weights = weigh_known_beams(search.maps, ROW, pose, points.ends, self._scorer.scale_m)
             score = self._scorer.log_likelihood(float(weights.sum(dtype=np.float64)), len(weights))
             if score > 0:
-                yield SearchHit(submap.anchor, pose, score)
+                hits.append(SearchHit(submap.anchor, pose, score))
+        return sorted(hits, key=lambda hit: -hit.score)[:_TRACKED]
 
 
 @final
@@ -213,3 +221,9 @@ class _Aligned(NamedTuple):
     keys: IntArray
     poses: FloatArray
     constraints: list[Constraint]
+
+
+def _list_begins(newest: int) -> list[int]:
+    """Key scans up to the newest one at which a search begins."""
+    eager = range(_FIRST_KEY_SCANS - 1, min(_EAGER_KEY_SCANS, newest + 1), _SHARES)
+    return [*eager, *range(_EAGER_KEY_SCANS, newest + 1, _INTERVAL)]
