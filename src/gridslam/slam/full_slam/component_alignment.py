@@ -95,7 +95,7 @@ class ComponentAlignment:
     constraint_interval : int
         Key scans from one constraint to the next.
     min_constraints : int
-        Minimum number of constraints of an alignment.
+        Minimum number of constraints of an alignment; across a gap determined ones.
     matching : SubmapMatching
         How submaps are matched: loosely, as the evidence of all key scans decides.
     matcher : GaussNewton
@@ -164,7 +164,8 @@ class ComponentAlignment:
             alignment = Alignment(self, closure_state, mapper, places, scorer, np.flatnonzero(labels == new), known)
             best = alignment.select_hypothesis(hits)
             if best is not None:
-                found += alignment.match_constraints(best)
+                determined = [each for each in alignment.match_constraints(best) if each.determined]
+                found += determined if len(determined) >= self.min_constraints else []
         return found
 
     def _search(
@@ -280,12 +281,9 @@ class Alignment:
             return None
         own = self._draw(best.poses)
         limit += best.squared_sigmas
-        for shift in parameters.shift_m * _SHIFTS:
-            poses = best.poses + shift
-            forward, _, _ = self._score(self.known.maps, poses, self.closure_state.scans, self.keys)
-            if forward > limit and self._score_both(poses, own, shift)[0] > limit:
-                return None
-        return best
+        shifts = parameters.shift_m * _SHIFTS
+        is_comparable = any(self._score_both(best.poses + shift, own, shift, limit)[0] > limit for shift in shifts)
+        return None if is_comparable else best
 
     def track_component(self, group: list[SearchHit]) -> Hypothesis:
         """Track a component through the map from the best hit to both of its ends, correcting where a scan matches."""
@@ -323,14 +321,17 @@ class Alignment:
         return build_map(self.mapper, self.closure_state.scans, self.keys, poses)
 
     def _score_both(
-        self, poses: FloatArray, own: TileMaps, shift: FloatArray | float = 0.0
+        self, poses: FloatArray, own: TileMaps, shift: FloatArray | float = 0.0, least: float = -math.inf
     ) -> tuple[float, float, float]:
         """Log likelihood at poses (K, 3), the lesser of both directions; overlap and agreement of the component.
 
-        `own` is the component's map, in the frame of the other one but for a `shift` (3,).
+        `own` is the component's map, in the frame of the other one but for a `shift` (3,). What is not above `least`
+        in one direction is not scored in the other.
         """
         scans, old_poses, old, maps = self.known
         likelihood, overlap, agreement = self._score(maps, poses, self.closure_state.scans, self.keys)
+        if likelihood <= least:
+            return likelihood, overlap, agreement
         way = poses[:: KEY_SCANS_PER_SUBMAP // 2, :2]
         away = np.min([np.hypot(*(old_poses[old, :2] - place).T) for place in way], axis=0)
         near = old[away < _REACH_M]
@@ -362,7 +363,7 @@ class Alignment:
         return likelihood, known / max(beams, 1), agreeing / max(known, 1)
 
     def match_constraints(self, best: Hypothesis) -> list[Constraint]:
-        """Constraints from key scans of an aligned component to the nearest submaps of the other; none of too few."""
+        """Constraints from key scans of an aligned component to the nearest submaps of the other."""
         closure_state = self.closure_state
         _, old_poses, old, maps = self.known
         lenient = replace(self.places, inlier_ratio=self.parameters.inlier_ratio)
@@ -391,8 +392,7 @@ class Alignment:
             )
             if isinstance(constraint, Constraint):
                 found.append(constraint)
-        is_enough = len(found) >= self.parameters.min_constraints and any(each.determined for each in found)
-        return found if is_enough else []
+        return found
 
 
 def group_hits(graph: KeyGraph, hits: list[SearchHit]) -> list[list[SearchHit]]:

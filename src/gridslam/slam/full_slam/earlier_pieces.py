@@ -186,7 +186,9 @@ class EarlierPieces:
         best = alignment.decide(hypotheses)
         if best is not None and best.overlap >= _MIN_OVERLAP and best.agreement >= _MIN_AGREEMENT:
             constraints = alignment.match_constraints(best)
-            yield _Aligned(few, best.poses, constraints) if constraints else None
+            is_enough = len(constraints) >= self._alignment.min_constraints
+            if is_enough and any(constraint.determined for constraint in constraints):
+                yield _Aligned(few, best.poses, constraints)
 
     def _search(self, closure_state: LoopClosureState, number: int, key: int) -> list[SearchHit]:
         """Search a piece for the submap that ends at a key scan: where most of its points agree."""
