@@ -108,7 +108,7 @@ class Beginning:
         closure_state = state.closure_state
         if closure_state is None or closure_state.earlier is None or slam.loop_closure is None or self.locator is None:
             return
-        found = self.locator.locate_by_votes(closure_state)
+        found = self.locator.locate_whole(closure_state)
         if found is not None:
             slam.loop_closure.join(state, closure_state, found)
 

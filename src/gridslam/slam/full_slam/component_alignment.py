@@ -9,7 +9,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.geometry.se2 import between, compose, inverse
+from gridslam.geometry.se2 import between, compose, inverse, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton
@@ -24,7 +24,7 @@ from gridslam.slam.loop_closure.submap_matching import SubmapMatching
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.loop_closure.submap_recognition import drift_distance
 from gridslam.slam.loop_closure.submaps import ROW, build_map
-from gridslam.types import BeamEnds, FloatArray, IntArray
+from gridslam.types import BeamEnds, FloatArray, IntArray, StoredScan
 
 __all__ = ["Alignment", "ComponentAlignment", "Hypothesis", "KnownMap", "SearchHit", "group_hits"]
 
@@ -44,7 +44,10 @@ _MIN_OVERLAP = 0.4
 _REACH_M = 30.0
 """A key scan farther away sees nothing of the same."""
 
-_MOST_SCORED = 40
+_DENSE_M = 5.0
+"""Within so far of the way of a few scans their beams meet the walls close together."""
+
+_MOST_SCORED = 20
 """Key scans by which a hypothesis is scored, spread evenly, in either direction."""
 
 _SHIFTS = np.column_stack([np.cos(np.arange(8) * math.pi / 4), np.sin(np.arange(8) * math.pi / 4), np.zeros(8)])
@@ -92,7 +95,7 @@ class ComponentAlignment:
     constraint_interval : int
         Key scans from one constraint to the next.
     min_constraints : int
-        Minimum number of constraints of an alignment.
+        Minimum number of constraints of an alignment; across a gap determined ones.
     matching : SubmapMatching
         How submaps are matched: loosely, as the evidence of all key scans decides.
     matcher : GaussNewton
@@ -161,7 +164,8 @@ class ComponentAlignment:
             alignment = Alignment(self, closure_state, mapper, places, scorer, np.flatnonzero(labels == new), known)
             best = alignment.select_hypothesis(hits)
             if best is not None:
-                found += alignment.match_constraints(best)
+                determined = [each for each in alignment.match_constraints(best) if each.determined]
+                found += determined if len(determined) >= self.min_constraints else []
         return found
 
     def _search(
@@ -276,8 +280,10 @@ class Alignment:
         if any(other.evidence > limit for other in hypotheses if best.distance_m(other) >= parameters.merge_m):
             return None
         own = self._draw(best.poses)
-        shifted = (self._score_both(best.poses + shift, own, shift)[0] for shift in parameters.shift_m * _SHIFTS)
-        return None if any(likelihood - best.squared_sigmas > limit for likelihood in shifted) else best
+        limit += best.squared_sigmas
+        shifts = parameters.shift_m * _SHIFTS
+        is_comparable = any(self._score_both(best.poses + shift, own, shift, limit)[0] > limit for shift in shifts)
+        return None if is_comparable else best
 
     def track_component(self, group: list[SearchHit]) -> Hypothesis:
         """Track a component through the map from the best hit to both of its ends, correcting where a scan matches."""
@@ -291,7 +297,8 @@ class Alignment:
             for index in way:
                 key = int(self.keys[index])
                 guess = compose(pose, between(graph.tracked[last], graph.tracked[key]))
-                variances = np.array(graph.variances[max(key, last)]) + _MATCH_VARIANCES
+                steps = np.array(graph.variances[min(key, last) + 1 : max(key, last) + 1]).reshape(-1, 2)
+                variances = steps.sum(axis=0) + _MATCH_VARIANCES
                 pose = self._match_key_scan(self.closure_state.scans.key(key), guess, variances)
                 poses[index] = pose
                 last = key
@@ -314,39 +321,49 @@ class Alignment:
         return build_map(self.mapper, self.closure_state.scans, self.keys, poses)
 
     def _score_both(
-        self, poses: FloatArray, own: TileMaps, shift: FloatArray | float = 0.0
+        self, poses: FloatArray, own: TileMaps, shift: FloatArray | float = 0.0, least: float = -math.inf
     ) -> tuple[float, float, float]:
         """Log likelihood at poses (K, 3), the lesser of both directions; overlap and agreement of the component.
 
-        `own` is the component's map, in the frame of the other one but for a `shift` (3,).
+        `own` is the component's map, in the frame of the other one but for a `shift` (3,). What is not above `least`
+        in one direction is not scored in the other.
         """
         scans, old_poses, old, maps = self.known
         likelihood, overlap, agreement = self._score(maps, poses, self.closure_state.scans, self.keys)
-        away = np.full(len(old), np.inf)
-        for pose in poses[:: KEY_SCANS_PER_SUBMAP // 2]:
-            away = np.minimum(away, np.hypot(*(old_poses[old] - pose)[:, :2].T))
+        if likelihood <= least:
+            return likelihood, overlap, agreement
+        way = poses[:: KEY_SCANS_PER_SUBMAP // 2, :2]
+        away = np.min([np.hypot(*(old_poses[old, :2] - place).T) for place in way], axis=0)
         near = old[away < _REACH_M]
-        back, _, _ = self._score(own, old_poses[near] - shift, scans, near)
+        moved = old_poses[near] - shift
+        back, _, _ = self._score(own, moved, scans, near, way - np.atleast_1d(shift)[:2])
         return min(likelihood, back), overlap, agreement
 
     def _score(
-        self, maps: TileMaps, poses: FloatArray, scans: ScanArchive, keys: IntArray
+        self, maps: TileMaps, poses: FloatArray, scans: ScanArchive, keys: IntArray, way: FloatArray | None = None
     ) -> tuple[float, float, float]:
-        """Log likelihood of key scans (K,) at poses (K, 3) given a map, and their overlap and agreement with it."""
+        """Log likelihood of key scans (K,) at poses (K, 3) given a map, and their overlap and agreement with it.
+
+        Beams that end farther than some metres from a `way` (P, 2) are left out: beams there are far apart in its map.
+        """
         stride = max(1, -(-len(keys) // _MOST_SCORED))
         agreeing, known, beams = 0.0, 0, 0
         for key, pose in zip(keys[::stride].tolist(), poses[::stride], strict=True):
-            ends = scans.key(key).ends
+            scan = scans.key(key)
+            ends = scan.ends
+            if way is not None and len(ends):
+                away = transform_points(pose, ends)[:, None] - way
+                ends = ends[(np.square(away).sum(axis=2) < _DENSE_M**2).any(axis=1)]
             if len(ends):
-                own, number = self.scorer.agreement(maps, pose, ends)
-                agreeing += own
-                known += number
+                weights = self.scorer.weigh_same_side(maps, pose, StoredScan(ends, scan.origin))
+                agreeing += float(weights.sum(dtype=np.float64))
+                known += len(weights)
                 beams += len(ends)
         likelihood = stride * self.scorer.log_likelihood(agreeing, known)
         return likelihood, known / max(beams, 1), agreeing / max(known, 1)
 
     def match_constraints(self, best: Hypothesis) -> list[Constraint]:
-        """Constraints from key scans of an aligned component to the nearest submaps of the other; none of too few."""
+        """Constraints from key scans of an aligned component to the nearest submaps of the other."""
         closure_state = self.closure_state
         _, old_poses, old, maps = self.known
         lenient = replace(self.places, inlier_ratio=self.parameters.inlier_ratio)
@@ -373,23 +390,26 @@ class Alignment:
                 ConstraintSource.RECOGNIZED,
                 anchor,
             )
-            if isinstance(constraint, Constraint) and constraint.determined:
+            if isinstance(constraint, Constraint):
                 found.append(constraint)
-        return found if len(found) >= self.parameters.min_constraints else []
+        return found
 
 
 def group_hits(graph: KeyGraph, hits: list[SearchHit]) -> list[list[SearchHit]]:
     """Group hits that are consistent with the tracked motion, those of the greatest sum of scores first."""
     groups: list[list[SearchHit]] = []
+    tracked = np.array(graph.tracked)
+    keys = np.empty(len(hits), np.int64)  # of each group the newest hit
+    poses = np.empty((len(hits), 3))
     for hit in sorted(hits, key=lambda hit: hit.key):
-        for group in groups:
-            last = group[-1]
-            moved = between(graph.tracked[last.key], graph.tracked[hit.key])
-            x, y, turn = between(compose(last.pose, moved), hit.pose).tolist()
-            reach_m = _CONSISTENT_M + _CONSISTENT_M_PER_KEY_SCAN * (hit.key - last.key)
-            if np.hypot(x, y) < reach_m and abs(turn) < _CONSISTENT_RAD:
-                group.append(hit)
-                break
-        else:
-            groups.append([hit])
+        newest = keys[: len(groups)]
+        moved = between(tracked[newest], tracked[hit.key])
+        error = between(compose(poses[: len(groups)], moved), hit.pose)
+        reach_m = _CONSISTENT_M + _CONSISTENT_M_PER_KEY_SCAN * (hit.key - newest)
+        agrees = (np.hypot(error[:, 0], error[:, 1]) < reach_m) & (np.abs(error[:, 2]) < _CONSISTENT_RAD)
+        number = int(agrees.argmax()) if agrees.any() else len(groups)
+        if number == len(groups):
+            groups.append([])
+        groups[number].append(hit)
+        keys[number], poses[number] = hit.key, hit.pose
     return sorted(groups, key=lambda group: -sum(hit.score for hit in group))

@@ -2,46 +2,39 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.geometry.se2 import between, compose, transform_points
+from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid, thin_points
+from gridslam.matching.gauss_newton import weigh_known_beams
 from gridslam.slam.full_slam.component_alignment import (
     Alignment,
     ComponentAlignment,
+    Hypothesis,
     KnownMap,
     SearchHit,
     group_hits,
 )
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
+from gridslam.slam.loop_closure.constraints import Constraint
+from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
+from gridslam.slam.loop_closure.map_search import MapSearch
 from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.loop_closure.state import FoundPiece, LoopClosureState
-from gridslam.slam.loop_closure.submaps import build_map
+from gridslam.slam.loop_closure.submap_matching import Submap
+from gridslam.slam.loop_closure.submaps import ROW
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["EarlierPieces"]
 
-_WINDOW_M = 50.0
-"""Half the side of a square that is searched at a time; a larger map is searched square by square."""
-_SEARCH = BranchAndBound(window_m=_WINDOW_M, window_rad=math.pi, gate_sigmas=2.5, min_score=0.45)
-_SEARCH_INTERVAL = 3
-"""Key scans from one search to the next."""
-_QUERY_KEY_SCANS = 8
-"""Key scans whose points are searched together."""
-_SIMILAR = 0.85
-"""A drive is self-similar if, in its own map, the runner-up of a quarter of its key scans reaches so much of the best
-score."""
-
 _NEAR_M = 5.0
 _NEAR_RAD = 0.5
-"""Half the sides of the window that is searched about a pose that was given."""
+"""So far from a pose that was given the drive may begin."""
 
 _FIRST_KEY_SCANS = 12
 """A drive is not compared before it has this many key scans, about 5 m: less of it looks alike in too many places."""
@@ -49,32 +42,44 @@ _FIRST_KEY_SCANS = 12
 _LAST_KEY_SCANS = 90
 """Key scans, about 40 m, by which a drive is located: what was driven before may lie where the map ends."""
 
-_MIN_OVERLAP = 0.5
+_TRACKED = 4
+_TRACKED_AT_A_TIME = 2
+_SHARES = 2 + _TRACKED // _TRACKED_AT_A_TIME
+"""Hypotheses that are tracked, and key scans over which the work is spread: one searches, in 20 ms, some track two
+hypotheses each, in 15 ms each, and the last one decides, in 40 ms."""
+
+_EAGER_KEY_SCANS = 51
+_INTERVAL = 4 * _SHARES
+"""Until a drive has so many key scans a search follows the other, then there are so many key scans between them: in
+rooms that are all alike a drive that is not found costs as much as its mapping."""
+
+_ALIGNED = 45
+"""Key scans of a drive, spread evenly, that are tracked through a piece."""
+
+_MIN_LOG_LIKELIHOOD = 20.0
+"""Nats. A whole floor has some ten million places to be, 16 nats, where a drift allows for few; in other buildings the
+best place had -12 at most."""
+
+_AMBIGUITY_RATIO = 0.5
+"""Maximum evidence for any other place, as a fraction of the best."""
+
+_MIN_OVERLAP = 0.4
 """Ratio of beams that end in what the piece knows: beams that end outside of it contradict nothing. In other buildings
 the best places had 0.16 to 0.22, all but off the map; right ones 0.77 to 0.99."""
 
-_MIN_AGREEMENT = 0.87
+_MIN_AGREEMENT = 0.9
 """Agreement (see `TrajectoryScorer`) of those that do: on another floor of equal rooms 0.80, in right places from 0.93,
 where people walk about, to 0.99."""
-
-_VOTE_INTERVAL = 6
-_MIN_VOTES = 8
-_MIN_VOTE_RATIO = 0.5
-_MAX_RUNNER_UP_RATIO = 1 / 3
-"""Drives on one floor of equal rooms had 73 to 82 % of the votes and the runner-up 8 to 18 % of these; on other
-floors that look alike at most 15 % of the votes, and the runner-up nearly as many."""
-
-_PATIENCE = 30
-"""After each multiple of this many key scans without success searches are half as frequent, down to an eighth."""
 
 
 @final
 class EarlierPieces:
-    """Locates a drive in earlier pieces: every few key scans the newest points are searched everywhere.
+    """Locates a drive in earlier pieces: submaps of its way are searched in their maps (see `MapSearch`).
 
-    The hits of all searches are judged as those of a component behind a gap (see `ComponentAlignment`), but for the
-    drift, of which nothing is known: the drive as a whole is tracked through the piece's map from each place where
-    several of its searches agree, and only if one place explains it much better than any other it is found.
+    What is found is judged as with a component behind a gap in the laser data (see `ComponentAlignment`), but nothing
+    is known of the drift: the drive is tracked through the piece's map from each place where submaps of it fit, and if
+    only one of them explains it, it is found. While the robot drives, the work is spread over key scans by counts
+    alone, and pieces take turns.
 
     What was searched is remembered by what was searched for, so that results depend on the drive alone: a state that
     was saved, or stepped again, is located at the same key scan.
@@ -86,9 +91,9 @@ class EarlierPieces:
     mapper : OccupancyGridMapping
         How their maps are drawn.
     places : PlaceMatching
-        How key scans are matched, and what makes a place ambiguous.
+        How key scans are matched in the end.
     alignment : ComponentAlignment
-        When an alignment is certain.
+        How long submaps are, how they are matched, and what makes an alignment certain.
     scorer : TrajectoryScorer
         How hypotheses are scored.
     begin : (3,) float64, optional
@@ -107,162 +112,120 @@ class EarlierPieces:
         self.pieces = list(pieces)
         self._mapper = mapper
         self._places = places
-        self._alignment = alignment
+        certain = replace(alignment, min_log_likelihood=_MIN_LOG_LIKELIHOOD, ambiguity_ratio=_AMBIGUITY_RATIO)
+        self._alignment = certain if begin is None else alignment
         self._scorer = scorer
         self._begin = begin
-        self._maps = [piece.build_map(mapper) for piece in self.pieces]
-        self._pyramids = [Pyramid.of(maps, 0) for maps in self._maps]
-        self._hits: dict[tuple[int, int, bytes, bytes], list[SearchHit]] = {}
+        self._searches = [MapSearch(piece.build_map(mapper), alignment.matching) for piece in self.pieces]
+        self._turns = len(self.pieces) if begin is None else 1
+        self._hits: dict[tuple[int, int, bytes], list[SearchHit]] = {}
+        self._round: tuple[bytes, Iterator[PieceMatch | None]] = b"", iter(())
 
     def locate(self, closure_state: LoopClosureState) -> FoundPiece | None:
-        """Search for the newest key scan, and give the first piece in which the drive so far is found."""
+        """Do the newest key scan's share of the search, and give the piece in which the drive so far is found."""
         newest = len(closure_state.graph) - 1
-        if newest + 1 < _FIRST_KEY_SCANS or not self._is_searched(newest):
+        begins = _list_begins(newest)
+        if not begins:
             return None
-        poses = np.array(closure_state.graph.poses)
-        recent = np.arange(max(0, len(poses) - _LAST_KEY_SCANS), len(poses))
-        for number, piece in enumerate(self.pieces if self._begin is None else self.pieces[:1]):
-            found = self.align(closure_state, number, recent, [k for k in recent.tolist() if self._is_searched(k)])
-            if found is not None:
-                before = compose(found.poses[0], between(poses[recent[0]], poses[: recent[0]]))
-                match = found._replace(poses=np.concatenate([before, found.poses]))
-                return FoundPiece(number, piece, self._maps[number], match)
-        return None
+        last = begins[-1]
+        number = (len(begins) - 1) % self._turns
+        keys = closure_state.graph.select_without_gap(np.arange(max(0, last + 1 - _LAST_KEY_SCANS), last + 1), last)
+        known = np.array(closure_state.graph.tracked)[keys].tobytes()
+        if known != self._round[0]:
+            self._round = known, self._align_in_shares(closure_state, number, keys)
+            for _ in range(newest - last):
+                next(self._round[1], None)
+        aligned = next(self._round[1], None)
+        return None if aligned is None else self._find(closure_state, number, aligned)
 
-    def locate_by_votes(self, closure_state: LoopClosureState) -> FoundPiece | None:
-        """Give the first piece in which a drive that has ended is found as a whole (see `align_by_votes`)."""
-        keys = np.arange(len(closure_state.graph))
-        for number, piece in enumerate(self.pieces):
-            match = self.align_by_votes(closure_state, number, keys)
-            if match is not None:
-                return FoundPiece(number, piece, self._maps[number], match)
-        return None
+    def locate_whole(self, closure_state: LoopClosureState) -> FoundPiece | None:
+        """Give the first piece in which a drive that has ended is found as a whole.
 
-    def align_by_votes(self, closure_state: LoopClosureState, number: int, keys: IntArray) -> PieceMatch | None:
-        """Align all key scans (K,) of a drive with a piece; None if that is not certain.
-
-        In rooms that are all alike no part of a drive is certain, but as a whole it lies in one place alone. Each
-        search votes for its two best places. The drive lies where the votes of most searches agree with how it was
-        tracked, if no other place has a third as many.
+        In rooms that are all alike no part of a drive is certain, but as a whole it lies in one place alone.
         """
-        searched = keys[_VOTE_INTERVAL - 1 :: _VOTE_INTERVAL].tolist()
-        hits = [hit for key in searched for hit in self._search(closure_state, number, key)]
-        groups = sorted(group_hits(closure_state.graph, hits), key=len, reverse=True)
-        if not groups or len(groups[0]) < max(_MIN_VOTES, _MIN_VOTE_RATIO * len(searched)):
-            return None
-        if len(groups) > 1 and len(groups[1]) > _MAX_RUNNER_UP_RATIO * len(groups[0]):
-            return None
-        alignment = self._begin_alignment(closure_state, number, keys)
-        best = alignment.track_component(groups[0])
-        constraints = alignment.match_constraints(best)
-        return PieceMatch(best.poses, constraints) if constraints else None
+        for number in range(self._turns):
+            for aligned in self._align_in_shares(closure_state, number, np.arange(len(closure_state.graph))):
+                if aligned is not None:
+                    return self._find(closure_state, number, aligned)
+        return None
 
-    def align(
-        self, closure_state: LoopClosureState, number: int, keys: IntArray, searched: Sequence[int]
-    ) -> PieceMatch | None:
+    def align(self, closure_state: LoopClosureState, number: int, keys: IntArray) -> PieceMatch | None:
         """Align consecutive key scans (K,) of a drive with piece `number`; None if that is not certain.
 
-        `searched` are those of them for which the piece is searched. The match has the poses (K, 3) of these key scans.
+        The match has the poses of all key scans of the drive.
         """
-        parameters = self._alignment
+        for aligned in self._align_in_shares(closure_state, number, keys):
+            if aligned is not None:
+                return self._find(closure_state, number, aligned).match
+        return None
+
+    def _find(self, closure_state: LoopClosureState, number: int, aligned: _Aligned) -> FoundPiece:
+        """Lay the key scans that were not aligned as they were tracked from the nearest one that was."""
+        tracked = np.array(closure_state.graph.tracked)
+        nearest = np.abs(np.arange(len(tracked))[:, None] - aligned.keys).argmin(axis=1)
+        poses = compose(aligned.poses[nearest], between(tracked[aligned.keys[nearest]], tracked))
+        match = PieceMatch(poses, aligned.constraints)
+        return FoundPiece(number, self.pieces[number], self._searches[number].maps, match)
+
+    def _align_in_shares(
+        self, closure_state: LoopClosureState, number: int, keys: IntArray
+    ) -> Iterator[_Aligned | None]:
+        """Align key scans (K,) with a piece, one share of the work after the other."""
+        graph, piece = closure_state.graph, self.pieces[number]
+        searched = [key for key in _list_begins(int(keys[-1]))[number :: self._turns] if key >= keys[0]]
         hits = [hit for key in searched for hit in self._search(closure_state, number, key)]
-        agreeing = max((len(group) for group in group_hits(closure_state.graph, hits)), default=0)
-        if agreeing < parameters.min_constraints:
-            return None
-        alignment = self._begin_alignment(closure_state, number, keys)
-        best = alignment.select_hypothesis(hits)
-        if best is None or best.overlap < _MIN_OVERLAP or best.agreement < _MIN_AGREEMENT:
-            return None
-        if self._is_self_similar(closure_state, keys):
-            return None
-        constraints = alignment.match_constraints(best)
-        return PieceMatch(best.poses, constraints) if constraints else None
-
-    def _begin_alignment(self, closure_state: LoopClosureState, number: int, keys: IntArray) -> Alignment:
-        piece = self.pieces[number]
-        known = KnownMap(piece.scans, piece.poses, np.arange(len(piece)), self._maps[number])
-        return Alignment(self._alignment, closure_state, self._mapper, self._places, self._scorer, keys, known)
-
-    def _is_self_similar(self, closure_state: LoopClosureState, keys: IntArray) -> bool:
-        """Whether key scans (K,) also match their own map elsewhere."""
-        poses = np.array(closure_state.graph.poses)
-        own = Pyramid.of(build_map(self._mapper, closure_state.scans, keys, poses[keys]), 0)
-        within = replace(_SEARCH, window_m=15.0, window_rad=0.35)
-        ratios = []
-        for key in keys[min(_QUERY_KEY_SCANS, len(keys)) - 1 :: max(len(keys) // 8, 1)].tolist():
-            points = thin_points(collect_recent_points(closure_state, key, _QUERY_KEY_SCANS), _SEARCH.max_points)
-            found = within.search(own, poses[key], None, points)
-            ratios.append(0.0 if found is None else found.runner_up_score / found.score)
-        return float(np.quantile(ratios, 0.75)) >= _SIMILAR
-
-    def _is_searched(self, key: int) -> bool:
-        """Whether a key scan is one of those that are searched."""
-        interval = _SEARCH_INTERVAL * 2 ** min(key // _PATIENCE, 3)
-        return bool((key + 1) % interval == 0)
+        groups = group_hits(graph, [hit for hit in hits if hit.key >= keys[0]])
+        yield None
+        few = keys[:: -(-len(keys) // _ALIGNED)]
+        known = KnownMap(piece.scans, piece.poses, np.arange(len(piece)), self._searches[number].maps)
+        alignment = Alignment(self._alignment, closure_state, self._mapper, self._places, self._scorer, few, known)
+        hypotheses: list[Hypothesis] = []
+        for first in range(0, min(len(groups), _TRACKED), _TRACKED_AT_A_TIME):
+            hypotheses += [alignment.track_component(group) for group in groups[first : first + _TRACKED_AT_A_TIME]]
+            yield None
+        best = alignment.decide(hypotheses)
+        if best is not None and best.overlap >= _MIN_OVERLAP and best.agreement >= _MIN_AGREEMENT:
+            constraints = alignment.match_constraints(best)
+            is_enough = len(constraints) >= self._alignment.min_constraints
+            if is_enough and any(constraint.determined for constraint in constraints):
+                yield _Aligned(few, best.poses, constraints)
 
     def _search(self, closure_state: LoopClosureState, number: int, key: int) -> list[SearchHit]:
-        """The two best places of a key scan's points in a piece."""
-        points = collect_recent_points(closure_state, key, _QUERY_KEY_SCANS)
-        few = thin_points(points, _SEARCH.max_points)
-        expected = None
-        if self._begin is not None:
-            poses = closure_state.graph.poses
-            expected = compose(self._begin, between(poses[0], poses[key]))
-        known = (number, key, few.tobytes(), b"" if expected is None else expected.tobytes())
+        """Search a piece for the submap that ends at a key scan: where most of its points agree."""
+        graph = closure_state.graph
+        keys = graph.select_without_gap(np.arange(max(0, key + 1 - _LAST_KEY_SCANS), key + 1), key)
+        way = graph.driven_m()[keys]
+        keys = keys[way >= way[-1] - self._alignment.length_m]
+        known = (number, key, np.array(graph.tracked)[keys].tobytes())
         if known not in self._hits:
-            found = (
-                self._search_everywhere(number, key, few)
-                if expected is None
-                else self._search_near(number, key, few, expected)
-            )
-            self._hits[known] = list(found)
+            submap = Submap.of(graph, int(keys[len(keys) // 2]), keys, closure_state.scans, self._mapper)
+            self._hits[known] = self._match(graph, number, submap)
         return self._hits[known]
 
-    def _search_near(self, number: int, key: int, points: FloatArray, expected: FloatArray) -> Iterator[SearchHit]:
-        """Search a piece about the pose (3,) where the key scan is expected."""
-        search = replace(_SEARCH, window_m=_NEAR_M, window_rad=_NEAR_RAD)
-        found = search.search(self._pyramids[number], expected, None, points)
-        if found is not None:
-            yield SearchHit(key, found.pose, found.score)
-
-    def _search_everywhere(self, number: int, key: int, points: FloatArray) -> Iterator[SearchHit]:
-        """Search a piece square by square."""
-        places: list[tuple[float, FloatArray]] = []
-        search = _SEARCH
-        for centre in self._centres(number):
-            found = search.search(self._pyramids[number], centre, None, points)
-            if found is not None:
-                places.append((found.score, found.pose))
-                if found.runner_up_pose is not None:
-                    places.append((found.runner_up_score, found.runner_up_pose))
-        places.sort(key=lambda place: -place[0])
-        best: list[tuple[float, FloatArray]] = []
-        for score, pose in places:  # squares overlap by nothing, but a place on their border may be found in both
-            if not any(np.hypot(*(pose - other)[:2]) < search.runner_up_distance_m for _, other in best):
-                best.append((score, pose))
-        for score, pose in best[:2]:
-            yield SearchHit(key, pose, score)
-
-    def _centres(self, number: int) -> Iterator[FloatArray]:
-        """Poses (3,) in the middle of the squares that cover a piece's map."""
-        pyramid = self._pyramids[number]
-        low = np.array(pyramid.corner)[::-1] * pyramid.resolution_m
-        sides = np.array(pyramid.shape[::-1]) * pyramid.resolution_m
-        across, up = np.ceil(sides / (2 * _WINDOW_M)).astype(int).tolist()
-        for column in range(across):
-            for row in range(up):
-                yield np.append(low + sides * [(column + 0.5) / across, (row + 0.5) / up], 0.0)
+    def _match(self, graph: KeyGraph, number: int, submap: Submap) -> list[SearchHit]:
+        search = self._searches[number]
+        hits = []
+        near = None
+        if self._begin is not None:
+            near = compose(self._begin, between(graph.tracked[0], graph.tracked[submap.anchor]))
+        for pose, points in search(submap, near, _NEAR_M, _NEAR_RAD):
+            weights = weigh_known_beams(search.maps, ROW, pose, points.ends, self._scorer.scale_m)
+            score = self._scorer.log_likelihood(float(weights.sum(dtype=np.float64)), len(weights))
+            if score > 0:
+                hits.append(SearchHit(submap.anchor, pose, score))
+        return sorted(hits, key=lambda hit: -hit.score)[:_TRACKED]
 
 
-def collect_recent_points(closure_state: LoopClosureState, key: int, scans: int) -> FloatArray:
-    """Points (B, 2) of a key scan and those before it, `scans` in all at most, seen from it.
+@final
+class _Aligned(NamedTuple):
+    """Key scans (K,) of a drive, their poses (K, 3) in a piece, and what constrains them."""
 
-    Stops at a gap in the laser data.
-    """
-    graph = closure_state.graph
-    keys = graph.select_without_gap(np.arange(max(key - scans + 1, 0), key + 1), key)
-    tracked = graph.tracked_poses_from(key, keys)
-    points = [
-        transform_points(pose, closure_state.scans.key(k).ends) for k, pose in zip(keys.tolist(), tracked, strict=True)
-    ]
-    return np.concatenate(points)
+    keys: IntArray
+    poses: FloatArray
+    constraints: list[Constraint]
+
+
+def _list_begins(newest: int) -> list[int]:
+    """Key scans up to the newest one at which a search begins."""
+    eager = range(_FIRST_KEY_SCANS - 1, min(_EAGER_KEY_SCANS, newest + 1), _SHARES)
+    return [*eager, *range(_EAGER_KEY_SCANS, newest + 1, _INTERVAL)]

@@ -23,7 +23,6 @@ __all__ = ["MergedPiece", "merge_pieces"]
 _WINDOW = 90
 """Key scans that are aligned together, about 40 m: as many as locate a drive while it is driven."""
 _STRIDE = 45
-_SEARCH_INTERVAL = 6
 _ENOUGH = 3
 """Windows that agree: then two pieces are joined, and the final refinement finds what else they have in common."""
 _AGREE_M = 1.0
@@ -112,11 +111,11 @@ def _link(
     poses = later.poses
     groups: list[list[tuple[FloatArray, list[Constraint]]]] = []
     for window in _windows(later):
-        match = located.align(state, 0, window, window[_SEARCH_INTERVAL - 1 :: _SEARCH_INTERVAL].tolist())
+        match = located.align(state, 0, window)
         if match is None:
             continue
         middle = len(window) // 2
-        frame = compose(match.poses[middle], inverse(poses[window[middle]]))
+        frame = compose(match.poses[window[middle]], inverse(poses[window[middle]]))
         for group in groups:
             if _agree(group[0][0], frame, poses[window[middle]]):
                 group.append((frame, match.constraints))
@@ -127,7 +126,7 @@ def _link(
         if len(groups[0]) >= _ENOUGH + sum(map(len, groups[1:])):
             break
     if not groups or len(groups[0]) <= 2 * sum(map(len, groups[1:])):
-        match = located.align_by_votes(state, 0, np.arange(len(later)))
+        match = located.align(state, 0, np.arange(len(later)))
         if match is None:
             return None
         return compose(match.poses[0], inverse(poses[0])), match.constraints

@@ -7,19 +7,24 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, rotate_covariances
 from gridslam.grid.scan_batch import Weighing
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.gauss_newton import weigh_known_beams
+from gridslam.matching.gauss_newton import cauchy_weights
 from gridslam.parameters import bounded, parameters
+from gridslam.scan import BeamEnds
 from gridslam.slam.loop_closure.drift_model import compute_moments, diagonal_covariances, propagate_covariances
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.submaps import ROW, batches, fade
 from gridslam.types import FloatArray
+
+_BEFORE_M = 0.3
+"""More than the thickness of most walls inside buildings."""
 
 __all__ = ["TrajectoryScore", "TrajectoryScorer", "path_lengths"]
 
@@ -123,10 +128,17 @@ class TrajectoryScorer:
         """Log likelihood (nats) of beams, given the sum of their agreement and their number."""
         return self.tempering * (agreeing - self.neutral * beams)
 
-    def agreement(self, maps: TileMaps, pose: FloatArray, ends: FloatArray) -> tuple[float, int]:
-        """Sum of the agreement of those ends of beams (B, 2) that the one map knows, and their number."""
-        weights = weigh_known_beams(maps, ROW, pose, ends, self.scale_m)
-        return float(weights.sum(dtype=np.float64)), len(weights)
+    def weigh_same_side(self, maps: TileMaps, pose: FloatArray, beams: BeamEnds) -> NDArray[np.float32]:
+        """Agreement (K,) of those beams seen from a pose (3,) that the one map knows from the same side.
+
+        Their ends are known cells, and what is a bit before them: from the next room a wall is seen from behind, and
+        its thickness is no disagreement.
+        """
+        back = beams.origin - beams.ends
+        lengths = np.maximum(np.hypot(*back.T), 1e-9)[:, None]
+        before = beams.ends + _BEFORE_M * back / lengths
+        known = maps.is_known(0, beams.ends, pose) & maps.is_known(0, before, pose)
+        return cauchy_weights(maps.distances(ROW, pose[None], beams.ends)[0, known], self.scale_m)
 
     def _motion(self, tracked: FloatArray, variances: FloatArray, poses: FloatArray) -> float:
         """Tempered log likelihood of the motion from submap to submap, by a Cauchy density, up to a constant."""

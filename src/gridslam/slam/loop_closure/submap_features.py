@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gridslam.kernels import backend
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["SubmapFeatures", "extract_features", "match_features"]
+__all__ = ["SubmapFeatures", "extract_features", "match_features", "match_nearest_features"]
 
 _CELL_M = 0.2
 """Cells of the image: coarse enough that drift within a submap and moved chairs change few of them."""
@@ -26,6 +26,9 @@ _LEAST_CORNER = 1e-8
 _MOST_DIFFERENT_BITS = 70
 """Descriptors of different places differ by 128 bits on average, with a standard deviation of 8 if bits were free."""
 _MOST_MATCHES = 120
+_MOST_ALIKE_BITS = 90
+_MOST_NEAREST = 300
+"""Of matches with several keypoints each, more different ones and more of them are worth a look."""
 
 _DISC_Y, _DISC_X = np.nonzero(np.hypot(*np.mgrid[-_PATCH : _PATCH + 1, -_PATCH : _PATCH + 1]) <= _PATCH)
 _DISC_Y -= _PATCH
@@ -69,8 +72,8 @@ class SubmapFeatures(NamedTuple):
 _NONE = SubmapFeatures(np.empty((0, 2)), np.empty(0), np.empty((0, _BITS // 64), np.uint64))
 
 
-def extract_features(points: FloatArray) -> SubmapFeatures:
-    """Extract keypoints of the image that the ends of beams (B, 2) make, in m in the submap's frame.
+def extract_features(points: FloatArray, most: int = _MOST_KEYPOINTS) -> SubmapFeatures:
+    """Extract `most` keypoints of the image that the ends of beams (B, 2) make, in m in the submap's frame.
 
     Corners (Harris) of the blurred occupancy; the direction of a keypoint is that of the intensity centroid of its
     patch, and its descriptor compares pairs of cells in the patch, turned by that direction.
@@ -87,7 +90,7 @@ def extract_features(points: FloatArray) -> SubmapFeatures:
     column, row = (cells - corner).T
     hits = np.bincount(row * width + column, minlength=width * height).reshape(height, width)
     image = np.minimum(1.5 * _blur((hits >= _MIN_HITS).astype(np.float32), 1.0), 1)
-    y, x = _find_corners(image)
+    y, x = _find_corners(image, most)
     if not len(y):
         return _NONE
     patches = image[y[:, None] + _DISC_Y, x[:, None] + _DISC_X]
@@ -120,7 +123,19 @@ def match_features(old: SubmapFeatures, new: SubmapFeatures) -> IntArray:
     return np.stack([chosen, nearest[chosen]], axis=1)
 
 
-def _find_corners(image: NDArray[np.float32]) -> tuple[IntArray, IntArray]:
+def match_nearest_features(old: SubmapFeatures, new: SubmapFeatures, count: int) -> IntArray:
+    """Match each new keypoint with the `count` old ones of the nearest descriptors: pairs (M, 2), best first."""
+    if not (len(old) and len(new)):
+        return np.empty((0, 2), np.int64)
+    different = backend.hamming_distances(new.descriptors, old.descriptors)
+    nearest = np.argsort(different, axis=1, kind="stable")[:, :count]
+    bits = np.take_along_axis(different, nearest, axis=1).ravel()
+    pairs = np.stack([nearest.ravel(), np.repeat(np.arange(len(new)), nearest.shape[1])], axis=1)
+    chosen = np.argsort(bits, kind="stable")[: min(_MOST_NEAREST, np.count_nonzero(bits < _MOST_ALIKE_BITS))]
+    return pairs[chosen]
+
+
+def _find_corners(image: NDArray[np.float32], most: int) -> tuple[IntArray, IntArray]:
     """Rows and columns (K,) of the strongest corners, at least a patch from the border."""
     dy, dx = (np.asarray(slope, np.float32) for slope in np.gradient(image))
     xx = _blur(dx * dx, 1.0)
@@ -134,7 +149,7 @@ def _find_corners(image: NDArray[np.float32]) -> tuple[IntArray, IntArray]:
     rows, columns = np.nonzero((middle > _LEAST_CORNER) & (middle >= greatest))
     rows += _PATCH + 1
     columns += _PATCH + 1
-    strongest = np.argsort(-strength[rows, columns], kind="stable")[:_MOST_KEYPOINTS]
+    strongest = np.argsort(-strength[rows, columns], kind="stable")[:most]
     return rows[strongest], columns[strongest]
 
 

@@ -22,7 +22,7 @@ from gridslam.slam.loop_closure.submap_features import SubmapFeatures, extract_f
 from gridslam.slam.loop_closure.submaps import ROW, build_map
 from gridslam.types import FloatArray, IntArray, Match, StoredScan
 
-__all__ = ["DrawnSubmap", "Submap", "SubmapMatch", "SubmapMatching", "propose_poses"]
+__all__ = ["DrawnSubmap", "Submap", "SubmapMatch", "SubmapMatching", "poses_of_pairs", "propose_poses"]
 
 _REACH_M = 30.0
 """Beams beyond are far apart, and their ends move with the heading."""
@@ -229,6 +229,30 @@ def propose_poses(
     """
     a = old.points[pairs[:, 0]]
     b = new.points[pairs[:, 1]]
+    rough = poses_of_pairs(old, new, pairs, _MOST_PAIRS)
+    if not len(rough):
+        return []
+    agree = np.square(transform_points(rough[:, None], b) - a).sum(axis=2) < _SAME_M**2
+    counts = agree.sum(axis=1)
+    poses: list[tuple[FloatArray, int]] = []
+    taken: list[FloatArray] = []
+    for place in np.argsort(-counts, kind="stable").tolist():
+        if counts[place] < least or len(poses) >= most:
+            break
+        if any(_is_near(rough[place], other) for other in taken):
+            continue
+        taken.append(rough[place])
+        poses.append((_fit(a[agree[place]], b[agree[place]]), int(counts[place])))
+    return poses
+
+
+def poses_of_pairs(old: SubmapFeatures, new: SubmapFeatures, pairs: IntArray, most: int) -> FloatArray:
+    """Poses (K, 3), `most` of them, that lay two keypoints on those that they match, where their distance is the same.
+
+    The directions of the keypoints must agree with it, too.
+    """
+    a = old.points[pairs[:, 0]]
+    b = new.points[pairs[:, 1]]
     turns = wrap(old.headings[pairs[:, 0]] - new.headings[pairs[:, 1]])
     first, second = np.triu_indices(len(pairs), 1)
     in_old = a[second] - a[first]
@@ -239,29 +263,10 @@ def propose_poses(
     for end in (first, second):
         fits &= np.abs(wrap(headings - turns[end])) < _SAME_RAD
     chosen = np.flatnonzero(fits)
-    chosen = chosen[:: max(1, -(-len(chosen) // _MOST_PAIRS))]
-    if not len(chosen):
-        return []
-    first, second, headings = first[chosen], second[chosen], headings[chosen]
-    c = np.cos(headings)
-    s = np.sin(headings)
-    turned = np.stack(
-        [c[:, None] * b[:, 0] - s[:, None] * b[:, 1], s[:, None] * b[:, 0] + c[:, None] * b[:, 1]], axis=2
-    )
-    places = np.arange(len(chosen))
-    shifts = 0.5 * (a[first] + a[second] - turned[places, first] - turned[places, second])
-    agree = np.square(turned + shifts[:, None] - a).sum(axis=2) < _SAME_M**2
-    counts = agree.sum(axis=1)
-    poses: list[tuple[FloatArray, int]] = []
-    rough = np.column_stack([shifts, headings])
-    taken: list[FloatArray] = []
-    for place in np.argsort(-counts, kind="stable").tolist():
-        if counts[place] < least or len(poses) >= most:
-            break
-        if any(_is_near(rough[place], other) for other in taken):
-            continue
-        taken.append(rough[place])
-        poses.append((_fit(a[agree[place]], b[agree[place]]), int(counts[place])))
+    chosen = chosen[:: max(1, -(-len(chosen) // most))]
+    first, second = first[chosen], second[chosen]
+    poses = np.column_stack([np.zeros((len(chosen), 2)), headings[chosen]])
+    poses[:, :2] = 0.5 * (a[first] + a[second]) - transform_points(poses, 0.5 * (b[first] + b[second]))
     return poses
 
 

@@ -1,0 +1,114 @@
+"""Search of a whole map for where a submap lies in it, over the full turn."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.geometry.angles import wrap
+from gridslam.grid.tiles import TileMaps
+from gridslam.kernels import TILE
+from gridslam.matching.branch_and_bound import thin_points
+from gridslam.matching.gauss_newton import NO_PRIOR, cauchy_weights
+from gridslam.slam.loop_closure.submap_features import extract_features, match_nearest_features
+from gridslam.slam.loop_closure.submap_matching import Submap, SubmapMatching, poses_of_pairs
+from gridslam.types import FloatArray, StoredScan
+
+__all__ = ["MapPlace", "MapSearch"]
+
+_NEAREST = 5
+"""Keypoints of the map that one of a submap is matched with: in a building many look alike."""
+_MOST_COMPARED = 2000
+_RANKED_POINTS = 200
+_REFINED = 32
+_REFINED_POINTS = 500
+"""Poses that are compared with the map by some points, and of these the best ones, refined with more of them."""
+_RANK_M = 0.3
+_DISTINCT_M = 0.5
+_DISTINCT_RAD = 0.15
+"""Poses nearer to each other in both are the same place."""
+
+
+@final
+class MapPlace(NamedTuple):
+    """A place where a submap may lie in a map.
+
+    Attributes
+    ----------
+    pose : (3,) float64
+        Of the submap's frame in the map.
+    points : StoredScan
+        Of the submap, by which the place was refined.
+    """
+
+    pose: FloatArray
+    points: StoredScan
+
+
+@final
+class MapSearch:
+    """Searches a map for submaps: any two keypoints that match in both propose a pose, and the map decides.
+
+    As between two submaps (see `SubmapMatching`), but the map may be of any size and origin: what is known of it is
+    where its obstacles are. A keypoint is matched with several of the map's, and poses are not ranked by how many
+    keypoints agree, but by how many points of the submap lie on obstacles.
+
+    Parameters
+    ----------
+    maps : TileMaps
+        One map.
+    matching : SubmapMatching
+        How poses are refined.
+    """
+
+    def __init__(self, maps: TileMaps, matching: SubmapMatching) -> None:
+        self.maps = maps
+        self._matching = matching
+        self._features = extract_features(_occupied_points(maps), most=100_000)
+
+    def __call__(
+        self, submap: Submap, near: FloatArray | None = None, near_m: float = math.inf, near_rad: float = math.inf
+    ) -> list[MapPlace]:
+        """Return the places where a submap may lie, refined; all of them, or those near a pose (3,)."""
+        pairs = match_nearest_features(self._features, submap.features, _NEAREST)
+        poses = poses_of_pairs(self._features, submap.features, pairs, _MOST_COMPARED)
+        if near is not None:
+            away = poses - near
+            poses = poses[(np.hypot(away[:, 0], away[:, 1]) < near_m) & (np.abs(wrap(away[:, 2])) < near_rad)]
+        if not len(poses):
+            return []
+        points = submap.collect_points()
+        rows = np.zeros(len(poses), np.int32)
+        away_m = self.maps.distances(rows, poses, thin_points(points, _RANKED_POINTS))
+        poses = _select_distinct(poses, cauchy_weights(away_m, _RANK_M).mean(axis=1))
+        few = StoredScan(thin_points(points, _REFINED_POINTS), np.zeros(2))
+        rows = rows[: len(poses)]
+        priors = np.broadcast_to(NO_PRIOR, (len(poses), 3, 3)).copy()
+        for matcher in (self._matching.coarse, self._matching.fine):
+            poses = matcher(self.maps, rows, poses, priors, few).poses
+        return [MapPlace(pose, few) for pose in poses]
+
+
+def _occupied_points(maps: TileMaps) -> FloatArray:
+    """Centres (K, 2) of the occupied cells of the one map, m."""
+    fields, ids, corner = maps.field_tiles(0, most_cells=2**16)
+    tiles = np.argwhere(ids)
+    number, row, column = np.nonzero(fields[ids[ids > 0]] == 255)
+    cells = tiles[number] * TILE + np.stack([row, column], axis=1) + corner
+    return (cells[:, ::-1] + 0.5) * maps.resolution_m
+
+
+def _select_distinct(poses: FloatArray, weights: NDArray[np.float32]) -> FloatArray:
+    """Select the best of poses (K, 3), no two of them the same place."""
+    left = poses[np.argsort(-weights, kind="stable")]
+    chosen = []
+    while len(left) and len(chosen) < _REFINED:
+        chosen.append(left[0])
+        away = left - left[0]
+        left = left[
+            (np.hypot(away[:, 0], away[:, 1]) >= _DISTINCT_M) | (np.abs(wrap(away[:, 2])) >= _DISTINCT_RAD)
+        ]
+    return np.array(chosen)
