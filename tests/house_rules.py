@@ -32,9 +32,7 @@ ONLY_IN = {
     "uvicorn": {"live"},
     "websockets": set(),
     "fsspec": {"io"},
-    "pandas": {"api"},
     "dask": {"batch"},
-    "dask_jobqueue": {"batch"},
     "distributed": {"batch"},
 }
 """Who may import which dependency: help must not pay for drawing, nor the filter for a terminal."""

@@ -9,7 +9,7 @@ import pytest
 from house_rules import ALLOWED, ONLY_IN, impurities, is_pure, misplaced, upward, violations
 from support.house import ROOT, Source, find_cycle, sources
 
-EXTRAS = {"optuna", "dask", "dask_jobqueue", "distributed", "fsspec", "pandas", "pooch"}
+EXTRAS = {"optuna", "dask", "distributed", "fsspec", "pooch"}
 """Of the dependencies, what is installed on demand."""
 
 UNSEEN = {"backports"}
