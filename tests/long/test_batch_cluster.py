@@ -50,13 +50,3 @@ def test_every_log_has_its_row_where_two_of_four_workers_are_killed(tmp_path, se
     assert max(attempts) <= 3
     run_jobs(jobs, tmp_path / "two", executor=ProcessPool(2))
     check_same_results(tmp_path / "one", tmp_path / "two", [job.folder for job in jobs])
-
-
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # dask-jobqueue waits for no process
-def test_a_cluster_is_started_from_a_configuration_of_dask_jobqueue(tmp_path):
-    pytest.importorskip("dask_jobqueue")
-    file = tmp_path / "cluster.yaml"
-    file.write_text("jobqueue:\n  local:\n    cores: 1\n    memory: 2GB\n    processes: 1\n    interface: lo\n")
-    jobs = [map_job(log, log.stem) for log in write_logs(tmp_path / "logs", 3)]
-    rows = run_jobs(jobs, tmp_path / "out", executor=DaskCluster(str(file), workers=2))
-    assert [row["status"] for row in rows] == 3 * ["done"]

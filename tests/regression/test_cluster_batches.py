@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import socket
 import subprocess
 import sys
@@ -70,14 +69,9 @@ def test_a_scheduler_that_does_not_answer_is_one_line_within_seconds(tmp_path):
 
 
 def test_a_file_that_names_no_cluster_is_refused(tmp_path):
-    for name, text, problem in (
-        ("a.json", "{}", "a.json: expected a scheduler's file, with an address"),
-        ("b.yaml", "jobqueue:\n  cloud:\n    cores: 1\n", "b.yaml: expected jobqueue with one of htcondor, local"),
-        ("c.yaml", "a: [", "c.yaml, line 1: expected YAML"),
-    ):
-        (tmp_path / name).write_text(text)
-        with pytest.raises((ConfigurationError, InputError), match=re.escape(problem)):
-            DaskCluster(str(tmp_path / name))
+    (tmp_path / "a.json").write_text("{}")
+    with pytest.raises(InputError, match=r"a\.json: expected a scheduler's file, with an address"):
+        DaskCluster(str(tmp_path / "a.json"))
 
 
 def test_a_missing_extra_is_named(monkeypatch):

@@ -9,13 +9,11 @@ import time
 import uuid
 from concurrent.futures import Future
 from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, final
 
 from gridslam.batch.child import LostWorkerError, run_job
 from gridslam.errors import ConfigurationError, InputError, MissingDependencyError, OutputError
-from gridslam.io.text import read_json, read_text, refuse_unreadable
-from gridslam.io.yaml import parse_yaml
+from gridslam.io.text import read_json
 
 if TYPE_CHECKING:
     import distributed
@@ -24,17 +22,6 @@ __all__ = ["DaskCluster"]
 
 _CONNECT_S = 5.0
 _COUNT_EVERY_S = 5.0
-_KINDS = {
-    "htcondor": "HTCondorCluster",
-    "local": "LocalCluster",
-    "lsf": "LSFCluster",
-    "moab": "MoabCluster",
-    "oar": "OARCluster",
-    "pbs": "PBSCluster",
-    "sge": "SGECluster",
-    "slurm": "SLURMCluster",
-}
-"""Clusters of dask-jobqueue, by their names in its configuration file."""
 
 
 @final
@@ -47,10 +34,8 @@ class DaskCluster:
     Parameters
     ----------
     scheduler : str
-        Address, such as tcp://host:8786 or tls://host:8786; the scheduler's file (JSON, as ``dask scheduler
-        --scheduler-file`` writes it); or a configuration of dask-jobqueue (YAML), whose cluster is started.
-    workers : int, optional
-        Number of workers of a cluster that is started.
+        Address, such as tcp://host:8786 or tls://host:8786; or the scheduler's file (JSON, as ``dask
+        scheduler --scheduler-file`` writes it).
 
     Attributes
     ----------
@@ -62,10 +47,10 @@ class DaskCluster:
     ConfigurationError
         The scheduler does not answer within 5 s, or the file is none of these.
     MissingDependencyError
-        dask.distributed, or for a configuration dask-jobqueue, is not installed.
+        dask.distributed is not installed.
     """
 
-    def __init__(self, scheduler: str, workers: int | None = None) -> None:
+    def __init__(self, scheduler: str) -> None:
         """Connect to the scheduler."""
         try:
             import distributed  # noqa: F401
@@ -73,8 +58,7 @@ class DaskCluster:
             raise MissingDependencyError("--scheduler", "dask.distributed", "cluster") from None
         for name in ("distributed", "tornado"):  # what they log is no news to the user; what matters is raised
             logging.getLogger(name).setLevel(logging.CRITICAL)
-        self._cluster: Any = None
-        self._connection = self._connect(scheduler, workers)
+        self._connection = _connect(scheduler)
         self._scheduler = scheduler
         self._capacity = 0
         self._counted_s = -_COUNT_EVERY_S
@@ -91,15 +75,12 @@ class DaskCluster:
         self.close()
 
     def close(self) -> None:
-        """Disconnect, and end a cluster that was started."""
+        """Disconnect."""
         with suppress(Exception):  # the scheduler may be gone
             self._connection.cancel(list(self._tasks.values()), force=True)
         self._tasks.clear()
         with suppress(Exception):
             self._connection.close(timeout=_CONNECT_S)
-        if self._cluster is not None:
-            with suppress(Exception):
-                self._cluster.close()
 
     def capacity(self) -> int:
         """Return twice the number of the workers' threads, so that none waits for its next job."""
@@ -145,25 +126,23 @@ class DaskCluster:
     def _lost(self) -> str:
         return f"{self._scheduler}: the connection to the scheduler is lost; the same command again continues"
 
-    def _connect(self, scheduler: str, workers: int | None) -> distributed.Client:
-        from distributed import Client
 
-        if Path(scheduler).suffix in (".yaml", ".yml"):
-            self._cluster = _start_cluster(Path(scheduler), workers)
-            return Client(self._cluster, set_as_default=False)
-        address = scheduler
-        if not re.fullmatch(r"\w+://.+|[^/\\]+:\d+", scheduler):
-            address = _read_address(scheduler)
-        try:
-            asyncio.run(_greet(address))
-            return Client(address, timeout=_CONNECT_S, set_as_default=False)
-        except ValueError as error:
-            raise ConfigurationError(f"--scheduler {scheduler}: {error}") from None
-        except Exception:
-            problem = f"no Dask scheduler answers within {_CONNECT_S:g} s"
-            if address.startswith("tls:"):
-                problem += " and accepts this machine's certificate (distributed.comm.tls in ~/.config/dask)"
-            raise ConfigurationError(f"--scheduler {scheduler}: {problem}") from None
+def _connect(scheduler: str) -> distributed.Client:
+    from distributed import Client
+
+    address = scheduler
+    if not re.fullmatch(r"\w+://.+|[^/\\]+:\d+", scheduler):
+        address = _read_address(scheduler)
+    try:
+        asyncio.run(_greet(address))
+        return Client(address, timeout=_CONNECT_S, set_as_default=False)
+    except ValueError as error:
+        raise ConfigurationError(f"--scheduler {scheduler}: {error}") from None
+    except Exception:
+        problem = f"no Dask scheduler answers within {_CONNECT_S:g} s"
+        if address.startswith("tls:"):
+            problem += " and accepts this machine's certificate (distributed.comm.tls in ~/.config/dask)"
+        raise ConfigurationError(f"--scheduler {scheduler}: {problem}") from None
 
 
 def _read_address(path: str) -> str:
@@ -182,26 +161,3 @@ async def _greet(address: str) -> None:
     answer = connect(address, timeout=_CONNECT_S, **Security().get_connection_args("client"))
     comm = await asyncio.wait_for(answer, _CONNECT_S)
     await comm.close()
-
-
-def _start_cluster(path: Path, workers: int | None) -> Any:  # noqa: ANN401
-    """Start the cluster that a configuration of dask-jobqueue describes."""
-    try:
-        import dask_jobqueue
-        import dask_jobqueue.local
-    except ImportError:
-        raise MissingDependencyError("a cluster of a batch system", "dask-jobqueue", "cluster") from None
-    with refuse_unreadable(path, "YAML"):
-        content = parse_yaml(read_text(path))
-    content = content.get("jobqueue") if isinstance(content, dict) else None
-    kinds = [name for name in _KINDS if isinstance(content, dict) and isinstance(content.get(name), dict)]
-    if len(kinds) != 1 or content is None:
-        raise ConfigurationError(f"{path}: expected jobqueue with one of {', '.join(_KINDS)}")
-    kind = kinds[0]
-    make = getattr(dask_jobqueue.local if kind == "local" else dask_jobqueue, _KINDS[kind])
-    try:
-        cluster = make(**{name.replace("-", "_"): value for name, value in content[kind].items()})
-        cluster.scale(jobs=workers or 1)
-    except Exception as error:
-        raise ConfigurationError(f"{path}: no cluster starts: {error}") from None
-    return cluster

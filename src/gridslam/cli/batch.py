@@ -92,7 +92,7 @@ def _open_executor(scheduler: str | None, workers: int | None) -> Executor:
         return ProcessPool(workers or _count_processors())
     from gridslam.batch.cluster import DaskCluster
 
-    cluster = DaskCluster(scheduler, workers)
+    cluster = DaskCluster(scheduler)
     if cluster.dashboard:
         warn(f"dashboard: {cluster.dashboard}")
     return cluster

@@ -10,14 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.grid.tiles import TileMaps
-from gridslam.kernels import TILE, UNKNOWN
 from gridslam.live.ancestry_tree import NO_POINTS
-from gridslam.live.history import TILE_BYTES, History, Moment, pack_tiles, round_scan
+from gridslam.live.history import History, Moment, pack_tiles, round_scan
 from gridslam.live.monitor import ClosureCollector
-from gridslam.live.protocol import levels
 from gridslam.live.protocol import pack_tiles as pack_levels
 from gridslam.live.scene import RowBuffer
-from gridslam.live.tiles import compare_maps
+from gridslam.live.tiles import EMPTY_BOX, TileChangeDetector, TileReplica
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, IntArray, LaserScan, Odometry, StepReport
 from gridslam.viz.cloud import select_representatives
@@ -131,8 +129,6 @@ class HistoryRecorder:
 
 
 _NOWHERE: NDArray[np.int32] = np.zeros((0, 2), np.int32)
-_READ = 128  # tiles turned to levels at a time: all at once would take 6 MB
-_UNKNOWN_TILE: NDArray[np.int16] = np.full((1, TILE, TILE), UNKNOWN, np.int16)
 
 
 @final
@@ -146,8 +142,8 @@ class _ShownMap:
     def __init__(self) -> None:
         """Start with an empty map."""
         self._owned: TileMaps | None = None
-        self._places: dict[tuple[int, int], int] = {}  # of the tiles in `_packed`
-        self._packed: NDArray[np.uint8] = np.zeros((64, TILE_BYTES), np.uint8)
+        self._detector = TileChangeDetector()
+        self._replica = TileReplica()
 
     def forget(self) -> None:
         """Give the map back; all tiles are compared at the next moment."""
@@ -155,23 +151,10 @@ class _ShownMap:
 
     def find_changes(self, maps: TileMaps, row: int) -> tuple[NDArray[np.int32], bytes]:
         """Return rows and columns (K, 2) and packed levels of the tiles that look different now."""
-        at, ids = compare_maps(maps, row, self._owned)
-        if self._owned is None:
-            at, ids = self._with_gone(at, ids)
+        is_same = self._owned is not None and maps.shares_tiles(self._owned)
+        changes = self._detector.find_changes(maps, row, EMPTY_BOX if is_same else None)
         self._owned = maps.snapshot(np.array([row]))
-        parts = [ids[first : first + _READ] for first in range(0, max(len(ids), 1), _READ)]
-        packed = np.concatenate([pack_levels(levels(maps.tiles(part))) for part in parts])
-        places = [self._places.setdefault(place, len(self._places)) for place in map(tuple, at.tolist())]
-        if len(self._places) > len(self._packed):
-            room = np.zeros((len(self._places), TILE_BYTES), np.uint8)
-            self._packed = np.concatenate([self._packed, room])
-        differs = (self._packed[places].view(np.uint64) != packed.view(np.uint64)).any(axis=1)
-        at, packed = at[differs], packed[differs]
-        self._packed[np.array(places, np.int64)[differs]] = packed
-        return at, pack_tiles(packed)
-
-    def _with_gone(self, at: NDArray[np.int32], ids: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Add the places, without a tile, of which nothing is known any more."""
-        known = set(map(tuple, at.tolist()))
-        gone = np.array([place for place in self._places if place not in known], np.int32).reshape(-1, 2)
-        return np.concatenate([at, gone]), np.concatenate([ids, np.zeros(len(gone), np.int32)])
+        before = self._replica.sequence
+        self._replica.apply(changes)
+        at, looks, _ = self._replica.since(before, len(changes.at))
+        return at, pack_tiles(pack_levels(looks))

@@ -22,7 +22,6 @@ __all__ = [
     "TileChangeDetector",
     "TileChanges",
     "TileReplica",
-    "compare_maps",
     "split_into_tiles",
     "tile_offset",
 ]
@@ -102,34 +101,6 @@ class TileChangeDetector:
             changed[inside] |= ids[inside] != 0
         at = (np.argwhere(changed) + origin).astype(np.int32)
         return TileChanges(at, maps.tiles(ids[changed]))
-
-
-def compare_maps(maps: TileMaps, row: int, before: TileMaps | None) -> tuple[Int32Array, Int32Array]:
-    """Return where a map may have changed since it was copied.
-
-    Parameters
-    ----------
-    maps : TileMaps
-        With the map in question.
-    row : int
-        Its row.
-    before : TileMaps or None
-        A snapshot of one map, as `TileMaps.snapshot` makes it; all tiles are compared where it is None, or of other
-        maps.
-
-    Returns
-    -------
-    at : (K, 2) int32
-        Rows and columns of the tiles that may have changed.
-    ids : (K,) int32
-        Their ids now, 0 where nothing is.
-    """
-    now = maps.tile_ids(row)
-    earlier = (np.zeros((1, 1), np.int32), now[1]) if before is None else before.tile_ids(0)
-    ids, others, origin = _align(now, earlier)
-    is_same = before is None or maps.shares_tiles(before)
-    changed = ids != others if is_same else (ids != 0) | (others != 0)
-    return (np.argwhere(changed) + origin).astype(np.int32), ids[changed]
 
 
 def _align(*tables: tuple[Int32Array, tuple[int, int]]) -> tuple[Int32Array, Int32Array, IntArray]:

@@ -48,8 +48,7 @@ class _BatchCommand(click.Command):
 @click.option(
     "--scheduler",
     metavar="ADDRESS|FILE",
-    help="Run on a Dask cluster: address of its scheduler (tcp://, tls://), its scheduler file, or a configuration of "
-    "dask-jobqueue, YAML, from which --workers are started (extra: cluster).",
+    help="Run on a Dask cluster: address of its scheduler (tcp://, tls://), or its scheduler file (extra: cluster).",
 )
 @click.option("--timeout", "timeout_s", type=TIME_LIMIT, metavar="S", help="Time limit for a log, s.")
 @click.option(
