@@ -349,6 +349,7 @@ _READERS: dict[str, Callable[[Path], object]] = {
     "db3": _scan,
     "zst": _scan,
     "gridslam": read_session,
+    "npz": read_record,
     "yaml": lambda path: (read_map if path.name == "map.yaml" else read_parameter_file)(path),
     "tum": read_tum,
     "g2o": read_g2o,
