@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from gridslam.config import PARAMETERS, PRESETS, Configuration, build, dumps, load, loads, override, preset
 from gridslam.config.configuration import loads_saved
@@ -68,7 +67,7 @@ def test_loop_closure_is_one_field_that_a_word_switches():
 
 
 def test_parts_of_several_classes_are_given_as_such_in_python():
-    with pytest.raises(ValidationError, match="motion"):
+    with pytest.raises(ConfigurationError, match="motion"):
         Configuration(motion=LoopClosure())
     assert Configuration(loop_closure=None, motion={"kind": "OdometryMotion", "alpha1": 0.5}).motion.alpha1 == 0.5
 

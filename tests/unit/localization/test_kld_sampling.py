@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
+from gridslam.errors import ConfigurationError
 from gridslam.evaluation.consistency import chi_square_quantile
 from gridslam.localization.kld_sampling import KldSampling
 from gridslam.particles import Systematic
@@ -89,5 +89,5 @@ def test_poses_in_one_bin_have_one_name():
 
 
 def test_bounds_in_order():
-    with pytest.raises(ValidationError, match="particles_min"):
+    with pytest.raises(ConfigurationError, match="particles_min"):
         KldSampling(particles_min=10, particles_max=9)

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
-from gridslam.errors import ArgumentError
+from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.geometry.angles import wrap
 from gridslam.grid import cells_of
 from gridslam.mapping import OccupancyGridMapping
@@ -269,5 +268,5 @@ def test_bad_arguments_are_named(pyramid, argument, change):
 
 @pytest.mark.parametrize("bad", [{"max_points": 257}, {"min_score": 0.0}, {"window_rad": 4.0}, {"step": 1}])
 def test_bad_parameters_are_refused(bad):
-    with pytest.raises((ValidationError, TypeError)):
+    with pytest.raises((ConfigurationError, TypeError)):
         BranchAndBound(**bad)

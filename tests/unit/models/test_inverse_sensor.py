@@ -5,9 +5,8 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
-from gridslam.errors import ArgumentError
+from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.models import InverseSensorModel
 
 
@@ -81,5 +80,5 @@ def test_log_odds_of_the_wrong_sign_are_named(hit, miss, name):
     ],
 )
 def test_inconsistent_models_are_refused(wrong):
-    with pytest.raises(ValidationError):
+    with pytest.raises(ConfigurationError):
         InverseSensorModel(**wrong)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
+from gridslam.errors import ConfigurationError
 from gridslam.geometry.se2 import compose
 from gridslam.models.motion import DiffusionMotion, GaussianIncrement
 from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors
@@ -75,5 +75,5 @@ def test_an_error_without_deviation_is_not_sought():
 
 @pytest.mark.parametrize("wrong", [{"sigma_per_m": -1.0}, {"sigma_per_rad": np.nan}, {"memory_m": 0.0}, {"per_m": 1.0}])
 def test_what_is_refused(wrong):
-    with pytest.raises(ValidationError):
+    with pytest.raises(ConfigurationError):
         SystematicErrors(**wrong)

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 from scipy.stats import chi2, norm
 
+from gridslam.errors import ConfigurationError
 from gridslam.particles import FixedNumber, KldNumber, kld_bound
 
 CENTRE = np.array([3.0, -2.0, 3.1])
@@ -74,5 +74,5 @@ def test_a_small_change_is_not_worth_a_resampling():
 
 @pytest.mark.parametrize("wrong", [{"particles_min": 0}, {"error": 0.6}, {"bin_m": 0.0}, {"bin_rad": 7.0}, {"z": -1.0}])
 def test_parameters_out_of_bounds_are_refused(wrong):
-    with pytest.raises(ValidationError, match=next(iter(wrong))):
+    with pytest.raises(ConfigurationError, match=next(iter(wrong))):
         KldNumber(**wrong)

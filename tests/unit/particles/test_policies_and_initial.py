@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
-from gridslam.errors import ArgumentError
+from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.particles import (
     AlwaysResample,
     EffectiveSampleSizeBelow,
@@ -46,20 +45,20 @@ def test_update_policy() -> None:
 
 @pytest.mark.parametrize("fraction", [0.0, -1.0, 1.01, math.nan, "half"])
 def test_a_fraction_out_of_range_is_refused(fraction: object) -> None:
-    with pytest.raises(ValidationError, match="fraction"):
+    with pytest.raises(ConfigurationError, match="fraction"):
         EffectiveSampleSizeBelow(fraction=fraction)
 
 
 @pytest.mark.parametrize("name", ["translation_m", "rotation_rad"])
 @pytest.mark.parametrize("value", [0.0, -0.1, math.nan])
 def test_a_threshold_out_of_range_is_refused(name: str, value: float) -> None:
-    with pytest.raises(ValidationError, match=name):
+    with pytest.raises(ConfigurationError, match=name):
         MotionThreshold(**{name: value})
 
 
 @pytest.mark.parametrize("policy", [AlwaysResample, NeverResample, EffectiveSampleSizeBelow, MotionThreshold])
 def test_unknown_keys_are_refused(policy) -> None:
-    with pytest.raises(ValidationError, match="threshold"):
+    with pytest.raises(ConfigurationError, match="threshold"):
         policy(threshold=1)
 
 

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
+from gridslam.errors import ConfigurationError
 from gridslam.sim.floor_plan import box, join, polyline
 from gridslam.sim.lidar import LidarConfig, cast_rays, cast_single_rays, disc_ranges, measure
 
@@ -154,5 +154,5 @@ def test_what_is_out_of_range_gives_no_return():
     [{"beams": 0}, {"fewest_beams": 181}, {"range_max_m": 0.0}, {"no_return_probability": 1.5}, {"colour": 1}],
 )
 def test_configuration_out_of_range_is_refused(wrong):
-    with pytest.raises(ValidationError):
+    with pytest.raises(ConfigurationError):
         LidarConfig(**wrong)
