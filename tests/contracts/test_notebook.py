@@ -136,3 +136,18 @@ def test_without_pandas_the_extra_is_named(mapped, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(gridslam.GridslamError, match=r"needs pandas.*pip install 'gridslam\[pandas\]'"):
         mapped.to_dataframe()
+
+
+def test_a_session_a_trajectory_and_a_diagnosis_show_themselves(log):
+    session = gridslam.Session(gridslam.Configuration(particles=2))
+    assert session._repr_png_() is None
+    session.add(log)
+    assert Image.open(io.BytesIO(session._repr_png_())).format == "PNG"
+    one_line(session)
+    assert len(repr(session.pieces)) < LONGEST
+    one_line(session.pieces[0].drives[0])
+    trajectory = next(iter(session.trajectories.values()))
+    assert re.fullmatch(r"<svg .*<polyline points=\"[\d., ]+\".*</svg>", trajectory._repr_svg_())
+    assert "nan" not in Trajectory(np.zeros(0, np.int64), np.zeros((0, 3)))._repr_svg_()
+    diagnosis = gridslam.diagnose(log)
+    assert diagnosis._repr_html_().count("<li>") == len(diagnosis.findings)

@@ -24,7 +24,7 @@ def turn(beams: int) -> np.ndarray:
 @given(st.integers(0, 2**32 - 1), st.integers(1, 400))
 def test_a_scan_that_is_not_dense_is_used_as_a_whole(seed, beams):
     rng = np.random.default_rng(seed)
-    values = rng.choice([0.0, -1.0, np.nan, np.inf, 0.02, 3.0, 30.0, 1e6], beams).astype(np.float32)
+    values = rng.choice([0.0, -1.0, np.nan, np.inf, 0.02, 3.0, 30.0, 190.0], beams).astype(np.float32)
     scan = scan_of(values, rng.uniform(-4, 4, beams))
     used = scan.beams(0.05, 30.0)
     assert used.indices.tolist() == [k for k, value in enumerate(values.tolist()) if 0.05 <= value < 30.0]

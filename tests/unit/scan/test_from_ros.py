@@ -12,7 +12,7 @@ from gridslam.geometry.se3 import from_planar
 from gridslam.io.bags.bag import BagScanBuilder
 from gridslam.io.bags.ros_messages import ScanMessage
 from gridslam.ros.node import accepted_scan
-from gridslam.types import BeamStatus, LaserScan
+from gridslam.types import BeamStatus, LaserScan, ScanGeometry
 
 HIT, NO_RETURN, INVALID = (np.uint8(status) for status in BeamStatus)
 RANGES = np.array([1.0, 0.05, 30.0, np.inf, np.nan, -1.0, 0.0, 29.9], np.float32)
@@ -93,3 +93,20 @@ def test_geometries_are_shared():
     message, maker, mounting = ScanMessage(7, "f", -1.5, 0.25, 1e-3, 0.1, 30.0, RANGES), BagScanBuilder(), np.eye(4)
     first, second = (maker.scan(message, stamp_ns, "/s", mounting) for stamp_ns in (7, 8))
     assert first.geometry is second.geometry
+
+
+def test_a_time_in_seconds_is_no_stamp():
+    geometry = ScanGeometry(np.linspace(-1, 1, 3))
+    for stamp in (12.5, np.float64(1e9)):
+        with pytest.raises(ArgumentError, match=r"stamp_ns: expected an integer of ns"):
+            LaserScan.from_ranges(stamp, np.ones(3), geometry)
+    assert LaserScan.from_ranges(np.int64(7), np.ones(3), geometry).stamp_ns == 7
+
+
+def test_degrees_and_millimetres_are_warned_of():
+    bearings = np.linspace(-90, 90, 181)
+    with pytest.warns(UserWarning, match="in degrees"):
+        LaserScan.from_ranges(0, np.ones(181), ScanGeometry(bearings))
+    with pytest.warns(UserWarning, match="in millimetres"):
+        LaserScan.from_ranges(0, np.full(181, 2500.0), ScanGeometry(np.radians(bearings)))
+    LaserScan.from_ranges(0, np.full(181, 80.0), ScanGeometry(np.radians(bearings)), range_max_m=81.0)
