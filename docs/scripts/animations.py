@@ -15,10 +15,11 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from animations_of_parts import bayes_filter, resampling_wheel
 from drives import drive, extent, mapped
+from film import FRAME_MS, HOLD_MS, Film
 from numpy.typing import NDArray
-from panels import GAP, HEAD, ORANGE, VIOLET, Chart, Panel
-from PIL import Image, ImageDraw
+from panels import ORANGE, VIOLET, Chart, Panel
 
 from gridslam import Configuration, GridFastSlam, GridFastSlamState, OccupancyGrid, build, map_log, run
 from gridslam.geometry.angles import wrap
@@ -29,54 +30,9 @@ from gridslam.models.landmark import LandmarkObservations, RangeBearing
 from gridslam.sim import LidarConfig, OdometryNoise
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
 from gridslam.types import FloatArray, LaserScan, StepReport
-from gridslam.viz.canvas import CLOSURE, FAINT, FREE, LOST, OCCUPIED, TRUTH, UNKNOWN, Colour, font
+from gridslam.viz.canvas import CLOSURE, FREE, LOST, OCCUPIED, TRUTH
 
-DOCS = Path(__file__).parents[1]
 DATA = Path(os.environ.get("GRIDSLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
-FRAME_MS, HOLD_MS = 90, 1800
-"""How long a frame is shown, and one at which something has happened."""
-
-
-class Film:
-    """Frames of one size and how long each is shown; the still is the frame chosen last."""
-
-    def __init__(self, name: str, key: Sequence[tuple[str, Colour]], quality: int = 62) -> None:
-        self.name, self.key = name, key
-        self.frames: list[Image.Image] = []
-        self.durations: list[int] = []
-        self.still = 0
-        self.quality = quality
-
-    def add(self, panels: Sequence[Panel], hold: bool = False) -> None:
-        """Add a frame of panels side by side, their heads above, and the key below; hold one that matters."""
-        width = sum(panel.page.width + GAP for panel in panels) + GAP
-        height = HEAD + max(panel.page.height for panel in panels) + 34
-        page = Image.new("RGB", (width, height), UNKNOWN)
-        draw, x = ImageDraw.Draw(page), GAP
-        for panel in panels:
-            draw.text((x, 27), panel.head, fill=OCCUPIED, font=font(17, 1.0), anchor="ls")
-            page.paste(panel.page, (x, HEAD))
-            x += panel.page.width + GAP
-        x = GAP
-        for name, colour in self.key:
-            draw.rectangle((x, height - 21, x + 20, height - 13), fill=colour)
-            draw.text((x + 28, height - 12), name, fill=FAINT, font=font(15, 1.0), anchor="ls")
-            x += 56 + round(font(15, 1.0).getlength(name))
-        self.frames.append(page)
-        self.durations.append(HOLD_MS if hold else FRAME_MS)
-
-    def save(self) -> None:
-        """Write the animation, which repeats, and its still."""
-        path = DOCS / "animations" / f"{self.name}.webp"
-        first, *others = self.frames
-        first.save(
-            path, save_all=True, append_images=others, duration=self.durations, loop=0, quality=self.quality, method=4
-        )
-        still = self.frames[self.still].quantize(128, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
-        still.save(DOCS / "_static" / "stills" / f"{self.name}.png", optimize=True)
-        print(
-            f"{path.name}: {len(self.frames)} frames, {sum(self.durations) / 1000:.1f} s, {path.stat().st_size} bytes"
-        )
 
 
 def growing_map() -> None:
@@ -183,11 +139,11 @@ def kidnapping() -> None:
         panel.grid(grid)
         if report.poses is not None:
             panel.dots(report.poses[:3000, :2], CLOSURE, 3.0)
-        panel.robot(truth[k], TRUTH, 1.2)
-        panel.robot(report.pose, LOST if report.lost else ORANGE, 1.2)
+        panel.robot(report.pose, LOST if report.lost else ORANGE, 1.2, 9)
+        panel.robot(truth[k], TRUTH, 1.2, 4)
         film.add([panel], hold=k == put or (found == 1 and back))
         if k > put and film.durations[-1] == FRAME_MS:
-            film.durations[-1] = 3 * FRAME_MS
+            film.durations[-1] = 2 * FRAME_MS
         places = 0 if report.poses is None else len(np.unique(report.poses[:, :2].round(), axis=0))
         if report.lost and places > most:
             most, film.still = places, len(film.frames) - 1
@@ -301,8 +257,8 @@ def covariance_ellipses() -> None:
         panel.page.paste(FREE, (0, 0, *panel.page.size))
         for name in seen.tolist():
             panel.line(np.stack([state.pose[:2], found.positions[found.names.tolist().index(name)]]), CLOSURE, 1.5)
-        panel.line(np.array(path)[:, :2], TRUTH, 1.5)
-        panel.line(np.array(estimates)[:, :2], ORANGE, 1.0)
+        panel.line(np.array(estimates)[:, :2], ORANGE, 3.0)
+        panel.line(np.array(path)[:, :2], TRUTH, 1.2)
         panel.dots(landmarks, TRUTH, 6.0)
         for mean, covariance in zip(found.positions, found.covariances, strict=True):
             panel.ring(mean, covariance, VIOLET, 3.0)
@@ -312,7 +268,15 @@ def covariance_ellipses() -> None:
     film.save()
 
 
-ANIMATIONS = (growing_map, particles_at_a_loop, kidnapping, closure, covariance_ellipses)
+ANIMATIONS = (
+    growing_map,
+    particles_at_a_loop,
+    kidnapping,
+    closure,
+    covariance_ellipses,
+    resampling_wheel,
+    bayes_filter,
+)
 
 if __name__ == "__main__":
     for make in ANIMATIONS:

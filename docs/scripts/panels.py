@@ -82,11 +82,11 @@ class Panel:
         arms = vectors * np.sqrt(np.maximum(values, 0))
         self.line(mean + sigmas * np.stack([np.cos(angles), np.sin(angles)], 1) @ arms.T, colour)
 
-    def robot(self, pose: FloatArray, colour: Colour = ORANGE, length: float = 0.6) -> None:
+    def robot(self, pose: FloatArray, colour: Colour = ORANGE, length: float = 0.6, radius_px: int = 6) -> None:
         """Mark a pose (3,) by a disc and its heading."""
         tip = pose[:2] + length * np.array([math.cos(pose[2]), math.sin(pose[2])])
         self.line(np.stack([pose[:2], tip]), colour, 3.0)
-        disc(self.page, self.pixels(pose[None, :2]), 6, FREE, colour)
+        disc(self.page, self.pixels(pose[None, :2]), radius_px, FREE, colour)
 
 
 class Chart(Panel):

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 from inspect import Signature, signature
 from types import NoneType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, final, get_args
 
-from pydantic import ConfigDict, GetCoreSchemaHandler, TypeAdapter
+from pydantic import ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
-from pydantic_core import CoreSchema, core_schema
+from pydantic_core import CoreSchema, ErrorDetails, core_schema
+
+from gridslam.errors import ConfigurationError
 
 __all__ = ["Kind", "Table", "adapter", "bounded", "parameters", "to_table"]
 
@@ -26,7 +29,7 @@ else:
     def parameters(*, frozen: Literal[True]) -> Callable[[type], type]:
         """As `dataclasses.dataclass`, for a class whose values are checked, NaN and infinities being refused.
 
-        Making an object raises pydantic.ValidationError for a value of a wrong type or out of its bounds, and where
+        Making an object raises ConfigurationError for a value of a wrong type or out of its bounds, and where
         ``__post_init__`` raises a ValueError.
         """
         config = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -36,9 +39,37 @@ else:
             fields = [each for each in signature(made).parameters.values() if each.kind is not each.VAR_POSITIONAL]
             # as it is: pydantic states fields as keywords alone
             made.__signature__ = Signature([each.replace(kind=each.POSITIONAL_OR_KEYWORD) for each in fields])
+            validate = made.__init__
+
+            @functools.wraps(validate)
+            def __init__(self: object, *args: object, **values: object) -> None:  # noqa: N807
+                try:
+                    validate(self, *args, **values)
+                except ValidationError as error:
+                    names = [each.name for each in fields]
+                    raise ConfigurationError(f"{made.__name__}: {_describe(error.errors()[0], names)}") from None
+
+            made.__init__ = __init__
             return made
 
         return decorate
+
+
+def _describe(error: ErrorDetails, names: Sequence[str]) -> str:
+    """Describe in one line the first wrong parameter of a call, the expected and the actual value."""
+    at = [names[key] if isinstance(key, int) and key < len(names) else str(key) for key in error["loc"][:1]]
+    name = ".".join([*at, *map(str, error["loc"][1:])])
+    if error["type"] == "unexpected_keyword_argument":
+        return f"{name}: no such parameter"
+    if error["type"] == "unexpected_positional_argument":
+        return f"unexpected positional argument, {error['input']!r}"
+    if error["type"].startswith("union_tag"):
+        return f"{name}: expected an object of one of its kinds, got {error['input']!r}"
+    if error["type"] == "value_error":
+        problem = error["msg"].removeprefix("Value error, ")
+        return f"{name}: {problem}" if name else problem
+    expected = re.sub("^Input should be (?=greater|less)", "a number ", error["msg"]).removeprefix("Input should be ")
+    return f"{name}: expected {expected}, got {error['input']!r}"
 
 
 def bounded(default: _Number, **bounds: float) -> _Number:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -278,6 +279,7 @@ class Thinning:
 LONGEST_SCAN_S = 10.0
 """No planar laser takes this long for a scan: such beam times are invalid."""
 
+_FARTHEST_M = 200.0  # a planar lidar sees no farther
 _SMALLEST = 5e-324  # a range of 0 is none
 
 
@@ -366,8 +368,28 @@ class LaserScan:
         """Build a scan from raw ranges (B,) in m, deciding each beam's status.
 
         NaN, negative and zero ranges and ranges below `range_min_m` are INVALID; infinite ones and those at or above
-        `range_max_m` are NO_RETURN. Raises ArgumentError where lengths differ or a beam's time is not finite.
+        `range_max_m` are NO_RETURN. Warns of bearings that look like degrees and of ranges that look like millimetres.
+        Raises ArgumentError where lengths differ, a beam's time is not finite or `stamp_ns` is no integer, such as a
+        time in seconds.
         """
+        scan = cls._build(stamp_ns, ranges, geometry, range_min_m, range_max_m, sensor, frame, beam_times_s)
+        _warn_of_units(scan)
+        return scan
+
+    @classmethod
+    def _build(
+        cls,
+        stamp_ns: int,
+        ranges: ArrayLike,
+        geometry: ScanGeometry,
+        range_min_m: float,
+        range_max_m: float,
+        sensor: str,
+        frame: str,
+        beam_times_s: ArrayLike | None,
+    ) -> LaserScan:
+        if not isinstance(stamp_ns, int | np.integer):
+            raise ArgumentError("stamp_ns", "an integer of ns, such as int(1e9 * seconds)", stamp_ns)
         require_instance("geometry", geometry, ScanGeometry)
         with np.errstate(invalid="ignore"):  # of NaNs that signal
             values = freeze(ranges, np.float64, (len(geometry.bearings),), "ranges")
@@ -485,16 +507,8 @@ class LaserScan:
                 raise ArgumentError("angle_min, angle_increment", "finite angles in rad", got)
             geometry = ScanGeometry(angle_min + angle_increment * np.arange(count), base_from_laser)
         is_timed = time_increment > 0 and time_increment * count < LONGEST_SCAN_S
-        return cls.from_ranges(
-            stamp_ns,
-            ranges,
-            geometry,
-            range_min_m=lower,
-            range_max_m=upper,
-            sensor=sensor,
-            frame=frame,
-            beam_times_s=np.arange(count) * time_increment if is_timed else None,
-        )
+        times = np.arange(count) * time_increment if is_timed else None
+        return cls._build(stamp_ns, ranges, geometry, lower, upper, sensor, frame, times)
 
     def __len__(self) -> int:
         """Return the number of beams B."""
@@ -521,3 +535,15 @@ class LaserScan:
                 usable = usable[taken]
                 ends = ends[taken]
         return Beams(self, usable, ends, geometry.origin)
+
+
+def _warn_of_units(scan: LaserScan) -> None:
+    """Warn of bearings that look like degrees, and of ranges that look like millimetres: no planar lidar has such."""
+    bearings = scan.geometry.bearings
+    if len(bearings) and np.abs(bearings[[0, -1]]).max() > 2 * math.tau:
+        message = f"bearings reach {np.abs(bearings).max():.0f} rad: are they in degrees? Expected rad"
+        warnings.warn(message, UserWarning, stacklevel=4)
+    hits = scan.ranges[scan.status == _HIT]
+    if len(hits) and np.median(hits) > _FARTHEST_M:
+        message = f"ranges have a median of {np.median(hits):.0f} m: are they in millimetres? Expected m"
+        warnings.warn(message, UserWarning, stacklevel=4)

@@ -93,7 +93,10 @@ def test_a_refused_call_does_not_consume_the_state():
         (lambda: gridslam.map_log("a.clf", configuration="fast"), "configuration: expected Configuration or None"),
         (lambda: gridslam.map_log("a.clf", repair="some"), "repair: expected needed, all or none, got some"),
         (lambda: gridslam.localize("a.clf", room(), seed=None), "seed: expected int"),
-        (lambda: gridslam.localize("a.clf", 7), "map: expected str or Path or OccupancyGrid or KnownMap, got 7"),
+        (
+            lambda: gridslam.localize("a.clf", 7),
+            "map: expected str or Path or OccupancyGrid or KnownMap or MapResult, got 7",
+        ),
         (lambda: gridslam.map_with_poses("a.clf", 7), "trajectory: expected str or Path or Trajectory, got 7"),
     ],
 )

@@ -10,9 +10,9 @@ from dataclasses import FrozenInstanceError, dataclass, field, fields, replace
 from functools import cached_property
 
 import pytest
-from pydantic import ValidationError
 
 from gridslam.config import Configuration
+from gridslam.errors import ConfigurationError, GridslamError
 from gridslam.localization.odometry_check import OdometryCheck
 from gridslam.models import BeamRangeFinder
 from gridslam.parameters import parameters
@@ -32,7 +32,7 @@ def test_values_are_converted_as_pydantic_converts_them():
     [
         (lambda: MotionThreshold(translation_m=0.0), "translation_m"),
         (lambda: MotionThreshold(translation_m=math.nan), "translation_m"),
-        (lambda: MotionThreshold(0.5, 0.5, 0.5), "unexpected_positional"),
+        (lambda: MotionThreshold(0.5, 0.5, 0.5), "unexpected positional"),
         (lambda: Thinning(spacing=0.1), "spacing"),
         (lambda: Thinning(dense_beams=10.5), "dense_beams"),
         (lambda: Configuration(particles=True, range_max_m=math.inf), "range_max_m"),
@@ -42,8 +42,11 @@ def test_values_are_converted_as_pydantic_converts_them():
     ],
 )
 def test_what_is_wrong_is_named(make, name):
-    with pytest.raises(ValidationError, match=name):
+    with pytest.raises(ConfigurationError, match=name) as raised:
         make()
+    assert isinstance(raised.value, GridslamError)
+    assert "\n" not in str(raised.value)
+    assert "http" not in str(raised.value)
 
 
 def _declare(decorate):

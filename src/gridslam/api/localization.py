@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridslam import __version__
 from gridslam.api.result import Result, describe_input, find_repair, write_trajectory
-from gridslam.arguments import require_instance, require_seed, require_threads
+from gridslam.arguments import describe, require_instance, require_seed, require_threads
 from gridslam.checked import checked
 from gridslam.config.tables import to_table
 from gridslam.doctor.repair import Repair, open_repaired
@@ -37,6 +37,7 @@ from gridslam.pipeline import FailureRecorder, Stopwatch, run
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Odometry, Trajectory
 
 if TYPE_CHECKING:
+    from gridslam.api.mapping import MapResult
     from gridslam.viz.notebook import Picture
 
 __all__ = [
@@ -247,7 +248,7 @@ class LocalizationResult(Result):
 @checked
 def localize(
     log: LogSource,
-    map: str | Path | OccupancyGrid | KnownMap,
+    map: str | Path | OccupancyGrid | KnownMap | MapResult,
     *,
     pose: ArrayLike | None = None,
     covariance: ArrayLike = INITIAL_COVARIANCE,
@@ -269,8 +270,8 @@ def localize(
     ----------
     log : str, Path or Log
         The log, of any format that `open_log` knows.
-    map : str, Path, OccupancyGrid or KnownMap
-        The map: the YAML file of map_server or nav2, or a map at hand.
+    map : str, Path, OccupancyGrid, KnownMap or MapResult
+        The map: the YAML file of map_server or nav2, a map at hand, or the result of `map_log`.
     pose : (3,) float64, optional
         Where the robot is at the first scan, map frame [x m, y m, theta rad]; it is found if not given.
     covariance : (3, 3) float64, m^2, m rad, rad^2
@@ -314,7 +315,7 @@ def localize(
     """
     require_seed(seed)
     require_threads(threads)
-    require_instance("map", map, str, Path, OccupancyGrid, KnownMap)
+    _require_map(map)
     require_instance("configuration", configuration, MonteCarloConfiguration, optional=True)
     watch = stopwatch or Stopwatch()
     configuration = configuration or MonteCarloConfiguration()
@@ -371,8 +372,14 @@ def localize(
     return result
 
 
+def _require_map(source: object) -> None:
+    """Check that a value is a map, or has one as the results of `map_log` have; this module does not import these."""
+    if not isinstance(source, str | os.PathLike | OccupancyGrid | KnownMap) and not hasattr(source, "tiled_map"):
+        raise ArgumentError("map", "str or Path or OccupancyGrid or KnownMap or MapResult", describe(source))
+
+
 def known_map(
-    source: str | Path | OccupancyGrid | KnownMap,
+    source: str | Path | OccupancyGrid | KnownMap | MapResult,
     configuration: MonteCarloConfiguration,
     threads: int = 1,
     *,
@@ -384,8 +391,9 @@ def known_map(
     """
     if isinstance(source, KnownMap):
         return Path(), source, ()
-    if isinstance(source, OccupancyGrid):
-        return Path(), KnownMap(source, reach_m=configuration.reach_m, threads=threads), ()
+    if not isinstance(source, str | os.PathLike):
+        grid = source if isinstance(source, OccupancyGrid) else source.map
+        return Path(), KnownMap(grid, reach_m=configuration.reach_m, threads=threads), ()
     remarks = list[str]()
     grid = read_map(source, strict_thresholds=strict_thresholds, on_remark=remarks.append)
     try:

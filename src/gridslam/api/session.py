@@ -124,7 +124,12 @@ class Session:
     def __repr__(self) -> str:
         """Return one line."""
         names = [drive.name for drive in self._saved.drives]
-        return f"Session({len(names)} drives: {', '.join(names)})" if names else "Session(empty)"
+        count = f"{len(names)} drive{'s' * (len(names) != 1)}"
+        return f"Session({count}: {', '.join(names)})" if names else "Session(empty)"
+
+    def _repr_png_(self) -> bytes | None:
+        """Show the newest map in a notebook; None without one."""
+        return self.map._repr_png_() if [*self._saved.drives] else None
 
     @property
     def saved(self) -> SavedSession:

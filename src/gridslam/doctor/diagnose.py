@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from html import escape
 from pathlib import Path
 from typing import final
 
@@ -110,6 +111,11 @@ class Diagnosis:
         """Return one line."""
         codes = ", ".join(finding.code for finding in self.faults[:5]) + ", ..." * (len(self.faults) > 5)
         return f"Diagnosis({self.path.name}: {self.worst.value}; {len(self.faults)} faults{': ' * bool(codes)}{codes})"
+
+    def _repr_html_(self) -> str:
+        """Show the findings in a notebook."""
+        rows = "".join(f"<li>{each.severity.value}: {escape(each.message)}</li>" for each in self.findings)
+        return f"<p>{escape(self.path.name)}: {self.worst.value}</p><ul>{rows}</ul>"
 
     @property
     def faults(self) -> tuple[Finding, ...]:

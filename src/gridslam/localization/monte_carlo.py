@@ -123,7 +123,7 @@ class MonteCarloConfiguration:
 
     Raises
     ------
-    pydantic.ValidationError
+    ConfigurationError
         A parameter is out of range, no beam could be used, or distances would saturate within a beam's noise.
     """
 

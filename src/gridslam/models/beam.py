@@ -55,7 +55,7 @@ class BeamRangeFinder:
 
     Raises
     ------
-    pydantic.ValidationError
+    ConfigurationError
         The shares do not sum to 1, or z_rand or z_max is 0 (then one beam could make a pose impossible).
 
     Notes

@@ -40,7 +40,7 @@ class LikelihoodField:
 
     Raises
     ------
-    pydantic.ValidationError
+    ConfigurationError
         The shares do not sum to 1, or z_rand is 0 (then one beam could make a pose impossible).
 
     References

@@ -54,7 +54,7 @@ class InverseSensorModel:
 
     Raises
     ------
-    pydantic.ValidationError
+    ConfigurationError
         A pair does not sum to 1, an end or a passage is no evidence of 0.01 to 20 nats, or the clamps, of at most 150
         nats, are out of order.
 

@@ -5,7 +5,6 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from gridslam.models import InverseSensorModel
 
@@ -55,5 +54,5 @@ def test_lecture_numbers():
     ],
 )
 def test_inconsistent_models_are_refused(wrong):
-    with pytest.raises(ValidationError):
+    with pytest.raises(ConfigurationError):
         InverseSensorModel(**wrong)

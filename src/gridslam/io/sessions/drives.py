@@ -84,6 +84,10 @@ class Drive:
     stamps_ns: IntArray
     scans: TrackedScans
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"Drive({self.name}: {len(self.stamps_ns)} scans of {len(self.logs)} log{'s' * (len(self.logs) != 1)})"
+
     @property
     def key_stamps_ns(self) -> IntArray:
         """Stamps of its key scans."""
@@ -106,6 +110,10 @@ class SavedPiece:
 
     piece: MapPiece
     drives: tuple[Drive, ...]
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"SavedPiece({', '.join(drive.name for drive in self.drives) or 'a given map'}: {self.piece})"
 
     @property
     def tracked_scans(self) -> list[TrackedScans]:

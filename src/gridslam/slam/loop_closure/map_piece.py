@@ -42,6 +42,10 @@ class MapPiece:
         """Return the number of key scans."""
         return len(self.graph)
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"MapPiece({len(self)} key scans)"
+
     @property
     def poses(self) -> FloatArray:
         """Poses (T, 3) of the key scans in the piece's map frame."""
