@@ -14,6 +14,7 @@ from gridslam.io.csv import write_csv_log
 from gridslam.io.log import open_log
 from gridslam.io.maps import read_map, write_map
 from gridslam.io.trajectories import read_tum
+from gridslam.live.replay import Replay
 from gridslam.tracking.tracker import Tracker
 from support.interrupted import (
     CARRIED_AFTER,
@@ -80,6 +81,8 @@ def test_a_log_in_which_the_robot_was_carried_gives_the_same_map_as_two_drives(b
     logs = [log for drive in carried.drives for log in drive.logs]
     assert [log.scans for log in logs] == [CARRIED_AFTER, CARRIED_SCANS - CARRIED_AFTER]
     assert sum(log.length_m for log in logs) == pytest.approx(carried.log.odometry_length_m)
+    carried.save(tmp_path / "out")
+    assert len(Replay(tmp_path / "out", None, 10.0).results.trajectory) == CARRIED_SCANS - CARRIED_AFTER
     statistics = carried.statistics
     assert statistics.key_scans + sum(statistics.skipped.values()) == carried.log.scan_count == CARRIED_SCANS
 
