@@ -172,5 +172,14 @@ def test_a_laser_that_falls_silent_holds_no_others_back_for_ever():
     measurements = carried()
     healthy = of_sensor(log(scans=300)[0], "rear")
     both = [m for pair in zip(measurements[: LOST.start + 3], healthy, strict=False) for m in pair]
-    drives = split([*both, *healthy[LOST.start + 3 :]])
-    assert [len(drive) for drive in drives] == [len(both) + len(healthy) - LOST.start - 3]
+    given = []
+
+    def reading():
+        for measurement in [*both, *healthy[LOST.start + 3 :]]:
+            given.append(measurement)
+            yield measurement
+
+    drives = [[len(given) - number for number, _ in enumerate(drive, 1)] for drive in split_where_carried(reading())]
+    assert [len(drive) for drive in drives] == [len(given)]
+    assert 5 < max(drives[0]) <= 100
+    assert drives[0][-1] == 0
