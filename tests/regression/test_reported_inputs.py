@@ -11,7 +11,9 @@ from gridslam.doctor import diagnose
 from gridslam.errors import InputError
 from gridslam.evaluation import measure_self_consistency
 from gridslam.io.log import open_log
+from gridslam.io.results.record import read_record
 from gridslam.io.trajectories import read_tum
+from gridslam.live.replay import Replay
 from gridslam.types import Trajectory
 
 START_NS = 1_700_000_000_000_000_000
@@ -83,7 +85,7 @@ def test_a_robot_that_follows_a_person_does_not_jump(data_dir, name):
     assert scores["ate"]["trans_max_m"] < 0.01
 
 
-def test_a_carried_robot_is_found_again_in_its_own_map(data_dir):
+def test_a_carried_robot_is_found_again_in_its_own_map(data_dir, tmp_path):
     """It is carried after 100 scans, over 80 of the truth."""
     folder = reports(data_dir)
     result = map_log(folder / "kidnapped")
@@ -92,6 +94,9 @@ def test_a_carried_robot_is_found_again_in_its_own_map(data_dir):
     assert [len(path) for path in result.trajectories.values()] == [100, 121]
     scores = score_against_truth(result.trajectory, Trajectory(result.trajectory.stamps_ns, truth))
     assert scores["ate"]["trans_rmse_m"] < 0.005
+    result.save(tmp_path / "out")
+    assert max(result.loop_summary.tracked_revisits.ravel()) >= len(read_record(tmp_path / "out" / "record.npz"))
+    assert Replay(tmp_path / "out", None, 10.0).results
 
 
 @pytest.mark.parametrize(

@@ -385,12 +385,22 @@ def _tables(folder: Path) -> Iterator[Family]:
     )
     configuration = "particles = 10\n\n[motion]\nkind = 'DiffusionMotion'\n\n[tracker]\nmap_scans = 30\n"
     packed = [(gzip.compress, ".gz"), (bz2.compress, ".bz2")]
+    beams = [(scan, angle, 1000 + 10 * angle) for scan in range(3) for angle in range(0, 360, 9)]
+    named = [f"{'S ' * (not angle)} theta: {angle:.2f} Dist: {distance:08.2f} Q: 47" for _, angle, distance in beams]
+    points = ["t; angle [deg]; dist [mm]", *(f"{scan},5; {angle}; {distance}" for scan, angle, distance in beams)]
+
+    def read_scans(path: Path) -> None:
+        for _ in open_log(path):
+            pass
+
     for name, lines, read in (
         ("a.tum", rows, read_tum),
         ("a.euroc", euroc, read_trajectory),
         ("a.kitti", kitti, partial(read_trajectory, stamps_ns=np.arange(30))),
         ("a.csv", [header, *table], read_trajectory_csv),
         ("a.relations", relations, read_relations),
+        ("a.named", named, read_scans),
+        ("a.points", points, read_scans),
         ("a.yaml", [parameters], read_parameter_file),
         ("a.toml", [configuration], load),
     ):
@@ -526,7 +536,8 @@ def _maps(folder: Path) -> Iterator[Family]:
             lines = yaml.split(b"\n")
             row = int(rng.integers(1, len(lines) - 1))
             number = f"{_SPECIAL_FLOATS[rng.integers(len(_SPECIAL_FLOATS))]}".encode()
-            lines[row] = lines[row].split(b":")[0] + b": " + (b"[" + number + b", 0, 0]" if row == 2 else number)
+            pose = [number if place == rng.integers(3) else b"0" for place in range(3)]
+            lines[row] = lines[row].split(b":")[0] + b": " + (b"[" + b", ".join(pose) + b"]" if row == 2 else number)
             yaml = b"\n".join(lines)
         (to / "map.yaml").write_bytes(damage(yaml, OF_TEXT, rng)[0] if what == 1 else yaml)
         (to / name).write_bytes(damage(images[name], OF_BYTES, rng)[0] if what == 2 else images[name])

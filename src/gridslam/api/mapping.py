@@ -289,8 +289,15 @@ class MapResult(Result):
             write_map(out.file(f"map_{number}.yaml"), apart.piece.build_map(self.configuration.mapper).tiled(0))
         write_tum(out.file("trajectory_online.tum"), self.online_trajectory)
         write_g2o(out.file("graph.g2o"), self.graph)
-        revisits = None if self.loop_summary is None else self.loop_summary.tracked_revisits
-        self.record.write(out.file("record.npz"), revisits)
+        self.record.write(out.file("record.npz"), self._find_recorded_revisits())
+
+    def _find_recorded_revisits(self) -> IntArray | None:
+        """Tracked revisits within the newest drive, whose key scans alone are recorded, counted from its first one."""
+        if self.loop_summary is None or not self.drives:
+            return None
+        revisits = self.loop_summary.tracked_revisits - int(self.drives[-1].scans.keys[0])
+        own: IntArray = revisits[(revisits >= 0).all(axis=1)]
+        return own
 
     def _describe(self) -> dict[str, Any]:
         statistics = self.statistics

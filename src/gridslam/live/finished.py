@@ -19,7 +19,7 @@ from gridslam.io.trajectories import read_trajectory_csv, read_tum
 from gridslam.live.history import History
 from gridslam.live.history_file import read_history
 from gridslam.live.results import MappedRun, Results, StaticMap, TrajectoryRun
-from gridslam.types import FloatArray, IntArray, OccupancyGrid
+from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
 
 __all__ = ["count_key_scans", "read_optional_history", "read_results"]
 
@@ -52,11 +52,16 @@ def _read_mapping(out: Path, document: dict[str, Any]) -> Results:
         record = replace(record, revisits=record.revisits[:0])
     trajectory = read_tum(out / "trajectory.tum")
     grid = read_map(out / "map.yaml")
-    if not len(record) or len(poses) != len(record):
+    first = len(poses) - len(record)  # of the newest drive, which alone is recorded; earlier ones are in the map
+    if not len(record) or first < 0:
         raise InputError(out / "record.npz", f"expected {len(poses)} key scans, got {len(record)}")
-    closures = _read_closures(out / "run.json", document, len(record))
+    closures = _read_closures(out / "run.json", document, len(poses)) - first
+    closures = closures[(closures >= 0).all(axis=1)]
+    if first:
+        own = trajectory.stamps_ns >= record.stamps_ns[0]
+        trajectory = Trajectory(trajectory.stamps_ns[own], trajectory.poses[own])
     online = out / "trajectory_online.tum"
-    return MappedRun(record, trajectory, poses, grid, closures, read_tum(online) if online.is_file() else None)
+    return MappedRun(record, trajectory, poses[first:], grid, closures, read_tum(online) if online.is_file() else None)
 
 
 def _read_localization(out: Path, document: dict[str, Any]) -> Results:
