@@ -142,9 +142,9 @@ def find_furniture_faces(faces: Sequence[Face], raster: Raster) -> tuple[BoolArr
     has_back = np.array([bool(_find_backs(face, segments)) for face in faces], np.bool_)
     is_short = (segments.lengths < _LONGEST_FURNITURE_M) & ~has_back & ~is_furniture
     outlines = []
-    for group in _find_protruding(segments, np.flatnonzero(is_short)):
+    for group in _find_protruding(segments, np.flatnonzero(is_short & (segments.lengths < _WIDEST_HIDDEN_M))):
         is_furniture[group] = True
-        outlines.append(segments.ends[group].reshape(-1, 2))
+        outlines.append(_enclose(segments.ends[group].reshape(-1, 2), segments.alongs[group[0]]))
     for k in np.flatnonzero(is_short & ~is_furniture).tolist():
         depth = _depth_before_wall(k, segments, ~is_furniture)
         if depth is not None and _is_solid(faces[k], depth, raster):
@@ -165,6 +165,14 @@ def _find_protruding(segments: Segments, chosen: IntArray) -> list[IntArray]:
     _, labels = connected_components(meets, directed=False)
     groups = [chosen[labels == label] for label in np.unique(labels)]
     return [group for group in groups if len(group) > 1]
+
+
+def _enclose(points: FloatArray, along: FloatArray) -> FloatArray:
+    """Corners (4, 2) of the rectangle about points (N, 2) whose sides are along a direction and across it."""
+    axes = np.array([along, [-along[1], along[0]]])
+    turned = points @ axes.T
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    return np.asarray(np.array([low, (high[0], low[1]), high, (low[0], high[1])]) @ axes)
 
 
 def hull(points: FloatArray) -> FloatArray:
