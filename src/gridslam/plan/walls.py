@@ -11,7 +11,7 @@ import numpy as np
 from gridslam.plan.faces import Face
 from gridslam.plan.rasters import BoolArray, Raster
 from gridslam.plan.segments import Segments
-from gridslam.plan.untyped import connected_components
+from gridslam.plan.untyped import connected_components, coo_matrix, spatial
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["Wall", "close_corners", "drop_clutter", "find_furniture_faces", "hull", "join_faces", "make_walls"]
@@ -36,6 +36,7 @@ _CLUTTER_RAD = np.deg2rad(10)
 _SHORTEST_ALONE_M = 0.6
 _BESIDE_M = 1.0
 _SQUARE_RAD = np.deg2rad(20)
+_NONE = np.zeros((0, 2), np.int64)
 
 
 @final
@@ -75,20 +76,24 @@ class Wall:
 def join_faces(faces: Sequence[Face], raster: Raster) -> list[Face]:
     """Join faces in one line where nothing free lies between them, as behind furniture."""
     left = sorted(faces, key=lambda face: -face.length_m)
+    segments = Segments.of(np.array([face.ends for face in left]))
+    is_left = np.ones(len(left), np.bool_)
     joined: list[Face] = []
-    while left:
-        face = left.pop(0)
-        while (k := _find_continuation(face, left, raster)) is not None:
-            face = _unite(face, left.pop(k))
+    for k, face in enumerate(left):
+        if not is_left[k]:
+            continue
+        is_left[k] = False
+        while (number := _find_continuation(face, segments, is_left, raster)) is not None:
+            is_left[number] = False
+            face = _unite(face, left[number])
         joined.append(face)
     return joined
 
 
-def _find_continuation(face: Face, others: Sequence[Face], raster: Raster) -> int | None:
-    """Number of the first other face in the line of this one, with nothing free between them."""
-    segments = Segments.of(np.array([other.ends for other in others]))
+def _find_continuation(face: Face, segments: Segments, is_left: BoolArray, raster: Raster) -> int | None:
+    """Number of the first face that is left in the line of this one, with nothing free between them."""
     steps, offsets = segments.locate(face.middle, face.along)
-    fits = segments.alongs @ face.along > np.cos(2 * _PARALLEL_RAD)
+    fits = is_left & (segments.alongs @ face.along > np.cos(2 * _PARALLEL_RAD))
     fits &= np.abs(offsets).max(axis=1, initial=0.0) < _SAME_LINE_M
     before, after = face.begin - steps.max(axis=1, initial=-np.inf), steps.min(axis=1, initial=np.inf) - face.end
     fits &= np.maximum(before, after) < _WIDEST_HIDDEN_M
@@ -155,14 +160,14 @@ def find_furniture_faces(faces: Sequence[Face], raster: Raster) -> tuple[BoolArr
 
 def _find_protruding(segments: Segments, chosen: IntArray) -> list[IntArray]:
     """Groups of the chosen segments, by their numbers, that meet at square corners which protrude."""
-    ends, normals, count = segments.ends[chosen], segments.normals[chosen], len(chosen)
-    meets = np.zeros((count, count), np.bool_)
-    for here, there in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        apart = np.hypot(*(ends[:, None, here] - ends[None, :, there]).transpose(2, 0, 1))
-        outward = ((ends[None, :, 1 - there] - ends[:, None, here]) * normals[:, None]).sum(axis=2)
-        meets |= (apart < _CORNER_M) & (outward < 0)
-    meets &= np.abs(normals @ normals.T) < np.sin(_SQUARE_RAD)
-    _, labels = connected_components(meets, directed=False)
+    ends, normals = segments.ends[chosen], segments.normals[chosen]
+    pairs = spatial.cKDTree(ends.reshape(-1, 2)).query_pairs(_CORNER_M, output_type="ndarray") if len(chosen) else _NONE
+    (first, here), (second, there) = (pairs[:, 0] // 2, pairs[:, 0] % 2), (pairs[:, 1] // 2, pairs[:, 1] % 2)
+    outward = ((ends[second, 1 - there] - ends[first, here]) * normals[first]).sum(axis=1) < 0
+    outward |= ((ends[first, 1 - here] - ends[second, there]) * normals[second]).sum(axis=1) < 0
+    meets = outward & (np.abs((normals[first] * normals[second]).sum(axis=1)) < np.sin(_SQUARE_RAD))
+    graph = coo_matrix((np.ones(meets.sum(), np.bool_), (first[meets], second[meets])), (len(chosen),) * 2)
+    _, labels = connected_components(graph, directed=False)
     groups = [chosen[labels == label] for label in np.unique(labels)]
     return [group for group in groups if len(group) > 1]
 
