@@ -219,7 +219,7 @@ def _match(begin: FloatArray, end: FloatArray, sides: Segments) -> _Line:
 
 def _find_unknown(outline: FloatArray, raster: Raster, sides: Segments) -> tuple[FloatArray, float]:
     """Parts (U, 2, 2) of an outline without anything occupied, wall or opening near, and their share of its length."""
-    near = sides.near(outline.min(axis=0) - 0.1, outline.max(axis=0) + 0.1)
+    _, near = sides.near(outline, 0.1)
     unknown, hidden, total = [], 0.0, 0.0
     for begin, end in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         along = end - begin

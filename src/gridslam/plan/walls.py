@@ -92,8 +92,9 @@ def join_faces(faces: Sequence[Face], raster: Raster) -> list[Face]:
 
 def _find_continuation(face: Face, segments: Segments, is_left: BoolArray, raster: Raster) -> int | None:
     """Number of the first face that is left in the line of this one, with nothing free between them."""
+    numbers, segments = segments.near(face.ends, _WIDEST_HIDDEN_M)
     steps, offsets = segments.locate(face.middle, face.along)
-    fits = is_left & (segments.alongs @ face.along > np.cos(2 * _PARALLEL_RAD))
+    fits = is_left[numbers] & (segments.alongs @ face.along > np.cos(2 * _PARALLEL_RAD))
     fits &= np.abs(offsets).max(axis=1, initial=0.0) < _SAME_LINE_M
     before, after = face.begin - steps.max(axis=1, initial=-np.inf), steps.min(axis=1, initial=np.inf) - face.end
     fits &= np.maximum(before, after) < _WIDEST_HIDDEN_M
@@ -103,7 +104,7 @@ def _find_continuation(face: Face, segments: Segments, is_left: BoolArray, raste
         places = begin + np.linspace(0, gap, max(2, int(gap / raster.cell_m) + 1))
         hidden = np.asarray(face.middle + np.outer(places, face.along) - 0.02 * face.normal, np.float64)
         if gap <= 0 or raster.share_free(hidden) < 0.3:
-            return int(k)
+            return int(numbers[k])
     return None
 
 
@@ -112,13 +113,13 @@ def drop_clutter(faces: Sequence[Face]) -> list[Face]:
     segments = Segments.of(np.array([face.ends for face in faces]))
     kept = []
     for k, face in enumerate(faces):
-        steps, offsets = segments.locate(face.middle, face.along)
-        longer = segments.lengths > 2 * face.length_m
-        beside = longer & (segments.alongs @ face.along > np.cos(_CLUTTER_RAD))
+        numbers, near = segments.near(face.ends, _CORNER_M)
+        steps, offsets = near.locate(face.middle, face.along)
+        longer = near.lengths > 2 * face.length_m
+        beside = longer & (near.alongs @ face.along > np.cos(_CLUTTER_RAD))
         beside &= (np.abs(offsets.mean(axis=1)) < _CLUTTER_M) & (steps.min(axis=1) < face.begin + 0.2 * face.length_m)
         beside &= steps.max(axis=1) > face.end - 0.2 * face.length_m
-        touching = segments.distances(face.ends).min(axis=0) < _CORNER_M
-        touching[k] = False
+        touching = (near.distances(face.ends).min(axis=0) < _CORNER_M) & (numbers != k)
         if not beside.any() and (face.length_m >= _SHORTEST_ALONE_M or touching.any()):
             kept.append(face)
     return kept
@@ -229,9 +230,10 @@ def close_corners(walls: Sequence[Wall]) -> list[Wall]:
     closed = []
     for k, wall in enumerate(walls):
         ends = wall.ends.copy()
+        _, near = segments.near(ends, 2 * _CORNER_M)
         for end, along in ((0, -segments.alongs[k]), (1, segments.alongs[k])):
-            steps, offsets = segments.locate(ends[end], along)
-            crossing = np.abs(segments.normals @ along) > np.sin(np.pi / 4)
+            steps, offsets = near.locate(ends[end], along)
+            crossing = np.abs(near.normals @ along) > np.sin(np.pi / 4)
             crossing &= (offsets.min(axis=1) < _CORNER_M) & (offsets.max(axis=1) > -_CORNER_M)
             slopes = (steps[:, 1] - steps[:, 0]) / np.where(crossing, offsets[:, 1] - offsets[:, 0], 1.0)
             meetings = (steps[:, 0] - offsets[:, 0] * slopes)[crossing]
@@ -266,6 +268,7 @@ def make_walls(faces: Sequence[Face]) -> list[Wall]:
 
 def _find_backs(face: Face, segments: Segments) -> list[tuple[int, float, float, float, float]]:
     """Faces back to back with this one: number, overlap, begin and end of the wall along it, and its thickness."""
+    numbers, segments = segments.near(face.ends, _THICKEST_M)
     steps, offsets = segments.locate(face.middle, face.along)
     low, high = np.maximum(face.begin, steps.min(axis=1)), np.minimum(face.end, steps.max(axis=1))
     opposite = segments.alongs @ face.along < -np.cos(_PARALLEL_RAD)
@@ -276,7 +279,7 @@ def _find_backs(face: Face, segments: Segments) -> list[tuple[int, float, float,
     begins = np.maximum(low - _REACH_M, np.minimum(face.begin, steps.min(axis=1)))
     ends = np.minimum(high + _REACH_M, np.maximum(face.end, steps.max(axis=1)))
     rows = np.column_stack([high - low, begins, ends, thickness])
-    return [(int(k), *rows[k].tolist()) for k in np.flatnonzero(fits)]
+    return [(int(numbers[k]), *rows[k].tolist()) for k in np.flatnonzero(fits)]
 
 
 def _subtract(parts: list[tuple[float, float]], taken: list[tuple[float, float]]) -> list[tuple[float, float]]:
