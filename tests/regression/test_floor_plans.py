@@ -28,6 +28,6 @@ def test_cells_alone_find_walls_to_a_cell(summaries):
     assert 0.005 < summary["offset_m"] < 0.03
 
 
-@pytest.mark.parametrize(("worse", "noticed"), [("noisy", "direction_deg"), ("undivided", "rooms_right")])
+@pytest.mark.parametrize(("worse", "noticed"), [("noisy", "doors_within_5_cm"), ("undivided", "rooms_right")])
 def test_what_makes_it_worse_is_noticed(summaries, worse, noticed):
     assert noticed in failures(summaries[worse])

@@ -9,7 +9,7 @@ import numpy as np
 
 from gridslam.plan.faces import Face, dominant_direction, find_faces, snap_directions
 from gridslam.plan.openings import Opening, find_openings
-from gridslam.plan.rasters import BoolArray, Raster, fill_polygons, make_raster
+from gridslam.plan.rasters import BoolArray, Raster, dilate, erode, fill_polygons, make_raster
 from gridslam.plan.rooms import Room, find_rooms, require_map_extra
 from gridslam.plan.surfaces import SurfacePoints, points_of_grid
 from gridslam.plan.untyped import ndimage
@@ -17,6 +17,9 @@ from gridslam.plan.walls import Wall, close_corners, drop_clutter, find_furnitur
 from gridslam.types import FloatArray, OccupancyGrid
 
 __all__ = ["FloorPlan", "make_plan"]
+
+_SLIT_CELLS = 2
+"""What is up to twice as narrow is no floor where it is free, and none is missing where it is not known."""
 
 
 @final
@@ -116,11 +119,10 @@ def make_plan(grid: OccupancyGrid, points: SurfacePoints | None = None) -> Floor
 
 def _close_floor(raster: Raster, walls: list[FloatArray], furniture: list[FloatArray]) -> BoolArray:
     """What is floor (H, W): free, or beneath furniture, or between the beams of a sparse scan; no walls, no slits."""
-    disc = np.hypot(*np.mgrid[-2:3, -2:3]) < 2.5
     floor = raster.floor | fill_polygons(raster, furniture)
     blocked = (raster.occupied & ~floor) | fill_polygons(raster, walls)
-    floor = (floor | ndimage.binary_closing(floor, disc)) & ~blocked
-    return np.asarray(ndimage.binary_opening(floor, disc) & ~blocked, np.bool_)
+    floor = (floor | erode(dilate(floor, _SLIT_CELLS), _SLIT_CELLS)) & ~blocked
+    return dilate(erode(floor, _SLIT_CELLS), _SLIT_CELLS) & ~blocked
 
 
 def _outline_furniture(raster: Raster) -> list[FloatArray]:

@@ -83,14 +83,17 @@ def find_openings(floor: BoolArray, raster: Raster, walls: Sequence[Wall], point
 
 def _find_gap(k: int, start: FloatArray, along: FloatArray, segments: Segments, halves: FloatArray) -> float | None:
     """How far from an end of wall `k` the next one in a direction is; None where that is no opening's width."""
+    numbers, segments = segments.near(np.array([start, start + _WIDEST_M * along]), _ASIDE_M)
     steps, offsets = segments.locate(start, along)
     turns = np.abs(segments.normals @ along)
     ahead = (turns < np.sin(_PARALLEL_RAD)) & (np.abs(offsets).min(axis=1) < _ASIDE_M) & (steps.max(axis=1) > 0.1)
     crossing = (turns > np.sin(_CROSSING_RAD)) & (offsets.min(axis=1) < _ASIDE_M) & (offsets.max(axis=1) > -_ASIDE_M)
     shares = np.clip(-offsets[:, 0] / np.where(crossing, offsets[:, 1] - offsets[:, 0], 1.0), 0, 1)
-    sides = steps[:, 0] + shares * (steps[:, 1] - steps[:, 0]) - halves
+    sides = steps[:, 0] + shares * (steps[:, 1] - steps[:, 0]) - halves[numbers]
     gaps = np.where(ahead, steps.min(axis=1), np.where(crossing, sides, np.inf))
-    gaps[(gaps < -_ASIDE_M) | (np.arange(len(gaps)) == k)] = np.inf
+    gaps[(gaps < -_ASIDE_M) | (numbers == k)] = np.inf
+    if not np.isfinite(gaps).any():
+        return None
     nearest = int(np.argmin(gaps))
     widest = _WIDEST_TO_SIDE_M if crossing[nearest] else _WIDEST_M
     return float(gaps[nearest]) if _NARROWEST_M <= gaps[nearest] <= widest else None

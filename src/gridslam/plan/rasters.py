@@ -14,13 +14,13 @@ from gridslam.types import FloatArray, OccupancyGrid
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 
-__all__ = ["BoolArray", "Raster", "fill_polygons", "make_raster"]
+__all__ = ["BoolArray", "Raster", "dilate", "erode", "fill_polygons", "make_raster"]
 
 _LONGEST_FURNITURE_M = 4.0
 _SHORTEST_WALL_M = 0.9
 _THICKEST_WALL_M = 0.25
 """What stands alone, but is thinner and longer than this, is a wall between two doors."""
-_MOST_CELLS = 12_000_000
+_MOST_CELLS = 13_000_000
 """Of larger maps two cells are one, or three: rooms are searched for in cells of 10 cm on 500 m x 250 m."""
 
 
@@ -63,7 +63,7 @@ class Raster:
     def is_vacated(self, points: FloatArray) -> BoolArray:
         """Whether each of points (N, 2) is in a free cell without an occupied one beside it: who was there has gone."""
         row, column = self.cells(points)
-        beside = ndimage.binary_dilation(self.occupied, np.ones((3, 3)))
+        beside = dilate(self.occupied, 1)
         return np.asarray(self.free[row, column] & ~beside[row, column], np.bool_)
 
     def share_free(self, points: FloatArray) -> float:
@@ -102,6 +102,16 @@ def _shrink(cells: BoolArray, factor: int) -> BoolArray:
     padded = np.pad(cells, margins)
     height, width = (side // factor for side in padded.shape)
     return np.asarray(padded.reshape(height, factor, width, factor).any(axis=(1, 3)), np.bool_)
+
+
+def dilate(cells: BoolArray, reach: int) -> BoolArray:
+    """Set the cells (H, W) within a square of `reach` cells about those that are set."""
+    return np.asarray(ndimage.maximum_filter(cells.view(np.uint8), 2 * reach + 1).view(np.bool_))
+
+
+def erode(cells: BoolArray, reach: int) -> BoolArray:
+    """Leave the cells (H, W) about which all are set within a square of `reach` cells; beyond the edge none is."""
+    return ~dilate(np.pad(~cells, reach, constant_values=True), reach)[reach:-reach, reach:-reach]
 
 
 def fill_polygons(raster: Raster, polygons: list[FloatArray]) -> BoolArray:

@@ -87,10 +87,11 @@ def find_rooms(floor: BoolArray, raster: Raster, faces: Sequence[Face], openings
     labels, _ = ndimage.label(cut)
     sides = _sides_of(faces, openings)
     rooms = []
+    sizes = np.bincount(labels.reshape(-1)) * raster.cell_m**2
     for number, part in enumerate(ndimage.find_objects(labels), start=1):
-        window = tuple(slice(max(0, s.start - 1), s.stop + 1) for s in part)
-        mask = labels[window] == number
-        if mask.sum() * raster.cell_m**2 >= _LEAST_AREA_M2:
+        if sizes[number] >= _LEAST_AREA_M2:
+            window = tuple(slice(max(0, s.start - 1), s.stop + 1) for s in part)
+            mask = labels[window] == number
             corner = raster.origin + np.array([window[1].start, window[0].start]) * raster.cell_m
             room = _make_room(mask, corner, raster, sides)
             if room is not None:
@@ -146,11 +147,10 @@ def _make_room(mask: BoolArray, corner: FloatArray, raster: Raster, sides: Segme
 
 def _fill_small_holes(mask: BoolArray, cell_m: float) -> BoolArray:
     """Fill holes that are no pillar, but cells that nothing was seen of."""
-    holes, count = ndimage.label(ndimage.binary_fill_holes(mask) & ~mask)
-    sizes = np.bincount(holes.reshape(-1), minlength=count + 1)
-    small = sizes * cell_m**2 < _SMALLEST_HOLE_M2
-    small[0] = False
-    return np.asarray(mask | small[holes], np.bool_)
+    holes, _ = ndimage.label(np.pad(~mask, 1, constant_values=True))  # the margin joins all that is outside
+    small = np.bincount(holes.reshape(-1)) * cell_m**2 < _SMALLEST_HOLE_M2
+    small[[0, holes[0, 0]]] = False
+    return np.asarray(mask | small[holes[1:-1, 1:-1]], np.bool_)
 
 
 def _snap(ring: FloatArray, sides: Segments) -> FloatArray:
@@ -219,15 +219,16 @@ def _match(begin: FloatArray, end: FloatArray, sides: Segments) -> _Line:
 
 def _find_unknown(outline: FloatArray, raster: Raster, sides: Segments) -> tuple[FloatArray, float]:
     """Parts (U, 2, 2) of an outline without anything occupied, wall or opening near, and their share of its length."""
-    near = sides.near(outline.min(axis=0) - 0.1, outline.max(axis=0) + 0.1)
+    _, near = sides.near(outline, 0.1)
     unknown, hidden, total = [], 0.0, 0.0
     for begin, end in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        _, beside = near.near(np.array([begin, end]), 0.1)
         along = end - begin
         length = float(np.hypot(*along))
         total += length
         count = max(1, round(length / 0.1))
         places = begin + np.outer((np.arange(count) + 0.5) / count, along)
-        is_known = _is_beside(places, raster) | (near.distances(places).min(axis=1, initial=np.inf) < 0.05)
+        is_known = _is_beside(places, raster) | (beside.distances(places).min(axis=1, initial=np.inf) < 0.05)
         edges = np.flatnonzero(np.diff(np.concatenate([[True], is_known, [True]]).astype(np.int8)))
         for first, last in zip(edges[::2], edges[1::2], strict=True):
             hidden += (last - first) / count * length

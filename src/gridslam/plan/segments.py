@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from gridslam.types import FloatArray
+from gridslam.types import FloatArray, IntArray
 
 __all__ = ["Segments"]
 
@@ -43,10 +43,14 @@ class Segments:
         """Return the number of segments."""
         return len(self.ends)
 
-    def near(self, low: FloatArray, high: FloatArray) -> Segments:
-        """Those whose upright boxes touch the one from `low` to `high`."""
-        touching = ((self.ends.max(axis=1) >= low) & (self.ends.min(axis=1) <= high)).all(axis=1)
-        return Segments(self.ends[touching], self.alongs[touching], self.normals[touching], self.lengths[touching])
+    def near(self, points: FloatArray, reach_m: float) -> tuple[IntArray, Segments]:
+        """Numbers of those whose upright boxes may be within a reach of the box about points (N, 2), and they."""
+        low, high = points.min(axis=0) - reach_m, points.max(axis=0) + reach_m
+        x, y = self.ends[..., 0], self.ends[..., 1]
+        apart = (x < low[0]).all(axis=1) | (x > high[0]).all(axis=1)
+        apart |= (y < low[1]).all(axis=1) | (y > high[1]).all(axis=1)
+        found = np.flatnonzero(~apart)
+        return found, Segments(self.ends[found], self.alongs[found], self.normals[found], self.lengths[found])
 
     def locate(self, start: FloatArray, along: FloatArray) -> tuple[FloatArray, FloatArray]:
         """How far all ends (S, 2) are from a point along a direction, and to its left."""

@@ -11,7 +11,7 @@ import numpy as np
 from gridslam.plan.faces import Face
 from gridslam.plan.rasters import BoolArray, Raster
 from gridslam.plan.segments import Segments
-from gridslam.plan.untyped import connected_components
+from gridslam.plan.untyped import connected_components, coo_matrix, spatial
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["Wall", "close_corners", "drop_clutter", "find_furniture_faces", "hull", "join_faces", "make_walls"]
@@ -36,6 +36,7 @@ _CLUTTER_RAD = np.deg2rad(10)
 _SHORTEST_ALONE_M = 0.6
 _BESIDE_M = 1.0
 _SQUARE_RAD = np.deg2rad(20)
+_NONE = np.zeros((0, 2), np.int64)
 
 
 @final
@@ -75,20 +76,25 @@ class Wall:
 def join_faces(faces: Sequence[Face], raster: Raster) -> list[Face]:
     """Join faces in one line where nothing free lies between them, as behind furniture."""
     left = sorted(faces, key=lambda face: -face.length_m)
+    segments = Segments.of(np.array([face.ends for face in left]))
+    is_left = np.ones(len(left), np.bool_)
     joined: list[Face] = []
-    while left:
-        face = left.pop(0)
-        while (k := _find_continuation(face, left, raster)) is not None:
-            face = _unite(face, left.pop(k))
+    for k, face in enumerate(left):
+        if not is_left[k]:
+            continue
+        is_left[k] = False
+        while (number := _find_continuation(face, segments, is_left, raster)) is not None:
+            is_left[number] = False
+            face = _unite(face, left[number])
         joined.append(face)
     return joined
 
 
-def _find_continuation(face: Face, others: Sequence[Face], raster: Raster) -> int | None:
-    """Number of the first other face in the line of this one, with nothing free between them."""
-    segments = Segments.of(np.array([other.ends for other in others]))
+def _find_continuation(face: Face, segments: Segments, is_left: BoolArray, raster: Raster) -> int | None:
+    """Number of the first face that is left in the line of this one, with nothing free between them."""
+    numbers, segments = segments.near(face.ends, _WIDEST_HIDDEN_M)
     steps, offsets = segments.locate(face.middle, face.along)
-    fits = segments.alongs @ face.along > np.cos(2 * _PARALLEL_RAD)
+    fits = is_left[numbers] & (segments.alongs @ face.along > np.cos(2 * _PARALLEL_RAD))
     fits &= np.abs(offsets).max(axis=1, initial=0.0) < _SAME_LINE_M
     before, after = face.begin - steps.max(axis=1, initial=-np.inf), steps.min(axis=1, initial=np.inf) - face.end
     fits &= np.maximum(before, after) < _WIDEST_HIDDEN_M
@@ -98,7 +104,7 @@ def _find_continuation(face: Face, others: Sequence[Face], raster: Raster) -> in
         places = begin + np.linspace(0, gap, max(2, int(gap / raster.cell_m) + 1))
         hidden = np.asarray(face.middle + np.outer(places, face.along) - 0.02 * face.normal, np.float64)
         if gap <= 0 or raster.share_free(hidden) < 0.3:
-            return int(k)
+            return int(numbers[k])
     return None
 
 
@@ -107,13 +113,13 @@ def drop_clutter(faces: Sequence[Face]) -> list[Face]:
     segments = Segments.of(np.array([face.ends for face in faces]))
     kept = []
     for k, face in enumerate(faces):
-        steps, offsets = segments.locate(face.middle, face.along)
-        longer = segments.lengths > 2 * face.length_m
-        beside = longer & (segments.alongs @ face.along > np.cos(_CLUTTER_RAD))
+        numbers, near = segments.near(face.ends, _CORNER_M)
+        steps, offsets = near.locate(face.middle, face.along)
+        longer = near.lengths > 2 * face.length_m
+        beside = longer & (near.alongs @ face.along > np.cos(_CLUTTER_RAD))
         beside &= (np.abs(offsets.mean(axis=1)) < _CLUTTER_M) & (steps.min(axis=1) < face.begin + 0.2 * face.length_m)
         beside &= steps.max(axis=1) > face.end - 0.2 * face.length_m
-        touching = segments.distances(face.ends).min(axis=0) < _CORNER_M
-        touching[k] = False
+        touching = (near.distances(face.ends).min(axis=0) < _CORNER_M) & (numbers != k)
         if not beside.any() and (face.length_m >= _SHORTEST_ALONE_M or touching.any()):
             kept.append(face)
     return kept
@@ -142,9 +148,9 @@ def find_furniture_faces(faces: Sequence[Face], raster: Raster) -> tuple[BoolArr
     has_back = np.array([bool(_find_backs(face, segments)) for face in faces], np.bool_)
     is_short = (segments.lengths < _LONGEST_FURNITURE_M) & ~has_back & ~is_furniture
     outlines = []
-    for group in _find_protruding(segments, np.flatnonzero(is_short)):
+    for group in _find_protruding(segments, np.flatnonzero(is_short & (segments.lengths < _WIDEST_HIDDEN_M))):
         is_furniture[group] = True
-        outlines.append(segments.ends[group].reshape(-1, 2))
+        outlines.append(_enclose(segments.ends[group].reshape(-1, 2), segments.alongs[group[0]]))
     for k in np.flatnonzero(is_short & ~is_furniture).tolist():
         depth = _depth_before_wall(k, segments, ~is_furniture)
         if depth is not None and _is_solid(faces[k], depth, raster):
@@ -155,16 +161,24 @@ def find_furniture_faces(faces: Sequence[Face], raster: Raster) -> tuple[BoolArr
 
 def _find_protruding(segments: Segments, chosen: IntArray) -> list[IntArray]:
     """Groups of the chosen segments, by their numbers, that meet at square corners which protrude."""
-    ends, normals, count = segments.ends[chosen], segments.normals[chosen], len(chosen)
-    meets = np.zeros((count, count), np.bool_)
-    for here, there in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        apart = np.hypot(*(ends[:, None, here] - ends[None, :, there]).transpose(2, 0, 1))
-        outward = ((ends[None, :, 1 - there] - ends[:, None, here]) * normals[:, None]).sum(axis=2)
-        meets |= (apart < _CORNER_M) & (outward < 0)
-    meets &= np.abs(normals @ normals.T) < np.sin(_SQUARE_RAD)
-    _, labels = connected_components(meets, directed=False)
+    ends, normals = segments.ends[chosen], segments.normals[chosen]
+    pairs = spatial.cKDTree(ends.reshape(-1, 2)).query_pairs(_CORNER_M, output_type="ndarray") if len(chosen) else _NONE
+    (first, here), (second, there) = (pairs[:, 0] // 2, pairs[:, 0] % 2), (pairs[:, 1] // 2, pairs[:, 1] % 2)
+    outward = ((ends[second, 1 - there] - ends[first, here]) * normals[first]).sum(axis=1) < 0
+    outward |= ((ends[first, 1 - here] - ends[second, there]) * normals[second]).sum(axis=1) < 0
+    meets = outward & (np.abs((normals[first] * normals[second]).sum(axis=1)) < np.sin(_SQUARE_RAD))
+    graph = coo_matrix((np.ones(meets.sum(), np.bool_), (first[meets], second[meets])), (len(chosen),) * 2)
+    _, labels = connected_components(graph, directed=False)
     groups = [chosen[labels == label] for label in np.unique(labels)]
     return [group for group in groups if len(group) > 1]
+
+
+def _enclose(points: FloatArray, along: FloatArray) -> FloatArray:
+    """Corners (4, 2) of the rectangle about points (N, 2) whose sides are along a direction and across it."""
+    axes = np.array([along, [-along[1], along[0]]])
+    turned = points @ axes.T
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    return np.asarray(np.array([low, (high[0], low[1]), high, (low[0], high[1])]) @ axes)
 
 
 def hull(points: FloatArray) -> FloatArray:
@@ -216,9 +230,10 @@ def close_corners(walls: Sequence[Wall]) -> list[Wall]:
     closed = []
     for k, wall in enumerate(walls):
         ends = wall.ends.copy()
+        _, near = segments.near(ends, 2 * _CORNER_M)
         for end, along in ((0, -segments.alongs[k]), (1, segments.alongs[k])):
-            steps, offsets = segments.locate(ends[end], along)
-            crossing = np.abs(segments.normals @ along) > np.sin(np.pi / 4)
+            steps, offsets = near.locate(ends[end], along)
+            crossing = np.abs(near.normals @ along) > np.sin(np.pi / 4)
             crossing &= (offsets.min(axis=1) < _CORNER_M) & (offsets.max(axis=1) > -_CORNER_M)
             slopes = (steps[:, 1] - steps[:, 0]) / np.where(crossing, offsets[:, 1] - offsets[:, 0], 1.0)
             meetings = (steps[:, 0] - offsets[:, 0] * slopes)[crossing]
@@ -253,6 +268,7 @@ def make_walls(faces: Sequence[Face]) -> list[Wall]:
 
 def _find_backs(face: Face, segments: Segments) -> list[tuple[int, float, float, float, float]]:
     """Faces back to back with this one: number, overlap, begin and end of the wall along it, and its thickness."""
+    numbers, segments = segments.near(face.ends, _THICKEST_M)
     steps, offsets = segments.locate(face.middle, face.along)
     low, high = np.maximum(face.begin, steps.min(axis=1)), np.minimum(face.end, steps.max(axis=1))
     opposite = segments.alongs @ face.along < -np.cos(_PARALLEL_RAD)
@@ -263,7 +279,7 @@ def _find_backs(face: Face, segments: Segments) -> list[tuple[int, float, float,
     begins = np.maximum(low - _REACH_M, np.minimum(face.begin, steps.min(axis=1)))
     ends = np.minimum(high + _REACH_M, np.maximum(face.end, steps.max(axis=1)))
     rows = np.column_stack([high - low, begins, ends, thickness])
-    return [(int(k), *rows[k].tolist()) for k in np.flatnonzero(fits)]
+    return [(int(numbers[k]), *rows[k].tolist()) for k in np.flatnonzero(fits)]
 
 
 def _subtract(parts: list[tuple[float, float]], taken: list[tuple[float, float]]) -> list[tuple[float, float]]:
