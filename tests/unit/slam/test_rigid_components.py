@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.geometry.se2 import between, compose, transform_points
+from gridslam.geometry.se2 import between, compose
 from gridslam.serialization import from_arrays, to_arrays
-from gridslam.slam.full_slam.earlier_pieces import collect_recent_points
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import (
     BLIND_SIGMA_M,
@@ -16,9 +15,7 @@ from gridslam.slam.loop_closure.key_graph import (
     KeyGraph,
     anchor_of,
 )
-from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submaps import key_scans_of
-from gridslam.types import StoredScan
 
 SURE = (0.02**2, 0.01**2)
 BLIND = (1.0, 0.3**2)
@@ -138,21 +135,6 @@ def test_a_submap_ends_at_a_gap_and_keeps_its_anchor(within):
         assert key_scans_of(submap, graph).tolist() == list(
             range(submap * KEY_SCANS_PER_SUBMAP, (submap + 1) * KEY_SCANS_PER_SUBMAP)
         )
-
-
-@pytest.mark.parametrize(("key", "scans", "first"), [(29, 10, 25), (29, 3, 27), (24, 10, 15), (3, 10, 0), (25, 10, 25)])
-def test_recent_points_are_none_from_before_a_gap(key, scans, first):
-    """Each scan has one point, as far ahead as its number tells; an archive's steps are a 32767th of the farthest."""
-    closure_state = LoopClosureState()
-    closure_state.graph = chain(40, [25])
-    for k in range(40):
-        closure_state.scans.append(
-            StoredScan(np.array([[1.0 + k, 0.5]]), np.zeros(2)), closure_state.graph.tracked[k], is_key=True
-        )
-    tracked = closure_state.graph.tracked_poses_from(key, np.arange(first, key + 1))
-    seen = zip(range(first, key + 1), tracked, strict=True)
-    expected = [transform_points(pose, np.array([[1.0 + k, 0.5]]))[0] for k, pose in seen]
-    np.testing.assert_allclose(collect_recent_points(closure_state, key, scans), expected, atol=40 / 32767)
 
 
 def test_pieces_outlast_arrays_snapshots_and_corrections():

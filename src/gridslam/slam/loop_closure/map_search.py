@@ -108,7 +108,5 @@ def _select_distinct(poses: FloatArray, weights: NDArray[np.float32]) -> FloatAr
     while len(left) and len(chosen) < _REFINED:
         chosen.append(left[0])
         away = left - left[0]
-        left = left[
-            (np.hypot(away[:, 0], away[:, 1]) >= _DISTINCT_M) | (np.abs(wrap(away[:, 2])) >= _DISTINCT_RAD)
-        ]
+        left = left[(np.hypot(away[:, 0], away[:, 1]) >= _DISTINCT_M) | (np.abs(wrap(away[:, 2])) >= _DISTINCT_RAD)]
     return np.array(chosen)
