@@ -54,7 +54,7 @@ def test_other_buildings_stay_apart(tmp_path, kind, seed):
 
 @pytest.mark.parametrize("agreement", [None, 0.7])
 def test_another_floor_of_the_same_plan_stays_apart(monkeypatch, agreement):
-    """All furniture of it stands elsewhere: what its walls show is contradicted by that. With a looser rule it is joined."""
+    """All its furniture stands elsewhere, which contradicts what the walls show; by a looser rule it is joined."""
     if agreement is not None:
         monkeypatch.setattr(earlier_pieces, "_MIN_AGREEMENT", agreement)
     configuration = Configuration()
