@@ -50,8 +50,8 @@ hypotheses each, in 15 ms each, and the last one decides, in 40 ms."""
 
 _EAGER_KEY_SCANS = 51
 _INTERVAL = 4 * _SHARES
-"""Until a drive has so many key scans a search follows the other, then there are so many key scans between them: in
-rooms that are all alike a drive that is not found costs as much as its mapping."""
+"""Up to the first number of key scans one search follows the other, later they begin this many key scans apart: even in
+rooms that are all alike, searching then costs little more than mapping."""
 
 _ALIGNED = 45
 """Key scans of a drive, spread evenly, that are tracked through a piece."""
