@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +10,13 @@ import pytest
 
 import gridslam
 from aliasing_worlds import make_world
+from gridslam.config import Configuration
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, simulate
 from gridslam.slam.full_slam import earlier_pieces
+from support.lifelong import Floor, Session
 
 ELSEWHERE = np.array([10.0, 0.0, 2.0])
 
@@ -50,12 +53,16 @@ def test_other_buildings_stay_apart(tmp_path, kind, seed):
     assert count_pieces(tmp_path, other(kind, seed), (1000 + seed, 1500 + seed)) == 2
 
 
-@pytest.mark.parametrize(
-    ("rule", "kind", "seed"), [("_MIN_OVERLAP", "random", 3), ("_MIN_AGREEMENT", "equal_rooms", 1)]
-)
-def test_each_rule_is_needed(tmp_path, monkeypatch, rule, kind, seed):
-    monkeypatch.setattr(earlier_pieces, rule, 0.0)
-    assert count_pieces(tmp_path, other(kind, seed), (1000 + seed, 1500 + seed)) == 1
+@pytest.mark.parametrize("agreement", [None, 0.7])
+def test_another_floor_of_the_same_plan_stays_apart(monkeypatch, agreement):
+    """All its furniture stands elsewhere, which contradicts what the walls show; by a looser rule it is joined."""
+    if agreement is not None:
+        monkeypatch.setattr(earlier_pieces, "_MIN_AGREEMENT", agreement)
+    configuration = Configuration()
+    floor = Session(configuration)
+    floor.map_day(Floor(6).drive(60.0), 6)
+    with nullcontext() if agreement is not None else pytest.raises(AssertionError, match="the robot was not found"):
+        floor.map_day(Floor(106).drive(60.0), 706)
 
 
 @pytest.mark.parametrize("kind", ["random", "equal_rooms"])

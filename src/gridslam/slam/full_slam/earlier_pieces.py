@@ -50,8 +50,8 @@ hypotheses each, in 15 ms each, and the last one decides, in 40 ms."""
 
 _EAGER_KEY_SCANS = 51
 _INTERVAL = 4 * _SHARES
-"""Until a drive has so many key scans a search follows the other, then there are so many key scans between them: in
-rooms that are all alike a drive that is not found costs as much as its mapping."""
+"""Up to the first number of key scans one search follows the other, later they begin this many key scans apart: even in
+rooms that are all alike, searching then costs little more than mapping."""
 
 _ALIGNED = 45
 """Key scans of a drive, spread evenly, that are tracked through a piece."""
@@ -119,7 +119,9 @@ class EarlierPieces:
         self._searches = [MapSearch(piece.build_map(mapper), alignment.matching) for piece in self.pieces]
         self._turns = len(self.pieces) if begin is None else 1
         self._hits: dict[tuple[int, int, bytes], list[SearchHit]] = {}
-        self._round: tuple[bytes, Iterator[PieceMatch | None]] = b"", iter(())
+        self._known = b""  # key scans that are aligned at present
+        self._work: Iterator[_Aligned | None] = iter(())
+        self._done: list[_Aligned | None] = []  # what each share of the work has brought
 
     def locate(self, closure_state: LoopClosureState) -> FoundPiece | None:
         """Do the newest key scan's share of the search, and give the piece in which the drive so far is found."""
@@ -130,12 +132,13 @@ class EarlierPieces:
         last = begins[-1]
         number = (len(begins) - 1) % self._turns
         keys = closure_state.graph.select_without_gap(np.arange(max(0, last + 1 - _LAST_KEY_SCANS), last + 1), last)
-        known = np.array(closure_state.graph.tracked)[keys].tobytes()
-        if known != self._round[0]:
-            self._round = known, self._align_in_shares(closure_state, number, keys)
-            for _ in range(newest - last):
-                next(self._round[1], None)
-        aligned = next(self._round[1], None)
+        known = _tracked_at(closure_state.graph, keys)
+        if known != self._known:
+            self._known, self._done = known, []
+            self._work = self._align_in_shares(closure_state, number, keys)
+        while len(self._done) <= newest - last:
+            self._done.append(next(self._work, None))
+        aligned = self._done[newest - last]
         return None if aligned is None else self._find(closure_state, number, aligned)
 
     def locate_whole(self, closure_state: LoopClosureState) -> FoundPiece | None:
@@ -143,21 +146,21 @@ class EarlierPieces:
 
         In rooms that are all alike no part of a drive is certain, but as a whole it lies in one place alone.
         """
-        for number in range(self._turns):
-            for aligned in self._align_in_shares(closure_state, number, np.arange(len(closure_state.graph))):
-                if aligned is not None:
-                    return self._find(closure_state, number, aligned)
-        return None
+        keys = np.arange(len(closure_state.graph))
+        found = (self._find_all(closure_state, number, keys) for number in range(self._turns))
+        return next(filter(None, found), None)
 
     def align(self, closure_state: LoopClosureState, number: int, keys: IntArray) -> PieceMatch | None:
         """Align consecutive key scans (K,) of a drive with piece `number`; None if that is not certain.
 
         The match has the poses of all key scans of the drive.
         """
-        for aligned in self._align_in_shares(closure_state, number, keys):
-            if aligned is not None:
-                return self._find(closure_state, number, aligned).match
-        return None
+        found = self._find_all(closure_state, number, keys)
+        return None if found is None else found.match
+
+    def _find_all(self, closure_state: LoopClosureState, number: int, keys: IntArray) -> FoundPiece | None:
+        aligned = next(filter(None, self._align_in_shares(closure_state, number, keys)), None)
+        return None if aligned is None else self._find(closure_state, number, aligned)
 
     def _find(self, closure_state: LoopClosureState, number: int, aligned: _Aligned) -> FoundPiece:
         """Lay the key scans that were not aligned as they were tracked from the nearest one that was."""
@@ -196,7 +199,7 @@ class EarlierPieces:
         keys = graph.select_without_gap(np.arange(max(0, key + 1 - _LAST_KEY_SCANS), key + 1), key)
         way = graph.driven_m()[keys]
         keys = keys[way >= way[-1] - self._alignment.length_m]
-        known = (number, key, np.array(graph.tracked)[keys].tobytes())
+        known = (number, key, _tracked_at(graph, keys))
         if known not in self._hits:
             submap = Submap.of(graph, int(keys[len(keys) // 2]), keys, closure_state.scans, self._mapper)
             self._hits[known] = self._match(graph, number, submap)
@@ -223,6 +226,11 @@ class _Aligned(NamedTuple):
     keys: IntArray
     poses: FloatArray
     constraints: list[Constraint]
+
+
+def _tracked_at(graph: KeyGraph, keys: IntArray) -> bytes:
+    """What key scans (K,) are known by: where they were tracked."""
+    return np.array([graph.tracked[key] for key in keys.tolist()]).tobytes()
 
 
 def _list_begins(newest: int) -> list[int]:

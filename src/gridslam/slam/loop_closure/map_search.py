@@ -98,17 +98,15 @@ def _occupied_points(maps: TileMaps) -> FloatArray:
     tiles = np.argwhere(ids)
     number, row, column = np.nonzero(fields[ids[ids > 0]] == 255)
     cells = tiles[number] * TILE + np.stack([row, column], axis=1) + corner
-    return (cells[:, ::-1] + 0.5) * maps.resolution_m
+    return np.asarray((cells[:, ::-1] + 0.5) * maps.resolution_m, np.float64)
 
 
 def _select_distinct(poses: FloatArray, weights: NDArray[np.float32]) -> FloatArray:
     """Select the best of poses (K, 3), no two of them the same place."""
     left = poses[np.argsort(-weights, kind="stable")]
-    chosen = []
+    chosen: list[FloatArray] = []
     while len(left) and len(chosen) < _REFINED:
         chosen.append(left[0])
         away = left - left[0]
-        left = left[
-            (np.hypot(away[:, 0], away[:, 1]) >= _DISTINCT_M) | (np.abs(wrap(away[:, 2])) >= _DISTINCT_RAD)
-        ]
+        left = left[(np.hypot(away[:, 0], away[:, 1]) >= _DISTINCT_M) | (np.abs(wrap(away[:, 2])) >= _DISTINCT_RAD)]
     return np.array(chosen)
