@@ -12,7 +12,7 @@ import pytest
 
 from gridslam.batch.engine import run_jobs
 from gridslam.batch.pool import ProcessPool
-from gridslam.errors import ConfigurationError, InputError, MissingDependencyError
+from gridslam.errors import InputError, MissingDependencyError
 from support.batch_jobs import check_same_results, make_job, map_job, write_logs
 
 pytest.importorskip("distributed")

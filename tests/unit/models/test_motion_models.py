@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gridslam.errors import ArgumentError, ConfigurationError
+from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
 from gridslam.models import DiffusionMotion, GMappingMotion, OdometryMotion, VelocityMotion

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gridslam.errors import ConfigurationError
 from gridslam.geometry.se2 import transform_points
 from gridslam.models import BeamRangeFinder, CauchyEndPoint, GMappingEndPoint, LikelihoodField
 from gridslam.types import LaserScan, ScanGeometry

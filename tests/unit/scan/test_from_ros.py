@@ -9,7 +9,7 @@ import pytest
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se3 import from_planar
-from gridslam.types import BeamStatus, LaserScan, ScanGeometry
+from gridslam.types import BeamStatus, LaserScan
 
 HIT, NO_RETURN, INVALID = (np.uint8(status) for status in BeamStatus)
 RANGES = np.array([1.0, 0.05, 30.0, np.inf, np.nan, -1.0, 0.0, 29.9], np.float32)

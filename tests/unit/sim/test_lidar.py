@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from gridslam.errors import ConfigurationError
 from gridslam.sim.floor_plan import box, join, polyline
 from gridslam.sim.lidar import LidarConfig, cast_rays, disc_ranges, measure
 

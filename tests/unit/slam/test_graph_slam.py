@@ -6,7 +6,7 @@ import checks
 import numpy as np
 import pytest
 
-from gridslam.errors import ArgumentError, ConfigurationError
+from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between, compose
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between, compose
-from gridslam.serialization import from_arrays, to_arrays
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import (
     BLIND_SIGMA_M,
