@@ -155,7 +155,7 @@ class Beams:
         return bool(self.ends.var(axis=0).sum() < _ONE_THING_M**2)
 
     def without_movable(self) -> Beams:
-        """Leave out what may move by itself: one to three things of a person's size, where little else is seen.
+        """Leave out things that may move by themselves: one to three of a person's size, where little else is seen.
 
         Of scans that show something over a third of the view at most. Four things are mostly trees or columns, or a
         wall so far away that beams hit it metres apart.

@@ -37,7 +37,7 @@ CONFIG = override(gridslam.Configuration(), "particles=3", "mapper.resolution_m=
 SCANS = 260
 """Of the second day; the robot is found again after about 70 of them, earlier where its pose is given."""
 _BEGINS = 60
-CARRIED_AFTER, CARRIED_SCANS = 200, 330
+CARRIED_AFTER, CARRIED_SCANS = 200, 440
 """Of the log in which the robot is carried: scans before, and in all."""
 _FILES = ("trajectory.tum", "trajectory.csv", "trajectory_online.tum", "map.pgm", "graph.g2o")
 _DAY_S = 86_400
@@ -94,7 +94,9 @@ def make_building(folder: Path) -> None:
     write_csv_log(folder / "monday.csv", drive()[:450])
     write_csv_log(folder / "annex.csv", drive("random")[:120])
     write_csv_log(folder / "tuesday.csv", moved(drive(seed=2)[_BEGINS : _BEGINS + SCANS]))
-    write_csv_log(folder / "carried.csv", carry(drive()[:CARRIED_AFTER], drive(seed=2)[20:150]))
+    write_csv_log(
+        folder / "carried.csv", carry(drive()[:CARRIED_AFTER], drive(seed=2)[20 : 20 + CARRIED_SCANS - CARRIED_AFTER])
+    )
     session = gridslam.Session(CONFIG)
     monday = session.add(folder / "monday.csv")
     write_map(folder / "known.yaml", monday.map)

@@ -172,7 +172,7 @@ def test_localization_goes_on_after_a_step_that_failed(monkeypatch):
         rng = np.random.default_rng(0)
         state = mcl.init_gaussian(drive.truth.poses[0], np.diag([0.01, 0.01, 0.01]), rng)
         observers = [lambda report, *_: reports.append(report)]
-        return arrays_of(run(source, mcl, rng=rng, state=state, observers=observers, **options))
+        run(source, mcl, rng=rng, state=state, observers=observers, **options)
 
     failures = []
     with monkeypatch.context() as patched:

@@ -92,7 +92,7 @@ class Autosave:
         self._due_s = time.monotonic() + self.period_s
 
     def go_on(self, beginning: Beginning) -> None:
-        """Go on with what a new piece of the same log begins with."""
+        """Continue with the beginning of a new piece of the same log."""
         if self._begun is not None:
             self._begun = self._begun[0], beginning
 

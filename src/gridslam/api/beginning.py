@@ -159,7 +159,7 @@ def locate_in(
 def begin_new_piece(
     ended: Beginning, configuration: Configuration, seed: int, on_progress: Callable[[], None] = lambda: None
 ) -> Beginning:
-    """Give what a robot that was carried begins with: what it has mapped is a piece in which it is looked for.
+    """Return the beginning of a carried robot's next drive: its map so far is a piece in which it is searched for.
 
     The same as where another log is added to a session; `ended` is what `Beginning.go_on` gives after the last scan.
     """
@@ -170,7 +170,7 @@ def begin_new_piece(
     refinement = configuration.final_refinement
     full = full_slam(run.state, drives, configuration.mapper, configuration.loop_closure, refinement, on_progress)
     if full.piece is None:
-        return ended  # without loop closure nothing can be found again
+        return ended  # without loop closure no drive can be relocalized
     pieces = (SavedPiece(full.piece, run.drives), *ended.pieces)
     names = [drive.name for piece in pieces for drive in piece.drives]
     begun = SavedRun(

@@ -29,7 +29,7 @@ def check_log(log: Log, options: LogOptions, warn: Callable[[str], None], *, is_
 
 
 def describe_finding(log: Log, finding: Finding) -> str:
-    """Describe what was found in a log in one line."""
+    """Describe the findings of a log in one line."""
     return f"{log.path}: {finding.code}: {finding.message} {finding.remedy}".rstrip()
 
 

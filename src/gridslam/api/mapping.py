@@ -532,7 +532,7 @@ def map_log(
         on_finding(finding)
 
     drives = split_where_carried(source, begun.passed, note_break)
-    if configuration.loop_closure is None:  # nothing can be found again
+    if configuration.loop_closure is None:  # no drive can be relocalized
         drives = iter([chain.from_iterable(drives)])
     state = drive(next(drives, iter(())), begun)
     for measurements in drives:
@@ -563,7 +563,7 @@ def map_log(
 
 
 def _describe_part(begun: Beginning, log: DrivenLog) -> DrivenLog:
-    """Describe what a drive has of a log so far: of one in which the robot was carried it is a part."""
+    """Describe a drive's part of a log so far: all of it, unless the robot was carried."""
     before = sum(driven.scans for driven in begun.run.logs)
     stamps_ns = begun.run.trajectory.online_trajectory().stamps_ns[before:].tolist()
     if len(stamps_ns) + begun.failures.count >= log.scans or not stamps_ns:

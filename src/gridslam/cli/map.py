@@ -124,16 +124,17 @@ def summarize(document: dict[str, Any], result: MapResult, out: Path) -> list[st
 
 
 def _summarize_pieces(result: MapResult, out: Path) -> Iterator[str]:
-    """Format where the robot was found again, and what stays apart."""
+    """Format where the robot was relocalized, and the pieces that stay apart."""
     found = result.found_again
     if found is not None and found.stamp_ns >= (result.log.first_stamp_ns or 0):  # else in an earlier log
         where = f"the map of {', '.join(found.drives)}" if found.drives else "the given map"
-        yield f"found again in {where} after {found.way_m:.1f} m"
+        yield f"relocalized in {where} after {found.way_m:.1f} m"
     elif found is None and result.pieces:
         apart = "; ".join(", ".join(drive.name for drive in piece.drives) or "given map" for piece in result.pieces)
-        yield f"not found in {len(result.pieces)} earlier piece(s) ({apart}), which stay apart: map_2.yaml, ..."
+        pieces = counted(len(result.pieces), "earlier piece")
+        yield f"not found in {pieces} ({apart}), which stay apart: map_2.yaml, ..."
     if len(result.trajectories) > 1:
-        yield f"trajectories of {len(result.trajectories)} drives: {out / 'trajectory_NAME.tum'}"
+        yield f"trajectories of {counted(len(result.trajectories), 'drive')}: {out / 'trajectory_NAME.tum'}"
 
 
 def _summarize_loop_closure(loops: dict[str, Any] | Literal[False]) -> Iterator[str]:

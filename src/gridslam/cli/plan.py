@@ -84,7 +84,7 @@ def _summarize(plan: FloorPlan, document: dict[str, Any], out: Path) -> Iterator
 
 
 def changes_to_folder(first: Path, second: Path, out: Path, same_frame: bool, as_json: bool) -> None:
-    """Find what has changed between two maps, write it to a folder and print a summary."""
+    """Find the changes between two maps, write them to a folder and print a summary."""
     with open_output(out, _CHANGES_NAMES) as folder:
         maps = [read_source(path, warn) for path in (first, second)]
         points = [points_of_grid(given.grid) if given.points is None else given.points for given in maps]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.arguments import describe
+from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 
 __all__ = ["find_wrong_beam_angles", "wrap"]
@@ -61,6 +62,7 @@ def wrap(angle: float | NDArray[Any]) -> Any:
     return remainder - math.tau * turns
 
 
+@checked
 def find_wrong_beam_angles(start: float, step: float, beams: int, end: float = math.nan) -> str:
     """Describe why no laser has such beams; empty for those of one.
 

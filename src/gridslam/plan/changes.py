@@ -1,4 +1,4 @@
-"""What has changed between two maps of a building: what stood there and has gone, and what is new."""
+"""Changes between two maps of a building: things that have gone, and new ones."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gridslam.types import FloatArray, OccupancyGrid
 __all__ = ["Change", "Changes", "find_changes"]
 
 _NEAR_M = 0.12
-"""What is occupied within this distance of what was, is the same: walls are drawn two cells thick."""
+"""Obstacles within this distance of earlier ones are the same: walls are drawn two cells thick."""
 _LEAST_CELLS = 4
 _LEAST_OPEN = 0.4
 """Of the cells about one that must be free on the other day, lest a single beam makes a change."""
@@ -53,7 +53,7 @@ class Change:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Changes:
-    """What has changed between two maps, in the frame of the first.
+    """Changes between two maps, in the frame of the first.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class Changes:
 
 
 def find_changes(first: OccupancyGrid, second: OccupancyGrid, alignment: Alignment) -> Changes:
-    """Find what stands in one map where the other one is free; what either has not seen is left open.
+    """Find obstacles of one map where the other one is free; cells that either has not seen are left open.
 
     A piece of furniture is seen as edges: those within half a metre are one's, and a rectangle is laid about them.
     """
@@ -104,7 +104,7 @@ def _resample(raster: Raster, onto: Raster, pose: FloatArray) -> Raster:
 
 
 def _find_gone(kind: str, here: Raster, there: Raster) -> list[Change]:
-    """What is occupied here and amid what is free there."""
+    """Find cells that are occupied here and amid free ones there."""
     near = ndimage.binary_dilation(there.occupied, _disc(int(np.ceil(_NEAR_M / here.cell_m))))
     is_open = ndimage.uniform_filter(there.free.astype(np.float32), 5) > _LEAST_OPEN
     edges = here.occupied & there.free & is_open & ~near

@@ -1,4 +1,4 @@
-"""What has changed between two maps as a picture and as GeoJSON."""
+"""Changes between two maps as a picture and as GeoJSON."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def write_changes_geojson(path: Path, changes: Changes) -> None:
 
 
 def write_changes_png(path: Path, changes: Changes) -> None:
-    """Paint both maps over one another: gone red, new green, what one of them alone has seen yellow."""
+    """Paint both maps over one another: gone red, new green, cells seen by one alone yellow."""
     first, second = changes.first, changes.second
     known = [raster.free | raster.occupied for raster in (first, second)]
     pixels = np.full((*first.free.shape, 3), UNKNOWN, np.uint8)

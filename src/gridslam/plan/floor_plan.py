@@ -19,13 +19,13 @@ from gridslam.types import FloatArray, OccupancyGrid
 __all__ = ["FloorPlan", "make_plan"]
 
 _SLIT_CELLS = 2
-"""What is up to twice as narrow is no floor where it is free, and none is missing where it is not known."""
+"""Strips up to twice as narrow are no floor where they are free, and no gap in it where they are unknown."""
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class FloorPlan:
-    """What a floor plan shows, in the frame of the map or turned by `turned_rad`.
+    """A floor plan, in the frame of the map or turned by `turned_rad`.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ def make_plan(grid: OccupancyGrid, points: SurfacePoints | None = None) -> Floor
 
 
 def _close_floor(raster: Raster, walls: list[FloatArray], furniture: list[FloatArray]) -> BoolArray:
-    """What is floor (H, W): free, or beneath furniture, or between the beams of a sparse scan; no walls, no slits."""
+    """Find floor (H, W): free, or beneath furniture, or between the beams of a sparse scan; no walls, no slits."""
     floor = raster.floor | fill_polygons(raster, furniture)
     blocked = (raster.occupied & ~floor) | fill_polygons(raster, walls)
     floor = (floor | erode(dilate(floor, _SLIT_CELLS), _SLIT_CELLS)) & ~blocked
@@ -126,7 +126,7 @@ def _close_floor(raster: Raster, walls: list[FloatArray], furniture: list[FloatA
 
 
 def _outline_furniture(raster: Raster) -> list[FloatArray]:
-    """Convex outlines (K, 2) of what stands alone."""
+    """Return convex outlines (K, 2) of things that stand alone."""
     labels, _ = ndimage.label(raster.furniture, np.ones((3, 3)))
     outlines = []
     for number, part in enumerate(ndimage.find_objects(labels), start=1):

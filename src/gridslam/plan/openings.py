@@ -64,7 +64,7 @@ class Opening:
 
 
 def find_openings(floor: BoolArray, raster: Raster, walls: Sequence[Wall], points: SurfacePoints) -> list[Opening]:
-    """Find where a wall ends and goes on, or meets another one, 0.5 to 2.6 m further, with floor between."""
+    """Find where a wall ends and continues, or meets another one, 0.5 to 2.6 m further, with floor between."""
     openings: list[Opening] = []
     segments = Segments.of(np.array([wall.ends for wall in walls]))
     halves = np.array([0.5 * (wall.thickness_m or 0.0) for wall in walls])

@@ -1,4 +1,4 @@
-"""The cells of a map as the plan needs them: what is floor, what stands on it, and what is free at given points."""
+"""The cells of a map as the plan needs them: floor, things that stand on it, and free space at given points."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["BoolArray", "Raster", "dilate", "erode", "fill_polygons", "make_rast
 _LONGEST_FURNITURE_M = 4.0
 _SHORTEST_WALL_M = 0.9
 _THICKEST_WALL_M = 0.25
-"""What stands alone, but is thinner and longer than this, is a wall between two doors."""
+"""Things that stand alone, but are thinner and longer than this, are walls between two doors."""
 _MOST_CELLS = 13_000_000
 """Of larger maps two cells are one, or three: rooms are searched for in cells of 10 cm on 500 m x 250 m."""
 
@@ -47,7 +47,7 @@ class Raster:
 
     @property
     def floor(self) -> BoolArray:
-        """What is free, and what furniture stands on (H, W)."""
+        """Return free cells, and those on which furniture stands (H, W)."""
         return self.free | self.furniture
 
     def cells(self, points: FloatArray) -> tuple[np.ndarray, np.ndarray]:
@@ -76,7 +76,7 @@ class Raster:
 
 
 def make_raster(grid: OccupancyGrid) -> Raster:
-    """Take a map's cells, fewer and larger ones of a large map, and find what stands alone."""
+    """Take a map's cells, fewer and larger ones of a large map, and find things that stand alone."""
     free, occupied = grid.known & (grid.log_odds < 0), grid.known & (grid.log_odds > 0)
     factor = int(np.ceil(np.sqrt(free.size / _MOST_CELLS)))
     cell_m = grid.resolution_m

@@ -34,7 +34,7 @@ _Line: TypeAlias = tuple[FloatArray, FloatArray, bool]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Room:
-    """A room, or what was seen of it.
+    """A room, or the part of it that was seen.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Room:
     holes : tuple of (K, 2) float64, m
         Pillars and cores, clockwise.
     unknown : (U, 2, 2) float64, m
-        Sides of the outline where nothing was seen: the room goes on there, or a wall was hidden.
+        Sides of the outline where nothing was seen: the room continues there, or a wall was hidden.
     area_m2 : float
         With what furniture stands on.
     """

@@ -61,7 +61,7 @@ class Mark:
 @final
 @dataclass(slots=True, eq=False)
 class Sheet:
-    """What is drawn, in its order.
+    """Shapes to be drawn, in their order.
 
     Attributes
     ----------

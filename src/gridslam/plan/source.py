@@ -1,4 +1,4 @@
-"""What a plan is made from: a map_server map, the folder of a run, or a session."""
+"""Sources of a plan: a map_server map, the folder of a run, or a session."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class MapSource(NamedTuple):
 
 
 def read_source(path: str | Path, on_remark: Callable[[str], None] = lambda remark: None) -> MapSource:
-    """Read what a plan is made from.
+    """Read the source of a plan.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ _SIDES = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfacePoints:
-    """Points on what beams ended at, each on one side of a surface.
+    """Points at which beams ended, each on one side of a surface.
 
     Attributes
     ----------

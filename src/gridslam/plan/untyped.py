@@ -1,4 +1,4 @@
-"""What plans take of SciPy, which declares no types: in one place, so that only its callers state theirs."""
+"""Functions of SciPy, which declares no types, as plans use them: with types, in one place."""
 
 from __future__ import annotations
 

@@ -126,7 +126,7 @@ def drop_clutter(faces: Sequence[Face]) -> list[Face]:
 
 
 def _unite(long: Face, short: Face) -> Face:
-    """One face through both: about the long one, turned and shifted by what the short one weighs."""
+    """Fit one face through both: about the long one, turned and shifted by the weight of the short one."""
     ends = np.concatenate([long.ends, short.ends])
     share = np.repeat([long.weight, short.weight], 2)
     middle = np.average(ends, axis=0, weights=share)
@@ -217,7 +217,7 @@ def _depth_before_wall(k: int, segments: Segments, is_wall: BoolArray) -> float 
 
 
 def _is_solid(face: Face, depth: float, raster: Raster) -> bool:
-    """Whether nothing free is seen from a face to what is behind it."""
+    """Return whether nothing free is seen behind a face."""
     along = np.linspace(face.begin + 0.1, face.end - 0.1, 10)
     across = np.linspace(0.1, depth - 0.1, 5)
     places = face.middle + along[:, None, None] * face.along - across[None, :, None] * face.normal
@@ -244,7 +244,7 @@ def close_corners(walls: Sequence[Wall]) -> list[Wall]:
 
 
 def make_walls(faces: Sequence[Face]) -> list[Wall]:
-    """Pair faces back to back, 3 to 45 cm apart, the longest overlaps first; what is left are walls of one face."""
+    """Pair faces back to back, 3 to 45 cm apart, the longest overlaps first; the others are walls of one face."""
     segments = Segments.of(np.array([face.ends for face in faces]))
     covered: list[list[tuple[float, float]]] = [[] for _ in faces]
     pairs = [(a, *back) for a, face in enumerate(faces) for back in _find_backs(face, segments) if back[0] < a]
@@ -283,7 +283,7 @@ def _find_backs(face: Face, segments: Segments) -> list[tuple[int, float, float,
 
 
 def _subtract(parts: list[tuple[float, float]], taken: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """What is left of intervals without others."""
+    """Return the rest of intervals without others."""
     for low, high in taken:
         parts = [
             piece

@@ -27,12 +27,12 @@ _RESERVE: Final = 1.3
 _FEWEST_TRIALS: Final = 4
 
 _PARTS: Final = {1: 1 / 9, 3: 1 / 3, 9: 1.0}
-"""Parts of the logs on which a configuration is tried, by Optuna's steps: the better third goes on to the next part.
+"""Parts of the logs on which a configuration is tried, by Optuna's steps: the better third advances to the next part.
 
 Less than a ninth of a log closes no loop.
 """
 _SHARE: Final = 0.5
-"""Cost of a trial as a share of whole logs: a third if a third goes on, and the first ones always go on."""
+"""Cost of a trial as a share of whole logs: a third if a third advances, and the first ones always advance."""
 _BATCH: Final = 8
 """Configurations that are asked for together, so that workers have something to do."""
 _WORST: Final = 1e6

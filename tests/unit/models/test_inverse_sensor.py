@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gridslam.errors import ConfigurationError
 from gridslam.models import InverseSensorModel
 
 

@@ -172,7 +172,7 @@ def test_the_newest_scans_win_and_the_others_are_counted():
         ({"angle_min": math.nan}, "expected finite angles"),
         ({"angle_increment": math.inf}, "expected finite angles"),
         ({"angle_increment": 0.0}, "all point one way"),
-        ({"angle_increment": 1.0}, "look like degrees"),
+        ({"angle_increment": 1.0}, "more than one turn"),
         ({"angle_max": 2.0}, "not at angle_max 2"),
     ],
 )

@@ -68,7 +68,7 @@ def plan_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("--same-frame", is_flag=True, help="Both maps have one frame; do not align them by their walls.")
 @json_option
 def changes_command(**options: Any) -> None:  # noqa: ANN401
-    """Show what has gone and what is new between two maps of a building.
+    """Show the differences between two maps of a building: gone and new things.
 
     FIRST and SECOND are each a map's YAML file, the folder OUT of `gridslam map`, or a session. What either has not
     seen is left open.

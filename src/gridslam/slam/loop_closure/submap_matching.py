@@ -247,7 +247,7 @@ def propose_poses(
 
 
 def poses_of_pairs(old: SubmapFeatures, new: SubmapFeatures, pairs: IntArray, most: int) -> FloatArray:
-    """Return poses (K, 3), `most` of them, that lay two keypoints on those that they match, where their distance is the same.
+    """Return at most `most` poses (K, 3) that lay two keypoints, of the same distance, on those that they match.
 
     The directions of the keypoints must agree with it, too.
     """
