@@ -357,6 +357,7 @@ class EarlyCheck:
 
 
 @final
+@checked
 class BreakCheck:
     """Checks the scans of all lasers, one after the other, for where the robot was carried (see `ViewBreaks`)."""
 

@@ -98,6 +98,7 @@ def test_a_check_that_fails_ends_no_map(monkeypatch):
     assert "RuntimeError: injected" in finding.message
 
 
+@pytest.mark.filterwarnings("ignore:ranges have a median")
 @settings(max_examples=40, deadline=None)
 @given(st.data())
 def test_whatever_a_reader_gives_is_diagnosed(data):

@@ -113,6 +113,7 @@ def test_maps_that_span_too_much_are_refused_before_tables_are_allocated():
     assert_unchanged(maps, before)
 
 
+@pytest.mark.filterwarnings("ignore:ranges have a median")
 @pytest.mark.parametrize("ends", [(1e300, 0), (math.nan, 1), (MOST_BEAM_CELLS * CELL + 1, 0)])
 def test_beams_that_end_too_far_away_are_refused(ends):
     maps = new_maps()

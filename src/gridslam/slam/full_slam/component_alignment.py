@@ -171,7 +171,7 @@ class ComponentAlignment:
     def _search(
         self, graph: KeyGraph, pairs: SubmapPairs, labels: IntArray, aligned: int
     ) -> dict[tuple[int, int], list[SearchHit]]:
-        """Match submaps of different components: what was found by the labels of the older and the newer one."""
+        """Match submaps of different components; the hits by the labels of the older and the newer one."""
         anchors = pairs.anchors
         of_submaps = labels[anchors]
         last = np.array([np.flatnonzero(labels == label)[-1] for label in of_submaps])

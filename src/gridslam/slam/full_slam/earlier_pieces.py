@@ -40,7 +40,7 @@ _FIRST_KEY_SCANS = 12
 """A drive is not compared before it has this many key scans, about 5 m: less of it looks alike in too many places."""
 
 _LAST_KEY_SCANS = 90
-"""Key scans, about 40 m, by which a drive is located: what was driven before may lie where the map ends."""
+"""Key scans, about 40 m, by which a drive is located: its way before may lie beyond the map."""
 
 _TRACKED = 4
 _TRACKED_AT_A_TIME = 2
@@ -64,8 +64,8 @@ _AMBIGUITY_RATIO = 0.5
 """Maximum evidence for any other place, as a fraction of the best."""
 
 _MIN_OVERLAP = 0.4
-"""Ratio of beams that end in what the piece knows: beams that end outside of it contradict nothing. In other buildings
-the best places had 0.16 to 0.22, all but off the map; right ones 0.77 to 0.99."""
+"""Ratio of beams that end in known cells of the piece: beams that end outside of it contradict nothing. In other
+buildings the best places had 0.16 to 0.22, all but off the map; right ones 0.77 to 0.99."""
 
 _MIN_AGREEMENT = 0.9
 """Agreement (see `TrajectoryScorer`) of those that do: on another floor of equal rooms 0.80, in right places from 0.93,
@@ -186,8 +186,8 @@ class EarlierPieces:
         for first in range(0, min(len(groups), _TRACKED), _TRACKED_AT_A_TIME):
             hypotheses += [alignment.track_component(group) for group in groups[first : first + _TRACKED_AT_A_TIME]]
             yield None
-        best = alignment.decide(hypotheses)
-        if best is not None and best.overlap >= _MIN_OVERLAP and best.agreement >= _MIN_AGREEMENT:
+        best = alignment.decide([each for each in hypotheses if _is_plausible(each)])
+        if best is not None:
             constraints = alignment.match_constraints(best)
             is_enough = len(constraints) >= self._alignment.min_constraints
             if is_enough and any(constraint.determined for constraint in constraints):
@@ -221,15 +221,20 @@ class EarlierPieces:
 
 @final
 class _Aligned(NamedTuple):
-    """Key scans (K,) of a drive, their poses (K, 3) in a piece, and what constrains them."""
+    """Key scans (K,) of a drive, their poses (K, 3) in a piece, and their constraints."""
 
     keys: IntArray
     poses: FloatArray
     constraints: list[Constraint]
 
 
+def _is_plausible(hypothesis: Hypothesis) -> bool:
+    """Return whether a drive may lie there; a place that contradicts it is no alternative to another one, either."""
+    return hypothesis.overlap >= _MIN_OVERLAP and hypothesis.agreement >= _MIN_AGREEMENT
+
+
 def _tracked_at(graph: KeyGraph, keys: IntArray) -> bytes:
-    """What key scans (K,) are known by: where they were tracked."""
+    """Return the tracked poses of key scans (K,), by which they are known."""
     return np.array([graph.tracked[key] for key in keys.tolist()]).tobytes()
 
 
