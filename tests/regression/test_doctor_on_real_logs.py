@@ -11,6 +11,8 @@ from gridslam.doctor.reader import reader_findings
 from gridslam.io.log import open_log
 from support.implausible_ranges import VARIANTS, check, real_logs
 
+pytestmark = pytest.mark.filterwarnings("ignore:ranges have a median")
+
 CLEAN = [
     "intel.clf.bz2",
     "aces.clf.bz2",
