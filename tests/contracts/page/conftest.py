@@ -91,8 +91,12 @@ def screenshot(browser, request):
 def phone(browser):
     """The same browser as a phone in the dark, 375 x 667, under fingers."""
     screen = {"width": 375, "height": 667, "deviceScaleFactor": 2, "mobile": True}
+    home = browser.current_window_handle
+    browser.switch_to.new_window("tab")  # what fingers did in another test is forgotten
     with emulated(browser, screen, "dark"):
         yield browser
+    browser.close()
+    browser.switch_to.window(home)
 
 
 @pytest.fixture(scope="session")
