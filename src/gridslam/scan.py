@@ -372,22 +372,33 @@ class LaserScan:
         Raises ArgumentError where lengths differ, a beam's time is not finite or `stamp_ns` is no integer, such as a
         time in seconds.
         """
-        scan = cls._build(stamp_ns, ranges, geometry, range_min_m, range_max_m, sensor, frame, beam_times_s)
+        scan = cls.from_log(
+            stamp_ns,
+            ranges,
+            geometry,
+            range_min_m=range_min_m,
+            range_max_m=range_max_m,
+            sensor=sensor,
+            frame=frame,
+            beam_times_s=beam_times_s,
+        )
         _warn_of_units(scan)
         return scan
 
     @classmethod
-    def _build(
+    def from_log(
         cls,
         stamp_ns: int,
         ranges: ArrayLike,
         geometry: ScanGeometry,
-        range_min_m: float,
-        range_max_m: float,
-        sensor: str,
-        frame: str,
-        beam_times_s: ArrayLike | None,
+        *,
+        range_min_m: float = 0.0,
+        range_max_m: float = np.inf,
+        sensor: str = "laser",
+        frame: str = "laser",
+        beam_times_s: ArrayLike | None = None,
     ) -> LaserScan:
+        """Build a scan as `from_ranges` does, without its warnings: the doctor finds wrong units in logs."""
         if not isinstance(stamp_ns, int | np.integer):
             raise ArgumentError("stamp_ns", "an integer of ns, such as int(1e9 * seconds)", stamp_ns)
         require_instance("geometry", geometry, ScanGeometry)
@@ -508,7 +519,16 @@ class LaserScan:
             geometry = ScanGeometry(angle_min + angle_increment * np.arange(count), base_from_laser)
         is_timed = time_increment > 0 and time_increment * count < LONGEST_SCAN_S
         times = np.arange(count) * time_increment if is_timed else None
-        return cls._build(stamp_ns, ranges, geometry, lower, upper, sensor, frame, times)
+        return cls.from_log(
+            stamp_ns,
+            ranges,
+            geometry,
+            range_min_m=lower,
+            range_max_m=upper,
+            sensor=sensor,
+            frame=frame,
+            beam_times_s=times,
+        )
 
     def __len__(self) -> int:
         """Return the number of beams B."""
@@ -542,8 +562,8 @@ def _warn_of_units(scan: LaserScan) -> None:
     bearings = scan.geometry.bearings
     if len(bearings) and np.abs(bearings[[0, -1]]).max() > 2 * math.tau:
         message = f"bearings reach {np.abs(bearings).max():.0f} rad: are they in degrees? Expected rad"
-        warnings.warn(message, UserWarning, stacklevel=4)
+        warnings.warn(message, UserWarning, stacklevel=3)
     hits = scan.ranges[scan.status == _HIT]
     if len(hits) and np.median(hits) > _FARTHEST_M:
         message = f"ranges have a median of {np.median(hits):.0f} m: are they in millimetres? Expected m"
-        warnings.warn(message, UserWarning, stacklevel=4)
+        warnings.warn(message, UserWarning, stacklevel=3)

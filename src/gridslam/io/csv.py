@@ -215,7 +215,7 @@ class _Rows:
         return Measurement(_odometry(cells, stamp_ns), laser(stamp_ns, ranges))
 
     def _make_laser(self, words: tuple[str, ...], beams: int) -> partial[LaserScan]:
-        """`LaserScan.from_ranges` for the laser of these cells, which asks for a stamp and ranges."""
+        """`LaserScan.from_log` for the laser of these cells, which asks for a stamp and ranges."""
         texts = dict(zip(_OF_LASER, words, strict=True))
         cells = {name: _utf8(name, text.strip()) or _DEFAULTS.get(name, "") for name, text in texts.items()}
         start = _number(cells, "angle_min_rad")
@@ -236,7 +236,7 @@ class _Rows:
         yaw = angles_of_rotation(mounting[:3, :3])[2]
         self._statistics.mountings[cells["sensor"]] = Mounting(np.array([x, y, yaw]), "line")
         return partial(
-            LaserScan.from_ranges,
+            LaserScan.from_log,
             geometry=ScanGeometry(start + step * np.arange(beams), mounting),
             range_min_m=_number(cells, "range_min_m", 0.0),
             range_max_m=_number(cells, "range_max_m", 0.0, infinite=True),

@@ -232,7 +232,7 @@ class _PointRows:
             raise ValueError(problem)
         if not np.array_equal(bearings, self._geometry.bearings):
             self._geometry = ScanGeometry(bearings)
-        return Measurement(None, LaserScan.from_ranges(self._stamp_ns, distances / self._units[1], self._geometry))
+        return Measurement(None, LaserScan.from_log(self._stamp_ns, distances / self._units[1], self._geometry))
 
     def _find_units(self, angles: FloatArray, distances: FloatArray) -> tuple[float, float]:
         usable = distances[np.isfinite(distances) & (distances > 0)]

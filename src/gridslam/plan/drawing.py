@@ -8,8 +8,9 @@ import numpy as np
 
 from gridslam.plan.floor_plan import FloorPlan
 from gridslam.plan.rooms import Room
-from gridslam.plan.sheet import Colour, Mark, Sheet
+from gridslam.plan.sheet import Mark, Sheet
 from gridslam.types import FloatArray
+from gridslam.viz.canvas import Colour, round_length
 
 __all__ = ["draw_plan"]
 
@@ -22,6 +23,7 @@ _OPEN: Colour = (225, 120, 0)
 _MARGIN_MM = 28.0
 _LETTERS_MM = 2.6
 _FACE_MM = 0.5
+_LONGEST_BAR_MM = 50.0
 _SHORTEST_ROOM_LABEL_MM = 8.0
 
 
@@ -102,7 +104,7 @@ def _dimensions(extent: FloatArray, per_m: float) -> list[Mark]:
 
 def _foot(sheet: Sheet, name: str, scale: int, per_m: float) -> list[Mark]:
     """Title on top, and a scale bar below that is 20 to 50 mm long."""
-    length = next(m for m in (0.5, 1, 2, 5, 10, 20, 50, 100, 1000) if m * per_m >= 20 or m == 1000)
+    length = round_length(_LONGEST_BAR_MM / per_m)
     width, height = sheet.size_mm
     ends = np.array([[_MARGIN_MM, 10.0], [_MARGIN_MM + length * per_m, 10.0]])
     edges = [end + np.array([[0, -1.0], [0, 1.0]]) for end in ends]

@@ -6,18 +6,16 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeAlias, final
+from typing import final
 from xml.sax.saxutils import escape
 
 import numpy as np
 from PIL import Image, ImageDraw
 
 from gridslam.types import FloatArray
-from gridslam.viz.canvas import font
+from gridslam.viz.canvas import Colour, font
 
-__all__ = ["Colour", "Mark", "Sheet", "write_pdf", "write_png", "write_svg"]
-
-Colour: TypeAlias = tuple[int, int, int]
+__all__ = ["Mark", "Sheet", "write_pdf", "write_png", "write_svg"]
 
 _POINTS_PER_MM = 72 / 25.4
 _DASH_MM = (1.2, 0.8)

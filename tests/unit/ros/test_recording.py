@@ -47,7 +47,6 @@ def accepted(draw):
     return MeasurementBuilder().build(message, draw(names), matrix, odometry, 0.0)
 
 
-@pytest.mark.filterwarnings("ignore:ranges have a median")
 @settings(max_examples=60, deadline=None)
 @given(st.lists(accepted(), min_size=1, max_size=3))
 def test_rows_are_read_back_bit_by_bit(tmp_path_factory, given_scans):
