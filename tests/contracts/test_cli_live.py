@@ -37,7 +37,7 @@ def look(url, client, out):
             while True:
                 client.receive(line.recv(20))
                 line.send(json.dumps({"do": "ack"}))
-                if client.status["stage"] == "done":
+                if client.status["stage"] == "finished":
                     client.written = (out / "run.json").is_file()
                     return
     except ConnectionClosed:
@@ -57,7 +57,7 @@ def test_a_viewer_sees_the_run_to_its_end(call, log, tmp_path, monkeypatch):
     status, _, _ = run_viewed(call, monkeypatch, client, "map", log, *FEW, "-o", tmp_path / "out")
     assert status == 0
     assert client.written
-    assert client.status["stage"] == "done"
+    assert client.status["stage"] == "finished"
     assert client.status["scans"] == 120
     assert (tmp_path / "out" / "map.png").is_file()
 

@@ -31,6 +31,7 @@ RANKS = {
     "slam": 8,
     "evaluation": 8,
     "config": 9,
+    "messages": 9,
     "observers": 9,
     "pipeline": 9,
     "transforms": 9,

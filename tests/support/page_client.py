@@ -20,6 +20,7 @@ class PageClient:
     def __init__(self) -> None:
         self.run_info: dict[str, Any] = {}
         self.status: dict[str, Any] = {}
+        self.reported: list[dict[str, Any]] = []
         self.tiles: dict[tuple[int, int], np.ndarray] = {}
         self.path, self.series = np.zeros((0, 2), np.float32), np.zeros((0, 5), np.float32)
         self.selected = np.zeros((0, 2), np.float32)
@@ -35,6 +36,7 @@ class PageClient:
             self.__init__()
             self.messages, self.bytes = messages, sent
         self.run_info, self.status = header.get("run_info", self.run_info), header.get("status", self.status)
+        self.reported = header.get("messages", self.reported)
         if header.get("clear"):
             self.tiles = {}
         if "tiles" in arrays:

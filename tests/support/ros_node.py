@@ -92,6 +92,7 @@ class LocalTransport:
     def __init__(self) -> None:
         self.outputs = RecordedOutputs()
         self.shut_down = threading.Event()
+        self.outage = ""
         self.services: dict[str, Callable[[object], Sequence[object]]] = {}
 
     def connect(self, refuse: Callable[[str, str], None], topics: dict[str, str]) -> None:
@@ -119,9 +120,9 @@ class LocalTransport:
     def advertise_parameters(self, values: object, change: object, settable: object) -> None:
         self.parameters = values
 
-    def spin(self, ended: threading.Event) -> Iterator[None]:
+    def spin(self, ended: threading.Event) -> Iterator[str]:
         while not self.shut_down.is_set() and not ended.wait(0.01):
-            yield
+            yield self.outage
 
     def close(self) -> None:
         self.shut_down.set()

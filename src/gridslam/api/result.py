@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -81,8 +82,10 @@ class Result(ABC):
     def _write_files(self, out: OutputFolder) -> None:
         """Write the files besides picture and run.json."""
 
-    def save(self, folder: str | Path) -> dict[str, Any]:
+    def save(self, folder: str | Path, messages: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any]:
         """Write all results into a folder, all or none; returns the content of run.json.
+
+        `messages` are what the run has reported (`gridslam.messages.Messages.to_list`).
 
         Raises
         ------
@@ -90,15 +93,15 @@ class Result(ABC):
             The folder cannot be written.
         """
         with OutputFolder(folder, self.all_names()) as out:
-            return self.write(out)
+            return self.write(out, messages)
 
     @classmethod
     def all_names(cls) -> tuple[str, ...]:
         """Names of all files that may be written."""
         return (*cls.file_names, cls.picture_name, "run.json")
 
-    def write(self, out: OutputFolder) -> dict[str, Any]:
-        """Write all results into an open output folder; returns the content of run.json."""
+    def write(self, out: OutputFolder, messages: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any]:
+        """Write all results into an open output folder; returns the content of run.json. `messages` as in `save`."""
         self.stopwatch.resume()
         self._write_files(out)
         return_freed_memory()  # of scans, maps and tables, before the picture needs its own
@@ -112,7 +115,7 @@ class Result(ABC):
             out.file(self.picture_name).unlink(missing_ok=True)
             failures.append(f"{self.picture_name} cannot be drawn: {describe_error(error)}")
         self.stopwatch.lap("draw")
-        document = self.document() | {"failures": failures}
+        document = self.document() | {"failures": failures, "messages": [*messages]}
         out.write_json("run.json", document)
         return document
 

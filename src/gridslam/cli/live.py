@@ -14,6 +14,7 @@ import numpy as np
 from gridslam.cli.output import warn
 from gridslam.errors import OutputError
 from gridslam.live.options import LiveOptions
+from gridslam.messages import Level, Messages
 from gridslam.pipeline import describe_error, isolate
 
 if TYPE_CHECKING:
@@ -36,10 +37,11 @@ _KEYS_BETWEEN_MOMENTS = 8  # at first
 
 
 class Viewers(NamedTuple):
-    """The page of a run and its history, or None for each that is not wanted."""
+    """Page and history of a run, None where not wanted, and its messages."""
 
     page: LivePage | None
-    history: HistoryRecorder | None = None
+    history: HistoryRecorder | None
+    messages: Messages
 
     def watch(self, source: Log, watch: Stopwatch) -> dict[str, Any]:
         """Return the arguments `observers` and `gate` of a run on a log: viewers control when scans are processed."""
@@ -72,10 +74,11 @@ class Viewers(NamedTuple):
             if not self.page.wait_for_viewer(timeout_s):
                 self.page.control.set_speed(None)
 
-    def show_warning(self, text: str) -> None:
-        """Show a warning on the page until the next one."""
+    def report(self, text: str, level: Level = Level.WARN) -> None:
+        """Report on stderr, on the page and in run.json."""
+        self.messages.report(level, text)
         if self.page is not None:
-            self.page.show_message(text)
+            self.page.show_messages(self.messages.to_list())
 
     def show_session(self, name: str, drives: Sequence[str]) -> None:
         """Show on the page the session that the run continues: the name of its file, and its drives."""
@@ -98,7 +101,7 @@ class Viewers(NamedTuple):
                 warn(f"the final map cannot be shown: {describe_error(error)}")
 
 
-NOBODY = Viewers(None)
+NOBODY = Viewers(None, None, Messages(lambda level, text: warn(text)))
 
 
 def _warn_once(viewer: str) -> Callable[[str], None]:
@@ -121,28 +124,31 @@ def open_viewers(
     range_max_m: float,
     known: OccupancyGrid | None = None,
     *,
+    out: Path | None = None,
     is_localization: bool = False,
     has_history: bool = True,
 ) -> Iterator[Viewers]:
-    """Yield the viewers; at the end the page stays open while it is viewed.
+    """Yield the viewers; the page stays open while it is viewed, and replays the results in `out`.
 
     The known map is needed where a localization is looked at.
     """
+    messages = Messages(lambda level, text: warn(text))
     with ExitStack() as stack:
         if live is None:
-            yield Viewers(None, _record_history(range_max_m, is_localization) if has_history else None)
+            history = _record_history(range_max_m, is_localization) if has_history else None
+            yield Viewers(None, history, messages)
             return
         from gridslam.live.page import LivePage
 
         page = stack.enter_context(serve_page(LivePage(title, live, range_max_m=range_max_m, known=known)))
-        viewers = Viewers(page, page.observer.history if has_history else None)
+        viewers = Viewers(page, page.observer.history if has_history else None, messages)
         announce(page.url, live)
         viewers.wait(live.wait_s or 0.0)
         yield viewers
         if page.viewers:
             warn("the page stays open while it is looked at; Ctrl-C ends it")
             try:
-                page.serve_until_left()
+                page.serve_until_left(out)
             except KeyboardInterrupt:  # the results are written, and nothing is cut short
                 return
 
@@ -184,7 +190,8 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
     with serve_page(page):
 
         def on_diagnostics(diagnostics: Diagnostics) -> None:
-            page.show_message(diagnostics.summary if diagnostics.level else "")
+            page.show_state(diagnostics.state, diagnostics.values["state"])
+            page.show_messages(core.messages.to_list())
             mapped = core.mapped_session
             if mapped is not None and mapped.continued is not None:
                 page.show_session(mapped.continued.path.name, mapped.continued.names)

@@ -11,12 +11,12 @@ from typing import Any, Literal
 import numpy as np
 
 from gridslam.api.amcl import AMCL_DEFAULTS, AmclParameters, from_amcl, override_configuration, read_amcl
+from gridslam.api.diagnosis import check_log
 from gridslam.api.localization import LocalizationResult, localize
 from gridslam.cli import STARTED_S
 from gridslam.cli.live import open_viewers
-from gridslam.cli.logs import check_log
 from gridslam.cli.options import name_option
-from gridslam.cli.output import open_output, print_result, reading_progress, warn
+from gridslam.cli.output import open_output, print_result, reading_progress
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.maps import read_map
 from gridslam.live.options import LiveOptions
@@ -50,13 +50,14 @@ def localize_to_folder(
     """Localize a log in a map, write the results if a folder is given and print a summary."""
     watch = Stopwatch(STARTED_S, 0.0)
     read = read_parameters(preset, config, particles, assignments)
-    source = check_log(open_log(log, options), options)
+    source = check_log(open_log(log, options), options, lambda text: viewers.report(text))
     known = read_map(map_path, strict_thresholds=strict_thresholds) if live is not None else None
     with open_viewers(
         live,
         source.path.name,
         read.configuration.range_max_m,
         known,
+        out=out,
         is_localization=True,
         has_history=out is not None and not no_history,
     ) as viewers:
@@ -79,12 +80,13 @@ def localize_to_folder(
                 stopwatch=watch,
                 **viewers.watch(source, watch),
             )
+            for warning in result.warnings():
+                viewers.report(warning)
+            if read.ignored:
+                viewers.report(f"{', '.join(read.ignored)}: not supported, ignored")
             if folder is not None:
                 viewers.write_history(folder)
-            document = result.document() if folder is None else result.write(folder)
-        warn(*result.warnings())
-        if read.ignored:
-            warn(f"{', '.join(read.ignored)}: not supported, ignored")
+            document = result.document() if folder is None else result.write(folder, viewers.messages.to_list())
         print_result(document, _summarize(document, result, out), as_json)
 
 

@@ -14,7 +14,7 @@ from gridslam.api.peak_memory import return_large_blocks
 from gridslam.cli import STARTED_S
 from gridslam.cli.live import NOBODY, Viewers, open_viewers
 from gridslam.cli.options import MapOptions
-from gridslam.cli.output import counted, mapping_progress, open_output, print_result, warn, write_apart
+from gridslam.cli.output import counted, mapping_progress, open_output, print_result, write_apart
 from gridslam.cli.session_options import SessionOptions
 from gridslam.io.log import Log, open_log
 from gridslam.live.options import LiveOptions
@@ -41,13 +41,12 @@ def map_to_folder(
         configuration = opened.configuration
 
     def report(text: str) -> None:
-        warn(text)
-        viewers.show_warning(text)
+        viewers.report(text)
 
     source = check_log(open_log(log, given.options), given.options, report, is_mapped=True)
     with (
         write_apart() as write,
-        open_viewers(live, source.path.name, configuration.range_max_m, has_history=not no_history) as viewers,
+        open_viewers(live, source.path.name, configuration.range_max_m, out=out, has_history=not no_history) as viewers,
     ):
         session.make_room(out)
         if opened is not None and session.continued is not None:
@@ -61,13 +60,14 @@ def map_to_folder(
             result = map_with_progress(source, run, watch, viewers, shown=not as_json, repair=given.repair)
             is_saved = opened is None or session.save is None or write(opened.save, session.save)
             viewers.write_history(folder)
-            document = result.write(folder)
+            for warning in result.warnings():
+                report(f"{log}: {warning}")
+            document = result.write(folder, viewers.messages.to_list())
         if is_saved:
             viewers.offer_session(session.save)
             session.end(out)
         else:
             session = replace(session, save=None)
-        warn(*(f"{log}: {warning}" for warning in result.warnings()))
         summary = summarize(document, result, out)
         print_result(document, [*summary, *session.summarize(opened, result, out)], as_json)
 

@@ -129,7 +129,7 @@ def demo(out: Path, seed: int, live: LiveOptions | None, no_history: bool, as_js
     configuration = Configuration()
     slowed = None if live is None else replace(live, speed=live.speed or _DEMO_SPEED, wait_s=None)
     wait_s = _DEMO_WAIT_S if live is None or live.wait_s is None else live.wait_s
-    with open_viewers(slowed, "demo", configuration.range_max_m, has_history=not no_history) as viewers:
+    with open_viewers(slowed, "demo", configuration.range_max_m, out=out, has_history=not no_history) as viewers:
         with open_output(out, MapResult.all_names()) as folder:
             simulated = simulate(make_world("demo", rng), RobotConfig(), OdometryNoise(), LidarConfig(), rng)
             write_carmen(folder.file(_DEMO_LOG), simulated.measurements)

@@ -13,9 +13,10 @@ import numpy as np
 from gridslam.errors import ArgumentError, GridslamError
 from gridslam.types import FloatArray
 
-__all__ = ["NO_COMMANDS", "Control", "RobotCommands", "RobotControl", "check_particle", "check_speed"]
+__all__ = ["LOCATING", "NO_COMMANDS", "Control", "RobotCommands", "RobotControl", "check_particle", "check_speed"]
 
 _POSE_COVARIANCE = np.diag([0.25, 0.25, (math.pi / 12) ** 2])  # of a pose set by hand, as RViz sends it, m^2 and rad^2
+LOCATING = "the robot is being located"
 _MAX_WAIT_S = 0.25  # longer waits are split, so that signals and requests are processed
 
 
@@ -212,7 +213,7 @@ class RobotControl:
                 answer(f"pose set to {x:.2f} m, {y:.2f} m, {math.degrees(theta):.0f}°")
             elif name == "locate" and self.commands.locate is not None:
                 self.commands.locate()
-                answer("the robot is being located")
+                answer(LOCATING)
             elif self.commands.reset is not None:
                 self.commands.reset()
                 answer("reset: the next scan begins a new map")

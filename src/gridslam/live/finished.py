@@ -19,6 +19,7 @@ from gridslam.io.trajectories import read_trajectory_csv, read_tum
 from gridslam.live.history import History
 from gridslam.live.history_file import read_history
 from gridslam.live.results import MappedRun, Results, StaticMap, TrajectoryRun
+from gridslam.live.scene import MOST_MESSAGES
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
 
 __all__ = ["count_key_scans", "read_optional_history", "read_results"]
@@ -28,8 +29,8 @@ _MOST = 1e12  # of particles
 _WRITERS = "gridslam map, localize, grid or landmarks"
 
 
-def read_results(out: Path) -> tuple[Results, str]:
-    """Return the results in the folder of a command, and their name.
+def read_results(out: Path) -> tuple[Results, str, list[dict[str, Any]]]:
+    """Return the results in the folder of a command, their name, and the messages of the run.
 
     Raises
     ------
@@ -42,7 +43,7 @@ def read_results(out: Path) -> tuple[Results, str]:
         raise InputError(out / "run.json", f"expected what {_WRITERS} wrote, got schema {kind or 'none'}")
     source = document.get("input")
     title = Path(str(source.get("path") if isinstance(source, dict) else "") or out.resolve()).name
-    return _READERS[kind](out, document), title
+    return _READERS[kind](out, document), title, _read_messages(out / "run.json", document)
 
 
 def _read_mapping(out: Path, document: dict[str, Any]) -> Results:
@@ -70,7 +71,8 @@ def _read_localization(out: Path, document: dict[str, Any]) -> Results:
     if len(belief) != len(trajectory):
         raise InputError(out / "belief.csv", f"expected {len(trajectory)} scans, got {len(belief)}")
     grid, missing = _read_known_map(document)
-    return TrajectoryRun(trajectory, covariances, grid, belief=belief, missing=missing)
+    is_global = document.get("initial_pose") == "global"
+    return TrajectoryRun(trajectory, covariances, grid, belief=belief, missing=missing, is_global=is_global)
 
 
 def _read_landmark_run(out: Path, document: dict[str, Any]) -> Results:
@@ -107,6 +109,23 @@ def count_key_scans(results: Results, history: History | None) -> IntArray:
     keys = np.array([0, *(moment.keys for moment in history.moments)])
     counted: IntArray = keys[np.searchsorted(stamps_ns, results.trajectory.stamps_ns, "right")]
     return counted
+
+
+def _read_messages(path: Path, document: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the messages of a run (`gridslam.messages.Messages.to_list`); none of a run that has kept none."""
+    messages = document.get("messages", [])
+    kinds: dict[str, Any] = {
+        "level": str,
+        "text": str,
+        "count": int,
+        "first_s": (int, float),
+        "last_s": (int, float),
+        "state": bool,
+    }
+    for message in messages if isinstance(messages, list) else [None]:
+        if not isinstance(message, dict) or not all(isinstance(message.get(key), kinds[key]) for key in kinds):
+            raise InputError(path, f"messages: expected objects with {', '.join(kinds)}, got {message!r:.60}")
+    return [{key: message[key] for key in kinds} for message in messages[:MOST_MESSAGES]]
 
 
 def _read_document(path: Path) -> dict[str, Any]:

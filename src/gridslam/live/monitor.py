@@ -272,6 +272,7 @@ class LocalizationMonitor:
 
         status = {
             "particles": report.particles,
+            "looking": report.looking,
             "lost_probability": report.lost_probability,
             "inlier_ratio": report.inlier_ratio,
         }

@@ -46,6 +46,8 @@ class Snapshot:
         snapshot.
     stamps_ns : list of int, ns
         Their stamps.
+    scans_at_keys : list of int
+        Number of scans by then, each.
     progress : float
         Ratio of the log that is read, in [0, 1]; NaN if unknown.
     taken_s : float
@@ -59,6 +61,7 @@ class Snapshot:
     keys: int
     series: list[tuple[float, float, float, int, int]]
     stamps_ns: list[int]
+    scans_at_keys: list[int]
     progress: float
     taken_s: float
 
@@ -116,6 +119,7 @@ class LiveObserver:
         self._latest: tuple[Any, Any] | None = None  # report and state
         self._series: list[tuple[float, float, float, int, int]] = []
         self._stamps_ns: list[int] = []
+        self._scans_at_keys: list[int] = []
         self._requests: dict[int, tuple[int, int]] = {}  # of each channel the newest
         self._monitor.reset()
         self.history.reset()
@@ -152,6 +156,7 @@ class LiveObserver:
             count = 0 if report.poses is None else len(report.poses)
             self._series.append((report.stamp_ns * 1e-9, report.n_eff, seconds, flags, count))
             self._stamps_ns.append(report.stamp_ns)
+            self._scans_at_keys.append(self._scans)
             self._control.on_key_scan()
         if not self._busy and (now := time.perf_counter()) >= self._due:
             self._take_snapshot(now)
@@ -192,4 +197,18 @@ class LiveObserver:
         view = self._monitor.view(report, state)
         series, self._series = self._series, []
         stamps_ns, self._stamps_ns = self._stamps_ns, []
-        self._post(Snapshot(report, view, self._scan, self._scans, self._keys, series, stamps_ns, self.progress(), now))
+        scans_at_keys, self._scans_at_keys = self._scans_at_keys, []
+        self._post(
+            Snapshot(
+                report,
+                view,
+                self._scan,
+                self._scans,
+                self._keys,
+                series,
+                stamps_ns,
+                scans_at_keys,
+                self.progress(),
+                now,
+            )
+        )

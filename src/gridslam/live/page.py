@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import TypeVar, final
+from typing import Any, TypeVar, final
 
+from gridslam.errors import InputError
 from gridslam.live.control import Control, RobotControl
 from gridslam.live.history_recorder import HistoryRecorder
 from gridslam.live.monitor import FilterMonitor, LocalizationMonitor, MappingMonitor
 from gridslam.live.observer import LiveObserver, Snapshot
 from gridslam.live.options import LiveOptions
+from gridslam.live.replay import Replay
 from gridslam.live.run import LiveRun
 from gridslam.live.server import PageServer
 from gridslam.pipeline import Stopwatch
@@ -114,10 +117,14 @@ class LivePage:
         self.observer.reset()
         return self.observer.follow(source)
 
-    def show_message(self, message: str) -> None:
-        """Update the page while no scan arrives, and show a message unless empty; call from the filter's thread."""
+    def show_messages(self, messages: Sequence[Mapping[str, Any]]) -> None:
+        """Show the messages so far, the newest first (`gridslam.messages.Messages.to_list`)."""
+        self._server.call(self._run.show_messages, messages)
+
+    def show_state(self, name: str, text: str) -> None:
+        """Update the page while no scan arrives, and show a node's state; call from the filter's thread."""
         self.observer.take_pending_snapshot()
-        self._server.call(self._run.show_message, message)
+        self._server.call(self._run.show_state, name, text)
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
         """Show the final result: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
@@ -138,12 +145,16 @@ class LivePage:
             time.sleep(0.05)
         return bool(self.viewers)
 
-    def serve_until_left(self) -> None:
-        """Show that all is done and written, and keep serving as long as a viewer is connected.
+    def serve_until_left(self, folder: Path | None = None) -> None:
+        """Show that the run is finished, and serve its replay as long as a viewer is connected.
 
         A lost connection has some seconds to reconnect.
         """
-        self._server.call(self._run.set_stage, "done")
+        self._server.call(self._run.set_stage, "finished")
+        if folder is not None:
+            with suppress(InputError):  # something else has changed the folder
+                self._server.call(self._run.begin_replay, Replay(folder))
+            self._server.set_share(1.0)  # no filter needs the processor any more
         alone_since = -math.inf if not self.viewers else time.perf_counter()
         while time.perf_counter() - alone_since < _RECONNECT_S:
             time.sleep(0.1)

@@ -52,9 +52,13 @@ class Replay:
         """Read the folder."""
         self._out = out = Path(folder)
         with stay_below(out):
-            results, title = read_results(out)
+            results, title, self.messages = read_results(out)
             self.history = read_optional_history(out / HISTORY_NAME)
         self.results = results
+        if results.missing:
+            now_s = time.time()
+            missing = {"level": "warning", "text": results.missing, "count": 1, "first_s": now_s, "last_s": now_s}
+            self.messages = [{**missing, "state": False}, *self.messages]
         mode = "still" if isinstance(results, StaticMap) else "replay"
         self.speed = speed
         self.beside = read_beside(out, None if beside is None else Path(beside), results.trajectory)
@@ -224,11 +228,13 @@ class ReplayViewer:
             "last": self._last,
             "time_s": self._time_s,
             "total_s": float(results.times_s[-1]),
-            "stage": "running" if self._playing else "paused",
             "speed": self._speed,
             "selected_particle": self._selected,
-            "message": results.missing,
         }
+        if self._playing:
+            status["stage"] = "looking" if status.get("looking") else "lost" if status.get("lost") else "running"
+        else:
+            status["stage"] = "finished" if self._at == self._last else "paused"
         replica: TileReplica | PastReplica = self._replay.replica
         past = self._past
         if past is not None and self._reader is not None:
@@ -249,4 +255,5 @@ class ReplayViewer:
             selected=self._selected_path,
             truth=self._replay.beside.path,
             other=self._replay.other,
+            messages=self._replay.messages,
         )

@@ -188,6 +188,8 @@ class TrajectoryRun:
         the effective sample size, NaN where nothing was weighed.
     missing : str
         A message about missing files; empty if nothing is missing.
+    is_global : bool
+        Whether the pose was unknown at first.
     """
 
     particles = 0
@@ -201,6 +203,8 @@ class TrajectoryRun:
         landmarks: Float32Array = NO_LANDMARKS,
         belief: FloatArray | None = None,
         missing: str = "",
+        *,
+        is_global: bool = False,
     ) -> None:
         """Prepare the data of all times."""
         self.grid = grid
@@ -219,6 +223,8 @@ class TrajectoryRun:
         self.layers = tuple(layer for layer, is_shown in shown.items() if is_shown)
         if belief is not None:
             lost, _, _, particles, n_eff = belief.T
+            found = np.flatnonzero(lost == 0)
+            self._found_at = int(found[0]) if len(found) and is_global else len(lost) if is_global else 0
             unknown = np.full(len(lost), np.nan)
             before = np.append(particles[:1], particles[:-1])
             weighed_of = np.fmax(before, n_eff)  # a lower bound while the robot is lost
@@ -242,6 +248,7 @@ class TrajectoryRun:
             **values,
             "scans": at + 1,
             "lost": bool(lost),
+            "looking": at < self._found_at,
             "lost_probability": lost_probability,
             "inlier_ratio": inlier_ratio,
             "particles": int(particles),

@@ -11,15 +11,17 @@ from typing import IO, Any, final
 import numpy as np
 
 from gridslam.errors import ArgumentError
+from gridslam.geometry.angles import wrap
 from gridslam.io.text import open_for_reading
 from gridslam.live.ancestry_tree import NO_POINTS
-from gridslam.live.control import Control, RobotControl, check_particle, check_speed
+from gridslam.live.control import LOCATING, Control, RobotControl, check_particle, check_speed
 from gridslam.live.history import History, PastMaps
 from gridslam.live.holds import Holds
-from gridslam.live.monitor import BEST
+from gridslam.live.monitor import BEST, LOST
 from gridslam.live.observer import UNVIEWED_PERIOD_S, VIEWED_PERIOD_S, LiveObserver, Snapshot
 from gridslam.live.past import PastReader
-from gridslam.live.scene import Frame, RowBuffer, Scene, SentState, finite_or_none, make_run_info
+from gridslam.live.replay import Replay, ReplayViewer
+from gridslam.live.scene import MOST_MESSAGES, Frame, RowBuffer, Scene, SentState, finite_or_none, make_run_info
 from gridslam.live.tiles import TileReplica, split_into_tiles
 from gridslam.slam.loop_closure.constraints import select_shown_closures
 from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Trajectory
@@ -64,11 +66,14 @@ class LiveRun:
         self._viewers: dict[LiveViewer, Callable[[], None]] = {}
         self.holds = Holds(control)
         self._channels = 0
-        self._message = ""
+        self._messages: Sequence[Mapping[str, Any]] = ()
         self._answer = ""
+        self._asked_at = 0  # scans by then
+        self._state: tuple[str, str] | None = None  # of a node: name and text
         self._session: Path | None = None
         self._goes_on: dict[str, Any] | None = None
         self._past: tuple[History, PastMaps] | None = None
+        self.replay: Replay | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -89,6 +94,7 @@ class LiveRun:
         self._scan = NO_POINTS
         self._series = RowBuffer(5)
         self._stamps_ns: list[int] = []
+        self._scans: list[int] = []  # so far, at each key scan
         self._final_poses: FloatArray | None = None
         self._first_s: float | None = None
         self._rate_window: deque[tuple[float, int, float]] = deque(maxlen=_RATE_SNAPSHOTS)
@@ -112,6 +118,7 @@ class LiveRun:
                 self._first_s = snapshot.series[0][0]
             self._series.append(np.array(snapshot.series) * (1, 1, 1e3, 1, 1) - (self._first_s, 0, 0, 0, 0))
         self._stamps_ns += snapshot.stamps_ns
+        self._scans += snapshot.scans_at_keys
         self._frame = view.make_frame()
         if snapshot.scan is not None and snapshot.scan is not self._last_scan:
             self._last_scan = snapshot.scan
@@ -129,18 +136,24 @@ class LiveRun:
         self.set_stage("writing")
 
     def set_stage(self, stage: str) -> None:
-        """Go over to another stage: "running", "final refinement", "writing" or "done"."""
+        """Go over to another stage: "running", "final refinement", "writing" or "finished"."""
         self._stage = stage
         self.notify_viewers()
 
-    def show_message(self, message: str) -> None:
-        """Show this message to viewers until it is replaced; none if empty."""
-        self._message = message
+    def show_messages(self, messages: Sequence[Mapping[str, Any]]) -> None:
+        """Show these messages, the newest first, instead of those before (`gridslam.messages.Messages.to_list`)."""
+        self._messages = messages[:MOST_MESSAGES]
+        self.notify_viewers()
+
+    def show_state(self, name: str, text: str) -> None:
+        """Show the state of a node, by its name and in words, until the next one."""
+        self._state = name, text
         self.notify_viewers()
 
     def answer(self, text: str) -> None:
         """Show the outcome of a robot command to all viewers; thread-safe."""
         self._answer = text
+        self._asked_at = self._status["scans"]
 
     def add_viewer(self, notify: Callable[[], None]) -> LiveViewer:
         """Add a viewer; `notify` is called whenever there may be something new."""
@@ -159,6 +172,11 @@ class LiveRun:
     def viewers(self) -> int:
         """Number of viewers."""
         return len(self._viewers)
+
+    def begin_replay(self, replay: Replay) -> None:
+        """Let each viewer look through the finished run."""
+        self.replay = replay
+        self.notify_viewers()
 
     def find_channel(self, channel: int) -> int:
         """Return the channel, or the best particle's if there is no such channel."""
@@ -182,7 +200,9 @@ class LiveRun:
 
     def open_session(self) -> IO[bytes] | None:
         """Open the session file that a later run can continue; return None if this one offers none."""
-        return None if self._session is None else open_for_reading(self._session)
+        if self._session is not None:
+            return open_for_reading(self._session)
+        return None if self.replay is None else self.replay.open_session()
 
     def offer_session(self, path: Path) -> None:
         """Let viewers download the session file that a later run can continue."""
@@ -223,11 +243,11 @@ class LiveRun:
     def make_scene(self, channel: int) -> Scene:
         """Return the current scene of a channel."""
         row = self._rows.get(channel, -1)
-        stage = "paused" if self._stage in ("waiting", "running") and self.control.paused else self._stage
+        stage, text = self._find_stage()
         status = {
             **self._status,
             "stage": stage,
-            "message": self._message,
+            "state": text,
             "answer": self._answer,
             "goes_on": self._goes_on,
             "speed": self.control.speed,
@@ -235,12 +255,33 @@ class LiveRun:
             "channel": channel,
             "shared": self._frame.shared,
             "last": max(self._status["keys"] - 1, 0),
-            "selected_particle": None if channel == BEST or stage in ("writing", "done") else row,
+            "selected_particle": None if channel == BEST or stage in ("writing", "finished") else row,
         }
         replica = self._replicas.get(channel, self._replicas[BEST])
         past = None if channel == BEST else self._frame.poses.get(row)
         selected = NO_POINTS if past is None else past[:, :2].astype(np.float32)
-        return Scene(self._run_info, status, replica, self._frame, self._series.rows, self._scan, selected=selected)
+        return Scene(
+            self._run_info,
+            status,
+            replica,
+            self._frame,
+            self._series.rows,
+            self._scan,
+            selected=selected,
+            messages=self._messages,
+        )
+
+    def _find_stage(self) -> tuple[str, str]:
+        """Return the name of the stage, and a node's own words for it."""
+        if self._stage not in ("waiting", "running"):
+            return self._stage, ""
+        if self.control.paused:
+            return "paused", ""
+        if self._state is not None and self._state[0] != "paused":
+            return self._state
+        if self._stage == "running" and self._status.get("lost"):
+            return ("looking" if self._status.get("looking") else "lost"), ""
+        return self._stage, ""
 
     def make_past_scene(self, reader: PastReader, at: int) -> Scene | None:
         """Return the scene as it was after a key scan, counted from 0; None if nothing is known of it."""
@@ -251,23 +292,29 @@ class LiveRun:
         closures = recorder.closures
         shown = select_shown_closures(closures[: recorder.recognized], closures[recorder.recognized :])
         frame = Frame(past.path, particles=past.particles, closures=past.closure_ends(shown))
-        row = self._series.rows[at]
+        time_s, n_eff, _, flags, particles = self._series.rows[at].tolist()
         status = {
             **self.make_scene(BEST).status,
             "past": True,
             "at": at,
-            "time_s": float(row[0]),
-            "n_eff": finite_or_none(float(row[1])),
+            "time_s": time_s,
+            "n_eff": finite_or_none(n_eff),
+            "lost": bool(int(flags) & LOST),
+            "particles": int(particles),
             "keys": at + 1,
+            "scans": self._scans[at],
             "closures": int((closures[:, 1] <= at).sum()),
             "pose": past.pose.tolist(),
             "scan_pose": past.pose.tolist(),
             "covariance": None,
             "best": None,
             "found": None,
+            "progress": None,
+            "real_time_factor": None,
+            "bytes": None,
         }
         replica = self._replicas[BEST] if self._known is not None else reader.replica
-        return Scene(self._run_info, status, replica, frame, self._series.rows, past.scan)
+        return Scene(self._run_info, status, replica, frame, self._series.rows, past.scan, messages=self._messages)
 
     def find_reader(self, reader: PastReader | None) -> PastReader:
         """Return a viewer's reader of the current session's past: its own, if that is still of this session."""
@@ -292,6 +339,20 @@ class LiveRun:
         self.observer.period_s = VIEWED_PERIOD_S if self._viewers else UNVIEWED_PERIOD_S
         self.notify_viewers()
 
+    def _find_covariance(self, snapshot: Snapshot) -> FloatArray:
+        """Return the covariance (3, 3) of the pose; of a robot lost in a known map that of the drawn particles.
+
+        The filter's own spans all places where the robot may be.
+        """
+        report, particles = snapshot.report, self._frame.particles
+        if self._known is None or not report.lost or not len(particles):
+            return report.covariance
+        apart = particles[:, :3] - report.pose
+        apart[:, 2] = wrap(apart[:, 2])
+        weights = particles[:, 3] / particles[:, 3].sum()
+        covariance: FloatArray = (weights[:, None] * apart).T @ apart
+        return covariance
+
     def _update_status(self, snapshot: Snapshot) -> None:
         report = snapshot.report
         stamp_s = report.stamp_ns * 1e-9
@@ -305,13 +366,15 @@ class LiveRun:
             "keys": snapshot.keys,
             "time_s": stamp_s - first_s,
             "pose": report.pose.tolist(),
-            "covariance": report.covariance.tolist(),
+            "covariance": self._find_covariance(snapshot).tolist(),
             "lost": bool(report.lost),
             "n_eff": n_eff,
             "progress": finite_or_none(snapshot.progress),
             **snapshot.view.status,
             **rates,
         }
+        if self._answer == LOCATING and not report.lost and snapshot.scans > self._asked_at:
+            self._answer = ""
         self.notify_viewers()
 
 
@@ -326,9 +389,13 @@ class LiveViewer:
         self._channel = BEST
         self._at: int | None = None  # the key scan that is looked at; None: the newest
         self._reader: PastReader | None = None
+        self._replaying: ReplayViewer | None = None  # once the run is finished
 
     def next_message(self) -> bytes | None:
         """Return the next message for the viewer; None if there is nothing new."""
+        if self._run.replay is not None:
+            self._replaying = self._replaying or ReplayViewer(self._run.replay)
+            return self._replaying.next_message()
         scene = None
         if self._at is not None and self._reader is not None:
             scene = self._run.make_past_scene(self._reader, self._at)
@@ -336,6 +403,9 @@ class LiveViewer:
 
     def command(self, command: Mapping[str, Any]) -> None:
         """Execute a command of the viewer; raises ArgumentError, KeyError or TypeError if it is invalid."""
+        if self._replaying is not None:
+            self._replaying.command(command)
+            return
         run = self._run
         match command["do"]:
             case "pause":

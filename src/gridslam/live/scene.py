@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple, final
 
@@ -20,6 +20,7 @@ from gridslam.live.tiles import TileReplica, tile_offset
 from gridslam.types import FloatArray, OccupancyGrid
 
 __all__ = [
+    "MOST_MESSAGES",
     "NO_LANDMARKS",
     "NO_SERIES",
     "Frame",
@@ -31,6 +32,8 @@ __all__ = [
 ]
 
 _MAX_TILES = 1024
+MOST_MESSAGES = 100
+"""Of a run that are shown: the newest ones."""
 NO_PARTICLES: Float32Array = np.zeros((0, 4), np.float32)
 NO_CLOSURES: Float32Array = np.zeros((0, 4), np.float32)
 NO_LANDMARKS: Float32Array = np.zeros((0, 5), np.float32)
@@ -125,6 +128,8 @@ class Scene(NamedTuple):
         The true path of the robot, or another run's; empty if unknown.
     other : TileReplica, optional
         Another map to compare with.
+    messages : sequence of dict
+        What was reported so far (`gridslam.messages.Messages.to_list`).
     """
 
     run_info: dict[str, Any]
@@ -138,6 +143,7 @@ class Scene(NamedTuple):
     selected: Float32Array = NO_POINTS
     truth: Float32Array = NO_POINTS
     other: TileReplica | None = None
+    messages: Sequence[Mapping[str, Any]] = ()
 
 
 def make_run_info(
@@ -171,7 +177,7 @@ def finite_or_none(value: float) -> float | None:
 class SentState:
     """The data that a viewer has received; `next_message` encodes the rest."""
 
-    __slots__ = ("_arrays", "_numbers", "_replicas", "_rows", "_run_info", "_status")
+    __slots__ = ("_arrays", "_messages", "_numbers", "_replicas", "_rows", "_run_info", "_status")
 
     def __init__(self) -> None:
         """Start with a viewer that has received nothing."""
@@ -180,6 +186,7 @@ class SentState:
     def _reset(self) -> None:
         self._run_info: dict[str, Any] = {}
         self._status: dict[str, Any] = {}
+        self._messages: Sequence[Mapping[str, Any]] = ()
         self._replicas: dict[str, TileReplica | PastReplica] = {}
         self._numbers: dict[str, int] = {}
         self._rows = {"path": NO_POINTS, "selected": NO_POINTS, "series": NO_SERIES}
@@ -195,6 +202,8 @@ class SentState:
             header["run_info"] = self._run_info = scene.run_info
         if scene.status != self._status:
             header["status"] = self._status = scene.status
+        if scene.messages != self._messages:
+            header["messages"] = self._messages = scene.messages
         self._add_tiles("", scene.replica, header, arrays)
         if scene.other is not None:
             self._add_tiles("other_", scene.other, header, arrays)

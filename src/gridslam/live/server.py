@@ -126,6 +126,10 @@ class PageServer:
         address = f"[{name}]" if ":" in name else name
         return f"http://{address}:{port}/" + ("" if self._token is None else f"?token={self._token}")
 
+    def set_share(self, share: float) -> None:
+        """Take at most another share of one processor's time from now on."""
+        self._pace.share = share
+
     def call(self, function: Callable[..., None], *arguments: object) -> bool:
         """Schedule a call in the content's thread; thread-safe. Returns False if the server has stopped."""
         if self._loop is None or self._loop.is_closed():

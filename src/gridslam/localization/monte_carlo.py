@@ -200,7 +200,7 @@ class MonteCarloLocalization:
         estimate = estimate_pose(poses, np.exp(log_weights)) if known else _UNKNOWN_POSE
         found_m = math.inf if known else 0.0
         averages = self.configuration.recovery.begin()
-        return MonteCarloState(poses, log_weights, averages, estimate, found_m, verified=known)
+        return MonteCarloState(poses, log_weights, averages, estimate, found_m, verified=known, looking=not known)
 
     def init_gaussian(self, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Generator) -> MonteCarloState:
         """Begin at a pose (3,) of which a covariance (3, 3) is known, with as many particles as there may be.
@@ -231,7 +231,8 @@ class MonteCarloLocalization:
         moved = self._moved(state, odometry, scan)
         beams = self._select_beams(state, odometry, moved, scan)
         if reason := self._skip_reason(state, odometry, moved, beams, always=always):
-            return state, self._refine_pose(self._report_skipped(state, odometry, scan, moved, reason), beams)
+            report = self._report_skipped(state, odometry, scan, moved, reason)
+            return state, self._refine_pose(state.note_found(report), beams)
         state.add_particles(*self.configuration.hypotheses.sample(state.hypotheses, len(state.poses), rng))
         poses = self._motion(moved)(state.poses, rng)  # x_t ~ p(x_t | u_t, x_t-1)
         log_likelihood = self._likelihood(beams)
@@ -240,7 +241,8 @@ class MonteCarloLocalization:
             poses, log_weights = self._inject_particles(poses, log_weights, share, beams, log_likelihood, rng)
         state.advance(poses, normalize(log_weights), odometry)
         weights = np.exp(state.log_weights)
-        report = self._refine_pose(self._report_update(state, weights, scan, moved, beams, share, rng), beams)
+        report = state.note_found(self._report_update(state, weights, scan, moved, beams, share, rng))
+        report = self._refine_pose(report, beams)
         if self._should_resample(state, report):  # draw with probability w_t, as many as KLD-sampling asks for
             parents = self.configuration.kld(poses, weights, self.resampler, rng)
             state.resample(parents)

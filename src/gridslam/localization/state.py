@@ -48,6 +48,8 @@ class LocalizationReport:
         How probable it is that the robot is farther from `pose` than 1 m or 0.5 rad.
     lost : bool
         Whether the lost probability exceeds `MonteCarloConfiguration.lost_above`.
+    looking : bool
+        Whether the robot is lost because its pose was unknown at first, and has not been found since.
     inlier_ratio : float, [0, 1]
         Inlier ratio with the map at the last update, at the cluster's mean.
     particles : int
@@ -77,6 +79,7 @@ class LocalizationReport:
     skipped: LocalizationSkip | None = None
     odometry_rejected: bool = False
     injection_ratio: float = 0.0
+    looking: bool = False
     poses: FloatArray | None = None
     log_weights: FloatArray | None = None
     parents: IntArray | None = None
@@ -117,6 +120,8 @@ class MonteCarloState:
         Of the last scan.
     updates : int
         How many there were.
+    looking : bool
+        Whether the pose was unknown at first, and has not been found since.
     tracked : TrackedMotion or None
         Motion from scan to scan, by which the odometry is checked; None before the first scan, and without a check.
     """
@@ -133,6 +138,7 @@ class MonteCarloState:
     odometry: Annotated[FloatArray, 3, Limits(-1e9, 1e9)] | None = None
     last: Odometry | None = None
     updates: Annotated[int, COUNT] = 0
+    looking: bool = False
     tracked: TrackedMotion | None = None
     consumed: bool = field(default=False, metadata=NOT_SAVED)
 
@@ -182,6 +188,11 @@ class MonteCarloState:
         self.driven_since_found_m = self.driven_since_found_m + confirms_m if same else 0.0
         self.verified = self.verified and bool(same)
         self.estimate = estimate
+
+    def note_found(self, report: LocalizationReport) -> LocalizationReport:
+        """Note whether the robot has been found; return the report with whether it is still looked for."""
+        self.looking = self.looking and report.lost
+        return replace(report, looking=self.looking)
 
     def resample(self, parents: IntArray) -> None:
         """Let particle i continue particle parents[i] of parents (M,), all with equal weights."""

@@ -10,6 +10,7 @@ from gridslam.config import build
 from gridslam.live.control import RobotControl
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
+from gridslam.messages import Level, Messages
 from gridslam.pipeline import run
 from support.browsing import PATIENCE_S, Cable, Mapping, click, shown, text, told, wait, wait_for_all
 from support.loops import PROVOKED
@@ -115,14 +116,27 @@ def test_a_robot_is_paused_but_not_held_and_what_is_wrong_is_read(browser, drive
         def mapped(part):
             rng, observers = np.random.default_rng(1), [page.observer]
             run(page.follow_session(part), build(PROVOKED), particles=8, rng=rng, observers=observers)
-            page.show_message("")
+            page.show_state("running", "mapping")
 
-        page.show_message("missing transform: base_link <- laser")
+        messages = Messages(lambda level, text: None)
+        messages.report(Level.ERROR, "starting a new map: time jumped back, and the robot is elsewhere")
+        messages("two transforms", "odom is published twice")
+        messages.report_state(Level.WARN, "no transform from 'laser' to 'base_link'")
+        page.show_messages(messages.to_list())
+        page.show_state("no transforms", "no transform from 'laser' to 'base_link'")
         wait(lambda: shown(browser, "notice"), "what is wrong")
-        assert text(browser, "#notice") == "missing transform: base_link <- laser"
+        assert text(browser, "#notice span").startswith("starting a new map"), "a lesser one that is newer hides none"
+        assert text(browser, "#stage") == "no transform from 'laser' to 'base_link'"
+        browser.refresh()
+        wait(lambda: shown(browser, "notice"), "it survives a reload")
+        click(browser, "messages")
+        found = [item.text for item in browser.find_elements("css selector", "#messages li")]
+        assert [line.split(" ", 2)[-1].split(":")[0] for line in found] == ["warning", "warning", "error"]
+        screenshot("messages")
         mapped(drive[:60])
         session = wait(lambda: int(told(browser)["tiles"]) > 10 and told(browser)["session"], "a map")
-        wait(lambda: not shown(browser, "notice"), "nothing is wrong any more")
+        browser.find_element("css selector", "#notice button").click()
+        wait(lambda: not shown(browser, "notice"), "it is put away")
         buttons = "pause", "step", "speed", "line", "follow"
         assert [name for name in buttons if shown(browser, name)] == ["pause", "line", "follow"]
         browser.find_element("tag name", "body").send_keys(".")  # the key for a step does nothing

@@ -87,7 +87,7 @@ def test_what_is_touched_is_24_px_large_and_all_lies_in_landmarks(browser, drive
 
 def test_the_whole_map_is_that_of_the_robot_not_of_strays(browser, finished):
     browser.get(finished.url)
-    wait(lambda: told(browser).get("stage") == "done", "the end")
+    wait(lambda: told(browser).get("stage") == "finished", "the end")
     wait_for_rest = view(browser)
     wait(lambda: np.array_equal(wait_for_rest, view(browser)), "the camera rests")
     x, y, scale = view(browser)[:3]

@@ -64,7 +64,7 @@ def test_the_map_grows_is_paused_stepped_and_finished(browser, drive, screenshot
         page.finish(grid, mapping.state.ancestry.trajectory(mapping.state.best), np.zeros((0, 4)))
         wait(lambda: told(browser)["stage"] == "writing", "it is not written yet")
         threading.Thread(target=page.serve_until_left, daemon=True).start()
-        wait(lambda: told(browser)["stage"] == "done", "done")
+        wait(lambda: told(browser)["stage"] == "finished", "done")
         screenshot("done")
 
 

@@ -94,7 +94,7 @@ def test_playing_goes_on_with_the_clock_and_stops_at_the_end(replay, record, mon
     viewer.command({"do": "resume"})
     now += 50
     client.receive(viewer.next_message())
-    assert (client.status["at"], client.status["stage"]) == (len(record) - 1, "paused")
+    assert (client.status["at"], client.status["stage"]) == (len(record) - 1, "finished")
 
 
 def broken(out, tmp_path, name, text):

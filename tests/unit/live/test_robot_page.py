@@ -15,6 +15,7 @@ from gridslam.live.control import RobotControl
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.localization import KnownMap, MonteCarloConfiguration
+from gridslam.messages import Messages
 from gridslam.pipeline import run
 from gridslam.ros import NodeCore, NodeSettings
 from gridslam.ros.node.session import Localization
@@ -61,11 +62,15 @@ def test_a_robot_is_paused_by_its_page_and_seen_paused_but_not_held_back(drive):
             assert until(lambda: told("stage") == "paused")
             assert robot.paused
             robot.paused = False  # by its service
-            page.show_message("missing transform: laser")
-            assert until(lambda: told("message") == "missing transform: laser")
-            assert seen.status["stage"] != "paused"
-            page.show_message("")
-            assert until(lambda: told("message") == "")
+            page.show_state("no transforms", "missing transform: laser")
+            assert until(lambda: told("state") == "missing transform: laser")
+            assert seen.status["stage"] == "no transforms"
+            messages = Messages(lambda level, text: None)
+            messages("late scans", "by 2 s")
+            page.show_messages(messages.to_list())
+            assert until(
+                lambda: told("stage") and [message["text"] for message in seen.reported] == ["late scans: by 2 s"]
+            )
             line.send(json.dumps({"do": "step", "to_key_scan": True}))
             with pytest.raises(ConnectionClosed, match="a robot drives on"):
                 until(lambda: told("stage") == "stepped")

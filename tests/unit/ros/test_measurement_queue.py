@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from gridslam.io.bags.ros_messages import ScanMessage, StampedTransform
+from gridslam.messages import Messages
 from gridslam.ros.node.accepted_scan import AcceptedScan
 from gridslam.ros.node.live_transforms import LiveTransforms
 from gridslam.ros.node.measurement_queue import MeasurementQueue, SessionEnd
 from gridslam.ros.node.parameters import NodeSettings
-from gridslam.ros.node.throttled_warnings import ThrottledWarnings
 from gridslam.transforms import TransformBuffer
 from support.ros_node import BASE, LASER, ODOM, mounting
 
@@ -28,7 +28,7 @@ class QueueSetup:
     def __init__(self, **settings: object) -> None:
         self.now_s = 100.0
         self.logs: list[str] = []
-        self.warn = ThrottledWarnings(lambda level, text: self.logs.append(text), clock=lambda: self.now_s)
+        self.warn = Messages(lambda level, text: self.logs.append(text), clock=lambda: self.now_s)
         self.queue = MeasurementQueue(NodeSettings(**settings), self.warn, lambda: self.now_s)
         self.queue.add_transforms([mounting()], static=True)
 

@@ -49,6 +49,7 @@ function receive({ header, arrays }) {
   if (header.run_info && header.run_info.session !== world.runInfo.session) reset();
   if (header.run_info) setRunInfo(header.run_info);
   if (header.status) world.status = header.status;
+  if (header.messages) panel.messages.show(header.messages);
   if (header.clear) world.map.clear();
   if (arrays.tiles) world.map.put(arrays.tiles_at, arrays.tiles);
   if (arrays.other_tiles) world.other.put(arrays.other_tiles_at, arrays.other_tiles);
@@ -194,7 +195,7 @@ function save(address, ending) {
 reset();
 applyColours();
 resize();
-const connection = new Connection(receive, (is, why) => panel.connected(is, why, world.status.stage === "done"));
+const connection = new Connection(receive, (is, why) => panel.connected(is, why, world.status.stage === "finished"));
 camera.moved = redraw;
 camera.clicked = (u, v) => {
   if (measure.active) {

@@ -1,6 +1,7 @@
 // The texts and controls around the map.
 
 import { COLUMNS } from "./chart.js";
+import { Messages } from "./messages.js";
 
 const $ = (selector) => document.querySelector(selector);
 const SPEEDS = [0.25, 0.5, 1, 2, 5, 10, 30, 100];
@@ -11,7 +12,10 @@ function clock(seconds) {
   return whole < 3600 ? minutes : `${Math.floor(whole / 3600)}:${minutes.padStart(5, "0")}`;
 }
 
-const WORDS = { "final refinement": "finding the final map", writing: "writing results", done: "finished" };
+const WORDS = {
+  "final refinement": "finding the final map", writing: "writing results", 
+  lost: "running, robot lost", looking: "looking for the robot in the whole map",
+};
 const put = (name, text) => { $(`[data-value="${name}"]`).textContent = text; };
 const percent = (value) => `${(100 * value).toFixed(0)} %`;
 const oneDecimal = (value) => value.toFixed(value < 100 ? 1 : 0);
@@ -21,6 +25,7 @@ export class Panel {
   // `ask` sends a command to the server.
   constructor(ask) {
     this.ask = ask;
+    this.messages = new Messages();
     this.pauses = false; // whether the run is paused by this page: the server ends the pause with the connection
     for (const factor of SPEEDS) $("#speed").add(new Option(`${factor} ×`, factor));
     $("#speed").onchange = ({ target }) => ask({ do: "speed", factor: target.value === "" ? null : Number(target.value) });
@@ -86,12 +91,9 @@ export class Panel {
 
   // Shows whether there is a connection; `why` is the reason if the server has refused it.
   connected(is, why, finished) {
-    const notice = $("#notice");
-    notice.hidden = is || finished;
-    this.online = is;
-    notice.textContent = why ? `Refused by the server: ${why}.` : "Connection lost; trying again…";
+    this.messages.interrupt(is || finished ? "" : why ? `Refused by the server: ${why}.` : "Connection lost; trying again…");
     if (is) return;
-    document.body.dataset.stage = finished ? "done" : "offline";
+    document.body.dataset.stage = finished ? "finished" : "offline";
     document.body.toggleAttribute("data-over", finished);
     $("#stage").textContent = finished ? "finished, server closed" : "offline";
     for (const id of ["#pause", "#step", "#speed", "#line"]) $(id).disabled = true;
@@ -99,14 +101,13 @@ export class Panel {
 
   show(world) {
     const { status } = world;
-    if (this.online) [$("#notice").hidden, $("#notice").textContent] = [!status.message, status.message ?? ""];
-    document.body.dataset.stage = status.lost && status.stage === "running" ? "lost" : status.stage;
-    const stage = document.body.dataset.stage === "lost" ? "running, robot lost" : WORDS[status.stage] ?? status.stage;
+    document.body.dataset.stage = status.stage;
+    const stage = status.state || (WORDS[status.stage] ?? (this.mode === "replay" && status.stage === "running" ? "playing" : status.stage));
     $("#stage").textContent = status.past && this.mode !== "replay" ? `${stage}, seen as it was` : stage;
     if (this.held && status.stage !== "paused") this.pauses = false; // another has ended the pause
-    document.body.toggleAttribute("data-held", status.stage === "paused");
-    const going = ["running", "paused", "waiting"].includes(status.stage) && this.mode !== "still";
-    document.body.toggleAttribute("data-over", ["final refinement", "writing", "done"].includes(status.stage));
+    document.body.toggleAttribute("data-held", ["paused", "finished"].includes(status.stage));
+    const over = ["final refinement", "writing", "failed"].includes(status.stage) || (status.stage === "finished" && this.mode !== "replay"), going = !over && this.mode !== "still";
+    document.body.toggleAttribute("data-over", over);
     $("#pause").disabled = !going;
     for (const id of ["#step", "#speed"]) $(id).disabled = !going || this.mode === "robot";
     $("#pause").setAttribute("aria-label", this.held ? "Resume" : "Pause");
@@ -120,15 +121,18 @@ export class Panel {
   }
 
   speed(factor) {
-    $("#speed").value = factor;
-    if ($("#speed").value !== String(factor)) $("#speed").add(new Option(`${factor} ×`, factor, false, true), 0);
+    const list = $("#speed");
+    list.value = factor;
+    if (list.value === String(factor)) return;
+    const faster = [...list.options].find((option) => option.value === "" || Number(option.value) > factor);
+    list.add(new Option(`${factor} ×`, factor, false, true), faster ?? null);
   }
 
   summarize({ status, runInfo: { step } }) {
     const parts = status.size_m ? [status.size_m.map((side) => `${side.toFixed(1)} m`).join(" × ")] : [];
     const counts = [[status.scans, "scan"], [status.keys, step], [status.landmarks, "landmark"], [status.closures, "loop closure"]];
     for (const [count, what] of counts) if (count) parts.push(`${count} ${what}${count > 1 ? "s" : ""}`);
-    if (status.real_time_factor && status.stage === "running" && this.mode === "live") parts.push(`${twoDigits(status.real_time_factor)} × real time`);
+    if (status.real_time_factor && status.stage !== "paused" && this.mode === "live") parts.push(`${twoDigits(status.real_time_factor)} × real time`);
     if (status.bytes) parts.push(`maps ${(status.bytes / 1e6).toFixed(0)} MB`);
     return parts;
   }
@@ -168,7 +172,7 @@ export class Panel {
     put("latency", steps ? `${twoDigits(latency)} ms` : "");
     put("particles", status.particles || "");
     const replay = runInfo.mode === "replay", what = replay ? "path" : "map";
-    $("#selected span").textContent = ["writing", "done"].includes(status.stage) && !status.past ? "final map"
+    $("#selected span").textContent = ["writing", "finished"].includes(status.stage) && !replay ? "final map"
       : status.past && status.selected_particle == null ? "map as it was"
       : status.selected_particle < 0 ? "no descendants left"
       : status.selected_particle != null ? `${what} of particle ${status.selected_particle}`

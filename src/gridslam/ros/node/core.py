@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, TimeoutError
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -19,6 +20,7 @@ from gridslam.doctor import BreakCheck, EarlyCheck
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, OutputError
 from gridslam.io.measurement import Measurement
 from gridslam.localization import KnownMap, MonteCarloConfiguration
+from gridslam.messages import Level, Messages
 from gridslam.particles import sample_gaussian
 from gridslam.pipeline import FailedStep, Observer, describe_error, isolate
 from gridslam.ros.node.accepted_scan import AcceptedScan, ScanRecorder
@@ -27,12 +29,11 @@ from gridslam.ros.node.grid_input import make_occupancy_grid
 from gridslam.ros.node.live_autosave import LiveAutosave, SessionFiles
 from gridslam.ros.node.mapping_session import Session, SessionCopy
 from gridslam.ros.node.measurement_queue import MeasurementQueue, SessionEnd
-from gridslam.ros.node.messages import Diagnostics, GridMessage, Level, Outputs, ScanMessage, StampedTransform
+from gridslam.ros.node.messages import Diagnostics, GridMessage, Outputs, ScanMessage, StampedTransform
 from gridslam.ros.node.parameters import NodeSettings
 from gridslam.ros.node.rendering import MapRenderer, make_grid_message
 from gridslam.ros.node.session import InitialPose, Localization, LocalizationSession, WaitingSession
 from gridslam.ros.node.state_publisher import StatePublisher
-from gridslam.ros.node.throttled_warnings import ThrottledWarnings
 from gridslam.tracking.tracker import OdometryTracker
 
 __all__ = ["NodeCore", "SourceWrapper"]
@@ -78,6 +79,8 @@ class NodeCore:
         Where people who ask for it save the results while the node runs.
     session_file : Path or None
         Where the session is saved now and then while the node runs; there is no file before the first time.
+    messages : Messages
+        What was reported so far.
     failure : BaseException or None
         The exception that ended the filter's thread; None after `close`.
     ended : threading.Event
@@ -117,7 +120,7 @@ class NodeCore:
         self._record = None if record is None else Path(record)
         self._recorder: ScanRecorder | None = None
         self._on_jump = on_jump
-        self._warn = ThrottledWarnings(outputs.log)
+        self.messages = self._warn = Messages(outputs.log)
         self._queue = MeasurementQueue(settings, self._warn)
         self._known_map: GridMessage | None = None
         self._renderer: MapRenderer | None = None
@@ -138,7 +141,7 @@ class NodeCore:
         self.session_file = None if files is None else files.autosave
         self._autosave: LiveAutosave | None = None
         if files is not None and files.autosave is not None:
-            self._autosave = LiveAutosave(files, outputs.log)
+            self._autosave = LiveAutosave(files, self.messages.report)
             self.add_timer(files.autosave_period_s, lambda: self._queue.post(self._save_now))
         self._threads = [threading.Thread(target=self._run_filter, name="gridslam-filter", daemon=True)]
 
@@ -159,6 +162,16 @@ class NodeCore:
         if on_diagnostics is not None:
             self._diagnostics_callbacks.append(on_diagnostics)
 
+    def await_input(self, scans: str, frames: str = "") -> None:
+        """Report what the node waits for: the topic of the scans, and the frames whose transform it needs besides."""
+        self._publisher.awaited = f"scans on {scans}" + (f" and {frames}" if frames else "")
+        self._publisher.scans_on = scans
+        self._publisher.log_state()
+
+    def note_outage(self, outage: str) -> None:
+        """Note what the transport has lost, such as ROS's master; empty if nothing."""
+        self._publisher.outage = outage
+
     def start(self) -> None:
         """Start the node's threads and accept messages."""
         if isinstance(self.configuration, Localization) and self.configuration.known is not None:
@@ -177,6 +190,10 @@ class NodeCore:
         for thread in self._threads:
             if thread.ident is not None:
                 thread.join()
+        if self.failure is None:
+            self._publisher.is_closed = True
+            with suppress(Exception):  # of who looks on: what was mapped is written all the same
+                self._report_state(lambda call: call())
         if self._renderer is not None:
             self._renderer.close()
         is_mapped = self.mapped_session is not None
@@ -277,7 +294,7 @@ class NodeCore:
                 known.require(start[0])
             self._show_known_map(message)
             self.configuration = Localization(known, configuration, start)
-            self._outputs.log(
+            self.messages.report(
                 Level.OK, f"localizing in a map of {message.cells.shape[1]} x {message.cells.shape[0]} cells"
             )
             self._queue.end_session(SessionEnd.MAP)
@@ -397,7 +414,8 @@ class NodeCore:
 
     def _copy_mapped(self, *, is_last: bool = False) -> SessionCopy:
         mapped = self.mapped_session
-        return (mapped or self._session).copy(None if self._has_switched else self._whole_record(), is_last=is_last)
+        record = None if self._has_switched else self._whole_record()
+        return (mapped or self._session).copy(record, is_last=is_last, messages=self.messages.to_list())
 
     def _run_filter(self) -> None:
         """Run the sessions one after the other."""
@@ -406,7 +424,8 @@ class NodeCore:
                 self._end_session()
         except BaseException as error:  # report any error of the thread
             self.failure = error
-            self._outputs.log(Level.ERROR, f"the filter failed: {type(error).__name__}: {error}")
+            self._publisher.failure = f"{type(error).__name__}: {error}"
+            self._report_state(lambda call: call())
         finally:
             self.ended.set()
 
@@ -452,7 +471,8 @@ class NodeCore:
         if self._session_end is SessionEnd.CLOSED:
             return False
         if self._session_end is not SessionEnd.SWITCH:  # which is reported by whoever serves the request
-            self._outputs.log(Level.WARN, f"{self._session.restart_message}: {self._session_end.value}")
+            level = Level.ERROR if self._session_end is SessionEnd.JUMP else Level.WARN
+            self.messages.report(level, f"{self._session.restart_message}: {self._session_end.value}")
         return True
 
     def _go_on_elsewhere(self) -> None:
@@ -529,11 +549,15 @@ class NodeCore:
         known = self._known_map
         if known is not None and not known.stamp_ns and self._outputs.now_ns():
             self._show_known_map(known)
+        self._report_state(self._queue.post)
+
+    def _report_state(self, call: Callable[[Callable[[], None]], None]) -> None:
+        """Log the state if it is new, publish it, and show it to viewers: `call` reaches the filter's thread."""
+        self._publisher.log_state()
         diagnostics = self._publisher.diagnostics()
         self._outputs.diagnostics(diagnostics)
-        self._publisher.log_state()
         for on_diagnostics in self._diagnostics_callbacks:
-            self._queue.post(partial(on_diagnostics, diagnostics))
+            call(partial(on_diagnostics, diagnostics))
 
     def _save_now(self, *, wait: bool = False) -> None:
         """Write the session; the filter waits while its tables are copied."""
@@ -556,7 +580,7 @@ class NodeCore:
             self._session, self._suspended = self._suspended, None
         else:
             seed = self.settings.seed if self._continued is None else self._continued.saved.seed
-            log = self._outputs.log
+            log = self.messages.report
             self._session = Session(self.configuration, seed, self.settings.threads, self._continued, log)
             self._continued = None  # a later one begins with nothing
 
@@ -575,7 +599,7 @@ class NodeCore:
             return
         self._recorder = ScanRecorder(self._record)
         if self._recorder.path != self._record:
-            self._outputs.log(Level.OK, f"{self._record} is an earlier record: recording to {self._recorder.path}")
+            self.messages.report(Level.OK, f"{self._record} is an earlier record: recording to {self._recorder.path}")
 
     def _whole_record(self) -> Path | None:
         """The record of the session, if it contains all its scans."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
@@ -148,10 +148,13 @@ class Session:
             on_failure=note_failure,
         )
 
-    def copy(self, record: Path | None, *, is_last: bool = False) -> SessionCopy:
+    def copy(
+        self, record: Path | None, *, is_last: bool = False, messages: Sequence[Mapping[str, Any]] = ()
+    ) -> SessionCopy:
         """Copy everything that `save` needs; raises ArgumentError before the first scan.
 
-        `record` is the file with all scans so far, None if there is none; `is_last`: the filter has ended.
+        `record` is the file with all scans so far, None if there is none; `is_last`: the filter has ended; `messages`
+        are what was reported so far.
         """
         if self.state is None:
             raise ArgumentError("session", "at least one scan", "none")
@@ -167,6 +170,7 @@ class Session:
             self._failures.describe(),
             is_last,
             self.continued,
+            messages,
         )
 
     def to_session(self, *, wait: bool = False) -> SavedSession | None:
@@ -237,6 +241,7 @@ class SessionCopy:
     failures: tuple[str, ...]
     is_last: bool
     continued: Continued | None = None
+    messages: Sequence[Mapping[str, Any]] = ()
 
     def save(self, folder: str | Path) -> dict[str, Any]:
         """Write the files of `gridslam map` after the final refinement, which takes time; returns run.json's content.
@@ -248,7 +253,7 @@ class SessionCopy:
         """
         result = self._compute_result()
         try:
-            return result.save(folder)
+            return result.save(folder, self.messages)
         except OSError as error:
             raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
 

@@ -94,12 +94,18 @@ class MeasurementQueue:
         Counts of scans.
     is_paused, waits_for_map : bool
         Whether incoming scans are dropped.
+    received_s : float or None, s
+        When the last scan came, by the clock; None before the first one.
+    missing_transform : str
+        The transform without which the last scan was refused; empty once one is accepted.
     """
 
     def __init__(self, settings: NodeSettings, warn: Warn, clock: Callable[[], float] = time.perf_counter) -> None:
         self.counts = Counts()
         self.is_paused = False
         self.waits_for_map = False
+        self.received_s: float | None = None
+        self.missing_transform = ""
         self._settings = settings
         self._warn = warn
         self._clock = clock
@@ -126,6 +132,7 @@ class MeasurementQueue:
         counts = self.counts
         with self._changed:
             counts.received += 1
+            self.received_s = arrived_s
             if self.is_paused or self.waits_for_map:
                 counts.paused += 1
                 return
@@ -230,6 +237,7 @@ class MeasurementQueue:
                 return SessionEnd.JUMP, None
             self._scans.popleft()
             self.counts.accepted += 1
+            self.missing_transform = ""
             self._check_measurement(accepted)
             return accepted, None
         return None, None
@@ -246,6 +254,7 @@ class MeasurementQueue:
 
     def _refuse_without_transform(self, missing: MissingTransform) -> None:
         """Refuse a scan; without a warning if it only came before the first transform, or after the last one."""
+        self.missing_transform = str(missing)
         is_near = missing.apart_s <= _QUIET_S
         if is_near and missing.coverage is Coverage.TOO_EARLY and not self._has_begun:
             self.counts.refused += 1

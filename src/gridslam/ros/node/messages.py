@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from enum import IntEnum
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.io.bags.ros_messages import ScanMessage, StampedTransform
+from gridslam.messages import Level
 from gridslam.types import FloatArray
 
 __all__ = [
@@ -23,14 +23,6 @@ __all__ = [
     "StampedTransform",
     "UpdateMessage",
 ]
-
-
-class Level(IntEnum):
-    """Severity, with the values of diagnostic_msgs/DiagnosticStatus."""
-
-    OK = 0
-    WARN = 1
-    ERROR = 2
 
 
 class GridMessage(NamedTuple):
@@ -88,11 +80,12 @@ class CloudMessage(NamedTuple):
 
 
 class Diagnostics(NamedTuple):
-    """State of the node: level, summary, and values by name."""
+    """State of the node: level, summary with the latest problem, values by name, and the name of the state."""
 
     level: Level
     summary: str
     values: Mapping[str, str]
+    state: str = ""
 
 
 class Outputs(Protocol):

@@ -61,7 +61,6 @@ class RosNode:
             with OutputFolder(parameters.out, MapResult.all_names()):
                 pass
         self._transport = transport
-        self._log = transport.outputs.log
         self._out = parameters.out
         self._files = parameters.files
         self._scan_topic = str(parameters.values["scan_topic"])
@@ -77,6 +76,7 @@ class RosNode:
             on_jump=None if self._out is None else self._save_earlier,
             files=parameters.files,
         )
+        self._log = self.core.messages.report
         if self._out is not None:
             self.core.results_folder = self._out
         self._services = SessionServices(self.core, self.core.results_folder, self._log)
@@ -119,8 +119,8 @@ class RosNode:
         self._subscribe("/tf", "tf2_msgs/TFMessage", on_transforms, depth=_TRANSFORMS_DEPTH)
         self._subscribe(self._scan_topic, "sensor_msgs/LaserScan", on_scan, reliable=False, depth=_SCANS_DEPTH)
         settings = core.settings
-        odometry = "" if settings.odometry == "none" else f" and for {settings.base_frame} in {settings.odom_frame}"
-        self._log(Level.OK, f"waiting for scans on {scans}{odometry}")
+        frames = "" if settings.odometry == "none" else f"for {settings.base_frame} in {settings.odom_frame}"
+        core.await_input(scans, frames)
 
     def close(self) -> None:
         """Stop the core, write its map if a folder was given and there is a map, and shut the transport down."""
@@ -180,7 +180,8 @@ class RosNode:
         with options.open_viewers(core):
             try:
                 self.start()
-                for _ in self._transport.spin(core.ended):
+                for outage in self._transport.spin(core.ended):
+                    core.note_outage(outage)
                     options.on_poll()
             except KeyboardInterrupt:  # the usual end of a node
                 pass

@@ -95,7 +95,7 @@ class LocalizationSession:
     def add(self, accepted: AcceptedScan) -> None:
         """Do nothing: a localization has no files, in which scans are counted."""
 
-    def copy(self, record: Path | None, *, is_last: bool = False) -> NoReturn:
+    def copy(self, record: Path | None, **options: object) -> NoReturn:
         """Raise ArgumentError: a localization has no map to save."""
         raise ArgumentError("save", "a node that maps", "one that localizes; `gridslam localize` takes its record")
 
@@ -134,7 +134,7 @@ class WaitingSession:
     def add(self, accepted: AcceptedScan) -> None:
         """Do nothing."""
 
-    def copy(self, record: Path | None, *, is_last: bool = False) -> NoReturn:
+    def copy(self, record: Path | None, **options: object) -> NoReturn:
         """Raise ArgumentError: there is nothing to save."""
         raise ArgumentError("save", "a node that maps", "one that waits for a map to localize in")
 

@@ -12,13 +12,14 @@ import numpy as np
 
 from gridslam.geometry.se2 import compose, inverse
 from gridslam.localization import LocalizationReport, MonteCarloState
+from gridslam.messages import Messages
 from gridslam.observers import Latency
 from gridslam.ros.node.accepted_scan import AcceptedScan
 from gridslam.ros.node.measurement_queue import Counts, MeasurementQueue
 from gridslam.ros.node.messages import CloudMessage, Diagnostics, Level, Outputs, PoseMessage, StampedTransform
+from gridslam.ros.node.node_state import NodeFacts, NodeState, find_state
 from gridslam.ros.node.parameters import NodeSettings
 from gridslam.ros.node.rendering import MapRenderer
-from gridslam.ros.node.throttled_warnings import ThrottledWarnings
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, StepReport
 
@@ -32,8 +33,6 @@ _RECENT_S = 2.0
 _REPEAT_PERIOD_S = 1.0
 _APART_NS = 1_000
 _MAX_SET_BACK_NS = 500_000_000  # a clock that is set back by less is waited for
-_SILENT_S = 5.0
-_WAITING = Level.WARN, "waiting for a scan"
 _MAX_OWN_TRANSFORMS = 1000  # the last published transforms, to recognize them on /tf
 
 
@@ -51,8 +50,19 @@ class StatePublisher:
         Renders the map; None if it is known.
     queue : MeasurementQueue
         Provides the counts for the diagnostics.
-    warn : ThrottledWarnings
-        Called with scans whose clock is not the node's.
+    messages : Messages
+        Of the node: its problems, and each change of its state.
+
+    Attributes
+    ----------
+    awaited, scans_on : str
+        What the node waits for, and the topic of the scans.
+    outage : str
+        What the transport has lost, such as ROS's master; empty if nothing.
+    failure : str
+        Why the filter ended; empty while it runs.
+    is_closed : bool
+        Whether the node has ended.
     """
 
     def __init__(
@@ -61,13 +71,13 @@ class StatePublisher:
         outputs: Outputs,
         renderer: MapRenderer | None,
         queue: MeasurementQueue,
-        warn: ThrottledWarnings,
+        messages: Messages,
     ) -> None:
         self._settings = settings
         self._outputs = outputs
         self.renderer = renderer
         self._queue = queue
-        self._warn = warn
+        self._messages = messages
         self._lock = threading.Lock()  # the filter's thread and the timer both publish the transform
         self._measurement: AcceptedScan | None = None
         self._report: Report | None = None
@@ -81,7 +91,10 @@ class StatePublisher:
         self._repeat_after_s = 0.0
         self._memory_bytes = 0
         self._latencies: deque[float] = deque(maxlen=_MAX_LATENCIES)
-        self._logged_state = _WAITING  # the transports log it when they start
+        self._logged: NodeState | None = None
+        self.awaited, self.scans_on = "scans", "scan"
+        self.outage = self.failure = ""
+        self.is_closed = False
         self.sessions = 0
 
     def start_session(self) -> None:
@@ -95,7 +108,7 @@ class StatePublisher:
         behind_s = (self._outputs.now_ns() - accepted.measurement.scan.stamp_ns) * 1e-9
         if abs(behind_s) * 1e9 > _MAX_CLOCK_OFFSET_NS:
             side = "before" if behind_s > 0 else "after"
-            self._warn(
+            self._messages(
                 "clock differs",
                 f"scans are stamped {abs(behind_s):.1f} s {side} the node's clock: synchronize the"
                 " clocks, or set use_sim_time when a log is played",
@@ -200,15 +213,16 @@ class StatePublisher:
             if transform.child == child and transform not in self._own_transforms:
                 reported = f"{publisher or 'it'} publishes {child} in {transform.parent}, and this node publishes it in"
                 end = "end one of them (a localization, or the bag itself)"
-                self._warn("transform of another node", f"{reported} {self._settings.map_frame}: {end}")
+                self._messages("transform of another node", f"{reported} {self._settings.map_frame}: {end}")
         return [one for one in transforms if (one.parent, one.child) != (self._settings.map_frame, child)]
 
     def diagnostics(self) -> Diagnostics:
-        """Return counts, latency and the current problem or state."""
+        """Return counts, latency, the state, and the latest problem."""
         report = self._report
+        state = self.find_state()
         latency = Latency.of(np.array(tuple(self._latencies)))
-        values = {name: str(getattr(self._queue.counts, name)) for name in Counts.__slots__}
-        values |= {f"{kind}, times": str(times) for kind, times in sorted(self._warn.counts.items())}
+        values = {"state": state.text} | {name: str(getattr(self._queue.counts, name)) for name in Counts.__slots__}
+        values |= {f"{kind}, times": str(times) for kind, times in sorted(self._messages.counts.items())}
         values |= {
             "session": str(self.sessions),
             "latency median, ms": f"{1e3 * latency.median_s:.2f}",
@@ -218,29 +232,37 @@ class StatePublisher:
             "lost": str(report is not None and report.lost).lower(),
             "maps, MB": f"{self._memory_bytes / 1e6:.1f}",
         }
-        problem = self._warn.latest(_RECENT_S)
-        return Diagnostics(Level.WARN, problem, values) if problem else Diagnostics(*self._state(), values)
+        problem = "" if state.level else self._messages.latest_problem(_RECENT_S)
+        summary = f"{state.text}; {problem}" if problem else state.text
+        return Diagnostics(Level.WARN if problem else state.level, summary, values, state.name)
 
     def log_state(self) -> None:
         """Log the state of the node if it has changed."""
-        state = self._state()
-        if state != self._logged_state:
-            self._logged_state = state
-            self._outputs.log(*state)
+        state = self.find_state()
+        if state != self._logged:
+            self._logged = state
+            self._messages.report_state(state.level, state.text)
 
-    def _state(self) -> tuple[Level, str]:
+    def find_state(self) -> NodeState:
+        """Return the state of the node."""
         report = self._report
         accepted = self._measurement
-        if self._queue.is_paused:
-            return Level.OK, "paused"
-        if self._queue.waits_for_map:
-            return Level.WARN, "waiting for a map"
-        if report is None or accepted is None:
-            return _WAITING
-        if time.perf_counter() - accepted.arrived_s > _SILENT_S:
-            return Level.WARN, f"no scan accepted for {_SILENT_S:g} s"
-        maps = isinstance(report, StepReport)
-        if report.lost:
-            why = "the scan does not match the map" if maps else "the pose or the map may be wrong"
-            return Level.WARN, f"lost: {why}"
-        return Level.OK, "mapping" if maps else "localizing"
+        offset_s = time.time() - time.perf_counter()  # the clock may be set while the node runs
+        received_s = self._queue.received_s
+        facts = NodeFacts(
+            time.time(),
+            self.awaited,
+            self.scans_on,
+            None if received_s is None else received_s + offset_s,
+            None if report is None or accepted is None else accepted.arrived_s + offset_s,
+            self._queue.missing_transform,
+            self.outage,
+            self._queue.is_paused,
+            self._queue.waits_for_map,
+            isinstance(report, LocalizationReport),
+            report is not None and bool(report.lost),
+            isinstance(report, LocalizationReport) and report.looking,
+            self.is_closed,
+            self.failure,
+        )
+        return find_state(facts)

@@ -131,7 +131,7 @@ class Ros1Transport:
                 if problem:
                     self._log(Level.WARN, problem)
 
-    def spin(self, ended: threading.Event) -> Iterator[None]:
+    def spin(self, ended: threading.Event) -> Iterator[str]:
         """Wait until ROS is shut down or the event is set; rospy delivers messages in threads of its own."""
         master = _MasterWatch(self._rospy, self._log)
         due_s = time.monotonic() + _MASTER_PERIOD_S
@@ -139,7 +139,7 @@ class Ros1Transport:
             if time.monotonic() >= due_s:
                 master.look()
                 due_s = time.monotonic() + _MASTER_PERIOD_S
-            yield
+            yield master.outage
 
     def close(self) -> None:
         """Shut down."""
@@ -166,17 +166,25 @@ class Ros1Transport:
 
 @final
 class _MasterWatch:
-    """Registers the node again where the master was restarted: a new one knows none of its topics and services."""
+    """Registers the node again where the master was restarted: a new one knows none of its topics and services.
+
+    Attributes
+    ----------
+    outage : str
+        That the master does not answer; empty while it does.
+    """
 
     def __init__(self, rospy: Any, log: Callable[[Level, str], None]) -> None:  # noqa: ANN401
         self._registration = _import("rospy.impl.registration")
         self._master = _import("rosgraph").Master(rospy.get_name())
         self._log = log
         self._pid = self._find_pid()
+        self.outage = ""
 
     def look(self) -> None:
         """Compare the master with the one before."""
         pid = self._find_pid()
+        self.outage = "" if pid is not None else f"no ROS master at {self._master.master_uri}: is roscore running?"
         if pid is None or pid == self._pid:
             return
         self._pid = pid

@@ -88,11 +88,11 @@ class DdsTransport(Ros2Transport):
 
         self._participant.add_service(name, kind, serve, refuse, slow=slow)
 
-    def spin(self, ended: threading.Event) -> Iterator[None]:
+    def spin(self, ended: threading.Event) -> Iterator[str]:
         """Deliver messages until the event is set."""
         self._participant.start()
         while not ended.wait(POLL_S):
-            yield
+            yield ""
 
     def close(self) -> None:
         """Shut down."""

@@ -96,12 +96,12 @@ class RclpyTransport(Ros2Transport):
         if slow:
             offered.send_response = start
 
-    def spin(self, ended: threading.Event) -> Iterator[None]:
+    def spin(self, ended: threading.Event) -> Iterator[str]:
         """Deliver messages until ROS is shut down or the event is set."""
         self._thread = threading.Thread(target=self._execute, name="gridslam-rclpy", daemon=True)
         self._thread.start()
         while self._rclpy.ok() and not ended.wait(POLL_S):
-            yield
+            yield ""
 
     def close(self) -> None:
         """Shut down."""

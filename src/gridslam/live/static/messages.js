@@ -1,0 +1,55 @@
+// What the run has reported: the list of all, newest first, and the worst one over the map until it is put away.
+
+const $ = (selector) => document.querySelector(selector);
+const LEVELS = ["info", "warning", "error"];
+
+const when = (seconds) => new Date(1000 * seconds).toLocaleTimeString();
+
+export class Messages {
+  constructor() {
+    this.list = [];
+    this.seen = 0; // the time up to which messages were put away, s
+    this.interruption = "";
+    $("#notice button").onclick = () => {
+      this.seen = Math.max(...this.list.map((message) => message.last_s));
+      this.draw();
+    };
+  }
+
+  show(list) {
+    this.list = list;
+    const items = list.map((message) => {
+      const item = document.createElement("li"), time = document.createElement("time");
+      item.dataset.level = message.level;
+      time.textContent = when(message.last_s);
+      time.title = `first at ${when(message.first_s)}`;
+      item.append(time, ` ${message.level}${message.count > 1 ? ` (${message.count} times)` : ""}: ${message.text}`);
+      return item;
+    });
+    $("#messages ol").replaceChildren(...items);
+    $("#messages").hidden = !list.length;
+    $("#messages summary b").textContent = list.length;
+    this.draw();
+  }
+
+  // Shows a text about the connection instead of messages; none if it is empty.
+  interrupt(text) {
+    this.interruption = text;
+    this.draw();
+  }
+
+  // A state stands in the bar already, and is over when the next one comes.
+  get worst() {
+    const open = this.list.filter(({ level, state, last_s }) => level !== "info" && !state && last_s > this.seen);
+    return open.find(({ level }) => level === "error") ?? open[0];
+  }
+
+  draw() {
+    const notice = $("#notice"), worst = this.interruption ? null : this.worst;
+    notice.hidden = !this.interruption && !worst;
+    notice.dataset.level = worst?.level ?? "warning";
+    notice.querySelector("span").textContent = this.interruption || (worst ? worst.text : "");
+    notice.querySelector("button").hidden = !worst;
+    $("#messages").dataset.level = LEVELS.findLast((level) => this.list.some((message) => message.level === level)) ?? "info";
+  }
+}
