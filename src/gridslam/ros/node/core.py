@@ -163,13 +163,13 @@ class NodeCore:
             self._diagnostics_callbacks.append(on_diagnostics)
 
     def await_input(self, scans: str, frames: str = "") -> None:
-        """Report what the node waits for: the topic of the scans, and the frames whose transform it needs besides."""
+        """Report the topic of the scans, and the frames whose transform the node needs besides."""
         self._publisher.awaited = f"scans on {scans}" + (f" and {frames}" if frames else "")
         self._publisher.scans_on = scans
         self._publisher.log_state()
 
     def note_outage(self, outage: str) -> None:
-        """Note what the transport has lost, such as ROS's master; empty if nothing."""
+        """Note the loss of a part of ROS, such as its master; an empty text if nothing is lost."""
         self._publisher.outage = outage
 
     def start(self) -> None:

@@ -90,7 +90,7 @@ def find_state(facts: NodeFacts) -> NodeState:
 
 
 def _find_input_state(facts: NodeFacts) -> NodeState | None:
-    """Return what is wrong with the scans; None if they come."""
+    """Return the fault of the input; None if scans come."""
     if facts.accepted_s is not None and facts.now_s - facts.accepted_s <= _SILENT_S:
         return None
     still_come = facts.received_s is not None and facts.now_s - facts.received_s <= _SILENT_S
