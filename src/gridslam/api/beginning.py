@@ -23,7 +23,7 @@ from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.tracking.state import SensorTrack, TrackerState, pose_of
 from gridslam.tracking.tracker import Tracker
-from gridslam.types import FloatArray, LaserScan, StepReport
+from gridslam.types import FloatArray, LaserScan, StepReport, describe_duration
 
 __all__ = [
     "Beginning",
@@ -211,11 +211,7 @@ def decide_place(run: SavedRun, slam: GridFastSlam, first: Measurement) -> Place
 
 
 def _describe_gap(seconds: float) -> str:
-    size = abs(seconds)
-    for unit, factor in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if size >= 2 * factor:
-            return f"{size / factor:.0f} {unit} {'after' if seconds >= 0 else 'before'}"
-    return f"{size:.2f} s {'after' if seconds >= 0 else 'before'}"
+    return f"{describe_duration(seconds)} {'after' if seconds >= 0 else 'before'}"
 
 
 def _match_first(state: GridFastSlamState, slam: GridFastSlam, scan: LaserScan, moved: Pose) -> tuple[float, float]:

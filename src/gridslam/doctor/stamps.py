@@ -13,7 +13,7 @@ import numpy as np
 from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity, Trace, percent
 from gridslam.geometry.angles import wrap
 from gridslam.io.measurement import Measurement
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import FloatArray, IntArray, describe_duration
 
 __all__ = ["LogHistogram", "StampStatistics"]
 
@@ -159,7 +159,7 @@ class StampStatistics:
             "backward_stamps",
             severity,
             f"{self.backward} of {self.scans} scans are stamped before the one ahead, by up to "
-            f"{self.farthest_back_s:.3g} s{meaning}.",
+            f"{describe_duration(self.farthest_back_s)}{meaning}.",
             self.farthest_back_s,
             "s",
             remedy,
@@ -185,11 +185,13 @@ def _gaps(sensor: str, gaps: list[_Pause], figure: Figure) -> Finding:
     blind = [gap for gap in gaps if _is_blind(gap)]
     worst = max(blind, key=lambda gap: gap.seconds) if blind else gaps[0]
     count = f"{len(gaps)} gaps" if len(gaps) < _KEPT else f"{_KEPT} gaps or more"
-    message = f"{'1 gap' if len(gaps) == 1 else count} in the scans; the longest lasts {gaps[0].seconds:.2f} s"
+    message = (
+        f"{'1 gap' if len(gaps) == 1 else count} in the scans; the longest lasts {describe_duration(gaps[0].seconds)}"
+    )
     if math.isnan(worst.metres):
         message += ", without odometry of the motion in it"
     else:
-        when = "in it" if worst is gaps[0] else f"in one of {worst.seconds:.2f} s at {worst.began_s:.1f} s"
+        when = "in it" if worst is gaps[0] else f"in one of {describe_duration(worst.seconds)} at {worst.began_s:.1f} s"
         turned = math.degrees(worst.radians)
         message += f", and {when} the robot moved {worst.metres:.2f} m and turned {turned:.0f} degrees"
     return Finding(

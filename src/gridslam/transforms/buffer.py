@@ -18,6 +18,7 @@ from gridslam.geometry import rigid, se2
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.rigid import Rigid
 from gridslam.transforms.link import Chain, Coverage, Link
+from gridslam.types import describe_duration
 
 __all__ = ["MissingTransform", "TransformBuffer"]
 
@@ -36,6 +37,8 @@ class MissingTransform(GridslamError):  # noqa: N818 - the name states what is m
 
     Attributes
     ----------
+    link : str
+        What is missing, without a time.
     coverage : Coverage
         Why; never KNOWN.
     apart_s : float, s
@@ -51,7 +54,8 @@ class MissingTransform(GridslamError):  # noqa: N818 - the name states what is m
         reason: str,
         apart_s: float = np.inf,
     ) -> None:
-        super().__init__(f"no transform from '{source}' to '{target}' at {stamp_ns / 1e9:.3f} s: {reason}")
+        self.link = f"no transform from '{source}' to '{target}'"
+        super().__init__(f"{self.link} at {stamp_ns / 1e9:.3f} s: {reason}")
         self.coverage = coverage
         self.apart_s = apart_s
 
@@ -246,7 +250,7 @@ class TransformBuffer:
         late = coverage is Coverage.NOT_YET
         known_ns = link.stamps_ns[-1 if late else 0]
         apart_s = abs(known_ns - stamp_ns) / 1e9
-        apart = f"{apart_s:.3g} s {'before' if late else 'after'}"
+        apart = f"{describe_duration(apart_s)} {'before' if late else 'after'}"
         raise MissingTransform(
             target,
             source,

@@ -22,6 +22,7 @@ __all__ = [
     "SkipReason",
     "StepReport",
     "Trajectory",
+    "describe_duration",
     "describe_pose",
     "describe_time",
     "require_measurement",
@@ -33,6 +34,17 @@ __all__ = [
 def describe_time(stamp_ns: int) -> str:
     """Return a stamp in seconds, to the millisecond."""
     return f"{stamp_ns * 1e-9:.3f} s"
+
+
+@checked
+def describe_duration(seconds: float) -> str:
+    """Return a duration in the unit in which people give it, from seconds to years; its sign is ignored."""
+    size = abs(seconds)
+    for unit, factor in (("years", 365.25 * 86400.0), ("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if size >= 2 * factor:
+            digits = 1 if unit == "years" and size < 10 * factor else 0
+            return f"{size / factor:.{digits}f} {unit}"
+    return f"{size:.3g} s"
 
 
 @checked

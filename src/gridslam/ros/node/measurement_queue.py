@@ -19,7 +19,7 @@ from gridslam.ros.node.accepted_scan import AcceptedScan, MeasurementBuilder, fi
 from gridslam.ros.node.live_transforms import JumpDetector, LiveTransforms, Warn
 from gridslam.ros.node.parameters import NodeSettings
 from gridslam.transforms import Coverage, MissingTransform
-from gridslam.types import BeamStatus, FloatArray, Odometry
+from gridslam.types import BeamStatus, FloatArray, Odometry, describe_duration
 
 __all__ = ["Counts", "MeasurementQueue", "SessionEnd"]
 
@@ -254,7 +254,7 @@ class MeasurementQueue:
 
     def _refuse_without_transform(self, missing: MissingTransform) -> None:
         """Refuse a scan; without a warning if it only came before the first transform, or after the last one."""
-        self.missing_transform = str(missing)
+        self.missing_transform = missing.link
         is_near = missing.apart_s <= _QUIET_S
         if is_near and missing.coverage is Coverage.TOO_EARLY and not self._has_begun:
             self.counts.refused += 1
@@ -341,8 +341,8 @@ class MeasurementQueue:
         late_s = 0.0 if newest_ns is None else (newest_ns - stamp_ns) * 1e-9
         self._late[sensor] = self._late.get(sensor, 0) + 1 if _LATE_S < late_s < _IGNORED_S else 0
         if self._late[sensor] >= _MIN_LATE_SCANS:
-            problem = f"{sensor} is stamped {late_s:.2f} s before the latest odometry: it is late, or the clocks differ"
-            self._warn("late scans", problem)
+            late = f"{sensor} is stamped {describe_duration(late_s)} before the latest odometry"
+            self._warn("late scans", f"{late}: it is late, or the clocks differ")
 
     def _drop_old(self, now_s: float) -> None:
         """Drop the oldest scans beyond the limits of the queue."""

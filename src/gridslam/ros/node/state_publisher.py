@@ -21,7 +21,7 @@ from gridslam.ros.node.node_state import NodeFacts, NodeState, find_state
 from gridslam.ros.node.parameters import NodeSettings
 from gridslam.ros.node.rendering import MapRenderer
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.types import FloatArray, StepReport
+from gridslam.types import FloatArray, StepReport, describe_duration
 
 __all__ = ["StatePublisher"]
 
@@ -110,7 +110,7 @@ class StatePublisher:
             side = "before" if behind_s > 0 else "after"
             self._messages(
                 "clock differs",
-                f"scans are stamped {abs(behind_s):.1f} s {side} the node's clock: synchronize the"
+                f"scans are stamped {describe_duration(behind_s)} {side} the node's clock: synchronize the"
                 " clocks, or set use_sim_time when a log is played",
             )
 
