@@ -89,7 +89,7 @@ def test_the_report_shows_a_picture_where_one_helps(call, reflected, tmp_path):
     report = json.loads((tmp_path / "report.json").read_text())
     pictures = {finding["picture"] for finding in report["findings"]} - {None}
     assert pictures
-    assert {path.name for path in tmp_path.iterdir()} == {"report.json", "report.md"} | pictures
+    assert {path.name for path in tmp_path.iterdir()} == {"report.html", "report.json", "report.md"} | pictures
     told = (tmp_path / "report.md").read_text()
     assert set(re.findall(r"!\[\w+\]\(([^)]+)\)", told)) == pictures
     for finding in report["findings"]:

@@ -46,6 +46,8 @@ class MergeResult(Result):
         Of its poses, by x, y in m and theta in rad, map frame, given that the first pose of the first drive is exact.
     full : FullSlam
         The full SLAM answer of that piece.
+    is_joined : bool
+        Whether any sessions have something in common.
     stopwatch : Stopwatch
         Time spent; saving adds to it.
     """
@@ -59,6 +61,7 @@ class MergeResult(Result):
     trajectory: Trajectory
     covariances: FloatArray
     full: FullSlam
+    is_joined: bool
     stopwatch: Stopwatch
 
     @property
@@ -84,7 +87,7 @@ class MergeResult(Result):
         drives = len(self.session.pieces[0].drives)
         apart = f", {len(self.apart)} pieces apart" if self.apart else ""
         return [
-            f"{drives} drives of {len(self.sources)} sessions{apart}, {len(self.trajectory)} scans",
+            f"{drives} drive{'s' * (drives != 1)} of {len(self.sources)} sessions{apart}, {len(self.trajectory)} scans",
             f"{width:.0f} m x {height:.0f} m in cells of {100 * grid.resolution_m:g} cm: gridslam {__version__}",
         ]
 
@@ -103,7 +106,7 @@ class MergeResult(Result):
     def _write_files(self, out: OutputFolder) -> None:
         write_map(out.file("map.yaml"), self.full.tiled_map)
         write_trajectory(out, self.trajectory, self.covariances)
-        for name, trajectory in self.trajectories.items():
+        for name, trajectory in self.session.trajectories.items():
             write_tum(out.file(f"trajectory_{name}.tum"), trajectory)
         for number, grid in enumerate(self.session.maps[1:], start=2):
             write_map(out.file(f"map_{number}.yaml"), grid)
@@ -117,6 +120,7 @@ class MergeResult(Result):
         ]
         return {
             "inputs": [str(path) for path in self.sources],
+            "joined": self.is_joined,
             "pieces": pieces,
             "scans": len(self.trajectory),
             "key_scans": len(self.full.graph.poses),
@@ -158,6 +162,7 @@ def merge_sessions(
     watch = stopwatch or Stopwatch()
     first, *others = [Session.open(file, threads=threads) for file in files]
     watch.lap("read")
+    pieces = sum(len(session.pieces) for session in (first, *others))
     full = first.merge(*others, on_progress=on_progress)
     watch.lap("merge")
     stamps_ns = first.pieces[0].stamps_ns
@@ -168,5 +173,6 @@ def merge_sessions(
         trajectory=Trajectory(stamps_ns[order], full.poses[order]),
         covariances=full.covariances[order],
         full=full,
+        is_joined=len(first.pieces) < pieces,
         stopwatch=watch,
     )

@@ -223,6 +223,12 @@ def view(out: Path, live: LiveOptions, beside: Path | None = None) -> None:
     from gridslam.live.replay import Replay
     from gridslam.live.server import PageServer
 
+    report = out / "report.html"  # of gridslam batch or doctor
+    if report.is_file():
+        address = report.resolve().as_uri()
+        click.echo(f"{out}: open {address}")
+        open_page(address, live)
+        return
     replay = Replay(out, beside, 10.0 if live.speed is None else live.speed)
     with serve_page(PageServer(replay, live)) as page:
         if replay.results.missing:

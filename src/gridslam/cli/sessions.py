@@ -86,11 +86,14 @@ def merge_to_folder(files: tuple[Path, ...], out: Path, save: Path | None, threa
             is_saved = save is not None and write(result.session.save, save)
             document = result.write(folder)
         print_result(document, _summarize_merge(result, out, save if is_saved else None), as_json)
+    if not result.is_joined:
+        raise click.exceptions.Exit(1)
 
 
 def _summarize_merge(result: MergeResult, out: Path, save: Path | None) -> Iterator[str]:
     joined = ", ".join(result.trajectories)
-    yield f"one map of {counted(len(result.trajectories), 'drive')}: {joined}"
+    what = "one map" if result.is_joined else "nothing was joined; the map is that"
+    yield f"{what} of {counted(len(result.trajectories), 'drive')}: {joined}"
     for names in result.apart:
         yield f"apart, as nothing in common was found: {', '.join(names)}"
     yield f"map: {out / 'map.png'}, {out / 'map.yaml'}"

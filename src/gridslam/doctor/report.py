@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
-from typing import Any
+from html import escape
+from typing import Any, Final
 
 from gridslam import __version__
 from gridslam.doctor.diagnose import Diagnosis, LaserFacts
 from gridslam.doctor.finding import Finding, Severity, percent
 from gridslam.io.cache import find_origin
 
-__all__ = ["SCHEMA", "document", "markdown", "picture_name", "text"]
+__all__ = ["SCHEMA", "document", "html", "markdown", "picture_name", "text"]
 
 SCHEMA = "gridslam.doctor/2"
 
+_PICTURE: Final = re.compile(r"!\[(.*)\]\((.*)\)")
 _HEADS = {
     Severity.ERROR: "Faults that make the map unusable",
     Severity.WARNING: "Warnings",
@@ -147,3 +150,25 @@ def markdown(diagnosis: Diagnosis) -> list[str]:
             name = picture_name(number, finding)
             lines += ["", f"![{finding.code}]({name})"] if name else []
     return lines
+
+
+def html(diagnosis: Diagnosis) -> list[str]:
+    """Format a diagnosis as a page, with figures: the Markdown, line by line."""
+    page = [
+        '<!doctype html><html lang="en"><meta charset="utf-8">',
+        '<meta name="viewport" content="width=device-width"><meta name="color-scheme" content="light dark">',
+        f"<title>{escape(diagnosis.path.name)}</title>",
+        "<style>body{font:15px/1.5 system-ui,sans-serif;max-width:52em;margin:2em auto;padding:0 1em}"
+        "img{max-width:100%;height:auto;background:#fff}</style><main>",
+    ]
+    for line in filter(None, markdown(diagnosis)):
+        head, _, text = line.strip().partition(" ")
+        if picture := _PICTURE.fullmatch(line):
+            page.append(f'<img alt="{escape(picture[1])}" src="{escape(picture[2])}">')
+        elif head and set(head) == {"#"}:
+            page.append(f"<h{len(head)}>{escape(text)}</h{len(head)}>")
+        elif head == "-":
+            page.append(f"<li>{escape(text)}</li>")
+        else:
+            page.append(f"<p>{escape(line.strip('*'))}</p>")
+    return [*page, "</main></html>"]

@@ -18,7 +18,7 @@ from gridslam.io.text import read_json, read_text, stay_below
 from gridslam.io.trajectories import read_trajectory_csv, read_tum
 from gridslam.live.history import History
 from gridslam.live.history_file import read_history
-from gridslam.live.results import MappedRun, Results, StaticMap, TrajectoryRun
+from gridslam.live.results import MappedRun, Results, StaticView, TrajectoryRun
 from gridslam.live.scene import MOST_MESSAGES
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
 
@@ -26,7 +26,7 @@ __all__ = ["count_key_scans", "read_optional_history", "read_results"]
 
 _BELIEF_HEADER = "stamp_s,lost,lost_probability,inlier_ratio,particles,n_eff,injection_ratio"
 _MOST = 1e12  # of particles
-_WRITERS = "gridslam map, localize, grid or landmarks"
+_WRITERS = "gridslam map, localize, grid, landmarks, graph or merge"
 
 
 def read_results(out: Path) -> tuple[Results, str, list[dict[str, Any]]]:
@@ -37,13 +37,14 @@ def read_results(out: Path) -> tuple[Results, str, list[dict[str, Any]]]:
     InputError
         A file is missing or malformed, the files are not of one run, or another command wrote the folder.
     """
-    document = _read_document(out / "run.json")
+    name = "graph.json" if (out / "graph.json").is_file() and not (out / "run.json").is_file() else "run.json"
+    document = _read_document(out / name)
     kind = str(document.get("schema", "")).rpartition("/")[0]
     if kind not in _READERS:
-        raise InputError(out / "run.json", f"expected what {_WRITERS} wrote, got schema {kind or 'none'}")
+        raise InputError(out / name, f"expected what {_WRITERS} wrote, got schema {kind or 'none'}")
     source = document.get("input")
     title = Path(str(source.get("path") if isinstance(source, dict) else "") or out.resolve()).name
-    return _READERS[kind](out, document), title, _read_messages(out / "run.json", document)
+    return _READERS[kind](out, document), title, _read_messages(out / name, document)
 
 
 def _read_mapping(out: Path, document: dict[str, Any]) -> Results:
@@ -85,12 +86,24 @@ def _read_landmark_run(out: Path, document: dict[str, Any]) -> Results:
     return TrajectoryRun(trajectory, covariances, landmarks=rows)
 
 
+def _read_graph(out: Path, document: dict[str, Any]) -> Results:
+    found = read_g2o(out / "graph.g2o")
+    return StaticView(None, found.graph, found.is_landmark)
+
+
+def _read_merge(out: Path, document: dict[str, Any]) -> Results:
+    graph = read_g2o(out / "graph.g2o").graph
+    return StaticView(read_map(out / "map.yaml"), graph, trajectory=read_tum(out / "trajectory.tum"))
+
+
 _READERS: dict[str, Callable[[Path, dict[str, Any]], Results]] = {
     "gridslam.run": _read_mapping,
     "gridslam.localization": _read_localization,
     "gridslam.landmarks": _read_landmark_run,
     "gridslam.landmark_localization": _read_landmark_run,
-    "gridslam.grid": lambda out, document: StaticMap(read_map(out / "map.yaml")),
+    "gridslam.grid": lambda out, document: StaticView(read_map(out / "map.yaml")),
+    "gridslam.graph": _read_graph,
+    "gridslam.merge": _read_merge,
 }
 
 

@@ -19,7 +19,7 @@ from gridslam.live.finished import count_key_scans, read_optional_history, read_
 from gridslam.live.history import History, PastMaps, PastReplica
 from gridslam.live.history_file import HISTORY_NAME
 from gridslam.live.past import Past, PastReader
-from gridslam.live.results import MappedRun, StaticMap
+from gridslam.live.results import MappedRun, StaticView
 from gridslam.live.scene import Scene, SentState, make_run_info
 from gridslam.live.tiles import TileReplica, tile_offset
 from gridslam.types import OccupancyGrid, Trajectory
@@ -34,7 +34,7 @@ class Replay:
     Parameters
     ----------
     folder : str or Path
-        OUT of `gridslam map`, `localize`, `grid` or `landmarks`.
+        OUT of `gridslam map`, `localize`, `grid`, `landmarks`, `graph` or `merge`.
     beside : str or Path, optional
         What the run is compared with: another such folder, a map's YAML file or a trajectory's TUM file; by default
         the truth, if the folder has it.
@@ -59,7 +59,7 @@ class Replay:
             now_s = time.time()
             missing = {"level": "warning", "text": results.missing, "count": 1, "first_s": now_s, "last_s": now_s}
             self.messages = [{**missing, "state": False}, *self.messages]
-        mode = "still" if isinstance(results, StaticMap) else "replay"
+        mode = "still" if isinstance(results, StaticView) else "replay"
         self.speed = speed
         self.beside = read_beside(out, None if beside is None else Path(beside), results.trajectory)
         self._session = _find_session(out)

@@ -5,17 +5,21 @@ from __future__ import annotations
 from typing import Any, TypeAlias, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridslam.io.results.record import Record, RecordFlag
-from gridslam.live.ancestry_tree import NO_POINTS, Float32Array, full_tree
+from gridslam.live.ancestry_tree import Float32Array, full_tree
 from gridslam.live.monitor import LOST
 from gridslam.live.scene import NO_LANDMARKS, NO_SERIES, Frame, finite_or_none
 from gridslam.particles.ancestry import Ancestry
 from gridslam.slam.loop_closure.constraints import select_shown_closures
+from gridslam.slam.pose_graph.descent import squared_mahalanobis
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
 
-__all__ = ["AncestryReplay", "MappedRun", "Results", "StaticMap", "TrajectoryRun"]
+__all__ = ["AncestryReplay", "MappedRun", "Results", "StaticView", "TrajectoryRun"]
 
+_MOST_RESIDUALS = 1000  # edges
 _SNAPSHOTS = 32  # of the ancestry, evenly over the record: seeking back replays at most one interval
 
 
@@ -257,41 +261,83 @@ class TrajectoryRun:
 
 
 @final
-class StaticMap:
-    """A map without a trajectory, as `gridslam grid` writes it.
+class StaticView:
+    """Results without a course of time: a map as of `gridslam grid`, a pose graph, or sessions that were merged.
 
     Parameters
     ----------
-    grid : OccupancyGrid
+    grid : OccupancyGrid, optional
         The map.
+    graph : PoseGraph, optional
+        The poses, and the edges between them: those that do not join consecutive poses are drawn, and how much each
+        contradicts the poses.
+    is_landmark : (N,) bool, optional
+        Which of the poses are landmarks.
+    trajectory : Trajectory, optional
+        The poses of all scans.
     """
 
-    layers = ("map",)
     step = "key scan"
     missing = ""
     particles = 0
     ancestry = None
-    path = NO_POINTS
-    trajectory = None
     series = NO_SERIES
-    landmarks = NO_LANDMARKS
 
-    def __init__(self, grid: OccupancyGrid) -> None:
+    def __init__(
+        self,
+        grid: OccupancyGrid | None,
+        graph: PoseGraph | None = None,
+        is_landmark: NDArray[np.bool_] | None = None,
+        trajectory: Trajectory | None = None,
+    ) -> None:
         """Create a single step."""
         self.grid = grid
+        self.trajectory = trajectory
         self.times_s = np.zeros(1)
+        self.landmarks: Float32Array = NO_LANDMARKS
+        self._status: dict[str, Any] = {}
+        self._frame = Frame()
+        if grid is not None:
+            height, width = (side * grid.resolution_m for side in grid.known.shape)
+            self._status["size_m"] = [width, height]
+        if graph is not None:
+            self._show_graph(graph, np.zeros(len(graph.poses), bool) if is_landmark is None else is_landmark)
+        self.path = self._frame.path
+        shown = {"map": grid, "path": graph, "closures": graph, "landmarks": len(self.landmarks) or None}
+        self.layers = tuple(layer for layer, found in shown.items() if found is not None)
+
+    def _show_graph(self, graph: PoseGraph, is_landmark: NDArray[np.bool_]) -> None:
+        first, second = graph.edges.T
+        closes = (np.abs(second - first) != 1) & ~is_landmark[second]
+        chi2 = squared_mahalanobis(graph, graph.errors())
+        worst = closes.nonzero()[0][np.argsort(-chi2[closes], kind="stable")]
+        positions = graph.poses[:, :2]
+        ends = positions[graph.edges[worst]].reshape(-1, 4).astype(np.float32)
+        follows = np.zeros(len(positions), bool)
+        follows[np.minimum(first, second)[np.abs(second - first) == 1]] = True
+        breaks = np.flatnonzero(~follows[:-1] & ~is_landmark[1:]) + 1  # between drives
+        path = np.insert(np.where(is_landmark[:, None], np.nan, positions), breaks, np.nan, axis=0)
+        self._frame = Frame(path.astype(np.float32), closures=ends)
+        self.landmarks = np.pad(positions[is_landmark], ((0, 0), (0, 3))).astype(np.float32)
+        listed = zip(graph.edges[worst].tolist(), chi2[worst].tolist(), strict=True)
+        self._status |= {
+            "poses": int((~is_landmark).sum()),
+            "edges": len(graph.edges),
+            "landmarks": int(is_landmark.sum()),
+            "chi2": float(chi2.sum()),
+            "residuals": [[*pair, round(off, 3)] for pair, off in listed][:_MOST_RESIDUALS],
+        }
 
     def frame(self, at: int) -> Frame:
         """Return the only frame."""
-        return Frame(self.path)
+        return self._frame
 
     def status(self, at: int, time_s: float) -> dict[str, Any]:
-        """Return the size of the map."""
-        height, width = (side * self.grid.resolution_m for side in self.grid.known.shape)
-        return {"size_m": [width, height]}
+        """Return sizes, counts, and the edges that contradict the poses most: their ends, and chi2."""
+        return self._status
 
 
-Results: TypeAlias = MappedRun | TrajectoryRun | StaticMap
+Results: TypeAlias = MappedRun | TrajectoryRun | StaticView
 """A finished run of T steps, T >= 1.
 
 Attributes

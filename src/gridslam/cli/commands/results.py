@@ -22,7 +22,12 @@ __all__ = ["evaluate_command", "regress_command", "view_command"]
 )
 @host_options
 def view_command(**options: Any) -> None:  # noqa: ANN401
-    """Replay the results in OUT in the browser."""
+    """Show the results in OUT in the browser.
+
+    OUT is of any command: a run is replayed, of map, localize, landmarks or demo; of grid and merge the map is shown,
+    of graph the poses, the edges and their residuals; batch and doctor have written a report, whose address is
+    printed.
+    """
     from gridslam.cli.live import view
 
     view(**options)

@@ -33,7 +33,7 @@ function reset() {
   world.other.clear();
   Object.assign(world, {
     runInfo: {}, status: {}, path: NONE, selected: NONE, plan: NONE, tree: NONE, parents: NO_NUMBERS, leaves: NO_NUMBERS,
-    particles: NONE, scan: NONE, closures: NONE, landmarks: NONE, truth: NONE, series: NONE, steps: 0,
+    particles: NONE, scan: NONE, closures: NONE, landmarks: NONE, truth: NONE, series: NONE, steps: 0, chosen: null,
   });
 }
 
@@ -217,6 +217,16 @@ camera.hovered = (u, v) => {
 camera.left = () => {
   measure.pointer = null;
   showPlace(null);
+  redraw();
+};
+panel.chosen = (number) => {
+  world.chosen = world.chosen === number ? null : number;
+  document.querySelectorAll("#residuals button").forEach((button, at) => button.classList.toggle("chosen", at === world.chosen));
+  const [x0, y0, x1, y1] = world.closures.subarray(4 * number, 4 * number + 4);
+  if (world.chosen != null) {
+    camera.mode = "free";
+    camera.fit([Math.min(x0, x1) - 3, Math.min(y0, y1) - 3, Math.max(x0, x1) + 3, Math.max(y0, y1) + 3]);
+  }
   redraw();
 };
 for (const chart of charts) {

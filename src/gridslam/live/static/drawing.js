@@ -3,6 +3,7 @@
 import { drawGrid } from "./tools.js";
 
 const ROBOT = 9; // px
+const CONTRADICTS = 11.34; // chi2 of three degrees of freedom, above which 1 % of correct edges lie
 
 // Draws a line through points, interrupted at NaN.
 function line(context, points, camera) {
@@ -50,7 +51,7 @@ export class Drawing {
     if (shown.truth) this.truth(context, colours.truth);
     if (shown.ancestry) this.ancestry(context, colours.ancestry);
     if (shown.path) this.path(context, colours);
-    if (shown.closures) this.closures(context, colours.closure);
+    if (shown.closures) this.closures(context, colours);
     if (shown.landmarks) this.landmarks(context, colours.landmark);
     if (shown.scan) this.scan(context, colours.scan);
     this.found(context, colours);
@@ -74,11 +75,14 @@ export class Drawing {
     context.setLineDash([]);
   }
 
-  closures(context, colour) {
+  closures(context, colours) {
     const { world, camera } = this;
-    Object.assign(context, { strokeStyle: colour, fillStyle: colour, lineWidth: 1.2 });
-    for (let k = 0; k < world.closures.length; k += 4) {
-      const ends = world.closures.subarray(k, k + 4);
+    const { residuals } = world.status;
+    for (let k = world.closures.length - 4; k >= 0; k -= 4) {
+      const ends = world.closures.subarray(k, k + 4), off = residuals?.[k / 4]?.[2] ?? 0;
+      const isChosen = world.chosen === k / 4;
+      context.strokeStyle = context.fillStyle = isChosen ? colours.selected : off > CONTRADICTS ? colours.bad : colours.closure;
+      context.lineWidth = isChosen ? 3.5 : 1.2;
       line(context, ends, camera);
       for (const end of [ends.subarray(0, 2), ends.subarray(2)]) this.dot(context, end, 2.5);
     }

@@ -115,6 +115,7 @@ export class Panel {
     $("#summary").textContent = this.summarize(world).join(" · ");
     $("#answer").textContent = status.answer ?? "";
     this.session(status);
+    this.residuals(status);
     this.robot(status);
     this.particles(world);
     this.time(world);
@@ -130,7 +131,7 @@ export class Panel {
 
   summarize({ status, runInfo: { step } }) {
     const parts = status.size_m ? [status.size_m.map((side) => `${side.toFixed(1)} m`).join(" × ")] : [];
-    const counts = [[status.scans, "scan"], [status.keys, step], [status.landmarks, "landmark"], [status.closures, "loop closure"]];
+    const counts = [[status.scans, "scan"], [status.keys, step], [status.poses, "pose"], [status.edges, "edge"], [status.landmarks, "landmark"], [status.closures, "loop closure"]];
     for (const [count, what] of counts) if (count) parts.push(`${count} ${what}${count > 1 ? "s" : ""}`);
     if (status.real_time_factor && status.stage !== "paused" && this.mode === "live") parts.push(`${twoDigits(status.real_time_factor)} × real time`);
     if (status.bytes) parts.push(`maps ${(status.bytes / 1e6).toFixed(0)} MB`);
@@ -149,6 +150,21 @@ export class Panel {
     session.title = drives.join(", ");
     state.textContent = found ? `found again after ${found.way_m.toFixed(1)} m, at ${found.pose[0].toFixed(2)} m, ${found.pose[1].toFixed(2)} m`
       : searches ? "looking for the robot in its map" : goes_on ? "goes on" : "";
+  }
+
+  // The edges of a pose graph that contradict the poses most, with their chi2; a click shows one.
+  residuals({ chi2, residuals }) {
+    $("#residuals").hidden = !residuals;
+    if (!residuals || this.listed === residuals) return;
+    this.listed = residuals;
+    put("chi2", `chi2 ${twoDigits(chi2)}`);
+    $("#residuals ol").replaceChildren(...residuals.slice(0, 50).map(([from, to, off], number) => {
+      const item = document.createElement("li"), button = document.createElement("button");
+      button.textContent = `${from} – ${to}: chi2 ${twoDigits(off)}`;
+      button.onclick = () => this.chosen?.(number);
+      item.append(button);
+      return item;
+    }));
   }
 
   robot({ pose, covariance, lost_probability, inlier_ratio }) {
