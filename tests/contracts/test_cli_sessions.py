@@ -65,9 +65,13 @@ def test_what_was_moved_stays_apart_or_is_found_and_merging_is_written(call, log
     other = tmp_path / "other.gridslam"
     assert call("map", logs / "tuesday.clf", "-o", tmp_path / "b", *FEW, "--save", other)[0] == 0
     status, out, err = call("merge", monday, other, "-o", tmp_path / "merged", "--save", tmp_path / "merged.gridslam")
-    assert status == 0, err
     document = json.loads((tmp_path / "merged" / "run.json").read_text())
     assert document["schema"] == "gridslam.merge/1"
+    assert status == (not document["joined"]), err
+    assert ("nothing was joined; the map is that of 1 drive" in out) == (not document["joined"])
+    written = {path.name for path in (tmp_path / "merged").glob("trajectory_*.tum")}
+    assert written == {"trajectory_monday.tum", "trajectory_tuesday.tum"}, "of each drive, joined or not"
+    assert Replay(tmp_path / "merged").results.layers == ("map", "path", "closures")
     drives = [drive["name"] for piece in document["pieces"] for drive in piece]
     assert sorted(drives) == ["monday", "tuesday"]
     assert (len(document["pieces"]) == 2) == ("apart, as nothing in common was found" in out)

@@ -7,10 +7,15 @@ import threading
 import numpy as np
 import pytest
 
+from gridslam.config import build
+from gridslam.live.control import RobotCommands, RobotControl
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
+from gridslam.messages import Messages
+from gridslam.pipeline import run
 from gridslam.types import OccupancyGrid
 from support.browsing import PATIENCE_S, Mapping, click, emulated, shown, told, view, wait, wait_for_all
+from support.loops import PROVOKED
 
 DESKTOP = {"width": 1400, "height": 760, "deviceScaleFactor": 1, "mobile": False}
 PHONE = {"width": 375, "height": 667, "deviceScaleFactor": 2, "mobile": True}
@@ -93,3 +98,46 @@ def test_the_whole_map_is_that_of_the_robot_not_of_strays(browser, finished):
     x, y, scale = view(browser)[:3]
     assert (x, y) == pytest.approx((10.0, 0.0), abs=3.0)  # the path goes farther than the map
     assert scale > 15, "40 m on a screen"
+
+
+@pytest.mark.parametrize("size", [(1440, 900), (1366, 768)], ids=["desktop", "laptop"])
+def test_what_can_be_saved_is_never_cut_off_and_a_selection_shifts_nothing(browser, drive, size, screenshot):
+    screen = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
+    commands = RobotCommands(lambda pose: None, lambda: None, lambda: None, lambda: (True, ""))
+    robot = RobotControl(lambda: False, lambda paused: None, commands)
+    messages = Messages(lambda level, text: None)
+    messages("late scans", "by 2 s")
+    with (
+        LivePage("robot", LiveOptions(port=0), range_max_m=30.0, robot=robot) as page,
+        emulated(browser, screen, "light"),
+    ):
+        page.show_messages(messages.to_list())
+        browser.get(page.url)
+        mapped = {"particles": 8, "rng": np.random.default_rng(1), "observers": [page.observer]}
+        run(page.follow_session(drive[:60]), build(PROVOKED), **mapped)
+        wait(lambda: int(told(browser).get("tiles", "0")) > 10, "a map")
+        tops = (
+            "return [...document.querySelectorAll('#panel > section')].filter((part) => part.checkVisibility())"
+            ".map((part) => part.getBoundingClientRect().top)"
+        )
+        before = browser.execute_script(tops)
+        screenshot(f"node-{size[0]}")
+        click(browser, "weights")
+        wait(lambda: told(browser)["selected"] != "", "a particle")
+        assert browser.execute_script(tops) == before
+        inside = (
+            "const box = (part) => document.querySelector(part).getBoundingClientRect();"
+            "const save = box('#save-robot').bottom;"
+            "return save <= box('#panel').bottom && save <= box('#transport').top"
+        )
+        assert browser.execute_script(inside)
+
+
+def test_speeds_are_in_order_whatever_the_first_one_was(browser):
+    with LivePage("loop.clf", LiveOptions(port=0, speed=20.0)) as page:
+        browser.get(page.url)
+        wait(lambda: told(browser).get("stage") == "waiting", "the page is connected")
+        values = browser.execute_script(
+            "return [...document.querySelectorAll('#speed option')].map((one) => one.value)"
+        )
+        assert values == ["0.25", "0.5", "1", "2", "5", "10", "20", "30", "100", ""]

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 
 import numpy as np
 import pytest
 
 from gridslam.api.localization import BELIEF_HEADER, localize
+from gridslam.cli.main import main
 from gridslam.errors import InputError
+from gridslam.geometry.se2 import between
 from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.g2o import read_g2o, write_g2o
 from gridslam.io.maps import read_map, write_map
 from gridslam.live.monitor import LOST
 from gridslam.live.replay import Replay
+from gridslam.messages import Messages
 from gridslam.sim import OdometryNoise
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from support.localization_world import drive, flat_map
 from support.page_client import PageClient
 
@@ -80,3 +86,47 @@ def replace_parameters(out, tmp_path, name, text):
 def test_a_belief_that_is_none_is_told(place, tmp_path, text, says):
     with pytest.raises(InputError, match=says):
         Replay(replace_parameters(place[0] / "out", tmp_path, "belief.csv", text))
+
+
+def test_a_graph_is_shown_with_the_edges_that_contradict_it_most(tmp_path, capsys):
+    poses = np.zeros((20, 3))
+    poses[:, 0] = np.arange(20.0)
+    pairs = [(k, k + 1) for k in range(19)] + [(0, 10), (2, 15)]
+    measured = between(poses[[a for a, _ in pairs]], poses[[b for _, b in pairs]])
+    measured[-1] += 3.0  # a false one
+    write_g2o(tmp_path / "in.g2o", PoseGraph.of(poses, pairs, measured, [np.eye(3)] * len(pairs)))
+    assert main(["graph", str(tmp_path / "in.g2o"), "-o", str(tmp_path / "out")]) == 0
+    _, client = looking(Replay(tmp_path / "out"))
+    assert (client.run_info["title"], client.run_info["mode"]) == ("in.g2o", "still")
+    assert set(client.run_info["layers"]) == {"path", "closures"}
+    assert (client.status["poses"], client.status["edges"]) == (20, 21)
+    (first, second, worst), (*_, other) = client.status["residuals"]
+    assert (first, second) == (2, 15)
+    assert worst > other
+    found = read_g2o(tmp_path / "out" / "graph.g2o").graph
+    np.testing.assert_allclose(client.path, found.poses[:, :2], atol=1e-5)
+    np.testing.assert_allclose(client.arrays["closures"][0].reshape(2, 2), found.poses[[2, 15], :2], atol=1e-5)
+
+
+def test_a_report_is_opened_as_it_is(tmp_path, capsys, place):
+    folder, _ = place
+    main(["doctor", str(folder / "flat.clf"), "-o", str(tmp_path / "out")])
+    capsys.readouterr()
+    assert main(["view", str(tmp_path / "out")]) == 0
+    address = (tmp_path / "out" / "report.html").as_uri()
+    assert capsys.readouterr().out == f"{tmp_path / 'out'}: open {address}\n"
+    assert "<h1>flat.clf</h1>" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_the_messages_of_a_run_are_shown_again_and_checked(place, tmp_path):
+    _, result = place
+    messages = Messages(lambda level, text: None)
+    messages("late scans", "by 2 s")
+    result.save(tmp_path / "out", messages.to_list())
+    _, client = looking(Replay(tmp_path / "out"))
+    assert client.reported == messages.to_list()
+    document = json.loads((tmp_path / "out" / "run.json").read_text())
+    for wrong in ([{"level": "warning"}], {"level": 1}, [3]):
+        (tmp_path / "out" / "run.json").write_text(json.dumps({**document, "messages": wrong}))
+        with pytest.raises(InputError, match=r"run.json: messages: expected objects with level"):
+            Replay(tmp_path / "out")
