@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -18,7 +19,9 @@ from gridslam.config import override
 from gridslam.doctor import quick_check
 from gridslam.evaluation import absolute_errors
 from gridslam.io.trajectories import read_tum
+from gridslam.particles import Residual
 from gridslam.pipeline import Stopwatch
+from gridslam.types import SensorModel
 
 
 @pytest.mark.parametrize("name", gridslam.__all__)
@@ -77,6 +80,30 @@ def test_the_best_particle_alone_may_be_kept_and_the_answer_is_the_same(log):
         best.to_session()
     run = partial(gridslam.map_log, particles=3)
     assert len(map_with_progress(gridslam.CarmenLog(log), run, Stopwatch(), shown=False).state.poses) == 1
+
+
+def test_parts_of_ones_own_map_a_log(log, tmp_path):
+    @dataclass(frozen=True)
+    class Counted:
+        """Another measurement model, and how often it was asked."""
+
+        model: SensorModel
+        asked: list
+
+        def __call__(self, beams):
+            self.asked.append(len(beams))
+            return self.model(beams)
+
+    given = {"configuration": gridslam.Configuration(particles=3), "resampler": Residual()}
+    sensor = Counted(given["configuration"].sensor, [])
+    own, same = gridslam.map_log(log, **given, sensor=sensor), gridslam.map_log(log, **given)
+    assert sensor.asked
+    np.testing.assert_array_equal(own.trajectory.poses, same.trajectory.poses)
+    assert own.save(tmp_path / "out")["own_parts"] == {"sensor": "Counted", "resampler": "Residual"}
+    with pytest.raises(errors.ArgumentError, match=r"sensors: expected an argument of map_log, or a part: tracker"):
+        gridslam.map_log(log, sensors=sensor)
+    with pytest.raises(errors.ArgumentError, match="sensor"):
+        gridslam.map_log(log, **given, sensor=3)
 
 
 def test_ones_own_loop_gives_the_same(log):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -56,6 +56,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FoundAgain", "MapResult", "describe_log", "finish_mapping", "map_log"]
 
+_OWN_PARTS = "tracker", "motion", "sensor", "proposal", "resampler", "when_to_update", "when_to_resample"
 _MAX_BACKWARD_RATIO = 0.1
 """Ratio of scans stamped before their predecessor above which a warning is given; jitter causes up to 0.05."""
 _ORDERS = {1: "as reported", 0: "none", -1: "backward"}
@@ -141,6 +142,8 @@ class MapResult(Result):
         carried.
     found_again : FoundAgain or None
         Where the robot was relocalized in maps of earlier drives; None if it was not looked for, or not found.
+    own_parts : mapping of str to str
+        Classes of the parts of the filter that `map_log` was given instead of the configuration's.
     """
 
     schema: ClassVar = "gridslam.run/3"
@@ -176,6 +179,7 @@ class MapResult(Result):
     run: SavedRun | None = None
     pieces: tuple[SavedPiece, ...] = ()
     found_again: FoundAgain | None = None
+    own_parts: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def trajectories(self) -> dict[str, Trajectory]:
@@ -314,6 +318,7 @@ class MapResult(Result):
             "latency": {"key_scans": asdict(statistics.key_latency), "all_scans": asdict(statistics.latency)},
             "peak_memory_bytes": find_peak_memory_bytes(),
             "configuration": to_table(self.configuration),
+            "own_parts": dict(self.own_parts),
         }
 
     def _describe_input(self) -> dict[str, Any]:
@@ -435,6 +440,7 @@ def map_log(
     digest: str | None = None,
     beginning: Beginning | None = None,
     on_finding: Callable[[Finding], None] = lambda finding: None,
+    **parts: Any,  # noqa: ANN401
 ) -> MapResult:
     """Map a log with grid-based FastSLAM and loop closure.
 
@@ -479,12 +485,16 @@ def map_log(
         The session that the run continues (see `Session.add`).
     on_finding : callable
         Called where the robot was carried (`robot_carried`).
+    **parts
+        Parts of the filter, of one's own, instead of those of the configuration: `tracker`, `motion`, `sensor`,
+        `proposal`, `resampler`, `when_to_update`, `when_to_resample` (see `GridFastSlam`). `run.json` names their
+        classes; a session that is saved does not hold them, and goes on with the configuration's.
 
     Raises
     ------
     ArgumentError
-        The seed is negative, there is no thread, `configuration` and one of `particles` and `laser` are given, or
-        both `options` and a log that is open already.
+        The seed is negative, there is no thread, `configuration` and one of `particles` and `laser` are given,
+        both `options` and a log that is open already, or a part has another name.
     InputError
         The log cannot be read.
     ConfigurationError
@@ -502,7 +512,7 @@ def map_log(
     watch = stopwatch or Stopwatch()
     source = open_repaired(log, options, repair)
     begun = beginning or Beginning(SavedRun(np.random.default_rng(seed), name=source.path.name.partition(".")[0]))
-    slam = build(configuration, threads)
+    slam = replace(build(configuration, threads), **_require_own(parts))
     digest = digest or compute_digest(source.path)
     watch.lap("start")
 
@@ -558,8 +568,19 @@ def map_log(
         failures=ended.failures.describe(),
         pieces=ended.pieces,
     )
+    result = replace(result, own_parts={name: type(part).__name__ for name, part in parts.items()})
     watch.lap("finish")
     return result
+
+
+def _require_own(parts: dict[str, Any]) -> dict[str, Any]:
+    """Return parts of the filter by their names; raises ArgumentError for another name, and for values of no use."""
+    for name, part in parts.items():
+        if name not in _OWN_PARTS:
+            raise ArgumentError(name, f"an argument of map_log, or a part: {', '.join(_OWN_PARTS)}", part)
+        if not callable(getattr(part, "step", part)):
+            raise ArgumentError(name, "a part of the filter, which can be called", part)
+    return parts
 
 
 def _describe_part(begun: Beginning, log: DrivenLog) -> DrivenLog:

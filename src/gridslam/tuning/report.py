@@ -27,7 +27,10 @@ def describe_verdict(tuning: Tuning, logs: Sequence[TunedLog]) -> list[str]:
     """State in plain lines whether the best is recommended, and the reason."""
     held_out = any(log.held_out for log in logs)
     if tuning.comparison is None:
-        return ["no gain: nothing that was tried is better than the configuration that the search began with"]
+        tried = len({tuple(trial.values.items()) for trial in tuning.trials})
+        few = [f"{tried} trials are too few to say that there is none: {tuning.enough} or more are advised"]
+        verdict = "no gain: nothing that was tried is better than the configuration that the search began with"
+        return [verdict, *(few if tried < tuning.enough else [])]
     found = tuning.comparison
     where = "held-out logs" if held_out else "logs of the search, with other seeds"
     runs = f"{found.observations} {where}" if found.units == "logs" else f"{found.observations} runs on {where}"

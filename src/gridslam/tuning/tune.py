@@ -26,6 +26,11 @@ _RESERVE: Final = 1.3
 
 _FEWEST_TRIALS: Final = 4
 
+_HALVED_FROM: Final = 9
+"""Trials from which successive halving saves anything; fewer are all tried on whole logs."""
+_TRIALS_PER_DIMENSION: Final = 3
+"""Fewer than these cannot show that there is no gain."""
+
 _PARTS: Final = {1: 1 / 9, 3: 1 / 3, 9: 1.0}
 """Parts of the logs on which a configuration is tried, by Optuna's steps: the better third advances to the next part.
 
@@ -129,6 +134,8 @@ class Tuning:
         was better.
     prefers_default : bool
         Whether the best is not better than the default values beyond the noise, and the search began elsewhere.
+    enough : int
+        Trials that it takes at least to say that there is no gain.
     pairs : tuple of Pair
         The runs of the comparison.
     best : Trial
@@ -143,6 +150,7 @@ class Tuning:
     best: Trial
     trials: tuple[Trial, ...]
     prefers_default: bool = False
+    enough: int = 0
 
     @property
     def gains(self) -> bool:
@@ -193,11 +201,12 @@ class Tuner:
         """
         settings = self.settings
         space = settings.space
-        self._require_base(1.0, [settings.seed], self._searched)
+        losses = self._require_base(1.0, [settings.seed], self._searched)[:, 0]
         self.planned = self._plan_trials()
         start, default = (space.values_of(one) for one in (settings.base, Configuration()))
         self._search(start, default)
-        whole = [trial for trial in self.trials if trial.part == 1.0]
+        by_log = {log.name: loss for log, loss in zip(self._searched, losses.tolist(), strict=True)}
+        whole = [Trial(1.0, start, by_log, 1.0), *(trial for trial in self.trials if trial.part == 1.0)]
         best = min(whole, key=lambda trial: trial.ratio)
         chosen = best.values
         prefers_default = False
@@ -215,6 +224,7 @@ class Tuner:
             best,
             tuple(self.trials),
             prefers_default,
+            _TRIALS_PER_DIMENSION * len(space.dimensions),
         )
 
     @property
@@ -226,22 +236,28 @@ class Tuner:
         """The logs that the best is judged on: those held out, else those of the search."""
         return [log for log in self.logs if log.held_out] or self._searched
 
-    def _search(self, *starts: dict[str, Value]) -> None:
-        """Try the configurations that Optuna asks for, these first, until all that are planned are tried."""
+    def _search(self, start: dict[str, Value], default: dict[str, Value]) -> None:
+        """Try the configurations that Optuna asks for, until all that are planned are tried.
+
+        The default values are the first. The start is known, and no trial.
+        """
         optuna = load_optuna()
         space = self.settings.space
         study = optuna.create_study(
             sampler=optuna.samplers.TPESampler(seed=self.settings.seed),
             pruner=optuna.pruners.SuccessiveHalvingPruner(min_resource=1, reduction_factor=3),
         )
-        for values in starts:
-            study.enqueue_trial(values, skip_if_exists=True)
         distributions = {one.name: one.distribution() for one in space.dimensions}
+        parts = _PARTS if self.planned >= _HALVED_FROM else {max(_PARTS): 1.0}
+        known = {"value": 1.0, "intermediate_values": dict.fromkeys(parts, 1.0)}
+        study.add_trial(optuna.trial.create_trial(params=start, distributions=distributions, **known))
+        if default != start:
+            study.enqueue_trial(default)
         left = self.planned
-        while left and (left == self.planned or self._has_time()):
+        while left and (left == self.planned or self._has_time(min(_BATCH, left))):
             asked = [study.ask(distributions) for _ in range(min(_BATCH, left))]
             left -= len(asked)
-            for step, part in _PARTS.items():
+            for step, part in parts.items():
                 ratios = self._try([space.round(trial.params) for trial in asked], part)
                 going_on = []
                 for trial, ratio in zip(asked, ratios, strict=True):
@@ -336,8 +352,10 @@ class Tuner:
         each = self._spent_s()
         left = self.budget.seconds * self.budget.workers - each - self._judging_s()
         affordable = math.floor(left / (_RESERVE * each * _SHARE)) if each else trials
+        if affordable < _HALVED_FROM:
+            affordable = math.floor(_SHARE * affordable)  # each on whole logs
         if affordable < _FEWEST_TRIALS:
-            needed = (each + self._judging_s() + _FEWEST_TRIALS * _RESERVE * each * _SHARE) / self.budget.workers
+            needed = (each + self._judging_s() + _FEWEST_TRIALS * _RESERVE * each) / self.budget.workers
             problem = f"the budget of {self.budget.seconds:.0f} s is too small: expected {math.ceil(needed)} s at least"
             raise InputError(self._searched[0].path, problem)
         return min(trials, affordable)
@@ -356,11 +374,14 @@ class Tuner:
     def _spent_s(self) -> float:
         return sum(row["wall_s"] or 0.0 for row in self._rows.values())
 
-    def _has_time(self) -> bool:
-        """Whether the budget allows another generation, and the comparison after it."""
+    def _has_time(self, count: int) -> bool:
+        """Whether the budget allows another generation of this size, and the comparison after it."""
         if self.budget is None:
             return True
-        return self._spent_s() + self._judging_s() < self.budget.seconds * self.budget.workers
+        return (
+            self._spent_s() + count * _RESERVE * self._base_s() + self._judging_s()
+            < self.budget.seconds * self.budget.workers
+        )
 
 
 def load_optuna() -> Any:  # noqa: ANN401

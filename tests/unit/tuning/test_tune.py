@@ -75,6 +75,24 @@ def test_where_nothing_matters_the_start_is_kept():
     assert recommended <= 10  # 5 % of 200; 2.5 % are expected
 
 
+def test_trials_are_trials_and_too_few_are_reported_as_such():
+    start = SPACE.values_of(Configuration())
+    runs = Runs(sensitivity=5.0, noise=0.0, target=start)
+    tuning = Tuner(replace(SETTINGS, trials=6), LOGS, runs)()
+    assert [trial.part for trial in tuning.trials] == [1.0] * 6, "all on whole logs"
+    tried = {tuple(trial.values.items()) for trial in tuning.trials}
+    assert len(tried) == 6
+    assert tuple(start.items()) not in tried, "the start is no trial"
+    assert not tuning.gains
+    assert tuning.best.values == start
+    assert describe_verdict(tuning, LOGS)[1] == (
+        "6 trials are too few to say that there is none: 9 or more are advised"
+    )
+    many = Tuner(replace(SETTINGS, trials=12), LOGS, runs)()
+    assert len(describe_verdict(many, LOGS)) == 1
+    assert len({tuple(trial.values.items()) for trial in many.trials}) == 12
+
+
 def test_the_same_seed_gives_the_same_bytes_and_another_one_others():
     texts = []
     for seed in (0, 0, 1):
