@@ -28,7 +28,7 @@ def describe_verdict(tuning: Tuning, logs: Sequence[TunedLog]) -> list[str]:
     held_out = any(log.held_out for log in logs)
     if tuning.comparison is None:
         tried = len({tuple(trial.values.items()) for trial in tuning.trials})
-        few = [f"{tried} trials are too few to say that there is none: {tuning.enough} or more are advised"]
+        few = [f"{tried} trials are too few to exclude a gain: {tuning.enough} or more are advised"]
         verdict = "no gain: nothing that was tried is better than the configuration that the search began with"
         return [verdict, *(few if tried < tuning.enough else [])]
     found = tuning.comparison

@@ -135,7 +135,7 @@ class Tuning:
     prefers_default : bool
         Whether the best is not better than the default values beyond the noise, and the search began elsewhere.
     enough : int
-        Trials that it takes at least to say that there is no gain.
+        Trials that it takes at least to exclude a gain.
     pairs : tuple of Pair
         The runs of the comparison.
     best : Trial

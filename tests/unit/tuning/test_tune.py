@@ -85,9 +85,7 @@ def test_trials_are_trials_and_too_few_are_reported_as_such():
     assert tuple(start.items()) not in tried, "the start is no trial"
     assert not tuning.gains
     assert tuning.best.values == start
-    assert describe_verdict(tuning, LOGS)[1] == (
-        "6 trials are too few to say that there is none: 9 or more are advised"
-    )
+    assert describe_verdict(tuning, LOGS)[1] == ("6 trials are too few to exclude a gain: 9 or more are advised")
     many = Tuner(replace(SETTINGS, trials=12), LOGS, runs)()
     assert len(describe_verdict(many, LOGS)) == 1
     assert len({tuple(trial.values.items()) for trial in many.trials}) == 12
