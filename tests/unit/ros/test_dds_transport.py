@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gridslam.errors import ConfigurationError
 from gridslam.ros.node.messages import GridMessage
 from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.node.parameters import node_parameters
@@ -16,9 +17,10 @@ from gridslam.ros.node.transport import TOPICS
 from gridslam.ros.ros2.arguments import RosArguments
 from gridslam.ros.ros2.parameter_services import ParameterServices
 from gridslam.ros.ros2_dds.dds_transport import DdsTransport
-from gridslam.ros.ros2_dds.participant import DdsParticipant
+from gridslam.ros.ros2_dds.participant import DdsParticipant, decode_graph
 from gridslam.ros.rtps.endpoints import RemoteEndpoint, Sample
 from gridslam.ros.rtps.qos import Qos
+from gridslam.ros.rtps.sockets import Sockets
 from support.dds_peer import free_domain
 from support.ros_bytes import encode_message
 from support.ros_node import until
@@ -78,6 +80,39 @@ def test_bytes_arrive_as_they_were_sent():
         other.close()
     assert got[0].rstrip(b"\0") == sent["map"].rstrip(b"\0")  # the end may be padded
     assert decoded_cells(got[0]) == list(range(-1, 5))
+
+
+def test_publishers_are_named_by_their_nodes():
+    wheels = DdsParticipant(free_domain(), ["127.0.0.1"], node=("/robot1", "wheels"))
+    other, senders = DdsParticipant(wheels._participant._sockets.domain, ["127.0.0.1"]), []
+    wheels.add_writer("rt/map", TOPICS["map"])
+    other.add_reader("rt/map", TOPICS["map"], lambda data, sender: senders.append(sender))
+    wheels.start()
+    other.start()
+
+    def arrives_named():
+        wheels.publish("rt/map", encode_message("std_msgs/Float64", (1.0,)))
+        return "/robot1/wheels" in senders
+
+    try:
+        assert until(arrives_named)
+        for writer in wheels._graph:  # of both layouts
+            (payload,) = (stored.payload for stored in writer._history.values())
+            assert decode_graph(payload) == {wheels._guids[1][0]: "/robot1/wheels"}
+            assert [decode_graph(payload[:end]) for end in range(len(payload) - 4)] == [{}] * (len(payload) - 4)
+        assert decode_graph(b"\0\1\0\0" + b"\xff" * 200) == {}
+    finally:
+        wheels.close()
+        other.close()
+
+
+def test_without_a_network_the_remedy_is_named(monkeypatch):
+    def refuse(*arguments):
+        raise OSError(99, "Cannot assign requested address")
+
+    monkeypatch.setattr("gridslam.ros.rtps.sockets.socket.socket.setsockopt", refuse, raising=False)
+    with pytest.raises(ConfigurationError, match=r"no network interface is up with 127\.0\.0\.1 .*ip link set lo up"):
+        Sockets._sender("127.0.0.1")
 
 
 def test_the_graph_of_nodes_has_gids_of_24_bytes_for_humble_and_of_16_from_iron_on():

@@ -112,7 +112,7 @@ def merge_command(**options: Any) -> None:  # noqa: ANN401
     """Merge sessions of several robots or days into one map.
 
     Places that several of them show are recognized and decided on jointly; the order of the files changes nothing.
-    Pieces that have nothing in common stay apart.
+    Pieces that have nothing in common stay apart; the exit status is 1 if nothing was joined.
 
     Writes to OUT: map.yaml, map.pgm and map.png (each drive in a colour), trajectory.tum and trajectory.csv of all
     drives by their stamps, trajectory_NAME.tum of each, graph.g2o, run.json; of further pieces map_2.yaml, ...

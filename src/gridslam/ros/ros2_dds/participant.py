@@ -9,6 +9,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from typing import Any, Final, final
 
 from gridslam.io.bags.encoder import MessageEncoder
@@ -22,7 +23,7 @@ from gridslam.ros.rtps.qos import Qos
 from gridslam.ros.rtps.reader import RELATED
 from gridslam.ros.rtps.writer import Writer
 
-__all__ = ["DdsParticipant"]
+__all__ = ["DdsParticipant", "decode_graph"]
 
 _CYCLONE: Final = b"\1\x10"
 """Vendor of Eclipse Cyclone DDS, whose rmw puts a header before requests and replies."""
@@ -31,6 +32,7 @@ _GRAPH, _GRAPH_TYPE = "ros_discovery_info", "rmw_dds_common::msg::dds_::Particip
 _GID_BYTES = 24, 16  # up to Humble; from Iron on, whose endpoints state the hash of their type
 _TYPE_HASH: Final = b"typehash="
 _MATCH_S: Final = 1.0
+_MAX_NAMES: Final = 500  # participants whose nodes are known by name
 
 _DEFAULT: Final = Qos()
 
@@ -81,6 +83,8 @@ class DdsParticipant:
         self._node = node
         self._guids: tuple[list[bytes], list[bytes]] = [], []  # of readers and writers
         self._graph: list[Writer] = []
+        self._names: dict[bytes, dict[bytes, str]] = {}  # of each participant the nodes of its writers
+        self._participant.add_reader(_GRAPH, _GRAPH_TYPE, Qos(latched=True, depth=_MAX_NAMES), self._note_names)
         if node[1]:
             qos = Qos(latched=True, depth=1)
             self._graph = [
@@ -99,9 +103,20 @@ class DdsParticipant:
 
         def take(sample: Sample) -> None:
             if not sample.is_gone:
-                handle(sample.payload, f"publisher {sample.writer.hex()}")
+                handle(sample.payload, self._name_of(sample.writer))
 
         self._add_reader(topic, message_type, qos, take, self._hash(message_type))
+
+    def _note_names(self, sample: Sample) -> None:
+        """Note which writers belong to which node, as the participants of ROS state it."""
+        participant = sample.writer[:12]
+        self._names.pop(participant, None)
+        if not sample.is_gone and len(self._names) < _MAX_NAMES:
+            self._names[participant] = decode_graph(sample.payload)
+
+    def _name_of(self, writer: bytes) -> str:
+        """Return the name of a writer's node; where that is not known its number."""
+        return self._names.get(writer[:12], {}).get(writer) or f"publisher {writer.hex()}"
 
     def add_service(
         self, name: str, service_type: str, serve: Serve, refuse: Callable[[str], None], *, slow: bool = False
@@ -218,6 +233,47 @@ def _identity(sample: Sample) -> bytes:
     if len(guid) < 16 or not any(guid):
         guid = sample.writer
     return guid + struct.pack("<iI", sample.sequence >> 32, sample.sequence & 0xFFFFFFFF)
+
+
+def decode_graph(payload: bytes) -> dict[bytes, str]:
+    """Return the full name of each writer's node, from rmw_dds_common/ParticipantEntitiesInfo; none if damaged.
+
+    GIDs have 24 bytes up to Humble, and 16 from Iron on: that is right by which the message ends where it should.
+    """
+    for size in _GID_BYTES:
+        with suppress(struct.error, UnicodeDecodeError, IndexError):
+            names, end = _read_nodes(payload[4:], size, "<" if payload[1] & 1 else ">")
+            if 0 <= len(payload) - 4 - end < 4:
+                return names
+    return {}
+
+
+def _read_nodes(data: bytes, size: int, order: str) -> tuple[dict[bytes, str], int]:
+    """Read nodes whose GIDs have this size; returns their writers, and where the message ends."""
+    names: dict[bytes, str] = {}
+    at = size
+
+    def number() -> int:
+        nonlocal at
+        at += -at % 4
+        (value,) = struct.unpack_from(f"{order}I", data, at)
+        at += 4
+        return int(value)
+
+    def text() -> str:
+        nonlocal at
+        length = number()
+        at += length
+        return data[at - length : at - 1].decode()
+
+    for _ in range(number()):
+        space, name = text(), text()
+        at += number() * size  # of its readers
+        writers = number()
+        for k in range(min(writers, len(data) // size)):
+            names[data[at + k * size :][:16]] = f"{space.rstrip('/')}/{name}"
+        at += writers * size
+    return names, at
 
 
 def _encode_graph(participant: bytes, node: tuple[str, str], guids: Iterable[Iterable[bytes]], size: int) -> bytes:

@@ -156,8 +156,14 @@ class Sockets:
         one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         with suppress(OSError):
             one.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
-        one.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(address))
-        one.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
+        try:
+            one.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(address))
+            one.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
+        except OSError as error:
+            one.close()
+            remedy = "bring it up (ip link set lo up), or choose another by --interface"
+            problem = f"DDS cannot start: no network interface is up with {address} ({error.strerror})"
+            raise ConfigurationError(f"{problem}: {remedy}") from None
         return one
 
     @staticmethod
