@@ -261,12 +261,26 @@ def link(at_s: float, parent: str, child: str = BASE) -> StampedTransform:
     return StampedTransform(START + round(at_s * S), parent, child, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
 
 
+def test_a_publisher_that_follows_one_that_is_gone_is_no_second_one():
+    setup = QueueSetup()
+    for at_s, publisher in (
+        (0.0, "/ekf"),
+        (0.1, "/ekf"),
+        (0.2, "/ekf_2"),
+        (0.3, "/ekf_2"),
+        (5.0, "/ekf"),
+        (5.1, "/ekf"),
+    ):
+        setup.queue.add_transforms([link(at_s, ODOM)], publisher=publisher)
+    assert setup.logs == []
+
+
 def test_two_publishers_of_one_transform_are_named():
     setup = QueueSetup()
     for at_s, publisher in ((0.0, "/wheels"), (0.02, "/ekf"), (0.1, "/wheels"), (0.12, "/ekf")):
         setup.queue.add_transforms([link(at_s, ODOM)], publisher=publisher)
     assert setup.logs == [
-        "two transforms: base_link is published twice (in odom by /ekf and in odom by /wheels): "
+        "two transforms: base_link is published twice (in odom by /wheels and in odom by /ekf): "
         "stop one of the two publishers"
     ]
 

@@ -71,7 +71,7 @@ class LiveTransforms:
         self._warn = warn
         self._static: dict[tuple[str, str], StampedTransform] = {}
         self._latest_ns: dict[tuple[str, str], int] = {}
-        self._sources: dict[str, dict[tuple[str, str], int | None]] = {}  # of a child: parent and publisher, and when
+        self._sources: dict[str, dict[tuple[str, str], tuple[int, int] | None]] = {}  # of a child: first and last stamp
 
     def add(self, transforms: Iterable[StampedTransform], *, static: bool, publisher: str = "") -> None:
         """Add readings; those that are invalid, or that contradict another publisher, are reported."""
@@ -106,7 +106,7 @@ class LiveTransforms:
         self._static = {link: transform for link, transform in self._static.items() if link in buffer}
         self._latest_ns = {link: stamp_ns for link, stamp_ns in self._latest_ns.items() if link in buffer}
         self._jumps.keep(buffer.__contains__)
-        kept: dict[str, dict[tuple[str, str], int | None]] = {}
+        kept: dict[str, dict[tuple[str, str], tuple[int, int] | None]] = {}
         for child, sources in self._sources.items():
             known = [(source, at_ns) for source, at_ns in sources.items() if (source[0], child) in buffer]
             if known:
@@ -114,15 +114,18 @@ class LiveTransforms:
         self._sources = kept
 
     def _check_publishers(self, transform: StampedTransform, static: bool, publisher: str) -> None:
-        """Warn if a frame has two parents, or if two publishers publish its transform."""
+        """Warn if a frame has two parents, or if two publishers publish its transform: not one after the other."""
         stamp_ns, parent, child, _ = transform
         sources = self._sources.setdefault(child, {})
-        sources[parent, "" if static else publisher] = None if static else stamp_ns
+        own = parent, "" if static else publisher
+        before = sources.get(own)
+        first_ns = stamp_ns if before is None or stamp_ns - before[1] > _SIMULTANEOUS_NS else before[0]
+        sources[own] = None if static else (first_ns, stamp_ns)
         if len(sources) > _MAX_SOURCES:
             del sources[next(iter(sources))]
-        for (other, of), at_ns in sources.items() if len(sources) > 1 else ():
-            differs = other != parent or (of != publisher and not static and at_ns is not None)
-            if differs and (static or at_ns is None or abs(stamp_ns - at_ns) < _SIMULTANEOUS_NS):
+        for (other, of), times in sources.items() if len(sources) > 1 else ():
+            differs = other != parent or (of != publisher and not static and times is not None)
+            if differs and (static or times is None or first_ns <= times[1] <= stamp_ns + _SIMULTANEOUS_NS):
                 where = [f"in {one}" + (f" by {by}" if by else "") for one, by in ((parent, publisher), (other, of))]
                 twice = f"{child} is published twice ({' and '.join(where)}): stop one of the two publishers"
                 self._warn("two transforms", twice)
