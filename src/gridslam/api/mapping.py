@@ -255,8 +255,11 @@ class MapResult(Result):
             kinds = f"{len(loops.closures)} recognized, {len(loops.tracked_revisits)} tracked"
             drawn = f", {len(loops.shown)} drawn" if len(loops.shown) < loops.count else ""
             places = f", {loops.count} loop closure{'s' * (loops.count != 1)} ({kinds}{drawn})"
+        drives = len(self.drives)
+        together = f"{len(self.trajectory)} scans of {drives} drives; the last: " if drives > 1 else ""
+        scans = self.log.scan_count if drives > 1 else len(self.trajectory)
         return [
-            f"{len(self.trajectory)} scans, {self.log.duration_s:.0f} s, {self.driven}{places}",
+            f"{together}{scans} scans, {self.log.duration_s:.0f} s, {self.driven}{places}",
             f"{width:.0f} m x {height:.0f} m in cells of {100 * self.tiled_map.resolution_m:g} cm",
             f"{self.configuration.particles} particles, seed {self.seed}, {wall:.1f} s: gridslam {__version__}",
         ]

@@ -43,6 +43,7 @@ __all__ = [
     "paint_path",
     "paint_scale",
     "round_length",
+    "shorten_keys",
     "stroke",
     "time_colours",
 ]
@@ -76,6 +77,9 @@ _TITLE_SIZE = 30
 _KEY_WIDTH = 280  # of the scale, and of the key to the colours of time
 _KEY_GAP = 60
 _KEY_HEIGHT = 80
+_SAMPLE = 70  # of a key's colour, with the gaps
+_LONGEST_TITLE = 900
+_FEWEST_LETTERS = 6  # to which a name is cut
 
 _PAGE_SIDE_PX = 1400  # the long side of a page is no shorter
 _FINE = 3  # subpixels a side: 10 levels of coverage
@@ -128,7 +132,8 @@ def fit_page(
 ) -> tuple[tuple[int, int], tuple[int, int, int, int]]:
     """Size of a page for a box of that size in px above a footer, and left, top, right, bottom of the box on it."""
     margin = round(MARGIN * unit)
-    lengths = [font(TEXT_SIZE, unit).getlength(line) for line in caption] + [font(_TITLE_SIZE, unit).getlength(title)]
+    lengths = [font(TEXT_SIZE, unit).getlength(line) for line in caption]
+    lengths.append(min(font(_TITLE_SIZE, unit).getlength(title), _LONGEST_TITLE * unit))  # a longer one is cut
     keys = round((2 * _KEY_WIDTH + _KEY_GAP) * unit)
     footer = round(unit * max(_KEY_HEIGHT, TITLE_LINE * bool(title) + TEXT_LINE * len(caption)))
     page_width = max(width + 2 * margin, math.ceil(max(lengths)) + keys + 3 * margin)
@@ -265,8 +270,11 @@ def paint_footer(
     top = rule + margin // 2
     draw.rectangle((0, rule, *page.size), fill=UNKNOWN)  # a path may lead off the map
     draw.line((margin, rule, right, rule), fill=RULE, width=round(unit))
+    taken = (0 if ends is None else _KEY_WIDTH + _KEY_GAP) + (0 if px_per_m is None else _KEY_WIDTH + _KEY_GAP)
+    title = _cut(title, _TITLE_SIZE, right - margin - taken * unit, unit)
     paint_caption(draw, margin, top, title, caption, unit)
-    _paint_keys(draw, right, top, keys, unit)
+    beside = max((font(TEXT_SIZE, unit).getlength(line) for line in caption), default=0.0)
+    _paint_keys(draw, right, top, shorten_keys(keys, right - margin - beside, unit), unit)
     if ends is not None:
         _paint_time_key(page, right, top, ends, unit)
         right -= round((_KEY_WIDTH + _KEY_GAP) * unit)
@@ -312,6 +320,31 @@ def _paint_time_key(page: Image.Image, right: int, top: int, ends: tuple[str, st
     middle = top + height / 2
     mark_ends(page, np.array([[left + 8 * u, middle], [right - 8 * u, middle]]), 8 * u)
     _label(ImageDraw.Draw(page), left, right, top, ends, u)
+
+
+def _cut(text: str, size: int, width: float, u: float) -> str:
+    """Return a text that fits into a width, px: its end is cut off if need be."""
+    letters = font(size, u)
+    while len(text) > _FEWEST_LETTERS and letters.getlength(text) > width:
+        text = f"{text.rstrip('…')[:-1]}…"
+    return text
+
+
+def shorten_keys(keys: Sequence[tuple[str, Colour]], width: float, u: float) -> list[tuple[str, Colour]]:
+    """Return keys that fit into a width, px: the longest names are cut, and the last keys left out if need be."""
+    letters = font(TEXT_SIZE, u)
+    names, colours = [name for name, _ in keys], [colour for _, colour in keys]
+
+    def overlap() -> float:
+        return sum(letters.getlength(name) + _SAMPLE * u for name in names) - width
+
+    while names and overlap() > 0:
+        longest = max(range(len(names)), key=lambda k: len(names[k]))
+        if len(names[longest]) > _FEWEST_LETTERS:
+            names[longest] = f"{names[longest].rstrip('…')[:-1]}…"
+        else:
+            names.pop()
+    return list(zip(names, colours, strict=False))
 
 
 def _paint_keys(

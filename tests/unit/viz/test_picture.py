@@ -12,8 +12,11 @@ from gridslam.viz.canvas import (
     FREE,
     MARGIN,
     OCCUPIED,
+    TEXT_SIZE,
     TIME_ENDS,
     UNKNOWN,
+    font,
+    shorten_keys,
     time_colours,
 )
 from gridslam.viz.picture import lay_out
@@ -107,3 +110,20 @@ def test_scale_bar_is_as_long_as_its_label_says(shape, monkeypatch):
     assert zero == "0"
     length_m = float(number) * {"m": 1.0, "cm": 0.01}[unit]
     assert length_px == pytest.approx(length_m * layout.px_per_m, abs=0.5)
+
+
+def test_keys_of_long_names_leave_the_caption_free():
+    names = [f"{day}_2026-03-02_corridor_and_laboratory" for day in ("monday", "tuesday", "wednesday")]
+    keys = [(name, (0, 0, 0)) for name in names]
+
+    def length(shown):
+        return sum(font(TEXT_SIZE, 1.0).getlength(name) + 70 for name, _ in shown)
+
+    assert shorten_keys(keys, 5000.0, 1.0) == keys
+    cut = shorten_keys(keys, 700.0, 1.0)
+    assert length(cut) <= 700.0
+    assert [name[:4] for name, _ in cut] == ["mond", "tues", "wedn"]
+    assert length(shorten_keys(keys, 200.0, 1.0)) <= 200.0
+    title = " + ".join(names)
+    sizes = {draw_map(_grid((700, 700)), title=text, caption=["a"]).size for text in (title, 5 * title)}
+    assert len(sizes) == 1, "a long title is cut"
