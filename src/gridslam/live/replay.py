@@ -10,12 +10,13 @@ from typing import IO, Any, final
 
 import numpy as np
 
-from gridslam.errors import ArgumentError
+from gridslam.errors import ArgumentError, GridslamError
 from gridslam.io.text import open_for_reading, stay_below
 from gridslam.live.ancestry_tree import NO_POINTS
 from gridslam.live.beside import read_beside
 from gridslam.live.control import check_particle, check_speed
 from gridslam.live.finished import count_key_scans, read_optional_history, read_results
+from gridslam.live.graph_edits import EditedGraph
 from gridslam.live.history import History, PastMaps, PastReplica
 from gridslam.live.history_file import HISTORY_NAME
 from gridslam.live.past import Past, PastReader
@@ -40,6 +41,8 @@ class Replay:
         the truth, if the folder has it.
     speed : float, > 0
         Initial factor on real time.
+    editable : bool
+        Whether the pose graph in the folder is shown instead, and viewers may edit it.
 
     Raises
     ------
@@ -48,12 +51,18 @@ class Replay:
         link, or lies elsewhere: only those in the folder are read and served.
     """
 
-    def __init__(self, folder: str | Path, beside: str | Path | None = None, speed: float = 10.0) -> None:
+    def __init__(
+        self, folder: str | Path, beside: str | Path | None = None, speed: float = 10.0, *, editable: bool = False
+    ) -> None:
         """Read the folder."""
         self._out = out = Path(folder)
         with stay_below(out):
             results, title, self.messages = read_results(out)
             self.history = read_optional_history(out / HISTORY_NAME)
+        self.editor = EditedGraph(out) if editable else None
+        if self.editor is not None:
+            results = self.editor.results
+            self.history = None
         self.results = results
         if results.missing:
             now_s = time.time()
@@ -78,6 +87,7 @@ class Replay:
         )
         self.run_info = make_run_info(title, mode, layers, results.step, results.grid)
         self.run_info["truth"] = self.beside.name
+        self.run_info["editable"] = editable
         self.other: TileReplica | None = None
         if self.beside.grid is not None:
             self.other = TileReplica.of(self.beside.grid)
@@ -88,6 +98,13 @@ class Replay:
     def add_viewer(self, notify: Callable[[], None]) -> ReplayViewer:
         """Add a viewer at the end of the run; `notify` is never called, as the content does not change."""
         return ReplayViewer(self)
+
+    def edit(self, rejects: object) -> None:
+        """Edit the pose graph (see `EditedGraph.edit`); raises ArgumentError where it may not be edited."""
+        if self.editor is None:
+            raise ArgumentError("do", "something else, as this graph may not be edited (view --edit)", "edit")
+        self.editor.edit(rejects)
+        self.results = self.editor.results
 
     def find_channel(self, channel: int) -> int:
         """Return 0, as all channels are one."""
@@ -136,6 +153,7 @@ class ReplayViewer:
         self._selected_path = NO_POINTS
         self._reader = None if replay.history is None else PastReader(replay.history, replay.past_maps)
         self._past: Past | None = None
+        self._answer = ""
         self._look()
 
     def next_message(self) -> bytes | None:
@@ -163,8 +181,19 @@ class ReplayViewer:
                 self._speed = check_speed(command["factor"]) or self._speed
             case "select":
                 self._select(command["particle"])
+            case "edit":
+                self._edit(command["reject"])
             case what:
-                raise ArgumentError("do", "pause, resume, step, seek, speed or select", what)
+                raise ArgumentError("do", "pause, resume, step, seek, speed, select or edit", what)
+
+    def _edit(self, rejects: object) -> None:
+        self._answer = ""
+        try:
+            self._replay.edit(rejects)
+        except GridslamError as error:
+            if self._replay.editor is None:
+                raise
+            self._answer = str(error)
 
     def close(self) -> None:
         """Do nothing: the replay keeps no list of viewers."""
@@ -222,6 +251,9 @@ class ReplayViewer:
 
     def _scene(self) -> Scene:
         results = self._results
+        if self._replay.editor is not None:  # anyone may have edited it
+            results = self._results = self._replay.results
+            self._frame = results.frame(0)
         status = {
             **results.status(self._at, self._time_s),
             "at": self._at,
@@ -230,6 +262,7 @@ class ReplayViewer:
             "total_s": float(results.times_s[-1]),
             "speed": self._speed,
             "selected_particle": self._selected,
+            "answer": self._answer,
         }
         if self._playing:
             status["stage"] = "looking" if status.get("looking") else "lost" if status.get("lost") else "running"

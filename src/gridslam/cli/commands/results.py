@@ -20,6 +20,11 @@ __all__ = ["evaluate_command", "regress_command", "view_command"]
     metavar="PATH",
     help="Compare with another OUT, map.yaml or trajectory.tum.  [default: OUT/truth.tum, if there is one]",
 )
+@click.option(
+    "--edit",
+    is_flag=True,
+    help="Show the pose graph in OUT and let viewers reject edges; writes OUT/graph_edited.g2o, OUT/graph_edits.json.",
+)
 @host_options
 def view_command(**options: Any) -> None:  # noqa: ANN401
     """Show the results in OUT in the browser.

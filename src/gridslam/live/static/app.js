@@ -219,11 +219,13 @@ camera.left = () => {
   showPlace(null);
   redraw();
 };
-panel.chosen = (number) => {
+$("#reject").onclick = () => connection.send({ do: "edit", reject: world.status.residuals[world.chosen].slice(0, 2) });
+panel.choose = (number) => { // an edge of a pose graph
   world.chosen = world.chosen === number ? null : number;
+  $("#reject").disabled = world.chosen == null;
   document.querySelectorAll("#residuals button").forEach((button, at) => button.classList.toggle("chosen", at === world.chosen));
-  const [x0, y0, x1, y1] = world.closures.subarray(4 * number, 4 * number + 4);
   if (world.chosen != null) {
+    const [x0, y0, x1, y1] = world.closures.subarray(4 * number, 4 * number + 4);
     camera.mode = "free";
     camera.fit([Math.min(x0, x1) - 3, Math.min(y0, y1) - 3, Math.max(x0, x1) + 3, Math.max(y0, y1) + 3]);
   }

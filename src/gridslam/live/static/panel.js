@@ -33,6 +33,7 @@ export class Panel {
     $("#step").onclick = (event) => this.step(event.shiftKey);
     $("#line").oninput = ({ target }) => this.seek(Number(target.value));
     $("#best").onclick = () => ask({ do: "select", particle: null });
+    $("#undo").onclick = () => ask({ do: "edit", reject: null });
     $("#sheet").onclick = () => {
       const open = document.body.toggleAttribute("data-sheet");
       $("#sheet").setAttribute("aria-expanded", open);
@@ -45,6 +46,7 @@ export class Panel {
     this.run = runInfo.session;
     if (this.pauses) this.ask({ do: "pause" }); // the connection was lost
     this.mode = runInfo.mode;
+    this.editable = runInfo.editable;
     document.title = `${runInfo.title} · gridslam`;
     $("#title").textContent = runInfo.title;
     const replay = this.mode === "replay", unlimited = $("#speed option[value='']");
@@ -153,15 +155,19 @@ export class Panel {
   }
 
   // The edges of a pose graph that contradict the poses most, with their chi2; a click shows one.
-  residuals({ chi2, residuals }) {
+  residuals({ chi2, residuals, rejected }) {
     $("#residuals").hidden = !residuals;
-    if (!residuals || this.listed === residuals) return;
+    $("#edits").hidden = !this.editable;
+    $("#edits span").textContent = rejected?.length ? `${rejected.length} rejected` : "";
+    $("#undo").disabled = !rejected?.length;
+    if (!residuals || JSON.stringify(this.listed) === JSON.stringify(residuals)) return;
+    this.choose?.(null);
     this.listed = residuals;
     put("chi2", `chi2 ${twoDigits(chi2)}`);
     $("#residuals ol").replaceChildren(...residuals.slice(0, 50).map(([from, to, off], number) => {
       const item = document.createElement("li"), button = document.createElement("button");
       button.textContent = `${from} – ${to}: chi2 ${twoDigits(off)}`;
-      button.onclick = () => this.chosen?.(number);
+      button.onclick = () => this.choose?.(number);
       item.append(button);
       return item;
     }));
