@@ -50,9 +50,11 @@ from gridslam.io.sessions.archive_file import write_sealed_arrays
 from gridslam.io.sessions.drives import DrivenLog
 from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session, write_session
 from gridslam.io.trajectories import read_relations, read_trajectory, read_trajectory_csv, read_tum
+from gridslam.live.graph_edits import EDITS, EDITS_SCHEMA, EditedGraph
 from gridslam.live.history_file import read_history
 from gridslam.live.replay import Replay
 from gridslam.localization import KnownMap
+from gridslam.messages import Messages
 from gridslam.slam.full_slam.full_trajectory import full_trajectories
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -652,9 +654,13 @@ def _results(folder: Path) -> Iterator[Family]:
     result.save(folder / "out")
     document = json.loads((folder / "out" / "run.json").read_text())
     document["loop_closure"] = {"closures": [{"key_scans": [0, 3], "stamps_ns": [0, 1]}]}
+    messages = Messages(lambda level, text: None)
+    messages("late scans", "by 2 s")
+    document["messages"] = messages.to_list()
     (folder / "out" / "run.json").write_text(json.dumps(document))
+    (folder / "out" / EDITS).write_text(json.dumps({"schema": EDITS_SCHEMA, "rejected": [[0, 3]]}))
     write_map(folder / "out" / "map.yaml", result.map)
-    names = ("run.json", "record.npz", "graph.g2o", "trajectory.tum", "map.yaml", "map.pgm")
+    names = ("run.json", EDITS, "record.npz", "graph.g2o", "trajectory.tum", "map.yaml", "map.pgm")
     whole = {name: (folder / "out" / name).read_bytes() for name in names}
     record = dict(np.load(folder / "out" / "record.npz").items())
 
@@ -662,7 +668,7 @@ def _results(folder: Path) -> Iterator[Family]:
         chosen = names[rng.integers(len(names))]
         for name, content in whole.items():
             (to / name).write_bytes(content)
-        if chosen == "run.json" and rng.integers(4):
+        if chosen.endswith(".json") and rng.integers(4):
             (to / chosen).write_text(json.dumps(_change_json(json.loads(whole[chosen]), rng)))
         elif chosen == "record.npz" and rng.integers(4):
             changed = dict(record)
@@ -677,6 +683,7 @@ def _results(folder: Path) -> Iterator[Family]:
             (to / chosen).write_bytes(damage(whole[chosen], kinds, rng)[0])
 
     def read(where: Path) -> None:
+        EditedGraph(where)
         replay = Replay(where)
         viewer = replay.add_viewer(lambda: None)
         for at in (10**6, 0, len(replay.results.times_s) // 2):

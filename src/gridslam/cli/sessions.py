@@ -10,7 +10,7 @@ import click
 
 from gridslam.api.merging import MergeResult, merge_sessions
 from gridslam.cli.options import name_option
-from gridslam.cli.output import counted, elapsed_progress, open_output, print_json, print_result, write_apart
+from gridslam.cli.output import counted, elapsed_progress, open_output, print_json, print_result, warn, write_apart
 from gridslam.errors import InputError
 from gridslam.io.output import write_atomically
 from gridslam.io.sessions.session_file import read_head
@@ -87,12 +87,13 @@ def merge_to_folder(files: tuple[Path, ...], out: Path, save: Path | None, threa
             document = result.write(folder)
         print_result(document, _summarize_merge(result, out, save if is_saved else None), as_json)
     if not result.is_joined:
+        warn("nothing was joined: the sessions have nothing in common")
         raise click.exceptions.Exit(1)
 
 
 def _summarize_merge(result: MergeResult, out: Path, save: Path | None) -> Iterator[str]:
     joined = ", ".join(result.trajectories)
-    what = "one map" if result.is_joined else "nothing was joined; the map is that"
+    what = "one map" if result.is_joined else "a map"
     yield f"{what} of {counted(len(result.trajectories), 'drive')}: {joined}"
     for names in result.apart:
         yield f"apart, as nothing in common was found: {', '.join(names)}"
