@@ -45,6 +45,10 @@ def test_what_is_rejected_is_left_out_and_the_graph_is_solved_again(folder):
     assert (folder / "graph.g2o").read_bytes() == before
     again = EditedGraph(folder)
     np.testing.assert_array_equal(again.results.path, edited.results.path)
+    again.edit([0, 10])
+    assert again.results.status(0, 0.0)["rejected"] == [[2, 15], [0, 10]]
+    again.edit(None)
+    assert again.results.status(0, 0.0)["rejected"] == [[2, 15]], "the last one alone is taken back"
     again.edit(None)
     np.testing.assert_allclose(again.results.path, EditedGraph(folder).results.path)
     assert abs(again.results.path[:, 1]).max() > 0.3
