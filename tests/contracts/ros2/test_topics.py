@@ -122,9 +122,10 @@ def test_who_was_killed_is_started_again(start, domain, drive):
         robot.drive(drive[:30])
         assert until(lambda: len(robot.poses) >= 29)
         first.kill()
-        second, before = start(), len(robot.poses)
+        second = start()
         assert robot.meets()
-        until(lambda: False, 0.5)  # a killed subscriber still counts
+        assert robot.stands_until_mapped(drive[29], second)  # a killed subscriber still counts
+        before = len(robot.poses)
         robot.drive(drive[30:70])
         assert until(lambda: len(robot.poses) - before >= 35), second.log.read_text()
     finally:

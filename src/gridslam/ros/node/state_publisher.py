@@ -80,6 +80,7 @@ class StatePublisher:
         self._own_transforms: dict[StampedTransform, None] = {}  # in order
         self._repeat_after_s = 0.0
         self._memory_bytes = 0
+        self._arrived_s = 0.0
         self._latencies: deque[float] = deque(maxlen=_MAX_LATENCIES)
         self._logged_state = _WAITING  # the transports log it when they start
         self.sessions = 0
@@ -92,6 +93,10 @@ class StatePublisher:
     def set_measurement(self, accepted: AcceptedScan) -> None:
         """Set the measurement of the next report."""
         self._measurement = accepted
+
+    def note_arrival(self, accepted: AcceptedScan) -> None:
+        """Note that a scan has come, and compare its clock."""
+        self._arrived_s = accepted.arrived_s
         behind_s = (self._outputs.now_ns() - accepted.measurement.scan.stamp_ns) * 1e-9
         if abs(behind_s) * 1e9 > _MAX_CLOCK_OFFSET_NS:
             side = "before" if behind_s > 0 else "after"
@@ -230,14 +235,13 @@ class StatePublisher:
 
     def _state(self) -> tuple[Level, str]:
         report = self._report
-        accepted = self._measurement
         if self._queue.is_paused:
             return Level.OK, "paused"
         if self._queue.waits_for_map:
             return Level.WARN, "waiting for a map"
-        if report is None or accepted is None:
+        if report is None:
             return _WAITING
-        if time.perf_counter() - accepted.arrived_s > _SILENT_S:
+        if time.perf_counter() - self._arrived_s > _SILENT_S:
             return Level.WARN, f"no scan accepted for {_SILENT_S:g} s"
         maps = isinstance(report, StepReport)
         if report.lost:
