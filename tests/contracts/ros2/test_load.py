@@ -138,6 +138,20 @@ def play(robot, bag, rate):
     return sent
 
 
+@pytest.mark.parametrize("times", [pytest.param(20, marks=pytest.mark.long), 3])
+def test_a_node_maps_at_once_though_the_static_transform_is_old(start, transport, robot, drive, times, record_property):
+    """By rclpy what is latched comes late now and then, as to any listener of rclpy."""
+    took = []
+    for _ in range(times):
+        node = start()
+        begin = time.monotonic()
+        assert robot.stands_until_mapped(drive[0], node)
+        took.append(time.monotonic() - begin)
+        node.end()
+    record_property("from its start to `mapping`, s", [round(one, 2) for one in took])
+    assert (max if transport == "dds" else statistics.median)(took) < WITHIN_S, took
+
+
 @pytest.mark.parametrize("times", [pytest.param(60, marks=pytest.mark.long), 10])
 def test_the_first_request_of_a_new_client_is_answered_at_once(start, domain, times, record_property):
     start()
