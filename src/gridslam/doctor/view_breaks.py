@@ -255,7 +255,7 @@ def _number_drives(
 
 @final
 class DriveNumbering(Generic[_Item]):
-    """Numbers what is measured by drives; a new one begins where a laser shows that the robot was carried.
+    """Assigns measurements to drives; a new one begins where a laser shows that the robot was carried.
 
     Parameters
     ----------
@@ -295,7 +295,7 @@ class DriveNumbering(Generic[_Item]):
         return certain if self._opened else [*certain, *self.end()]
 
     def end(self) -> list[tuple[int, _Item]]:
-        """Return what was held back, which belongs to the drive so far."""
+        """Return the items that were held back: they belong to the drive so far."""
         held, self._held = self._held, []
         self._opened = {}
         return [(self._number, item) for item in held]

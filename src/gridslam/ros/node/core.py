@@ -54,9 +54,8 @@ _Answer = TypeVar("_Answer")
 class NodeCore:
     """Maps a live lidar stream.
 
-    Callbacks never wait for the filter. A session begins with its first scan. A reset ends it, as does time that jumps
-    back to where the robot is elsewhere (a bag played again); the next session begins with a new map. Where the robot
-    was carried the next one is looked for in the map so far.
+    Callbacks never wait for the filter. A session begins with its first scan, and ends by a reset, where time jumps
+    back and the robot is elsewhere (a bag played again), or where it was carried: then it is looked for in the map.
 
     Parameters
     ----------
@@ -185,8 +184,7 @@ class NodeCore:
                 thread.join()
         if self._renderer is not None:
             self._renderer.close()
-        is_mapped = self.mapped_session is not None
-        copied = self._copy_mapped(is_last=True) if is_mapped else None
+        copied = None if self.mapped_session is None else self._copy_mapped(is_last=True)
         if self._autosave is not None:
             self._autosave.close()
             self._save_now(wait=True)
@@ -403,7 +401,10 @@ class NodeCore:
 
     def _copy_mapped(self, *, is_last: bool = False) -> SessionCopy:
         mapped = self.mapped_session
-        return (mapped or self._session).copy(None if self._has_switched else self._whole_record(), is_last=is_last)
+        if mapped is None:
+            got = "one that localizes; `gridslam localize` takes its record" if self.localizes else "none yet"
+            raise ArgumentError("save", "a node that maps, and at least one scan", got)
+        return mapped.copy(None if self._has_switched else self._whole_record(), is_last=is_last)
 
     def _run_filter(self) -> None:
         """Run the sessions one after the other."""
@@ -436,14 +437,11 @@ class NodeCore:
         self._suspended = None
         self._begin_session()
         if is_begun and not is_carried:  # what is recorded is split by `gridslam map` where the node has
-            self._restart_record()
-
-    def _restart_record(self) -> None:
-        self._close_record()
-        try:
-            self._begin_record()
-        except OutputError as error:
-            self._warn("record", str(error))
+            self._close_record()
+            try:
+                self._begin_record()
+            except OutputError as error:
+                self._warn("record", str(error))
 
     def _run_session(self) -> bool:
         """Map until the session ends; return whether another one follows."""
@@ -539,7 +537,8 @@ class NodeCore:
 
     def _begin_step(self, accepted: AcceptedScan) -> Measurement:
         """Note a scan that the filter processes next."""
-        self._session.add(accepted)
+        if isinstance(self._session, Session):
+            self._session.add(accepted)
         self._report_findings(accepted.measurement)
         self._publisher.set_measurement(accepted)
         return accepted.measurement
