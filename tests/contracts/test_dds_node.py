@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,11 @@ from websockets.sync.client import connect  # noqa: E402
 from gridslam.io.maps import write_map  # noqa: E402
 from gridslam.io.sessions.session_file import read_session  # noqa: E402
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate  # noqa: E402
-from support.dds_peer import Node, Peer, Robot, free_domain, got, until  # noqa: E402
+from support.dds_peer import Node, Peer, Robot, free_domain, got, transforms, until  # noqa: E402
 from support.localization_world import drive as flat_drive  # noqa: E402
 from support.localization_world import flat_map  # noqa: E402
 from support.page_client import PageClient  # noqa: E402
+from support.ros_node import mounting, odometry_message, scan_message  # noqa: E402
 
 PATIENT = "-p", "particles:=4", "-p", "map_update_interval:=0.3", "-p", "queue:=60.0", "-p", "transform_wait:=60.0"
 
@@ -153,6 +155,32 @@ def test_a_node_that_was_killed_is_started_again(drive, tmp_path):
     finally:
         for node in filter(None, (first, second)):
             node.kill()
+
+
+@pytest.mark.parametrize("times", [pytest.param(20, marks=pytest.mark.long), 2])
+def test_a_node_maps_at_once_though_the_static_transform_is_old(drive, tmp_path, times, record_property):
+    """Within a second from its start to `mapping`, beside a robot that has stood there for long."""
+    domain = free_domain()
+    robot = Robot(Peer(domain))
+    robot.fixed.write(transforms(robot.peer, [mounting()]))
+    took = []
+    for _ in range(times):
+        node = Node(domain, tmp_path / "node.log", "--ros-args", "-p", "particles:=4")
+        try:
+            assert node.says("waiting for scans"), node.log.read_text()
+            begin = time.monotonic()
+            while not node.says("mapping", seconds=0.0):
+                assert time.monotonic() < begin + 20
+                shift = time.time_ns() - drive[0].scan.stamp_ns
+                robot.moving.write(transforms(robot.peer, [odometry_message(drive[0], shift)]))
+                robot.send(scan_message(drive[0], shift))
+                time.sleep(0.025)
+            took.append(time.monotonic() - begin)
+            assert node.end() == 0
+        finally:
+            node.kill()
+    record_property("from its start to `mapping`, s", [round(one, 2) for one in took])
+    assert max(took) < 1.0, took
 
 
 def test_the_session_of_a_node_that_was_killed_goes_on(drive, tmp_path):

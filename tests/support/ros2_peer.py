@@ -134,6 +134,15 @@ class Robot(Peer):
             due += 1 / rate_hz
             time.sleep(max(0.0, due - time.monotonic()))
 
+    def stands_until_mapped(self, one: Measurement, node: Any) -> bool:
+        """Send a measurement again and again until the node maps: by rclpy what is latched may come after 2 s."""
+        end = time.monotonic() + 20
+        while time.monotonic() < end:
+            self.drive([one])
+            if node.says("mapping", seconds=0.0):
+                return True
+        return False
+
     def tell_time(self, stamp_ns: int) -> None:
         message = Clock()
         stamped(message.clock, stamp_ns)

@@ -39,6 +39,7 @@ _RANGE_SCANS = 3000  # after which no motion is waited for: a robot that is park
 _ONLY_WHOLE = ("standing_still", "robot_carried")
 _OF_READER_AT_ONCE = ("missing_files", "missing_transform")
 _REPORTED_ELSEWHERE = ("unreadable",)
+_MIRRORED = ("odometry_mirrored", "reflected_laser")
 _OF_TWO_CLOCKS = ("odometry_unrelated", "no_odometry")
 
 
@@ -228,10 +229,11 @@ class Doctor:
         no_reference = {finding.sensor for finding in mounted if finding.code == "tilting_laser"}
         no_reference |= {finding.sensor for finding in of_beams if finding.code == "single_object"}
         no_reference |= {finding.sensor for finding in implausible}
-        for sensor in set(self._lasers) - no_reference:
-            yield from self._lasers[sensor].breaks.findings(sensor)
-        if self._motion is not None:
-            yield from (finding for finding in self._motion.findings() if finding.sensor not in no_reference)
+        matched = [] if self._motion is None else list(self._motion.findings())
+        if not any(finding.code in _MIRRORED for finding in matched):  # then no scan is where odometry predicts it
+            for sensor in set(self._lasers) - no_reference:
+                yield from self._lasers[sensor].breaks.findings(sensor)
+        yield from (finding for finding in matched if finding.sensor not in no_reference)
 
     def diagnosis(self, log: Log, findings: Iterable[Finding]) -> Diagnosis:
         """Put findings and facts together."""

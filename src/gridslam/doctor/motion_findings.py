@@ -203,10 +203,13 @@ def _laser_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[F
             Severity.ERROR,
             "Laser or odometry is mirrored: the laser sees the robot turn the other way than odometry does "
             f"(correlation {found.agreement:+.2f} over {found.laser_rad:.0f} rad), whose path does not contradict its "
-            f"headings. Mostly {cause}; or all of the odometry is mirrored. The map would be a mirror image.",
+            f"headings. Mostly {cause}; or all of the odometry is mirrored, as by swapped wheels: no log decides "
+            "that. The map would be a mirror image.",
             found.agreement,
             "1",
-            "Reverse the signs of angle_min, angle_max and angle_increment, or mount it upside-down in /tf_static.",
+            "Drive a left bend. If the odometry's heading grows the laser is mirrored: reverse the signs of angle_min, "
+            "angle_max and angle_increment, or mount it upside-down in /tf_static. If it falls left and right wheels "
+            "are swapped; until that is repaired map with --no-odometry.",
             motion.sensor,
             _turns_figure(motion, 1.0),
         )

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import groupby, islice
 from operator import itemgetter
-from typing import final
+from typing import Generic, TypeVar, final
 
 import numpy as np
 
@@ -20,7 +20,9 @@ from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, FloatArray, LaserScan
 
-__all__ = ["ViewBreaks", "split_where_carried"]
+__all__ = ["DriveNumbering", "ViewBreaks", "split_where_carried"]
+
+_Item = TypeVar("_Item")
 
 _SMALL_M = 0.3  # odometry between two scans: after more the view is another one anyway
 _SMALL_RAD = 0.3
@@ -211,8 +213,8 @@ class ViewBreaks:
             "two recordings were joined.",
             self.found[0][0],
             "s",
-            "gridslam map begins a new piece of the map there, and looks for the robot in what it has mapped before; a "
-            "node that maps has to be reset.",
+            "Mapping with loop closure begins a new piece of the map there, and looks for the robot in what was mapped "
+            "before.",
             sensor,
         )
 
@@ -245,29 +247,55 @@ def _number_drives(
     measurements: Iterable[Measurement], on_break: Callable[[Finding], None]
 ) -> Iterator[tuple[int, Measurement]]:
     """Yield each measurement with the number of its drive, once that is certain."""
-    breaks: defaultdict[str, ViewBreaks] = defaultdict(ViewBreaks)
-    held: list[Measurement] = []
-    opened: dict[str, int] = {}  # where in them the view of a laser has changed
-    number = 0
+    numbering = DriveNumbering[Measurement](on_break)
     for measurement in measurements:
+        yield from numbering.take(measurement, measurement)
+    yield from numbering.end()
+
+
+@final
+class DriveNumbering(Generic[_Item]):
+    """Assigns measurements to drives; a new one begins where a laser shows that the robot was carried.
+
+    Parameters
+    ----------
+    on_break : callable
+        Gets the finding robot_carried, with all breaks so far, as soon as one more is certain.
+    """
+
+    def __init__(self, on_break: Callable[[Finding], None] = lambda finding: None) -> None:
+        """Begin with nothing seen."""
+        self._on_break = on_break
+        self._breaks: defaultdict[str, ViewBreaks] = defaultdict(ViewBreaks)
+        self._held: list[_Item] = []
+        self._opened: dict[str, int] = {}  # where in them the view of a laser has changed
+        self._number = 0
+
+    def take(self, item: _Item, measurement: Measurement) -> list[tuple[int, _Item]]:
+        """Take an item with its measurement; return those whose drive is certain from here on, and its number."""
         sensor = measurement.scan.sensor
-        is_carried = breaks[sensor].take(measurement)
-        held.append(measurement)
+        own = self._breaks[sensor]
+        is_carried = own.take(measurement)
+        self._held.append(item)
+        certain: list[tuple[int, _Item]] = []
         if is_carried:
-            for finding in breaks[sensor].findings(sensor):
-                on_break(finding)
-            begin = opened[sensor]
-            yield from ((number, before) for before in held[:begin])
-            number += 1
-            del held[:begin]
-        if is_carried or len(held) > _MOST_HELD:  # what the other lasers saw before is of another place
-            breaks = defaultdict(ViewBreaks, {sensor: breaks[sensor]})
-            opened = {}
-        elif breaks[sensor].is_open:
-            opened.setdefault(sensor, len(held) - 1)
+            for finding in own.findings(sensor):
+                self._on_break(finding)
+            begin = self._opened[sensor]
+            certain = [(self._number, before) for before in self._held[:begin]]
+            self._number += 1
+            del self._held[:begin]
+        if is_carried or len(self._held) > _MOST_HELD:  # what the other lasers saw before is of another place
+            self._breaks = defaultdict(ViewBreaks, {sensor: own})
+            self._opened = {}
+        elif own.is_open:
+            self._opened.setdefault(sensor, len(self._held) - 1)
         else:
-            opened.pop(sensor, None)
-        if not opened:
-            yield from ((number, own) for own in held)
-            held = []
-    yield from ((number, own) for own in held)
+            self._opened.pop(sensor, None)
+        return certain if self._opened else [*certain, *self.end()]
+
+    def end(self) -> list[tuple[int, _Item]]:
+        """Return the items that were held back: they belong to the drive so far."""
+        held, self._held = self._held, []
+        self._opened = {}
+        return [(self._number, item) for item in held]

@@ -37,7 +37,7 @@ def test_the_session_is_named_and_where_the_robot_was_found_is_marked(browser, s
         play(core, transport.outputs, drive[30:], shift_ns=shift_ns)
         wait(lambda: "found again after" in text(browser, "#goes-on"), "found again")
         assert shown(browser, "goes-on")
-        way = f"found again after {core._session.found.way_m:.1f} m, at "
+        way = f"found again after {core._session.found_after_m:.1f} m, at "
         assert way in text(browser, "#goes-on")
         screenshot("found")
         core.close()

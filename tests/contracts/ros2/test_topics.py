@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import signal
+import time
 
 import pytest
 from nav_msgs.msg import MapMetaData
@@ -13,7 +14,7 @@ from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Float64
 from tf2_msgs.msg import TFMessage
 
-from support.ros2_peer import LATCHED, SHIFT_NS, Peer, Robot, last_map, nanoseconds, values
+from support.ros2_peer import BEST_EFFORT, LATCHED, SHIFT_NS, Peer, Robot, last_map, nanoseconds, values
 from support.ros_node import until
 
 
@@ -44,6 +45,23 @@ def test_a_drive_is_mapped_scan_by_scan_and_who_comes_late_gets_the_map(start, r
     stamps = robot.links_of()
     assert all(before < after for before, after in itertools.pairwise(stamps))
     assert len(stamps) >= 200
+
+
+def test_nav2_s_costmap_finds_the_transform_of_each_scan_in_time(start, robot, drive):
+    """Its obstacle layer waits `transform_tolerance`, 0.3 s, until a scan that has come can be placed in the map."""
+    start()
+    came, told = [], []
+    make = robot.node.create_subscription
+    make(LaserScan, "/scan", lambda scan: came.append((time.monotonic(), nanoseconds(scan.header.stamp))), BEST_EFFORT)
+    make(TFMessage, "/tf", lambda message: told.append((time.monotonic(), message.transforms[0])), 1000)
+    assert robot.meets()
+    robot.drive(drive[:200])
+    assert until(lambda: len(came) >= 200)
+    until(lambda: False, 0.5)
+    links = [(at_s, nanoseconds(one.header.stamp)) for at_s, one in told if one.header.frame_id == "map"]
+    waits = [min(at_s for at_s, until_ns in links if until_ns >= stamp_ns) - came_s for came_s, stamp_ns in came[20:]]
+    assert len(waits) == 180
+    assert max(waits) < 0.3
 
 
 def test_endpoints_are_those_of_a_node_of_ros(start, robot):
@@ -122,9 +140,10 @@ def test_who_was_killed_is_started_again(start, domain, drive):
         robot.drive(drive[:30])
         assert until(lambda: len(robot.poses) >= 29)
         first.kill()
-        second, before = start(), len(robot.poses)
+        second = start()
         assert robot.meets()
-        until(lambda: False, 0.5)  # a killed subscriber still counts
+        assert robot.stands_until_mapped(drive[29], second)  # a killed subscriber still counts
+        before = len(robot.poses)
         robot.drive(drive[30:70])
         assert until(lambda: len(robot.poses) - before >= 35), second.log.read_text()
     finally:

@@ -9,6 +9,7 @@ import pytest
 
 from gridslam.api.mapping import map_log
 from gridslam.config import Configuration
+from gridslam.doctor import Doctor
 from gridslam.doctor.calibration import calibrate
 from gridslam.doctor.laser_motion import laser_motion
 from gridslam.doctor.motion_findings import motion_findings
@@ -19,11 +20,13 @@ from gridslam.doctor.repair import (
     find_needed_repair,
     repair_measurements,
 )
+from gridslam.doctor.view_breaks import ViewBreaks
 from gridslam.evaluation import absolute_errors
 from gridslam.geometry.se2 import between
 from gridslam.io.csv import write_csv_log
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.types import Trajectory
 from support.faults import with_fault
@@ -133,3 +136,16 @@ def test_an_odometry_that_contradicts_itself_is_mirrored_and_not_the_laser(sign,
     assert finding.code == "odometry_mirrored"
     clean, mended = (error_m(m, truth) for m in (measurements, repair_measurements(faulty, repair)))
     assert mended < clean + 0.03
+
+
+def test_a_mirrored_odometry_is_no_robot_that_was_carried():
+    """Its headings predict other views than those that come, which alone looks like a carry."""
+    rng = np.random.default_rng(2)
+    drive = simulate(make_world("random", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=360), rng)
+    faulty = mirrored(drive.measurements[:400], np.array([1, 1, -1]))
+    doctor, breaks = Doctor(), ViewBreaks()
+    for measurement in faulty:
+        doctor.take(measurement)
+        breaks.take(measurement)
+    assert breaks.found
+    assert {finding.code for finding in doctor.findings() if finding.is_fault} == {"odometry_mirrored"}

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import time
 
 import numpy as np
 import pytest
 
+from gridslam.api.mapping import map_log
 from gridslam.config import override, preset
 from gridslam.errors import ConfigurationError, InputError
 from gridslam.io.sessions.session_file import SavedSession, read_session, write_session
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.ros_node import RosNode
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from support.interrupted import carry
 from support.node_faults import RunningNode, is_prepared
 from support.ros_node import LocalTransport, until
 
@@ -78,6 +81,59 @@ def test_a_robot_that_was_carried_is_found_again_in_the_map(drive, first_half, t
     gap = np.abs(poses[half + 20 :, :2][:, None] - poses[None, :half, :2]).sum(axis=2).min(axis=1)
     assert gap.max() < 0.6  # the same way: no key scan lies farther from the first day's
     assert len(list((tmp_path / "out").glob("trajectory_2023*.tum"))) == 2
+
+
+def test_a_robot_that_is_carried_while_the_node_runs_is_found_in_the_map_so_far(drive, tmp_path):
+    """Nobody notices: the view changes. A new piece of the map begins there, and is joined with the one before."""
+    measurements = carry(drive[:450], drive[60:400])
+    out = tmp_path / "out"
+    node = RunningNode(out=str(out), save=str(tmp_path / "s.gridslam"), record=str(tmp_path / "r.csv"), autosave=0.002)
+    node.play(measurements[:480])
+    core, outputs = node.node.core, node.transport.outputs
+    assert until(lambda: is_prepared(core), 120.0)
+    assert core.diagnostics().values["session"] == "2"
+    node.play(measurements[480:])
+    log = node.stop()
+    assert node.error is None
+    assert log.count("the view changes while the odometry is continuous") == 1
+    assert "starting a new map: the robot was carried, and is looked for in the map so far" in log
+    assert "found again in the map of 2023-11-14_22-13-20 after " in log
+    assert len({pose.stamp_ns for pose in outputs.poses}) == len(measurements)
+    saved = read_session(tmp_path / "s.gridslam")
+    assert saved.pieces == ()
+    assert [sum(log.scans for log in drive.logs) for drive in saved.drives] == [450, 340]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "r.csv", "s.gridslam"]
+    assert not [*out.glob("autosave*")]
+    run = json.loads((out / "run.json").read_text())
+    assert len(run["session"]["drives"]) == 2
+    again = map_log(tmp_path / "r.csv", configuration=saved.configuration, repair="none")
+    assert [len(path) for path in again.trajectories.values()] == [450, 340]
+
+
+def test_a_carried_robot_that_is_not_found_leaves_two_pieces(drive, tmp_path):
+    other = simulate(
+        make_world("random", np.random.default_rng(3)),
+        RobotConfig(),
+        OdometryNoise(),
+        LidarConfig(beams=180),
+        np.random.default_rng(3),
+    )
+    node = RunningNode(out=str(tmp_path / "out"))
+    node.play(carry(drive[:200], list(other.measurements)[:60]))
+    log = node.stop()
+    assert "the robot was carried, and is looked for in the map so far" in log
+    assert "found again" not in log
+    assert (tmp_path / "out" / "map_2.yaml").exists()
+    assert len([*(tmp_path / "out").glob("trajectory_2023*.tum")]) == 1
+
+
+def test_scans_that_are_held_back_while_the_view_changes_are_mapped_where_it_was_no_carry(drive, tmp_path):
+    """Somebody stands before the laser for some scans, and leaves; or the node ends before it is certain."""
+    measurements = carry(drive[:100], drive[60:100])
+    node = RunningNode(out=str(tmp_path / "out"))
+    node.play(measurements[:104])
+    assert "carried" not in node.stop()
+    assert len({pose.stamp_ns for pose in node.transport.outputs.poses}) == 104
 
 
 def test_a_killed_node_has_left_its_session_and_the_next_one_says_so(drive, tmp_path):

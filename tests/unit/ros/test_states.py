@@ -78,9 +78,7 @@ class Live:
     def pass_time(self, seconds: float, *, still_come: bool = False) -> None:
         """Let time pass, as the state sees it, in which scans still come or not."""
         publisher, queue = self.core._publisher, self.core._queue
-        accepted = publisher._measurement
-        if accepted is not None:
-            publisher._measurement = accepted._replace(arrived_s=accepted.arrived_s - seconds)
+        publisher._arrived_s -= seconds
         if queue.received_s is not None and not still_come:
             queue.received_s -= seconds
 

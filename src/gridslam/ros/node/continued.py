@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.types import FloatArray
 
-__all__ = ["Continued", "Earlier", "EarlierDrives", "begin", "describe_drives"]
+__all__ = ["Continued", "EarlierDrives", "begin", "describe_drives"]
 
 Log = Callable[[Level, str], None]
 
@@ -68,13 +68,6 @@ class Continued:
         return [drive.name for drive in self.saved.drives]
 
 
-class Earlier(NamedTuple):
-    """What earlier drives have left, and what looks for the robot in it."""
-
-    pieces: tuple[SavedPiece, ...]
-    locator: EarlierPieces | None
-
-
 @final
 class EarlierDrives:
     """Refines what earlier drives have left, by a thread of its own, while the robot maps already.
@@ -96,38 +89,38 @@ class EarlierDrives:
         self._configuration = configuration
         self._threads = threads
         self._is_new_drive = is_new_drive
-        self._found: Earlier | None = None
+        self._found: tuple[tuple[SavedPiece, ...], EarlierPieces | None] | None = None
         self._problem = ""
         self._thread = threading.Thread(target=self._prepare, name="gridslam-earlier", daemon=True)
         self._thread.start()
 
     @property
     def is_ready(self) -> bool:
-        """Whether `wait` does not wait."""
+        """Whether `add_to` does not wait."""
         return not self._thread.is_alive()
 
-    def wait(self) -> Earlier:
-        """Give the pieces, and what looks for the robot in them.
+    def add_to(self, begun: Beginning) -> Beginning:
+        """Let a run that has begun look for the robot in what earlier drives have left.
 
-        Raises GridslamError where that has failed; then nothing may replace the session's file.
+        Raises GridslamError where that cannot be; then nothing may replace the session's file.
         """
         self._thread.join()
         if self._found is None:
             problem = f"{self._continued.path} cannot be gone on from: {self._problem}"
             raise GridslamError(f"{problem}. The robot is not looked for in it, and no session is saved")
-        return self._found
+        pieces, locator = self._found
+        return replace(begun, pieces=pieces, locator=locator)
 
     def _prepare(self) -> None:
         lower_priority()
         try:
             saved = self._continued.saved
-            pieces = saved.pieces
-            state = None if saved.run is None else saved.run.state
+            pieces, state = saved.pieces, None
             if self._is_new_drive:
                 pieces = tuple(SavedDrives.of(saved, threads=self._threads).pieces)
-                state = None
-            locator = locate_in(pieces, self._configuration, self._continued.pose, state)
-            self._found = Earlier(pieces, locator)
+            elif saved.run is not None:
+                state = saved.run.state
+            self._found = pieces, locate_in(pieces, self._configuration, self._continued.pose, state)
         except Exception as error:  # reported by the filter's thread
             self._problem = describe_error(error)
 
@@ -161,8 +154,3 @@ def begin(
 def describe_drives(names: Sequence[str]) -> str:
     """What a piece is the map of: the drives of these names, or none."""
     return f"the map of {', '.join(names)}" if names else "the given map"
-
-
-def prepare(begun: Beginning, earlier: Earlier) -> Beginning:
-    """Let a run that has begun look for the robot in what earlier drives have left."""
-    return replace(begun, pieces=earlier.pieces, locator=earlier.locator)

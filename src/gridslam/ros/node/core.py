@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, TimeoutError
 from contextlib import suppress
@@ -16,7 +17,8 @@ import numpy as np
 
 from gridslam.api.beginning import Place
 from gridslam.config import Configuration
-from gridslam.doctor import BreakCheck, EarlyCheck
+from gridslam.doctor import BreakCheck, EarlyCheck, Finding
+from gridslam.doctor.view_breaks import DriveNumbering
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, OutputError
 from gridslam.io.measurement import Measurement
 from gridslam.localization import KnownMap, MonteCarloConfiguration
@@ -42,6 +44,7 @@ SourceWrapper: TypeAlias = Callable[[Iterator[Measurement]], Iterator[Measuremen
 DiagnosticsCallback: TypeAlias = Callable[[Diagnostics], None]
 
 _DIAGNOSTICS_S = 1.0
+_UNASKED = (SessionEnd.JUMP, SessionEnd.SESSION, SessionEnd.CARRIED)
 _OTHERS = (SessionEnd.MAP, SessionEnd.SESSION, SessionEnd.SWITCH)
 """Ends after which another session begins even if this one has no scan yet."""
 
@@ -52,8 +55,8 @@ _Answer = TypeVar("_Answer")
 class NodeCore:
     """Maps a live lidar stream.
 
-    Callbacks never wait for the filter. A session begins with its first scan. A reset ends it, as does time that jumps
-    back to where the robot is elsewhere (a bag played again); the next session begins with a new map.
+    Callbacks never wait for the filter. A session begins with its first scan, and ends by a reset, where time jumps
+    back and the robot is elsewhere (a bag played again), or where it was carried: then it is looked for in the map.
 
     Parameters
     ----------
@@ -131,6 +134,8 @@ class NodeCore:
         self._continued = None if files is None else files.continued
         self._goes_on = None if files is None else files.save or (files.continued and files.continued.path)
         self._session_end = SessionEnd.CLOSED
+        self._drive = 0
+        self._certain: deque[tuple[int, AcceptedScan]] = deque()  # scans, and the number of their drive
         self._begin_session()
         self._begin_record()
         self._timers: list[tuple[str, float, Callable[[], None]]] = [
@@ -196,8 +201,7 @@ class NodeCore:
                 self._report_state(lambda call: call())
         if self._renderer is not None:
             self._renderer.close()
-        is_mapped = self.mapped_session is not None
-        copied = self._copy_mapped(is_last=True) if is_mapped else None
+        copied = None if self.mapped_session is None else self._copy_mapped(is_last=True)
         if self._autosave is not None:
             self._autosave.close()
             self._save_now(wait=True)
@@ -414,8 +418,11 @@ class NodeCore:
 
     def _copy_mapped(self, *, is_last: bool = False) -> SessionCopy:
         mapped = self.mapped_session
+        if mapped is None:
+            got = "one that localizes; `gridslam localize` takes its record" if self.localizes else "none yet"
+            raise ArgumentError("save", "a node that maps, and at least one scan", got)
         record = None if self._has_switched else self._whole_record()
-        return (mapped or self._session).copy(record, is_last=is_last, messages=self.messages.to_list())
+        return mapped.copy(record, is_last=is_last, messages=self.messages.to_list())
 
     def _run_filter(self) -> None:
         """Run the sessions one after the other."""
@@ -439,16 +446,17 @@ class NodeCore:
             self._has_switched = True
             self._begin_session()
             return
+        is_carried = end is SessionEnd.CARRIED
         if is_begun:
-            if end is SessionEnd.JUMP:
+            if is_carried or (end is SessionEnd.JUMP and self._goes_on is not None):
                 self._go_on_elsewhere()
             self._hand_over_session()
-            self._close_record()
             if self._renderer is not None:
                 self._renderer.reset()
         self._suspended = None
         self._begin_session()
-        if is_begun:
+        if is_begun and not is_carried:  # what is recorded is split by `gridslam map` where the node has
+            self._close_record()
             try:
                 self._begin_record()
             except OutputError as error:
@@ -476,9 +484,9 @@ class NodeCore:
         return True
 
     def _go_on_elsewhere(self) -> None:
-        """Let the next drive belong to the same session, where there is a file of it."""
+        """Let the next drive belong to the same session."""
         mapped = self.mapped_session
-        if self._goes_on is None or mapped is None:
+        if mapped is None:
             return
         try:
             saved = mapped.to_session(wait=True)
@@ -487,16 +495,18 @@ class NodeCore:
             return
         if saved is not None:
             is_in_file = mapped.continued is not None and mapped.continued.is_in_file
-            self._continued = Continued(self._goes_on, saved, Place.ELSEWHERE, is_in_file=is_in_file)
+            path = self._goes_on or self.results_folder / "session.gridslam"  # where it is saved if somebody asks
+            self._continued = Continued(path, saved, Place.ELSEWHERE, is_in_file=is_in_file)
 
     def _hand_over_session(self) -> None:
-        """Give a copy of a session that was not ended on purpose to whoever saves it."""
-        if self._on_jump is None or self._session_end not in (SessionEnd.JUMP, SessionEnd.SESSION):
-            return
-        if self.mapped_session is None:
+        """Give a copy of a session that was not ended on purpose to whoever saves it, unless the next one holds it."""
+        end = self._session_end
+        goes_on = end is SessionEnd.CARRIED and self._continued is not None
+        if not goes_on and (self._on_jump is None or end not in _UNASKED or self.mapped_session is None):
             return
         try:
-            self._on_jump(self._copy_mapped())
+            if not goes_on and self._on_jump is not None:
+                self._on_jump(self._copy_mapped())
             if self._autosave is not None:
                 self._autosave.note_kept()
         except Exception as error:
@@ -506,23 +516,52 @@ class NodeCore:
         self._warn("scan failed", str(failed))
 
     def _measurements(self) -> Iterator[Measurement]:
-        """Yield measurements as they arrive, and run posted calls between two of them."""
+        """Yield measurements as they arrive, and run posted calls between two of them.
+
+        Where the view changes they are held back, ten at most, until it is certain whether the robot was carried.
+        """
         while True:
+            while self._certain:
+                if self._certain[0][0] > self._drive:
+                    self._drive = self._certain[0][0]
+                    self._session_end = SessionEnd.CARRIED
+                    return
+                yield self._begin_step(self._certain.popleft()[1])
             item = self._queue.take()
             if isinstance(item, SessionEnd):
+                for _, accepted in self._numbering.end():
+                    yield self._begin_step(accepted)
                 self._session_end = item
                 return
             if isinstance(item, AcceptedScan):
-                self._session.add(item)
+                self._publisher.note_arrival(item)
                 self._record_scan(item)
-                self._report_findings(item.measurement)
-                self._publisher.set_measurement(item)
-                yield item.measurement
+                self._certain.extend(self._number(item))
                 continue
             try:
                 item()
             except Exception as error:
                 self._warn("request failed", describe_error(error))
+
+    def _number(self, accepted: AcceptedScan) -> list[tuple[int, AcceptedScan]]:
+        """Return the scans whose drive is certain from this one on; without loop closure no robot is relocalized."""
+        measurement = accepted.measurement
+        try:
+            if isinstance(self.configuration, Configuration) and self.configuration.loop_closure is not None:
+                return self._numbering.take(accepted, measurement)
+            for finding in self._breaks.take(measurement):
+                self._warn_of(finding)
+        except Exception as error:  # a check must not end the map
+            self._warn("checks failed", describe_error(error))
+        return [*self._numbering.end(), (self._drive, accepted)]
+
+    def _begin_step(self, accepted: AcceptedScan) -> Measurement:
+        """Note a scan that the filter processes next."""
+        if isinstance(self._session, Session):
+            self._session.add(accepted)
+        self._report_findings(accepted.measurement)
+        self._publisher.set_measurement(accepted)
+        return accepted.measurement
 
     def _record_scan(self, accepted: AcceptedScan) -> None:
         """Add a scan to the record, which ends if that fails."""
@@ -534,12 +573,15 @@ class NodeCore:
             self._warn("record", describe_error(error))
 
     def _report_findings(self, measurement: Measurement) -> None:
-        """Warn of what the doctor finds in the beginning of the session, and where the robot is carried."""
+        """Warn of what the doctor finds in the beginning of the session."""
         try:
-            for finding in (*self._check.take(measurement), *self._breaks.take(measurement)):
-                self._warn(finding.code, f"{finding.message} {finding.remedy}".rstrip())
+            for finding in self._check.take(measurement):
+                self._warn_of(finding)
         except Exception as error:  # a check must not end the map
             self._warn("checks failed", describe_error(error))
+
+    def _warn_of(self, finding: Finding) -> None:
+        self._warn(finding.code, f"{finding.message} {finding.remedy}".rstrip())
 
     def _publish_map(self) -> None:
         if self._session.state is not None and not self.localizes:
@@ -568,7 +610,10 @@ class NodeCore:
     def _begin_session(self) -> None:
         self._publisher.start_session()
         self._check = EarlyCheck()
-        self._breaks = BreakCheck()
+        if self._session_end is not SessionEnd.CARRIED:
+            self._breaks = BreakCheck()
+            self._numbering = DriveNumbering[AcceptedScan](self._warn_of)
+            self._drive = 0
         self._session: Session | LocalizationSession | WaitingSession
         if isinstance(self.configuration, Localization):
             waits = self.configuration.known is None

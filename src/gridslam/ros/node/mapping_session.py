@@ -11,7 +11,7 @@ from datetime import datetime, timezone
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from gridslam.api.beginning import Beginning, restart_at_pose
 from gridslam.api.mapping import MapResult, finish_mapping
 from gridslam.config import Configuration, build
 from gridslam.doctor.repair import Repair
-from gridslam.errors import ArgumentError, GridslamError, OutputError
+from gridslam.errors import GridslamError, OutputError
 from gridslam.geometry.se2 import compose
 from gridslam.io.log_statistics import LogStatistics, Mounting
 from gridslam.io.measurement import Measurement
@@ -28,35 +28,17 @@ from gridslam.io.sessions.session_file import SavedRun, SavedSession, write_sess
 from gridslam.io.text import compute_digest
 from gridslam.pipeline import FailedStep, FailureRecorder, Observer, Stopwatch, run
 from gridslam.ros.node.accepted_scan import AcceptedScan
-from gridslam.ros.node.continued import Continued, EarlierDrives, begin, describe_drives, prepare
+from gridslam.ros.node.continued import Continued, EarlierDrives, begin, describe_drives
 from gridslam.ros.node.messages import Level
 from gridslam.ros.node.session import FailureCallback
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, StepReport
 
-__all__ = ["FoundAgainHere", "Session", "SessionCopy"]
+__all__ = ["Session", "SessionCopy"]
 
 _PRELOADED: Final = ("scipy.spatial", "scipy.sparse.csgraph", "scipy.special", "qdldl", "gridslam.viz")
 """Modules that filter and `save` import on first use; imported early so that a moving robot does not wait."""
-
-
-class FoundAgainHere(NamedTuple):
-    """Where the robot was found again.
-
-    Attributes
-    ----------
-    drives : tuple of str
-        Names of the earlier drives; none of a given map.
-    pose : (3,) float64
-        Of the robot then, map frame.
-    way_m : float, m
-        What it had driven in this session.
-    """
-
-    drives: tuple[str, ...]
-    pose: FloatArray
-    way_m: float
 
 
 @final
@@ -78,8 +60,8 @@ class Session:
     ----------
     state : GridFastSlamState or None
         After the last scan; None before the first one.
-    found : FoundAgainHere or None
-        Where the robot was found in the map that it goes on from; None before.
+    found_after_m : float or None, m
+        What the robot had driven in this session when it was found in the map that it goes on from; None before.
     map_from_odom : (3,) float64 or None
         Where the odometry's frame is in the map, if the robot was localized while the session waited: it goes on there.
     configuration : Configuration
@@ -100,7 +82,7 @@ class Session:
             import_module(name)
         self.state: GridFastSlamState | None = None
         self.continued = continued
-        self.found: FoundAgainHere | None = None
+        self.found_after_m: float | None = None
         self.configuration = configuration
         self.map_from_odom: FloatArray | None = None
         self._seed = seed
@@ -151,13 +133,12 @@ class Session:
     def copy(
         self, record: Path | None, *, is_last: bool = False, messages: Sequence[Mapping[str, Any]] = ()
     ) -> SessionCopy:
-        """Copy everything that `save` needs; raises ArgumentError before the first scan.
+        """Copy everything that `save` needs, after the first scan.
 
         `record` is the file with all scans so far, None if there is none; `is_last`: the filter has ended; `messages`
         are what was reported so far.
         """
-        if self.state is None:
-            raise ArgumentError("session", "at least one scan", "none")
+        assert self.state is not None
         now = replace(self._begun.run, state=self.state).freeze()
         return SessionCopy(
             self.configuration,
@@ -186,7 +167,7 @@ class Session:
         earlier = self._earlier
         if self.state is None or (earlier is not None and not earlier.is_ready and not wait):
             return None
-        begun = self._begun if earlier is None else prepare(self._begun, earlier.wait())
+        begun = self._begun if earlier is None else earlier.add_to(self._begun)
         return _make_session(self.configuration, self._seed, begun, self.state, self._log, None)
 
     def _resume(self, first: Measurement, slam: GridFastSlam) -> None:
@@ -209,7 +190,7 @@ class Session:
         if self._earlier is not None and not self._is_prepared and self._earlier.is_ready:
             self._is_prepared = True
             try:
-                self._begun = prepare(self._begun, self._earlier.wait())
+                self._begun = self._earlier.add_to(self._begun)
                 self._earlier = None
             except GridslamError as error:
                 self._report(Level.ERROR, str(error))
@@ -218,11 +199,13 @@ class Session:
     def _note(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         self.state = state
         self._begun.run.record.add(report, seconds)
-        joined = self._begun.find_joined(state) if self.found is None else None
+        joined = self._begun.find_joined(state) if self.found_after_m is None else None
         if joined is not None and state.closure_state is not None:
-            way_m = state.closure_state.driven_before_found_m(len(joined.piece))
-            self.found = FoundAgainHere(tuple(drive.name for drive in joined.drives), state.best_pose, way_m)
-            self._report(Level.OK, _describe_found(self.found))
+            self.found_after_m = state.closure_state.driven_before_found_m(len(joined.piece))
+            found_in = describe_drives([drive.name for drive in joined.drives])
+            x, y, theta = state.best_pose.tolist()
+            place = f"x {x:.2f} m, y {y:.2f} m, heading {math.degrees(theta):.0f} degrees"
+            self._report(Level.OK, f"found again in {found_in} after {self.found_after_m:.1f} m, at {place}")
 
 
 @final
@@ -275,7 +258,7 @@ class SessionCopy:
 
     def _whole(self) -> Beginning:
         """What the session has begun with, and what earlier drives have left, which may take time."""
-        return self.beginning if self.earlier is None else prepare(self.beginning, self.earlier.wait())
+        return self.beginning if self.earlier is None else self.earlier.add_to(self.beginning)
 
     def _compute_result(self) -> MapResult:
         """Compute the full result, as `gridslam map` does at the end of a log."""
@@ -329,12 +312,6 @@ def _describe_log(log: LogStatistics, record: Path | None) -> DrivenLog:
     """Describe the scans of a session as a file remembers them."""
     source = ", ".join(log.scans) if record is None else str(record)
     return DrivenLog.of(source, "", log)
-
-
-def _describe_found(found: FoundAgainHere) -> str:
-    x, y, theta = found.pose.tolist()
-    place = f"x {x:.2f} m, y {y:.2f} m, heading {math.degrees(theta):.0f} degrees"
-    return f"found again in {describe_drives(found.drives)} after {found.way_m:.1f} m, at {place}"
 
 
 def _draw(state: GridFastSlamState) -> bytes:

@@ -46,6 +46,7 @@ class SessionEnd(Enum):
     SESSION = "another session"
     SWITCH = "mapping and localizing in turn"
     JUMP = "time jumped back, and the robot is elsewhere"
+    CARRIED = "the robot was carried, and is looked for in the map so far"
     CLOSED = "closed"
 
 

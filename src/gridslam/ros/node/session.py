@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, NoReturn, TypeAlias, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 
-from gridslam.errors import ArgumentError
 from gridslam.io.measurement import Measurement
 from gridslam.localization import (
     KnownMap,
@@ -19,7 +17,6 @@ from gridslam.localization import (
     MonteCarloState,
 )
 from gridslam.pipeline import FailedStep, run
-from gridslam.ros.node.accepted_scan import AcceptedScan
 from gridslam.types import FloatArray, LaserScan, Odometry
 
 __all__ = [
@@ -92,13 +89,6 @@ class LocalizationSession:
         """Set the pose from the next scan on; None: the pose is unknown."""
         self._next_state = self._make_state(pose)
 
-    def add(self, accepted: AcceptedScan) -> None:
-        """Do nothing: a localization has no files, in which scans are counted."""
-
-    def copy(self, record: Path | None, **options: object) -> NoReturn:
-        """Raise ArgumentError: a localization has no map to save."""
-        raise ArgumentError("save", "a node that maps", "one that localizes; `gridslam localize` takes its record")
-
     def run(self, source: Iterator[Measurement], observers: Sequence[Any], on_failure: FailureCallback) -> None:
         """Run the filter on all measurements of a source; scans at which it fails are skipped."""
         run(
@@ -130,13 +120,6 @@ class WaitingSession:
 
     restart_message = "localization starts"
     state = None
-
-    def add(self, accepted: AcceptedScan) -> None:
-        """Do nothing."""
-
-    def copy(self, record: Path | None, **options: object) -> NoReturn:
-        """Raise ArgumentError: there is nothing to save."""
-        raise ArgumentError("save", "a node that maps", "one that waits for a map to localize in")
 
     def run(self, source: Iterator[Measurement], observers: Sequence[Any], on_failure: FailureCallback) -> None:
         """Drop all scans."""

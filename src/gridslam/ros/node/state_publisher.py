@@ -90,6 +90,7 @@ class StatePublisher:
         self._own_transforms: dict[StampedTransform, None] = {}  # in order
         self._repeat_after_s = 0.0
         self._memory_bytes = 0
+        self._arrived_s = 0.0
         self._latencies: deque[float] = deque(maxlen=_MAX_LATENCIES)
         self._logged: NodeState | None = None
         self.awaited, self.scans_on = "scans", "scan"
@@ -105,6 +106,10 @@ class StatePublisher:
     def set_measurement(self, accepted: AcceptedScan) -> None:
         """Set the measurement of the next report."""
         self._measurement = accepted
+
+    def note_arrival(self, accepted: AcceptedScan) -> None:
+        """Note that a scan has come, and compare its clock."""
+        self._arrived_s = accepted.arrived_s
         behind_s = (self._outputs.now_ns() - accepted.measurement.scan.stamp_ns) * 1e-9
         if abs(behind_s) * 1e9 > _MAX_CLOCK_OFFSET_NS:
             side = "before" if behind_s > 0 else "after"
@@ -139,6 +144,8 @@ class StatePublisher:
             state_weights = np.exp(state.log_weights)
             outputs.particles(CloudMessage(report.stamp_ns, frame, state.poses, state_weights / state_weights.sum()))
         self._latencies.append(time.perf_counter() - accepted.arrived_s)
+        if self._logged is None or self._logged.name == "waiting":
+            self.log_state()
         if self._mapped_report is None or not self._settings.map_update_interval_s:
             self.publish_map(state)
 
@@ -246,7 +253,6 @@ class StatePublisher:
     def find_state(self) -> NodeState:
         """Return the state of the node."""
         report = self._report
-        accepted = self._measurement
         offset_s = time.time() - time.perf_counter()  # the clock may be set while the node runs
         received_s = self._queue.received_s
         facts = NodeFacts(
@@ -254,7 +260,7 @@ class StatePublisher:
             self.awaited,
             self.scans_on,
             None if received_s is None else received_s + offset_s,
-            None if report is None or accepted is None else accepted.arrived_s + offset_s,
+            None if report is None else self._arrived_s + offset_s,
             self._queue.missing_transform,
             self.outage,
             self._queue.is_paused,
