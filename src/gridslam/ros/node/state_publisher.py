@@ -139,6 +139,8 @@ class StatePublisher:
             state_weights = np.exp(state.log_weights)
             outputs.particles(CloudMessage(report.stamp_ns, frame, state.poses, state_weights / state_weights.sum()))
         self._latencies.append(time.perf_counter() - accepted.arrived_s)
+        if self._logged is None or self._logged.name == "waiting":
+            self.log_state()
         if self._mapped_report is None or not self._settings.map_update_interval_s:
             self.publish_map(state)
 
