@@ -218,7 +218,7 @@ def open_page(url: str, live: LiveOptions) -> None:
             warn("no browser was found to open the page")
 
 
-def view(out: Path, live: LiveOptions, beside: Path | None = None, *, edit: bool = False) -> None:
+def view(out: Path, live: LiveOptions, beside: Path | None = None, *, edit_graph: bool = False) -> None:
     """Show a finished run in the browser until interrupted, which is how it ends well."""
     from gridslam.live.replay import Replay
     from gridslam.live.server import PageServer
@@ -229,7 +229,7 @@ def view(out: Path, live: LiveOptions, beside: Path | None = None, *, edit: bool
         click.echo(f"{out}: open {address}")
         open_page(address, live)
         return
-    replay = Replay(out, beside, 10.0 if live.speed is None else live.speed, editable=edit)
+    replay = Replay(out, beside, 10.0 if live.speed is None else live.speed, edits_graph=edit_graph)
     with serve_page(PageServer(replay, live)) as page:
         if replay.results.missing:
             warn(f"{out}: {replay.results.missing}")

@@ -41,7 +41,7 @@ class Replay:
         the truth, if the folder has it.
     speed : float, > 0
         Initial factor on real time.
-    editable : bool
+    edits_graph : bool
         Whether the pose graph in the folder is shown instead, and viewers may edit it.
 
     Raises
@@ -52,14 +52,14 @@ class Replay:
     """
 
     def __init__(
-        self, folder: str | Path, beside: str | Path | None = None, speed: float = 10.0, *, editable: bool = False
+        self, folder: str | Path, beside: str | Path | None = None, speed: float = 10.0, *, edits_graph: bool = False
     ) -> None:
         """Read the folder."""
         self._out = out = Path(folder)
         with stay_below(out):
             results, title, self.messages = read_results(out)
             self.history = read_optional_history(out / HISTORY_NAME)
-        self.editor = EditedGraph(out) if editable else None
+        self.editor = EditedGraph(out) if edits_graph else None
         if self.editor is not None:
             results = self.editor.results
             self.history = None
@@ -87,7 +87,7 @@ class Replay:
         )
         self.run_info = make_run_info(title, mode, layers, results.step, results.grid)
         self.run_info["truth"] = self.beside.name
-        self.run_info["editable"] = editable
+        self.run_info["edits_graph"] = edits_graph
         self.other: TileReplica | None = None
         if self.beside.grid is not None:
             self.other = TileReplica.of(self.beside.grid)
@@ -102,7 +102,7 @@ class Replay:
     def edit(self, rejects: object) -> None:
         """Edit the pose graph (see `EditedGraph.edit`); raises ArgumentError where it may not be edited."""
         if self.editor is None:
-            raise ArgumentError("do", "something else, as this graph may not be edited (view --edit)", "edit")
+            raise ArgumentError("do", "something else, as this graph may not be edited (view --edit-graph)", "edit")
         self.editor.edit(rejects)
         self.results = self.editor.results
 

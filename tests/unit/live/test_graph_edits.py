@@ -73,17 +73,17 @@ def test_edits_that_are_none_are_refused_in_a_line(folder, text):
 
 
 def test_all_who_look_see_the_edits_and_only_where_they_are_allowed(folder):
-    replay = Replay(folder, editable=True)
+    replay = Replay(folder, edits_graph=True)
     one, other = replay.add_viewer(lambda: None), replay.add_viewer(lambda: None)
     seen = PageClient()
     one.command({"do": "edit", "reject": [2, 15]})
     seen.catch_up(other)
-    assert seen.run_info["editable"]
+    assert seen.run_info["edits_graph"]
     assert seen.status["rejected"] == [[2, 15]]
     assert abs(seen.path[:, 1]).max() < 1e-6
     one.command({"do": "edit", "reject": [0, 1]})
     client = PageClient()
     client.catch_up(one)
     assert "which is no odometry" in client.status["answer"]
-    with pytest.raises(ArgumentError, match="view --edit"):
+    with pytest.raises(ArgumentError, match="view --edit-graph"):
         Replay(folder).add_viewer(lambda: None).command({"do": "edit", "reject": [2, 15]})

@@ -21,7 +21,7 @@ __all__ = ["evaluate_command", "regress_command", "view_command"]
     help="Compare with another OUT, map.yaml or trajectory.tum.  [default: OUT/truth.tum, if there is one]",
 )
 @click.option(
-    "--edit",
+    "--edit-graph",
     is_flag=True,
     help="Show the pose graph in OUT and let viewers reject edges; writes OUT/graph_edited.g2o, OUT/graph_edits.json.",
 )

@@ -46,7 +46,7 @@ export class Panel {
     this.run = runInfo.session;
     if (this.pauses) this.ask({ do: "pause" }); // the connection was lost
     this.mode = runInfo.mode;
-    this.editable = runInfo.editable;
+    this.edits = runInfo.edits_graph;
     document.title = `${runInfo.title} · gridslam`;
     $("#title").textContent = runInfo.title;
     const replay = this.mode === "replay", unlimited = $("#speed option[value='']");
@@ -157,7 +157,7 @@ export class Panel {
   // The edges of a pose graph that contradict the poses most, with their chi2; a click shows one.
   residuals({ chi2, residuals, rejected }) {
     $("#residuals").hidden = !residuals;
-    $("#edits").hidden = !this.editable;
+    $("#edits").hidden = !this.edits;
     $("#edits span").textContent = rejected?.length ? `${rejected.length} rejected` : "";
     $("#undo").disabled = !rejected?.length;
     if (!residuals || JSON.stringify(this.listed) === JSON.stringify(residuals)) return;
