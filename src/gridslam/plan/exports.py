@@ -97,9 +97,15 @@ def write_geojson(path: Path, plan: FloorPlan, name: str, origin: WorldOrigin | 
         "name": name,
         "units": "m" if origin is None else "degrees",
         "turned_rad": plan.turned_rad,
-        "features": describe_features(plan, origin),
     }
-    path.write_text(json.dumps(document, allow_nan=False, indent=1) + "\n", encoding="utf-8")
+    write_features(path, document, describe_features(plan, origin))
+
+
+def write_features(path: Path, document: dict[str, Any], features: list[dict[str, Any]]) -> None:
+    """Write a FeatureCollection with members of its own, a line for each feature: who compares two files sees which."""
+    head = json.dumps(document, allow_nan=False)[:-1]
+    lines = ",\n".join(json.dumps(feature, allow_nan=False) for feature in features)
+    path.write_text(f'{head}, "features": [\n{lines}\n]}}\n', encoding="utf-8")
 
 
 def write_dxf(path: Path, plan: FloorPlan) -> None:

@@ -10,9 +10,9 @@ import numpy as np
 from gridslam.plan.faces import Face, dominant_direction, find_faces, snap_directions
 from gridslam.plan.openings import Opening, find_openings
 from gridslam.plan.rasters import BoolArray, Raster, dilate, erode, fill_polygons, make_raster
-from gridslam.plan.rooms import Room, find_rooms, require_map_extra
+from gridslam.plan.rooms import Room, find_rooms
 from gridslam.plan.surfaces import SurfacePoints, points_of_grid
-from gridslam.plan.untyped import ndimage
+from gridslam.plan.untyped import ndimage, require_map_extra
 from gridslam.plan.walls import Wall, close_corners, drop_clutter, find_furniture_faces, hull, join_faces, make_walls
 from gridslam.types import FloatArray, OccupancyGrid
 

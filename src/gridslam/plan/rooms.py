@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, TypeAlias, final
+from typing import TypeAlias, final
 
 import numpy as np
 
-from gridslam.errors import MissingDependencyError
 from gridslam.plan.faces import Face
 from gridslam.plan.openings import Opening
 from gridslam.plan.rasters import BoolArray, Raster, fill_polygons
 from gridslam.plan.segments import Segments
-from gridslam.plan.untyped import ndimage
+from gridslam.plan.untyped import ndimage, require_map_extra
 from gridslam.types import FloatArray
 
 __all__ = ["Room", "find_rooms"]
@@ -64,22 +63,6 @@ class Room:
         return np.array(middle)
 
 
-def require_map_extra() -> tuple[Any, Any]:
-    """Import contourpy and shapely.
-
-    Raises
-    ------
-    MissingDependencyError
-        One of them is not installed; the extra ``map`` brings them.
-    """
-    try:
-        import contourpy
-        import shapely
-    except ImportError as error:
-        raise MissingDependencyError("a floor plan", str(error.name), "map") from None
-    return contourpy, shapely
-
-
 def find_rooms(floor: BoolArray, raster: Raster, faces: Sequence[Face], openings: Sequence[Opening]) -> list[Room]:
     """Cut the floor at the openings; each part of 2 m² and more with walls about it is a room, the largest first."""
     bars = [_extend(opening.ends, 2 * raster.cell_m) for opening in openings]
@@ -121,7 +104,7 @@ def _make_room(mask: BoolArray, corner: FloatArray, raster: Raster, sides: Segme
     contourpy, shapely = require_map_extra()
     filled = _fill_small_holes(mask, raster.cell_m)
     generator = contourpy.contour_generator(
-        z=np.pad(filled.astype(np.float64), 1), fill_type=contourpy.FillType.OuterOffset
+        z=np.pad(filled, 1).astype(np.float64), fill_type=contourpy.FillType.OuterOffset
     )
     points, offsets = generator.filled(0.5, 2.0)
     pieces = []
@@ -205,7 +188,8 @@ def _match(begin: FloatArray, end: FloatArray, sides: Segments) -> _Line:
     """Point and direction of the side of a wall or an opening that a side of a ring is; its own if there is none."""
     length = float(np.hypot(*(end - begin)))
     along = (end - begin) / max(length, 1e-9)
-    if length >= _LEAST_SIDE_M and len(sides):
+    if length >= _LEAST_SIDE_M:
+        _, sides = sides.near(np.array([begin, end]), _SNAP_M + length * np.tan(_SNAP_RAD))
         middle = (begin + end) / 2
         offsets = np.abs(((middle - sides.ends[:, 0]) * sides.normals).sum(axis=1))
         steps, _ = sides.locate(begin, along)
@@ -219,30 +203,20 @@ def _match(begin: FloatArray, end: FloatArray, sides: Segments) -> _Line:
 
 def _find_unknown(outline: FloatArray, raster: Raster, sides: Segments) -> tuple[FloatArray, float]:
     """Parts (U, 2, 2) of an outline without anything occupied, wall or opening near, and their share of its length."""
-    _, near = sides.near(outline, 0.1)
     unknown, hidden, total = [], 0.0, 0.0
     for begin, end in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        _, beside = near.near(np.array([begin, end]), 0.1)
+        _, beside = sides.near(np.array([begin, end]), 0.1)
         along = end - begin
         length = float(np.hypot(*along))
         total += length
         count = max(1, round(length / 0.1))
         places = begin + np.outer((np.arange(count) + 0.5) / count, along)
-        is_known = _is_beside(places, raster) | (beside.distances(places).min(axis=1, initial=np.inf) < 0.05)
+        is_known = raster.beside_occupied[raster.cells(places)] | (
+            beside.distances(places).min(axis=1, initial=np.inf) < 0.05
+        )
         edges = np.flatnonzero(np.diff(np.concatenate([[True], is_known, [True]]).astype(np.int8)))
         for first, last in zip(edges[::2], edges[1::2], strict=True):
             hidden += (last - first) / count * length
             if (last - first) / count * length >= _LEAST_SIDE_M:
                 unknown.append(begin + np.outer([first / count, last / count], along))
     return np.array(unknown).reshape(-1, 2, 2), hidden / max(total, 1e-9)
-
-
-def _is_beside(places: FloatArray, raster: Raster) -> BoolArray:
-    """Whether a cell within two of each place is occupied."""
-    row, column = raster.cells(places)
-    height, width = raster.occupied.shape
-    found = np.zeros(len(places), np.bool_)
-    for up in range(-2, 3):
-        for aside in range(-2, 3):
-            found |= raster.occupied[(row + up).clip(0, height - 1), (column + aside).clip(0, width - 1)]
-    return found
