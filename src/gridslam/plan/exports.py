@@ -67,7 +67,8 @@ def describe_features(plan: FloorPlan, origin: WorldOrigin | None = None) -> lis
         features.append(_feature("doors", line(opening.ends), {"kind": opening.kind, **measures}))
     for room in plan.rooms:
         rings = [ring(room.outline), *(ring(hole) for hole in room.holes)]
-        features.append(_feature("rooms", _polygon(rings), {"name": room.name, "area_m2": round(room.area_m2, 3)}))
+        about = {"name": room.name, "area_m2": round(room.area_m2, 3), "entered": room.is_entered}
+        features.append(_feature("rooms", _polygon(rings), about))
         features += [_feature("unknown", line(side), {"room": room.name}) for side in room.unknown]
     features += [_feature("furniture", _polygon([ring(outline)]), {}) for outline in plan.furniture]
     return features

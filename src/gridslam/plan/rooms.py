@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TypeAlias, final
 
@@ -46,6 +46,8 @@ class Room:
         Sides of the outline where nothing was seen: the room continues there, or a wall was hidden.
     area_m2 : float
         With what furniture stands on.
+    is_entered : bool or None
+        Whether the robot was in it, and has not only looked in through a door; None where its path is not known.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Room:
     holes: tuple[FloatArray, ...]
     unknown: FloatArray
     area_m2: float
+    is_entered: bool | None = None
 
     @property
     def label_point(self) -> FloatArray:
@@ -63,11 +66,21 @@ class Room:
         return np.array(middle)
 
 
-def find_rooms(floor: BoolArray, raster: Raster, faces: Sequence[Face], openings: Sequence[Opening]) -> list[Room]:
-    """Cut the floor at the openings; each part of 2 m² and more with walls about it is a room, the largest first."""
+def find_rooms(
+    floor: BoolArray,
+    raster: Raster,
+    faces: Sequence[Face],
+    openings: Sequence[Opening],
+    path: FloatArray | None = None,
+) -> list[Room]:
+    """Cut the floor at the openings; each part of 2 m² and more with walls about it is a room, the largest first.
+
+    With the positions (P, 2) of the robot rooms that it has only looked into follow those that were entered.
+    """
     bars = [_extend(opening.ends, 2 * raster.cell_m) for opening in openings]
     cut = floor & ~fill_polygons(raster, bars)
     labels, _ = ndimage.label(cut)
+    entered = None if path is None else np.unique(labels[raster.cells(path)])
     sides = _sides_of(faces, openings)
     rooms = []
     sizes = np.bincount(labels.reshape(-1)) * raster.cell_m**2
@@ -78,10 +91,13 @@ def find_rooms(floor: BoolArray, raster: Raster, faces: Sequence[Face], openings
             corner = raster.origin + np.array([window[1].start, window[0].start]) * raster.cell_m
             room = _make_room(mask, corner, raster, sides)
             if room is not None:
-                rooms.append(room)
+                rooms.append(replace(room, is_entered=None if entered is None else bool(np.isin(number, entered))))
     rooms.sort(key=lambda room: -room.area_m2)
+    looked_into = [room for room in rooms if room.is_entered is False]
+    rooms = [room for room in rooms if room.is_entered is not False]
     return [
-        Room(f"room {k}", room.outline, room.holes, room.unknown, room.area_m2) for k, room in enumerate(rooms, start=1)
+        *(replace(room, name=f"room {k}") for k, room in enumerate(rooms, start=1)),
+        *(replace(room, name=f"not entered {k}") for k, room in enumerate(looked_into, start=1)),
     ]
 
 

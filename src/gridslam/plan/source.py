@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, final
 
@@ -27,11 +27,12 @@ _FARTHEST_M = 30.0
 
 @final
 class MapSource(NamedTuple):
-    """A map, the surface points of its scans if there are any, and the name that a plan of it has."""
+    """A map, and the name that a plan of it has; with scans their surface points, and where the laser was (P, 2)."""
 
     grid: OccupancyGrid
-    points: SurfacePoints | None
     name: str
+    points: SurfacePoints | None = None
+    path: FloatArray | None = None
 
 
 def read_source(path: str | Path, on_remark: Callable[[str], None] = lambda remark: None) -> MapSource:
@@ -54,7 +55,7 @@ def read_source(path: str | Path, on_remark: Callable[[str], None] = lambda rema
         return _read_folder(path, on_remark)
     if path.suffix == ".gridslam":
         return _read_session(path)
-    return MapSource(read_map(path, on_remark=on_remark), None, path.stem)
+    return MapSource(read_map(path, on_remark=on_remark), path.stem)
 
 
 def _read_session(path: Path) -> MapSource:
@@ -71,7 +72,7 @@ def _read_session(path: Path) -> MapSource:
             scan = piece.scans.key(key)
             yield se2.transform_points(pose, scan.origin[None])[0], se2.transform_points(pose, scan.ends)
 
-    return MapSource(grid, points_of_scans(scans(), grid.resolution_m), path.stem)
+    return _add_scans(MapSource(grid, path.stem), scans())
 
 
 def _read_folder(out: Path, on_remark: Callable[[str], None]) -> MapSource:
@@ -83,7 +84,7 @@ def _read_folder(out: Path, on_remark: Callable[[str], None]) -> MapSource:
     log = _find_log(out, source) if isinstance(source, dict) else None
     if log is None or not (out / "trajectory.tum").is_file():
         on_remark(f"{out}: the log of this run is not there: walls are taken from the cells of its map")
-        return MapSource(grid, None, name)
+        return MapSource(grid, name)
     poses = KnownPoses(read_tum(out / "trajectory.tum"))
 
     def scans() -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -93,8 +94,20 @@ def _read_folder(out: Path, on_remark: Callable[[str], None]) -> MapSource:
                 beams = poses.deskew(scan.beams(_NEAREST_M, _FARTHEST_M))
                 yield se2.transform_points(pose, beams.origin[None])[0], se2.transform_points(pose, beams.ends)
 
-    points = points_of_scans(scans(), grid.resolution_m)
-    return MapSource(grid, points if len(points) else None, name)
+    return _add_scans(MapSource(grid, name), scans())
+
+
+def _add_scans(source: MapSource, scans: Iterable[tuple[FloatArray, FloatArray]]) -> MapSource:
+    """Add surface points and the path, unless no scan has an end point."""
+    path: list[FloatArray] = []
+
+    def seen() -> Iterator[tuple[FloatArray, FloatArray]]:
+        for origin, ends in scans:
+            path.append(origin)
+            yield origin, ends
+
+    points = points_of_scans(seen(), source.grid.resolution_m)
+    return source._replace(points=points, path=np.array(path)) if len(points) else source
 
 
 def _find_log(out: Path, source: dict[str, Any]) -> Path | None:
