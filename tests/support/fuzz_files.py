@@ -40,6 +40,8 @@ from gridslam.api.session import Session
 from gridslam.cli.sessions import show_session
 from gridslam.config import Configuration, load, override, preset
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
+from gridslam.io.edited_maps import read_edited_map
+from gridslam.io.edits import LAYERS, Edit, Edits, parse_edits, read_edits
 from gridslam.io.g2o import read_g2o, write_g2o
 from gridslam.io.landmark_logs import open_landmark_log
 from gridslam.io.log import LogOptions, open_log
@@ -53,6 +55,7 @@ from gridslam.io.trajectories import read_relations, read_trajectory, read_traje
 from gridslam.live.history_file import read_history
 from gridslam.live.replay import Replay
 from gridslam.localization import KnownMap
+from gridslam.plan.masks import make_keepout_mask, make_speed_mask
 from gridslam.slam.full_slam.full_trajectory import full_trajectories
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -184,7 +187,20 @@ def _read_in_child(family: Family, folder: Path, sender: int) -> None:
 def families(folder: Path) -> list[Family]:
     """All families; healthy files are made in `folder`."""
     folder.mkdir(exist_ok=True)
-    makers = (_logs, _stamps, _names, _streams, _growth, _tables, _graphs, _landmark_logs, _maps, _states, _results)
+    makers = (
+        _logs,
+        _stamps,
+        _names,
+        _streams,
+        _growth,
+        _tables,
+        _graphs,
+        _landmark_logs,
+        _maps,
+        _edits,
+        _states,
+        _results,
+    )
     of_files = [family for maker in makers for family in maker(folder)]
     others = (
         *commands(),
@@ -548,6 +564,44 @@ def _maps(folder: Path) -> Iterator[Family]:
             KnownMap(grid)
 
     yield Family("maps", 0, prepare, read, 3)
+
+
+def _edits(folder: Path) -> Iterator[Family]:
+    """Edits of a map: their text is damaged, or values in it are exchanged for others."""
+    places = np.array([[0.2, -1.8], [1.2, -1.7], [1.1, -0.5], [0.1, -0.6]])
+    points = {"Point": places[:1], "LineString": places[:2], "Polygon": places}
+    drawn = tuple(
+        Edit(layer, kind, points[kind], "room", 0.2, {"limit_percent": 20.0}, np.array([1.0, 0.0, 0.0, 0.0]))
+        for layer, kinds in LAYERS.items()
+        for kind in kinds
+    )
+    text = Edits(drawn, "map.yaml", "").to_text()
+    image = np.full((40, 50), 254, np.uint8)
+
+    def exchange(tree: Any, rng: np.random.Generator) -> Any:
+        if rng.random() < 0.004:
+            return [*_MIXED, *_SPECIAL_INTEGERS, *(f for f in _SPECIAL_FLOATS if math.isfinite(f))][rng.integers(28)]
+        if isinstance(tree, dict):
+            return {key: exchange(value, rng) for key, value in tree.items()}
+        return [exchange(value, rng) for value in tree] if isinstance(tree, list) else tree
+
+    def prepare(to: Path, rng: np.random.Generator) -> None:
+        Image.fromarray(image).save(to / "map.pgm")
+        (to / "map.yaml").write_text(MAP_YAML)
+        if rng.random() < 0.5:
+            (to / "edits.geojson").write_bytes(damage(text.encode(), OF_TEXT, rng)[0])
+        else:
+            (to / "edits.geojson").write_text(json.dumps(exchange(json.loads(text), rng)))
+
+    def read(where: Path) -> None:
+        edits = read_edits(where / "edits.geojson")
+        assert parse_edits(json.loads(edits.to_text()), where).to_text() == edits.to_text()
+        grid = read_edited_map(where / "edits.geojson")
+        make_keepout_mask(grid, edits)
+        with suppress(ArgumentError):  # limits of two units, which the command refuses by the file
+            make_speed_mask(grid, edits)
+
+    yield Family("edits", 0, prepare, read, 2)
 
 
 def _states(folder: Path) -> Iterator[Family]:

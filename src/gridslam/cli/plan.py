@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from gridslam.plan.changes_files import describe_changes, write_changes_geojson,
 from gridslam.plan.drawing import draw_plan
 from gridslam.plan.exports import WorldOrigin, write_dxf, write_geojson
 from gridslam.plan.floor_plan import FloorPlan, make_plan
+from gridslam.plan.rooms import name_rooms
 from gridslam.plan.sheet import write_pdf, write_png, write_svg
 from gridslam.plan.source import read_source
 from gridslam.plan.surfaces import points_of_grid
@@ -35,6 +37,7 @@ def plan_to_folder(
     with open_output(out, _NAMES) as folder:
         given = read_source(source, warn)
         plan = make_plan(given.grid, given.points, given.path)
+        plan = replace(plan, rooms=name_rooms(plan.rooms, given.names))
         if not plan.walls:
             raise InputError(source, "expected a map with walls, got one without a straight surface of 0.25 m")
         shown = plan.straighten() if straighten else plan

@@ -16,7 +16,7 @@ from gridslam.plan.segments import Segments
 from gridslam.plan.untyped import ndimage, require_map_extra
 from gridslam.types import FloatArray
 
-__all__ = ["Room", "find_rooms"]
+__all__ = ["Room", "find_rooms", "name_rooms"]
 
 _LEAST_AREA_M2 = 2.0
 _LEAST_ENCLOSED = 0.2
@@ -99,6 +99,18 @@ def find_rooms(
         *(replace(room, name=f"room {k}") for k, room in enumerate(rooms, start=1)),
         *(replace(room, name=f"not entered {k}") for k, room in enumerate(looked_into, start=1)),
     ]
+
+
+def name_rooms(rooms: Sequence[Room], names: Sequence[tuple[str, FloatArray]]) -> tuple[Room, ...]:
+    """Give rooms the names at places (2,) in them; the last of several names."""
+    _, shapely = require_map_extra()
+    named = {
+        k: name
+        for name, place in names
+        for k, room in enumerate(rooms)
+        if shapely.Polygon(room.outline, room.holes).contains(shapely.Point(place))
+    }
+    return tuple(replace(room, name=named.get(k, room.name)) for k, room in enumerate(rooms))
 
 
 def _extend(ends: FloatArray, by_m: float) -> FloatArray:

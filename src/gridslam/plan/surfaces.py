@@ -44,7 +44,11 @@ class SurfacePoints:
 
     def select(self, chosen: NDArray[np.bool_] | IntArray | slice) -> SurfacePoints:
         """Those that are chosen, by a mask (N,), their numbers or a slice."""
-        return SurfacePoints(self.positions[chosen], self.normals[chosen], self.weights[chosen])
+        return SurfacePoints(*(values[chosen] for values in self))
+
+    def __iter__(self) -> Iterator[FloatArray]:
+        """Yield positions, normals and weights."""
+        return iter((self.positions, self.normals, self.weights))
 
     def __len__(self) -> int:
         """Return the number of points."""
@@ -81,7 +85,7 @@ def _add_in_cells(parts: list[FloatArray], cell_m: float) -> FloatArray:
     column, row = np.floor(rows[:, :2] / rows[:, 4:] / cell_m).astype(np.int64).T
     keys = (column << 33) + (row << 2) + (rows[:, 2] > 0) + 2 * (rows[:, 3] > 0)
     found, places = np.unique(keys, return_inverse=True)
-    return np.column_stack([np.bincount(places, own, len(found)) for own in rows.T])
+    return np.asarray(np.column_stack([np.bincount(places, own, len(found)) for own in rows.T]), np.float64)
 
 
 def points_of_grid(grid: OccupancyGrid) -> SurfacePoints:
@@ -113,7 +117,7 @@ def _orient(positions: FloatArray, views: FloatArray, weights: FloatArray) -> Su
 
 
 def _bands(pairs: IntArray) -> Iterator[IntArray]:
-    """Some of the pairs (P, 2) at a time: of all of them the arrays of what lies between would be large."""
+    """Some of the pairs (P, 2) at a time: the arrays of all would be large."""
     return (pairs[first : first + _MOST_PAIRS] for first in range(0, len(pairs), _MOST_PAIRS))
 
 

@@ -1,4 +1,4 @@
-"""What plans use of libraries that declare no types: SciPy, and the extra ``map``."""
+"""Functions of libraries that declare no types, as plans use them: SciPy, and the extra ``map``."""
 
 from __future__ import annotations
 

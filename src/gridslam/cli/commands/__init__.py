@@ -26,6 +26,7 @@ _MODULES: Final = {
     "landmarks": "algorithms",
     "localize": "algorithms",
     "map": "mapping",
+    "mask": "plans",
     "merge": "mapping",
     "plan": "plans",
     "regress": "results",

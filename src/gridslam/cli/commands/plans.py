@@ -10,7 +10,7 @@ import click
 from gridslam.cli.option_types import PATH
 from gridslam.cli.options import json_option, out_option
 
-__all__ = ["changes_command", "plan_command"]
+__all__ = ["changes_command", "mask_command", "plan_command"]
 
 
 def _read_origin(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float, float, float] | None:
@@ -51,8 +51,8 @@ def _read_origin(ctx: click.Context, param: click.Parameter, text: str | None) -
 def plan_command(**options: Any) -> None:  # noqa: ANN401
     """Make a floor plan of SOURCE: walls, doors, rooms and their measures (extra: map).
 
-    SOURCE is a map's YAML file, the folder OUT of `gridslam map`, or a session. Where there are scans the walls are
-    fitted to their end points, and otherwise to the map's cells.
+    SOURCE is a map's YAML file, its edits (see `gridslam mask`), the folder OUT of `gridslam map`, or a session. Where
+    there are scans the walls are fitted to their end points, and otherwise to the map's cells.
 
     Writes to OUT: plan.svg and plan.pdf (to scale), plan.png, plan.dxf (CAD), plan.geojson and plan.json.
     """
@@ -78,3 +78,38 @@ def changes_command(**options: Any) -> None:  # noqa: ANN401
     from gridslam.cli.plan import changes_to_folder
 
     changes_to_folder(**options)
+
+
+@click.command("mask")
+@click.argument("map_path", metavar="MAP", type=PATH)
+@click.argument("edits", type=PATH)
+@out_option
+@click.option(
+    "--mode",
+    type=click.Choice(["scale", "raw"]),
+    default="scale",
+    show_default=True,
+    help="How pixels encode values: scale, white is 0 and black 100; raw, a pixel is its value.",
+)
+@click.option(
+    "--off-lane",
+    "off_lane_percent",
+    type=click.IntRange(0, 99),
+    default=50,
+    show_default=True,
+    metavar="PERCENT",
+    help="Cost beside preferred lanes, in percent of a lethal one.",
+)
+@json_option
+def mask_command(**options: Any) -> None:  # noqa: ANN401
+    """Apply EDITS to a map: the edited map, and masks of nav2's keep-out and speed filters.
+
+    MAP is a map's YAML file, or the folder OUT of `gridslam map`. EDITS is a GeoJSON file of layers in metres of the
+    map's frame: walls, erased, rooms, keep_out, no_go, speed and lanes, as `gridslam view OUT --edit` writes it.
+
+    Writes to OUT: map.yaml and map.pgm (edited), keepout_mask.yaml and speed_mask.yaml with their images,
+    nav2_filters.yaml (parameters to paste) and edits.geojson (as they lie on this map).
+    """
+    from gridslam.cli.mask import mask_to_folder
+
+    mask_to_folder(**options)
