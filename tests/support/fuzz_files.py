@@ -55,6 +55,7 @@ from gridslam.io.trajectories import read_relations, read_trajectory, read_traje
 from gridslam.live.history_file import read_history
 from gridslam.live.replay import Replay
 from gridslam.localization import KnownMap
+from gridslam.plan.drawn_plans import read_drawn_plan
 from gridslam.plan.masks import make_keepout_mask, make_speed_mask
 from gridslam.slam.full_slam.full_trajectory import full_trajectories
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
@@ -198,6 +199,7 @@ def families(folder: Path) -> list[Family]:
         _landmark_logs,
         _maps,
         _edits,
+        _plans,
         _states,
         _results,
     )
@@ -602,6 +604,30 @@ def _edits(folder: Path) -> Iterator[Family]:
             make_speed_mask(grid, edits)
 
     yield Family("edits", 0, prepare, read, 2)
+
+
+def _plans(folder: Path) -> Iterator[Family]:
+    """Drawn plans: SVG, DXF and PNG."""
+    svg = (
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 30 20"><g transform="rotate(20 1 2) scale(2)">'
+        '<rect x="1" y="2" width="3" height="4"/><polyline points="1,1 2,2 3,1"/></g>'
+        '<path transform="matrix(1 0 0 -1 0 20)" d="M1 1 h2 v3 L 0,0 Z m 5 5 l1,1 c 1 2 3 4 5 6"/></svg>'
+    )
+    pairs = ("0", "SECTION", "2", "ENTITIES", "0", "LINE", "8", "0", "10", "1.5", "20", "2", "11", "8", "21", "2")
+    dxf = "\n".join([*pairs, "0", "ENDSEC", "0", "EOF", ""])
+    Image.fromarray(np.random.default_rng(0).choice([0, 255], (40, 50)).astype(np.uint8)).save(folder / "drawn.png")
+    whole = {"svg": svg.encode(), "dxf": dxf.encode(), "png": (folder / "drawn.png").read_bytes()}
+
+    def prepare(to: Path, rng: np.random.Generator) -> None:
+        kind = sorted(whole)[rng.integers(3)]
+        damages = OF_BYTES if kind == "png" else OF_TEXT
+        (to / f"plan.{kind}").write_bytes(damage(whole[kind], damages, rng)[0])
+
+    def read(where: Path) -> None:
+        (path,) = where.iterdir()
+        read_drawn_plan(path).surfaces(0.02)
+
+    yield Family("plans", 0, prepare, read, 2)
 
 
 def _states(folder: Path) -> Iterator[Family]:

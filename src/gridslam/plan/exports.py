@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from gridslam.errors import MissingDependencyError
+from gridslam.geometry import se2
 from gridslam.plan.floor_plan import FloorPlan
 from gridslam.types import FloatArray
 
@@ -34,15 +35,19 @@ class WorldOrigin(NamedTuple):
 
         Source: the radii of curvature of the ellipsoid, Torge and Mueller, Geodesy, section 4.1.
         """
-        turn = math.radians(90.0 - self.bearing)
-        east = points[:, 0] * math.cos(turn) - points[:, 1] * math.sin(turn)
-        north = points[:, 0] * math.sin(turn) + points[:, 1] * math.cos(turn)
-        sine = math.sin(math.radians(self.latitude))
-        root = math.sqrt(1 - _ECCENTRICITY2 * sine**2)
-        meridian = _SEMIMAJOR_M * (1 - _ECCENTRICITY2) / root**3
+        turned = se2.transform_points([0.0, 0.0, math.radians(90.0 - self.bearing)], points)
+        return np.asarray(np.array([self.longitude, self.latitude]) + np.rad2deg(turned / self._radii()))
+
+    def to_metres(self, degrees: FloatArray) -> FloatArray:
+        """Points (N, 2), m, of longitude and latitude (N, 2): the inverse of `to_degrees`."""
+        turned = np.deg2rad(degrees - [self.longitude, self.latitude]) * self._radii()
+        return se2.transform_points([0.0, 0.0, math.radians(self.bearing - 90.0)], turned)
+
+    def _radii(self) -> FloatArray:
+        """Radii (2,), m, of the circle of latitude and of the meridian."""
+        root = math.sqrt(1 - _ECCENTRICITY2 * math.sin(math.radians(self.latitude)) ** 2)
         parallel = _SEMIMAJOR_M / root * math.cos(math.radians(self.latitude))
-        latitude = self.latitude + np.rad2deg(north / meridian)
-        return np.column_stack([self.longitude + np.rad2deg(east / parallel), latitude])
+        return np.array([parallel, _SEMIMAJOR_M * (1 - _ECCENTRICITY2) / root**3])
 
 
 def describe_features(plan: FloorPlan, origin: WorldOrigin | None = None) -> list[dict[str, Any]]:

@@ -14,6 +14,7 @@ from gridslam.cli.options import SETTINGS
 __all__ = ["gridslam"]
 
 _MODULES: Final = {
+    "align": "plans",
     "batch": "batches",
     "changes": "plans",
     "convert": "logs",
