@@ -211,13 +211,14 @@ def open_page(url: str, live: LiveOptions) -> None:
             warn("no browser was found to open the page")
 
 
-def view(out: Path, live: LiveOptions, beside: Path | None = None) -> None:
-    """Show a finished run in the browser until interrupted, which is how it ends well."""
+def view(out: Path, live: LiveOptions, beside: Path | None = None, edit: bool = False) -> None:
+    """Show a finished run in the browser, and edit its map, until interrupted, which is how it ends well."""
+    from gridslam.live.edits import EditsFile
     from gridslam.live.replay import Replay
     from gridslam.live.server import PageServer
 
-    replay = Replay(out, beside, 10.0 if live.speed is None else live.speed)
-    with serve_page(PageServer(replay, live)) as page:
+    replay = Replay(out, beside, 10.0 if live.speed is None else live.speed, edit)
+    with serve_page(PageServer(replay, live, edits=EditsFile(out) if edit else None)) as page:
         if replay.results.missing:
             warn(f"{out}: {replay.results.missing}")
         click.echo(f"{out}: open {page.url} (Ctrl-C ends)")

@@ -40,6 +40,8 @@ class Replay:
         the truth, if the folder has it.
     speed : float, > 0
         Initial factor on real time.
+    is_editable : bool
+        Whether the page shows the tools by which the map is edited.
 
     Raises
     ------
@@ -48,7 +50,9 @@ class Replay:
         link, or lies elsewhere: only those in the folder are read and served.
     """
 
-    def __init__(self, folder: str | Path, beside: str | Path | None = None, speed: float = 10.0) -> None:
+    def __init__(
+        self, folder: str | Path, beside: str | Path | None = None, speed: float = 10.0, is_editable: bool = False
+    ) -> None:
         """Read the folder."""
         self._out = out = Path(folder)
         with stay_below(out):
@@ -63,6 +67,7 @@ class Replay:
             "other": self.beside.grid is not None,
             "truth": len(self.beside.path) > 0,
             "session": self._session is not None,
+            "edits": is_editable,
         }
         if self.history is not None:
             found |= dict.fromkeys(("scan", "particles"), True)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -220,3 +223,34 @@ def test_a_map_is_read_with_its_edits(run):
     write_edits(folder / "none.geojson", Edits((wall,)))
     with pytest.raises(InputError, match="expected the YAML file of a map"):
         read_edited_map(folder / "none.geojson")
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the process that is killed is forked")
+def test_a_process_that_is_killed_while_it_saves_leaves_one_of_its_files_whole(tmp_path):
+    """Two edit files are written in turns, and the process is killed thirty times, at a moment of its own each."""
+    path, killed = (
+        tmp_path / "edits.geojson",
+        """
+import os, random, signal, sys, time
+import numpy as np
+from gridslam.io.edits import Edit, Edits, read_edits, write_edits
+path, rng = sys.argv[1], random.Random(0)
+files = [Edits((Edit("rooms", "Point", np.array([[1.0, 1.0]]), "a" * 90),) * count) for count in (200, 300)]
+write_edits(path, files[0])
+for _ in range(30):
+    child = os.fork()
+    if not child:
+        while True:
+            for edits in files:
+                write_edits(path, edits)
+    time.sleep(rng.uniform(0.0, 0.03))
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    assert len(read_edits(path).edits) in (200, 300)
+write_edits(path, files[1])
+left = [name for name in os.listdir(os.path.dirname(path)) if name != "edits.geojson"]
+assert not left, left
+""",
+    )
+    subprocess.run([sys.executable, "-c", killed, str(path)], check=True, timeout=60)
+    assert len(read_edits(path).edits) == 300
