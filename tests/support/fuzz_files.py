@@ -40,6 +40,8 @@ from gridslam.api.session import Session
 from gridslam.cli.sessions import show_session
 from gridslam.config import Configuration, load, override, preset
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
+from gridslam.io.edited_maps import read_edited_map
+from gridslam.io.edits import LAYERS, Edit, Edits, parse_edits, read_edits
 from gridslam.io.g2o import read_g2o, write_g2o
 from gridslam.io.landmark_logs import open_landmark_log
 from gridslam.io.log import LogOptions, open_log
@@ -55,6 +57,8 @@ from gridslam.live.history_file import read_history
 from gridslam.live.replay import Replay
 from gridslam.localization import KnownMap
 from gridslam.messages import Messages
+from gridslam.plan.drawn_plans import read_drawn_plan
+from gridslam.plan.masks import make_keepout_mask, make_speed_mask
 from gridslam.slam.full_slam.full_trajectory import full_trajectories
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -186,7 +190,21 @@ def _read_in_child(family: Family, folder: Path, sender: int) -> None:
 def families(folder: Path) -> list[Family]:
     """All families; healthy files are made in `folder`."""
     folder.mkdir(exist_ok=True)
-    makers = (_logs, _stamps, _names, _streams, _growth, _tables, _graphs, _landmark_logs, _maps, _states, _results)
+    makers = (
+        _logs,
+        _stamps,
+        _names,
+        _streams,
+        _growth,
+        _tables,
+        _graphs,
+        _landmark_logs,
+        _maps,
+        _edits,
+        _plans,
+        _states,
+        _results,
+    )
     of_files = [family for maker in makers for family in maker(folder)]
     others = (
         *commands(),
@@ -550,6 +568,68 @@ def _maps(folder: Path) -> Iterator[Family]:
             KnownMap(grid)
 
     yield Family("maps", 0, prepare, read, 3)
+
+
+def _edits(folder: Path) -> Iterator[Family]:
+    """Edits of a map: their text is damaged, or values in it are exchanged for others."""
+    places = np.array([[0.2, -1.8], [1.2, -1.7], [1.1, -0.5], [0.1, -0.6]])
+    points = {"Point": places[:1], "LineString": places[:2], "Polygon": places}
+    drawn = tuple(
+        Edit(layer, kind, points[kind], "room", 0.2, {"limit_percent": 20.0}, np.array([1.0, 0.0, 0.0, 0.0]))
+        for layer, kinds in LAYERS.items()
+        for kind in kinds
+    )
+    text = Edits(drawn, "map.yaml", "").to_text()
+    image = np.full((40, 50), 254, np.uint8)
+
+    def exchange(tree: Any, rng: np.random.Generator) -> Any:
+        if rng.random() < 0.004:
+            return [*_MIXED, *_SPECIAL_INTEGERS, *(f for f in _SPECIAL_FLOATS if math.isfinite(f))][rng.integers(28)]
+        if isinstance(tree, dict):
+            return {key: exchange(value, rng) for key, value in tree.items()}
+        return [exchange(value, rng) for value in tree] if isinstance(tree, list) else tree
+
+    def prepare(to: Path, rng: np.random.Generator) -> None:
+        Image.fromarray(image).save(to / "map.pgm")
+        (to / "map.yaml").write_text(MAP_YAML)
+        if rng.random() < 0.5:
+            (to / "edits.geojson").write_bytes(damage(text.encode(), OF_TEXT, rng)[0])
+        else:
+            (to / "edits.geojson").write_text(json.dumps(exchange(json.loads(text), rng)))
+
+    def read(where: Path) -> None:
+        edits = read_edits(where / "edits.geojson")
+        assert parse_edits(json.loads(edits.to_text()), where).to_text() == edits.to_text()
+        grid = read_edited_map(where / "edits.geojson")
+        make_keepout_mask(grid, edits)
+        with suppress(ArgumentError):  # limits of two units, which the command refuses by the file
+            make_speed_mask(grid, edits)
+
+    yield Family("edits", 0, prepare, read, 2)
+
+
+def _plans(folder: Path) -> Iterator[Family]:
+    """Drawn plans: SVG, DXF and PNG."""
+    svg = (
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 30 20"><g transform="rotate(20 1 2) scale(2)">'
+        '<rect x="1" y="2" width="3" height="4"/><polyline points="1,1 2,2 3,1"/></g>'
+        '<path transform="matrix(1 0 0 -1 0 20)" d="M1 1 h2 v3 L 0,0 Z m 5 5 l1,1 c 1 2 3 4 5 6"/></svg>'
+    )
+    pairs = ("0", "SECTION", "2", "ENTITIES", "0", "LINE", "8", "0", "10", "1.5", "20", "2", "11", "8", "21", "2")
+    dxf = "\n".join([*pairs, "0", "ENDSEC", "0", "EOF", ""])
+    Image.fromarray(np.random.default_rng(0).choice([0, 255], (40, 50)).astype(np.uint8)).save(folder / "drawn.png")
+    whole = {"svg": svg.encode(), "dxf": dxf.encode(), "png": (folder / "drawn.png").read_bytes()}
+
+    def prepare(to: Path, rng: np.random.Generator) -> None:
+        kind = sorted(whole)[rng.integers(3)]
+        damages = OF_BYTES if kind == "png" else OF_TEXT
+        (to / f"plan.{kind}").write_bytes(damage(whole[kind], damages, rng)[0])
+
+    def read(where: Path) -> None:
+        (path,) = where.iterdir()
+        read_drawn_plan(path).surfaces(0.02)
+
+    yield Family("plans", 0, prepare, read, 2)
 
 
 def _states(folder: Path) -> Iterator[Family]:

@@ -218,8 +218,11 @@ def open_page(url: str, live: LiveOptions) -> None:
             warn("no browser was found to open the page")
 
 
-def view(out: Path, live: LiveOptions, beside: Path | None = None, *, edit_graph: bool = False) -> None:
+def view(
+    out: Path, live: LiveOptions, beside: Path | None = None, *, edit: bool = False, edit_graph: bool = False
+) -> None:
     """Show a finished run in the browser until interrupted, which is how it ends well."""
+    from gridslam.live.edits import EditsFile
     from gridslam.live.replay import Replay
     from gridslam.live.server import PageServer
 
@@ -229,8 +232,8 @@ def view(out: Path, live: LiveOptions, beside: Path | None = None, *, edit_graph
         click.echo(f"{out}: open {address}")
         open_page(address, live)
         return
-    replay = Replay(out, beside, 10.0 if live.speed is None else live.speed, edits_graph=edit_graph)
-    with serve_page(PageServer(replay, live)) as page:
+    replay = Replay(out, beside, 10.0 if live.speed is None else live.speed, edit, edits_graph=edit_graph)
+    with serve_page(PageServer(replay, live, edits=EditsFile(out) if edit else None)) as page:
         if replay.results.missing:
             warn(f"{out}: {replay.results.missing}")
         click.echo(f"{out}: open {page.url} (Ctrl-C ends)")

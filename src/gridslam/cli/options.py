@@ -302,7 +302,12 @@ _SESSION_OPTIONS = (
         "--frozen", is_flag=True, help="What the session has mapped stays where it is; LOG is aligned with it."
     ),
     click.option("--name", metavar="NAME", help="Name of the drive, such as the robot's.  [default: that of LOG]"),
-    click.option("--prior", type=PATH, metavar="YAML", help="Known map (map_server) to relocalize in and to extend."),
+    click.option(
+        "--prior",
+        type=PATH,
+        metavar="YAML",
+        help="Known map (map_server), or edits of one, to relocalize in and to extend.",
+    ),
     click.option(
         "--autosave",
         "autosave_min",
@@ -317,7 +322,9 @@ _SESSION_FIELDS = (
     *("autosave_min", "restart"),
 )
 _LOCALIZE_OPTIONS = (
-    click.option("--map", "map_path", type=PATH, required=True, help="Map YAML file (map_server or nav2)."),
+    click.option(
+        "--map", "map_path", type=PATH, required=True, help="Map YAML file (map_server or nav2), or edits of one."
+    ),
     click.option(
         "--initial-pose",
         metavar="X,Y,THETA",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from gridslam.plan.changes_files import describe_changes, write_changes_geojson,
 from gridslam.plan.drawing import draw_plan
 from gridslam.plan.exports import WorldOrigin, write_dxf, write_geojson
 from gridslam.plan.floor_plan import FloorPlan, make_plan
+from gridslam.plan.rooms import name_rooms
 from gridslam.plan.sheet import write_pdf, write_png, write_svg
 from gridslam.plan.source import read_source
 from gridslam.plan.surfaces import points_of_grid
@@ -34,7 +36,8 @@ def plan_to_folder(
     """Make a floor plan, write it to a folder and print a summary."""
     with open_output(out, _NAMES) as folder:
         given = read_source(source, warn)
-        plan = make_plan(given.grid, given.points)
+        plan = make_plan(given.grid, given.points, given.path)
+        plan = replace(plan, rooms=name_rooms(plan.rooms, given.names))
         if not plan.walls:
             raise InputError(source, "expected a map with walls, got one without a straight surface of 0.25 m")
         shown = plan.straighten() if straighten else plan
@@ -65,7 +68,10 @@ def _describe(source: Path, plan: FloorPlan, scale: int, made_from: str) -> dict
         "doors": [
             {"kind": o.kind, "width_m": o.width_m, "middle_m": o.ends.mean(axis=0).tolist()} for o in plan.openings
         ],
-        "rooms": [{"name": r.name, "area_m2": r.area_m2, "complete": not len(r.unknown)} for r in plan.rooms],
+        "rooms": [
+            {"name": r.name, "area_m2": r.area_m2, "complete": not len(r.unknown), "entered": r.is_entered}
+            for r in plan.rooms
+        ],
         "furniture": len(plan.furniture),
     }
 
@@ -78,7 +84,11 @@ def _summarize(plan: FloorPlan, document: dict[str, Any], out: Path) -> Iterator
     )
     widths = sorted(opening.width_m for opening in plan.openings)
     yield f"{len(widths)} doors and openings" + (f", {widths[0]:.2f} to {widths[-1]:.2f} m wide" if widths else "")
-    yield f"{len(plan.rooms)} rooms, {sum(room.area_m2 for room in plan.rooms):.0f} m\u00b2"
+    looked_into = [room.area_m2 for room in plan.rooms if room.is_entered is False]
+    area_m2 = sum(room.area_m2 for room in plan.rooms) - sum(looked_into)
+    yield f"{len(plan.rooms) - len(looked_into)} rooms, {area_m2:.0f} m\u00b2" + (
+        f"; {len(looked_into)} more that were only looked into, {sum(looked_into):.0f} m\u00b2" if looked_into else ""
+    )
     yield f"plan, 1:{document['scale']}: {out / 'plan.png'}, {out / 'plan.svg'}, {out / 'plan.pdf'}"
     yield f"for other programs: {out / 'plan.dxf'}, {out / 'plan.geojson'}"
 

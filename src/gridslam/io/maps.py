@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
+from gridslam.geometry import se2
 from gridslam.io.images import open_image
 from gridslam.io.limits import require_memory
 from gridslam.io.text import read_text, refuse_unreadable
@@ -28,6 +29,7 @@ __all__ = [
     "OCCUPIED_THRESH",
     "MapDescription",
     "MapImage",
+    "map_pixels",
     "occupancy_percent",
     "read_map",
     "read_map_description",
@@ -122,7 +124,9 @@ class MapImage:
 
 
 @checked
-def write_map(yaml_path: str | Path, grid: GridRows) -> None:
+def write_map(
+    yaml_path: str | Path, grid: GridRows, pose: NDArray[np.float64] | None = None, scale: float = 1.0
+) -> None:
     """Write a map in trinary form: occupied above probability 0.65, free below 0.196, unknown otherwise.
 
     The image has its first row at the top, where y is largest. free_thresh lies below the 0.19608 that the pixel 205
@@ -134,6 +138,10 @@ def write_map(yaml_path: str | Path, grid: GridRows) -> None:
         The file to write; its image is a binary PGM of the same name beside it.
     grid : OccupancyGrid, or another that gives rows
         The map, at least one cell.
+    pose : (3,) float64, m and rad, optional
+        Of the map's frame in the one that the file is for: its origin is rotated.
+    scale : float
+        Length in that frame of 1 m of the map.
     """
     height, width = grid.shape
     if height == 0 or width == 0:
@@ -142,13 +150,16 @@ def write_map(yaml_path: str | Path, grid: GridRows) -> None:
     with image_path.open("wb") as file:
         file.write(f"P5\n{width} {height}\n255\n".encode())
         for top in range(height, 0, -_BAND):
-            file.write(_pixels(grid.rows(max(top - _BAND, 0), top))[::-1].tobytes())
-    x, y = (float(value) for value in grid.origin)
-    description = MapDescription(image_path.name, float(grid.resolution_m), (x, y))
+            file.write(map_pixels(grid.rows(max(top - _BAND, 0), top))[::-1].tobytes())
+    corner = scale * np.array(grid.origin, np.float64)
+    x, y = (corner if pose is None else se2.transform_points(pose, corner[None])[0]).tolist()
+    yaw = 0.0 if pose is None else float(pose[2])
+    description = MapDescription(image_path.name, scale * float(grid.resolution_m), (x, y), yaw_rad=yaw)
     Path(yaml_path).write_text(description.to_yaml(), encoding="utf-8")
 
 
-def _pixels(grid: OccupancyGrid) -> NDArray[np.uint8]:
+def map_pixels(grid: OccupancyGrid) -> NDArray[np.uint8]:
+    """Return pixels (H, W) of a trinary map: 0 occupied, 254 free, 205 unknown; the first row is the lowest one."""
     pixels = np.full(grid.shape, _UNKNOWN, dtype=np.uint8)
     pixels[grid.known & (grid.log_odds > _log_odds(OCCUPIED_THRESH))] = _OCCUPIED
     pixels[grid.known & (grid.log_odds < _log_odds(FREE_THRESH))] = _FREE

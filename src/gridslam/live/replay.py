@@ -43,6 +43,8 @@ class Replay:
         Initial factor on real time.
     edits_graph : bool
         Whether the pose graph in the folder is shown instead, and viewers may edit it.
+    is_editable : bool
+        Whether the page shows the tools by which the map is edited.
 
     Raises
     ------
@@ -52,7 +54,13 @@ class Replay:
     """
 
     def __init__(
-        self, folder: str | Path, beside: str | Path | None = None, speed: float = 10.0, *, edits_graph: bool = False
+        self,
+        folder: str | Path,
+        beside: str | Path | None = None,
+        speed: float = 10.0,
+        is_editable: bool = False,
+        *,
+        edits_graph: bool = False,
     ) -> None:
         """Read the folder."""
         self._out = out = Path(folder)
@@ -76,6 +84,7 @@ class Replay:
             "other": self.beside.grid is not None,
             "truth": len(self.beside.path) > 0,
             "session": self._session is not None,
+            "edits": is_editable,
         }
         if self.history is not None:
             found |= dict.fromkeys(("scan", "particles"), True)

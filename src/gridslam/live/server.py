@@ -18,7 +18,7 @@ import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse
-from starlette.routing import Mount, WebSocketRoute
+from starlette.routing import BaseRoute, Mount, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
@@ -26,6 +26,7 @@ from starlette.websockets import WebSocket
 from gridslam.errors import OutputError
 from gridslam.live.connections import LimitedConnection, LimitedSocket, drop_stalled
 from gridslam.live.downloads import DownloadableContent, is_authorized, make_download_routes
+from gridslam.live.edits import EditsFile, make_edit_route
 from gridslam.live.limits import Pace, PacedSelector, PacedThread
 from gridslam.live.options import LiveOptions
 from gridslam.live.viewing import Viewer, ViewerLine, serve_viewer
@@ -69,6 +70,8 @@ class PageServer:
         Address of the page.
     share : float, (0, 1]
         Share of one processor's time that the server takes at most, on average: what is left is the filter's.
+    edits : EditsFile, optional
+        Edits of the map, that pages may change.
 
     Raises
     ------
@@ -76,14 +79,19 @@ class PageServer:
         On entering: the port is in use, or the address is not one of this machine.
     """
 
-    def __init__(self, content: PageContent, options: LiveOptions, share: float = 1.0) -> None:
+    def __init__(
+        self, content: PageContent, options: LiveOptions, share: float = 1.0, edits: EditsFile | None = None
+    ) -> None:
         """Create the server without listening."""
         self._pace = Pace(share)
         self._content_thread = PacedThread("gridslam-live-content", self._pace)
         self._options = options
         self._token = None if options.is_local else os.environ.get(_TOKEN) or secrets.token_urlsafe(12)
+        routes = make_download_routes(content, self._token, share, self._content_thread)
+        if edits is not None:
+            routes.append(make_edit_route(edits, self._token))
         config = uvicorn.Config(
-            _make_application(content, options.host, self._token, share, self._content_thread),
+            _make_application(content, options.host, self._token, self._content_thread, routes),
             http=LimitedConnection,
             ws=LimitedSocket,
             backlog=_BACKLOG,
@@ -190,7 +198,9 @@ def _raise_again(call: Future[None]) -> None:
         call.result()
 
 
-def _make_application(content: PageContent, host: str, token: str | None, share: float, thread: PacedThread) -> ASGIApp:
+def _make_application(
+    content: PageContent, host: str, token: str | None, thread: PacedThread, files: list[BaseRoute]
+) -> ASGIApp:
     """Return the page of a show, for everyone who has the token; without one for requests to this very host alone."""
     joining = asyncio.Lock()
     viewers = asyncio.BoundedSemaphore(max(LimitedConnection.most // 2, 1))
@@ -209,7 +219,7 @@ def _make_application(content: PageContent, host: str, token: str | None, share:
 
     routes = [
         WebSocketRoute("/socket", socket),
-        *make_download_routes(content, token, share, thread),
+        *files,
         Mount("/", StaticFiles(directory=_HERE, html=True)),
     ]
     names = None if token is not None else {"127.0.0.1", "localhost", "::1", host}

@@ -1,7 +1,8 @@
-"""How one map lies on another: the rigid motion by which most surfaces of both agree, without a first guess."""
+"""Alignment of a map with another or with a plan: by their walls, without a first guess, or by pairs of points."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple, final
 
 import numpy as np
@@ -11,19 +12,23 @@ from gridslam.plan.surfaces import SurfacePoints
 from gridslam.plan.untyped import fft, spatial
 from gridslam.types import FloatArray
 
-__all__ = ["Alignment", "align_points"]
+__all__ = ["Alignment", "align_points", "align_walls", "fit_pairs"]
 
 _COARSE_M = 0.2
 _HEADINGS = 8
 """Tried at most: at four of them a building's walls look alike."""
 _REACHES_M = (0.6, 0.6, 0.4, 0.3, 0.2, 0.2, 0.15, 0.15, 0.15, 0.15)
+_LAST_REACHES_M = _REACHES_M[-1:] * 15
+_SCALED_REACHES_M = _REACHES_M[:1] * 6 + _REACHES_M + _LAST_REACHES_M  # a scale converges slowly
+_ASIDE_M = 0.15
+_CLOSE_M = 0.03
 _AGREES_M = 0.1
 _MOST_POINTS = 20_000
 
 
 @final
 class Alignment(NamedTuple):
-    """A rigid motion of one map onto another.
+    """A motion of one map onto another, and a scale.
 
     Attributes
     ----------
@@ -33,43 +38,93 @@ class Alignment(NamedTuple):
         Root mean square distance of the surfaces that agree, across them.
     share : float
         Weight of the moved points within 10 cm of a surface of the other map, as a share of all.
+    scale : float
+        Length in the other map of 1 m of the moved one.
     """
 
     pose: FloatArray
     residual_m: float
     share: float
+    scale: float = 1.0
+
+    def transform(self, points: FloatArray) -> FloatArray:
+        """Points (N, 2) of the moved map in the frame of the other."""
+        return se2.transform_points(self.pose, self.scale * points)
 
 
-def align_points(moved: SurfacePoints, fixed: SurfacePoints) -> Alignment:
-    """Find how surfaces lie on others.
+def align_points(moved: SurfacePoints, fixed: SurfacePoints, is_drawn: bool = False) -> Alignment:
+    """Find how surfaces lie on others; `is_drawn`: the fixed ones are lines, of which either side may be free.
 
     The headings are those at which the histograms of the normals agree; at each the shift is the peak of the
     cross-correlation of the surfaces; each is refined by matching points to lines, and the one that most points agree
     with is taken.
     """
-    chosen = np.linspace(0, len(moved) - 1, min(len(moved), _MOST_POINTS)).astype(np.int64)
-    few = SurfacePoints(moved.positions[chosen], moved.normals[chosen], moved.weights[chosen].clip(max=20.0))
-    found = [
-        _refine(np.array([*_find_shift(few, fixed, heading), heading]), few, fixed)
-        for heading in _find_headings(few, fixed)
-    ]
+    few = _select_some(moved)
+    headings = _find_headings(few, fixed, is_drawn)
+    guesses = (np.array([*_find_shift(few, fixed, heading, is_drawn), heading]) for heading in headings)
+    found = (_refine(Alignment(guess, np.inf, 0.0), few, fixed, is_drawn) for guess in guesses)
     return max(found, key=lambda alignment: alignment.share)
 
 
-def _find_headings(moved: SurfacePoints, fixed: SurfacePoints) -> FloatArray:
+def align_walls(moved: SurfacePoints, fixed: SurfacePoints, guess: Alignment) -> Alignment:
+    """Move and scale surfaces onto lines that were drawn, beginning with a guess that is right to half a metre.
+
+    A wall has two faces: from where most agree it is tried whether more do a wall's thickness beside it.
+    """
+    few = _select_some(moved)
+    found = _refine(guess, few, fixed, True, _SCALED_REACHES_M)
+    angles = np.arange(8) * np.pi / 4
+    asides = _ASIDE_M * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(8)])
+    beside = [_refine(found._replace(pose=found.pose + aside), few, fixed, True, _LAST_REACHES_M) for aside in asides]
+    return max(found, *beside, key=lambda alignment: _count_close(alignment, few, fixed))
+
+
+def _count_close(found: Alignment, moved: SurfacePoints, fixed: SurfacePoints) -> float:
+    """Weight of the moved points, each by its closeness to a line."""
+    distances, _ = spatial.cKDTree(fixed.positions).query(found.transform(moved.positions))
+    return float((moved.weights / (1 + (distances / _CLOSE_M) ** 2)).sum())
+
+
+def _select_some(points: SurfacePoints) -> SurfacePoints:
+    chosen = points.select(np.linspace(0, len(points) - 1, min(len(points), _MOST_POINTS)).astype(np.int64))
+    return SurfacePoints(chosen.positions, chosen.normals, chosen.weights.clip(max=20.0))
+
+
+def fit_pairs(moved: FloatArray, fixed: FloatArray) -> tuple[Alignment, FloatArray]:
+    """Fit motion and scale to pairs of points, by least squares; and the distances (P,) that are left.
+
+    Source: Umeyama, Least-squares estimation of transformation parameters between two point patterns, PAMI 1991; in
+    the plane by complex numbers.
+
+    Parameters
+    ----------
+    moved, fixed : (P, 2) float64, m
+        At least two places of each, which are apart.
+    """
+    here, there = (points @ np.array([1, 1j]) for points in (moved, fixed))
+    apart = here - here.mean()
+    factor = np.vdot(apart, there - there.mean()) / np.vdot(apart, apart).real
+    shift = there.mean() - factor * here.mean()
+    left = np.abs(factor * here + shift - there)
+    pose = np.array([shift.real, shift.imag, np.angle(factor)])
+    return Alignment(pose, float(np.sqrt(np.mean(left**2))), 1.0, float(np.abs(factor))), left
+
+
+def _find_headings(moved: SurfacePoints, fixed: SurfacePoints, is_drawn: bool) -> FloatArray:
     """Headings (K,), rad, at which most normals of both agree, the best first."""
     spectra = []
     for points in (fixed, moved):
         degrees = np.rad2deg(np.arctan2(points.normals[:, 1], points.normals[:, 0])) % 360
         histogram = np.bincount(degrees.astype(np.int64) % 360, points.weights.clip(max=20.0), 360)
+        histogram = histogram + np.roll(histogram, 180) if is_drawn else histogram
         spectra.append(fft.rfft(histogram + np.roll(histogram, 1) + np.roll(histogram, -1)))
     agreement = fft.irfft(spectra[0] * np.conj(spectra[1]), 360)
     peaks = np.flatnonzero((agreement >= np.roll(agreement, 1)) & (agreement > np.roll(agreement, -1)))
     return np.deg2rad(peaks[np.argsort(-agreement[peaks])][:_HEADINGS])
 
 
-def _find_shift(moved: SurfacePoints, fixed: SurfacePoints, heading: float) -> FloatArray:
-    """Shift (2,), m, at which turned surfaces agree most with others, normals included."""
+def _find_shift(moved: SurfacePoints, fixed: SurfacePoints, heading: float, is_drawn: bool) -> FloatArray:
+    """Shift (2,), m, at which turned surfaces agree most with others, normals included; of lines at twice the angle."""
     pose = np.array([0.0, 0.0, heading])
     positions = se2.transform_points(pose, moved.positions)
     normals = se2.transform_points(pose, moved.normals)
@@ -82,7 +137,8 @@ def _find_shift(moved: SurfacePoints, fixed: SurfacePoints, heading: float) -> F
         for own, low, across in ((positions, lows[0], normals), (fixed.positions, lows[1], fixed.normals)):
             column, row = ((own - low) / _COARSE_M).astype(np.int64).T
             image = np.zeros(shape)
-            np.add.at(image, (row, column), across[:, axis])
+            parts = (across[:, 0] ** 2 - across[:, 1] ** 2, 2 * across[:, 0] * across[:, 1]) if is_drawn else across.T
+            np.add.at(image, (row, column), parts[axis])
             spectra.append(fft.rfft2(np.clip(image, -3, 3)))
         total += fft.irfft2(spectra[1] * np.conj(spectra[0]), shape)
     row, column = np.unravel_index(np.argmax(total), total.shape)
@@ -92,27 +148,40 @@ def _find_shift(moved: SurfacePoints, fixed: SurfacePoints, heading: float) -> F
     return np.asarray(wrapped * _COARSE_M + lows[1] - lows[0])
 
 
-def _refine(pose: FloatArray, moved: SurfacePoints, fixed: SurfacePoints) -> Alignment:
-    """Match points to lines, with ever shorter reach; weighed by Cauchy's function."""
+def _refine(
+    guess: Alignment,
+    moved: SurfacePoints,
+    fixed: SurfacePoints,
+    is_drawn: bool,
+    scaled_reaches_m: tuple[float, ...] = (),
+) -> Alignment:
+    """Match points to lines, with ever shorter reach, or with given ones and a scale; weighed by Cauchy's function."""
     tree = spatial.cKDTree(fixed.positions)
+    found, is_scaled = guess, bool(scaled_reaches_m)
     residuals, agreeing = np.zeros(0), np.zeros(len(moved), np.bool_)
-    for reach in _REACHES_M:
-        positions = se2.transform_points(pose, moved.positions)
-        normals = se2.transform_points([0.0, 0.0, pose[2]], moved.normals)
+    for reach in scaled_reaches_m or _REACHES_M:
+        positions = found.transform(moved.positions)
+        normals = se2.transform_points([0.0, 0.0, found.pose[2]], moved.normals)
         distances, nearest = tree.query(positions, distance_upper_bound=reach)
         agreeing = np.isfinite(distances)
-        agreeing[agreeing] &= (normals[agreeing] * fixed.normals[nearest[agreeing]]).sum(axis=1) > 0.9
+        facing = (normals[agreeing] * fixed.normals[nearest[agreeing]]).sum(axis=1)
+        agreeing[agreeing] &= (np.abs(facing) if is_drawn else facing) > 0.9
         if agreeing.sum() < 10:
-            return Alignment(pose, float("inf"), 0.0)
+            return found._replace(residual_m=float("inf"), share=0.0)
         here, across = positions[agreeing], fixed.normals[nearest[agreeing]]
         residuals = ((fixed.positions[nearest[agreeing]] - here) * across).sum(axis=1)
         about = here.mean(axis=0)
         arms = here - about
-        rows = np.column_stack([across, arms[:, 0] * across[:, 1] - arms[:, 1] * across[:, 0]])
-        weights = moved.weights[agreeing] / (1 + (residuals / 0.03) ** 2)
+        rows = np.column_stack(
+            [across, arms[:, 0] * across[:, 1] - arms[:, 1] * across[:, 0], (arms * across).sum(axis=1)]
+        )
+        rows = rows[:, : 4 if is_scaled else 3]
+        weights = moved.weights[agreeing] / (1 + (residuals / _CLOSE_M) ** 2)
         step, *_ = np.linalg.lstsq(rows.T @ (rows * weights[:, None]), rows.T @ (weights * residuals), rcond=None)
-        turn = se2.compose(np.array([*(about + step[:2]), step[2]]), np.array([*-about, 0.0]))
-        pose = se2.compose(turn, pose)
+        growth = 1.0 + float(step[3]) if is_scaled else 1.0
+        middle = growth * se2.transform_points([0.0, 0.0, step[2]], found.pose[:2] - about) + about + step[:2]
+        heading = math.remainder(found.pose[2] + step[2], math.tau)
+        found = found._replace(pose=np.array([*middle, heading]), scale=found.scale * growth)
     near = np.abs(residuals) < _AGREES_M
     share = moved.weights[agreeing][near].sum() / moved.weights.sum()
-    return Alignment(pose, float(np.sqrt(np.mean(residuals[near] ** 2))), float(share))
+    return found._replace(residual_m=float(np.sqrt(np.mean(residuals[near] ** 2))), share=float(share))

@@ -17,6 +17,7 @@ __all__ = ["draw_plan"]
 _INK: Colour = (20, 24, 32)
 _QUIET: Colour = (110, 118, 130)
 _FLOOR: Colour = (247, 244, 236)
+_GLIMPSED: Colour = (232, 240, 246)
 _PIECE: Colour = (236, 230, 216)
 _DOOR: Colour = (0, 105, 190)
 _OPEN: Colour = (225, 120, 0)
@@ -49,7 +50,8 @@ def draw_plan(plan: FloorPlan, name: str, scale: int) -> Sheet:
 
     marks = sheet.marks
     for room in plan.rooms:
-        marks.append(Mark("rooms", place(room.outline), fill=_FLOOR, closed=True))
+        floor = _GLIMPSED if room.is_entered is False else _FLOOR
+        marks.append(Mark("rooms", place(room.outline), fill=floor, closed=True))
         marks += [Mark("rooms", place(hole), fill=(255, 255, 255), closed=True) for hole in room.holes]
     for outline in plan.furniture:
         marks.append(Mark("furniture", place(outline), _PIECE, _QUIET, 0.13, closed=True))

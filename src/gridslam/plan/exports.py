@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from gridslam.errors import MissingDependencyError
+from gridslam.geometry import se2
 from gridslam.plan.floor_plan import FloorPlan
 from gridslam.types import FloatArray
 
@@ -34,15 +35,19 @@ class WorldOrigin(NamedTuple):
 
         Source: the radii of curvature of the ellipsoid, Torge and Mueller, Geodesy, section 4.1.
         """
-        turn = math.radians(90.0 - self.bearing)
-        east = points[:, 0] * math.cos(turn) - points[:, 1] * math.sin(turn)
-        north = points[:, 0] * math.sin(turn) + points[:, 1] * math.cos(turn)
-        sine = math.sin(math.radians(self.latitude))
-        root = math.sqrt(1 - _ECCENTRICITY2 * sine**2)
-        meridian = _SEMIMAJOR_M * (1 - _ECCENTRICITY2) / root**3
+        turned = se2.transform_points([0.0, 0.0, math.radians(90.0 - self.bearing)], points)
+        return np.asarray(np.array([self.longitude, self.latitude]) + np.rad2deg(turned / self._radii()))
+
+    def to_metres(self, degrees: FloatArray) -> FloatArray:
+        """Points (N, 2), m, of longitude and latitude (N, 2): the inverse of `to_degrees`."""
+        turned = np.deg2rad(degrees - [self.longitude, self.latitude]) * self._radii()
+        return se2.transform_points([0.0, 0.0, math.radians(self.bearing - 90.0)], turned)
+
+    def _radii(self) -> FloatArray:
+        """Radii (2,), m, of the circle of latitude and of the meridian."""
+        root = math.sqrt(1 - _ECCENTRICITY2 * math.sin(math.radians(self.latitude)) ** 2)
         parallel = _SEMIMAJOR_M / root * math.cos(math.radians(self.latitude))
-        latitude = self.latitude + np.rad2deg(north / meridian)
-        return np.column_stack([self.longitude + np.rad2deg(east / parallel), latitude])
+        return np.array([parallel, _SEMIMAJOR_M * (1 - _ECCENTRICITY2) / root**3])
 
 
 def describe_features(plan: FloorPlan, origin: WorldOrigin | None = None) -> list[dict[str, Any]]:
@@ -67,7 +72,8 @@ def describe_features(plan: FloorPlan, origin: WorldOrigin | None = None) -> lis
         features.append(_feature("doors", line(opening.ends), {"kind": opening.kind, **measures}))
     for room in plan.rooms:
         rings = [ring(room.outline), *(ring(hole) for hole in room.holes)]
-        features.append(_feature("rooms", _polygon(rings), {"name": room.name, "area_m2": round(room.area_m2, 3)}))
+        about = {"name": room.name, "area_m2": round(room.area_m2, 3), "entered": room.is_entered}
+        features.append(_feature("rooms", _polygon(rings), about))
         features += [_feature("unknown", line(side), {"room": room.name}) for side in room.unknown]
     features += [_feature("furniture", _polygon([ring(outline)]), {}) for outline in plan.furniture]
     return features
@@ -97,9 +103,15 @@ def write_geojson(path: Path, plan: FloorPlan, name: str, origin: WorldOrigin | 
         "name": name,
         "units": "m" if origin is None else "degrees",
         "turned_rad": plan.turned_rad,
-        "features": describe_features(plan, origin),
     }
-    path.write_text(json.dumps(document, allow_nan=False, indent=1) + "\n", encoding="utf-8")
+    write_features(path, document, describe_features(plan, origin))
+
+
+def write_features(path: Path, document: dict[str, Any], features: list[dict[str, Any]]) -> None:
+    """Write a FeatureCollection with members of its own, a line for each feature: who compares two files sees which."""
+    head = json.dumps(document, allow_nan=False)[:-1]
+    lines = ",\n".join(json.dumps(feature, allow_nan=False) for feature in features)
+    path.write_text(f'{head}, "features": [\n{lines}\n]}}\n', encoding="utf-8")
 
 
 def write_dxf(path: Path, plan: FloorPlan) -> None:

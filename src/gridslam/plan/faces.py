@@ -17,7 +17,11 @@ __all__ = ["Face", "dominant_direction", "find_faces", "snap_directions"]
 _GAP_M = 0.3
 """Along a face points are no farther apart: less than a door, more than beams are at 15 m."""
 _OFFSET_M = 0.05
-_ANGLE_RAD = np.deg2rad(15)
+_LEAST_COSINE = np.cos(np.deg2rad(15))
+_MOST_WEIGHT = 20.0
+_FEWEST = 4
+_MOST_ASKED = 1000
+"""Points that are asked where most agree: of more a part does."""
 _SHORTEST_M = 0.25
 _ROUNDS = 4
 _SNAP_M = 0.02
@@ -81,69 +85,70 @@ def find_faces(points: SurfacePoints) -> list[Face]:
     labels = label_surfaces(points)
     order = np.argsort(labels, kind="stable")
     starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
+    ordered = replace(points.select(order), weights=points.weights[order].clip(max=_MOST_WEIGHT))
+    ends = [*starts[1:].tolist(), len(points)]
     faces: list[Face] = []
-    for component in np.split(order, starts[1:]):
-        if len(component) >= 4:
-            faces += _peel(points, component)
+    for begin, end in zip(starts.tolist(), ends, strict=True):
+        if end - begin >= _FEWEST:
+            faces += _peel(ordered.select(slice(begin, end)))
     return faces
 
 
-def _peel(points: SurfacePoints, left: IntArray) -> Iterator[Face]:
+def _peel(left: SurfacePoints) -> Iterator[Face]:
     """Take face after face from the points of a component, each grown from where most points agree."""
-    while len(left) >= 4:
-        taken, face = _grow(points, left, _choose_seed(points, left))
+    while len(left) >= _FEWEST and np.hypot(*np.ptp(left.positions, axis=0)) >= _SHORTEST_M:
+        taken, face = _grow(left, _choose_seed(left))
         if face is not None and face.length_m >= _SHORTEST_M:
             yield face
-        left = left[~taken]
+        left = left.select(~taken)
 
 
-def _choose_seed(points: SurfacePoints, left: IntArray) -> int:
+def _choose_seed(left: SurfacePoints) -> int:
     """The point whose line has most points: of at most 40 that are tried, evenly distributed."""
     tried = np.linspace(0, len(left) - 1, min(40, len(left))).astype(np.int64)
-    normals = points.normals[left[tried]]
-    positions = points.positions[left]
-    offsets = np.abs((positions[None] - positions[tried][:, None]) @ normals[:, :, None])[..., 0]
-    facing = points.normals[left] @ normals.T
-    agree = (offsets < _OFFSET_M) & (np.cos(_ANGLE_RAD) < facing.T)
-    return int(tried[np.argmax(agree @ points.weights[left].clip(max=20.0))])
+    places, normals = left.positions[tried], left.normals[tried]
+    asked = left.select(slice(None, None, 1 + len(left) // _MOST_ASKED))
+    offsets = asked.positions @ normals.T - (places * normals).sum(axis=1)
+    agree = (np.abs(offsets) < _OFFSET_M) & (asked.normals @ normals.T > _LEAST_COSINE)
+    return int(tried[np.argmax(asked.weights @ agree)])
 
 
-def _grow(points: SurfacePoints, left: IntArray, seed: int) -> tuple[BoolArray, Face | None]:
-    """Fit a line to the points that agree with it, again and again; which of `left` are taken, and the face."""
-    positions, normals = points.positions[left], points.normals[left]
-    weights = points.weights[left].clip(max=20.0)
-    middle, normal = positions[seed], normals[seed]
+def _grow(left: SurfacePoints, seed: int) -> tuple[BoolArray, Face | None]:
+    """Fit a line to the points that agree with it, again and again; which are taken, and the face."""
+    middle, normal = left.positions[seed], left.normals[seed]
     taken = np.zeros(len(left), np.bool_)
     taken[seed] = True
+    agree = np.zeros(0, np.int64)
     for _ in range(_ROUNDS):
-        apart = positions - middle
-        agree = (np.abs(apart @ normal) < _OFFSET_M) & (normals @ normal > np.cos(_ANGLE_RAD))
-        if agree.sum() < 3:
+        apart, before = left.positions - middle, agree
+        agree = np.flatnonzero((np.abs(apart @ normal) < _OFFSET_M) & (left.normals @ normal > _LEAST_COSINE))
+        if len(agree) < _FEWEST - 1:
             return taken, None
-        agree = _run_about(apart @ np.array([normal[1], -normal[0]]), agree)
-        middle, normal = _fit(positions[agree], weights[agree], normal)
-        taken |= agree
+        agree = agree[_run(apart[agree] @ np.array([normal[1], -normal[0]]))]
+        if np.array_equal(agree, before):
+            break
+        middle, normal = _fit(left.positions[agree], left.weights[agree], normal)
+        taken[agree] = True
     direction = float(np.arctan2(-normal[0], normal[1]))
-    along = (positions[agree] - middle) @ np.array([normal[1], -normal[0]])
-    return taken, Face(middle, direction, float(along.min()), float(along.max()), float(weights[agree].sum()))
+    along = (left.positions[agree] - middle) @ np.array([normal[1], -normal[0]])
+    return taken, Face(middle, direction, float(along.min()), float(along.max()), float(left.weights[agree].sum()))
 
 
-def _run_about(along: FloatArray, agree: BoolArray) -> BoolArray:
-    """Of the points that agree those of the run without a gap that has most of them."""
-    chosen = np.flatnonzero(agree)
-    chosen = chosen[np.argsort(along[chosen])]
-    runs = np.split(chosen, np.flatnonzero(np.diff(along[chosen]) > _GAP_M) + 1)
-    found = np.zeros(len(along), np.bool_)
-    found[max(runs, key=len)] = True
-    return found
+def _run(along: FloatArray) -> IntArray:
+    """Of places (N,) along a line the numbers of those in the run without a gap that has most of them."""
+    order = np.argsort(along)
+    bounds = np.concatenate([[0], np.flatnonzero(np.diff(along[order]) > _GAP_M) + 1, [len(along)]])
+    most = np.argmax(np.diff(bounds))
+    return order[bounds[most] : bounds[most + 1]]
 
 
 def _fit(positions: FloatArray, weights: FloatArray, normal: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Middle and normal of the line through points, by total least squares."""
-    middle = np.average(positions, axis=0, weights=weights)
+    middle = weights @ positions / weights.sum()
     apart = positions - middle
-    _, axes = np.linalg.eigh((apart * weights[:, None]).T @ apart)
-    across = axes[:, 0]
+    (xx, xy), (_, yy) = (apart.T * weights) @ apart
+    turn = 0.5 * np.arctan2(2 * xy, xx - yy)
+    across = np.array([-np.sin(turn), np.cos(turn)])
     return middle, across if across @ normal > 0 else -across
 
 

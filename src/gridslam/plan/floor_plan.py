@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -10,9 +10,9 @@ import numpy as np
 from gridslam.plan.faces import Face, dominant_direction, find_faces, snap_directions
 from gridslam.plan.openings import Opening, find_openings
 from gridslam.plan.rasters import BoolArray, Raster, dilate, erode, fill_polygons, make_raster
-from gridslam.plan.rooms import Room, find_rooms, require_map_extra
+from gridslam.plan.rooms import Room, find_rooms
 from gridslam.plan.surfaces import SurfacePoints, points_of_grid
-from gridslam.plan.untyped import ndimage
+from gridslam.plan.untyped import ndimage, require_map_extra
 from gridslam.plan.walls import Wall, close_corners, drop_clutter, find_furniture_faces, hull, join_faces, make_walls
 from gridslam.types import FloatArray, OccupancyGrid
 
@@ -33,7 +33,7 @@ class FloorPlan:
     openings : tuple of Opening
         Doors and wider openings.
     rooms : tuple of Room
-        The largest first.
+        Those that were entered first, of these the largest.
     furniture : tuple of (K, 2) float64, m
         Outlines of what stands in rooms, anticlockwise.
     faces : tuple of Face
@@ -69,7 +69,7 @@ class FloorPlan:
             tuple(Wall(wall.ends @ turn, wall.thickness_m) for wall in self.walls),
             tuple(Opening(opening.ends @ turn, opening.thickness_m) for opening in self.openings),
             tuple(
-                Room(r.name, r.outline @ turn, tuple(h @ turn for h in r.holes), r.unknown @ turn, r.area_m2)
+                replace(r, outline=r.outline @ turn, holes=tuple(h @ turn for h in r.holes), unknown=r.unknown @ turn)
                 for r in self.rooms
             ),
             tuple(outline @ turn for outline in self.furniture),
@@ -86,7 +86,7 @@ class FloorPlan:
         return self.turn(-self.dominant_rad)
 
 
-def make_plan(grid: OccupancyGrid, points: SurfacePoints | None = None) -> FloorPlan:
+def make_plan(grid: OccupancyGrid, points: SurfacePoints | None = None, path: FloatArray | None = None) -> FloorPlan:
     """Find walls, openings, rooms and furniture in a map.
 
     Parameters
@@ -95,6 +95,8 @@ def make_plan(grid: OccupancyGrid, points: SurfacePoints | None = None) -> Floor
         Its occupied cells are surfaces where there are no points; its free cells are the floor.
     points : SurfacePoints, optional
         Of the scans that the map was made from, in its frame: exacter than cells.
+    path : (P, 2) float64, m, optional
+        Where the laser was, by which rooms that were entered are known.
 
     Raises
     ------
@@ -112,7 +114,7 @@ def make_plan(grid: OccupancyGrid, points: SurfacePoints | None = None) -> Floor
     walls = close_corners(make_walls(faces))
     floor = _close_floor(raster, [wall.outline for wall in walls], against_walls)
     openings = find_openings(floor, raster, walls, points)
-    rooms = find_rooms(floor, raster, faces, openings)
+    rooms = find_rooms(floor, raster, faces, openings, path)
     furniture = [*_outline_furniture(raster), *against_walls]
     return FloorPlan(tuple(walls), tuple(openings), tuple(rooms), tuple(furniture), tuple(faces), dominant)
 

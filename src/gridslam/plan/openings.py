@@ -11,6 +11,7 @@ import numpy as np
 from gridslam.plan.rasters import BoolArray, Raster
 from gridslam.plan.segments import Segments
 from gridslam.plan.surfaces import SurfacePoints
+from gridslam.plan.untyped import spatial
 from gridslam.plan.walls import Wall
 from gridslam.types import FloatArray
 
@@ -22,6 +23,8 @@ _WIDEST_DOOR_M = 1.4
 _WIDEST_TO_SIDE_M = 1.6
 """Between a wall's end and the side of another one: beyond it is a corridor's width."""
 _JAMB_M = 0.06
+_REACH_M = 0.2
+"""Behind the ends of walls jambs are looked for within this distance."""
 _SHORTEST_FACE_M = 0.6
 _UNSEEN_M = 0.06
 """Behind a wall's only seen face: a wall is thicker than this."""
@@ -67,6 +70,7 @@ def find_openings(floor: BoolArray, raster: Raster, walls: Sequence[Wall], point
     """Find where a wall ends and continues, or meets another one, 0.5 to 2.6 m further, with floor between."""
     openings: list[Opening] = []
     segments = Segments.of(np.array([wall.ends for wall in walls]))
+    tree = spatial.cKDTree(points.positions)
     halves = np.array([0.5 * (wall.thickness_m or 0.0) for wall in walls])
     for k in sorted(range(len(walls)), key=lambda k: (walls[k].thickness_m is None, -walls[k].length_m)):
         if walls[k].thickness_m is None and walls[k].length_m < _SHORTEST_FACE_M:
@@ -75,7 +79,8 @@ def find_openings(floor: BoolArray, raster: Raster, walls: Sequence[Wall], point
             gap = _find_gap(k, start, along, segments, halves)
             if gap is None or not _is_passage(start, along, gap, floor, raster):
                 continue
-            opening = _measure(walls[k], start, along, gap, points)
+            near = tree.query_ball_point(start + gap / 2 * along, gap / 2 + _ASIDE_M + _REACH_M)
+            opening = _measure(walls[k], start, along, gap, points.select(np.array(near, np.int64)))
             if opening.width_m >= _NARROWEST_M and not any(_is_same(opening, known) for known in openings):
                 openings.append(opening)
     return openings
@@ -124,7 +129,7 @@ def _find_jamb(
     apart = points.positions - middle
     steps = apart @ along
     inside = np.abs(apart @ np.array([-along[1], along[0]])) < max(0.03, thickness_m / 2 - 0.02)
-    inside &= (steps > 0.5 * _NARROWEST_M) & (steps < half_m + 0.2)
+    inside &= (steps > 0.5 * _NARROWEST_M) & (steps < half_m + _REACH_M)
     if not inside.any():
         return half_m
     order = np.argsort(steps[inside])

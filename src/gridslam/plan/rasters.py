@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias, final
 
 import numpy as np
@@ -25,7 +26,7 @@ _MOST_CELLS = 13_000_000
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Raster:
     """Cells of a map.
 
@@ -49,6 +50,11 @@ class Raster:
     def floor(self) -> BoolArray:
         """Return free cells, and those on which furniture stands (H, W)."""
         return self.free | self.furniture
+
+    @cached_property
+    def beside_occupied(self) -> BoolArray:
+        """Return cells (H, W) of which one within two is occupied."""
+        return dilate(self.occupied, 2)
 
     def cells(self, points: FloatArray) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns of the cells of points (N, 2); those outside get the nearest."""

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, TypeAlias, final
+from typing import TypeAlias, final
 
 import numpy as np
 
-from gridslam.errors import MissingDependencyError
 from gridslam.plan.faces import Face
 from gridslam.plan.openings import Opening
 from gridslam.plan.rasters import BoolArray, Raster, fill_polygons
 from gridslam.plan.segments import Segments
-from gridslam.plan.untyped import ndimage
+from gridslam.plan.untyped import ndimage, require_map_extra
 from gridslam.types import FloatArray
 
-__all__ = ["Room", "find_rooms"]
+__all__ = ["Room", "find_rooms", "name_rooms"]
 
 _LEAST_AREA_M2 = 2.0
 _LEAST_ENCLOSED = 0.2
@@ -47,6 +46,8 @@ class Room:
         Sides of the outline where nothing was seen: the room continues there, or a wall was hidden.
     area_m2 : float
         With what furniture stands on.
+    is_entered : bool or None
+        Whether the robot was in it, and has not only looked in through a door; None where its path is not known.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Room:
     holes: tuple[FloatArray, ...]
     unknown: FloatArray
     area_m2: float
+    is_entered: bool | None = None
 
     @property
     def label_point(self) -> FloatArray:
@@ -64,27 +66,21 @@ class Room:
         return np.array(middle)
 
 
-def require_map_extra() -> tuple[Any, Any]:
-    """Import contourpy and shapely.
+def find_rooms(
+    floor: BoolArray,
+    raster: Raster,
+    faces: Sequence[Face],
+    openings: Sequence[Opening],
+    path: FloatArray | None = None,
+) -> list[Room]:
+    """Cut the floor at the openings; each part of 2 m² and more with walls about it is a room, the largest first.
 
-    Raises
-    ------
-    MissingDependencyError
-        One of them is not installed; the extra ``map`` brings them.
+    With the positions (P, 2) of the robot rooms that it has only looked into follow those that were entered.
     """
-    try:
-        import contourpy
-        import shapely
-    except ImportError as error:
-        raise MissingDependencyError("a floor plan", str(error.name), "map") from None
-    return contourpy, shapely
-
-
-def find_rooms(floor: BoolArray, raster: Raster, faces: Sequence[Face], openings: Sequence[Opening]) -> list[Room]:
-    """Cut the floor at the openings; each part of 2 m² and more with walls about it is a room, the largest first."""
     bars = [_extend(opening.ends, 2 * raster.cell_m) for opening in openings]
     cut = floor & ~fill_polygons(raster, bars)
     labels, _ = ndimage.label(cut)
+    entered = None if path is None else np.unique(labels[raster.cells(path)])
     sides = _sides_of(faces, openings)
     rooms = []
     sizes = np.bincount(labels.reshape(-1)) * raster.cell_m**2
@@ -95,11 +91,26 @@ def find_rooms(floor: BoolArray, raster: Raster, faces: Sequence[Face], openings
             corner = raster.origin + np.array([window[1].start, window[0].start]) * raster.cell_m
             room = _make_room(mask, corner, raster, sides)
             if room is not None:
-                rooms.append(room)
+                rooms.append(replace(room, is_entered=None if entered is None else bool(np.isin(number, entered))))
     rooms.sort(key=lambda room: -room.area_m2)
+    looked_into = [room for room in rooms if room.is_entered is False]
+    rooms = [room for room in rooms if room.is_entered is not False]
     return [
-        Room(f"room {k}", room.outline, room.holes, room.unknown, room.area_m2) for k, room in enumerate(rooms, start=1)
+        *(replace(room, name=f"room {k}") for k, room in enumerate(rooms, start=1)),
+        *(replace(room, name=f"not entered {k}") for k, room in enumerate(looked_into, start=1)),
     ]
+
+
+def name_rooms(rooms: Sequence[Room], names: Sequence[tuple[str, FloatArray]]) -> tuple[Room, ...]:
+    """Give rooms the names at places (2,) in them; the last of several names."""
+    _, shapely = require_map_extra()
+    named = {
+        k: name
+        for name, place in names
+        for k, room in enumerate(rooms)
+        if shapely.Polygon(room.outline, room.holes).contains(shapely.Point(place))
+    }
+    return tuple(replace(room, name=named.get(k, room.name)) for k, room in enumerate(rooms))
 
 
 def _extend(ends: FloatArray, by_m: float) -> FloatArray:
@@ -121,7 +132,7 @@ def _make_room(mask: BoolArray, corner: FloatArray, raster: Raster, sides: Segme
     contourpy, shapely = require_map_extra()
     filled = _fill_small_holes(mask, raster.cell_m)
     generator = contourpy.contour_generator(
-        z=np.pad(filled.astype(np.float64), 1), fill_type=contourpy.FillType.OuterOffset
+        z=np.pad(filled, 1).astype(np.float64), fill_type=contourpy.FillType.OuterOffset
     )
     points, offsets = generator.filled(0.5, 2.0)
     pieces = []
@@ -205,7 +216,8 @@ def _match(begin: FloatArray, end: FloatArray, sides: Segments) -> _Line:
     """Point and direction of the side of a wall or an opening that a side of a ring is; its own if there is none."""
     length = float(np.hypot(*(end - begin)))
     along = (end - begin) / max(length, 1e-9)
-    if length >= _LEAST_SIDE_M and len(sides):
+    if length >= _LEAST_SIDE_M:
+        _, sides = sides.near(np.array([begin, end]), _SNAP_M + length * np.tan(_SNAP_RAD))
         middle = (begin + end) / 2
         offsets = np.abs(((middle - sides.ends[:, 0]) * sides.normals).sum(axis=1))
         steps, _ = sides.locate(begin, along)
@@ -219,30 +231,20 @@ def _match(begin: FloatArray, end: FloatArray, sides: Segments) -> _Line:
 
 def _find_unknown(outline: FloatArray, raster: Raster, sides: Segments) -> tuple[FloatArray, float]:
     """Parts (U, 2, 2) of an outline without anything occupied, wall or opening near, and their share of its length."""
-    _, near = sides.near(outline, 0.1)
     unknown, hidden, total = [], 0.0, 0.0
     for begin, end in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        _, beside = near.near(np.array([begin, end]), 0.1)
+        _, beside = sides.near(np.array([begin, end]), 0.1)
         along = end - begin
         length = float(np.hypot(*along))
         total += length
         count = max(1, round(length / 0.1))
         places = begin + np.outer((np.arange(count) + 0.5) / count, along)
-        is_known = _is_beside(places, raster) | (beside.distances(places).min(axis=1, initial=np.inf) < 0.05)
+        is_known = raster.beside_occupied[raster.cells(places)] | (
+            beside.distances(places).min(axis=1, initial=np.inf) < 0.05
+        )
         edges = np.flatnonzero(np.diff(np.concatenate([[True], is_known, [True]]).astype(np.int8)))
         for first, last in zip(edges[::2], edges[1::2], strict=True):
             hidden += (last - first) / count * length
             if (last - first) / count * length >= _LEAST_SIDE_M:
                 unknown.append(begin + np.outer([first / count, last / count], along))
     return np.array(unknown).reshape(-1, 2, 2), hidden / max(total, 1e-9)
-
-
-def _is_beside(places: FloatArray, raster: Raster) -> BoolArray:
-    """Whether a cell within two of each place is occupied."""
-    row, column = raster.cells(places)
-    height, width = raster.occupied.shape
-    found = np.zeros(len(places), np.bool_)
-    for up in range(-2, 3):
-        for aside in range(-2, 3):
-            found |= raster.occupied[(row + up).clip(0, height - 1), (column + aside).clip(0, width - 1)]
-    return found

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
+from functools import cached_property
+from typing import Any, final
 
 import numpy as np
 
+from gridslam.plan.untyped import require_map_extra
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["Segments"]
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Segments:
     """Directed line segments.
 
@@ -44,13 +46,17 @@ class Segments:
         return len(self.ends)
 
     def near(self, points: FloatArray, reach_m: float) -> tuple[IntArray, Segments]:
-        """Numbers of those whose upright boxes may be within a reach of the box about points (N, 2), and they."""
-        low, high = points.min(axis=0) - reach_m, points.max(axis=0) + reach_m
-        x, y = self.ends[..., 0], self.ends[..., 1]
-        apart = (x < low[0]).all(axis=1) | (x > high[0]).all(axis=1)
-        apart |= (y < low[1]).all(axis=1) | (y > high[1]).all(axis=1)
-        found = np.flatnonzero(~apart)
+        """Numbers, in order, of those whose upright boxes meet that about points (N, 2) and a margin; and they."""
+        _, shapely = require_map_extra()
+        box = shapely.box(*points.min(axis=0) - reach_m, *points.max(axis=0) + reach_m)
+        found = np.sort(self._boxes.query(box))
         return found, Segments(self.ends[found], self.alongs[found], self.normals[found], self.lengths[found])
+
+    @cached_property
+    def _boxes(self) -> Any:  # noqa: ANN401
+        """A tree of the upright boxes about the segments."""
+        _, shapely = require_map_extra()
+        return shapely.STRtree(shapely.box(*self.ends.min(axis=1).T, *self.ends.max(axis=1).T))
 
     def locate(self, start: FloatArray, along: FloatArray) -> tuple[FloatArray, FloatArray]:
         """How far all ends (S, 2) are from a point along a direction, and to its left."""

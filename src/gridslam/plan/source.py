@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, final
 
@@ -12,11 +12,13 @@ from gridslam.api.session import Session
 from gridslam.doctor.repair import open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry import se2
+from gridslam.io.edited_maps import SUFFIX, apply_edits, cells_of, read_map_of_edits
 from gridslam.io.maps import read_map
 from gridslam.io.text import compute_digest, read_json
 from gridslam.io.trajectories import read_tum
 from gridslam.mapping.known_poses import KnownPoses
-from gridslam.plan.surfaces import SurfacePoints, points_of_scans
+from gridslam.plan.rasters import BoolArray, dilate
+from gridslam.plan.surfaces import SurfacePoints, points_of_grid, points_of_scans
 from gridslam.types import FloatArray, OccupancyGrid
 
 __all__ = ["MapSource", "read_source"]
@@ -27,11 +29,16 @@ _FARTHEST_M = 30.0
 
 @final
 class MapSource(NamedTuple):
-    """A map, the surface points of its scans if there are any, and the name that a plan of it has."""
+    """A map, and the name that a plan of it has.
+
+    With scans their surface points, and where the laser was (P, 2); with edits names of rooms, each with a place (2,).
+    """
 
     grid: OccupancyGrid
-    points: SurfacePoints | None
     name: str
+    points: SurfacePoints | None = None
+    path: FloatArray | None = None
+    names: tuple[tuple[str, FloatArray], ...] = ()
 
 
 def read_source(path: str | Path, on_remark: Callable[[str], None] = lambda remark: None) -> MapSource:
@@ -40,7 +47,7 @@ def read_source(path: str | Path, on_remark: Callable[[str], None] = lambda rema
     Parameters
     ----------
     path : str or Path
-        A map's YAML file, the folder OUT of `gridslam map` or `grid`, or a session NAME.gridslam.
+        A map's YAML file, edits of one, the folder OUT of `gridslam map` or `grid`, or a session NAME.gridslam.
     on_remark : callable
         Gets what is odd, a sentence each; so, that walls are taken from cells, as a folder's log is not there.
 
@@ -54,7 +61,9 @@ def read_source(path: str | Path, on_remark: Callable[[str], None] = lambda rema
         return _read_folder(path, on_remark)
     if path.suffix == ".gridslam":
         return _read_session(path)
-    return MapSource(read_map(path, on_remark=on_remark), None, path.stem)
+    if path.suffix == SUFFIX:
+        return _read_edits(path, on_remark)
+    return MapSource(read_map(path, on_remark=on_remark), path.stem)
 
 
 def _read_session(path: Path) -> MapSource:
@@ -71,7 +80,7 @@ def _read_session(path: Path) -> MapSource:
             scan = piece.scans.key(key)
             yield se2.transform_points(pose, scan.origin[None])[0], se2.transform_points(pose, scan.ends)
 
-    return MapSource(grid, points_of_scans(scans(), grid.resolution_m), path.stem)
+    return _add_scans(MapSource(grid, path.stem), scans())
 
 
 def _read_folder(out: Path, on_remark: Callable[[str], None]) -> MapSource:
@@ -83,7 +92,7 @@ def _read_folder(out: Path, on_remark: Callable[[str], None]) -> MapSource:
     log = _find_log(out, source) if isinstance(source, dict) else None
     if log is None or not (out / "trajectory.tum").is_file():
         on_remark(f"{out}: the log of this run is not there: walls are taken from the cells of its map")
-        return MapSource(grid, None, name)
+        return MapSource(grid, name)
     poses = KnownPoses(read_tum(out / "trajectory.tum"))
 
     def scans() -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -93,8 +102,47 @@ def _read_folder(out: Path, on_remark: Callable[[str], None]) -> MapSource:
                 beams = poses.deskew(scan.beams(_NEAREST_M, _FARTHEST_M))
                 yield se2.transform_points(pose, beams.origin[None])[0], se2.transform_points(pose, beams.ends)
 
-    points = points_of_scans(scans(), grid.resolution_m)
-    return MapSource(grid, points if len(points) else None, name)
+    return _add_scans(MapSource(grid, name), scans())
+
+
+def _add_scans(source: MapSource, scans: Iterable[tuple[FloatArray, FloatArray]]) -> MapSource:
+    """Add surface points and the path, unless no scan has an end point."""
+    path: list[FloatArray] = []
+
+    def seen() -> Iterator[tuple[FloatArray, FloatArray]]:
+        for origin, ends in scans:
+            path.append(origin)
+            yield origin, ends
+
+    points = points_of_scans(seen(), source.grid.resolution_m)
+    return source._replace(points=points, path=np.array(path)) if len(points) else source
+
+
+def _read_edits(path: Path, on_remark: Callable[[str], None]) -> MapSource:
+    """The map that edits name, with them: of its run's end points without those in areas that were changed."""
+    grid, edits, own = read_map_of_edits(path, on_remark=on_remark)
+    edited = apply_edits(grid, edits)
+    is_run = own.name == "map.yaml" and (own.parent / "trajectory.tum").is_file()
+    source = _read_folder(own.parent, on_remark) if is_run else MapSource(grid, own.stem)
+    names = tuple((edit.name, edit.points.mean(axis=0)) for edit in edits.of("rooms"))
+    points = source.points
+    if points is not None:
+        changed = np.zeros(grid.shape, np.bool_)
+        for edit in edits.of("erased", "walls"):
+            window, inside = cells_of(edit, grid)
+            changed[window] |= inside
+        beside = edited.known & dilate(changed, 1)
+        drawn = points_of_grid(OccupancyGrid(edited.log_odds, beside, grid.resolution_m, grid.origin))
+        kept, added = points.select(~_look_up(changed, grid, points)), drawn.select(_look_up(changed, grid, drawn))
+        points = SurfacePoints(*(np.concatenate(both) for both in zip(kept, added, strict=True)))
+    return source._replace(grid=edited, points=points, names=names)
+
+
+def _look_up(cells: BoolArray, grid: OccupancyGrid, points: SurfacePoints) -> BoolArray:
+    """Whether the cells (H, W) of a grid are set in which points (N,) lie; the nearest ones of those outside."""
+    column, row = np.floor((points.positions - grid.origin) / grid.resolution_m).astype(np.int64).T
+    height, width = grid.shape
+    return np.asarray(cells[row.clip(0, height - 1), column.clip(0, width - 1)], np.bool_)
 
 
 def _find_log(out: Path, source: dict[str, Any]) -> Path | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import final
 
@@ -16,6 +16,8 @@ __all__ = ["SurfacePoints", "label_surfaces", "points_of_grid", "points_of_scans
 
 _NEAR_M = 0.25
 """Neighbours within this distance determine a normal: two cells in each direction are five, enough for a line."""
+_MOST_PENDING = 200_000
+_MOST_PAIRS = 1_000_000
 _LINK_M = 0.3
 _LINK_RAD = np.deg2rad(25)
 _LINK_OFFSET_M = 0.08
@@ -40,9 +42,13 @@ class SurfacePoints:
     normals: FloatArray
     weights: FloatArray
 
-    def select(self, chosen: NDArray[np.bool_]) -> SurfacePoints:
-        """Those that are chosen (N,)."""
-        return SurfacePoints(self.positions[chosen], self.normals[chosen], self.weights[chosen])
+    def select(self, chosen: NDArray[np.bool_] | IntArray | slice) -> SurfacePoints:
+        """Those that are chosen, by a mask (N,), their numbers or a slice."""
+        return SurfacePoints(*(values[chosen] for values in self))
+
+    def __iter__(self) -> Iterator[FloatArray]:
+        """Yield positions, normals and weights."""
+        return iter((self.positions, self.normals, self.weights))
 
     def __len__(self) -> int:
         """Return the number of points."""
@@ -59,31 +65,27 @@ def points_of_scans(scans: Iterable[tuple[FloatArray, FloatArray]], cell_m: floa
     cell_m : float, m
         Side of the cells.
     """
-    keys, sums = np.zeros((0, 3), np.int64), np.zeros((0, 5))
+    sums = np.zeros((0, 5))
     pending: list[FloatArray] = []
     for origin, ends in scans:
         views = origin - ends
         views /= np.maximum(np.hypot(*views.T), 1e-9)[:, None]
         pending.append(np.concatenate([ends, views, np.ones((len(ends), 1))], axis=1))
-        if sum(map(len, pending)) > 500_000:
-            keys, sums = _add_to_cells(keys, sums, pending, cell_m)
+        if sum(map(len, pending)) > _MOST_PENDING:
+            sums = _add_in_cells([sums, *pending], cell_m)
             pending = []
-    keys, sums = _add_to_cells(keys, sums, pending, cell_m)
+    sums = _add_in_cells([sums, *pending], cell_m)
     counts = sums[:, 4]
     return _orient(sums[:, :2] / counts[:, None], sums[:, 2:4], counts)
 
 
-def _add_to_cells(
-    keys: IntArray, sums: FloatArray, pending: list[FloatArray], cell_m: float
-) -> tuple[IntArray, FloatArray]:
-    """Add points (N, 5), position, view and count, to the sums in their cells; a cell has a part for each side."""
-    rows = np.concatenate([np.zeros((0, 5)), *pending])
-    sides = (rows[:, 2] > 0) + 2 * (rows[:, 3] > 0)
-    own = np.column_stack([np.floor(rows[:, :2] / cell_m).astype(np.int64), sides])
-    found, inverse = np.unique(np.concatenate([keys, own]), axis=0, return_inverse=True)
-    together = np.zeros((len(found), 5))
-    np.add.at(together, inverse.reshape(-1), np.concatenate([sums, rows]))
-    return found, together
+def _add_in_cells(parts: list[FloatArray], cell_m: float) -> FloatArray:
+    """Sums (C, 5) of rows (N, 5), position, view and count, in cells: of each of the sides seen from four quarters."""
+    rows = np.concatenate(parts)
+    column, row = np.floor(rows[:, :2] / rows[:, 4:] / cell_m).astype(np.int64).T
+    keys = (column << 33) + (row << 2) + (rows[:, 2] > 0) + 2 * (rows[:, 3] > 0)
+    found, places = np.unique(keys, return_inverse=True)
+    return np.asarray(np.column_stack([np.bincount(places, own, len(found)) for own in rows.T]), np.float64)
 
 
 def points_of_grid(grid: OccupancyGrid) -> SurfacePoints:
@@ -109,21 +111,27 @@ def _orient(positions: FloatArray, views: FloatArray, weights: FloatArray) -> Su
     if len(positions) < 2:
         return SurfacePoints(positions[:0], views[:0], weights[:0])
     pairs = spatial.cKDTree(positions).query_pairs(_NEAR_M, output_type="ndarray")
-    normals = _find_normals(positions, views, weights, pairs)
-    facing = np.einsum("ij,ij->i", normals[pairs[:, 0]], normals[pairs[:, 1]]) > 0.5
-    normals = _find_normals(positions, views, weights, pairs[facing])
-    return SurfacePoints(positions, normals, weights)
+    normals = _find_normals(positions, views, weights, _bands(pairs))
+    facing = (band[np.einsum("ij,ij->i", normals[band[:, 0]], normals[band[:, 1]]) > 0.5] for band in _bands(pairs))
+    return SurfacePoints(positions, _find_normals(positions, views, weights, facing), weights)
 
 
-def _find_normals(positions: FloatArray, views: FloatArray, weights: FloatArray, pairs: NDArray[np.intp]) -> FloatArray:
+def _bands(pairs: IntArray) -> Iterator[IntArray]:
+    """Some of the pairs (P, 2) at a time: the arrays of all would be large."""
+    return (pairs[first : first + _MOST_PAIRS] for first in range(0, len(pairs), _MOST_PAIRS))
+
+
+def _find_normals(
+    positions: FloatArray, views: FloatArray, weights: FloatArray, bands: Iterable[IntArray]
+) -> FloatArray:
     """Normals (N, 2) by the principal axes of each point's neighbourhood."""
-    apart = positions[pairs[:, 1]] - positions[pairs[:, 0]]
-    count = len(positions)
-    moments = []
-    for a, b in ((0, 0), (0, 1), (1, 1)):
-        product = apart[:, a] * apart[:, b]
-        both = np.concatenate([product * weights[pairs[:, 1]], product * weights[pairs[:, 0]]])
-        moments.append(np.bincount(np.concatenate([pairs[:, 0], pairs[:, 1]]), both, count))
+    moments = np.zeros((3, len(positions)))
+    for band in bands:
+        apart = positions[band[:, 1]] - positions[band[:, 0]]
+        for moment, (a, b) in zip(moments, ((0, 0), (0, 1), (1, 1)), strict=True):
+            product = apart[:, a] * apart[:, b]
+            for end in (0, 1):
+                moment += np.bincount(band[:, end], product * weights[band[:, 1 - end]], len(positions))
     xx, xy, yy = moments
     across = 0.5 * np.arctan2(2 * xy, xx - yy) + np.pi / 2
     normals = np.column_stack([np.cos(across), np.sin(across)])
@@ -135,11 +143,15 @@ def _find_normals(positions: FloatArray, views: FloatArray, weights: FloatArray,
 def label_surfaces(points: SurfacePoints) -> IntArray:
     """Number (N,) of the smooth surface that each point is on: neighbours lie in the line of both, and face one way."""
     pairs = spatial.cKDTree(points.positions).query_pairs(_LINK_M, output_type="ndarray")
-    first, second = pairs.T
-    apart = points.positions[second] - points.positions[first]
-    smooth = np.einsum("ij,ij->i", points.normals[first], points.normals[second]) > np.cos(_LINK_RAD)
-    for end in (first, second):
-        smooth &= np.abs(np.einsum("ij,ij->i", apart, points.normals[end])) < _LINK_OFFSET_M
-    graph = coo_matrix((np.ones(smooth.sum(), np.bool_), (first[smooth], second[smooth])), (len(points),) * 2)
+    linked = [np.zeros((0, 2), np.int64)]
+    for band in _bands(pairs):
+        first, second = band.T
+        apart = points.positions[second] - points.positions[first]
+        smooth = np.einsum("ij,ij->i", points.normals[first], points.normals[second]) > np.cos(_LINK_RAD)
+        for end in (first, second):
+            smooth &= np.abs(np.einsum("ij,ij->i", apart, points.normals[end])) < _LINK_OFFSET_M
+        linked.append(band[smooth])
+    first, second = np.concatenate(linked).T
+    graph = coo_matrix((np.ones(len(first), np.bool_), (first, second)), (len(points),) * 2)
     labels: IntArray = connected_components(graph, directed=False)[1]
     return labels

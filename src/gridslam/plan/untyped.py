@@ -1,4 +1,4 @@
-"""Functions of SciPy, which declares no types, as plans use them: with types, in one place."""
+"""Functions of libraries that declare no types, as plans use them: SciPy, and the extra ``map``."""
 
 from __future__ import annotations
 
@@ -10,10 +10,28 @@ from scipy import spatial as _spatial
 from scipy.sparse import coo_matrix as _coo_matrix
 from scipy.sparse import csgraph as _csgraph
 
-__all__ = ["connected_components", "coo_matrix", "fft", "ndimage", "spatial"]
+from gridslam.errors import MissingDependencyError
+
+__all__ = ["connected_components", "coo_matrix", "fft", "ndimage", "require_map_extra", "spatial"]
 
 fft: Any = _fft
 ndimage: Any = _ndimage
 spatial: Any = _spatial
 coo_matrix: Any = _coo_matrix
 connected_components: Any = _csgraph.connected_components
+
+
+def require_map_extra() -> tuple[Any, Any]:
+    """Import contourpy and shapely.
+
+    Raises
+    ------
+    MissingDependencyError
+        One of them is not installed; the extra ``map`` brings them.
+    """
+    try:
+        import contourpy
+        import shapely
+    except ImportError as error:
+        raise MissingDependencyError("a floor plan", str(error.name), "map") from None
+    return contourpy, shapely

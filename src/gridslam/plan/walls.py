@@ -205,12 +205,13 @@ def _depth_before_wall(k: int, segments: Segments, is_wall: BoolArray) -> float 
     It must be longer than the face, or be seen on both sides of it; beside a short face one side is enough.
     """
     length = segments.lengths[k]
-    steps, offsets = segments.locate(segments.ends[k, 0], segments.alongs[k])
+    numbers, near = segments.near(segments.ends[k], 2 * _DEEPEST_FURNITURE_M)
+    steps, offsets = near.locate(segments.ends[k, 0], segments.alongs[k])
     depths = -offsets.mean(axis=1)
-    behind = is_wall & (segments.alongs @ segments.alongs[k] > np.cos(_PARALLEL_RAD))
+    behind = is_wall[numbers] & (near.alongs @ segments.alongs[k] > np.cos(_PARALLEL_RAD))
     behind &= (depths > _SHALLOWEST_FURNITURE_M) & (depths < _DEEPEST_FURNITURE_M)
     behind &= (steps.min(axis=1) < length + _BESIDE_M) & (steps.max(axis=1) > -_BESIDE_M)
-    if length > _SHORT_M and not (behind & (segments.lengths > length)).any():
+    if length > _SHORT_M and not (behind & (near.lengths > length)).any():
         sides = (steps[behind].min(initial=0) < 0) and (steps[behind].max(initial=0) > length)
         return float(depths[behind].min()) if sides else None
     return float(depths[behind].min()) if behind.any() else None

@@ -14,6 +14,7 @@ from gridslam.cli.options import SETTINGS
 __all__ = ["gridslam"]
 
 _MODULES: Final = {
+    "align": "plans",
     "batch": "batches",
     "changes": "plans",
     "convert": "logs",
@@ -26,6 +27,7 @@ _MODULES: Final = {
     "landmarks": "algorithms",
     "localize": "algorithms",
     "map": "mapping",
+    "mask": "plans",
     "merge": "mapping",
     "plan": "plans",
     "regress": "results",

@@ -20,6 +20,7 @@ __all__ = ["evaluate_command", "regress_command", "view_command"]
     metavar="PATH",
     help="Compare with another OUT, map.yaml or trajectory.tum.  [default: OUT/truth.tum, if there is one]",
 )
+@click.option("--edit", is_flag=True, help="Let the page edit the map's walls and zones: OUT/edits.geojson.")
 @click.option(
     "--edit-graph",
     is_flag=True,

@@ -4,6 +4,7 @@ import { Camera } from "./camera.js";
 import { Chart, COLUMNS, WeightBars } from "./chart.js";
 import { Console } from "./console.js";
 import { Drawing } from "./drawing.js";
+import { Editor } from "./edit.js";
 import { Panel } from "./panel.js";
 import { Connection } from "./socket.js";
 import { Keys } from "./keys.js";
@@ -26,6 +27,7 @@ const charts = [
 const weightBars = new WeightBars($("#weights"), selectParticle);
 const measure = drawing.measure = new Measure();
 const robotConsole = drawing.console = new Console(camera, (command) => connection.send(command), () => redraw());
+const editor = drawing.editor = new Editor(camera, () => redraw());
 let colours = {}, redrawPending = false;
 
 function reset() {
@@ -72,6 +74,7 @@ function setRunInfo(runInfo) {
   document.body.dataset.session = runInfo.session;
   panel.setRunInfo(runInfo);
   robotConsole.setRunInfo(runInfo);
+  if (runInfo.layers.includes("edits")) editor.start();
   resize();
 }
 

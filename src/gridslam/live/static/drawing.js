@@ -57,7 +57,7 @@ export class Drawing {
     this.found(context, colours);
     this.robot(context, colours);
     if (shown.particles) this.particles(context, colours);
-    for (const tool of [this.measure, this.console]) tool?.draw(context, camera, colours);
+    for (const tool of [this.measure, this.console, this.editor]) tool?.draw(context, camera, colours);
   }
 
   maps(context) {

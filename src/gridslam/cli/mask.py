@@ -1,0 +1,94 @@
+"""gridslam mask."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from gridslam.cli.output import counted, open_output, print_result, warn
+from gridslam.errors import ArgumentError, InputError
+from gridslam.io.edited_maps import MapEdits, anchor_edits, apply_edits
+from gridslam.io.edits import Edits, read_edits, write_edits
+from gridslam.io.maps import read_map, write_map
+from gridslam.plan.masks import Mask, describe_filters, make_keepout_mask, make_speed_mask, write_mask
+from gridslam.types import OccupancyGrid
+
+__all__ = ["mask_to_folder"]
+
+_NAMES = (
+    "map.yaml", "map.pgm", "keepout_mask.yaml", "keepout_mask.pgm", "speed_mask.yaml", "speed_mask.pgm",
+    "nav2_filters.yaml", "edits.geojson", "mask.json"
+)  # fmt: skip
+
+
+def mask_to_folder(map_path: Path, edits: Path, out: Path, mode: str, off_lane_percent: int, as_json: bool) -> None:
+    """Apply edits to a map, write it and its masks to a folder and print a summary."""
+    map_yaml = map_path / "map.yaml" if map_path.is_dir() else map_path
+    if out.resolve() == map_yaml.resolve().parent:
+        problem = "expected another folder than that of the map, whose files would be replaced"
+        raise click.BadParameter(problem, param_hint="'-o'")
+    grid = read_map(map_yaml, on_remark=warn)
+    of_map = MapEdits(map_yaml)
+    drawn = anchor_edits(of_map.carry(read_edits(edits), edits, grid), of_map.trajectory)
+    drawn = replace(drawn, map_name=os.path.relpath(map_yaml.resolve(), out.resolve()))
+    edited = apply_edits(grid, drawn)
+    try:
+        masks = _make_masks(grid, drawn, off_lane_percent)
+    except ArgumentError as error:
+        raise InputError(edits, str(error)) from None
+    with open_output(out, _NAMES) as folder:
+        write_map(folder.file("map.yaml"), edited)
+        for name, mask in masks.items():
+            write_mask(folder.file(f"{name}_mask.yaml"), mask, grid, mode)
+        if masks:
+            folder.file("nav2_filters.yaml").write_text(describe_filters(masks), encoding="utf-8")
+        write_edits(folder.file("edits.geojson"), drawn)
+        document = _describe(map_yaml, edits, drawn, masks, grid, edited)
+        folder.write_json("mask.json", document)
+    print_result(document, _summarize(document, out), as_json)
+
+
+def _make_masks(grid: OccupancyGrid, edits: Edits, off_lane_percent: int) -> dict[str, Mask]:
+    masks = {}
+    if edits.of("keep_out", "no_go", "lanes"):
+        masks["keepout"] = make_keepout_mask(grid, edits, off_lane_percent)
+    speed = make_speed_mask(grid, edits)
+    return masks if speed is None else masks | {"speed": speed}
+
+
+def _describe(
+    map_yaml: Path, path: Path, edits: Edits, masks: dict[str, Mask], grid: OccupancyGrid, edited: OccupancyGrid
+) -> dict[str, Any]:
+    changed = (grid.log_odds > 0) != (edited.log_odds > 0)
+    return {
+        "schema": "gridslam.mask/1",
+        "map": str(map_yaml),
+        "edits": str(path),
+        "layers": dict(Counter(edit.layer for edit in edits.edits)),
+        "changed_cells": int(changed.sum()),
+        "masks": {
+            name: {
+                "type": mask.kind,
+                "multiplier": mask.multiplier,
+                "area_m2": float(np.count_nonzero(mask.values)) * grid.resolution_m**2,
+            }
+            for name, mask in masks.items()
+        },
+    }
+
+
+def _summarize(document: dict[str, Any], out: Path) -> Iterator[str]:
+    layers = ", ".join(f"{layer} {count}" for layer, count in document["layers"].items())
+    yield f"{counted(sum(document['layers'].values()), 'edit')}: {layers or 'none'}"
+    yield f"map, {document['changed_cells']} cells changed: {out / 'map.yaml'}"
+    for name, mask in document["masks"].items():
+        yield f"{name} mask, {mask['area_m2']:.1f} m\u00b2: {out / f'{name}_mask.yaml'}"
+    if document["masks"]:
+        yield f"parameters of nav2: {out / 'nav2_filters.yaml'}"

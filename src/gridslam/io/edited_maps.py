@@ -1,0 +1,190 @@
+"""Maps with their edits, walls drawn and areas erased, which follow the map when its trajectory is corrected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeAlias, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.errors import InputError
+from gridslam.geometry import se2
+from gridslam.io.edits import Edit, Edits, read_edits
+from gridslam.io.maps import read_map, read_map_description
+from gridslam.io.text import compute_digest
+from gridslam.io.trajectories import read_tum
+from gridslam.types import OccupancyGrid, Trajectory
+
+__all__ = ["SUFFIX", "MapEdits", "anchor_edits", "apply_edits", "cells_of", "read_edited_map", "read_map_of_edits"]
+
+_BoolArray: TypeAlias = NDArray[np.bool_]
+SUFFIX = ".geojson"
+_SURE_LOG_ODDS = 4.6  # of probability 0.99, as maps are read
+_CONNECTED = 0.7072  # of a cell from a line: who is no farther forms a row of cells that touch
+_NEAR_NS = 1_000_000
+
+
+def read_edited_map(
+    path: str | Path, *, strict_thresholds: bool = False, on_remark: Callable[[str], None] = lambda remark: None
+) -> OccupancyGrid:
+    """Read a map; of edits (``.geojson``) the map that they name, with its walls drawn and its areas erased.
+
+    Raises
+    ------
+    InputError
+        As `read_map`, `read_edits` and `MapEdits.carry`.
+    """
+    if Path(path).suffix != SUFFIX:
+        return read_map(path, strict_thresholds=strict_thresholds, on_remark=on_remark)
+    grid, edits, _ = read_map_of_edits(path, strict_thresholds=strict_thresholds, on_remark=on_remark)
+    return apply_edits(grid, edits)
+
+
+def read_map_of_edits(
+    path: str | Path, *, strict_thresholds: bool = False, on_remark: Callable[[str], None] = lambda remark: None
+) -> tuple[OccupancyGrid, Edits, Path]:
+    """Read edits and the map that they name: as it is, the edits where they lie on it, and its YAML file."""
+    edits = read_edits(path)
+    own = Path(path).parent / edits.map_name
+    if own.suffix not in (".yaml", ".yml"):
+        raise InputError(path, f"expected the YAML file of a map in its member map, got {edits.map_name or 'none'!r}")
+    grid = read_map(own, strict_thresholds=strict_thresholds, on_remark=on_remark)
+    return grid, MapEdits(own).carry(edits, path, grid), own
+
+
+@final
+class MapEdits:
+    """The map that edits are of: its digest and its trajectory.
+
+    Parameters
+    ----------
+    map_yaml : str or Path
+        The map. Its trajectory is ``trajectory.tum`` beside it, if there is one.
+    """
+
+    def __init__(self, map_yaml: str | Path) -> None:
+        """Compute the digest of the map's image."""
+        self.path = Path(map_yaml)
+        self.sha256 = compute_digest(self.path.parent / read_map_description(self.path).image)
+        beside = self.path.parent / "trajectory.tum"
+        self.trajectory: Trajectory | None = read_tum(beside) if beside.is_file() else None
+
+    def carry(self, edits: Edits, path: str | Path, grid: OccupancyGrid) -> Edits:
+        """Move each edit with the scan that it follows, where the map is no longer the one that it was drawn on.
+
+        Raises
+        ------
+        InputError
+            The edits are another map's: the image has changed, and its trajectory has not their scans; or one lies
+            outside the map.
+        """
+        if edits.map_sha256 and edits.map_sha256 != self.sha256:
+            moved = [self._follow(edit) for edit in edits.edits]
+            lost = sum(edit is None for edit in moved)
+            if lost:
+                problem = (
+                    f"expected edits of {self.path}, got those of another map: {lost} of {len(moved)} follow none of"
+                )
+                raise InputError(path, f"{problem} its scans, and its image is not the one that they were drawn on")
+            edits = replace(edits, edits=tuple(edit for edit in moved if edit is not None))
+        low = np.array(grid.origin)
+        high = low + np.array(grid.shape[::-1]) * grid.resolution_m
+        for number, edit in enumerate(edits.edits, start=1):
+            if (edit.points.max(axis=0) < low).any() or (edit.points.min(axis=0) > high).any():
+                x, y = edit.points[0].tolist()
+                problem = f"expected places in {self.path}, {low[0]:g} to {high[0]:g} and {low[1]:g} to {high[1]:g} m"
+                raise InputError(path, f"feature {number}: {problem}, got {x:g}, {y:g}")
+        return replace(edits, map_sha256=self.sha256)
+
+    def _follow(self, edit: Edit) -> Edit | None:
+        """Move an edit as its scan's pose has; None where there is no such scan."""
+        if edit.anchor is None or self.trajectory is None:
+            return None
+        gaps = np.abs(self.trajectory.stamps_ns - round(1e9 * float(edit.anchor[0])))
+        nearest = int(gaps.argmin())
+        if gaps[nearest] > _NEAR_NS:
+            return None
+        pose = self.trajectory.poses[nearest]
+        motion = se2.compose(pose, se2.inverse(edit.anchor[1:]))
+        anchor = np.array([edit.anchor[0], *pose])
+        return replace(edit, points=se2.transform_points(motion, edit.points), anchor=anchor)
+
+
+def anchor_edits(edits: Edits, trajectory: Trajectory | None) -> Edits:
+    """Let each edit without an anchor follow the scan that was nearest to its middle."""
+    if trajectory is None:
+        return edits
+
+    def anchor(edit: Edit) -> Edit:
+        if edit.anchor is not None:
+            return edit
+        apart = trajectory.poses[:, :2] - edit.points.mean(axis=0)
+        nearest = int(np.square(apart).sum(axis=1).argmin())
+        stamp_s = float(trajectory.stamps_ns[nearest]) * 1e-9
+        return replace(edit, anchor=np.array([stamp_s, *trajectory.poses[nearest]]))
+
+    return replace(edits, edits=tuple(anchor(edit) for edit in edits.edits))
+
+
+def apply_edits(grid: OccupancyGrid, edits: Edits) -> OccupancyGrid:
+    """Make erased areas free, and then the walls that were drawn occupied; parts outside the map are left out."""
+    log_odds, known = grid.log_odds.copy(), grid.known.copy()
+    for layer, value in (("erased", -_SURE_LOG_ODDS), ("walls", _SURE_LOG_ODDS)):
+        for edit in edits.of(layer):
+            window, inside = cells_of(edit, grid)
+            log_odds[window][inside] = value
+            known[window][inside] = True
+    return OccupancyGrid(log_odds, known, grid.resolution_m, grid.origin)
+
+
+def cells_of(edit: Edit, grid: OccupancyGrid) -> tuple[tuple[slice, slice], _BoolArray]:
+    """Cells of a map that an edit covers.
+
+    A polygon has the cells whose middles are in it. A line has those whose middles are within half its width, at least
+    a row of cells that touch each other.
+
+    Returns
+    -------
+    window : (slice, slice)
+        Rows and columns about the edit.
+    inside : (h, w) bool
+        Of the window.
+    """
+    places = (edit.points - np.array(grid.origin)) / grid.resolution_m - 0.5  # in cells, from the middle of the first
+    reach = max(0.5 * edit.width_m / grid.resolution_m, _CONNECTED) if edit.geometry == "LineString" else 0.0
+    low = np.clip(np.ceil(places.min(axis=0) - reach), 0, grid.shape[::-1]).astype(np.int64)
+    high = np.clip(np.floor(places.max(axis=0) + reach) + 1, low, grid.shape[::-1]).astype(np.int64)
+    window = slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
+    shape = tuple((high - low)[::-1].tolist())
+    if edit.geometry == "Polygon":
+        return window, _fill(places - low, shape)
+    inside = np.zeros(shape, np.bool_)
+    for begin, end in zip(places[:-1] - low, places[1:] - low, strict=True):
+        inside |= _is_near(begin, end, reach, shape)
+    return window, inside
+
+
+def _fill(ring: NDArray[np.float64], shape: tuple[int, ...]) -> _BoolArray:
+    """Cells (h, w) whose middles are in a ring (K, 2): each side changes the cells to its right."""
+    height, width = shape
+    changes = np.zeros((height, width + 1), np.bool_)
+    for (x, y), (other_x, other_y) in zip(ring.tolist(), np.roll(ring, -1, axis=0).tolist(), strict=True):
+        first, last = (int(np.clip(np.ceil(end), 0, height)) for end in sorted((y, other_y)))
+        rows = np.arange(first, last)
+        if len(rows):
+            columns = np.ceil(x + (rows - y) * ((other_x - x) / (other_y - y)))
+            changes[rows, np.clip(columns, 0, width).astype(np.int64)] ^= True
+    return np.logical_xor.accumulate(changes, axis=1)[:, :width]
+
+
+def _is_near(begin: NDArray[np.float64], end: NDArray[np.float64], reach: float, shape: tuple[int, ...]) -> _BoolArray:
+    """Cells (h, w) whose middles are within a reach of a line."""
+    rows, columns = np.ogrid[: shape[0], : shape[1]]
+    along = end - begin
+    steps = ((columns - begin[0]) * along[0] + (rows - begin[1]) * along[1]) / max(float(along @ along), 1e-12)
+    steps = np.clip(steps, 0, 1)
+    apart = np.square(columns - begin[0] - steps * along[0]) + np.square(rows - begin[1] - steps * along[1])
+    return np.asarray(apart <= reach**2)

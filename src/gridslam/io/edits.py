@@ -1,0 +1,271 @@
+"""Edits of a map: layers of walls drawn, areas erased, names of rooms and zones for robots, in one GeoJSON file."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.errors import InputError
+from gridslam.io.output import write_atomically
+from gridslam.io.text import read_json
+
+__all__ = ["LAYERS", "SCHEMA", "Edit", "Edits", "parse_edits", "read_edits", "write_edits"]
+
+_FloatArray: TypeAlias = NDArray[np.float64]
+SCHEMA = "gridslam.edits/1"
+LAYERS: Mapping[str, tuple[str, ...]] = {
+    "walls": ("LineString", "Polygon"),
+    "erased": ("Polygon",),
+    "rooms": ("Point", "Polygon"),
+    "keep_out": ("Polygon",),
+    "no_go": ("LineString",),
+    "speed": ("Polygon",),
+    "lanes": ("LineString",),
+}
+"""Each layer, and the geometries that it may have."""
+_WIDTHS_M = {"walls": 0.1, "no_go": 0.1, "lanes": 0.6}
+_LIMITS = {"limit_percent": (1.0, 100.0), "limit_m_s": (0.01, 100.0)}
+_MOST_FEATURES = 10_000
+_MOST_CORNERS = 1000
+_LONGEST_NAME = 100
+_FARTHEST_M = 1e6
+_LEAST_AREA_M2 = 1e-6
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Edit:
+    """Something that a person has drawn on a map.
+
+    Attributes
+    ----------
+    layer : str
+        One of `LAYERS`.
+    geometry : str
+        "Point", "LineString" or "Polygon".
+    points : (K, 2) float64, m
+        In the map's frame; of a polygon the corners, anticlockwise, the first not repeated.
+    name : str
+        Of a room.
+    width_m : float, m
+        Of a line.
+    limits : dict of str to float
+        Of a speed zone: "limit_percent", 1 to 100, or "limit_m_s".
+    anchor : (4,) float64 or None
+        Stamp (s) and pose (m, m, rad) of the scan that it follows when the map's trajectory is corrected.
+    """
+
+    layer: str
+    geometry: str
+    points: _FloatArray
+    name: str = ""
+    width_m: float = 0.0
+    limits: Mapping[str, float] | None = None
+    anchor: _FloatArray | None = None
+
+    def to_feature(self) -> dict[str, Any]:
+        """Return the feature of GeoJSON, with positions to 0.1 mm."""
+        places = (np.round(self.points, 4) + 0.0).tolist()
+        coordinates = {"Point": places[0], "LineString": places, "Polygon": [[*places, places[0]]]}[self.geometry]
+        properties: dict[str, Any] = {"layer": self.layer}
+        if self.layer == "rooms":
+            properties["name"] = self.name
+        if self.geometry == "LineString":
+            properties["width_m"] = self.width_m
+        properties |= self.limits or {}
+        if self.anchor is not None:
+            properties["anchor"] = self.anchor.tolist()
+        geometry = {"type": self.geometry, "coordinates": coordinates}
+        return {"type": "Feature", "properties": properties, "geometry": geometry}
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Edits:
+    """Edits of a map.
+
+    Attributes
+    ----------
+    edits : tuple of Edit
+        In the order in which they were drawn.
+    map_name : str
+        File of the map that they belong to, relative to their own; empty where none is named.
+    map_sha256 : str
+        Digest of the map's image when they were drawn; empty where it is not known.
+    """
+
+    edits: tuple[Edit, ...] = ()
+    map_name: str = ""
+    map_sha256: str = ""
+
+    def of(self, *layers: str) -> list[Edit]:
+        """Those of some layers."""
+        return [edit for edit in self.edits if edit.layer in layers]
+
+    def to_text(self) -> str:
+        """Return the file's text: a line for each feature."""
+        head: dict[str, Any] = {"type": "FeatureCollection", "schema": SCHEMA, "units": "m", "frame": "map"}
+        if self.map_name:
+            head["map"] = {"file": self.map_name, "sha256": self.map_sha256}
+        lines = ",\n".join(json.dumps(edit.to_feature(), allow_nan=False) for edit in self.edits)
+        return f'{json.dumps(head, allow_nan=False)[:-1]}, "features": [\n{lines}\n]}}\n'
+
+
+def write_edits(path: str | Path, edits: Edits) -> None:
+    """Write edits atomically: a process that is killed leaves the file as it was before, or the new one."""
+    with write_atomically(path) as aside:
+        aside.write_text(edits.to_text(), encoding="utf-8")
+
+
+def read_edits(path: str | Path) -> Edits:
+    """Read edits, and check each feature.
+
+    Raises
+    ------
+    InputError
+        With the number of the feature, from 1: it has no layer of `LAYERS`, or another geometry; a polygon crosses
+        itself; a number is missing or out of range; positions are not in m of the map's frame.
+    """
+    return parse_edits(read_json(path), path)
+
+
+def parse_edits(document: Mapping[str, Any], path: str | Path) -> Edits:
+    """Check edits that were parsed, as `read_edits`; `path` names the file in errors."""
+    features = document.get("features")
+    if document.get("type") != "FeatureCollection" or not isinstance(features, list):
+        raise InputError(path, "expected a FeatureCollection of GeoJSON with features")
+    for key, expected in (("schema", SCHEMA), ("units", "m"), ("frame", "map")):
+        if document.get(key, expected) != expected:
+            raise InputError(path, f"expected the {key} {expected!r}, got {document[key]!r}"[:200])
+    if len(features) > _MOST_FEATURES:
+        raise InputError(path, f"expected at most {_MOST_FEATURES} features, got {len(features)}")
+    named = document.get("map", {"file": "", "sha256": ""})
+    if not (isinstance(named, dict) and all(isinstance(named.get(key), str) for key in ("file", "sha256"))):
+        raise InputError(path, "expected map: the file of a map and its sha256")
+    edits = []
+    for number, feature in enumerate(features, start=1):
+        try:
+            edits.append(_parse_feature(feature))
+        except ValueError as error:
+            raise InputError(path, f"feature {number}: {error}") from None
+    return Edits(tuple(edits), named["file"], named["sha256"])
+
+
+def _parse_feature(feature: Any) -> Edit:  # noqa: ANN401
+    """Read a feature; raises ValueError with its fault."""
+    if not (isinstance(feature, dict) and all(isinstance(feature.get(k), dict) for k in ("properties", "geometry"))):
+        raise ValueError("expected properties and a geometry")
+    properties, geometry = feature["properties"], feature["geometry"]
+    layer, kind = properties.get("layer"), geometry.get("type")
+    if not isinstance(layer, str) or layer not in LAYERS:
+        raise ValueError(f"expected a layer of {', '.join(LAYERS)}, got {str(layer)[:40]!r}")
+    if kind not in LAYERS[layer]:
+        raise ValueError(f"expected a {' or '.join(LAYERS[layer])} in the layer {layer}, got {str(kind)[:40]!r}")
+    name = properties.get("name", "")
+    if layer == "rooms" and not (isinstance(name, str) and 0 < len(name) <= _LONGEST_NAME and name.isprintable()):
+        raise ValueError(f"expected a room's name of 1 to {_LONGEST_NAME} printable letters, got {str(name)[:40]!r}")
+    return Edit(
+        layer,
+        kind,
+        _read_points(kind, geometry.get("coordinates")),
+        name if layer == "rooms" else "",
+        _read_number(properties, "width_m", 0.01, 10.0, _WIDTHS_M[layer]) if kind == "LineString" else 0.0,
+        _read_limits(properties) if layer == "speed" else None,
+        _read_anchor(properties.get("anchor")),
+    )
+
+
+def _read_number(properties: Mapping[str, Any], key: str, low: float, high: float, otherwise: float) -> float:
+    number = properties.get(key, otherwise)
+    if not (type(number) in (int, float) and low <= number <= high):
+        raise ValueError(f"expected {key} from {low:g} to {high:g}, got {str(number)[:40]}")
+    return float(number)
+
+
+def _read_limits(properties: Mapping[str, Any]) -> dict[str, float]:
+    given = [key for key in _LIMITS if key in properties]
+    if len(given) != 1:
+        raise ValueError(f"expected either {' or '.join(_LIMITS)}, got {' and '.join(given) or 'none'}")
+    return {given[0]: _read_number(properties, given[0], *_LIMITS[given[0]], math.nan)}
+
+
+def _read_anchor(values: Any) -> _FloatArray | None:  # noqa: ANN401
+    if values is None:
+        return None
+    if not (isinstance(values, list) and len(values) == 4 and _are_finite(values)):
+        raise ValueError("expected an anchor of a stamp (s) and a pose (m, m, rad)")
+    return np.array(values, np.float64)
+
+
+def _are_finite(values: list[Any]) -> bool:
+    return all(type(value) in (int, float) and abs(value) < 1e12 for value in values)
+
+
+def _read_points(kind: str, coordinates: Any) -> _FloatArray:  # noqa: ANN401
+    """Points of a geometry, checked; the ring of a polygon without its repeated corner, anticlockwise."""
+    if kind == "Polygon":
+        if not (isinstance(coordinates, list) and len(coordinates) == 1):
+            raise ValueError("expected a polygon of one ring, without holes")
+        coordinates = coordinates[0]
+    places = [coordinates] if kind == "Point" else coordinates
+    if not isinstance(places, list) or not all(
+        isinstance(p, list) and len(p) in (2, 3) and _are_finite(p) for p in places
+    ):
+        raise ValueError(f"expected positions [x, y] of the {kind}, in m")
+    least = {"Point": 1, "LineString": 2, "Polygon": 4}[kind]
+    if not least <= len(places) <= _MOST_CORNERS:
+        raise ValueError(f"expected {least} to {_MOST_CORNERS} positions of the {kind}, got {len(places)}")
+    points = np.array([place[:2] for place in places], np.float64)
+    if np.abs(points).max() > _FARTHEST_M:
+        raise ValueError(f"expected positions within {_FARTHEST_M:g} m of the origin, got {np.abs(points).max():g}")
+    if kind == "LineString" and not np.ptp(points, axis=0).any():
+        raise ValueError("expected a line with a length, got a single place")
+    return _check_ring(points) if kind == "Polygon" else points
+
+
+def _check_ring(points: _FloatArray) -> _FloatArray:
+    """Corners of a closed ring (K + 1, 2), anticlockwise; raises ValueError where it crosses itself or has no area."""
+    if (points[0] != points[-1]).any():
+        raise ValueError("expected a closed ring, whose last position is the first one")
+    ring = points[:-1][(np.diff(points, axis=0) != 0).any(axis=1)]
+    x, y = (ring - points[0]).T
+    area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+    if len(ring) < 3 or abs(area) < _LEAST_AREA_M2:
+        raise ValueError("expected a polygon with an area")
+    crossing = _find_crossing(ring)
+    if crossing is not None:
+        raise ValueError(
+            f"expected a polygon that does not cross itself, got a crossing at {crossing[0]:g}, {crossing[1]:g}"
+        )
+    return np.asarray(ring if area > 0 else ring[::-1])
+
+
+def _find_crossing(ring: _FloatArray) -> _FloatArray | None:
+    """An end of a side of a ring (K, 2) that meets one which is not its neighbour, or goes back; None if none does."""
+    begin, end = ring, np.roll(ring, -1, axis=0)
+
+    def sides(a: _FloatArray, b: _FloatArray, c: _FloatArray) -> _FloatArray:
+        """On which side of lines (K,) from a to b points c (K,) lie: (K, K) of -1, 0 or 1."""
+        along, apart = (b - a)[:, None], c[None] - a[:, None]
+        return np.asarray(np.sign(along[..., 0] * apart[..., 1] - along[..., 1] * apart[..., 0]))
+
+    first, second = sides(begin, end, begin), sides(begin, end, end)
+    split = first * second <= 0
+    low, high = np.minimum(begin, end), np.maximum(begin, end)
+    meets = split & split.T & (low[:, None] <= high[None]).all(axis=2) & (low[None] <= high[:, None]).all(axis=2)
+    numbers = np.arange(len(ring))
+    apart = (numbers[:, None] - numbers[None]) % len(ring)
+    meets &= (apart > 1) & (apart < len(ring) - 1)
+    along = end - begin
+    after = np.roll(along, -1, axis=0)
+    meets[numbers, numbers] = (along[:, 0] * after[:, 1] == along[:, 1] * after[:, 0]) & (
+        (along * after).sum(axis=1) < 0
+    )
+    return np.asarray(end[np.argwhere(meets)[0, 0]]) if meets.any() else None

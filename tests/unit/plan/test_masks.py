@@ -1,0 +1,102 @@
+"""Masks of nav2's filters have the values that its table of values asks for, in both modes of map_server."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gridslam.errors import ArgumentError
+from gridslam.io.edits import Edit, Edits
+from gridslam.io.maps import occupancy_percent, read_map_description, read_map_image
+from gridslam.io.yaml import parse_yaml
+from gridslam.plan.masks import Mask, describe_filters, make_keepout_mask, make_speed_mask, write_mask
+from gridslam.types import OccupancyGrid
+
+GRID = OccupancyGrid(np.full((20, 40), -4.0, np.float32), np.ones((20, 40), np.bool_), 0.1, (-1.0, 2.0))
+
+
+def _box(x, y, x2, y2):
+    return np.array([[x, y], [x2, y], [x2, y2], [x, y2]], float)
+
+
+def _speed(x, x2, **limits):
+    return Edit("speed", "Polygon", _box(x, 2.0, x2, 4.0), limits=limits)
+
+
+def _values_of_map_server(yaml_path):
+    """What nav2's map_server publishes, by its source (map_io.cpp, loadMapFromFile) and another reader of images."""
+    fields = parse_yaml(yaml_path.read_text())
+    shade = np.asarray(Image.open(yaml_path.parent / fields["image"]), float)[::-1] / 255
+    if fields["mode"] == "raw":
+        value = np.round(shade * 255)
+        return np.where((value >= 0) & (value <= 100), value, -1)
+    occupied = 1 - shade if not fields["negate"] else shade
+    low, high = fields["free_thresh"], fields["occupied_thresh"]
+    between = np.rint((occupied - low) / (high - low) * 100.0)
+    return np.where(occupied > high, 100, np.where(occupied < low, 0, between))
+
+
+@pytest.mark.parametrize("mode", ["scale", "raw"])
+def test_map_server_reads_every_value_as_it_is(tmp_path, mode):
+    values = np.resize(np.arange(101, dtype=np.int8), GRID.shape)
+    write_mask(tmp_path / "m.yaml", Mask(values, 0), GRID, mode)
+    assert (_values_of_map_server(tmp_path / "m.yaml") == values).all()
+    description = read_map_description(tmp_path / "m.yaml")
+    assert (occupancy_percent(read_map_image(tmp_path / "m.pgm"), description) == values).all()
+    assert (description.origin, description.resolution_m, description.mode) == ((-1.0, 2.0), 0.1, mode)
+
+
+def test_robots_are_kept_out_of_polygons_and_lines_and_lanes_are_cheap():
+    zone = Edit("keep_out", "Polygon", _box(0.0, 2.0, 1.0, 3.0))
+    line = Edit("no_go", "LineString", np.array([[2.05, 2.0], [2.05, 4.0]]), width_m=0.1)
+    lane = Edit("lanes", "LineString", np.array([[-1.0, 3.5], [3.0, 3.5]]), width_m=0.4)
+    without = make_keepout_mask(GRID, Edits((zone, line))).values
+    assert set(np.unique(without)) == {0, 100}
+    assert (without == 100).sum() == 10 * 10 + 20
+    mask = make_keepout_mask(GRID, Edits((lane, zone, line)), 40)
+    assert mask.kind == 0
+    assert ((mask.values == 100) == (without == 100)).all()  # a lane opens no zone
+    assert (mask.values[13:17, :30] == 0).all()
+    assert mask.values[0, -1] == 40
+
+
+def test_the_lowest_speed_holds_where_zones_overlap():
+    mask = make_speed_mask(GRID, Edits((_speed(-1, 2, limit_percent=60.0), _speed(0, 1, limit_percent=20.0))))
+    assert (mask.kind, mask.multiplier) == (1, 1.0)
+    assert (mask.values == np.repeat([60, 20, 60, 0], 10)).all()
+    assert make_speed_mask(GRID, Edits()) is None
+
+
+@pytest.mark.parametrize("limits", [(0.5, 0.3), (1.0, 0.337), (0.25, 0.011)])
+def test_limits_in_m_s_are_never_raised(limits):
+    fast, slow = limits
+    mask = make_speed_mask(GRID, Edits((_speed(-1, 1, limit_m_s=fast), _speed(1, 3, limit_m_s=slow))))
+    assert mask.kind == 2
+    found = mask.values[0, [0, -1]] * mask.multiplier
+    assert found[0] == pytest.approx(fast)
+    assert slow - 0.01 * fast < found[1] <= slow + 1e-9
+
+
+def test_limits_of_two_units_are_refused():
+    with pytest.raises(ArgumentError, match="in percent or in m/s, not both"):
+        make_speed_mask(GRID, Edits((_speed(-1, 1, limit_m_s=0.5), _speed(1, 3, limit_percent=20.0))))
+
+
+def test_the_parameters_name_the_files_topics_and_plugins_of_nav2():
+    empty = np.zeros(GRID.shape, np.int8)
+    tree = parse_yaml(describe_filters({"keepout": Mask(empty, 0), "speed": Mask(empty, 2, 0.005)}))
+    costmap = tree["global_costmap"]["global_costmap"]["ros__parameters"]
+    assert costmap["filters"] == ["keepout_filter", "speed_filter"]
+    for name, plugin, kind in (("keepout", "KeepoutFilter", 0), ("speed", "SpeedFilter", 2)):
+        assert costmap[f"{name}_filter"]["plugin"] == f"nav2_costmap_2d::{plugin}"
+        info = tree[f"{name}_costmap_filter_info_server"]["ros__parameters"]
+        server = tree[f"{name}_filter_mask_server"]["ros__parameters"]
+        assert info["type"] == kind
+        assert info["filter_info_topic"] == costmap[f"{name}_filter"]["filter_info_topic"]
+        assert info["mask_topic"] == server["topic_name"]
+        assert server["yaml_filename"] == f"{name}_mask.yaml"
+    assert costmap["speed_filter"]["speed_limit_topic"] == "speed_limit"
+    assert tree["speed_costmap_filter_info_server"]["ros__parameters"]["multiplier"] == 0.005
+    nodes = tree["lifecycle_manager_costmap_filters"]["ros__parameters"]["node_names"]
+    assert set(nodes) == {name for name in tree if name.endswith("server")}
