@@ -491,7 +491,7 @@ def map_log(
     **parts
         Parts of the filter, of one's own, instead of those of the configuration: `tracker`, `motion`, `sensor`,
         `proposal`, `resampler`, `when_to_update`, `when_to_resample` (see `GridFastSlam`). `run.json` names their
-        classes; a session that is saved does not hold them, and goes on with the configuration's.
+        classes; a session that is saved does not hold them, and continues with the configuration's.
 
     Raises
     ------
