@@ -37,7 +37,7 @@ _QUICK_SCANS = 300
 _RANGE_SCANS = 3000  # after which no motion is waited for: a robot that is parked
 
 _ONLY_WHOLE = ("standing_still", "robot_carried")
-_OF_READER_AT_ONCE = ("missing_files", "missing_transform")
+_OF_READER_AT_ONCE = ("missing_files", "missing_transform", "clock_skew")
 _REPORTED_ELSEWHERE = ("unreadable",)
 _MIRRORED = ("odometry_mirrored", "reflected_laser")
 _OF_TWO_CLOCKS = ("odometry_unrelated", "no_odometry")
@@ -445,6 +445,8 @@ class CheckedLog:
         except Exception as error:  # a check must not end the map
             self._has_failed = True
             found = (Finding("checks_failed", Severity.WARNING, describe_error(error)),)
+        if self._log.statistics.clock_offset_s:
+            found = tuple(finding for finding in found if finding.code not in _OF_TWO_CLOCKS)
         if found:
             self._faults |= {f"{f.code} ({f.sensor})" if f.sensor else f.code: f.message for f in found}
             self._on_findings(found)

@@ -21,6 +21,8 @@ def reader_findings(statistics: LogStatistics) -> Iterator[Finding]:
     if statistics.clock_offset_s:
         yield _two_clocks(statistics.clock_offset_s)
     for reason, scans in statistics.missing_transforms.most_common():
+        if statistics.clock_offset_s and reason.startswith("odometry"):
+            continue  # which is what two clocks come to
         chain = f" ({statistics.odometry_source})" if reason.startswith("odometry") else ""
         yield _missing(reason + chain, scans, statistics.scan_count)
     if statistics.truncated:
@@ -40,11 +42,11 @@ def reader_findings(statistics: LogStatistics) -> Iterator[Finding]:
 
 def _missing_files(names: tuple[str, ...]) -> Finding:
     shown = ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
-    absent = "is not there" if len(names) == 1 else "are not there"
+    absent = "is not there: what was recorded in it" if len(names) == 1 else "are not there: what was recorded in them"
     return Finding(
         "missing_files",
         Severity.WARNING,
-        f"The bag's metadata.yaml lists {shown}, which {absent}: what was recorded in it is not read.",
+        f"The bag's metadata.yaml lists {shown}, which {absent} is not read.",
         len(names),
         "files",
         "Copy the whole folder of the bag; ros2 bag reindex writes the metadata of what is left.",

@@ -10,7 +10,9 @@ import pytest
 from gridslam.doctor import Doctor, Severity
 from gridslam.doctor.view_breaks import ViewBreaks
 from gridslam.geometry.se2 import between, compose
+from gridslam.sim import LidarConfig, OdometryNoise, PeopleConfig, RobotConfig, make_world, simulate
 from gridslam.types import Odometry
+from support.interrupted import carry
 from support.laser_drives import log
 
 LOST = slice(100, 180)  # of the scans: while it is carried nothing is recorded
@@ -57,3 +59,27 @@ def test_a_carried_robot_is_named_with_time_and_place():
 def test_the_rest_of_a_drive_and_an_odometry_that_knows_are_no_break():
     assert breaks(log(scans=300)[0]) == []
     assert breaks(carried(odometry_knows=True)) == []
+
+
+@pytest.mark.parametrize(("world", "least"), [("rooms", 13), ("random", 12), ("demo", 13), ("hall", 8)])
+def test_of_places_a_metre_or_more_apart_most_are_told_apart(world, least):
+    """Of 15 each; in an open hall many look alike. In some all is farther than before, or all is nearer."""
+    rng = np.random.default_rng(1)
+    lidar = LidarConfig(beams=360, field_of_view_rad=2 * np.pi, range_max_m=12.0)
+    drive = simulate(make_world(world, rng), RobotConfig(), OdometryNoise(), lidar, rng)
+    measurements, places = drive.measurements[:500], drive.truth.poses[:, :2]
+    pairs = [
+        pair for pair in rng.integers(8, len(measurements) - 14, (60, 2)) if np.ptp(places[pair], axis=0).max() > 1
+    ]
+    found = [breaks(carry(measurements[a - 6 : a], measurements[b : b + 13])) for a, b in pairs[:15]]
+    assert sum(map(bool, found)) >= least
+    assert breaks(measurements) == []
+
+
+def test_people_who_pass_are_no_break():
+    rng = np.random.default_rng(2)
+    lidar = LidarConfig(beams=180, range_max_m=12.0, rate_hz=10)
+    drive = simulate(
+        make_world("rooms", rng), RobotConfig(), OdometryNoise(), lidar, rng, people=PeopleConfig(count=15)
+    )
+    assert breaks(drive.measurements[:600]) == []

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from gridslam.doctor.diagnose import CheckedLog
 from gridslam.geometry import se3
 from gridslam.io.bags.bag import BagLog
 from gridslam.io.log import Log, LogOptions
@@ -58,6 +59,10 @@ def test_two_clocks_are_named_with_their_offset(tmp_path, ahead_s, on_tf):
     assert log.statistics.clock_offset_s == 0
     list(log)
     assert log.statistics.clock_offset_s == pytest.approx(ahead_s, abs=0.11)
+    checked = CheckedLog(log, lambda found: None)
+    list(checked)
+    assert {fault for fault in checked.statistics.faults if "odometry" in fault or "transform" in fault} == set()
+    assert "clock_skew" in checked.statistics.faults
 
 
 RANGES = [math.nan, math.inf, -math.inf, -1.0, 0.0, 0.1, 0.3, 0.5, 2.0, 29.9, 30.0, 31.0, 1e-40, -0.0]

@@ -126,3 +126,15 @@ def test_angles_that_no_map_can_be_made_of_are_refused_with_all_numbers(tmp_path
     said = refused(tmp_path, scans(**fields))
     assert "the scans of /scan" in said
     assert problem in said
+
+
+@pytest.mark.parametrize("wrong", [{"angle_max": 0.6}, {"angles": (-1.0, 0.0)}, {"ranges": [], "intensities": FOUR}])
+def test_single_scans_that_no_map_can_be_made_of_are_left_out_and_named(tmp_path, wrong):
+    fields = {"ranges": FOUR, **wrong}
+    log = BagLog(
+        ros_bags.write(tmp_path, "db3", [*scans(), *(scan("/scan", 0.4 + k / 10, **fields) for k in range(3))])
+    )
+    assert len(list(log)) == 4
+    ((remark, count),) = log.statistics.remarks.items()
+    assert count == 3
+    assert remark.startswith("scans of /scan left out, of which no map can be made: expected ")

@@ -14,7 +14,7 @@ from gridslam.io.bags.ros1 import Ros1Bag
 from gridslam.io.bags.ros2 import Ros2Bag
 from gridslam.io.bags.ros_messages import ScanMessage, kind_of
 from gridslam.io.bags.source import BagSource
-from gridslam.io.bags.survey import Choice, Decoded, Survey, choose, decoded_messages, survey
+from gridslam.io.bags.survey import Choice, Decoded, Survey, choose, decoded_messages, find_scan_problem, survey
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.io.selection import LogOptions
@@ -84,7 +84,6 @@ class BagLog:
         yield from reading.measurements()
         statistics.bytes_read = self._source.bytes_read
         statistics.truncated = self._source.is_truncated
-        statistics.clock_offset_s = reading.clocks.offset_s
         if not statistics.scan_count:
             raise InputError(self.path, f"there are no scans on {', '.join(self.choice.scans)}")
 
@@ -145,8 +144,10 @@ class _BagReading:
         self._statistics = statistics
         self._rig = Rig(choice, seen)
         self._maker = BagScanBuilder()
-        self.clocks = ClockComparison()
+        self._clocks = ClockComparison()
         self._waiting: deque[_Waiting] = deque()
+        self._beams: dict[str, int] = {}  # of the first scan of each topic
+        self._problems: dict[str, str] = {}  # the first one of each topic
         self._latest_ns = dict.fromkeys(choice.scans, -1)
         wanted = {*choice.scans, choice.odometry, *self._rig.topics}
         self._kinds = {name: kind_of(topic.type) for name, topic in source.topics.items() if name in wanted}
@@ -173,7 +174,7 @@ class _BagReading:
                 self._rig.add_odometry(message if stamped else message._replace(stamp_ns=time_ns))
                 news = True
             if news:
-                self.clocks.add_odometry(self._rig.latest_ns, time_ns)
+                self._clocks.add_odometry(self._rig.latest_ns, time_ns)
             return news
         except ArgumentError:
             self._statistics.remarks[f"a reading of {name} is no pose: left out"] += 1
@@ -181,9 +182,15 @@ class _BagReading:
 
     def _await(self, name: str, message: ScanMessage, time_ns: int) -> None:
         """Put a scan in the queue: behind those of its own laser, and by its stamp among those of others."""
+        beams = len(message.ranges)  # a scan that was cut short is none of wrong angles
+        is_whole = beams in (0, self._beams.setdefault(name, beams))
+        if is_whole and (problem := find_scan_problem(message)):
+            first = self._problems.setdefault(name, problem)
+            self._statistics.remarks[f"scans of {name} left out, of which no map can be made: {first}"] += 1
+            return
         stamp_ns = message.stamp_ns if self._seen.scans[name].stamped else time_ns
         self._latest_ns[name] = max(stamp_ns, self._latest_ns[name])
-        self.clocks.add_scan(stamp_ns, time_ns)
+        self._clocks.add_scan(stamp_ns, time_ns)
         waiting = self._waiting
         place = len(waiting)
         while place and waiting[place - 1].stamp_ns > stamp_ns and waiting[place - 1].topic != name:
@@ -223,6 +230,7 @@ class _BagReading:
             statistics.remarks[f"by the time_increment of {topic} a scan takes 10 s or more: not used"] += 1
         measurement = Measurement(odometry, made)
         statistics.count(measurement)
+        statistics.clock_offset_s = self._clocks.offset_s
         statistics.bytes_read = self._source.bytes_read
         return measurement
 

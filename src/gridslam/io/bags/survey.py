@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple, TypeAlias, final
@@ -41,6 +42,7 @@ __all__ = [
     "choose",
     "decoded_messages",
     "differs",
+    "find_scan_problem",
     "survey",
 ]
 
@@ -253,7 +255,7 @@ def _note(found: Survey, name: str, message: Decoded) -> bool:
     topic = topics[name]
     topic.stamped = topic.stamped or message.stamp_ns != 0
     topic.messages += 1
-    if isinstance(message, ScanMessage) and (problem := _scan_problem(message)):
+    if isinstance(message, ScanMessage) and (problem := find_scan_problem(message)):
         topic.problems[problem] += 1
     if isinstance(message, OdometryMessage) and len(topic.samples) < _SAMPLES:
         pose = found.pose(message.pose, name)
@@ -262,12 +264,15 @@ def _note(found: Survey, name: str, message: Decoded) -> bool:
     return new
 
 
-def _scan_problem(message: ScanMessage) -> str:
-    """Return why no map can be made of such scans; empty where nothing is wrong."""
+def find_scan_problem(message: ScanMessage) -> str:
+    """Describe why no map can be made of such a scan; empty where nothing is wrong."""
     beams = len(message.ranges)
     if not beams and message.intensities:
         return f"expected ranges, got none, and {message.intensities} intensities: record the ranges"
-    return find_wrong_beam_angles(message.angle_min, message.angle_increment, beams, message.angle_max)
+    return _find_wrong_angles(message.angle_min, message.angle_increment, beams, message.angle_max)
+
+
+_find_wrong_angles = lru_cache(maxsize=64)(find_wrong_beam_angles)  # of most lasers all scans have the same
 
 
 @final
