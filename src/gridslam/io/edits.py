@@ -248,7 +248,10 @@ def _check_ring(points: _FloatArray) -> _FloatArray:
 
 
 def _find_crossing(ring: _FloatArray) -> _FloatArray | None:
-    """An end of a side of a ring (K, 2) that meets one which is not its neighbour, or goes back; None if none does."""
+    """An end of a side of a ring (K, 2) that meets one which is not its neighbour; None if none does.
+
+    So does one that goes back on its neighbour: where it ends, or where that one began, there is a third.
+    """
     begin, end = ring, np.roll(ring, -1, axis=0)
 
     def sides(a: _FloatArray, b: _FloatArray, c: _FloatArray) -> _FloatArray:
@@ -263,9 +266,4 @@ def _find_crossing(ring: _FloatArray) -> _FloatArray | None:
     numbers = np.arange(len(ring))
     apart = (numbers[:, None] - numbers[None]) % len(ring)
     meets &= (apart > 1) & (apart < len(ring) - 1)
-    along = end - begin
-    after = np.roll(along, -1, axis=0)
-    meets[numbers, numbers] = (along[:, 0] * after[:, 1] == along[:, 1] * after[:, 0]) & (
-        (along * after).sum(axis=1) < 0
-    )
     return np.asarray(end[np.argwhere(meets)[0, 0]]) if meets.any() else None

@@ -93,6 +93,7 @@ def test_a_map_is_laid_on_a_turned_plan_by_its_walls(tmp_path, kind):
     grid = draw_two_rooms(table=None)
     pose = np.array([12.0, 3.0, 0.6])
     lines = se2.transform_points(pose, LINES.reshape(-1, 2)).reshape(-1, 2, 2)
+    lines[::2] = lines[::2, ::-1].copy()  # nobody draws them with the room to their left
     path = tmp_path / f"plan.{kind}"
     if kind == "svg":
         _write_svg(path, lines)
