@@ -67,7 +67,7 @@ def judge_closures(drive: Drive, config: Configuration) -> ClosureRun:
     recorder, began = TrajectoryRecorder(), time.process_time()
     stream, slam = drive.stream(), build(config)
     state = run(stream.measurements, slam, rng=np.random.default_rng(0), observers=[recorder])
-    said = full_slam(state, [recorder.tracked_scans()], config.mapper, config.loop_closure, config.final_refinement)
+    said = full_slam(state, [recorder.tracked_scans()], config.mapper, config.loop_closure)
     cpu_s, truth = time.process_time() - began, np.asarray(stream.truth.poses)
     keys = np.flatnonzero(np.diff(recorder.keys, prepend=-1))
     assert state.closure_state is not None

@@ -42,7 +42,7 @@ def driven(request) -> tuple[str, Driven]:
     stream, recorder = deceptive(request.param, 0).stream(), TrajectoryRecorder()
     rng = np.random.default_rng(0)
     state = run(stream.measurements, build(CONFIG), particles=PARTICLES, rng=rng, observers=[recorder])
-    parts = CONFIG.mapper, CONFIG.loop_closure, CONFIG.final_refinement
+    parts = CONFIG.mapper, CONFIG.loop_closure
     answer = full_slam(state, [recorder.tracked_scans()], *parts)
     return request.param, Driven(stream.truth, stream.odometry, state, answer)
 

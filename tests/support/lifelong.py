@@ -159,9 +159,7 @@ class Session:
         if not joined_at:
             raise AssertionError("the robot was not found")
         self.drives = [*self.drives, recorder.tracked_scans(0 if self.piece is None else len(self.piece))]
-        answer = full_slam(
-            state, self.drives, configuration.mapper, configuration.loop_closure, configuration.final_refinement
-        )
+        answer = full_slam(state, self.drives, configuration.mapper, configuration.loop_closure)
         truth = np.array(log.truth.poses)
         self.truth = np.concatenate([self.truth, truth])
         self.piece = answer.piece
@@ -203,9 +201,7 @@ def closures_of(state: GridFastSlamState) -> LoopClosureState:
 def locator(piece: MapPiece, configuration: Configuration) -> EarlierPieces:
     """Give what finds a robot in a piece."""
     assert configuration.loop_closure is not None
-    refinement = configuration.final_refinement
-    places = configuration.loop_closure.places
-    return EarlierPieces([piece], configuration.mapper, places, refinement.component_alignment, refinement.score)
+    return EarlierPieces([piece], configuration.mapper, configuration.loop_closure.places)
 
 
 def count_bytes(piece: MapPiece, drives: Sequence[TrackedScans]) -> int:

@@ -65,13 +65,7 @@ def test_final_refinement_changes_nothing_and_is_the_same_after_reading(loop, co
     write_session(tmp_path / "run.gridslam", SavedSession(CONFIG, run=replace(first, state=state)))
     read = read_session(tmp_path / "run.gridslam").run
     words = [
-        full_slam(
-            s,
-            [first.trajectory.tracked_scans()],
-            CONFIG.mapper,
-            CONFIG.loop_closure,
-            CONFIG.final_refinement,
-        )
+        full_slam(s, [first.trajectory.tracked_scans()], CONFIG.mapper, CONFIG.loop_closure)
         for s in (state, state, read.state)
     ]
     assert contents(state) == before

@@ -232,7 +232,7 @@ def read_session(path: str | Path, threads: int = 1) -> SavedSession:
     arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT)
     with name_file(path, _WHAT):
         head = _parse_head(arrays)
-        configuration = loads(head["configuration"])
+        configuration = loads(head["configuration"], ignore_unknown=True)
         pieces = [
             _load_piece(select_part(arrays, f"pieces.{number}"), drives, configuration.mapper.resolution_m)
             for number, drives in enumerate(head["pieces"])
