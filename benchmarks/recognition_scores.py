@@ -61,7 +61,7 @@ def mapped(measurements: list[Measurement], config: Configuration) -> Mapped:
     """Map a log as `map_log` does, nothing in it repaired."""
     recorder, began = TrajectoryRecorder(), time.process_time()
     rng = np.random.default_rng(0)
-    state = run(measurements, build(config), particles=config.particles, rng=rng, observers=[recorder])
+    state = run(measurements, build(config), rng=rng, observers=[recorder])
     said = full_slam(state, [recorder.tracked_scans()], config.mapper, config.loop_closure)
     keys = np.flatnonzero(np.diff(recorder.keys, prepend=-1))
     searched = np.empty((0, 2), np.int64) if said.loop_summary is None else said.loop_summary.closures

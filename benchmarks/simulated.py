@@ -26,7 +26,6 @@ def map_drive(
     state = run(
         measurements,
         build(configuration),
-        particles=configuration.particles,
         rng=np.random.default_rng(seed),
         observers=[recorder, lambda report, state, seconds: reports.append(report)],
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ class Refined:
 
 def refine(log: SimulatedLog) -> Refined:
     recorder = TrajectoryRecorder()
-    state = run(log.measurements, SLAM, particles=3, rng=np.random.default_rng(1), observers=[recorder])
+    state = run(log.measurements, replace(SLAM, particles=3), rng=np.random.default_rng(1), observers=[recorder])
     closure_state = state.closure_state.snapshot()
     trajectory = state.ancestry.trajectory(state.best)
     said = refine_trajectory(closure_state, trajectory, [recorder.tracked_scans()], SLAM.mapper, CLOSURE)
