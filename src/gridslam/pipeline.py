@@ -268,9 +268,10 @@ def run(
         watch.lap("read")
         try:
             if state is None:
-                state, report = algorithm.init(odometry, scan)
+                after: tuple[State, Report] = algorithm.init(odometry, scan)
             else:
-                state, report = algorithm.step(state, odometry, scan, rng)
+                after = algorithm.step(state, odometry, scan, rng)
+            state, report = after
         except Exception as error:
             if on_failure is None:
                 raise

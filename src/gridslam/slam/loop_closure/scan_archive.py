@@ -200,8 +200,9 @@ class ScanArchive:
         archive = cls()
         archive.keys = saved.keys
         archive._stored = [None] * saved.count
-        for scan, *each in zip(saved.stored.tolist(), saved.ends, saved.steps_m.tolist(), saved.origins, strict=True):
-            archive._stored[scan] = _Stored(*each)
+        parts = map(_Stored, saved.ends, saved.steps_m.tolist(), saved.origins)
+        for scan, each in zip(saved.stored.tolist(), parts, strict=True):
+            archive._stored[scan] = each
         archive._last_stored_pose = saved.last_stored_pose
         archive._storage_interval = saved.storage_interval
         archive._keep(archive._stored)
