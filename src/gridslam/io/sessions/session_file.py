@@ -86,10 +86,10 @@ class SavedRun:
             self, rng=rng, state=state, trajectory=trajectory, statistics=statistics, record=self.record.snapshot()
         )
 
-    def freeze(self) -> SavedRun:
+    def copy(self) -> SavedRun:
         """Return a copy that another thread may write while the filter continues."""
-        frozen = replace(self, state=None).snapshot()
-        return replace(frozen, state=None if self.state is None else self.state.freeze())
+        twin = replace(self, state=None).snapshot()
+        return replace(twin, state=None if self.state is None else self.state.copy())
 
     @property
     def drives(self) -> tuple[Drive, ...]:

@@ -155,7 +155,7 @@ class Session:
         """
         if self.state is None:
             raise ArgumentError("session", "at least one scan", "none")
-        now = replace(self._begun.run, state=self.state).freeze()
+        now = replace(self._begun.run, state=self.state).copy()
         return SessionCopy(
             self.configuration,
             self._seed,

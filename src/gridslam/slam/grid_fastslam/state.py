@@ -243,18 +243,15 @@ class GridFastSlamState:
             closure_state=None if self.closure_state is None else self.closure_state.snapshot(),
         )
 
-    def freeze(self) -> GridFastSlamState:
-        """Return this state as it is now, to be written by another thread while the filter continues.
-
-        No filter can go on from it, but from what `from_arrays` makes of its arrays.
-        """
-        frozen = self.snapshot()
-        frozen.tracker.maps = self.tracker.maps.freeze()
-        frozen.maps = self.maps.freeze()
-        closure_state = frozen.closure_state
+    def copy(self) -> GridFastSlamState:
+        """Return this state as it is now, for another thread: its maps share no memory with those of this one."""
+        twin = self.snapshot()
+        twin.tracker.maps = self.tracker.maps.copy()
+        twin.maps = self.maps.copy()
+        closure_state = twin.closure_state
         if closure_state is not None and closure_state.correction is not None:
-            closure_state.correction.maps = closure_state.correction.maps.freeze()
-        return frozen
+            closure_state.correction.maps = closure_state.correction.maps.copy()
+        return twin
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays under the schema `STATE_SCHEMA`; `from_arrays` continues with identical results."""
