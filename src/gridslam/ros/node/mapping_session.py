@@ -37,7 +37,7 @@ from gridslam.types import FloatArray, StepReport
 
 __all__ = ["FoundAgainHere", "Session", "SessionCopy"]
 
-_PRELOADED: Final = ("scipy.spatial", "scipy.sparse.csgraph", "scipy.special", "qdldl", "gridslam.viz")
+_PRELOADED: Final = ("scipy.sparse", "qdldl", "gridslam.viz")
 """Modules that filter and `save` import on first use; imported early so that a moving robot does not wait."""
 
 
