@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from operator import attrgetter
 from typing import Annotated, Any, NamedTuple, final
 
 import numpy as np
@@ -152,7 +151,7 @@ class GridFastSlamState:
     def take(self) -> GridFastSlamState:
         """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
         self._check()
-        owner = GridFastSlamState(*_contents(self))  # several times as fast as `replace`
+        owner = replace(self)
         self.consumed = True
         scans = 0 if self.closure_state is None else len(self.closure_state.scans)
         self.before_step = BeforeStep(self.ancestry.steps, scans, self.tracker.unmatched)
@@ -276,7 +275,3 @@ class GridFastSlamState:
     def _check(self) -> None:
         if self.consumed:
             raise ConsumedStateError
-
-
-_contents = attrgetter(*(own.name for own in fields(GridFastSlamState)))
-"""All fields of a state, in the order in which its class takes them."""
