@@ -7,16 +7,13 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from aliasing_worlds import BARE_CORRIDORS, EQUAL_ROOMS, SYMMETRIC, make_world
-from closure_errors import false_closures
-from gridslam import Trajectory
 from gridslam.errors import ArgumentError
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedStream, World, simulate_stream
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import FloatArray
 
-__all__ = ["DECEPTIVE", "Drive", "Verdict", "campus", "deceptive", "fleet", "judge", "returns"]
+__all__ = ["DECEPTIVE", "Drive", "campus", "deceptive", "fleet", "returns"]
 
 DECEPTIVE = ("equal_rooms", "symmetric", "bare_corridors", "moved_furniture")
 SEEDS = 10
@@ -102,32 +99,3 @@ def returns(poses: FloatArray, near_m: float = 1.0, apart_m: float = 30.0) -> fl
         for p, d in zip(points, driven, strict=True)
     ]
     return float(np.mean(back))
-
-
-@final
-@dataclass(frozen=True)
-class Verdict:
-    """How many closures were accepted, and how many of them are false."""
-
-    accepted: int
-    false: int
-
-
-def judge(truth: Trajectory, stamps_ns: IntArray, edges: ArrayLike, measurements: ArrayLike) -> Verdict:
-    """Judge closures between key scans.
-
-    Parameters
-    ----------
-    truth : Trajectory
-    stamps_ns : (K,) int64, ns
-        Of the key scans: each that of a scan of the log.
-    edges : (M, 2) int
-        Key scans that each closure joins, as places in `stamps_ns`.
-    measurements : (M, 3)
-        The second seen from the first.
-    """
-    places = np.searchsorted(truth.stamps_ns, stamps_ns)
-    if not np.array_equal(truth.stamps_ns.take(places, mode="clip"), stamps_ns):
-        raise ArgumentError("stamps_ns", "stamps of scans of the log", "others")
-    false = false_closures(truth.poses[places], edges, measurements)
-    return Verdict(len(false), int(false.sum()))

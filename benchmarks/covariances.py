@@ -138,7 +138,7 @@ def left_out(full: FullSlam) -> dict[str, float]:
 
 
 def group_by_visits(full: FullSlam) -> list[list[int]]:
-    """Places of the constraints in the graph, those that share the information of one visit (`KeyScanMatching`) joined.
+    """Places of the constraints in the graph, those that share the information of one visit (`match_key_scans`) joined.
 
     Recognized places share none.
     """

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import final
 
 import numpy as np
 
 from aliasing_worlds import make_world
-from gridslam import CarmenLog, Trajectory
+from gridslam import Trajectory
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import box, join, place
 from gridslam.types import FloatArray
 
-__all__ = ["Log", "find", "first_scans", "ring", "simulated"]
+__all__ = ["Log", "find", "ring", "simulated"]
 
 _CORRIDOR_M = 2.4
 
@@ -45,13 +44,6 @@ def _beside(path: Path) -> Path | None:
     return relations if relations.is_file() else None
 
 
-def first_scans(log: Log, count: int, folder: Path) -> Log:
-    """The beginning of a log, without what is true of it."""
-    path = folder / f"{log.name}-{count}.clf"
-    write_carmen(path, islice(CarmenLog(log.path), count))
-    return Log(f"{log.name}, first {count} scans", path)
-
-
 def simulated(
     world: str | World,
     folder: Path,
@@ -60,7 +52,6 @@ def simulated(
     beams: int = 180,
     fov_deg: float = 180.0,
     v_max_m_s: float = 0.6,
-    scans: int | None = None,
 ) -> Log:
     """Simulate a world, given by name or built, and write its log."""
     rng = np.random.default_rng(seed)
@@ -68,9 +59,8 @@ def simulated(
     built = make_world(world, rng) if isinstance(world, str) else world
     run = simulate(built, RobotConfig(v_max_m_s=v_max_m_s), OdometryNoise(), lidar, rng)
     path = folder / f"{built.name}-{beams}-{seed}.clf"
-    write_carmen(path, run.measurements[:scans])
-    truth = Trajectory(run.truth.stamps_ns[:scans], run.truth.poses[:scans])
-    return Log(f"{built.name} (simulated)", path, truth=truth)
+    write_carmen(path, run.measurements)
+    return Log(f"{built.name} (simulated)", path, truth=run.truth)
 
 
 def ring(side_m: float, rng: np.random.Generator) -> World:

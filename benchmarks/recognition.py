@@ -17,35 +17,21 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-import recognition_logs as harder
 from gridslam.config import Configuration, override
 from gridslam.errors import ConfigurationError
-from gridslam.io.measurement import Measurement
 from gridslam.types import FloatArray
 from measure import provenance
 from recognition_drives import HONEST, KINDS, Drive, certain_revisits, driven_m, simulated
-from recognition_scores import Score, fitted_m, judge, mapped, off_m, rmse
+from recognition_scores import Score, judge, mapped, off_m, rmse
 from report import Report, table
 
 __all__ = ["LOOSE", "main", "revisits"]
 
 _ROOT = Path(__file__).resolve().parent.parent
-_LOOSE = {
-    "loop_closure.places": ("inlier_ratio=0.4",),
-    "loop_closure.recognition": (
-        "min_matches=1",
-        "runner_up_ratio=100",
-        "matching.inlier_ratio=0.2",
-        "matching.max_contradicted=1",
-    ),
-    "final_refinement.component_alignment": (
-        "ambiguity_ratio=100",
-        "gate_sigmas=1000",
-        "min_log_likelihood=1",
-        "min_constraints=1",
-    ),
-}
-LOOSE = tuple(f"{part}.{it}" for part, values in _LOOSE.items() for it in values)
+LOOSE = tuple(
+    f"loop_closure.{it}"
+    for it in ("places.inlier_ratio=0.4", "recognition.min_matches=1", "recognition.runner_up_ratio=100")
+)
 """A gate that lets through what it should not."""
 
 _RULES = "1"
@@ -75,51 +61,38 @@ def _cached(path: Path, make: Callable[[], FloatArray]) -> FloatArray:
 
 
 class _Task(NamedTuple):
-    """What a worker maps: a simulated drive (part a), or a log made harder; its parameters, folders and seed."""
+    """A simulated drive that a worker maps, with changes of parameters, and the folder of what is kept."""
 
-    part: str
-    name: str
     kind: str
     seed: int
     changes: tuple[str, ...]
-    data: Path
     cache: Path | None
+
+    @property
+    def name(self) -> str:
+        """Name of the drive."""
+        return f"{self.kind} {self.seed}"
 
 
 def _scored(task: _Task) -> Score:
-    few = ("particles=10",) if task.part == "a" else ()
-    config = override(Configuration(), *few, *task.changes)
+    config = override(Configuration(), "particles=10", *task.changes)
     alone = override(config, "loop_closure=false")
-    if task.part == "a":
-        drive = simulated(task.kind, task.seed)
-        log, errors, seed = [drive.everything[k] for k in drive.lit.tolist()], off_m, 0
-    else:
-        made = harder.variant(task.name, task.kind, task.data, task.seed, lambda *log: _clean(task.cache, *log))
-        drive = Drive(task.name, made.measurements, made.truth, np.empty((0, 2)))
-        log, errors, seed = made.measurements, fitted_m, task.seed
-    arcs = revisits(drive, task.cache) if task.part in "ab" else np.empty((0, 2))
+    drive = simulated(task.kind, task.seed)
+    log = [drive.everything[k] for k in drive.lit.tolist()]
+    arcs = revisits(drive, task.cache)
     truth, driven = drive.truth[drive.lit], driven_m(drive.truth)[drive.lit]
-    said, filtered = mapped(log, config, seed), mapped(log, alone, seed)
-    off, off_alone = errors(truth, said.full), errors(truth, filtered.full)
+    said, filtered = mapped(log, config), mapped(log, alone)
+    off, off_alone = off_m(truth, said.full), off_m(truth, filtered.full)
     return Score(
         len(arcs),
         *judge(truth, driven, said, arcs),
         rmse(off),
-        rmse(errors(truth, said.online)),
+        rmse(off_m(truth, said.online)),
         rmse(off_alone),
         float(off_alone.max()),
         float(off.max()),
         said.cpu_s,
     )
-
-
-def _clean(cache: Path | None, name: str, log: list[Measurement]) -> FloatArray:
-    """Poses of a log as it is, of all particles' best run; made once where there is a folder for it."""
-
-    def make() -> FloatArray:
-        return mapped(log, Configuration()).full
-
-    return make() if cache is None else _cached(cache / f"clean-{name}.npy", make)
 
 
 _HEAD = [
@@ -196,14 +169,6 @@ def _honest(kind: str) -> bool:
     return kind in (*HONEST, "campus")
 
 
-def _log_section(report: Report, title: str, tasks: Sequence[_Task], scores: Iterator[Score]) -> None:
-    by_log: dict[str, list[Score]] = {}
-    for task, score in zip(tasks, scores, strict=True):
-        by_log.setdefault(f"{task.name}, {task.kind}", []).append(score)
-        _printed([task.name, task.kind, task.seed, *score])
-    report.add(title, table(_HEAD, [_row(name, found) for name, found in by_log.items()]))
-
-
 def _settings(given: argparse.Namespace) -> list[tuple[str, tuple[str, ...]]]:
     """Titles and changes of parameters; checked here, before hours of work."""
     common = tuple(given.set)
@@ -221,17 +186,6 @@ def _settings(given: argparse.Namespace) -> list[tuple[str, tuple[str, ...]]]:
     return found
 
 
-def _tasks(part: str, given: argparse.Namespace, changes: tuple[str, ...]) -> list[_Task]:
-    if part == "a":
-        drives = [(kind, seed) for kind in given.kinds for seed in range(given.drives)]
-        return [_Task("a", f"{kind} {seed}", kind, seed, changes, given.data, given.cache) for kind, seed in drives]
-    return [
-        _Task(part, name, kind, seed, changes, given.data, given.cache)
-        for name, kind in harder.variants(part, given.data)
-        for seed in range(given.seeds)
-    ]
-
-
 def main(arguments: Sequence[str] | None = None) -> Report:
     """Run what is asked for, and write the report where it is asked for."""
     given = _parser().parse_args(arguments)
@@ -240,14 +194,11 @@ def main(arguments: Sequence[str] | None = None) -> Report:
     print(machine)
     pool = ProcessPoolExecutor(given.workers) if given.workers > 1 else None
     for setting, changes in settings:
-        for part in given.only:
-            tasks = _tasks(part, given, changes)
-            scores = _each(pool, _scored, tasks)
-            if part == "a":
-                totals = _simulated_section(report, f"Simulated drives: {setting}", given.kinds, tasks, scores)
-                curve += [[setting, *row] for row in totals]
-            else:
-                _log_section(report, f"{harder.PARTS[part]}: {setting}", tasks, scores)
+        tasks = [_Task(kind, seed, changes, given.cache) for kind in given.kinds for seed in range(given.drives)]
+        totals = _simulated_section(
+            report, f"Simulated drives: {setting}", given.kinds, tasks, _each(pool, _scored, tasks)
+        )
+        curve += [[setting, *row] for row in totals]
     if len(settings) > 1 and curve:
         report.add("Curve", table(["setting", *_HEAD], curve))
     if pool is not None:
@@ -259,19 +210,13 @@ def main(arguments: Sequence[str] | None = None) -> Report:
 
 
 def _parser() -> argparse.ArgumentParser:
-    def parts(text: str) -> list[str]:
-        return _named(text, ["a", *harder.PARTS])
-
     def kinds(text: str) -> list[str]:
         return _named(text, [*KINDS, "campus"])
 
     parser = argparse.ArgumentParser(description="Recall and precision of loop closure where it is needed.")
-    parser.add_argument("--only", type=parts, default=["a", *harder.PARTS], help="parts a to e, as in a,b [all]")
-    parser.add_argument("--kinds", type=kinds, default=list(KINDS), help="worlds of part a [all but campus]")
+    parser.add_argument("--kinds", type=kinds, default=list(KINDS), help="worlds [all but campus]")
     parser.add_argument("--drives", type=int, default=50, help="drives of each kind [50]")
-    parser.add_argument("--seeds", type=int, default=5, help="seeds of each log of parts b to e [5]")
-    parser.add_argument("--data", type=Path, default=_ROOT.parent / "shared" / "data", help="folder of real logs")
-    parser.add_argument("--cache", type=Path, help="keeps certain revisits and clean runs from one run to the next")
+    parser.add_argument("--cache", type=Path, help="keeps certain revisits from one run to the next")
     parser.add_argument("--workers", type=int, default=1, help="processes [1]")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a parameter of all runs")
     parser.add_argument("--sweep", action="append", default=[], metavar="NAME=V1,V2", help="again with each value")

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from closure_errors import OPEN_M, closure_errors
 from gridslam.config import Configuration, build
-from gridslam.evaluation.trajectory import align
-from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
@@ -21,7 +20,7 @@ from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 from recognition_drives import APART_M
 
-__all__ = ["Mapped", "Score", "fitted_m", "judge", "kept", "mapped", "off_m", "rmse"]
+__all__ = ["Mapped", "Score", "judge", "kept", "mapped", "off_m", "rmse"]
 
 _FALSE_M, _FALSE_RAD = 0.5, math.radians(8.0)
 _RIGHT_M, _RIGHT_RAD = 0.2, math.radians(3.0)
@@ -58,12 +57,12 @@ class Score(NamedTuple):
     cpu_s: float
 
 
-def mapped(measurements: list[Measurement], config: Configuration, seed: int = 0) -> Mapped:
+def mapped(measurements: list[Measurement], config: Configuration) -> Mapped:
     """Map a log as `map_log` does, nothing in it repaired."""
     recorder, began = TrajectoryRecorder(), time.process_time()
-    rng = np.random.default_rng(seed)
-    state = run(measurements, build(config), particles=config.particles, rng=rng, observers=[recorder])
-    said = full_slam(state, [recorder.tracked_scans()], config.mapper, config.loop_closure, config.final_refinement)
+    rng = np.random.default_rng(0)
+    state = run(measurements, build(config), rng=rng, observers=[recorder])
+    said = full_slam(state, [recorder.tracked_scans()], config.mapper, config.loop_closure)
     keys = np.flatnonzero(np.diff(recorder.keys, prepend=-1))
     searched = np.empty((0, 2), np.int64) if said.loop_summary is None else said.loop_summary.closures
     return Mapped(
@@ -110,12 +109,6 @@ def judge(truth: FloatArray, driven: FloatArray, said: Mapped, arcs: FloatArray)
 def off_m(truth: FloatArray, poses: FloatArray) -> FloatArray:
     """How far poses (N, 3) are off (N,), the first being where it is."""
     away = between(between(truth[0], truth), between(poses[0], poses))
-    return np.hypot(away[:, 0], away[:, 1])
-
-
-def fitted_m(truth: FloatArray, poses: FloatArray) -> FloatArray:
-    """How far poses (N, 3) are off (N,), all of them laid where they fit best."""
-    away = compose(align(poses[:, :2], truth[:, :2]), poses) - truth
     return np.hypot(away[:, 0], away[:, 1])
 
 

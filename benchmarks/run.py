@@ -1,7 +1,6 @@
-"""Run the logs there are and simulated ones; print accuracy, cost and scaling, and write a dated report.
+"""Run the logs there are and simulated ones; print accuracy and cost, and write a dated report.
 
 python benchmarks/run.py [--quick] [--data ../shared/data] [--seeds 10] [--only SECTION ...] [-o reports]
-    [--set NAME=VALUE ...]
 """
 
 from __future__ import annotations
@@ -13,13 +12,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import logs
-import scaling
 from accuracy import accuracy, starts
-from closures import closures
 from graphs import graphs
 from gridslam import preset
-from gridslam.config import Configuration, dumps, override
-from kernels import kernel_times, record
+from gridslam.config import dumps
 from landmarks import landmarks
 from measure import provenance
 from report import Report
@@ -29,13 +25,7 @@ __all__ = ["main"]
 _SECTIONS = (
     "accuracy",
     "start",
-    "particles",
-    "size",
-    "threads",
-    "beams",
-    "kernels",
     "graphs",
-    "closures",
     "landmarks",
 )
 _WORLDS = ("demo", "rooms", "loop", "hall")
@@ -69,28 +59,16 @@ def _run(sections: Sequence[str], given: argparse.Namespace, folder: Path, repor
     if not found:
         report.add("No real logs", f"There is none in {given.data}: only simulated ones were run.")
     main_log = found[0] if found else logs.simulated("demo", folder)
-    part = logs.first_scans(main_log, 1000, folder) if quick else main_log
     seeds = range(given.seeds)
 
     def accuracy_section() -> None:
         worlds = [logs.simulated(world, folder) for world in (_WORLDS[:1] if quick else _WORLDS)]
         accuracy([*found, *worlds], seeds, report, pictures)
 
-    def kernels_section() -> None:
-        report.add("Kernels: 30 particles, one thread", kernel_times(record(), 7 if quick else 20))
-
     runs: dict[str, Callable[[], object]] = {
         "accuracy": accuracy_section,
         "start": lambda: starts(main_log, report, 3 if quick else 9),
-        "particles": lambda: scaling.particles(part, (10, 30, 100) if quick else (10, 30, 100, 300, 1000), report),
-        "size": lambda: scaling.map_size((50, 100) if quick else (50, 100, 200, 300), folder, report),
-        "threads": lambda: scaling.threads(part, (1, 2), report),
-        "beams": lambda: scaling.beams(
-            (180, 360) if quick else (180, 360, 720, 1080), folder, report, 300 if quick else None
-        ),
-        "kernels": kernels_section,
         "graphs": lambda: graphs(given.data, report, 3 if quick else 7),
-        "closures": lambda: closures(report, seeds, override(Configuration(), *given.set)),
         "landmarks": lambda: landmarks(report, given.data, seeds, 10 if quick else 100),
     }
     for name in _SECTIONS:
@@ -99,12 +77,11 @@ def _run(sections: Sequence[str], given: argparse.Namespace, folder: Path, repor
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description="Accuracy, cost and scaling of gridslam, with a dated report.")
+    parser = argparse.ArgumentParser(description="Accuracy and cost of gridslam, with a dated report.")
     parser.add_argument("--quick", action="store_true", help="one seed, small sizes: two minutes")
     parser.add_argument("--data", type=Path, default=_ROOT.parent / "shared" / "data", help="folder of real logs")
     parser.add_argument("--seeds", type=int, help="seeds 0, 1, ... of each log [10; 1 with --quick]")
     parser.add_argument("--only", choices=_SECTIONS, action="append", help="a section; may be given several times")
-    parser.add_argument("--set", action="append", default=[], help="NAME=VALUE of the section closures")
     parser.add_argument("-o", "--out", type=Path, default=_ROOT / "reports", help="folder of the report")
     return parser
 

@@ -26,15 +26,8 @@ def map_drive(
     state = run(
         measurements,
         build(configuration),
-        particles=configuration.particles,
         rng=np.random.default_rng(seed),
         observers=[recorder, lambda report, state, seconds: reports.append(report)],
     )
-    full = full_slam(
-        state,
-        [recorder.tracked_scans()],
-        configuration.mapper,
-        configuration.loop_closure,
-        configuration.final_refinement,
-    )
+    full = full_slam(state, [recorder.tracked_scans()], configuration.mapper, configuration.loop_closure)
     return reports, full

@@ -102,7 +102,7 @@ def particles_at_a_loop() -> None:
         if resampled and not film.still:
             film.still = len(film.frames) - 1
 
-    run(log.measurements, GridFastSlam(), particles=30, rng=np.random.default_rng(0), observers=[watch])
+    run(log.measurements, GridFastSlam(particles=30), rng=np.random.default_rng(0), observers=[watch])
     if not film.still:
         raise SystemExit("particles_at_a_loop: expected a resampling, got none; choose another drive")
     film.save()
@@ -177,7 +177,7 @@ def closure() -> None:
             past.append((state.ancestry.trajectory(state.best), closures))
 
     ends = {m.scan.stamp_ns: m.scan.beams(0.05, 12.0).ends[::2] for m in measurements}
-    run(measurements, build(Configuration(particles=1)), particles=1, rng=np.random.default_rng(0), observers=[watch])
+    run(measurements, build(Configuration(particles=1)), rng=np.random.default_rng(0), observers=[watch])
     film = Film("closure", [("ends of the beams", OCCUPIED), ("loop closures", CLOSURE)])
     pairs = [(before, after[: len(before)]) for (before, _), (after, _) in pairwise(past)]
     moved = [float(np.hypot(*(after - before)[:, :2].T).max()) for before, after in pairs]

@@ -12,13 +12,12 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeVar, final, overload
+from typing import Any, NamedTuple, Protocol, TypeVar, final
 
 import numpy as np
 
 from gridslam.arguments import describe, require_generator, require_instance
 from gridslam.errors import ArgumentError, GridslamError
-from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import LaserScan, Odometry, StepReport, describe_time
 
@@ -60,6 +59,11 @@ class FilterReport(Protocol):
 
 class Filter(Protocol[State, Report]):
     """An algorithm that processes measurements one after the other: SLAM, or localization in a known map."""
+
+    @property
+    def init(self) -> Callable[..., Any]:
+        """Begin; `run` calls it with the first measurement if it is given no state, for the state and the report."""
+        ...
 
     def step(
         self, state: State, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
@@ -208,44 +212,16 @@ class Stopwatch:
         return {"wall_s": wall, "cpu_s": cpu, "stages": stages}
 
 
-@overload
-def run(
-    source: Iterable[tuple[Odometry | None, LaserScan]],
-    algorithm: GridFastSlam,
-    *,
-    particles: int | None = None,
-    rng: np.random.Generator,
-    observers: Sequence[Observer] = (),
-    state: GridFastSlamState | None = None,
-    stopwatch: Stopwatch | None = None,
-    on_failure: Callable[[FailedStep], None] | None = None,
-) -> GridFastSlamState: ...
-
-
-@overload
 def run(
     source: Iterable[tuple[Odometry | None, LaserScan]],
     algorithm: Filter[State, Report],
     *,
     rng: np.random.Generator,
     observers: Sequence[Callable[[Report, State, float], None]] = (),
-    state: State,
+    state: State | None = None,
     stopwatch: Stopwatch | None = None,
     on_failure: Callable[[FailedStep], None] | None = None,
-) -> State: ...
-
-
-def run(
-    source: Iterable[tuple[Odometry | None, LaserScan]],
-    algorithm: Any,
-    *,
-    particles: int | None = None,
-    rng: np.random.Generator,
-    observers: Sequence[Callable[[Any, Any, float], None]] = (),
-    state: Any = None,
-    stopwatch: Stopwatch | None = None,
-    on_failure: Callable[[FailedStep], None] | None = None,
-) -> Any:
+) -> State:
     """Run a filter on all measurements of a source.
 
     Parameters
@@ -254,8 +230,6 @@ def run(
         Measurements in chronological order; None if a scan has no odometry.
     algorithm : Filter
         `GridFastSlam`, or any other filter with an initial `state`.
-    particles : int, optional
-        Initial number of particles of GridFastSlam without a `state`; its own default if not given.
     rng : numpy.random.Generator
         Source of all randomness.
     observers : sequence of Observer
@@ -294,9 +268,10 @@ def run(
         watch.lap("read")
         try:
             if state is None:
-                state, report = algorithm.init(odometry, scan, particles)
+                after: tuple[State, Report] = algorithm.init(odometry, scan)
             else:
-                state, report = algorithm.step(state, odometry, scan, rng)
+                after = algorithm.step(state, odometry, scan, rng)
+            state, report = after
         except Exception as error:
             if on_failure is None:
                 raise

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -10,13 +9,12 @@ import pytest
 
 import gridslam
 from aliasing_worlds import make_world
-from gridslam.config import Configuration
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, simulate
 from gridslam.slam.full_slam import earlier_pieces
-from support.lifelong import Floor, Session
+from support.furnished_floor import Floor, is_found
 
 ELSEWHERE = np.array([10.0, 0.0, 2.0])
 
@@ -58,11 +56,7 @@ def test_another_floor_of_the_same_plan_stays_apart(monkeypatch, agreement):
     """All its furniture stands elsewhere, which contradicts what the walls show; by a looser rule it is joined."""
     if agreement is not None:
         monkeypatch.setattr(earlier_pieces, "_MIN_AGREEMENT", agreement)
-    configuration = Configuration()
-    floor = Session(configuration)
-    floor.map_day(Floor(6).drive(60.0), 6)
-    with nullcontext() if agreement is not None else pytest.raises(AssertionError, match="the robot was not found"):
-        floor.map_day(Floor(106).drive(60.0), 706)
+    assert is_found(Floor(6).drive(60.0), Floor(106).drive(60.0), 6) == (agreement is not None)
 
 
 @pytest.mark.parametrize("kind", ["random", "equal_rooms"])

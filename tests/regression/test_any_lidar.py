@@ -37,7 +37,7 @@ def recorded(lidars, robot: RobotConfig | None = None) -> SimulatedLog:
 def mapped(measurements: Iterable[Measurement], truth: Trajectory, config: Configuration = CONFIG) -> PoseErrors:
     recorder = TrajectoryRecorder()
     rng = np.random.default_rng(0)
-    state = run(measurements, build(config), particles=config.particles, rng=rng, observers=[recorder])
+    state = run(measurements, build(config), rng=rng, observers=[recorder])
     return absolute_errors(recorder.best_trajectory(state), truth)
 
 

@@ -9,6 +9,8 @@ import pytest
 
 from covariances import judge
 from gridslam.config import Configuration
+from gridslam.slam.full_slam import key_scan_matching
+from gridslam.slam.loop_closure import drift_model
 from support.corridors import drive
 
 pytestmark = pytest.mark.long
@@ -34,19 +36,13 @@ def test_average_nees_lies_in_its_band(kind):
     assert 0.2 < found["online_nees"] < 6.0
 
 
-def test_increments_that_claim_too_little_are_found_out():
+def test_increments_that_claim_too_little_are_found_out(monkeypatch):
     """A third of the drift, and matches four times as precise, each key scan's for itself."""
     usual = Configuration()
-    drift = replace(
-        usual.loop_closure.drift, position_ratio=0.1, sigma_rad_per_sqrt_m=0.0005, sigma_rad_per_sqrt_rad=1e-3
-    )
-    matching = replace(usual.final_refinement.key_scans, beam_sigma_m=0.0125)
-    bold = replace(
-        usual,
-        loop_closure=replace(usual.loop_closure, drift=drift),
-        final_refinement=replace(usual.final_refinement, key_scans=matching),
-    )
-    assert averages("random", bold)["final_nees"] > 10
+    monkeypatch.setattr(drift_model, "_POSITION_RATIO", 0.1)
+    monkeypatch.setattr(key_scan_matching, "_BEAM_SIGMA_M", 0.0125)
+    drift = replace(usual.loop_closure.drift, sigma_rad_per_sqrt_m=0.0005, sigma_rad_per_sqrt_rad=1e-3)
+    assert averages("random", replace(usual, loop_closure=replace(usual.loop_closure, drift=drift)))["final_nees"] > 10
 
 
 @pytest.mark.parametrize(("length_m", "range_m"), [(10.0, 5.0), (40.0, 10.0), (40.0, 30.0)])

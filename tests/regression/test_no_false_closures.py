@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -41,8 +41,8 @@ class Driven:
 def driven(request) -> tuple[str, Driven]:
     stream, recorder = deceptive(request.param, 0).stream(), TrajectoryRecorder()
     rng = np.random.default_rng(0)
-    state = run(stream.measurements, build(CONFIG), particles=PARTICLES, rng=rng, observers=[recorder])
-    parts = CONFIG.mapper, CONFIG.loop_closure, CONFIG.final_refinement
+    state = run(stream.measurements, build(replace(CONFIG, particles=PARTICLES)), rng=rng, observers=[recorder])
+    parts = CONFIG.mapper, CONFIG.loop_closure
     answer = full_slam(state, [recorder.tracked_scans()], *parts)
     return request.param, Driven(stream.truth, stream.odometry, state, answer)
 

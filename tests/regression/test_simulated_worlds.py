@@ -47,8 +47,7 @@ def mapped(seed: int, people: int, filter_seed: int = 0) -> Mapped:
     recorder, reports = TrajectoryRecorder(), []
     state = run(
         log.measurements,
-        GridFastSlam(),
-        particles=PARTICLES,
+        GridFastSlam(particles=PARTICLES),
         rng=np.random.default_rng(filter_seed),
         observers=[recorder, lambda report, state, seconds: reports.append(report)],
     )

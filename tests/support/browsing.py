@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -136,7 +137,7 @@ class Mapping(threading.Thread):
     def run(self) -> None:
         slam, rng = build(PROVOKED), np.random.default_rng(1)
         source, observers = self.page.pace(self.drive), [self.page.observer]
-        self.state = run(source, slam, particles=8, rng=rng, observers=observers)
+        self.state = run(source, replace(slam, particles=8), rng=rng, observers=observers)
 
 
 class Cable(threading.Thread):

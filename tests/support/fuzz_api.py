@@ -13,6 +13,7 @@ import os
 import resource
 import types
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from enum import Enum
 from functools import cache
 from itertools import islice
@@ -278,7 +279,7 @@ def make_examples(folder: Path) -> Examples:
     configuration = override(Configuration(), "particles=3")
     result = gridslam.map_log(folder / "api.csv", configuration=configuration)
     slam = gridslam.build(configuration)
-    state = gridslam.run(log.measurements[:60], slam, particles=3, rng=np.random.default_rng(1))
+    state = gridslam.run(log.measurements[:60], replace(slam, particles=3), rng=np.random.default_rng(1))
     odometry, scan = log.measurements[60]
     assert odometry is not None
     beams = scan.beams(0.0, 30.0)

@@ -640,7 +640,7 @@ def _states(folder: Path) -> Iterator[Family]:
     begun = SavedRun(rng, name="day", logs=(DrivenLog("day.clf", "", 35, 0, 1, 1.0),))
     slam = gridslam.build(configuration)
     observers = [begun.trajectory, begun.statistics, lambda report, state, seconds: begun.record.add(report, seconds)]
-    state = gridslam.run(islice(steps, 35), slam, particles=3, rng=rng, observers=observers)
+    state = gridslam.run(islice(steps, 35), replace(slam, particles=3), rng=rng, observers=observers)
     session = Session.of(SavedSession(configuration, run=replace(begun, state=state)))
     whole = replace(session.saved, pieces=tuple(session.pieces))  # a run, and the same as a piece
     write_session(folder / "state.gridslam", whole)

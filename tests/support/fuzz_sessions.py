@@ -247,7 +247,7 @@ def _save_while_closing(folder: Path, log: SimulatedLog) -> None:
     slam, state = gridslam.build(slow), None
     observers = [begun.trajectory, begun.statistics, lambda report, state, seconds: begun.record.add(report, seconds)]
     for measurement in log.measurements:
-        state = gridslam.run([measurement], slam, particles=4, rng=begun.rng, observers=observers, state=state)
+        state = gridslam.run([measurement], replace(slam, particles=4), rng=begun.rng, observers=observers, state=state)
         closure = state.closure_state
         is_during = {
             "pending": closure.pending_constraints is not None,

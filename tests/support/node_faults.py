@@ -30,7 +30,7 @@ from gridslam.ros.node.ros_node import RosNode
 from gridslam.ros.node.state_publisher import StatePublisher
 from gridslam.ros.node.transport import NO_OPTIONS
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
-from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement
+from gridslam.slam.full_slam import full_slam
 from gridslam.slam.grid_fastslam.map_limit import MapLimit
 from gridslam.slam.grid_fastslam.proposals import ScanMatchedProposal
 from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
@@ -71,7 +71,7 @@ PARTS = {
     "map renderer": (MapRenderer, "_render"),
     "record": (ScanRecorder, "add"),
     "copy of the session": (Session, "copy"),
-    "final refinement": (GlobalScanRefinement, "__call__"),
+    "final refinement": (full_slam, "refine_trajectory"),
 }
 """Methods that raise."""
 

@@ -13,8 +13,7 @@ from gridslam.models import OdometryMotion
 from gridslam.particles import Residual
 from gridslam.slam import GridFastSlam
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
-from gridslam.slam.pose_graph.graph_slam import GraphSlam
-from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
+from gridslam.tracking.odometry_calibration import OdometryCalibration
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -59,15 +58,31 @@ def test_loop_closure_is_one_field_that_a_word_switches():
 
 
 def test_a_part_may_be_none():
-    config = override(Configuration(), "loop_closure.solver.robust.probability=0.99")
-    assert config.loop_closure.solver == GraphSlam("given", GraduatedNonConvexity(probability=0.99))
+    config = override(Configuration(), "tracker.calibration.forgetting_segments=99")
+    assert config.tracker.calibration == OdometryCalibration(forgetting_segments=99)
     assert loads(dumps(config)) == config
-    without = override(config, "loop_closure.solver.robust.kind=none")
-    assert without.loop_closure.solver.robust is None
-    assert to_table(without)["loop_closure"]["solver"]["robust"] == {"kind": "none"}
+    without = override(config, "tracker.calibration.kind=none")
+    assert without.tracker.calibration is None
+    assert to_table(without)["tracker"]["calibration"] == {"kind": "none"}
     assert loads(dumps(without), config) == without
-    with pytest.raises(ConfigurationError, match=r"loop_closure.solver.robust.growth: no such parameter"):
-        override(without, "loop_closure.solver.robust.growth=2")
+    with pytest.raises(ConfigurationError, match=r"tracker.calibration.forgetting_segments: no such parameter"):
+        override(without, "tracker.calibration.forgetting_segments=2")
+
+
+def test_parameters_of_earlier_versions_are_left_out_where_asked_for():
+    """As in sessions that were saved when there were more; of a wrong type or out of range nothing is taken."""
+    text = dumps(override(Configuration(), "particles=7", "key_scan_m=0.3"))
+    text += "[loop_closure.solver.robust]\nkind = 'Cauchy'\n[final_refinement]\nmax_rounds = 2\n"
+    expected = override(Configuration(), "particles=7", "key_scan_m=0.3")
+    assert loads(text, ignore_unknown=True) == expected
+    with pytest.raises(ConfigurationError, match="no such parameter"):
+        loads(text)
+    with pytest.raises(ConfigurationError, match=r"tracker.insert_m: expected a number"):
+        loads("old = 1\n[tracker]\ninsert_m = -1", ignore_unknown=True)
+
+
+def test_at_most_eighty_values_can_be_set():
+    assert len(list(names(Configuration()))) - str(to_table(Configuration())).count("'kind'") <= 80
 
 
 def test_build_passes_every_part_on():

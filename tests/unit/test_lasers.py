@@ -45,7 +45,7 @@ def error_m(measurements, truth: Trajectory, config: Configuration) -> float:
     """RMSE of the trajectory, aligned; by the filter alone, with few particles."""
     recorder, config = TrajectoryRecorder(), override(config, "particles=8", "loop_closure=false")
     rng = np.random.default_rng(0)
-    state = run(measurements, build(config), particles=config.particles, rng=rng, observers=[recorder])
+    state = run(measurements, build(config), rng=rng, observers=[recorder])
     return absolute_errors(recorder.best_trajectory(state), truth).trans_rmse_m
 
 

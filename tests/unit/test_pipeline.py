@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -41,7 +42,7 @@ def seen(reports):
 def test_run_is_init_then_steps_and_tells_every_observer(measurements, slam):
     reports, others = [], []
     observers = [seen(reports), seen(others)]
-    end = run(measurements, slam, particles=PARTICLES, rng=np.random.default_rng(1), observers=observers)
+    end = run(measurements, replace(slam, particles=PARTICLES), rng=np.random.default_rng(1), observers=observers)
     rng = np.random.default_rng(1)
     state, expected = slam.init(*measurements[0], PARTICLES)
     for k, (odometry, scan) in enumerate(measurements):
@@ -60,7 +61,7 @@ def test_source_must_give_something_and_odometry_where_the_tracker_needs_it(meas
     with pytest.raises(ArgumentError, match="at least one measurement"):
         run([], slam, rng=np.random.default_rng(1))
     without = [(None, scan) for _, scan in measurements[:3]]
-    run(without, slam, particles=PARTICLES, rng=np.random.default_rng(1))
+    run(without, replace(slam, particles=PARTICLES), rng=np.random.default_rng(1))
     with pytest.raises(ArgumentError, match="a pose with every scan"):
         run(without, build(override(Configuration(), "tracker.kind=OdometryTracker")), rng=np.random.default_rng(1))
 
@@ -75,7 +76,7 @@ def fixed_by_the_particle(reports):
 def test_trajectory_of_one_particle_is_the_same_online_and_in_full(measurements, slam):
     recorder, reports = TrajectoryRecorder(), []
     observers = [recorder, seen(reports)]
-    state = run(measurements, slam, particles=1, rng=np.random.default_rng(1), observers=observers)
+    state = run(measurements, replace(slam, particles=1), rng=np.random.default_rng(1), observers=observers)
     online, full = recorder.online_trajectory(), recorder.best_trajectory(state)
     assert np.array_equal(online.stamps_ns, [scan.stamp_ns for _, scan in measurements])
     assert np.array_equal(full.stamps_ns, online.stamps_ns)
@@ -88,7 +89,7 @@ def test_trajectory_of_one_particle_is_the_same_online_and_in_full(measurements,
 
 def test_recorder_survives_arrays(measurements, slam):
     recorder = TrajectoryRecorder()
-    state = run(measurements, slam, particles=2, rng=np.random.default_rng(4), observers=[recorder])
+    state = run(measurements, replace(slam, particles=2), rng=np.random.default_rng(4), observers=[recorder])
     twin = TrajectoryRecorder.from_arrays(recorder.to_arrays())
     assert np.array_equal(twin.best_trajectory(state).poses, recorder.best_trajectory(state).poses)
     broken = recorder.to_arrays() | {"online": np.zeros((3, 3))}
@@ -125,7 +126,7 @@ def test_stopwatch_gives_every_moment_to_one_stage(measurements, slam, monkeypat
     ticks = itertools.count()
     monkeypatch.setattr(time, "perf_counter", lambda: float(next(ticks)))  # each look at the clock takes a second
     watch = Stopwatch()
-    run(measurements, slam, particles=1, rng=np.random.default_rng(1), stopwatch=watch)
+    run(measurements, replace(slam, particles=1), rng=np.random.default_rng(1), stopwatch=watch)
     stages = {name: wall for name, (wall, _) in watch.stages.items()}
     count = len(measurements)
     assert stages.pop("read") == count + 1  # once more, to learn that the source has ended

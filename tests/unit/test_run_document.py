@@ -50,7 +50,7 @@ def fail(*arguments, **options):
 @pytest.mark.parametrize(
     ("what", "problem"),
     [
-        ("gridslam.slam.full_slam.global_scan_refinement.GlobalScanRefinement.__call__", "the final refinement failed"),
+        ("gridslam.slam.full_slam.full_slam.refine_trajectory", "the final refinement failed"),
         ("gridslam.viz.draw_map", "map.png cannot be drawn"),
     ],
 )

@@ -145,15 +145,7 @@ def locate_in(
     is_found = state is not None and state.closure_state is not None and state.closure_state.joined >= 0
     if closure is None or not pieces or is_found:
         return None
-    refinement = configuration.final_refinement
-    return EarlierPieces(
-        [piece.piece for piece in pieces],
-        configuration.mapper,
-        closure.places,
-        refinement.component_alignment,
-        refinement.score,
-        begin=pose,
-    )
+    return EarlierPieces([piece.piece for piece in pieces], configuration.mapper, closure.places, begin=pose)
 
 
 def begin_new_piece(
@@ -167,8 +159,7 @@ def begin_new_piece(
     if run.state is None:
         return ended
     drives = [drive.scans for drive in run.drives]
-    refinement = configuration.final_refinement
-    full = full_slam(run.state, drives, configuration.mapper, configuration.loop_closure, refinement, on_progress)
+    full = full_slam(run.state, drives, configuration.mapper, configuration.loop_closure, on_progress)
     if full.piece is None:
         return ended  # without loop closure no drive can be relocalized
     pieces = (SavedPiece(full.piece, run.drives), *ended.pieces)

@@ -634,7 +634,6 @@ def finish_mapping(
         drives=[drive.scans for drive in drives],
         mapper=configuration.mapper,
         loop_closure=configuration.loop_closure,
-        final_refinement=configuration.final_refinement,
         on_progress=on_progress,
     )
     try:

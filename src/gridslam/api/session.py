@@ -293,27 +293,15 @@ class Session:
         if not pieces:
             raise ArgumentError("sessions", "one with a drive at least", "empty ones")
         pieces = _name_apart(pieces)
-        merged = merge_pieces(
-            [piece.piece for piece in pieces],
-            self.configuration.mapper,
-            closure,
-            self.configuration.final_refinement,
-            on_progress,
-        )
+        mapper = self.configuration.mapper
+        merged = merge_pieces([piece.piece for piece in pieces], mapper, closure, on_progress)
         groups = []
         for group in merged:
             members = [pieces[number] for number in group.members]
             groups.append(SavedPiece(group.piece, _follow(members)))
         groups.sort(key=lambda piece: (not piece.drives, -len(piece.piece)))
         largest = groups[0]
-        full = refine_piece(
-            largest.piece,
-            largest.tracked_scans,
-            self.configuration.mapper,
-            closure,
-            self.configuration.final_refinement,
-            on_progress,
-        )
+        full = refine_piece(largest.piece, largest.tracked_scans, mapper, closure, on_progress)
         first = _Map(SavedPiece(full.piece or largest.piece, largest.drives), full.tiled_map, full.poses)
         self._maps = [first, *(_Map.draw(piece, self.configuration) for piece in groups[1:])]
         self._saved = SavedSession(self.configuration, self._saved.seed, None, tuple(self.pieces))
@@ -402,13 +390,8 @@ class Session:
             self._maps = [_Map.draw(piece, saved.configuration) for piece in saved.pieces]
             if saved.run is not None and saved.run.state is not None:
                 drives = saved.run.drives
-                full = full_slam(
-                    saved.run.state,
-                    [drive.scans for drive in drives],
-                    mapper,
-                    saved.configuration.loop_closure,
-                    saved.configuration.final_refinement,
-                )
+                scans = [drive.scans for drive in drives]
+                full = full_slam(saved.run.state, scans, mapper, saved.configuration.loop_closure)
                 if full.piece is None:
                     raise ArgumentError("session", "one that was mapped with loop closure", "one without")
                 self._maps.insert(0, _Map(SavedPiece(full.piece, drives), full.tiled_map, full.poses))

@@ -18,7 +18,6 @@ from gridslam.parameters import Kind, bounded, parameters
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold, NeverResample
 from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
 from gridslam.scan import Thinning
-from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.map_limit import MapLimit
 from gridslam.slam.grid_fastslam.proposals import ImprovedProposal, MotionModelProposal, ScanMatchedProposal
@@ -125,8 +124,6 @@ class Configuration:
         The parts of `GridFastSlam`.
     loop_closure : LoopClosure or None
         How loop closures are detected and the trajectory is corrected while the robot drives; None for the filter only.
-    final_refinement : GlobalScanRefinement
-        How the trajectory is refined at the end of the log; without loop closure it is not.
     """
 
     particles: int = bounded(30, ge=1, le=100_000)
@@ -146,7 +143,6 @@ class Configuration:
     map_limit: MapLimit = MapLimit()
     reports: ReportBuilder = ReportBuilder()
     loop_closure: Annotated[LoopClosure | None, Kind()] = LoopClosure()
-    final_refinement: GlobalScanRefinement = GlobalScanRefinement()
 
     def __post_init__(self) -> None:
         """Refuse parameters that do not go together."""
@@ -188,15 +184,17 @@ def dumps(config: Configuration) -> str:
 
 
 @checked
-def loads(text: str, base: Configuration | None = None) -> Configuration:
+def loads(text: str, base: Configuration | None = None, *, ignore_unknown: bool = False) -> Configuration:
     """Read TOML; parameters that it does not contain stay as in `base`, or at the defaults.
+
+    With `ignore_unknown` parameters of earlier versions that are constants now are left out.
 
     Raises
     ------
     ConfigurationError
         The text is no TOML, or a parameter is unknown, of a wrong type or out of range.
     """
-    return replace_parameters(base or Configuration(), parse_toml(text))
+    return replace_parameters(base or Configuration(), parse_toml(text), ignore_unknown=ignore_unknown)
 
 
 @checked

@@ -9,7 +9,7 @@ import difflib
 import functools
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from typing import Any, TypeVar
 
@@ -40,6 +40,7 @@ __all__ = [
 
 _Part = TypeVar("_Part")
 _MOST_DOTS = 100  # a parser takes time and memory that grow with the square of the parts of a dotted key
+_UNKNOWN = "unexpected_keyword_argument", "extra_forbidden"  # pydantic's types of errors
 _BOOLEANS = {"True": True, "False": False}
 _DECIMAL = re.compile(r"[-+]?(\d+\.\d*|\.\d+)([eE][-+]?\d+)?")  # TOML wants digits on both sides of the point
 
@@ -123,7 +124,9 @@ def _read_value(text: str) -> Any:  # noqa: ANN401
     return float(text) if _DECIMAL.fullmatch(text) else text
 
 
-def replace_parameters(part: _Part, changes: Mapping[str, Any], also: Iterable[str] = ()) -> _Part:
+def replace_parameters(
+    part: _Part, changes: Mapping[str, Any], also: Iterable[str] = (), *, ignore_unknown: bool = False
+) -> _Part:
     """Return the part with other parameters, checked.
 
     Parameters
@@ -134,6 +137,8 @@ def replace_parameters(part: _Part, changes: Mapping[str, Any], also: Iterable[s
         Nested as `to_table` gives it.
     also : iterable of str
         Further names that a message may suggest.
+    ignore_unknown : bool
+        Whether parameters that there are no longer are left out.
 
     Raises
     ------
@@ -146,6 +151,9 @@ def replace_parameters(part: _Part, changes: Mapping[str, Any], also: Iterable[s
         text = to_json(table, inf_nan_mode="null", fallback=repr)
         changed: _Part = adapter(type(part)).validate_json(text, strict=True)
     except ValidationError as error:
+        unknown = [each["loc"] for each in error.errors() if each["type"] in _UNKNOWN]
+        if ignore_unknown and unknown:
+            return replace_parameters(part, functools.reduce(_without, unknown, changes), also, ignore_unknown=True)
         raise ConfigurationError(describe_error(error.errors()[0], table, [*also, *names(part)])) from None
     return changed
 
@@ -167,7 +175,7 @@ def describe_error(error: ErrorDetails, table: Mapping[str, Any], known: Iterabl
             return f"{name}.kind: expected one of {kinds}, got {tag!r}{suggest_names(tag, kinds.split(', '))}"
         case "union_tag_not_found" | "dataclass_type":
             return f"{name}: expected a table of parameters, got {value!r}"
-        case "unexpected_keyword_argument" | "extra_forbidden":
+        case kind if kind in _UNKNOWN:
             return f"{name}: no such parameter{suggest_names(name, known)}"
         case "value_error":
             return f"{name or 'configuration'}: {error['msg'].removeprefix('Value error, ')}"
@@ -190,6 +198,16 @@ def _names(table: Table) -> Iterator[str]:
             yield from (f"{name}.{below}" for below in _names(value))
         else:
             yield name
+
+
+def _without(table: Mapping[str, Any], path: Sequence[Any]) -> Mapping[str, Any]:
+    """Return a table without the parameter at a path, in which there are names of kinds, too."""
+    key, *below = path
+    if key not in table:
+        return _without(table, below)
+    if not below:
+        return {name: value for name, value in table.items() if name != key}
+    return {**table, key: _without(table[key], below)}
 
 
 def _merge(table: Any, changes: Any) -> Any:  # noqa: ANN401

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from typing import Any, TypeVar, final
 
@@ -22,15 +21,12 @@ _Number = TypeVar("_Number", bound=np.integer[Any])
 _MOVED = 1024
 """Tiles that are copied at a time."""
 
-_SPARE_RATIO = 4
-"""A quarter of the tiles is spare when others begin to be read."""
-
 
 @final
 class TileArena:
     """Tiles (log-odds and distance field), pages of tile ids, and how often each is used. Id 0 is the empty one.
 
-    It belongs to one thread; others may read what `freeze` lends them.
+    It belongs to one thread.
 
     Parameters
     ----------
@@ -51,7 +47,7 @@ class TileArena:
     """
 
     __slots__ = (
-        *("_end_update", "_free_pages", "_free_tiles", "_lender", "_lent", "_readers", "_returned"),
+        *("_end_update", "_free_pages", "_free_tiles"),
         *("field", "log_odds", "page_refs", "pages", "tile_refs", "unit"),
     )
 
@@ -66,15 +62,6 @@ class TileArena:
         self._free_pages: Int32Array = np.arange(7, 0, -1, dtype=np.int32)
         self._free_tiles: Int32Array = np.arange(63, 0, -1, dtype=np.int32)
         self._end_update: Callable[[TileArena], object] | None = None
-        self._readers = 0
-        self._returned: deque[Int32Array] = deque()
-        self._lender: TileArena | None = None
-        self._lent: Int32Array = np.zeros((0, 1, 1), np.int32)
-
-    def __del__(self) -> None:
-        """Release the lent tiles, in any thread."""
-        if getattr(self, "_lender", None) is not None and self._lender is not None:
-            self._lender._returned.append(self._lent)
 
     @classmethod
     def from_arrays(
@@ -113,26 +100,6 @@ class TileArena:
         arena._free_pages = arena._free_tiles = np.zeros(0, np.int32)
         return arena
 
-    def freeze(self, roots: Int32Array) -> TileArena:
-        """Lend the pages of `roots` to another thread: an arena that is only read, and that the owner does not change.
-
-        Until the last reader has dropped it growing takes a copy of all tiles. So that the owner need not, as many are
-        made before as it copies in the next seconds.
-        """
-        self.take_back()
-        if not self._readers:
-            self.reserve(len(self.page_refs) // _SPARE_RATIO, len(self.tile_refs) // _SPARE_RATIO)
-        self.retain(roots)
-        twin = object.__new__(TileArena)
-        twin.pages, twin.log_odds, twin.field, twin.unit = self.pages, self.log_odds, self.field, self.unit
-        twin.page_refs = twin.tile_refs = twin._free_pages = twin._free_tiles = np.zeros(0, np.int32)
-        twin._end_update = None
-        twin._readers = 0
-        twin._returned = deque()
-        twin._lender, twin._lent = self, roots
-        self._readers += 1
-        return twin
-
     def end_later(self, end: Callable[[TileArena], object]) -> None:
         """Leave an update to the kernels' threads: until it is ended, nothing here may be read or written."""
         self._end_update = end
@@ -158,22 +125,9 @@ class TileArena:
             self.tile_refs.resize(size, refcheck=False)
             self._free_tiles = np.concatenate([_count_down(first, size), self._free_tiles])
 
-    def take_back(self) -> None:
-        """Reclaim tiles that readers have released; called by the owner before it writes."""
-        while self._returned:
-            self.release(self._returned.popleft())
-            self._readers -= 1
-
-    @property
-    def is_frozen(self) -> bool:
-        """Whether it is only read."""
-        return self._lender is not None
-
     @property
     def tiles_used(self) -> int:
         """Number of tiles that some map uses."""
-        if self._lender is not None:
-            return self.tiles_of(self._lent)
         return len(self.tile_refs) - 1 - len(self._free_tiles)
 
     @property
@@ -210,11 +164,7 @@ class TileArena:
             self._free_tiles = free
 
     def _extend(self, tiles: NDArray[_Number], size: int) -> NDArray[_Number]:
-        """Give tiles or pages with empty ones behind them, in place unless somebody reads them."""
-        if self._readers:
-            extended = np.zeros((size, *tiles.shape[1:]), tiles.dtype)
-            extended[: len(tiles)] = tiles
-            return extended
+        """Give tiles or pages with empty ones behind them."""
         # resize extends large arrays in place: no second copy of the maps is ever held
         tiles.resize((size, *tiles.shape[1:]), refcheck=False)
         return tiles
@@ -232,14 +182,10 @@ class TileArena:
 
     def retain(self, roots: Int32Array) -> None:
         """Count one more use of every page in `roots`."""
-        if self._lender is not None:  # a reader holds all it needs as long as it holds the arena
-            return
         self.page_refs += _uses(roots, len(self.page_refs))
 
     def release(self, roots: Int32Array) -> None:
         """Decrement the use count of every page in `roots`; unused ones become free."""
-        if self._lender is not None:
-            return
         dead_pages = _release(self.page_refs, roots)
         if len(dead_pages):
             dead_tiles = _release(self.tile_refs, self.pages[dead_pages])
@@ -265,9 +211,6 @@ class TileArena:
 
     def compact(self) -> None:
         """Move the tiles in use to the front, in their order, and give the memory behind them back."""
-        self.take_back()
-        if self._readers:
-            self.pages, self.log_odds, self.field = self.pages.copy(), self.log_odds.copy(), self.field.copy()
         used = np.append(0, np.flatnonzero(self.tile_refs))
         places = np.zeros(len(self.tile_refs), np.int32)
         places[used] = np.arange(len(used), dtype=np.int32)

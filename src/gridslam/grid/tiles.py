@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from functools import lru_cache
 from typing import Annotated, Any, final
@@ -293,11 +294,11 @@ class TileMaps:
         """Return whether ids of tiles mean the same in both."""
         return self._shared_arena is other._shared_arena
 
-    def freeze(self) -> TileMaps:
-        """Return all maps as they are now, for another thread to read while the owner continues; never written to."""
-        twin = self.snapshot()
-        twin._arena.release(twin._roots)
-        twin._shared_arena = self._arena.freeze(twin._roots)
+    def copy(self) -> TileMaps:
+        """Return all maps in memory of their own, which another thread may use."""
+        arena = copy.deepcopy(self._arena)
+        twin = copy.copy(self)
+        twin._shared_arena, twin._roots = arena, self._roots.copy()
         return twin
 
     def select(self, parents: Annotated[Rows, "M", index_of("self")]) -> None:
@@ -329,9 +330,6 @@ class TileMaps:
         if not len(beams):
             return
         arena = self._arena
-        if arena.is_frozen:
-            raise ArgumentError("maps", "maps that may change", "frozen ones")
-        arena.take_back()
         room = self.most_tiles - arena.tiles_used
         scan = beams.ends, beams.origin, self.resolution_m, *self._steps, self._cone, 2 * self.reach_m, self.threads
         update = _ScanUpdate(rows, poses, scan)
@@ -361,11 +359,8 @@ class TileMaps:
         Scans of the batch are weighed between two of them, each when those that count are drawn (see `Weighing`).
         """
         arena = self._arena
-        if arena.is_frozen:
-            raise ArgumentError("maps", "maps that may change", "frozen ones")
         if first == last:
             return
-        arena.take_back()
         self._cover(poses[first:last], batch)
         arena.reserve(_SPARE_PAGES, min(_TILES_PER_SCAN * (last - first), _MOST_RESERVED))
         spare = 0
@@ -634,9 +629,6 @@ class TileMaps:
 
     def _make_writable(self, tiles_to_write: Int32Array) -> None:
         arena = self._arena
-        if arena.is_frozen:
-            raise ArgumentError("maps", "maps that may change", "frozen ones")
-        arena.take_back()
         while True:
             pages, tiles, done = backend.make_tiles_writable(
                 *self._view, arena.page_refs, arena.tile_refs, *arena.free_ids, tiles_to_write

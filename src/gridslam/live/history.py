@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple, TypeAlias, final
 
@@ -158,15 +159,7 @@ class History:
 
     def find(self, keys: int) -> int:
         """Return the index of the last moment at most at a number of key scans; -1 if there is none."""
-        moments = self.moments
-        low, high = 0, len(moments)
-        while low < high:
-            middle = (low + high) // 2
-            if moments[middle].keys <= keys:
-                low = middle + 1
-            else:
-                high = middle
-        return low - 1
+        return bisect_right(self.moments, keys, key=lambda moment: moment.keys) - 1
 
     def path(self, index: int) -> Float32Array:
         """Return the path (T, 2) as it was at a moment, m."""

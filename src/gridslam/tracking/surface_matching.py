@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import final
 
 import numpy as np
 
 from gridslam.geometry.single_pose import Pose
 from gridslam.kernels import backend
 from gridslam.matching.surfaces import LEAST_INFORMATION, Surfaces
-from gridslam.parameters import bounded, parameters
 from gridslam.tracking.prediction import PoseEstimate
 from gridslam.tracking.recent_scans import RecentScans
 
-__all__ = ["SurfaceMatching"]
+__all__ = ["SURFACE_SCANS", "match_to_surfaces"]
 
 _GATES_M = np.array([0.15, 0.08])
 """Largest residual of a point, in each step: a match to cells of 5 cm is off by less than the first."""
@@ -23,48 +21,37 @@ _MAX_CORRECTION_M = 0.1
 """Where fewer points are matched, or the scan would move farther, it stays."""
 _PRIOR_SIGMAS = np.array([0.02, 0.02, 0.01])
 """Standard deviations (m, m, rad) of the match to the map."""
+SURFACE_SCANS = 8
+"""How many of the newest scans in the local map."""
+_SIGMA_M = 0.02
+"""Standard deviation of a point; where the residual is as large, it weighs half."""
 
 
-@final
-@parameters(frozen=True)
-class SurfaceMatching:
-    """Moves a scan that was matched to a map to where the surfaces that it sees fit those of the newest scans.
+def match_to_surfaces(recent: RecentScans, own: Surfaces, found: PoseEstimate) -> Pose:
+    """Move a scan that was matched to a map to where the surfaces that it sees fit those of the newest scans.
 
     Point to line, by Gauss-Newton. A map keeps cells, and errors of centimetres with them: matched to surfaces the
     tracker drifts a third as fast. Where few points fit, and along directions that surfaces leave open, the pose stays.
-
-    Parameters
-    ----------
-    scans : int
-        How many of the newest scans in the local map.
-    sigma_m : float, m
-        Standard deviation of a point; where the residual is as large, it weighs half.
 
     References
     ----------
     Chen and Medioni, Object modelling by registration of multiple range images (1992); Censi, An ICP variant using a
     point-to-line metric (2008).
     """
-
-    scans: int = bounded(8, ge=2, le=1000)
-    sigma_m: float = bounded(0.02, ge=1e-6, le=100)
-
-    def __call__(self, recent: RecentScans, own: Surfaces, found: PoseEstimate) -> Pose:
-        """Match the surfaces of one scan, from where it was found in the map; gives its pose."""
-        guess, predicted = found.pose, found.prediction
-        sigmas = _PRIOR_SIGMAS
-        if predicted.covariance is not None:  # reported by the odometry, and part of what was found
-            sigmas = np.minimum(sigmas, [predicted.sigma_m, predicted.sigma_m, predicted.sigma_rad])
-        pose, count = backend.match_to_surfaces(
-            *recent.surfaces,
-            np.array([scan.pose for scan in recent.scans]).reshape(-1, 3),
-            own.points,
-            own.normals,
-            guess,
-            1 / np.square(sigmas),
-            _GATES_M,
-            self.sigma_m,
-            LEAST_INFORMATION,
-        )
-        is_near = math.hypot(pose[0] - guess[0], pose[1] - guess[1]) < _MAX_CORRECTION_M
-        return pose if count >= _MIN_POINTS and is_near else guess
+    guess, predicted = found.pose, found.prediction
+    sigmas = _PRIOR_SIGMAS
+    if predicted.covariance is not None:  # reported by the odometry, and part of what was found
+        sigmas = np.minimum(sigmas, [predicted.sigma_m, predicted.sigma_m, predicted.sigma_rad])
+    pose, count = backend.match_to_surfaces(
+        *recent.surfaces,
+        np.array([scan.pose for scan in recent.scans]).reshape(-1, 3),
+        own.points,
+        own.normals,
+        guess,
+        1 / np.square(sigmas),
+        _GATES_M,
+        _SIGMA_M,
+        LEAST_INFORMATION,
+    )
+    is_near = math.hypot(pose[0] - guess[0], pose[1] - guess[1]) < _MAX_CORRECTION_M
+    return pose if count >= _MIN_POINTS and is_near else guess

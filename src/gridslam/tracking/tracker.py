@@ -39,7 +39,7 @@ from gridslam.tracking.state import (
     is_within,
     pose_of,
 )
-from gridslam.tracking.surface_matching import SurfaceMatching
+from gridslam.tracking.surface_matching import SURFACE_SCANS, match_to_surfaces
 from gridslam.types import BeamEnds, Beams, FloatArray, Odometry
 
 __all__ = ["OdometryTracker", "TrackedScan", "Tracker", "TrackerState"]
@@ -102,9 +102,6 @@ class Tracker:
         How a scan is searched for around the odometry where scans are far apart.
     calibration : OdometryCalibration or None
         Online calibration of the odometry; None: disabled.
-    surfaces : SurfaceMatching or None
-        How a match is made more exact by surfaces that the newest scans have seen; None: it is not, nor is it where
-        there are several lasers, of which each may see a single wall.
     """
 
     standstill_m: float = bounded(0.005, ge=0, le=1e6)
@@ -122,7 +119,6 @@ class Tracker:
     velocity: ConstantVelocity = ConstantVelocity()
     search: OdometrySearch = OdometrySearch()
     calibration: Annotated[OdometryCalibration | None, Kind()] = OdometryCalibration()
-    surfaces: Annotated[SurfaceMatching | None, Kind()] = SurfaceMatching()
 
     def init(
         self, odometry: Odometry | None, stamp_ns: int, beams: Beams, mapper: OccupancyGridMapping
@@ -157,9 +153,9 @@ class Tracker:
         else:
             found = self._locate(state, predicted, beams)
         own = None
-        if self.surfaces is not None and found.inlier_ratio and found.pose != state.pose and len(state.sensors) == 1:
+        if found.inlier_ratio and found.pose != state.pose and len(state.sensors) == 1:
             own = Surfaces.of(ScanBatch.of([beams]))
-            found = found._replace(pose=self.surfaces(state.recent, own, found))
+            found = found._replace(pose=match_to_surfaces(state.recent, own, found))
         joint = self._merge_lasers(state, found.pose, found.prediction, beams)
         self._advance(state, found)
         by_odometry = found.prediction.by_odometry
@@ -385,9 +381,9 @@ class Tracker:
 
     def _remember(self, state: TrackerState, beams: Beams, own: Surfaces | None) -> None:
         """Let later scans be matched to the surfaces of this one, which has its own if they are fitted already."""
-        if self.surfaces is not None and len(state.sensors) == 1:
+        if len(state.sensors) == 1:
             own = Surfaces.of(ScanBatch.of([beams])) if own is None else own
-            state.recent = state.recent.insert(beams, own, state.pose, self.surfaces.scans)
+            state.recent = state.recent.insert(beams, own, state.pose, SURFACE_SCANS)
 
 
 def _score(state: TrackerState, pose: Pose, beams: BeamEnds) -> float:

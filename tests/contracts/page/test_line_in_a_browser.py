@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -115,7 +116,7 @@ def test_a_robot_is_paused_but_not_held_and_what_is_wrong_is_read(browser, drive
 
         def mapped(part):
             rng, observers = np.random.default_rng(1), [page.observer]
-            run(page.follow_session(part), build(PROVOKED), particles=8, rng=rng, observers=observers)
+            run(page.follow_session(part), build(replace(PROVOKED, particles=8)), rng=rng, observers=observers)
             page.show_state("running", "mapping")
 
         messages = Messages(lambda level, text: None)

@@ -102,7 +102,7 @@ def test_the_map_of_a_reflected_log_is_right_once_it_is_repaired():
 
 def error_m(measurements, truth):
     recorder = TrajectoryRecorder()
-    run(measurements, GridFastSlam(), particles=4, rng=np.random.default_rng(0), observers=[recorder])
+    run(measurements, GridFastSlam(particles=4), rng=np.random.default_rng(0), observers=[recorder])
     online = recorder.online_trajectory()
     return absolute_errors(online, Trajectory(online.stamps_ns, truth)).trans_rmse_m
 

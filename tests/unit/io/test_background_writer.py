@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gridslam.config import build, override, preset
+from gridslam.grid import TileMaps
 from gridslam.io.sessions.background_writer import BackgroundWriter
 from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session, write_session
 from gridslam.pipeline import run
@@ -45,3 +46,17 @@ def test_what_is_written_is_the_run_as_it_was_then_whatever_the_filter_does_mean
         direct, aside = tmp_path / f"{scan}.direct", tmp_path / "aside" / f"{scan}.gridslam"
         assert aside.read_bytes() == direct.read_bytes()
     assert read_session(tmp_path / "90.direct").run.state.ancestry.steps < end.ancestry.steps
+
+
+def test_a_run_goes_on_where_there_is_no_memory_for_a_copy(measurements, tmp_path, monkeypatch):
+    def fail(*_):
+        raise MemoryError
+
+    begun, problems = SavedRun(np.random.default_rng(7)), []
+    state = run(measurements[:1], build(override(preset("default"), "particles=2")), rng=begun.rng)
+    writer = BackgroundWriter(problems.append)
+    monkeypatch.setattr(TileMaps, "copy", fail)
+    writer.write(tmp_path / "run.gridslam", SavedSession(preset("default"), run=replace(begun, state=state)))
+    writer.close()
+    assert "MemoryError" in "".join(problems)
+    assert not list(tmp_path.iterdir())

@@ -49,7 +49,7 @@ def go_on(saved, measurements, threads=1):
     slam = build(saved.configuration, threads)
     begun = saved.run
     observers = [begun.trajectory, begun.statistics, lambda report, state, seconds: begun.record.add(report, 0.1)]
-    state = run(measurements, slam, particles=5, rng=begun.rng, observers=observers, state=begun.state)
+    state = run(measurements, replace(slam, particles=5), rng=begun.rng, observers=observers, state=begun.state)
     return replace(saved, run=replace(begun, state=state))
 
 

@@ -87,8 +87,8 @@ def poses_and_beams(step):
     return rng.normal(scale=[0.3, 0.3, 0.2], size=(PARTICLES, 3)), scan.beams(0.05, 30.0)
 
 
-def frozen(maps):
-    return maps.freeze().to_arrays()
+def copied(maps):
+    return maps.copy().to_arrays()
 
 
 def selected(maps):
@@ -120,7 +120,7 @@ def updated(maps):
 READERS = {
     "arrays": TileMaps.to_arrays,
     "snapshot": lambda maps: maps.snapshot().to_arrays(),
-    "freeze": frozen,
+    "copy": copied,
     "select": selected,
     "clear": cleared,
     "compact": compacted,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -45,7 +47,7 @@ def record(drive, most):
             seen.append((looks_of(state.maps.occupancy(state.best)), path, np.array(report.pose), report.corrected))
 
     source, slam = recorder.follow(drive), build(RESAMPLING)
-    run(source, slam, particles=4, rng=np.random.default_rng(3), observers=[recorder, note])
+    run(source, replace(slam, particles=4), rng=np.random.default_rng(3), observers=[recorder, note])
     return recorder, seen
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,7 +51,7 @@ class ObservedRun:
 
     def go(self, measurements, before=lambda report, state, seconds: None):
         slam, rng = build(RESAMPLING), np.random.default_rng(3)
-        return run(self.observer.pace(measurements), slam, particles=6, rng=rng, observers=[before, self])
+        return run(self.observer.pace(measurements), replace(slam, particles=6), rng=rng, observers=[before, self])
 
 
 @pytest.mark.parametrize("every", [3, 11])
@@ -79,7 +81,7 @@ def test_two_viewers_see_the_best_map_at_every_time(drive, every):
 
 def test_the_filter_gives_the_same_bytes_with_and_without(drive):
     slam, rng = build(RESAMPLING), np.random.default_rng(3)
-    alone = run(drive[:150], slam, particles=6, rng=rng).to_arrays()
+    alone = run(drive[:150], replace(slam, particles=6), rng=rng).to_arrays()
     observed = ObservedRun()
     viewer = observed.live.add_viewer(lambda: None)
 
@@ -141,7 +143,7 @@ def test_a_slow_reader_gets_fewer_snapshots_and_all_that_changed(drive):
 
     observed.observer._post = post
     slam, rng = build(RESAMPLING), np.random.default_rng(3)
-    state = run(drive[:120], slam, particles=6, rng=rng, observers=[finish])
+    state = run(drive[:120], replace(slam, particles=6), rng=rng, observers=[finish])
     assert observed.posted <= 13
     for snapshot in late:
         observed.live.apply(snapshot)

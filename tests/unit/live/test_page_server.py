@@ -8,6 +8,7 @@ import time
 import urllib.error
 import urllib.request
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -60,7 +61,9 @@ def drain(socket):
 def mapped(page, measurements, watch=None):
     """Run the filter as a page wants it."""
     slam, rng = build(PROVOKED), np.random.default_rng(3)
-    return run(page.pace(measurements, watch), slam, particles=4, rng=rng, observers=[page.observer], stopwatch=watch)
+    return run(
+        page.pace(measurements, watch), replace(slam, particles=4), rng=rng, observers=[page.observer], stopwatch=watch
+    )
 
 
 def test_several_viewers_get_the_whole_map_whenever_they_come(drive):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ class Robot:
 
 
 def mapped(source, observe):
-    return run(source, build(PROVOKED), particles=4, rng=np.random.default_rng(1), observers=[observe])
+    return run(source, build(replace(PROVOKED, particles=4)), rng=np.random.default_rng(1), observers=[observe])
 
 
 def test_a_robot_is_paused_by_its_page_and_seen_paused_but_not_held_back(drive):

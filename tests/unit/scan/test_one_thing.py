@@ -94,7 +94,7 @@ def follow(count=120, others=()):
 def test_a_robot_that_sees_nobody_but_people_is_where_its_odometry_is(others):
     measurements = list(follow(others=others))
     recorder = TrajectoryRecorder()
-    run(measurements, GridFastSlam(), particles=5, rng=np.random.default_rng(0), observers=[recorder])
+    run(measurements, GridFastSlam(particles=5), rng=np.random.default_rng(0), observers=[recorder])
     true = np.array([odometry.pose for odometry, _ in measurements])
     off = between(true, between(true[0], recorder.online_trajectory().poses))
     assert np.abs(off).max() < 1e-6

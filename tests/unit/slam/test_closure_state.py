@@ -47,7 +47,7 @@ def test_a_run_that_is_written_and_read_goes_on_to_the_same_bytes(loop, contents
         slam = build(CONFIG, threads=1 + len(pending) % 2)
         observers = [saved.trajectory, saved.statistics]
         measurements = loop.measurements[first:last]
-        state = run(measurements, slam, particles=3, rng=saved.rng, observers=observers, state=saved.state)
+        state = run(measurements, replace(slam, particles=3), rng=saved.rng, observers=observers, state=saved.state)
         pending.append(state.closure_state.correction is not None)
         write_session(tmp_path / "run.gridslam", SavedSession(CONFIG, run=replace(saved, state=state)))
         saved = read_session(tmp_path / "run.gridslam", threads=2).run
@@ -60,18 +60,12 @@ def test_a_run_that_is_written_and_read_goes_on_to_the_same_bytes(loop, contents
 
 def test_final_refinement_changes_nothing_and_is_the_same_after_reading(loop, contents, tmp_path):
     first = SavedRun(np.random.default_rng(7))
-    state = run(loop.measurements, SLAM, particles=3, rng=first.rng, observers=[first.trajectory])
+    state = run(loop.measurements, replace(SLAM, particles=3), rng=first.rng, observers=[first.trajectory])
     before = contents(state)
     write_session(tmp_path / "run.gridslam", SavedSession(CONFIG, run=replace(first, state=state)))
     read = read_session(tmp_path / "run.gridslam").run
     words = [
-        full_slam(
-            s,
-            [first.trajectory.tracked_scans()],
-            CONFIG.mapper,
-            CONFIG.loop_closure,
-            CONFIG.final_refinement,
-        )
+        full_slam(s, [first.trajectory.tracked_scans()], CONFIG.mapper, CONFIG.loop_closure)
         for s in (state, state, read.state)
     ]
     assert contents(state) == before

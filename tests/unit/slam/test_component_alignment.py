@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from closure_worlds import deceptive
 from gridslam.geometry.se2 import between, compose
-from gridslam.slam.full_slam.component_alignment import Alignment, ComponentAlignment, Hypothesis, KnownMap
-from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
+from gridslam.slam.full_slam import component_alignment
+from gridslam.slam.full_slam.component_alignment import Alignment, Hypothesis, KnownMap, align_components
 from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.place_matching import PlaceMatching
@@ -38,10 +40,8 @@ def interrupted(seen, at, *, wrong=BLIND, until=None):
     return closure_state
 
 
-def aligned(closure_state, alignment=None):
-    return (alignment or ComponentAlignment())(
-        closure_state, hall.MAPPER, SubmapPairs(), PlaceMatching(), TrajectoryScorer(), lambda: None
-    )
+def aligned(closure_state):
+    return align_components(closure_state, hall.MAPPER, SubmapPairs(), PlaceMatching(), lambda: None)
 
 
 def test_a_component_is_laid_where_its_key_scans_fit(seen):
@@ -64,7 +64,7 @@ def test_where_places_are_alike_nothing_false_is_aligned(kind, seed):
     assert (hall.errors(seen.truth, aligned(closure_state)).reshape(-1, 2) < [0.5, 0.09]).all()
 
 
-def test_a_rival_that_says_as_much_refutes(seen):
+def test_a_rival_that_says_as_much_refutes(seen, monkeypatch):
     """The same beams stand in the map twice, 12 m apart: which of the two the piece shows cannot be told."""
     half = 40
     truth = seen.truth[:half]
@@ -75,14 +75,16 @@ def test_a_rival_that_says_as_much_refutes(seen):
         closure_state.scans.append(beams[k], pose, is_key=True)
         closure_state.graph.extend(pose, pose, (6.0**2, 0.3**2) if k == 2 * half else DriftModel().variances(0.4, 0.1))
     assert aligned(closure_state) == []
-    assert len(aligned(closure_state, ComponentAlignment(ambiguity_ratio=2.0))) >= 3
+    monkeypatch.setattr(component_alignment, "Alignment", partial(Alignment, ambiguity_ratio=2.0))
+    assert len(aligned(closure_state)) >= 3
+    monkeypatch.undo()
     once = interrupted(hall.Seen(np.concatenate([truth, truth]), beams[: 2 * half]), half, wrong=np.zeros(3))
     assert len(aligned(once)) >= 3
 
 
 def decided(best, *, shifted, others=()):
     """Decide with every shift of the best hypothesis having the same log likelihood."""
-    alignment = Alignment(ComponentAlignment(), None, None, None, None, np.zeros(1, int), None)
+    alignment = Alignment(None, None, None, np.zeros(1, int), None)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Alignment, "_draw", lambda *_: None)
         patch.setattr(Alignment, "_score_both", lambda *_: (shifted, 1.0, 0.9))
@@ -105,5 +107,5 @@ def test_the_lesser_of_both_directions_counts(monkeypatch, there_and_back):
     monkeypatch.setattr(Alignment, "_score", lambda *_: (next(scores), 1.0, 0.9))
     known = KnownMap(None, np.zeros((1, 3)), np.zeros(1, int), None)
     state = LoopClosureState()
-    alignment = Alignment(ComponentAlignment(), state, None, None, None, np.zeros(1, int), known)
+    alignment = Alignment(state, None, None, np.zeros(1, int), known)
     assert alignment._score_both(np.zeros((1, 3)), None)[0] == -10.0

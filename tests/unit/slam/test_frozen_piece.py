@@ -30,10 +30,7 @@ def drive(measurements, configuration, earlier=None, seed=0):
     slam, recorder = build(configuration), TrajectoryRecorder()
     state = run(measurements[:1], slam, rng=np.random.default_rng(seed), observers=[recorder])
     if earlier is not None:
-        refinement = configuration.final_refinement
-        state.closure_state.earlier = EarlierPieces(
-            earlier, slam.mapper, slam.loop_closure.places, refinement.component_alignment, refinement.score
-        )
+        state.closure_state.earlier = EarlierPieces(earlier, slam.mapper, slam.loop_closure.places)
     rng = np.random.default_rng(seed + 1)
     return run(measurements[1:], slam, rng=rng, observers=[recorder], state=state), recorder
 
@@ -60,7 +57,7 @@ def days():
     state, second = drive(later, PROVOKED, [piece])
     assert state.closure_state.joined == 0
     drives = [recorder.tracked_scans(), second.tracked_scans(len(piece))]
-    answer = full_slam(state, drives, PROVOKED.mapper, PROVOKED.loop_closure, PROVOKED.final_refinement)
+    answer = full_slam(state, drives, PROVOKED.mapper, PROVOKED.loop_closure)
     return piece, state, drives, answer, truth, later_truth
 
 
@@ -83,7 +80,7 @@ def test_no_key_scan_of_a_frozen_piece_moves_by_a_bit(days):
 
 
 def full_slam_of(piece, drives):
-    return refine_piece(piece, drives, PROVOKED.mapper, PROVOKED.loop_closure, PROVOKED.final_refinement)
+    return refine_piece(piece, drives, PROVOKED.mapper, PROVOKED.loop_closure)
 
 
 def considered(graph):

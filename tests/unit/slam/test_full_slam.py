@@ -25,9 +25,9 @@ def loop():
 def answered(config, measurements, on_progress=lambda: None):
     recorder = TrajectoryRecorder()
     rng = np.random.default_rng(0)
-    state = run(measurements, build(config), particles=config.particles, rng=rng, observers=[recorder])
+    state = run(measurements, build(config), rng=rng, observers=[recorder])
     drives = [recorder.tracked_scans()]
-    answer = full_slam(state, drives, config.mapper, config.loop_closure, config.final_refinement, on_progress)
+    answer = full_slam(state, drives, config.mapper, config.loop_closure, on_progress)
     return state, recorder, answer
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -15,8 +15,8 @@ from gridslam.sim import OdometryNoise, SimulatedLog
 from gridslam.slam import GridFastSlam
 from gridslam.slam.full_slam import key_scan_matching
 from gridslam.slam.full_slam.full_trajectory import full_trajectory
-from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
-from gridslam.slam.full_slam.key_scan_matching import KeyScanMatching
+from gridslam.slam.full_slam.global_scan_refinement import RefinementResult, refine_trajectory
+from gridslam.slam.full_slam.key_scan_matching import match_key_scans
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.state import LoopClosureState
@@ -26,7 +26,6 @@ from support.loops import loop_drive
 
 CLOSURE = LoopClosure()
 SLAM = GridFastSlam(loop_closure=CLOSURE)
-REFINEMENT = GlobalScanRefinement()
 
 
 @dataclass(frozen=True)
@@ -40,14 +39,12 @@ class Refined:
     refinement: RefinementResult
 
 
-def refine(
-    log: SimulatedLog, scans: int | None = None, refinement: GlobalScanRefinement = REFINEMENT, on_progress=lambda: None
-) -> Refined:
+def refine(log: SimulatedLog) -> Refined:
     recorder = TrajectoryRecorder()
-    state = run(log.measurements[:scans], SLAM, particles=3, rng=np.random.default_rng(1), observers=[recorder])
+    state = run(log.measurements, replace(SLAM, particles=3), rng=np.random.default_rng(1), observers=[recorder])
     closure_state = state.closure_state.snapshot()
     trajectory = state.ancestry.trajectory(state.best)
-    said = refinement(closure_state, trajectory, [recorder.tracked_scans()], SLAM.mapper, CLOSURE, on_progress)
+    said = refine_trajectory(closure_state, trajectory, [recorder.tracked_scans()], SLAM.mapper, CLOSURE)
     return Refined(log, state, recorder, closure_state, said)
 
 
@@ -97,7 +94,7 @@ def test_no_scan_is_moved_farther_from_the_key_scans_trajectory_than_allowed(hal
     one = halls[0]
     bent = full_trajectory(one.refinement.best.graph.poses, one.recorder.keys, one.recorder.key_from_base)
     moved = np.hypot(*(one.refinement.poses - bent)[:, :2].T)
-    assert moved.max() <= REFINEMENT.surfaces.max_correction_m
+    assert moved.max() <= 0.15
     assert 0 < np.median(moved[moved > 0]) < 0.05
 
 
@@ -107,7 +104,7 @@ def test_constraints_of_one_visit_share_the_information_of_one(halls, monkeypatc
     poses = np.array(one.refinement.best.graph.poses)
 
     def matched():
-        return list(KeyScanMatching()(one.closure_state, poses, SLAM.mapper, lambda: None))
+        return list(match_key_scans(one.closure_state, poses, SLAM.mapper, lambda: None))
 
     shared = matched()
     monkeypatch.setattr(key_scan_matching, "VISIT_GAP", -len(poses))

@@ -69,7 +69,7 @@ def nearby(graph, limit_m=1e3, most=10**6):
 
 def test_variances_of_an_increment_grow_with_metres_and_radians():
     still = DRIFT.variances(0.0, 0.0)
-    assert still == (DRIFT.standstill_sigma_m**2, DRIFT.standstill_sigma_rad**2)
+    assert still == (0.002**2, DRIFT.standstill_sigma_rad**2)
     straight = DRIFT.variances(4.0, 0.0)
     assert math.sqrt(straight[0] - still[0]) == pytest.approx(2 * DRIFT.sigma_m_per_sqrt_m)
     assert math.sqrt(straight[1] - still[1]) == pytest.approx(2 * DRIFT.sigma_rad_per_sqrt_m)
@@ -89,9 +89,9 @@ def test_what_no_match_has_measured_is_added_to_the_covariance():
     np.testing.assert_allclose(added[:2, :2], 0.01 * np.outer(seen, seen), atol=1e-12)
     assert added[2, 2] == pytest.approx((DRIFT.open_heading_ratio**2 - 1) * usual[2, 2])
     rejected = DRIFT.covariance(moved, UnmatchedMotion(0.02, 0.03)) - usual
-    np.testing.assert_allclose(rejected, DRIFT.rejected_match_sigmas**2 * np.diag([0.02, 0.02, 0.03]), atol=1e-12)
+    np.testing.assert_allclose(rejected, 1.5**2 * np.diag([0.02, 0.02, 0.03]), atol=1e-12)
     first = DRIFT.covariance(moved, first=True) - usual
-    np.testing.assert_allclose(first, np.diag([0, 0, DRIFT.first_sigma_rad**2]), atol=1e-15)
+    np.testing.assert_allclose(first, np.diag([0, 0, 0.004**2]), atol=1e-15)
     assert (
         DRIFT.bounds(moved, corridor)[0] > np.linalg.eigvalsh(DRIFT.covariance(moved, corridor)[:2, :2]).max()
     )  # searches are generous

@@ -124,7 +124,7 @@ def test_a_drive_goes_on_in_the_map_of_an_earlier_one(halves):
     state = run(second[40:], slam, rng=np.random.default_rng(1), observers=[recorder], state=state)
 
     drives = [earlier.tracked_scans(), recorder.tracked_scans(len(piece))]
-    parts = CONFIG.mapper, CONFIG.loop_closure, CONFIG.final_refinement
+    parts = CONFIG.mapper, CONFIG.loop_closure
     answer = full_slam(state, drives, *parts)
     assert len(answer.poses) == len(first) + len(second)
     twice = len(first) - 40  # the scans that both drives have

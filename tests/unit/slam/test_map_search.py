@@ -7,9 +7,8 @@ import pytest
 
 from gridslam.api.prior_map import piece_of_map
 from gridslam.geometry.se2 import between, compose
-from gridslam.slam.full_slam.component_alignment import Alignment, ComponentAlignment
+from gridslam.slam.full_slam.component_alignment import Alignment
 from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
-from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.slam.loop_closure.map_search import MapSearch
@@ -50,7 +49,7 @@ def given(piece):
 
 
 def locator(pieces, begin=None):
-    return EarlierPieces(pieces, hall.MAPPER, PlaceMatching(), ComponentAlignment(), TrajectoryScorer(), begin=begin)
+    return EarlierPieces(pieces, hall.MAPPER, PlaceMatching(), begin=begin)
 
 
 def found_after(earlier, closure_state):
@@ -72,7 +71,7 @@ def missed(found, seen, first):
 
 @pytest.mark.parametrize("make", [lambda piece: piece, given], ids=["driven", "given"])
 def test_submaps_of_a_later_drive_are_found_in_a_map(seen, make):
-    search = MapSearch(make(lap(seen)).build_map(hall.MAPPER), ComponentAlignment().matching)
+    search = MapSearch(make(lap(seen)).build_map(hall.MAPPER))
     later = drive(seen, LAP, 2 * LAP - 5, ELSEWHERE)
     hits = []
     for newest in range(30, LAP - 5, 5):

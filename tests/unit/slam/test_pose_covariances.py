@@ -13,6 +13,7 @@ from gridslam.slam.full_slam.full_trajectory import (
     path_fractions,
     scan_covariances,
 )
+from gridslam.slam.loop_closure import drift_model
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.pose_graph.marginals import marginal_covariances
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -60,15 +61,16 @@ def test_between_key_scans_it_is_no_less_than_drift_and_at_them_it_is_theirs():
     assert np.allclose(found[8], of_keys[3] + driven)
 
 
-def test_the_scale_of_the_map_is_no_better_known_for_what_was_measured():
+def test_the_scale_of_the_map_is_no_better_known_for_what_was_measured(monkeypatch):
     """A pose d m from the first one is uncertain by d times the scale's standard deviation, along the line to it."""
     graph = chain(3)
     keys = np.arange(4)
     drives = [TrackedScans(keys, np.concatenate([np.zeros((1, 3)), graph.measurements]))]
-    without, scaled = (
-        scan_covariances(graph, drift_covariances(graph), graph.poses, drives, DriftModel(scale_sigma=sigma))
-        for sigma in (0, 0.01)
-    )
+    covariances = []
+    for sigma in (0, 0.01):
+        monkeypatch.setattr(drift_model, "_SCALE_SIGMA", sigma)
+        covariances.append(scan_covariances(graph, drift_covariances(graph), graph.poses, drives, DriftModel()))
+    without, scaled = covariances
     for pose, added in zip(graph.poses, scaled - without, strict=True):
         away = pose - graph.poses[0]
         away[2] = 0.0

@@ -11,13 +11,11 @@ from gridslam.evaluation import absolute_errors
 from gridslam.geometry.se2 import between, compose
 from gridslam.matching.surfaces import Surfaces
 from gridslam.slam.full_slam.key_covariances import key_covariances
-from gridslam.slam.full_slam.surface_adjustment import SurfaceAdjustment
+from gridslam.slam.full_slam.surface_adjustment import adjust_key_scans, match_scans
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import Trajectory
 from support import hall
-
-ADJUSTMENT = SurfaceAdjustment()
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +62,8 @@ def test_key_scans_end_up_where_their_surfaces_fit(seen, archive, seed):
     assert after[1] < 0.1
 
 
-def adjusted(graph, surfaces, adjustment=ADJUSTMENT):
-    return adjustment.adjust_key_scans(graph, surfaces).poses
+def adjusted(graph, surfaces):
+    return adjust_key_scans(graph, surfaces).poses
 
 
 def test_covariances_of_the_adjusted_graph_are_of_the_errors_size(seen, archive):
@@ -79,7 +77,7 @@ def test_covariances_of_the_adjusted_graph_are_of_the_errors_size(seen, archive)
     claimed, bold = [], []
     for seed in range(4):
         graph = graph_about(truth, seed)
-        found = ADJUSTMENT.adjust_key_scans(graph, surfaces)
+        found = adjust_key_scans(graph, surfaces)
         assert len(found.edges) > 3 * len(graph.edges)
         counts = np.bincount(found.edges[len(graph.edges) :].ravel()).mean()
         whole = found.information.copy()
@@ -102,7 +100,7 @@ def test_scans_between_key_scans_are_matched_to_those_about_them(seen, archive):
     begun = compose(seen.truth[:120], rng.normal(size=(120, 3)) * [0.03, 0.03, 0.01])
     begun[keys] = seen.truth[keys]
     surfaces = Surfaces.of(made.batch(made.keys))
-    found = ADJUSTMENT.match_scans(begun, np.arange(120) // 3, made, surfaces, seen.truth[keys])
+    found = match_scans(begun, np.arange(120) // 3, made, surfaces, seen.truth[keys])
     np.testing.assert_array_equal(found[keys], seen.truth[keys])
     off = between(seen.truth[:120], found)
     assert np.sqrt(np.square(off[:, :2]).sum(axis=1).mean()) < 0.02

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between, compose, rotate_covariances
-from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
+from gridslam.slam.full_slam.trajectory_score import score_trajectory
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.submaps import build_map
 from support import hall
 
-SCORE = TrajectoryScorer()
 DRIFT = DriftModel()
 
 
@@ -30,8 +29,8 @@ class Log:
             self.scans.append(seen, pose, is_key=True)
             self.graph.extend(pose, pose, DRIFT.variances(math.hypot(x, y), abs(turn)))
 
-    def score(self, poses, score=SCORE):
-        return score(self.graph, self.scans, poses, hall.MAPPER)
+    def score(self, poses):
+        return score_trajectory(self.graph, self.scans, poses, hall.MAPPER)
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +93,7 @@ def test_the_motion_is_a_cauchy_density_from_submap_to_submap(returning):
             covariance += np.diag([position, position, 0.0]) + heading * np.outer(across, across)
         error = rotate_covariances(np.outer(off, off), theta)  # in the axes of the map
         squared = np.trace(np.linalg.solve(covariance, error))
-        expected = -SCORE.motion_tempering * math.log1p(squared)
+        expected = -0.5 * math.log1p(squared)
         assert returning.score(poses)[0].motion == pytest.approx(expected, rel=1e-6)
 
 

@@ -10,7 +10,7 @@ from gridslam.grid.scan_batch import ScanBatch
 from gridslam.matching.surfaces import Surfaces
 from gridslam.tracking.prediction import PoseEstimate, Prediction
 from gridslam.tracking.recent_scans import RecentScans
-from gridslam.tracking.surface_matching import SurfaceMatching
+from gridslam.tracking.surface_matching import match_to_surfaces
 from gridslam.types import StoredScan
 
 BEARINGS = np.linspace(-3.1, 3.1, 240)
@@ -55,7 +55,7 @@ def test_a_match_is_exact_to_millimetres_and_hundredths_of_a_degree():
     errors = []
     for seed in range(20):
         off = np.random.default_rng(seed).normal(0, [0.02, 0.02, 0.01])
-        found = SurfaceMatching()(recent, own, at(tuple((np.array(TRUE) + off).tolist())))
+        found = match_to_surfaces(recent, own, at(tuple((np.array(TRUE) + off).tolist())))
         errors.append(between(np.array(TRUE), np.array(found)))
     rms = np.sqrt(np.square(errors).mean(axis=0))
     assert (rms < [0.004, 0.004, 0.0015]).all()  # of guesses that are off by 0.02, 0.02, 0.01
@@ -65,10 +65,10 @@ def test_what_has_few_points_or_would_move_far_stays():
     recent = remember(POSES)
     own = fit(scan_from(np.array(TRUE), 99))
     guess = (2.02, 0.48, 0.6)
-    assert SurfaceMatching()(recent, own, at(guess)) != guess
-    assert SurfaceMatching()(RecentScans(), own, at(guess)) == guess
+    assert match_to_surfaces(recent, own, at(guess)) != guess
+    assert match_to_surfaces(RecentScans(), own, at(guess)) == guess
     few = own._replace(points=own.points[::20], normals=own.normals[::20])
-    assert SurfaceMatching()(RecentScans(recent.scans[-1:]), few, at(guess)) == guess
+    assert match_to_surfaces(RecentScans(recent.scans[-1:]), few, at(guess)) == guess
     far = (2.12, 0.5, 0.6)
-    assert SurfaceMatching()(recent, own, at(far)) == pytest.approx(far, abs=1e-3)
-    assert SurfaceMatching()(recent, fit(StoredScan(np.empty((0, 2)), np.zeros(2))), at(guess)) == guess
+    assert match_to_surfaces(recent, own, at(far)) == pytest.approx(far, abs=1e-3)
+    assert match_to_surfaces(recent, fit(StoredScan(np.empty((0, 2)), np.zeros(2))), at(guess)) == guess

@@ -52,8 +52,12 @@ class BackgroundWriter:
     def write(self, path: Path, session: SavedSession) -> None:
         """Write a session as it is now, in place of an earlier one; call between two scans, and when it is idle."""
         run = session.run
-        frozen = [replace(session, run=None if run is None else run.freeze())]  # dropped by the thread that writes it
-        self._thread = threading.Thread(target=self._write, args=(path, frozen), name="gridslam-autosave")
+        try:
+            copied = [replace(session, run=None if run is None else run.copy())]  # dropped by the thread that writes it
+        except MemoryError as error:
+            self._problem = describe_error(error)
+            return
+        self._thread = threading.Thread(target=self._write, args=(path, copied), name="gridslam-autosave")
         self._thread.start()
 
     def report(self) -> None:
@@ -68,10 +72,10 @@ class BackgroundWriter:
             self._thread.join()
         self.report()
 
-    def _write(self, path: Path, frozen: list[SavedSession]) -> None:
+    def _write(self, path: Path, copied: list[SavedSession]) -> None:
         lower_priority()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_session(path, frozen.pop())
+            write_session(path, copied.pop())
         except (OSError, GridslamError, MemoryError) as error:
             self._problem = describe_error(error)

@@ -86,10 +86,10 @@ class SavedRun:
             self, rng=rng, state=state, trajectory=trajectory, statistics=statistics, record=self.record.snapshot()
         )
 
-    def freeze(self) -> SavedRun:
+    def copy(self) -> SavedRun:
         """Return a copy that another thread may write while the filter continues."""
-        frozen = replace(self, state=None).snapshot()
-        return replace(frozen, state=None if self.state is None else self.state.freeze())
+        twin = replace(self, state=None).snapshot()
+        return replace(twin, state=None if self.state is None else self.state.copy())
 
     @property
     def drives(self) -> tuple[Drive, ...]:
@@ -232,7 +232,7 @@ def read_session(path: str | Path, threads: int = 1) -> SavedSession:
     arrays = read_sealed_arrays(path, SESSION_SCHEMA, _WHAT)
     with name_file(path, _WHAT):
         head = _parse_head(arrays)
-        configuration = loads(head["configuration"])
+        configuration = loads(head["configuration"], ignore_unknown=True)
         pieces = [
             _load_piece(select_part(arrays, f"pieces.{number}"), drives, configuration.mapper.resolution_m)
             for number, drives in enumerate(head["pieces"])

@@ -37,7 +37,7 @@ from gridslam.types import FloatArray, StepReport
 
 __all__ = ["Session", "SessionCopy"]
 
-_PRELOADED: Final = ("scipy.spatial", "scipy.sparse.csgraph", "scipy.special", "qdldl", "gridslam.viz")
+_PRELOADED: Final = ("scipy.sparse", "qdldl", "gridslam.viz")
 """Modules that filter and `save` import on first use; imported early so that a moving robot does not wait."""
 
 
@@ -139,7 +139,7 @@ class Session:
         are what was reported so far.
         """
         assert self.state is not None
-        now = replace(self._begun.run, state=self.state).freeze()
+        now = replace(self._begun.run, state=self.state).copy()
         return SessionCopy(
             self.configuration,
             self._seed,

@@ -91,14 +91,12 @@ class LocalizationSession:
 
     def run(self, source: Iterator[Measurement], observers: Sequence[Any], on_failure: FailureCallback) -> None:
         """Run the filter on all measurements of a source; scans at which it fails are skipped."""
-        run(
-            source,
-            self,
-            rng=self._rng,
-            observers=observers,
-            state=self.state,
-            on_failure=on_failure,
-        )
+        run(source, self, rng=self._rng, observers=observers, state=self.state, on_failure=on_failure)
+
+    @property
+    def init(self) -> Callable[..., MonteCarloState]:
+        """Begin: see `MonteCarloLocalization.init`."""
+        return self._mcl.init
 
     def step(
         self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator

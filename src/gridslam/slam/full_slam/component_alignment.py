@@ -13,8 +13,7 @@ from gridslam.geometry.se2 import between, compose, inverse, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.parameters import bounded, parameters
-from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
+from gridslam.slam.full_slam.trajectory_score import log_likelihood, weigh_same_side
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph, anchor_of
 from gridslam.slam.loop_closure.place_matching import PlaceMatching
@@ -26,7 +25,16 @@ from gridslam.slam.loop_closure.submap_recognition import drift_distance
 from gridslam.slam.loop_closure.submaps import ROW, build_map
 from gridslam.types import BeamEnds, FloatArray, IntArray, StoredScan
 
-__all__ = ["Alignment", "ComponentAlignment", "Hypothesis", "KnownMap", "SearchHit", "group_hits"]
+__all__ = [
+    "LENGTH_M",
+    "MIN_CONSTRAINTS",
+    "Alignment",
+    "Hypothesis",
+    "KnownMap",
+    "SearchHit",
+    "align_components",
+    "group_hits",
+]
 
 _CONSISTENT_M = 0.3
 _CONSISTENT_M_PER_KEY_SCAN = 0.01
@@ -52,17 +60,53 @@ _MOST_SCORED = 20
 
 _SHIFTS = np.column_stack([np.cos(np.arange(8) * math.pi / 4), np.sin(np.arange(8) * math.pi / 4), np.zeros(8)])
 """Directions (8, 3) in which the best hypothesis is shifted."""
+LENGTH_M = 15.0
+_STEP_M = 5.0
+"""Way of a submap, and way from one to the next."""
+_MAX_COMPARISONS = 4000
+_MAX_MATCHES = 200
+"""Pairs of submaps that are compared in one call at most, spread evenly, and proposed poses that are refined, those on
+which most keypoints agree."""
+_GATE_SIGMAS = 2.0
+"""Standard deviations of the drift that an alignment may need."""
+_MAX_HYPOTHESES = 12
+"""Maximum number of hypotheses for two components, those with most matches first."""
+_TRACKING_GATE_SIGMAS = 2.5
+"""A match of a key scan farther than this many standard deviations from the tracked motion is not used."""
+_MIN_LOG_LIKELIHOOD = 15.0
+"""Least log likelihood (nats) of the best hypothesis, in either direction."""
+_AMBIGUITY_RATIO = 0.6
+"""Maximum evidence for any other hypothesis, as a fraction of the best."""
+_MERGE_M = 0.3
+"""Hypotheses whose median distance is below this are the same."""
+_SHIFT_M = 0.5
+"""The best one, shifted so far in any direction, is another: along bare corridors it fits as well."""
+_INLIER_RATIO = 0.5
+"""Minimum inlier ratio of a key scan that gives a constraint."""
+_CONSTRAINT_INTERVAL = 3
+"""Key scans from one constraint to the next."""
+MIN_CONSTRAINTS = 3
+"""Minimum number of constraints of an alignment; across a gap determined ones."""
+_MATCHING = SubmapMatching(min_keypoints=3, max_poses=6, min_points=100, min_information=0.0)
+"""How submaps are matched: loosely, as the evidence of all key scans decides."""
+_MATCHER = GaussNewton()
+"""How a component is tracked through the map."""
 
 
-@final
-@parameters(frozen=True)
-class ComponentAlignment:
-    """Aligns a rigid component of the trajectory with the map of another one, using all its key scans.
+def align_components(
+    closure_state: LoopClosureState,
+    mapper: OccupancyGridMapping,
+    pairs: SubmapPairs,
+    places: PlaceMatching,
+    on_progress: Callable[[], None],
+    aligned: int = 0,
+) -> list[Constraint]:
+    """Align each rigid component with the older ones, by all its key scans; return constraints that are accepted.
 
     Within a component the robot was tracked, so that one pose aligns all of it. Short submaps of both are matched with
     each other over the full turn. Matches that are consistent with the tracked motion form one hypothesis, which is
     tracked through all key scans of the component. It is judged by the score by which trajectories are compared (see
-    `TrajectoryScorer`), in both directions: the component's scans given the map of the other one, and the scans of that
+    `score_trajectory`), in both directions: the component's scans given the map of the other one, and the scans of that
     one given the component's map; the lesser counts. A submap is often ambiguous, a whole component rarely.
 
     What the drift makes improbable counts less, by the squared distance in its standard deviations. The best hypothesis
@@ -71,136 +115,71 @@ class ComponentAlignment:
 
     Parameters
     ----------
-    length_m, step_m : float, m
-        Way of a submap, and way from one to the next.
-    max_comparisons, max_matches : int
-        Pairs of submaps that are compared in one call at most, spread evenly, and proposed poses that are refined,
-        those on which most keypoints agree.
-    gate_sigmas : float
-        Standard deviations of the drift that an alignment may need.
-    max_hypotheses : int
-        Maximum number of hypotheses for two components, those with most matches first.
-    tracking_gate_sigmas : float
-        A match of a key scan farther than this many standard deviations from the tracked motion is not used.
-    min_log_likelihood : float, nats
-        Minimum log likelihood of the best hypothesis, in either direction.
-    ambiguity_ratio : float
-        Maximum evidence for any other hypothesis, as a fraction of the best.
-    merge_m : float, m
-        Hypotheses whose median distance is below this are the same.
-    shift_m : float, m
-        The best one, shifted so far in any direction, is another: along bare corridors it fits as well.
-    inlier_ratio : float
-        Minimum inlier ratio of a key scan that gives a constraint.
-    constraint_interval : int
-        Key scans from one constraint to the next.
-    min_constraints : int
-        Minimum number of constraints of an alignment; across a gap determined ones.
-    matching : SubmapMatching
-        How submaps are matched: loosely, as the evidence of all key scans decides.
-    matcher : GaussNewton
-        How a component is tracked through the map.
+    closure_state
+        Key scans, and the graph whose components are aligned.
+    mapper
+        How maps of components are built.
+    pairs
+        Short submaps, and their matches so far; modified.
+    places
+        How key scans are matched.
+    on_progress
+        Called once for each pair of components.
+    aligned
+        Number of first key scans that were aligned with each other before, and are not again.
     """
+    graph = closure_state.graph
+    labels = graph.label_rigid_components()
+    if not labels.any():
+        return []
+    pairs.cut(graph, closure_state.scans, mapper, LENGTH_M, _STEP_M, is_over=True)
+    poses = np.array(graph.poses)
+    found: list[Constraint] = []
+    for (old, new), hits in _search(graph, pairs, labels, aligned).items():
+        on_progress()
+        keys = np.flatnonzero(labels == old)
+        known = KnownMap(closure_state.scans, poses, keys, build_map(mapper, closure_state.scans, keys, poses[keys]))
+        alignment = Alignment(closure_state, mapper, places, np.flatnonzero(labels == new), known)
+        best = alignment.select_hypothesis(hits)
+        if best is not None:
+            determined = [each for each in alignment.match_constraints(best) if each.determined]
+            found += determined if len(determined) >= MIN_CONSTRAINTS else []
+    return found
 
-    length_m: float = bounded(15.0, ge=1, le=1e6)
-    step_m: float = bounded(5.0, ge=0.1, le=1e6)
-    max_comparisons: int = bounded(4000, ge=1, le=1_000_000)
-    max_matches: int = bounded(200, ge=1, le=100_000)
-    gate_sigmas: float = bounded(2.0, ge=0.01, le=1000)
-    max_hypotheses: int = bounded(12, ge=1, le=10_000)
-    tracking_gate_sigmas: float = bounded(2.5, ge=0.01, le=1000)
-    min_log_likelihood: float = bounded(15.0, ge=1e-6, le=1e6)
-    ambiguity_ratio: float = bounded(0.6, ge=0, le=100)
-    merge_m: float = bounded(0.3, ge=1e-6, le=1e6)
-    shift_m: float = bounded(0.5, ge=1e-6, le=1e6)
-    inlier_ratio: float = bounded(0.5, ge=1e-6, le=1)
-    constraint_interval: int = bounded(3, ge=1, le=1_000_000)
-    min_constraints: int = bounded(3, ge=1, le=1_000_000)
-    matching: SubmapMatching = SubmapMatching(min_keypoints=3, max_poses=6, min_points=100, min_information=0.0)
-    matcher: GaussNewton = GaussNewton()
 
-    def __call__(
-        self,
-        closure_state: LoopClosureState,
-        mapper: OccupancyGridMapping,
-        pairs: SubmapPairs,
-        places: PlaceMatching,
-        scorer: TrajectoryScorer,
-        on_progress: Callable[[], None],
-        aligned: int = 0,
-    ) -> list[Constraint]:
-        """Align each component with the older ones; return the constraints of the accepted alignments.
-
-        Parameters
-        ----------
-        closure_state
-            Key scans, and the graph whose components are aligned.
-        mapper
-            How maps of components are built.
-        pairs
-            Short submaps, and their matches so far; modified.
-        places
-            How key scans are matched.
-        scorer
-            How hypotheses are scored.
-        on_progress
-            Called once for each pair of components.
-        aligned
-            Number of first key scans that were aligned with each other before, and are not again.
-        """
-        graph = closure_state.graph
-        labels = graph.label_rigid_components()
-        if not labels.any():
-            return []
-        pairs.cut(graph, closure_state.scans, mapper, self.length_m, self.step_m, is_over=True)
-        poses = np.array(graph.poses)
-        found: list[Constraint] = []
-        for (old, new), hits in self._search(graph, pairs, labels, aligned).items():
-            on_progress()
-            keys = np.flatnonzero(labels == old)
-            known = KnownMap(
-                closure_state.scans, poses, keys, build_map(mapper, closure_state.scans, keys, poses[keys])
-            )
-            alignment = Alignment(self, closure_state, mapper, places, scorer, np.flatnonzero(labels == new), known)
-            best = alignment.select_hypothesis(hits)
-            if best is not None:
-                determined = [each for each in alignment.match_constraints(best) if each.determined]
-                found += determined if len(determined) >= self.min_constraints else []
-        return found
-
-    def _search(
-        self, graph: KeyGraph, pairs: SubmapPairs, labels: IntArray, aligned: int
-    ) -> dict[tuple[int, int], list[SearchHit]]:
-        """Match submaps of different components; the hits by the labels of the older and the newer one."""
-        anchors = pairs.anchors
-        of_submaps = labels[anchors]
-        last = np.array([np.flatnonzero(labels == label)[-1] for label in of_submaps])
-        first, second = np.triu_indices(len(anchors), 1)
-        is_wanted = of_submaps[first] != of_submaps[second]
-        is_wanted &= np.where(of_submaps[first] < of_submaps[second], last[second], last[first]) >= aligned
-        first, second = first[is_wanted], second[is_wanted]
-        stride = max(1, -(-len(first) // self.max_comparisons))
-        compared = list(zip(first[::stride].tolist(), second[::stride].tolist(), strict=True))
-        proposed = [
-            (-keypoints, pair, number)
-            for pair in compared
-            for number, (_, keypoints) in enumerate(pairs.propose(self.matching, *pair))
-        ]
-        matched: dict[tuple[int, int], list[int]] = {}
-        for _, pair, number in sorted(proposed)[: self.max_matches]:
-            matched.setdefault(pair, []).append(number)
-        hits: dict[tuple[int, int], list[SearchHit]] = {}
-        for a, b in sorted(matched):
-            is_forward = of_submaps[a] < of_submaps[b]
-            old, new = (a, b) if is_forward else (b, a)
-            key = int(anchors[new])
-            for match in pairs.verify(self.matching, a, b, matched[a, b]):
-                seen = match.pose if is_forward else inverse(match.pose)
-                pose = compose(graph.poses[int(anchors[old])], seen)
-                distance = drift_distance(graph, int(anchors[old]), key, seen)
-                hit = SearchHit(key, pose, match.inlier_ratio, distance)
-                hits.setdefault((int(of_submaps[old]), int(of_submaps[new])), []).append(hit)
-        return dict(sorted(hits.items(), key=lambda item: item[0][::-1]))
+def _search(
+    graph: KeyGraph, pairs: SubmapPairs, labels: IntArray, aligned: int
+) -> dict[tuple[int, int], list[SearchHit]]:
+    """Match submaps of different components; the hits by the labels of the older and the newer one."""
+    anchors = pairs.anchors
+    of_submaps = labels[anchors]
+    last = np.array([np.flatnonzero(labels == label)[-1] for label in of_submaps])
+    first, second = np.triu_indices(len(anchors), 1)
+    is_wanted = of_submaps[first] != of_submaps[second]
+    is_wanted &= np.where(of_submaps[first] < of_submaps[second], last[second], last[first]) >= aligned
+    first, second = first[is_wanted], second[is_wanted]
+    stride = max(1, -(-len(first) // _MAX_COMPARISONS))
+    compared = list(zip(first[::stride].tolist(), second[::stride].tolist(), strict=True))
+    proposed = [
+        (-keypoints, pair, number)
+        for pair in compared
+        for number, (_, keypoints) in enumerate(pairs.propose(_MATCHING, *pair))
+    ]
+    matched: dict[tuple[int, int], list[int]] = {}
+    for _, pair, number in sorted(proposed)[:_MAX_MATCHES]:
+        matched.setdefault(pair, []).append(number)
+    hits: dict[tuple[int, int], list[SearchHit]] = {}
+    for a, b in sorted(matched):
+        is_forward = of_submaps[a] < of_submaps[b]
+        old, new = (a, b) if is_forward else (b, a)
+        key = int(anchors[new])
+        for match in pairs.verify(_MATCHING, a, b, matched[a, b]):
+            seen = match.pose if is_forward else inverse(match.pose)
+            pose = compose(graph.poses[int(anchors[old])], seen)
+            distance = drift_distance(graph, int(anchors[old]), key, seen)
+            hit = SearchHit(key, pose, match.inlier_ratio, distance)
+            hits.setdefault((int(of_submaps[old]), int(of_submaps[new])), []).append(hit)
+    return dict(sorted(hits.items(), key=lambda item: item[0][::-1]))
 
 
 @final
@@ -253,35 +232,38 @@ class Hypothesis(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """Alignment of a component, key scans `keys` (K,), with the map of an older one."""
+    """Alignment of a component, key scans `keys` (K,), with the map of an older one.
 
-    parameters: ComponentAlignment
+    The best hypothesis is accepted from `min_log_likelihood` (nats) in either direction, if any other one has at most
+    `ambiguity_ratio` of its evidence.
+    """
+
     closure_state: LoopClosureState
     mapper: OccupancyGridMapping
     places: PlaceMatching
-    scorer: TrajectoryScorer
     keys: IntArray
     known: KnownMap
+    min_log_likelihood: float = _MIN_LOG_LIKELIHOOD
+    ambiguity_ratio: float = _AMBIGUITY_RATIO
 
     def select_hypothesis(self, hits: list[SearchHit]) -> Hypothesis | None:
         """Return the best hypothesis that the hits lead to, if it is accepted."""
-        groups = group_hits(self.closure_state.graph, hits)[: self.parameters.max_hypotheses]
+        groups = group_hits(self.closure_state.graph, hits)[:_MAX_HYPOTHESES]
         return self.decide([self.track_component(group) for group in groups])
 
     def decide(self, hypotheses: list[Hypothesis]) -> Hypothesis | None:
         """Return the best hypothesis if there is enough evidence for it and no other hypothesis is comparable."""
-        parameters = self.parameters
         best = max(hypotheses, key=lambda hypothesis: hypothesis.evidence, default=None)
-        if best is None or best.log_likelihood < parameters.min_log_likelihood:
+        if best is None or best.log_likelihood < self.min_log_likelihood:
             return None
-        if best.squared_sigmas > parameters.gate_sigmas**2:
+        if best.squared_sigmas > _GATE_SIGMAS**2:
             return None
-        limit = parameters.ambiguity_ratio * best.evidence
-        if any(other.evidence > limit for other in hypotheses if best.distance_m(other) >= parameters.merge_m):
+        limit = self.ambiguity_ratio * best.evidence
+        if any(other.evidence > limit for other in hypotheses if best.distance_m(other) >= _MERGE_M):
             return None
         own = self._draw(best.poses)
         limit += best.squared_sigmas
-        shifts = parameters.shift_m * _SHIFTS
+        shifts = _SHIFT_M * _SHIFTS
         is_comparable = any(self._score_both(best.poses + shift, own, shift, limit)[0] > limit for shift in shifts)
         return None if is_comparable else best
 
@@ -307,14 +289,14 @@ class Alignment:
 
     def _match_key_scan(self, beams: BeamEnds, guess: FloatArray, variances: FloatArray) -> FloatArray:
         """Pose (3,) of a key scan matched near a guess; the guess if it sees little of the map or moves too far."""
-        if len(beams) < self.parameters.matcher.min_beams:
+        if len(beams) < _MATCHER.min_beams:
             return guess
         if np.mean(self.known.maps.is_known(0, beams.ends, guess)) < _MIN_OVERLAP:
             return guess
-        match = self.parameters.matcher(self.known.maps, ROW, guess[None], _LOOSE, beams)
+        match = _MATCHER(self.known.maps, ROW, guess[None], _LOOSE, beams)
         x, y, turn = between(guess, match.poses[0]).tolist()
         squared = (x * x + y * y) / variances[0] + turn * turn / variances[1]
-        return match.poses[0] if squared < self.parameters.tracking_gate_sigmas**2 else guess
+        return match.poses[0] if squared < _TRACKING_GATE_SIGMAS**2 else guess
 
     def _draw(self, poses: FloatArray) -> TileMaps:
         """Build the map of the component's key scans at poses (K, 3)."""
@@ -355,28 +337,28 @@ class Alignment:
                 away = transform_points(pose, ends)[:, None] - way
                 ends = ends[(np.square(away).sum(axis=2) < _DENSE_M**2).any(axis=1)]
             if len(ends):
-                weights = self.scorer.weigh_same_side(maps, pose, StoredScan(ends, scan.origin))
+                weights = weigh_same_side(maps, pose, StoredScan(ends, scan.origin))
                 agreeing += float(weights.sum(dtype=np.float64))
                 known += len(weights)
                 beams += len(ends)
-        likelihood = stride * self.scorer.log_likelihood(agreeing, known)
+        likelihood = stride * log_likelihood(agreeing, known)
         return likelihood, known / max(beams, 1), agreeing / max(known, 1)
 
     def match_constraints(self, best: Hypothesis) -> list[Constraint]:
         """Constraints from key scans of an aligned component to the nearest submaps of the other."""
         closure_state = self.closure_state
         _, old_poses, old, maps = self.known
-        lenient = replace(self.places, inlier_ratio=self.parameters.inlier_ratio)
+        lenient = replace(self.places, inlier_ratio=_INLIER_RATIO)
         submaps = np.unique(old // KEY_SCANS_PER_SUBMAP)
         submaps = submaps[np.isin(anchor_of(0) + submaps * KEY_SCANS_PER_SUBMAP, old)]
         if not len(submaps):
             return []
         anchors = old_poses[[anchor_of(submap) for submap in submaps.tolist()]]
         found = []
-        for index in range(0, len(self.keys), self.parameters.constraint_interval):
+        for index in range(0, len(self.keys), _CONSTRAINT_INTERVAL):
             key = int(self.keys[index])
             pose = best.poses[index]
-            if len(closure_state.scans.key(key)) < self.parameters.matcher.min_beams:
+            if len(closure_state.scans.key(key)) < _MATCHER.min_beams:
                 continue
             nearest = int(np.argmin(np.hypot(*(anchors[:, :2] - pose[:2]).T)))
             anchor = anchors[nearest]

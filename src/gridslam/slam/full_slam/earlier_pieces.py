@@ -12,14 +12,15 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import weigh_known_beams
 from gridslam.slam.full_slam.component_alignment import (
+    LENGTH_M,
+    MIN_CONSTRAINTS,
     Alignment,
-    ComponentAlignment,
     Hypothesis,
     KnownMap,
     SearchHit,
     group_hits,
 )
-from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
+from gridslam.slam.full_slam.trajectory_score import SCALE_M, log_likelihood
 from gridslam.slam.loop_closure.constraints import Constraint
 from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
@@ -68,7 +69,7 @@ _MIN_OVERLAP = 0.4
 buildings the best places had 0.16 to 0.22, all but off the map; right ones 0.77 to 0.99."""
 
 _MIN_AGREEMENT = 0.9
-"""Agreement (see `TrajectoryScorer`) of those that do: on another floor of equal rooms 0.80, in right places from 0.93,
+"""Agreement (see `score_trajectory`) of those that do: on another floor of equal rooms 0.80, in right places from 0.93,
 where people walk about, to 0.99."""
 
 
@@ -76,7 +77,7 @@ where people walk about, to 0.99."""
 class EarlierPieces:
     """Locates a drive in earlier pieces: submaps of its way are searched in their maps (see `MapSearch`).
 
-    What is found is judged as with a component behind a gap in the laser data (see `ComponentAlignment`), but nothing
+    What is found is judged as with a component behind a gap in the laser data (see `align_components`), but nothing
     is known of the drift: the drive is tracked through the piece's map from each place where submaps of it fit, and if
     only one of them explains it, it is found. While the robot drives, the work is spread over key scans by counts
     alone, and pieces take turns.
@@ -92,10 +93,6 @@ class EarlierPieces:
         How their maps are drawn.
     places : PlaceMatching
         How key scans are matched in the end.
-    alignment : ComponentAlignment
-        How long submaps are, how they are matched, and what makes an alignment certain.
-    scorer : TrajectoryScorer
-        How hypotheses are scored.
     begin : (3,) float64, optional
         Where the drive begins in the first piece, within 5 m and half a radian; it is searched for there alone.
     """
@@ -105,18 +102,13 @@ class EarlierPieces:
         pieces: Sequence[MapPiece],
         mapper: OccupancyGridMapping,
         places: PlaceMatching,
-        alignment: ComponentAlignment,
-        scorer: TrajectoryScorer,
         begin: FloatArray | None = None,
     ) -> None:
         self.pieces = list(pieces)
         self._mapper = mapper
         self._places = places
-        certain = replace(alignment, min_log_likelihood=_MIN_LOG_LIKELIHOOD, ambiguity_ratio=_AMBIGUITY_RATIO)
-        self._alignment = certain if begin is None else alignment
-        self._scorer = scorer
         self._begin = begin
-        self._searches = [MapSearch(piece.build_map(mapper), alignment.matching) for piece in self.pieces]
+        self._searches = [MapSearch(piece.build_map(mapper)) for piece in self.pieces]
         self._turns = len(self.pieces) if begin is None else 1
         self._hits: dict[tuple[int, int, bytes], list[SearchHit]] = {}
         self._known = b""  # key scans that are aligned at present
@@ -181,7 +173,9 @@ class EarlierPieces:
         yield None
         few = keys[:: -(-len(keys) // _ALIGNED)]
         known = KnownMap(piece.scans, piece.poses, np.arange(len(piece)), self._searches[number].maps)
-        alignment = Alignment(self._alignment, closure_state, self._mapper, self._places, self._scorer, few, known)
+        alignment = Alignment(closure_state, self._mapper, self._places, few, known)
+        if self._begin is None:
+            alignment = replace(alignment, min_log_likelihood=_MIN_LOG_LIKELIHOOD, ambiguity_ratio=_AMBIGUITY_RATIO)
         hypotheses: list[Hypothesis] = []
         for first in range(0, min(len(groups), _TRACKED), _TRACKED_AT_A_TIME):
             hypotheses += [alignment.track_component(group) for group in groups[first : first + _TRACKED_AT_A_TIME]]
@@ -189,7 +183,7 @@ class EarlierPieces:
         best = alignment.decide([each for each in hypotheses if _is_plausible(each)])
         if best is not None:
             constraints = alignment.match_constraints(best)
-            is_enough = len(constraints) >= self._alignment.min_constraints
+            is_enough = len(constraints) >= MIN_CONSTRAINTS
             if is_enough and any(constraint.determined for constraint in constraints):
                 yield _Aligned(few, best.poses, constraints)
 
@@ -198,7 +192,7 @@ class EarlierPieces:
         graph = closure_state.graph
         keys = graph.select_without_gap(np.arange(max(0, key + 1 - _LAST_KEY_SCANS), key + 1), key)
         way = graph.driven_m()[keys]
-        keys = keys[way >= way[-1] - self._alignment.length_m]
+        keys = keys[way >= way[-1] - LENGTH_M]
         known = (number, key, _tracked_at(graph, keys))
         if known not in self._hits:
             submap = Submap.of(graph, int(keys[len(keys) // 2]), keys, closure_state.scans, self._mapper)
@@ -212,8 +206,8 @@ class EarlierPieces:
         if self._begin is not None:
             near = compose(self._begin, between(graph.tracked[0], graph.tracked[submap.anchor]))
         for pose, points in search(submap, near, _NEAR_M, _NEAR_RAD):
-            weights = weigh_known_beams(search.maps, ROW, pose, points.ends, self._scorer.scale_m)
-            score = self._scorer.log_likelihood(float(weights.sum(dtype=np.float64)), len(weights))
+            weights = weigh_known_beams(search.maps, ROW, pose, points.ends, SCALE_M)
+            score = log_likelihood(float(weights.sum(dtype=np.float64)), len(weights))
             if score > 0:
                 hits.append(SearchHit(submap.anchor, pose, score))
         return sorted(hits, key=lambda hit: -hit.score)[:_TRACKED]

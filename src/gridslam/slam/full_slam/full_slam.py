@@ -19,7 +19,7 @@ from gridslam.slam.full_slam.full_trajectory import (
     full_trajectories,
     scan_covariances,
 )
-from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
+from gridslam.slam.full_slam.global_scan_refinement import RefinementResult, refine_trajectory
 from gridslam.slam.full_slam.key_covariances import key_covariances
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
@@ -134,7 +134,6 @@ def full_slam(
     drives: Sequence[TrackedScans],
     mapper: OccupancyGridMapping,
     loop_closure: LoopClosure | None,
-    final_refinement: GlobalScanRefinement,
     on_progress: Callable[[], None] = lambda: None,
 ) -> FullSlam:
     """Compute the full SLAM result of the scans so far; `state` is not modified.
@@ -148,7 +147,7 @@ def full_slam(
     drives : sequence of TrackedScans
         The scans of the drives that the state is of, one or several that were joined, in the order of their key scans.
         All but the newest were refined before: revisits are searched for from its key scans.
-    mapper, loop_closure, final_refinement
+    mapper, loop_closure
         Components of the run. Without loop closure the covariances are those of the default drift model.
     on_progress
         Called periodically during the final refinement.
@@ -157,7 +156,7 @@ def full_slam(
     trajectory = state.best_trajectory()
     if state.closure_state is not None:
         newest = int(drives[-1].keys[0])
-        return _refine(state.closure_state, trajectory, drives, mapper, closure, final_refinement, on_progress, newest)
+        return _refine(state.closure_state, trajectory, drives, mapper, closure, on_progress, newest)
     graph = _build_odometry_graph(trajectory, drives, closure.drift)
     poses = full_trajectories(trajectory, drives)
     covariances = scan_covariances(graph, drift_covariances(graph), poses, drives, closure.drift)
@@ -169,12 +168,11 @@ def refine_piece(
     drives: Sequence[TrackedScans],
     mapper: OccupancyGridMapping,
     closure: LoopClosure,
-    final_refinement: GlobalScanRefinement,
     on_progress: Callable[[], None] = lambda: None,
 ) -> FullSlam:
     """Compute the full SLAM result of a piece, such as one that was merged; the arguments are those of `full_slam`."""
     state = LoopClosureState(scans=piece.scans, graph=piece.graph)
-    return _refine(state, piece.poses, drives, mapper, closure, final_refinement, on_progress)
+    return _refine(state, piece.poses, drives, mapper, closure, on_progress)
 
 
 def _refine(
@@ -183,13 +181,12 @@ def _refine(
     drives: Sequence[TrackedScans],
     mapper: OccupancyGridMapping,
     closure: LoopClosure,
-    final_refinement: GlobalScanRefinement,
     on_progress: Callable[[], None],
     searched: int = 0,
 ) -> FullSlam:
     """Refine the trajectory (T, 3) of the key scans; the state is not modified."""
     changed = closure_state.snapshot()
-    refined = final_refinement(changed, trajectory, drives, mapper, closure, on_progress, searched)
+    refined = refine_trajectory(changed, trajectory, drives, mapper, closure, on_progress, searched)
     graph = scale_information(refined.best.graph, refined.best.weights)
     covariances = scan_covariances(graph, key_covariances(refined.measured), refined.poses, drives, closure.drift)
     loops = _summarize(closure_state, changed, refined, trajectory)

@@ -12,15 +12,14 @@ from gridslam.geometry.se2 import between
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.surfaces import Surfaces
-from gridslam.parameters import bounded, parameters
-from gridslam.slam.full_slam.component_alignment import ComponentAlignment
+from gridslam.slam.full_slam.component_alignment import align_components
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
-from gridslam.slam.full_slam.key_scan_matching import KeyScanMatching
-from gridslam.slam.full_slam.surface_adjustment import SurfaceAdjustment
-from gridslam.slam.full_slam.trajectory_score import TrajectoryScore, TrajectoryScorer
+from gridslam.slam.full_slam.key_scan_matching import match_key_scans
+from gridslam.slam.full_slam.surface_adjustment import adjust_key_scans, match_scans
+from gridslam.slam.full_slam.trajectory_score import TrajectoryScore, score_trajectory
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import KeyGraph
-from gridslam.slam.loop_closure.loop_closure import LoopClosure
+from gridslam.slam.loop_closure.loop_closure import SOLVER, LoopClosure
 from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
@@ -32,7 +31,7 @@ _AGREEMENT_MARGIN = 0.01
 """The cells of the score are coarser than the adjustment: agreement was up to 0.007 less where poses were better by
 half, and 0.017 less in a hospital's corridors."""
 
-__all__ = ["Candidate", "CandidateSelection", "GlobalScanRefinement", "RefinementResult"]
+__all__ = ["Candidate", "CandidateSelection", "RefinementResult", "refine_trajectory"]
 
 
 @final
@@ -142,106 +141,81 @@ class RefinementResult:
     measured: PoseGraph
 
 
-@final
-@parameters(frozen=True)
-class GlobalScanRefinement:
-    """Alternates scan matching and graph optimization, selects the best candidate, and matches every scan to its map.
+_MAX_ROUNDS = 2
+"""Maximum number of alternations of matching and optimization."""
+_STOP_M = 0.1
+"""Converged if no key scan moves farther than this."""
+_DISTINCT_CANDIDATE_M = 0.3
+"""The online constraints form a separate candidate if they move a key scan farther than this."""
+_MAX_SEARCHES = 3
+"""Maximum number of whole-log searches for revisited places, each with the trajectory of the one before."""
+_ROBUST = CauchyEstimator()
+"""Robust estimator of the graph."""
 
-    Key scans are matched to the overlapping older and later submaps, rebuilt from the current trajectory. Submaps of
-    the same visit are excluded: they only repeat the tracker's result. The refinement starts from the trajectory of the
-    best particle, whose closures are evidence like recognized places; and, if it differs, from the tracked motion
-    optimized with the online constraints. The result is the candidate with the best score. The unrefined trajectory of
-    the best particle is one of the candidates, so the result never has a worse score than the filter.
+
+def refine_trajectory(
+    closure_state: LoopClosureState,
+    trajectory: FloatArray,
+    drives: Sequence[TrackedScans],
+    mapper: OccupancyGridMapping,
+    closure: LoopClosure,
+    on_progress: Callable[[], None] = lambda: None,
+    searched: int = 0,
+) -> RefinementResult:
+    """Refine the trajectory (T, 3) of the key scans and give every scan a pose.
+
+    Scan matching and graph optimization alternate, the best candidate is selected, and every scan is matched to the
+    surfaces about it. Key scans are matched to the overlapping older and later submaps, rebuilt from the current
+    trajectory. Submaps of the same visit are excluded: they only repeat the tracker's result. The refinement starts
+    from the trajectory of the best particle, whose closures are evidence like recognized places; and, if it differs,
+    from the tracked motion optimized with the online constraints. The result is the candidate with the best score. The
+    unrefined trajectory of the best particle is one of the candidates, so the result never has a worse score than the
+    filter.
 
     Parameters
     ----------
-    max_rounds : int
-        Maximum number of alternations of matching and optimization.
-    stop_m : float, m
-        Converged if no key scan moves farther than this.
-    key_scans : KeyScanMatching
-        How key scans are matched to submaps.
-    surfaces : SurfaceAdjustment
-        How the selected trajectory is adjusted, so that the surfaces which the scans see fit each other.
-    distinct_candidate_m : float, m
-        The online constraints form a separate candidate if they move a key scan farther than this.
-    max_searches : int
-        Maximum number of whole-log searches for revisited places, each with the trajectory of the one before.
-    component_alignment : ComponentAlignment
-        Alignment of rigid components that are separated by gaps in the laser data.
-    robust : CauchyEstimator
-        Robust estimator of the graph.
-    score : TrajectoryScorer
-        How candidates are compared.
+    closure_state
+        Scans, and which places were recognized; modified.
+    trajectory : (T, 3) float64
+        Of the key scans, as the filter has it.
+    drives : sequence of TrackedScans
+        The scans, by drives in the order of their key scans. Those of a drive that is frozen are not matched.
+    closure
+        Place recognition and outlier rejection.
+    on_progress
+        Progress callback; may raise to interrupt.
+    searched : int
+        Number of first key scans that an earlier refinement has searched for revisits among each other: drives that
+        the newest one was joined with. What is frozen is not searched for either.
     """
-
-    max_rounds: int = bounded(2, ge=1, le=100)
-    stop_m: float = bounded(0.1, ge=1e-6, le=1e6)
-    key_scans: KeyScanMatching = KeyScanMatching()
-    surfaces: SurfaceAdjustment = SurfaceAdjustment()
-    distinct_candidate_m: float = bounded(0.3, ge=1e-6, le=1e6)
-    max_searches: int = bounded(3, ge=0, le=100_000)
-    component_alignment: ComponentAlignment = ComponentAlignment()
-    robust: CauchyEstimator = CauchyEstimator()
-    score: TrajectoryScorer = TrajectoryScorer()
-
-    def __call__(
-        self,
-        closure_state: LoopClosureState,
-        trajectory: FloatArray,
-        drives: Sequence[TrackedScans],
-        mapper: OccupancyGridMapping,
-        closure: LoopClosure,
-        on_progress: Callable[[], None] = lambda: None,
-        searched: int = 0,
-    ) -> RefinementResult:
-        """Refine the trajectory (T, 3) of the key scans and give every scan a pose.
-
-        Parameters
-        ----------
-        closure_state
-            Scans, and which places were recognized; modified.
-        trajectory : (T, 3) float64
-            Of the key scans, as the filter has it.
-        drives : sequence of TrackedScans
-            The scans, by drives in the order of their key scans. Those of a drive that is frozen are not matched.
-        closure
-            Place recognition and outlier rejection.
-        on_progress
-            Progress callback; may raise to interrupt.
-        searched : int
-            Number of first key scans that an earlier refinement has searched for revisits among each other: drives that
-            the newest one was joined with. What is frozen is not searched for either.
-        """
-        graph = closure_state.graph
-        known = [c for c in graph.constraints if max(c.pair) < graph.frozen]
-        known = [c for c in known if c.source is not ConstraintSource.RECOGNIZED]
-        refinement = _Refinement(
-            self,
-            closure_state,
-            mapper,
-            closure,
-            on_progress,
-            known,
-            max(searched, graph.frozen),
-            [c for c in graph.constraints if c.source is ConstraintSource.TRACKED],
-            closure_state.pairs.copy(),
-            SubmapPairs(),
-        )
-        selection = refinement.select(trajectory)
-        scans = closure_state.scans
-        surfaces = Surfaces.of(scans.batch(scans.keys))
-        on_progress()
-        weighted = scale_information(selection.best.graph, selection.best.weights)
-        adjusted = self.surfaces.adjust_key_scans(weighted, surfaces)
-        measured = adjusted if selection.adjust_best(adjusted.poses) else weighted
-        key_poses = selection.best.graph.poses
-        graph.poses = list(key_poses)
-        poses = full_trajectories(key_poses, drives)
-        frozen = sum(len(drive.keys) for drive in drives if int(drive.keys[-1]) < graph.frozen)
-        keys = np.concatenate([drive.keys for drive in drives])[frozen:]
-        poses[frozen:] = self.surfaces.match_scans(poses[frozen:], keys, scans, surfaces, key_poses)
-        return RefinementResult(selection.best, poses, selection.maps, selection.scores, measured)
+    graph = closure_state.graph
+    known = [c for c in graph.constraints if max(c.pair) < graph.frozen]
+    known = [c for c in known if c.source is not ConstraintSource.RECOGNIZED]
+    refinement = _Refinement(
+        closure_state,
+        mapper,
+        closure,
+        on_progress,
+        known,
+        max(searched, graph.frozen),
+        [c for c in graph.constraints if c.source is ConstraintSource.TRACKED],
+        closure_state.pairs.copy(),
+        SubmapPairs(),
+    )
+    selection = refinement.select(trajectory)
+    scans = closure_state.scans
+    surfaces = Surfaces.of(scans.batch(scans.keys))
+    on_progress()
+    weighted = scale_information(selection.best.graph, selection.best.weights)
+    adjusted = adjust_key_scans(weighted, surfaces)
+    measured = adjusted if selection.adjust_best(adjusted.poses) else weighted
+    key_poses = selection.best.graph.poses
+    graph.poses = list(key_poses)
+    poses = full_trajectories(key_poses, drives)
+    frozen = sum(len(drive.keys) for drive in drives if int(drive.keys[-1]) < graph.frozen)
+    keys = np.concatenate([drive.keys for drive in drives])[frozen:]
+    poses[frozen:] = match_scans(poses[frozen:], keys, scans, surfaces, key_poses)
+    return RefinementResult(selection.best, poses, selection.maps, selection.scores, measured)
 
 
 @final
@@ -254,7 +228,6 @@ class _Refinement:
     the way, `stretches` short ones, of stretches without a gap in the laser data.
     """
 
-    parameters: GlobalScanRefinement
     closure_state: LoopClosureState
     mapper: OccupancyGridMapping
     closure: LoopClosure
@@ -272,10 +245,10 @@ class _Refinement:
 
     def select(self, trajectory: FloatArray) -> CandidateSelection:
         """Compare the candidates, beginning with the trajectory (T, 3) of the filter."""
-        score = self.parameters.score
         first, *others = self._candidates(trajectory)
         selection = CandidateSelection(
-            lambda poses: score(self.graph, self.closure_state.scans, poses, self.mapper, self.on_progress), first
+            lambda poses: score_trajectory(self.graph, self.closure_state.scans, poses, self.mapper, self.on_progress),
+            first,
         )
         for candidate in others:
             selection.add(candidate)
@@ -288,7 +261,7 @@ class _Refinement:
         As long as the score improves, or components are joined: one that is joined shows where others belong.
         """
         last = selection.best
-        for search in range(self.parameters.max_searches):
+        for search in range(_MAX_SEARCHES):
             components = len(np.unique(self.graph.label_rigid_components()))
             found = self._add_closures(f"closed {search + 1}", last)
             if found is None:
@@ -304,7 +277,6 @@ class _Refinement:
 
         Robust least squares over all of them rejects the outliers.
         """
-        parameters = self.parameters
         closure_state = self.closure_state
         known = [*self.tracked, *begin.recognized_constraints]
         self.graph.constraints = known
@@ -315,18 +287,17 @@ class _Refinement:
         closure_state.rejected[RejectionReason.INCONSISTENT] += rejected
         pairs = {constraint.pair for constraint in known}
         new = [constraint for constraint in found if constraint.pair not in pairs]
-        new += parameters.component_alignment(
+        new += align_components(
             closure_state,
             self.mapper,
             self.stretches,
             self.closure.places,
-            parameters.score,
             self.on_progress,
             self.searched,
         )
         if not new:
             return None
-        solver = replace(self.closure.solver, first_guess="either")  # a wide loop is not reached from where poses are
+        solver = replace(SOLVER, first_guess="either")  # a wide loop is not reached from where poses are
         solution = solver.solve(self._graph(begin.graph.poses, [*new, *known]))
         weights = solution.weights[len(begin.graph.poses) - 1 :].tolist()
         recognized = [constraint for constraint, weight in zip(new, weights, strict=False) if weight >= 0.5]
@@ -344,12 +315,12 @@ class _Refinement:
         recognized = [constraint for constraint in found if constraint.source is ConstraintSource.RECOGNIZED]
         constraints = self._match_key_scans(recognized, trajectory)
         graph = self._graph(trajectory, constraints, between(trajectory[:-1], trajectory[1:]))
-        yield Candidate("filter", graph, constraints, self.parameters.robust.weights(graph))
+        yield Candidate("filter", graph, constraints, _ROBUST.weights(graph))
         if not (constraints or found):
             return
         yield self._refine("refined", trajectory, recognized, constraints)
-        start = self.closure.solver.solve(self._graph(trajectory, found)).poses
-        if _max_distance_m(start, trajectory) > self.parameters.distinct_candidate_m:
+        start = SOLVER.solve(self._graph(trajectory, found)).poses
+        if _max_distance_m(start, trajectory) > _DISTINCT_CANDIDATE_M:
             constraints = self._match_key_scans(recognized, start)
             yield self._refine("constraints", start, recognized, constraints)
 
@@ -357,14 +328,13 @@ class _Refinement:
         self, name: str, poses: FloatArray, recognized: list[Constraint], constraints: list[Constraint]
     ) -> Candidate:
         """Alternate optimization and matching, from poses (T, 3) and the constraints matched there."""
-        parameters = self.parameters
-        solver = GraphSlam(first_guess="given", robust=parameters.robust)
-        for remaining in range(parameters.max_rounds - 1, -1, -1):
+        solver = GraphSlam(first_guess="given", robust=_ROBUST)
+        for remaining in range(_MAX_ROUNDS - 1, -1, -1):
             graph = self._graph(poses, constraints)
             solution = solver.solve(graph)
             moved_m = _max_distance_m(solution.poses, poses)
             poses = solution.poses
-            if not remaining or moved_m < parameters.stop_m:
+            if not remaining or moved_m < _STOP_M:
                 break
             constraints = self._match_key_scans(recognized, poses)
         return Candidate(name, graph.with_poses(poses), constraints, solution.weights)
@@ -374,7 +344,7 @@ class _Refinement:
         return [
             *recognized,
             *self.known,
-            *self.parameters.key_scans(self.closure_state, poses, self.mapper, self.on_progress),
+            *match_key_scans(self.closure_state, poses, self.mapper, self.on_progress),
         ]
 
     def _graph(

@@ -11,7 +11,6 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose, inverse
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
-from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement
 from gridslam.slam.loop_closure.constraints import Constraint
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
@@ -60,7 +59,6 @@ def merge_pieces(
     pieces: Sequence[MapPiece],
     mapper: OccupancyGridMapping,
     closure: LoopClosure,
-    refinement: GlobalScanRefinement,
     on_progress: Callable[[], None] = lambda: None,
 ) -> list[MergedPiece]:
     """Merge pieces that show the same places; the others stay apart.
@@ -72,8 +70,8 @@ def merge_pieces(
     ----------
     pieces : sequence of MapPiece
         In an order that does not depend on chance: frames and numbers follow it.
-    mapper, closure, refinement
-        As in the runs; of the refinement the alignment of components and the score.
+    mapper, closure
+        As in the runs.
     on_progress
         Called once for each pair of pieces.
 
@@ -86,7 +84,7 @@ def merge_pieces(
     for to, later in enumerate(pieces):
         for from_, earlier in enumerate(pieces[:to]):
             on_progress()
-            link = _link(earlier, later, mapper, closure, refinement)
+            link = _link(earlier, later, mapper, closure)
             if link is not None:
                 links.append(_Link(from_, to, *link))
     links.sort(key=lambda link: (-len(link.constraints), link.from_, link.to))
@@ -103,10 +101,9 @@ def _link(
     later: MapPiece,
     mapper: OccupancyGridMapping,
     closure: LoopClosure,
-    refinement: GlobalScanRefinement,
 ) -> tuple[FloatArray, list[Constraint]] | None:
     """The frame (3,) of a piece in another one's, and constraints between them; None if that is not certain."""
-    located = EarlierPieces([earlier], mapper, closure.places, refinement.component_alignment, refinement.score)
+    located = EarlierPieces([earlier], mapper, closure.places)
     state = LoopClosureState(scans=later.scans, graph=later.graph)
     poses = later.poses
     groups: list[list[tuple[FloatArray, list[Constraint]]]] = []

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import final
 
 import numpy as np
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.matching.surfaces import Surfaces
-from gridslam.parameters import bounded, parameters
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["SurfaceAdjustment"]
+__all__ = ["adjust_key_scans", "match_scans"]
 
 _GATES_M = 0.4, 0.2, 0.08, 0.08
 """Largest residual of a point, in each round."""
@@ -31,131 +29,114 @@ _HELD = np.eye(3)
 _SCANS_AT_A_TIME = 1024
 _KEY_SCANS_BESIDE = 2
 """On either side of a scan."""
+_SIGMA_M = 0.02
+"""Standard deviation of a point; where the residual is as large, it weighs half in the end."""
+_REACH_M = 5.0
+"""Distance of key scans to be matched, at most."""
+_PAIRS_PER_SCAN = 10
+"""Earlier key scans that each one is matched with."""
+_MIN_POINTS = 10
+"""Matched points of a pair, at least."""
+_MAX_CORRECTION_M = 0.15
+"""A scan between key scans that moves farther stays where the motion has it."""
+_PRIOR_SIGMA_M = 0.02
+_PRIOR_SIGMA_RAD = 0.01
+"""How well the motion from the key scans about it determines such a scan."""
 
 
-@final
-@parameters(frozen=True)
-class SurfaceAdjustment:
-    """Minimizes the distances between the surfaces of key scans that are near each other, together with a pose graph.
+def adjust_key_scans(graph: PoseGraph, surfaces: Surfaces) -> PoseGraph:
+    """Move the key scans of a graph; the graph there, with the measurements of all pairs.
 
-    Each round matches pairs of key scans, point to line, and solves the graph with one measurement more for each pair:
-    the relative pose that fits best, with the information of its points.
+    The distances between the surfaces of key scans that are near each other are minimized, together with the graph's
+    error: each round matches pairs of key scans, point to line, and solves the graph with one measurement more for each
+    pair, the relative pose that fits best, with the information of its points.
+
+    A scan takes part in several pairs: while poses are sought it counts fully in each, and in the graph that is
+    returned they share the information of its points, so that covariances follow from it.
+    """
+    pairs = _select_pairs(graph.poses)
+    poses = graph.poses
+    for gate_m in _GATES_M:
+        whole = _measure(graph.with_poses(poses), surfaces, pairs, gate_m)
+        if len(whole.edges) == len(graph.edges):
+            break
+        poses = GraphSlam(first_guess="given", robust=None, max_iterations=1).solve(whole).poses
+    return _measure(graph.with_poses(poses), surfaces, pairs, _GATES_M[-1], shared=True)
+
+
+def _measure(
+    graph: PoseGraph, surfaces: Surfaces, pairs: IntArray, gate_m: float, *, shared: bool = False
+) -> PoseGraph:
+    """Add measurements of pairs (P, 2) of key scans to a graph: the relative poses where their surfaces fit."""
+    found = surfaces.match(graph.poses, pairs, gate_m, max(_SIGMA_M, _SCALE_RATIO * gate_m))
+    is_matched = found.counts >= _MIN_POINTS
+    own = pairs[is_matched]
+    weights = np.full(len(own), 1 / (2 * _SIGMA_M**2))
+    if shared:
+        weights *= _INDEPENDENT_PAIRS / np.bincount(own.ravel(), minlength=len(graph.poses))[own].mean(axis=1)
+    information = weights[:, None, None] * found.information[is_matched] + (0.0 if shared else _HELD)
+    steps = -np.linalg.solve(information + _HELD, (weights[:, None] * found.gradients[is_matched])[..., None])
+    measurements = compose(between(graph.poses[own[:, 0]], graph.poses[own[:, 1]]), steps[..., 0])
+    return replace(
+        graph,
+        edges=np.concatenate([graph.edges, own]),
+        measurements=np.concatenate([graph.measurements, measurements]),
+        information=np.concatenate([graph.information, information]),
+        trusted=np.append(graph.trusted, np.zeros(len(own), np.bool_)),
+    )
+
+
+def match_scans(
+    poses: FloatArray, keys: IntArray, archive: ScanArchive, surfaces: Surfaces, key_poses: FloatArray
+) -> FloatArray:
+    """Match scans to the key scans about them; the poses (N, 3) of all scans, those of key scans as they are.
 
     Parameters
     ----------
-    sigma_m : float, m
-        Standard deviation of a point; where the residual is as large, it weighs half in the end.
-    reach_m : float, m
-        Distance of key scans to be matched, at most.
-    pairs_per_scan : int
-        Earlier key scans that each one is matched with.
-    min_points : int
-        Matched points of a pair, at least.
-    max_correction_m : float, m
-        A scan between key scans that moves farther stays where the motion has it.
-    prior_sigma_m, prior_sigma_rad : float
-        How well the motion from the key scans about it determines such a scan.
-
-    References
-    ----------
-    Chen and Medioni, Object modelling by registration of multiple range images (1992); Lu and Milios, Globally
-    consistent range scan alignment for environment mapping (1997).
+    poses : (N, 3) float64
+        Of the last N scans of the archive, as the motion between key scans has them.
+    keys : (N,) int64
+        The key scan at or before each.
+    archive : ScanArchive
+        Where the scans are.
+    surfaces, key_poses : Surfaces, (T, 3) float64
+        Of the key scans.
     """
+    matched = poses.copy()
+    prior = np.diag(1 / np.square([_PRIOR_SIGMA_M, _PRIOR_SIGMA_M, _PRIOR_SIGMA_RAD]))
+    count = len(key_poses)
+    is_between = np.diff(keys, prepend=-1) == 0  # a drive begins with a key scan
+    for begin in range(0, len(poses), _SCANS_AT_A_TIME):
+        own = begin + np.flatnonzero(is_between[begin : begin + _SCANS_AT_A_TIME])
+        if not len(own):
+            continue
+        batch = archive.batch((own + len(archive) - len(poses)).tolist())
+        whole = surfaces.append(Surfaces.of(batch))
+        number = np.repeat(np.arange(len(own)), 2 * _KEY_SCANS_BESIDE)
+        about = keys[own][:, None] + np.arange(1 - _KEY_SCANS_BESIDE, 1 + _KEY_SCANS_BESIDE)
+        pairs = np.column_stack([np.clip(about.ravel(), 0, count - 1), count + number])
+        at = poses[own]
+        for gate_m in _GATES_M[-2:]:
+            found = whole.match(np.concatenate([key_poses, at]), pairs, gate_m, _SIGMA_M, both=False)
+            weight = (found.counts >= _MIN_POINTS)[:, None] / (2 * _SIGMA_M**2)
+            shape = (len(own), 2 * _KEY_SCANS_BESIDE)
+            information = (weight[..., None] * found.information).reshape(*shape, 3, 3).sum(axis=1) + prior
+            gradients = (weight * found.gradients).reshape(*shape, 3).sum(axis=1) + between(poses[own], at) @ prior
+            at = compose(at, -np.linalg.solve(information, gradients[..., None])[..., 0])
+        is_near = np.hypot(*(at - poses[own])[:, :2].T) < _MAX_CORRECTION_M
+        matched[own[is_near]] = at[is_near]
+    return matched
 
-    sigma_m: float = bounded(0.02, ge=1e-6, le=100)
-    reach_m: float = bounded(5.0, ge=1e-6, le=1e6)
-    pairs_per_scan: int = bounded(10, ge=1, le=1000)
-    min_points: int = bounded(10, ge=1, le=1_000_000)
-    max_correction_m: float = bounded(0.15, ge=1e-6, le=1e6)
-    prior_sigma_m: float = bounded(0.02, ge=1e-6, le=100)
-    prior_sigma_rad: float = bounded(0.01, ge=1e-6, le=100)
 
-    def adjust_key_scans(self, graph: PoseGraph, surfaces: Surfaces) -> PoseGraph:
-        """Move the key scans of a graph; the graph there, with the measurements of all pairs.
-
-        A scan takes part in several pairs: while poses are sought it counts fully in each, and in the graph that is
-        returned they share the information of its points, so that covariances follow from it.
-        """
-        pairs = self._select_pairs(graph.poses)
-        poses = graph.poses
-        for gate_m in _GATES_M:
-            whole = self._measure(graph.with_poses(poses), surfaces, pairs, gate_m)
-            if len(whole.edges) == len(graph.edges):
-                break
-            poses = GraphSlam(first_guess="given", robust=None, max_iterations=1).solve(whole).poses
-        return self._measure(graph.with_poses(poses), surfaces, pairs, _GATES_M[-1], shared=True)
-
-    def _measure(
-        self, graph: PoseGraph, surfaces: Surfaces, pairs: IntArray, gate_m: float, *, shared: bool = False
-    ) -> PoseGraph:
-        """Add measurements of pairs (P, 2) of key scans to a graph: the relative poses where their surfaces fit."""
-        found = surfaces.match(graph.poses, pairs, gate_m, max(self.sigma_m, _SCALE_RATIO * gate_m))
-        is_matched = found.counts >= self.min_points
-        own = pairs[is_matched]
-        weights = np.full(len(own), 1 / (2 * self.sigma_m**2))
-        if shared:
-            weights *= _INDEPENDENT_PAIRS / np.bincount(own.ravel(), minlength=len(graph.poses))[own].mean(axis=1)
-        information = weights[:, None, None] * found.information[is_matched] + (0.0 if shared else _HELD)
-        steps = -np.linalg.solve(information + _HELD, (weights[:, None] * found.gradients[is_matched])[..., None])
-        measurements = compose(between(graph.poses[own[:, 0]], graph.poses[own[:, 1]]), steps[..., 0])
-        return replace(
-            graph,
-            edges=np.concatenate([graph.edges, own]),
-            measurements=np.concatenate([graph.measurements, measurements]),
-            information=np.concatenate([graph.information, information]),
-            trusted=np.append(graph.trusted, np.zeros(len(own), np.bool_)),
-        )
-
-    def match_scans(
-        self, poses: FloatArray, keys: IntArray, archive: ScanArchive, surfaces: Surfaces, key_poses: FloatArray
-    ) -> FloatArray:
-        """Match scans to the key scans about them; the poses (N, 3) of all scans, those of key scans as they are.
-
-        Parameters
-        ----------
-        poses : (N, 3) float64
-            Of the last N scans of the archive, as the motion between key scans has them.
-        keys : (N,) int64
-            The key scan at or before each.
-        archive : ScanArchive
-            Where the scans are.
-        surfaces, key_poses : Surfaces, (T, 3) float64
-            Of the key scans.
-        """
-        matched = poses.copy()
-        prior = np.diag(1 / np.square([self.prior_sigma_m, self.prior_sigma_m, self.prior_sigma_rad]))
-        count = len(key_poses)
-        is_between = np.diff(keys, prepend=-1) == 0  # a drive begins with a key scan
-        for begin in range(0, len(poses), _SCANS_AT_A_TIME):
-            own = begin + np.flatnonzero(is_between[begin : begin + _SCANS_AT_A_TIME])
-            if not len(own):
-                continue
-            batch = archive.batch((own + len(archive) - len(poses)).tolist())
-            whole = surfaces.append(Surfaces.of(batch))
-            number = np.repeat(np.arange(len(own)), 2 * _KEY_SCANS_BESIDE)
-            about = keys[own][:, None] + np.arange(1 - _KEY_SCANS_BESIDE, 1 + _KEY_SCANS_BESIDE)
-            pairs = np.column_stack([np.clip(about.ravel(), 0, count - 1), count + number])
-            at = poses[own]
-            for gate_m in _GATES_M[-2:]:
-                found = whole.match(np.concatenate([key_poses, at]), pairs, gate_m, self.sigma_m, both=False)
-                weight = (found.counts >= self.min_points)[:, None] / (2 * self.sigma_m**2)
-                shape = (len(own), 2 * _KEY_SCANS_BESIDE)
-                information = (weight[..., None] * found.information).reshape(*shape, 3, 3).sum(axis=1) + prior
-                gradients = (weight * found.gradients).reshape(*shape, 3).sum(axis=1) + between(poses[own], at) @ prior
-                at = compose(at, -np.linalg.solve(information, gradients[..., None])[..., 0])
-            is_near = np.hypot(*(at - poses[own])[:, :2].T) < self.max_correction_m
-            matched[own[is_near]] = at[is_near]
-        return matched
-
-    def _select_pairs(self, poses: FloatArray) -> IntArray:
-        """Select pairs (P, 2) of key scans at poses (T, 3) to be matched: the last ones, and some of the others."""
-        pairs: list[tuple[int, int]] = []
-        for to in range(1, len(poses)):
-            away = np.hypot(*(poses[:to, :2] - poses[to, :2]).T)
-            near = np.flatnonzero(away < self.reach_m)
-            last = near[near >= to - _SUCCESSIVE]
-            others = near[near < to - _SUCCESSIVE]
-            few = min(len(others), max(self.pairs_per_scan - _SUCCESSIVE, 0))
-            chosen = others[np.rint(np.linspace(0, len(others) - 1, few)).astype(np.int64)] if few else others[:0]
-            pairs += [(from_, to) for from_ in (*chosen.tolist(), *last.tolist())]
-        return np.array(pairs, np.int64).reshape(-1, 2)
+def _select_pairs(poses: FloatArray) -> IntArray:
+    """Select pairs (P, 2) of key scans at poses (T, 3) to be matched: the last ones, and some of the others."""
+    pairs: list[tuple[int, int]] = []
+    for to in range(1, len(poses)):
+        away = np.hypot(*(poses[:to, :2] - poses[to, :2]).T)
+        near = np.flatnonzero(away < _REACH_M)
+        last = near[near >= to - _SUCCESSIVE]
+        others = near[near < to - _SUCCESSIVE]
+        few = min(len(others), max(_PAIRS_PER_SCAN - _SUCCESSIVE, 0))
+        chosen = others[np.rint(np.linspace(0, len(others) - 1, few)).astype(np.int64)] if few else others[:0]
+        pairs += [(from_, to) for from_ in (*chosen.tolist(), *last.tolist())]
+    return np.array(pairs, np.int64).reshape(-1, 2)

@@ -77,6 +77,11 @@ def _information(covariance: FloatArray, headings: FloatArray) -> FloatArray:
     return rotate_covariances(np.asarray(np.linalg.inv(covariance + _LEAST), np.float64), headings)
 
 
+_STANDSTILL_M = 0.02
+_STANDSTILL_RAD = 0.02
+"""Where the motion's mean is within both, particles are not matched: a scan at rest has nothing to correct."""
+
+
 @final
 @checked
 @parameters(frozen=True)
@@ -121,8 +126,6 @@ class ScanMatchedProposal:
     beam_sigma_m : float, m
         Standard deviation of a beam's distance to the map against which the motion's information holds the match near
         its draw: five times the noise of the motion over a metre, as beams are many and cells coarse.
-    standstill_m, standstill_rad : float
-        Where the motion's mean is within both, particles are not matched: a scan at rest has nothing to correct.
 
     References
     ----------
@@ -131,8 +134,6 @@ class ScanMatchedProposal:
 
     matcher: Annotated[GaussNewton | HillClimbing, Kind()] = GaussNewton()
     beam_sigma_m: float = bounded(0.1, ge=1e-6, le=100)
-    standstill_m: float = bounded(0.02, ge=0, le=1e6)
-    standstill_rad: float = bounded(0.02, ge=0, le=100)
 
     def __call__(
         self,
@@ -155,7 +156,7 @@ class ScanMatchedProposal:
 
     def _is_moving(self, increment: FloatArray) -> bool:
         dx, dy, turn = increment.tolist()
-        return math.hypot(dx, dy) > self.standstill_m or abs(turn) > self.standstill_rad
+        return math.hypot(dx, dy) > _STANDSTILL_M or abs(turn) > _STANDSTILL_RAD
 
 
 @final

@@ -17,11 +17,21 @@ from gridslam.slam.loop_closure.drift_model import DriftModel, propagate_covaria
 from gridslam.tracking.state import UnmatchedMotion
 from gridslam.types import BeamEnds, FloatArray, IntArray, LaserScan, Match, SkipReason, StepReport
 
-__all__ = ["ReportBuilder", "compute_spread"]
+__all__ = ["DRIFT", "ReportBuilder", "compute_spread"]
 
 
 _MIN_INFORMATION = 1e-2 * np.eye(3)
 """Information (1/m^2, 1/rad^2) assumed at least: nothing is less certain than 10 m and 10 rad."""
+_SIGMA_M = 0.05
+"""Standard deviation of one beam, inflated for correlated beams."""
+DRIFT = DriftModel(
+    standstill_sigma_rad=0.0002,
+    sigma_rad_per_sqrt_rad=0.0016,
+    sigma_rad_per_sqrt_m=0.0008,
+    open_heading_ratio=4.0,
+)
+"""How uncertain the motion is once its scans are matched to the particles' maps, which show more than the tracker's
+local ones: on simulated drives headings drift by less than half as much."""
 
 
 @final
@@ -35,24 +45,12 @@ class ReportBuilder:
 
     Parameters
     ----------
-    sigma_m : float, m
-        Standard deviation of one beam, inflated for correlated beams.
     lost_below : float
         Inlier ratio with the map of the best particle below which the robot is lost. Entering a room for the first time
         leaves about a third.
-    drift : DriftModel
-        How uncertain the motion is once its scans are matched to the particles' maps, which show more than the
-        tracker's local ones: on simulated drives headings drift by less than half as much.
     """
 
-    sigma_m: float = bounded(0.05, ge=1e-6, le=100)
     lost_below: float = bounded(0.15, ge=0, le=1)
-    drift: DriftModel = DriftModel(
-        standstill_sigma_rad=0.0002,
-        sigma_rad_per_sqrt_rad=0.0016,
-        sigma_rad_per_sqrt_m=0.0008,
-        open_heading_ratio=4.0,
-    )
 
     @staticmethod
     def first_scan(state: GridFastSlamState, scan: LaserScan, n_eff: float) -> StepReport:
@@ -79,7 +77,7 @@ class ReportBuilder:
         drift, first_pose = state.drift, state.ancestry.first_pose
 
         def covariance() -> FloatArray:
-            moved = self.drift.covariance(key_from_base, unmatched, heading)
+            moved = DRIFT.covariance(key_from_base, unmatched, heading)
             return at_key() + rotate_covariances(moved, pose[2]) + self._drift_at(pose, drift, first_pose)
 
         return StepReport(
@@ -124,7 +122,7 @@ class ReportBuilder:
         score = float(match.score[best])
 
         def covariance() -> FloatArray:
-            open_ = np.linalg.inv(information / self.sigma_m**2 + _MIN_INFORMATION)
+            open_ = np.linalg.inv(information / _SIGMA_M**2 + _MIN_INFORMATION)
             return compute_spread(poses, log_weights, best) + np.asarray(open_, np.float64)
 
         # the second key scan is not judged: a first scan that saw nothing leaves an empty map
@@ -141,7 +139,7 @@ class ReportBuilder:
         if not lost:
             unmatched = UnmatchedMotion(open_covariance=state.unmatched.open_covariance) if is_degenerate else None
         first = state.ancestry.steps == 2
-        return self.drift.covariance(increment, unmatched, state.key_pose[2], first=first)
+        return DRIFT.covariance(increment, unmatched, state.key_pose[2], first=first)
 
     def add_drift(self, state: GridFastSlamState, report: StepReport) -> StepReport:
         """Add the drift up to this key scan to the covariance of its report, after a loop closure has shortened it."""
@@ -155,7 +153,7 @@ class ReportBuilder:
     def _drift_at(self, pose: FloatArray, moments: FloatArray, first_pose: FloatArray) -> FloatArray:
         """Covariance (3, 3) of what a pose (3,) has drifted by since the first one, and of the error of the scale."""
         drift: FloatArray = propagate_covariances(pose[None], moments[None])[0]
-        drift += self.drift.scale_covariances((pose - first_pose)[None, :2])[0]
+        drift += DRIFT.scale_covariances((pose - first_pose)[None, :2])[0]
         return drift
 
 

@@ -15,6 +15,21 @@ from gridslam.types import FloatArray
 
 __all__ = ["DriftModel", "compute_moments", "compute_step_moments", "diagonal_covariances", "propagate_covariances"]
 
+_STANDSTILL_SIGMA_M = 0.002
+"""Standard deviation of the position of an increment without motion."""
+_REJECTED_MATCH_SIGMAS = 1.5
+"""Multiple of the odometry's standard deviations that is added where the tracker rejected its match and used the
+odometry, which may suffer from slip or latency."""
+_POSITION_RATIO = 0.4
+"""Standard deviation of a position that is expected, over the one that bounds searches. On simulated drives through
+seven kinds of buildings increments of half a metre are off by 5 to 8 mm in each direction, where the latter is 18."""
+_SCALE_SIGMA = 0.002
+"""Standard deviation of the scale of the whole map, which no measurement of a run shows: what the odometry's scale,
+the laser's and the rounding of walls to cells have in common. On simulated drives 0.1 to 0.3 %."""
+_FIRST_SIGMA_RAD = 0.004
+"""Standard deviation of the heading that the first increment has beside, as the map of one scan is matched: its noise
+and the rounding to cells turn the whole map against the first pose."""
+
 
 @final
 @parameters(frozen=True)
@@ -25,50 +40,30 @@ class DriftModel:
 
     Parameters
     ----------
-    standstill_sigma_m, standstill_sigma_rad : float
-        Standard deviation of an increment without motion.
+    standstill_sigma_rad : float
+        Standard deviation of the heading of an increment without motion.
     sigma_m_per_sqrt_m, sigma_rad_per_sqrt_rad : float
         Standard deviation of the position after a metre, of the heading after a radian.
     sigma_m_per_sqrt_rad, sigma_rad_per_sqrt_m : float
         Standard deviation of the position after a radian, of the heading after a metre.
-    rejected_match_sigmas : float
-        Multiple of the odometry's standard deviations that is added where the tracker rejected its match and used the
-        odometry, which may suffer from slip or latency.
-    position_ratio : float
-        Standard deviation of a position that is expected, over the one that bounds searches. On simulated drives
-        through seven kinds of buildings increments of half a metre are off by 5 to 8 mm in each direction, where the
-        latter is 18.
     open_heading_ratio : float
         Factor on the standard deviation of the heading where a direction is left open: two parallel walls determine it
         less than a room. On simulated drives into corridors it drifts by 8 mrad after a metre, which the report of the
         filter takes; in the graph 4 in place of 3 gave up what real logs with scans far apart had won by it.
-    scale_sigma : float
-        Standard deviation of the scale of the whole map, which no measurement of a run shows: what the odometry's
-        scale, the laser's and the rounding of walls to cells have in common. On simulated drives 0.1 to 0.3 %.
-    first_sigma_rad : float
-        Standard deviation of the heading that the first increment has beside, as the map of one scan is matched: its
-        noise and the rounding to cells turn the whole map against the first pose.
     """
 
-    standstill_sigma_m: float = bounded(0.002, ge=1e-6, le=100)
     standstill_sigma_rad: float = bounded(0.0005, ge=1e-6, le=10)
     sigma_m_per_sqrt_m: float = bounded(0.025, ge=0, le=100)
     sigma_rad_per_sqrt_rad: float = bounded(0.004, ge=0, le=10)
     sigma_m_per_sqrt_rad: float = bounded(0.02, ge=0, le=10)
     sigma_rad_per_sqrt_m: float = bounded(0.002, ge=0, le=10)
 
-    rejected_match_sigmas: float = bounded(1.5, ge=0, le=1000)
-    position_ratio: float = bounded(0.4, ge=1e-3, le=1)
     open_heading_ratio: float = bounded(3.0, ge=1, le=1e6)
-    scale_sigma: float = bounded(0.002, ge=0, le=10)
-    first_sigma_rad: float = bounded(0.004, ge=0, le=10)
 
     def variances(self, moved_m: float, turned_rad: float) -> tuple[float, float]:
         """Variances (m^2, rad^2) of an increment."""
         return (
-            self.standstill_sigma_m**2
-            + self.sigma_m_per_sqrt_m**2 * moved_m
-            + self.sigma_m_per_sqrt_rad**2 * turned_rad,
+            _STANDSTILL_SIGMA_M**2 + self.sigma_m_per_sqrt_m**2 * moved_m + self.sigma_m_per_sqrt_rad**2 * turned_rad,
             self.standstill_sigma_rad**2
             + self.sigma_rad_per_sqrt_rad**2 * turned_rad
             + self.sigma_rad_per_sqrt_m**2 * moved_m,
@@ -88,10 +83,10 @@ class DriftModel:
         """
         dx, dy, turned = increment
         position, rotation = self.variances(math.hypot(dx, dy), abs(turned))
-        xx = yy = self.position_ratio**2 * position
+        xx = yy = _POSITION_RATIO**2 * position
         xy = 0.0
         if unmatched is not None:
-            excess = self.rejected_match_sigmas**2
+            excess = _REJECTED_MATCH_SIGMAS**2
             (oxx, oxy), (_, oyy) = unmatched.open_covariance.tolist()
             if oxx or oyy:
                 rotation *= self.open_heading_ratio**2
@@ -103,20 +98,20 @@ class DriftModel:
             xx += excess * unmatched.position_m2
             yy += excess * unmatched.position_m2
             rotation += excess * unmatched.heading_rad2
-        rotation += first * self.first_sigma_rad**2
+        rotation += first * _FIRST_SIGMA_RAD**2
         return np.array([[xx, xy, 0.0], [xy, yy, 0.0], [0.0, 0.0, rotation]])
 
     def scale_covariances(self, displacements: FloatArray) -> FloatArray:
         """Covariances (N, 3, 3) by the error of the scale, of poses displaced by (N, 2) m from the first one."""
         covariances = np.zeros((len(displacements), 3, 3))
-        covariances[:, :2, :2] = self.scale_sigma**2 * displacements[:, :, None] * displacements[:, None, :]
+        covariances[:, :2, :2] = _SCALE_SIGMA**2 * displacements[:, :, None] * displacements[:, None, :]
         return covariances
 
     def bounds(self, increment: Pose, unmatched: UnmatchedMotion) -> tuple[float, float]:
         """Variances (m^2, rad^2) of an increment for searches."""
         dx, dy, turned = increment
         position, heading = self.variances(math.hypot(dx, dy), abs(turned))
-        excess = self.rejected_match_sigmas**2
+        excess = _REJECTED_MATCH_SIGMAS**2
         return (
             position + excess * unmatched.position_m2 + float(np.trace(unmatched.open_covariance)),
             heading + excess * unmatched.heading_rad2,

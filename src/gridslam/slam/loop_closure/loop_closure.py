@@ -30,7 +30,10 @@ from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
 from gridslam.tracking.state import TrackerState, UnmatchedMotion
 from gridslam.types import BeamEnds, FloatArray, StepReport
 
-__all__ = ["FilterState", "LoopClosure"]
+__all__ = ["SOLVER", "FilterState", "LoopClosure"]
+
+SOLVER = GraphSlam(first_guess="given", robust=GraduatedNonConvexity())
+"""How the graph is solved."""
 
 
 class FilterState(Protocol):
@@ -98,8 +101,6 @@ class LoopClosure:
         How key scans are matched where the way back to an old place is certain.
     recognition : SubmapRecognition
         How other places are recognized.
-    solver : GraphSlam
-        How the graph is solved.
     drift : DriftModel
         How uncertain tracked motion is.
     disagree_m, disagree_rad : float
@@ -112,7 +113,6 @@ class LoopClosure:
 
     places: PlaceMatching = PlaceMatching()
     recognition: SubmapRecognition = SubmapRecognition()
-    solver: GraphSlam = GraphSlam(first_guess="given", robust=GraduatedNonConvexity())
     drift: DriftModel = DriftModel()
     disagree_m: float = bounded(0.3, ge=1e-6, le=1e6)
     disagree_rad: float = bounded(0.05, ge=1e-6, le=100)
@@ -238,9 +238,7 @@ class LoopClosure:
         """
         graph = closure_state.graph
         if pending.computation is None:
-            pending.computation = self.solver.solve_in_steps(
-                graph.graph(keys=pending.keys, constraints=pending.constraints)
-            )
+            pending.computation = SOLVER.solve_in_steps(graph.graph(keys=pending.keys, constraints=pending.constraints))
             advance(pending.computation, pending.steps)
         steps = max(1, min(8, self.poses_per_scan // pending.keys))
         pending.steps += steps

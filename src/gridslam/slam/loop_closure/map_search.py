@@ -14,7 +14,7 @@ from gridslam.kernels import TILE
 from gridslam.matching.branch_and_bound import thin_points
 from gridslam.matching.gauss_newton import NO_PRIOR, cauchy_weights
 from gridslam.slam.loop_closure.submap_features import extract_features, match_nearest_features
-from gridslam.slam.loop_closure.submap_matching import Submap, SubmapMatching, poses_of_pairs
+from gridslam.slam.loop_closure.submap_matching import COARSE, FINE, Submap, poses_of_pairs
 from gridslam.types import FloatArray, StoredScan
 
 __all__ = ["MapPlace", "MapSearch"]
@@ -60,13 +60,10 @@ class MapSearch:
     ----------
     maps : TileMaps
         One map.
-    matching : SubmapMatching
-        How poses are refined.
     """
 
-    def __init__(self, maps: TileMaps, matching: SubmapMatching) -> None:
+    def __init__(self, maps: TileMaps) -> None:
         self.maps = maps
-        self._matching = matching
         self._features = extract_features(_occupied_points(maps), most=100_000)
 
     def __call__(
@@ -87,7 +84,7 @@ class MapSearch:
         few = StoredScan(thin_points(points, _REFINED_POINTS), np.zeros(2))
         rows = rows[: len(poses)]
         priors = np.broadcast_to(NO_PRIOR, (len(poses), 3, 3)).copy()
-        for matcher in (self._matching.coarse, self._matching.fine):
+        for matcher in (COARSE, FINE):
             poses = matcher(self.maps, rows, poses, priors, few).poses
         return [MapPlace(pose, few) for pose in poses]
 

@@ -30,6 +30,20 @@ _MATCH_COVARIANCE = np.diag([0.05, 0.05, 0.02]) ** 2
 """Variances of what two matches of one scan differ by (m^2, m^2, rad^2)."""
 _TRACKED_MAX_TURN_RAD = 0.05
 """The heading is known from tracking: what would turn a key scan farther has been moved since."""
+_TRACKED_KEY_SCANS = 12
+"""Number of key scans for which the pose is tracked from the last non-degenerate constraint."""
+_TRACKED_MAX_CORRECTION_M = 0.2
+"""Reject a match farther than this from the tracked pose: the object has moved, or the match slid along a wall."""
+_GATE_SIGMAS = 2.5
+"""Standard deviations of the drift that a match may need."""
+_MAX_SIGMA_M = 30.0
+"""Standard deviation of the relative position beyond which the filter's pose proposes nothing."""
+_MIN_INFORMATION = 0.06
+"""Minimum eigenvalue of the position information per inlier beam; rejects degenerate places such as bare corridors."""
+_BEAM_SIGMA_M = 0.3
+"""Standard deviation of one beam in a constraint, inflated for correlated beams and cell size."""
+_MATCHER = GaussNewton()
+"""How a match is refined."""
 
 
 @parameters(frozen=True)
@@ -48,24 +62,9 @@ class PlaceMatching:
         Minimum inlier ratio of those points.
     certain_sigma_m : float, m
         Standard deviation of the relative position below which key scans are matched as tracked.
-    tracked_key_scans : int
-        Number of key scans for which the pose is tracked from the last non-degenerate constraint.
-    tracked_max_correction_m : float, m
-        Reject a match farther than this from the tracked pose: the object has moved, or the match slid along a wall.
     filter_max_correction_m : float, m
         Ignore the filter's pose if it differs from the tracked pose by more than this: a repetitive map may have
         attracted it.
-    gate_sigmas : float
-        Standard deviations of the drift that a match may need.
-    max_sigma_m : float, m
-        Standard deviation of the relative position beyond which the filter's pose proposes nothing.
-    min_information : float
-        Minimum eigenvalue of the position information per inlier beam; rejects degenerate places such as bare
-        corridors.
-    beam_sigma_m : float, m
-        Standard deviation of one beam in a constraint, inflated for correlated beams and cell size.
-    matcher : GaussNewton
-        How a match is refined.
     """
 
     recent_submaps: int = bounded(3, ge=1, le=1_000_000)
@@ -73,14 +72,7 @@ class PlaceMatching:
     min_overlap: float = bounded(0.6, ge=1e-6, le=1)
     inlier_ratio: float = bounded(0.67, ge=1e-6, le=1)
     certain_sigma_m: float = bounded(0.15, ge=1e-6, le=100)
-    tracked_key_scans: int = bounded(12, ge=1, le=1_000_000)
-    tracked_max_correction_m: float = bounded(0.2, ge=1e-6, le=1e6)
     filter_max_correction_m: float = bounded(1.2, ge=1e-6, le=1e6)
-    gate_sigmas: float = bounded(2.5, ge=0.01, le=1000)
-    max_sigma_m: float = bounded(30.0, ge=1e-6, le=1e6)
-    min_information: float = bounded(0.06, ge=0, le=1e6)
-    beam_sigma_m: float = bounded(0.3, ge=1e-6, le=100)
-    matcher: GaussNewton = GaussNewton()
 
     def match(
         self,
@@ -99,15 +91,13 @@ class PlaceMatching:
         """
         beams = closure_state.scans.key(key)
         begin = guess if anchor is None else compose(anchor, guess)
-        match = self.matcher(maps, ROW, begin[None], NO_PRIOR[None], beams)
+        match = _MATCHER(maps, ROW, begin[None], NO_PRIOR[None], beams)
         pose = match.poses[0]
         moved = between(begin, pose)
         if math.hypot(moved[0], moved[1]) > max_correction_m or not self.is_inlier_match(maps, pose, beams.ends):
             return RejectionReason.LOW_INLIER_RATIO
         seen = match if anchor is None else transform_match(anchor, match)
-        return Constraint.from_match(
-            anchor_of(submap), key, guess, seen, self.beam_sigma_m, self.min_information, source
-        )
+        return Constraint.from_match(anchor_of(submap), key, guess, seen, _BEAM_SIGMA_M, _MIN_INFORMATION, source)
 
     def is_inlier_match(self, maps: TileMaps, pose: FloatArray, points: FloatArray) -> bool:
         """Whether overlap and inlier ratio of points (B, 2) at a pose (3,) reach their thresholds.
@@ -115,14 +105,14 @@ class PlaceMatching:
         An end that falls behind a wall's nearest cells, which no beam has seen, is known all the same.
         """
         away = maps.distances(ROW, pose[None], points)[0]
-        known = maps.is_known(0, points, pose) | (away < self.matcher.cauchy_m)
+        known = maps.is_known(0, points, pose) | (away < _MATCHER.cauchy_m)
         if known.mean() < self.min_overlap:
             return False
-        return float(cauchy_weights(away[known], self.matcher.cauchy_m).mean()) >= self.inlier_ratio
+        return float(cauchy_weights(away[known], _MATCHER.cauchy_m).mean()) >= self.inlier_ratio
 
     def is_within_gate(self, covariance: FloatArray, innovation: FloatArray) -> bool:
         """Whether the drift explains the innovation (3,) of a match, map frame."""
-        return squared_sigmas(covariance, innovation) < self.gate_sigmas**2
+        return squared_sigmas(covariance, innovation) < _GATE_SIGMAS**2
 
     def match_tracked_revisit(self, closure_state: LoopClosureState, mapper: OccupancyGridMapping) -> bool:
         """Match the newest key scan to an old submap at its tracked or filtered pose; return whether that was certain.
@@ -132,14 +122,14 @@ class PlaceMatching:
         graph = closure_state.graph
         newest = len(graph) - 1
         oldest = submap_of(newest) - self.recent_submaps
-        if oldest < 0 or len(closure_state.scans.key(newest)) < self.matcher.min_beams:
+        if oldest < 0 or len(closure_state.scans.key(newest)) < _MATCHER.min_beams:
             return False
         tracked = self._predict_from_last_constraint(graph, oldest)
         prediction = tracked or self._predict_from_filter(closure_state, oldest)
         if prediction is None:
             return False
         submap, guess = prediction
-        max_correction_m = 3 * self.certain_sigma_m if tracked is None else self.tracked_max_correction_m
+        max_correction_m = 3 * self.certain_sigma_m if tracked is None else _TRACKED_MAX_CORRECTION_M
         maps = closure_state.submap(submap, mapper)
         constraint = self.match(closure_state, maps, newest, submap, guess, max_correction_m, ConstraintSource.TRACKED)
         if isinstance(constraint, RejectionReason):
@@ -147,7 +137,7 @@ class PlaceMatching:
         if abs(wrap(constraint.measurement[2] - guess[2])) > _TRACKED_MAX_TURN_RAD:
             return False
         if tracked is None:
-            way = graph.find_distance_to(submap, newest, self.max_sigma_m, 256)
+            way = graph.find_distance_to(submap, newest, _MAX_SIGMA_M, 256)
             if way is None:
                 return False
             innovation = _innovation(graph, way, constraint)
@@ -166,11 +156,11 @@ class PlaceMatching:
         newest = len(graph) - 1
         known = (
             constraint
-            for constraint in reversed(graph.constraints[-self.tracked_key_scans :])
+            for constraint in reversed(graph.constraints[-_TRACKED_KEY_SCANS:])
             if constraint.determined and constraint.source is not ConstraintSource.PROXIMITY
         )
         last = next(known, None)
-        if last is None or newest - last.to > self.tracked_key_scans:
+        if last is None or newest - last.to > _TRACKED_KEY_SCANS:
             return None
         seen = compose(last.measurement, between(graph.tracked[last.to], graph.tracked[newest]))
         submap = submap_of(last.from_)

@@ -15,14 +15,24 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import thin_points
 from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, cauchy_weights, degenerate_direction
-from gridslam.parameters import bounded, parameters
 from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.submap_features import SubmapFeatures, extract_features, match_features
 from gridslam.slam.loop_closure.submaps import ROW, build_map
 from gridslam.types import FloatArray, IntArray, Match, StoredScan
 
-__all__ = ["DrawnSubmap", "Submap", "SubmapMatch", "SubmapMatching", "poses_of_pairs", "propose_poses"]
+__all__ = [
+    "COARSE",
+    "FINE",
+    "MAX_POINTS",
+    "DrawnSubmap",
+    "Submap",
+    "SubmapMatch",
+    "SubmapMatching",
+    "is_same_place",
+    "poses_of_pairs",
+    "propose_poses",
+]
 
 _REACH_M = 30.0
 """Beams beyond are far apart, and their ends move with the heading."""
@@ -135,8 +145,21 @@ class SubmapMatch(NamedTuple):
     agreeing_keypoints: int
 
 
+MAX_POINTS = 1500
+"""Points of each submap that are matched, spread evenly."""
+_INLIER_RATIO = 0.55
+"""Least mean Cauchy weight of these, in both directions."""
+_INLIER_M = 0.2
+"""Distance to the other's obstacles at which a point counts half."""
+_MAX_CONTRADICTED = 0.2
+"""Largest share of these that lie where the other saw free space."""
+COARSE = GaussNewton(cauchy_m=0.3, max_iterations=20, point_to_line=False)
+FINE = GaussNewton(cauchy_m=0.15)
+"""How a pose is refined, first from keypoints and then from there."""
+
+
 @final
-@parameters(frozen=True)
+@dataclass(frozen=True)
 class SubmapMatching:
     """Matches one submap with another, over the full turn.
 
@@ -146,32 +169,16 @@ class SubmapMatching:
         Matched keypoints that agree on a pose, at least.
     max_poses : int
         Poses of a pair that are refined, best first.
-    max_points : int
-        Points of each submap that are matched, spread evenly.
     min_points : int
         Least number of these in what the other submap knows.
-    inlier_ratio : float
-        Least mean Cauchy weight of these, in both directions.
-    inlier_m : float, m
-        Distance to the other's obstacles at which a point counts half.
-    max_contradicted : float
-        Largest share of these that lie where the other saw free space.
     min_information : float
         Least eigenvalue of the position's information, per agreeing point: bare corridors are left out.
-    coarse, fine : GaussNewton
-        How a pose is refined, first from keypoints and then from there.
     """
 
-    min_keypoints: int = bounded(5, ge=3, le=1000)
-    max_poses: int = bounded(4, ge=1, le=1000)
-    max_points: int = bounded(1500, ge=8, le=100_000)
-    min_points: int = bounded(300, ge=1, le=100_000)
-    inlier_ratio: float = bounded(0.55, ge=1e-6, le=1)
-    inlier_m: float = bounded(0.2, ge=1e-6, le=1e6)
-    max_contradicted: float = bounded(0.2, ge=0, le=1)
-    min_information: float = bounded(0.06, ge=0, le=1e6)
-    coarse: GaussNewton = GaussNewton(cauchy_m=0.3, max_iterations=20, point_to_line=False)
-    fine: GaussNewton = GaussNewton(cauchy_m=0.15)
+    min_keypoints: int = 5
+    max_poses: int = 4
+    min_points: int = 300
+    min_information: float = 0.06
 
     def propose(self, old: Submap, new: Submap) -> list[tuple[FloatArray, int]]:
         """Propose poses (3,) of the new submap's frame in the old one's, and how many keypoints agree with each."""
@@ -181,34 +188,36 @@ class SubmapMatching:
     def verify(self, old: DrawnSubmap, new: DrawnSubmap, pose: FloatArray, keypoints: int) -> SubmapMatch | None:
         """Refine a proposed pose (3,), and verify it in both directions; None where it does not fit."""
         beams = StoredScan(new.points, np.zeros(2))
-        match = self.coarse(old.maps, ROW, pose[None], NO_PRIOR[None], beams)
-        match = self.fine(old.maps, ROW, match.poses, NO_PRIOR[None], beams)
+        match = COARSE(old.maps, ROW, pose[None], NO_PRIOR[None], beams)
+        match = FINE(old.maps, ROW, match.poses, NO_PRIOR[None], beams)
         (refined,) = match.poses
         if degenerate_direction(match.information[0], float(match.score[0]), self.min_information) is not None:
             return None
-        there = self._compare(old.maps, refined, new.points)
-        back = self._compare(new.maps, between(refined, np.zeros(3)), old.points)
+        there = _compare(old.maps, refined, new.points)
+        back = _compare(new.maps, between(refined, np.zeros(3)), old.points)
         known = min(there[0], back[0])
         inliers = min(there[1], back[1])
         contradicted = max(there[2], back[2])
-        if known < self.min_points or inliers < self.inlier_ratio or contradicted > self.max_contradicted:
+        if known < self.min_points or inliers < _INLIER_RATIO or contradicted > _MAX_CONTRADICTED:
             return None
         return SubmapMatch(refined, match, known, inliers, contradicted, keypoints)
 
-    def is_same_place(self, pose: FloatArray, other: FloatArray) -> bool:
-        """Whether two poses (3,) that were refined are one."""
-        x, y, turn = between(pose, other).tolist()
-        return math.hypot(x, y) < self.inlier_m and abs(turn) < _SAME_HEADING_RAD
 
-    def _compare(self, maps: TileMaps, pose: FloatArray, points: FloatArray) -> tuple[int, float, float]:
-        """How many of points (B, 2) at a pose (3,) a map knows, their mean weight, and the share it saw free."""
-        away = maps.distances(ROW, pose[None], points)[0]
-        is_known = maps.is_known(0, points, pose) | (away < self.inlier_m)
-        known = away[is_known]
-        if not len(known):
-            return 0, 0.0, 1.0
-        is_free = known >= 0.9 * maps.reach_m
-        return len(known), float(cauchy_weights(known, self.inlier_m).mean()), float(is_free.mean())
+def is_same_place(pose: FloatArray, other: FloatArray) -> bool:
+    """Whether two poses (3,) that were refined are one."""
+    x, y, turn = between(pose, other).tolist()
+    return math.hypot(x, y) < _INLIER_M and abs(turn) < _SAME_HEADING_RAD
+
+
+def _compare(maps: TileMaps, pose: FloatArray, points: FloatArray) -> tuple[int, float, float]:
+    """How many of points (B, 2) at a pose (3,) a map knows, their mean weight, and the share it saw free."""
+    away = maps.distances(ROW, pose[None], points)[0]
+    is_known = maps.is_known(0, points, pose) | (away < _INLIER_M)
+    known = away[is_known]
+    if not len(known):
+        return 0, 0.0, 1.0
+    is_free = known >= 0.9 * maps.reach_m
+    return len(known), float(cauchy_weights(known, _INLIER_M).mean()), float(is_free.mean())
 
 
 def propose_poses(

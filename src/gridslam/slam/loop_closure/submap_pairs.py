@@ -10,7 +10,14 @@ import numpy as np
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
-from gridslam.slam.loop_closure.submap_matching import DrawnSubmap, Submap, SubmapMatch, SubmapMatching
+from gridslam.slam.loop_closure.submap_matching import (
+    MAX_POINTS,
+    DrawnSubmap,
+    Submap,
+    SubmapMatch,
+    SubmapMatching,
+    is_same_place,
+)
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["SubmapPairs"]
@@ -89,9 +96,9 @@ class SubmapPairs:
             key = (older, newer, number)
             if key not in self._verified:
                 begin = self._proposed[older, newer][number]
-                self._verified[key] = matching.verify(self._draw(older, matching), self._draw(newer, matching), *begin)
+                self._verified[key] = matching.verify(self._draw(older), self._draw(newer), *begin)
             match = self._verified[key]
-            if match is not None and not any(matching.is_same_place(match.pose, other) for other in found):
+            if match is not None and not any(is_same_place(match.pose, other) for other in found):
                 found.append(match.pose)
                 yield match
 
@@ -107,9 +114,9 @@ class SubmapPairs:
             setattr(twin, name, value if isinstance(value, int | float) else value.copy())
         return twin
 
-    def _draw(self, number: int, matching: SubmapMatching) -> DrawnSubmap:
+    def _draw(self, number: int) -> DrawnSubmap:
         """Draw a submap, or take it where it was drawn lately."""
-        drawn = self._drawn.pop(number, None) or self.submaps[number].draw(matching.max_points)
+        drawn = self._drawn.pop(number, None) or self.submaps[number].draw(MAX_POINTS)
         while len(self._drawn) >= _MOST_DRAWN:
             del self._drawn[next(iter(self._drawn))]
         self._drawn[number] = drawn  # the last used one comes last

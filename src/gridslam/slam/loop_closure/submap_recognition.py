@@ -32,6 +32,22 @@ _BEND_SHARE = 1 / 3
 _DESCRIBED_AT_A_TIME = 2
 _COMPARED_AT_A_TIME = 16
 """Submaps, 15 ms each, and pairs of them, 0.5 ms each, at a key scan; one pair that fits is verified, in 30 ms."""
+_GATE_SIGMAS = 2.5
+"""Standard deviations of the drift that a match may need."""
+_MARGIN_M = 2.0
+_MARGIN_RAD = 0.1
+"""What it may need besides."""
+_DRIFT_M = 5.0
+_DRIFT_RATIO = 0.08
+_DRIFT_RAD = 0.5
+"""Bounds of that, however uncertain the drift model is: metres, and metres for each metre of way; and radians. The
+logs that this was measured on drift by a twentieth."""
+_REACH_M = 60.0
+"""Way, in both visits, within which matches support each other."""
+_BEAM_SIGMA_M = 0.3
+"""Standard deviation of one point in a constraint, inflated for correlated points and cell size."""
+_MATCHING = SubmapMatching()
+"""How two submaps are matched."""
 
 
 @final
@@ -52,23 +68,10 @@ class SubmapRecognition:
         Way between two submaps to be matched, at least.
     certain_sigma_m : float, m
         Standard deviation of the relative position below which a place needs no recognition.
-    gate_sigmas : float
-        Standard deviations of the drift that a match may need.
-    margin_m, margin_rad : float
-        What it may need besides.
-    drift_m, drift_ratio, drift_rad : float
-        Bounds of that, however uncertain the drift model is: metres, and metres for each metre of way; and
-        radians. The logs that this was measured on drift by a twentieth.
-    reach_m : float, m
-        Way, in both visits, within which matches support each other.
     min_matches : int
         Matches of a set, at least.
     runner_up_ratio : float
         A set waits while another one that contradicts it has as large a part of its matches.
-    beam_sigma_m : float, m
-        Standard deviation of one point in a constraint, inflated for correlated points and cell size.
-    matching : SubmapMatching
-        How two submaps are matched.
 
     References
     ----------
@@ -79,17 +82,8 @@ class SubmapRecognition:
     step_m: float = bounded(10.0, ge=0.1, le=1e6)
     apart_m: float = bounded(40.0, ge=0.1, le=1e6)
     certain_sigma_m: float = bounded(0.3, ge=0, le=100)
-    gate_sigmas: float = bounded(2.5, ge=0.01, le=1000)
-    margin_m: float = bounded(2.0, ge=0, le=1e6)
-    margin_rad: float = bounded(0.1, ge=0, le=100)
-    drift_m: float = bounded(5.0, ge=0, le=1e6)
-    drift_ratio: float = bounded(0.08, ge=0, le=10)
-    drift_rad: float = bounded(0.5, ge=0, le=100)
-    reach_m: float = bounded(60.0, ge=1, le=1e6)
     min_matches: int = bounded(3, ge=1, le=1000)
     runner_up_ratio: float = bounded(0.5, ge=0, le=100)
-    beam_sigma_m: float = bounded(0.3, ge=1e-6, le=100)
-    matching: SubmapMatching = SubmapMatching()
 
     def search(self, closure_state: LoopClosureState, mapper: OccupancyGridMapping) -> None:
         """Do one key scan's share of the comparison of submaps: candidates are added to those of the state.
@@ -126,7 +120,7 @@ class SubmapRecognition:
         graph = closure_state.graph
         candidates = closure_state.search.candidates
         way = graph.driven_m()
-        recent = [c for c in candidates if way[c.to] > way[candidates[-1].to] - 2 * self.reach_m]
+        recent = [c for c in candidates if way[c.to] > way[candidates[-1].to] - 2 * _REACH_M]
         accepted = self.accept(graph, recent).tolist()
         of_kind: tuple[list[Constraint], list[Constraint]] = [], []
         for candidate, is_accepted in zip(recent, accepted, strict=True):
@@ -190,10 +184,10 @@ class SubmapRecognition:
         sigmas_m, sigmas_rad = position_sigmas(covariances), np.sqrt(covariances[:, 2, 2])
         driven = way[key] - way[anchors]
         is_rigid = labels[anchors] == labels[key]
-        explained_m = self.gate_sigmas * sigmas_m + self.margin_m
-        reach_rad = self.gate_sigmas * sigmas_rad + self.margin_rad
-        bound_m = np.where(is_rigid, self.drift_m + self.drift_ratio * driven, np.inf)
-        reach_rad = np.where(is_rigid, np.minimum(reach_rad, self.drift_rad), reach_rad)
+        explained_m = _GATE_SIGMAS * sigmas_m + _MARGIN_M
+        reach_rad = _GATE_SIGMAS * sigmas_rad + _MARGIN_RAD
+        bound_m = np.where(is_rigid, _DRIFT_M + _DRIFT_RATIO * driven, np.inf)
+        reach_rad = np.where(is_rigid, np.minimum(reach_rad, _DRIFT_RAD), reach_rad)
         reach_m = np.minimum(explained_m, bound_m)
         away_m = np.hypot(poses[:, 0], poses[:, 1]) - radii[:-1] - radii[-1]
         is_wanted = (sigmas_m >= self.certain_sigma_m) & ((driven >= self.apart_m) | ~is_rigid)
@@ -203,7 +197,7 @@ class SubmapRecognition:
 
     def _propose(self, pairs: SubmapPairs, prior: SubmapPrior, newer: int) -> list[int]:
         """Propose poses of a submap in an older one, by their numbers, that the drift explains."""
-        proposed = pairs.propose(self.matching, prior.older, newer)
+        proposed = pairs.propose(_MATCHING, prior.older, newer)
         return [number for number, (pose, _) in enumerate(proposed) if prior.allows(pose)]
 
     def _verify(
@@ -212,7 +206,7 @@ class SubmapRecognition:
         """Verify proposed poses; across a gap in the laser data the shape of the drift must explain them, too."""
         found = [
             self._make_constraint(graph, pairs, prior.older, newer, match)
-            for match in pairs.verify(self.matching, prior.older, newer, allowed)
+            for match in pairs.verify(_MATCHING, prior.older, newer, allowed)
         ]
         if not found:
             return []
@@ -220,7 +214,7 @@ class SubmapRecognition:
         from_, to = found[0].pair
         if labels[from_] == labels[to]:
             return found
-        return [it for it in found if drift_distance(graph, from_, to, it.measurement) < self.gate_sigmas**2]
+        return [it for it in found if drift_distance(graph, from_, to, it.measurement) < _GATE_SIGMAS**2]
 
     def accept(self, graph: KeyGraph, candidates: Sequence[Constraint]) -> NDArray[np.bool_]:
         """Accept candidates (C,) that belong to a large set of consistent ones without a runner-up."""
@@ -250,8 +244,8 @@ class SubmapRecognition:
         lever = np.hypot(in_newer[..., 0], in_newer[..., 1]) + np.hypot(in_older[..., 0], in_older[..., 1])
         position = 2 * _MATCH_SIGMA_M**2 + variances[..., 0] + heading * np.square(lever) / 3
         squared = np.square(error[..., :2]).sum(axis=-1) / position + np.square(error[..., 2]) / heading
-        is_near = np.abs(way[newer[a]] - way[newer[b]]) < self.reach_m
-        is_near &= np.abs(way[older[a]] - way[older[b]]) < self.reach_m
+        is_near = np.abs(way[newer[a]] - way[newer[b]]) < _REACH_M
+        is_near &= np.abs(way[older[a]] - way[older[b]]) < _REACH_M
         return squared < _CHI2, is_near
 
     def _make_constraint(
@@ -260,7 +254,7 @@ class SubmapRecognition:
         """Constrain the middles of two submaps, as their match and their own drift determine it."""
         steps = [np.array(graph.variances)[pairs.submaps[number].keys[1:]] for number in (older, newer)]
         bend = _BEND_SHARE * np.concatenate(steps).sum(axis=0)
-        information = rotate_covariances(found.match.information[0], -found.pose[2]) / self.beam_sigma_m**2
+        information = rotate_covariances(found.match.information[0], -found.pose[2]) / _BEAM_SIGMA_M**2
         covariance = np.linalg.inv(information) + np.diag(bend[[0, 0, 1]])
         weight = np.asarray(np.linalg.inv(covariance), np.float64)
         from_, to = (pairs.submaps[number].anchor for number in (older, newer))

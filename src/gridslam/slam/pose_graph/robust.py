@@ -156,7 +156,7 @@ class GraduatedNonConvexity:
 
 def _chi2_quantile(probability: float) -> float:
     """Quantile of chi2 with three degrees of freedom, by bisection of its distribution function to the last bit."""
-    low = 0.0
+    low = 0.0  # without scipy.special, which takes 4 MB
     high = 1e3
     while low < (middle := 0.5 * (low + high)) < high:
         half = 0.5 * middle
