@@ -109,6 +109,8 @@ class MonteCarloState:
         The scans of the last updates, back to where a place was found among particles drawn from all over the map.
     verified : bool
         Whether the reported place was verified, or given.
+    outside_log_odds : float
+        Log odds that the robot is outside what is mapped, and not at the reported place.
     inlier_ratio : float, [0, 1]
         Inlier ratio with the map there.
     odometry : (3,) float64 or None
@@ -129,6 +131,7 @@ class MonteCarloState:
     hypotheses: PoseHypotheses = NO_HYPOTHESES
     recent: RecentScans = NO_SCANS
     verified: bool = False
+    outside_log_odds: float = 0.0
     inlier_ratio: Annotated[float, SHARE] = 0.0
     odometry: Annotated[FloatArray, 3, Limits(-1e9, 1e9)] | None = None
     last: Odometry | None = None
