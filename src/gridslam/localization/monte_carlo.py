@@ -29,7 +29,7 @@ from gridslam.localization.kld_sampling import KldSampling
 from gridslam.localization.known_map import KnownMap, PoseLikelihood
 from gridslam.localization.match_covariance import MatchCovariance
 from gridslam.localization.odometry_check import OdometryCheck
-from gridslam.localization.place_verification import NO_SCANS, PlaceVerification
+from gridslam.localization.place_verification import CERTAINLY_INSIDE, NO_SCANS, PlaceVerification
 from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
 from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState, validate_poses
 from gridslam.matching.beam_order import BeamOrder
@@ -200,7 +200,17 @@ class MonteCarloLocalization:
         estimate = estimate_pose(poses, np.exp(log_weights)) if known else _UNKNOWN_POSE
         found_m = math.inf if known else 0.0
         averages = self.configuration.recovery.begin()
-        return MonteCarloState(poses, log_weights, averages, estimate, found_m, verified=known, looking=not known)
+        outside = CERTAINLY_INSIDE if known else None
+        return MonteCarloState(
+            poses,
+            log_weights,
+            averages,
+            estimate,
+            found_m,
+            verified=known,
+            outside_log_odds=outside,
+            looking=not known,
+        )
 
     def init_gaussian(self, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Generator) -> MonteCarloState:
         """Begin at a pose (3,) of which a covariance (3, 3) is known, with as many particles as there may be.
@@ -439,10 +449,18 @@ class MonteCarloLocalization:
         if not verification.scans:
             return
         before = NO_SCANS if share and not state.driven_since_found_m else state.recent
-        state.recent = before.append(moved, beams.ends, verification.scans)
+        state.recent = before.append(moved, beams, verification.scans)
+        reported = state.estimate.pose
+        if state.outside_log_odds is None:
+            state.outside_log_odds = verification.compute_outside_log_odds(
+                self.map, reported, state.recent, tracker, rng
+            )
+        else:
+            state.outside_log_odds = verification.update_outside_log_odds(
+                state.outside_log_odds, self.map, reported, state.recent
+            )
         if state.verified or self._lost_probability(state) > self.configuration.lost_above:
             return
-        reported = state.estimate.pose
         found = verification(
             self.map, reported, state.recent, lambda guesses: self._match_near(guesses, _CLUSTER, beams), tracker, rng
         )
@@ -490,11 +508,12 @@ class MonteCarloLocalization:
         return (1 - probability) * covariance + elsewhere, probability, True
 
     def _lost_probability(self, state: MonteCarloState) -> float:
-        """Combine the cluster's mass, the other hypotheses, the distance since the fix, and the fit of the scan.
+        """Combine the cluster's mass, the hypotheses elsewhere, the distance since the fix, and the fit of the scan.
 
         What recovery draws from elsewhere is in the belief already: it has been weighed by the scan.
         """
-        place = min(state.estimate.mass, 1 / (1 + state.hypotheses.odds))
+        outside = 0.0 if state.outside_log_odds is None else math.exp(state.outside_log_odds)
+        place = min(state.estimate.mass, 1 / (1 + state.hypotheses.odds + outside))
         followed = -math.expm1(-state.driven_since_found_m / self.configuration.confirm_distance_m)
         fits = min(max(state.inlier_ratio / self.configuration.lost_below - 0.5, 0.0), 1.0) if state.updates else 1.0
         return 1 - place * followed * fits

@@ -1,12 +1,13 @@
 """Verification of a found place: the whole map is searched for others that the last scans fit as well.
 
 Particles may leave the true place by chance, before any scan has refuted it. So before a place is reported as found, no
-other one may explain the scans that were taken since it was assumed.
+other one may explain the scans that were taken since it was assumed. Nor may the robot be outside what is mapped: most
+maps end somewhere, and there is always a place in them that looks most like a corridor beyond.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Annotated, NamedTuple, final
 
 import numpy as np
@@ -16,9 +17,9 @@ from gridslam.localization.belief import HypothesisTracker, PoseHypotheses, clus
 from gridslam.localization.known_map import KnownMap
 from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.parameters import bounded, parameters
-from gridslam.types import FloatArray
+from gridslam.types import BeamEnds, FloatArray
 
-__all__ = ["NO_SCANS", "PlaceVerification", "RecentScans"]
+__all__ = ["CERTAINLY_INSIDE", "NO_SCANS", "PlaceVerification", "RecentScans"]
 
 _BEAMS = 60
 
@@ -32,20 +33,48 @@ class RecentScans(NamedTuple):
         The robot at these scans, by the motion between them; in the frame of the first one.
     ends : (M, 60, 2) float64, m
         Ends of evenly spaced beams in the base frame; of fewer beams some occur repeatedly.
+    origins : (M, 2) float64, m
+        The laser in the base frame.
     """
 
     poses: Annotated[FloatArray, "M", 3]
     ends: Annotated[FloatArray, "M", _BEAMS, 2]
+    origins: Annotated[FloatArray, "M", 2]
 
-    def append(self, moved: FloatArray, ends: FloatArray, most: int) -> RecentScans:
-        """Add a scan with ends (K, 2), taken after the robot has `moved` (3,), and forget all but the newest `most`."""
-        some = ends[np.arange(_BEAMS) * len(ends) // _BEAMS]
+    def append(self, moved: FloatArray, beams: BeamEnds, most: int) -> RecentScans:
+        """Add a scan that was taken after the robot has `moved` (3,), and forget all but the newest `most`."""
+        some = beams.ends[np.arange(_BEAMS) * len(beams.ends) // _BEAMS]
         pose = compose(self.poses[-1], moved) if len(self.poses) else np.zeros(3)
-        poses = np.concatenate([self.poses, pose[None]])[-most:]
-        return RecentScans(poses, np.concatenate([self.ends, some[None]])[-most:])
+        return RecentScans(
+            np.concatenate([self.poses, pose[None]])[-most:],
+            np.concatenate([self.ends, some[None]])[-most:],
+            np.concatenate([self.origins, beams.origin[None]])[-most:],
+        )
 
 
-NO_SCANS = RecentScans(np.empty((0, 3)), np.empty((0, _BEAMS, 2)))
+NO_SCANS = RecentScans(np.empty((0, 3)), np.empty((0, _BEAMS, 2)), np.empty((0, 2)))
+
+_THROUGH_M = 0.5
+"""A beam that ends this far behind the first wall went through it: maps are off by less, and doors are thinner."""
+
+_AGREEING_M = 0.3
+"""A beam that ends this close to any obstacle may just have passed a corner."""
+
+_THROUGH_RATIO = 0.02
+"""Ratio of beams through walls that speaks neither for nor against being outside the map. In simulated half buildings
+99 % of right places have less than 0.01 over the last scans, and wrong ones 0.06; in a real floor's map of another
+year, in which a tenth of the beams ends at new things, right ones have 0.003."""
+
+_OUTSIDE_PRIOR = 3.0
+_OUTSIDE_LOG_ODDS = 20.0
+"""Log odds of being outside the map before any scan, and by how much a scan changes them if all beams went through
+walls: 11 scans without such a beam refute it."""
+
+_OUTSIDE_LIMITS = -12.0, 6.0
+"""Some scans through a door that the map has closed are not enough to doubt a place that many have confirmed."""
+
+CERTAINLY_INSIDE = _OUTSIDE_LIMITS[0]
+"""Log odds of being outside the map where the pose is given."""
 
 
 @final
@@ -109,15 +138,35 @@ class PlaceVerification:
             Places at the newest scan, and their odds relative to the reported one.
         """
         places = match(self._search(known_map, recent.ends[-1], rng))
-        followed = np.concatenate([reported[None], places])
         odds = np.zeros(len(places))
-        for k in reversed(range(len(recent.poses))):
-            if k + 1 < len(recent.poses):
-                followed = compose(followed, between(recent.poses[k + 1], recent.poses[k]))
-            agree = known_map.inlier_ratio(recent.ends[k])
-            followed, agreement = tracker.refine(followed, agree, rng)
+        for _, _, agreement in _follow_back(known_map, np.concatenate([reported[None], places]), recent, tracker, rng):
             odds += tracker.evidence(agreement[1:] - agreement[0])
         return tracker.without_refuted(places, odds)
+
+    def compute_outside_log_odds(
+        self,
+        known_map: KnownMap,
+        reported: FloatArray,
+        recent: RecentScans,
+        tracker: HypothesisTracker,
+        rng: np.random.Generator,
+    ) -> float:
+        """Return the log odds that the robot is not at a reported pose (3,), but outside what is mapped.
+
+        Beams that end before the walls of a map say nothing: people and furniture come and go. Those that went through
+        walls contradict the place, at any of the last scans.
+        """
+        log_odds = _OUTSIDE_PRIOR
+        for k, followed, _ in _follow_back(known_map, reported[None], recent, tracker, rng):
+            log_odds += _outside_evidence(known_map, followed, recent.ends[k], recent.origins[k])
+        return float(np.clip(log_odds, *_OUTSIDE_LIMITS))
+
+    def update_outside_log_odds(
+        self, log_odds: float, known_map: KnownMap, reported: FloatArray, recent: RecentScans
+    ) -> float:
+        """Return these log odds after one more scan, the newest one, at the same place."""
+        added = _outside_evidence(known_map, reported[None], recent.ends[-1], recent.origins[-1])
+        return float(np.clip(log_odds + added, *_OUTSIDE_LIMITS))
 
     def _search(self, known_map: KnownMap, ends: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return poses (K, 3) where most beams with these ends agree, one of each cluster, the best first."""
@@ -127,3 +176,24 @@ class PlaceVerification:
         order = np.argsort(-scores, kind="stable")
         best = np.unique(cluster_bins(*poses[order].T.copy()), return_index=True)[1]
         return poses[order[np.sort(best)[: self.places_max]]]
+
+
+def _follow_back(
+    known_map: KnownMap, places: FloatArray, recent: RecentScans, tracker: HypothesisTracker, rng: np.random.Generator
+) -> Iterator[tuple[int, FloatArray, FloatArray]]:
+    """Follow places (K, 3) at the newest scan back through all; yield each scan's number, its poses and agreement."""
+    for k in reversed(range(len(recent.poses))):
+        if k + 1 < len(recent.poses):
+            places = compose(places, between(recent.poses[k + 1], recent.poses[k]))
+        places, agreement = tracker.refine(places, known_map.inlier_ratio(recent.ends[k]), rng)
+        yield k, places, agreement
+
+
+def _outside_evidence(known_map: KnownMap, pose: FloatArray, ends: FloatArray, origin: FloatArray) -> float:
+    """Return log odds by the ratio of beams with ends (B, 2) that went through a wall, seen from a pose (1, 3)."""
+    row = np.zeros(1, np.int32)
+    beams = ends - origin
+    lengths = np.maximum(np.hypot(*beams.T), 1e-9)
+    walls_m = known_map.cast_rays(row, pose, origin, beams / lengths[:, None], float(lengths.max()))[0]
+    through = (walls_m < lengths - _THROUGH_M) & (known_map.distances(row, pose, ends)[0] > _AGREEING_M)
+    return _OUTSIDE_LOG_ODDS * (float(through.mean()) - _THROUGH_RATIO)

@@ -91,6 +91,10 @@ class LocalizationReport:
         return f"LocalizationReport({describe_time(self.stamp_ns)}: {describe_pose(self.pose)}, {what}{lost})"
 
 
+_ELSEWHERE_M = 3.0
+"""A place that is nearer to the one before is as much inside the map as that was: the odometry may be wrong."""
+
+
 @final
 @dataclass(slots=True, eq=False)
 class MonteCarloState:
@@ -112,6 +116,9 @@ class MonteCarloState:
         The scans of the last updates, back to where a place was found among particles drawn from all over the map.
     verified : bool
         Whether the reported place was verified, or given.
+    outside_log_odds : float
+        Log odds that the robot is outside what is mapped, and not at the reported place; None where that is another
+        one than before.
     inlier_ratio : float, [0, 1]
         Inlier ratio with the map there.
     odometry : (3,) float64 or None
@@ -134,6 +141,7 @@ class MonteCarloState:
     hypotheses: PoseHypotheses = NO_HYPOTHESES
     recent: RecentScans = NO_SCANS
     verified: bool = False
+    outside_log_odds: float | None = None
     inlier_ratio: Annotated[float, SHARE] = 0.0
     odometry: Annotated[FloatArray, 3, Limits(-1e9, 1e9)] | None = None
     last: Odometry | None = None
@@ -187,6 +195,9 @@ class MonteCarloState:
         confirms_m = 0.0 if self.odometry_rejected else math.hypot(moved[0], moved[1])
         self.driven_since_found_m = self.driven_since_found_m + confirms_m if same else 0.0
         self.verified = self.verified and bool(same)
+        jumped = estimate.pose[:2] - self.estimate.pose[:2]
+        if not same and math.hypot(jumped[0], jumped[1]) > _ELSEWHERE_M:
+            self.outside_log_odds = None
         self.estimate = estimate
 
     def note_found(self, report: LocalizationReport) -> LocalizationReport:

@@ -54,6 +54,9 @@ _MERGE_RAD = 0.3
 """A scan is matched together with what the other lasers saw last, from no farther away than both by the odometry; where
 there is none, from a twentieth of that."""
 
+_SLIP_SIGMAS = 4.0
+"""Standard deviations of calibrated odometry beyond which a match needs a gain in inliers."""
+
 _MAX_UNMATCHED_SCANS = 3
 """Without odometry, a scan is inserted without a valid match after this many consecutive failures."""
 
@@ -90,7 +93,8 @@ class Tracker:
         misled it (a person walking along, the dotted far end of a bare corridor, a scan smeared by a fast turn): the
         position keeps the odometry, and only the heading is taken.
     slip_inlier_gain : float
-        Minimum gain of the inlier ratio by such a match.
+        Minimum gain of the inlier ratio by such a match at `slip_m`; farther away more is needed, as odometry with
+        heavy tails (Cauchy) has it.
     deskew : bool
         Whether scans with beam times are deskewed, by the motion that their match yields and in the order of the beams
         that fits the map best; else they are taken as they are.
@@ -269,9 +273,11 @@ class Tracker:
             return PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
         stayed = (predicted.pose[0], predicted.pose[1], pose[2])
         away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
-        if away > max(self.slip_m, 4 * predicted.sigma_m):
+        limit = max(self.slip_m, _SLIP_SIGMAS * predicted.sigma_m)
+        if away > limit:
             gain = score - _score(state, stayed, beams)
-            pose = pose if gain > self.slip_inlier_gain * count else stayed
+            surprise = math.log1p((_SLIP_SIGMAS * away / limit) ** 2) / math.log1p(_SLIP_SIGMAS**2)
+            pose = pose if gain > self.slip_inlier_gain * surprise * count else stayed
         direction = match.degenerate_direction(matcher.min_information)
         determined = direction is None and pose is not stayed and (known or self._is_determined(match))
         return PoseEstimate(pose, predicted, True, False, score / count, determined, direction)

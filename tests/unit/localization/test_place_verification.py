@@ -11,7 +11,7 @@ from gridslam.localization import KnownMap
 from gridslam.localization.belief import NO_HYPOTHESES, HypothesisTracker, PoseHypotheses
 from gridslam.localization.monte_carlo import MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.localization.place_verification import NO_SCANS, PlaceVerification, RecentScans
-from gridslam.types import OccupancyGrid
+from gridslam.types import OccupancyGrid, StoredScan
 
 BEARINGS = np.linspace(-math.pi / 2, math.pi / 2, 61)
 LASER = np.column_stack([np.cos(BEARINGS), np.sin(BEARINGS)])
@@ -42,7 +42,7 @@ def verify(known: KnownMap, recent: RecentScans, pose: np.ndarray) -> PoseHypoth
 def drive(known: KnownMap, start: np.ndarray, steps: int) -> tuple[RecentScans, np.ndarray]:
     recent, pose = NO_SCANS, start
     for k in range(steps):
-        recent = recent.append(STEP, seen_from(known, pose), 48)
+        recent = recent.append(STEP, StoredScan(seen_from(known, pose), np.zeros(2)), 48)
         pose = compose(pose, STEP) if k + 1 < steps else pose
     return recent, pose
 
@@ -51,8 +51,37 @@ def test_a_scan_that_was_taken_earlier_refutes_it():
     """The post is out of sight by now; scans of the way to here saw it."""
     known = two_rooms(with_post=True)
     recent, pose = drive(known, HERE - [1.6, 0.9, 0.0], 14)
-    assert verify(known, RecentScans(recent.poses[-1:], recent.ends[-1:]), pose).odds > 0.3
+    assert verify(known, RecentScans(recent.poses[-1:], recent.ends[-1:], recent.origins[-1:]), pose).odds > 0.3
     assert verify(known, recent, pose).odds < 0.05
+
+
+def half_hall() -> tuple[KnownMap, KnownMap]:
+    """A hall of 12 m x 3 m without an inner wall, and a map of its first 6 m as the room that it is not."""
+    cells = np.full((61, 241), -4.0, np.float32)
+    cells[[0, -1]] = cells[:, [0, -1]] = 4.0
+    wrong = cells[:, :121].copy()
+    wrong[:, -1] = 4.0
+    return tuple(KnownMap(OccupancyGrid(some, np.ones(some.shape, bool), 0.05, (0.0, 0.0))) for some in (cells, wrong))
+
+
+def outside_log_odds(known: KnownMap, recent: RecentScans, pose: np.ndarray) -> float:
+    return PlaceVerification().compute_outside_log_odds(
+        known, pose, recent, HypothesisTracker(), np.random.default_rng(0)
+    )
+
+
+def test_beams_through_walls_say_that_the_robot_is_outside_the_map():
+    """The end of the hall is seen through the wall of the room; from the room's own scans it is not."""
+    hall, room = half_hall()
+    assert outside_log_odds(room, *drive(hall, HERE, 14)) > 5
+    assert outside_log_odds(room, *drive(room, HERE, 14)) < -2
+    assert outside_log_odds(room, *drive(room, HERE, 3)) > 0, "a few scans do not tell"
+
+
+def test_what_stands_before_the_walls_does_not_say_that_the_robot_is_outside_the_map():
+    """A map of another year: a wall that is new hides half of the hall."""
+    hall, room = half_hall()
+    assert outside_log_odds(hall, *drive(room, HERE, 14)) < -2
 
 
 def test_a_given_pose_is_not_verified_and_a_found_one_is():

@@ -160,3 +160,23 @@ def test_a_snapshot_is_apart(perfect):
     for odometry, scan in perfect.measurements[40:90]:
         Tracker().step(state, odometry, scan.stamp_ns, scan.beams(0.05, 30.0))
     assert {name: array.tobytes() for name, array in to_arrays(kept).items()} == before
+
+
+def mixed(log, at, ahead, share):
+    """Scan `at` with a share of its beams from where the robot is `ahead` scans later, and how far that is, m."""
+    later = np.random.default_rng(1).random(len(log.measurements[at][1].ranges)) < share
+    scan, other = log.measurements[at][1], log.measurements[at + ahead][1]
+    way = between(log.truth.poses[at], log.truth.poses[at + ahead])
+    return replace(scan, ranges=np.where(later, other.ranges, scan.ranges)), float(np.hypot(*way[:2]))
+
+
+@pytest.mark.parametrize(("share", "is_believed"), [(0.7, False), (0.85, True)])
+def test_the_farther_a_match_is_from_steady_odometry_the_more_beams_must_agree(perfect, share, is_believed):
+    """Equal doors of a corridor look alike one farther on: a few more beams are no slip of a quarter of a metre."""
+    at = 60
+    _, _, state = track(Tracker(), perfect, perfect.measurements[:at])
+    scan, way = mixed(perfect, at, 3, share)
+    odometry, _ = perfect.measurements[at]
+    tracked = Tracker().step(state, odometry, scan.stamp_ns, scan.beams(0.05, 30.0))
+    moved = np.hypot(*(np.array(tracked.pose) - tracked.predicted)[:2])
+    assert abs(moved - (way if is_believed else 0.0)) < 0.03
