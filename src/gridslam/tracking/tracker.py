@@ -93,8 +93,8 @@ class Tracker:
         misled it (a person walking along, the dotted far end of a bare corridor, a scan smeared by a fast turn): the
         position keeps the odometry, and only the heading is taken.
     slip_inlier_gain : float
-        Minimum gain of the inlier ratio by such a match at `slip_m`; farther away more is needed, as odometry with
-        heavy tails (Cauchy) has it.
+        Minimum gain of the inlier ratio by such a match at `slip_m`; farther away from calibrated odometry
+        more is needed, as errors with heavy tails (Cauchy) have it.
     deskew : bool
         Whether scans with beam times are deskewed, by the motion that their match yields and in the order of the beams
         that fits the map best; else they are taken as they are.
@@ -276,7 +276,7 @@ class Tracker:
         limit = max(self.slip_m, _SLIP_SIGMAS * predicted.sigma_m)
         if away > limit:
             gain = score - _score(state, stayed, beams)
-            surprise = math.log1p((_SLIP_SIGMAS * away / limit) ** 2) / math.log1p(_SLIP_SIGMAS**2)
+            surprise = math.log1p((_SLIP_SIGMAS * away / limit) ** 2) / math.log1p(_SLIP_SIGMAS**2) if known else 1.0
             pose = pose if gain > self.slip_inlier_gain * surprise * count else stayed
         direction = match.degenerate_direction(matcher.min_information)
         determined = direction is None and pose is not stayed and (known or self._is_determined(match))
