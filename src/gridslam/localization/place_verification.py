@@ -61,7 +61,7 @@ _AGREEING_M = 0.3
 """A beam that ends this close to any obstacle may just have passed a corner."""
 
 _THROUGH_RATIO = 0.02
-"""Ratio of beams through walls that speaks neither for nor against being outside the map. In simulated half buildings
+"""Ratio of beams through walls that is evidence neither for nor against being outside the map. In simulated half buildings
 99 % of right places have less than 0.01 over the last scans, and wrong ones 0.06; in a real floor's map of another
 year, in which a tenth of the beams ends at new things, right ones have 0.003."""
 
@@ -71,7 +71,7 @@ _OUTSIDE_LOG_ODDS = 20.0
 walls: 11 scans without such a beam refute it."""
 
 _OUTSIDE_LIMITS = -12.0, 6.0
-"""Some scans through a door that the map has closed are not enough to doubt a place that many have confirmed."""
+"""Some scans through a door that the map has closed do not reject a place that many have confirmed."""
 
 CERTAINLY_INSIDE = _OUTSIDE_LIMITS[0]
 """Log odds of being outside the map where the pose is given."""
@@ -151,9 +151,9 @@ class PlaceVerification:
         tracker: HypothesisTracker,
         rng: np.random.Generator,
     ) -> float:
-        """Return the log odds that the robot is not at a reported pose (3,), but outside what is mapped.
+        """Return the log odds of being outside the map against being at a reported pose (3,).
 
-        Beams that end before the walls of a map say nothing: people and furniture come and go. Those that went through
+        Beams that end before the walls of a map are no evidence: people and furniture come and go. Those that went through
         walls contradict the place, at any of the last scans.
         """
         log_odds = _OUTSIDE_PRIOR
