@@ -61,9 +61,9 @@ _AGREEING_M = 0.3
 """A beam that ends this close to any obstacle may just have passed a corner."""
 
 _THROUGH_RATIO = 0.02
-"""Ratio of beams through walls that is evidence neither for nor against being outside the map. In simulated half buildings
-99 % of right places have less than 0.01 over the last scans, and wrong ones 0.06; in a real floor's map of another
-year, in which a tenth of the beams ends at new things, right ones have 0.003."""
+"""Ratio of beams through walls that is no evidence of being outside the map, nor against it. In simulated half
+buildings 99 % of right places have less than 0.01 over the last scans, and wrong ones 0.06; in a real floor's map of
+another year, in which a tenth of the beams ends at new things, right ones have 0.003."""
 
 _OUTSIDE_PRIOR = 3.0
 _OUTSIDE_LOG_ODDS = 20.0
@@ -153,8 +153,8 @@ class PlaceVerification:
     ) -> float:
         """Return the log odds of being outside the map against being at a reported pose (3,).
 
-        Beams that end before the walls of a map are no evidence: people and furniture come and go. Those that went through
-        walls contradict the place, at any of the last scans.
+        Beams that end before the walls of a map are no evidence: people and furniture come and go. Those that went
+        through walls contradict the place, at any of the last scans.
         """
         log_odds = _OUTSIDE_PRIOR
         for k, followed, _ in _follow_back(known_map, reported[None], recent, tracker, rng):
