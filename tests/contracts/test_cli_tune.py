@@ -44,7 +44,7 @@ def test_it_writes_a_configuration_a_document_and_figures(tuned, logs):
     assert document["schema"] == "gridslam.tuning/2"
     assert [log["held_out"] for log in document["logs"]] == [False, True]
     assert document["logs"][0]["reference"] == str(logs / "log1.truth.tum")
-    assert {trial["part"] for trial in document["trials"]} == {1 / 9, 1 / 3, 1.0}
+    assert {trial["part"] for trial in document["trials"]} == {1.0}, "fewer than nine are all run on whole logs"
     assert document["start"] == {"particles": 2, "loop_closure.kind": "none"}
     configuration = load(out)
     assert configuration.particles == 2

@@ -232,8 +232,8 @@ class _Waiting:
         self._node = node
 
     def __call__(self, report: object, state: object, seconds: float) -> None:
-        if self._node._earlier is not None:
-            self._node._earlier.wait()
+        while self._node._earlier is not None and not self._node._earlier.is_ready:
+            time.sleep(0.005)
 
 
 def _count(node: NodeSession, measurements: Iterable[Measurement]) -> Iterator[Measurement]:

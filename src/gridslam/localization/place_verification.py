@@ -65,10 +65,10 @@ _THROUGH_RATIO = 0.02
 buildings 99 % of right places have less than 0.01 over the last scans, and wrong ones 0.06; in a real floor's map of
 another year, in which a tenth of the beams ends at new things, right ones have 0.003."""
 
-_OUTSIDE_PRIOR = 3.0
-_OUTSIDE_LOG_ODDS = 20.0
+_OUTSIDE_PRIOR = 2.5
+_OUTSIDE_LOG_ODDS = 35.0
 """Log odds of being outside the map before any scan, and by how much a scan changes them if all beams went through
-walls: 11 scans without such a beam refute it."""
+walls: six scans without such a beam refute it."""
 
 _OUTSIDE_LIMITS = -12.0, 6.0
 """Some scans through a door that the map has closed do not reject a place that many have confirmed."""
