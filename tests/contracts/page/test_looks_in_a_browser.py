@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -113,8 +114,8 @@ def test_what_can_be_saved_is_never_cut_off_and_a_selection_shifts_nothing(brows
     ):
         page.show_messages(messages.to_list())
         browser.get(page.url)
-        mapped = {"particles": 8, "rng": np.random.default_rng(1), "observers": [page.observer]}
-        run(page.follow_session(drive[:60]), build(PROVOKED), **mapped)
+        mapped = {"rng": np.random.default_rng(1), "observers": [page.observer]}
+        run(page.follow_session(drive[:60]), build(replace(PROVOKED, particles=8)), **mapped)
         wait(lambda: int(told(browser).get("tiles", "0")) > 10, "a map")
         tops = (
             "return [...document.querySelectorAll('#panel > section')].filter((part) => part.checkVisibility())"
