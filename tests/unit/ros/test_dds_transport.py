@@ -82,7 +82,6 @@ def test_bytes_arrive_as_they_were_sent():
     assert decoded_cells(got[0]) == list(range(-1, 5))
 
 
-@pytest.mark.xfail(reason="fails since the messages of nodes and their starts were merged: open")
 def test_publishers_are_named_by_their_nodes():
     wheels = DdsParticipant(free_domain(), ["127.0.0.1"], node=("/robot1", "wheels"))
     other, senders = DdsParticipant(wheels._participant._sockets.domain, ["127.0.0.1"]), []

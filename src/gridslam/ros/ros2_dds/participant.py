@@ -268,7 +268,8 @@ def _read_nodes(data: bytes, size: int, order: str) -> tuple[dict[bytes, str], i
 
     for _ in range(number()):
         space, name = text(), text()
-        at += number() * size  # of its readers
+        readers = number()
+        at += readers * size
         writers = number()
         for k in range(min(writers, len(data) // size)):
             names[data[at + k * size :][:16]] = f"{space.rstrip('/')}/{name}"
