@@ -116,9 +116,9 @@ class MonteCarloState:
         The scans of the last updates, back to where a place was found among particles drawn from all over the map.
     verified : bool
         Whether the reported place was verified, or given.
-    outside_log_odds : float
-        Log odds that the robot is outside what is mapped, and not at the reported place; None where that is another
-        one than before.
+    outside_log_odds : float or None
+        Log odds that the robot is outside what is mapped against being at the reported place; None where it is not
+        computed for that place yet.
     inlier_ratio : float, [0, 1]
         Inlier ratio with the map there.
     odometry : (3,) float64 or None

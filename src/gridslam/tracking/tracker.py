@@ -93,8 +93,8 @@ class Tracker:
         misled it (a person walking along, the dotted far end of a bare corridor, a scan smeared by a fast turn): the
         position keeps the odometry, and only the heading is taken.
     slip_inlier_gain : float
-        Minimum gain of the inlier ratio by such a match at `slip_m`; farther away from calibrated odometry
-        more is needed, as errors with heavy tails (Cauchy) have it.
+        Minimum gain of the inlier ratio by such a match. It is needed at the limit; the farther a match is from
+        calibrated odometry the greater the gain must be, in proportion to the Cauchy log likelihood of that error.
     deskew : bool
         Whether scans with beam times are deskewed, by the motion that their match yields and in the order of the beams
         that fits the map best; else they are taken as they are.
@@ -276,8 +276,10 @@ class Tracker:
         limit = max(self.slip_m, _SLIP_SIGMAS * predicted.sigma_m)
         if away > limit:
             gain = score - _score(state, stayed, beams)
-            surprise = math.log1p((_SLIP_SIGMAS * away / limit) ** 2) / math.log1p(_SLIP_SIGMAS**2) if known else 1.0
-            pose = pose if gain > self.slip_inlier_gain * surprise * count else stayed
+            needed = self.slip_inlier_gain * count
+            if known:  # else the odometry may be wrong throughout
+                needed *= math.log1p((_SLIP_SIGMAS * away / limit) ** 2) / math.log1p(_SLIP_SIGMAS**2)
+            pose = pose if gain > needed else stayed
         direction = match.degenerate_direction(matcher.min_information)
         determined = direction is None and pose is not stayed and (known or self._is_determined(match))
         return PoseEstimate(pose, predicted, True, False, score / count, determined, direction)
