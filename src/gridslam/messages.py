@@ -87,16 +87,17 @@ class Messages:
     def __call__(self, kind: str, problem: str) -> None:
         """Count one more problem of a kind, keep it as a warning, and log it if it is due."""
         now = self._clock()
+        text = f"{kind}: {problem}"
         with self._lock:
             self.counts[kind] += 1
-            self._problem = same = self._keep(Level.WARN, f"{kind}: {problem}", now)
+            self._problem = same = self._keep(Level.WARN, text, now)
             if now < max(self._due.get(kind, now), same.due_s):
                 self._suppressed[kind] += 1
                 return
             self._due[kind] = now + self._every_s
             same.back_off(now, self._every_s)
             suppressed = self._suppressed.pop(kind, 0)
-        self._log(Level.WARN, f"{kind}: {problem}" + (f" (and {suppressed} more before)" if suppressed else ""))
+        self._log(Level.WARN, text + (f" (and {suppressed} more before)" if suppressed else ""))
 
     def latest_problem(self, within_s: float) -> str:
         """Return the last problem within this many seconds; empty if there was none."""

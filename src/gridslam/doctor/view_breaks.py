@@ -284,7 +284,7 @@ class DriveNumbering(Generic[_Item]):
         if is_carried:
             for finding in own.findings(sensor):
                 self._on_break(finding)
-            begin = self._opened[sensor]
+            begin = self._opened.get(sensor, 0)  # what was held back for too long has gone already
             certain = [(self._number, before) for before in self._held[:begin]]
             self._number += 1
             del self._held[:begin]

@@ -53,7 +53,8 @@ class EditsFile:
 
     def read(self) -> tuple[str, str]:
         """Return the edits and the tag of this state of them."""
-        return self._text, hashlib.sha256(self._text.encode()).hexdigest()
+        text = self._text  # a save may replace it at any time
+        return text, hashlib.sha256(text.encode()).hexdigest()
 
     def save(self, body: bytes, tag: str) -> str:
         """Check and write edits, all or nothing, and return the tag of this state.

@@ -85,7 +85,8 @@ class EditedGraph:
     def _solve(self, rejected: list[tuple[int, int]]) -> StaticView:
         """Solve the graph without these edges; raises ArgumentError where they leave it in parts."""
         graph = self._source.graph
-        kept = np.array([tuple(edge) not in set(rejected) for edge in graph.edges.tolist()])
+        left_out = set(rejected)
+        kept = np.array([tuple(edge) not in left_out for edge in graph.edges.tolist()], np.bool_)
         left = replace(
             graph,
             edges=graph.edges[kept],
@@ -107,8 +108,9 @@ class EditedGraph:
         named = document.get("rejected")
         rejected: list[tuple[int, int]] = []
         for pair in named if isinstance(named, list) else [None]:
-            is_pair = isinstance(pair, list) and len(pair) == 2 and all(type(name) is int for name in pair)
-            if not (isinstance(pair, list) and is_pair and all(name in places for name in pair)):
+            if not (
+                isinstance(pair, list) and len(pair) == 2 and all(type(name) is int and name in places for name in pair)
+            ):
                 raise InputError(path, f"rejected: expected pairs of vertices of graph.g2o, got {pair!r:.60}")
             rejected.append((places[pair[0]], places[pair[1]]))
         return rejected

@@ -23,6 +23,7 @@ from gridslam.live.past import Past, PastReader
 from gridslam.live.results import MappedRun, StaticView
 from gridslam.live.scene import Scene, SentState, make_run_info
 from gridslam.live.tiles import TileReplica, tile_offset
+from gridslam.messages import Level, Messages
 from gridslam.types import OccupancyGrid, Trajectory
 
 __all__ = ["Replay", "ReplayViewer"]
@@ -73,9 +74,9 @@ class Replay:
             self.history = None
         self.results = results
         if results.missing:
-            now_s = time.time()
-            missing = {"level": "warning", "text": results.missing, "count": 1, "first_s": now_s, "last_s": now_s}
-            self.messages = [{**missing, "state": False}, *self.messages]
+            messages = Messages(lambda level, text: None)
+            messages.report(Level.WARN, results.missing)
+            self.messages = [*messages.to_list(), *self.messages]
         mode = "still" if isinstance(results, StaticView) else "replay"
         self.speed = speed
         self.beside = read_beside(out, None if beside is None else Path(beside), results.trajectory)

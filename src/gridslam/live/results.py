@@ -227,8 +227,8 @@ class TrajectoryRun:
         self.layers = tuple(layer for layer, is_shown in shown.items() if is_shown)
         if belief is not None:
             lost, _, _, particles, n_eff = belief.T
-            found = np.flatnonzero(lost == 0)
-            self._found_at = int(found[0]) if len(found) and is_global else len(lost) if is_global else 0
+            found = np.append(np.flatnonzero(lost == 0), len(lost))
+            self._found_at = int(found[0]) if is_global else 0
             unknown = np.full(len(lost), np.nan)
             before = np.append(particles[:1], particles[:-1])
             weighed_of = np.fmax(before, n_eff)  # a lower bound while the robot is lost

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import shutil
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -206,6 +207,17 @@ def test_edits_are_drawn_at_sixty_frames_a_second(page):
           done((performance.now() - began) / 20);
         });""")
     assert spent_ms < 16.7
+
+
+def test_a_map_without_a_run_has_the_tools_as_well(browser, out, tmp_path):
+    (tmp_path / "run.json").write_text(json.dumps({"schema": "gridslam.grid/1"}))
+    for name in ("map.yaml", "map.pgm"):
+        shutil.copy(out / name, tmp_path)
+    with PageServer(Replay(tmp_path, is_editable=True), LiveOptions(port=0), edits=EditsFile(tmp_path)) as server:
+        browser.get(server.url)
+        wait(lambda: told(browser).get("features") == "0", "the editor")
+        assert shown(browser, "edit")
+        assert not shown(browser, "robot")
 
 
 def test_without_edit_there_are_no_tools(browser, out):

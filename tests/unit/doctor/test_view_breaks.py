@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gridslam.doctor import Doctor, Severity
-from gridslam.doctor.view_breaks import ViewBreaks
+from gridslam.doctor.view_breaks import DriveNumbering, ViewBreaks
 from gridslam.geometry.se2 import between, compose
 from gridslam.sim import LidarConfig, OdometryNoise, PeopleConfig, RobotConfig, make_world, simulate
 from gridslam.types import Odometry
@@ -83,3 +83,18 @@ def test_people_who_pass_are_no_break():
         make_world("rooms", rng), RobotConfig(), OdometryNoise(), lidar, rng, people=PeopleConfig(count=15)
     )
     assert breaks(drive.measurements[:600]) == []
+
+
+def test_a_laser_beside_a_much_faster_one_is_numbered_though_what_was_held_back_has_gone():
+    """After its view has changed the tenth scan decides, when over a hundred of the other one have come."""
+    measurements = carried()
+    slow = [one._replace(scan=replace(one.scan, sensor="slow")) for one in measurements[80:115]]
+    numbering = DriveNumbering[int]()
+    count, numbers = 0, []
+    for k, one in enumerate(slow):
+        for own in [measurements[0]] * (11 + k % 2) + [one]:
+            numbers += numbering.take(count, own)
+            count += 1
+    numbers += numbering.end()
+    assert [item for _, item in numbers] == list(range(count))
+    assert {number for number, _ in numbers} == {0, 1}

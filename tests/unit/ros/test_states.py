@@ -264,6 +264,8 @@ def test_the_table_of_the_docs_is_that_of_the_test():
     assert [row[0] for row in rows] == list(FAULTS)
     for fault, row in zip(FAULTS.values(), rows, strict=True):
         assert row[1] == fault.state, row
+        assert re.match(fault.text, row[2]), row
+        assert bool(fault.message) == bool(row[3]), row
         assert fault.message.split(":")[0] in row[3], row
 
 

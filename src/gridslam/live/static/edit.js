@@ -88,7 +88,6 @@ export class Editor {
         make("button", { id: "edit-redo", textContent: "redo", title: "Ctrl Shift Z", onclick: () => this.step("redo") }),
         make("button", { id: "edit-delete", textContent: "delete", title: "Delete", onclick: () => this.remove() })),
       make("p", { id: "edit-status", role: "status" }));
-    this.section.querySelector("p").setAttribute("role", "status");
     document.querySelector("#panel").prepend(this.section);
     addEventListener("keydown", (event) => this.pressed(event), true); // before the keys of the page
   }

@@ -13,7 +13,7 @@ function clock(seconds) {
 }
 
 const WORDS = {
-  "final refinement": "finding the final map", writing: "writing results", 
+  "final refinement": "finding the final map", writing: "writing results",
   lost: "running, robot lost", looking: "looking for the robot in the whole map",
 };
 const put = (name, text) => { $(`[data-value="${name}"]`).textContent = text; };

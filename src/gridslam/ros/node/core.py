@@ -502,11 +502,12 @@ class NodeCore:
         """Give a copy of a session that was not ended on purpose to whoever saves it, unless the next one holds it."""
         end = self._session_end
         goes_on = end is SessionEnd.CARRIED and self._continued is not None
-        if not goes_on and (self._on_jump is None or end not in _UNASKED or self.mapped_session is None):
+        on_jump = None if goes_on or end not in _UNASKED or self.mapped_session is None else self._on_jump
+        if on_jump is None and not goes_on:
             return
         try:
-            if not goes_on and self._on_jump is not None:
-                self._on_jump(self._copy_mapped())
+            if on_jump is not None:
+                on_jump(self._copy_mapped())
             if self._autosave is not None:
                 self._autosave.note_kept()
         except Exception as error:
@@ -518,7 +519,8 @@ class NodeCore:
     def _measurements(self) -> Iterator[Measurement]:
         """Yield measurements as they arrive, and run posted calls between two of them.
 
-        Where the view changes they are held back, ten at most, until it is certain whether the robot was carried.
+        Where the view changes they are held back, ten of a laser at most, until it is certain whether the robot was
+        carried.
         """
         while True:
             while self._certain:

@@ -226,7 +226,7 @@ class StatePublisher:
     def diagnostics(self) -> Diagnostics:
         """Return counts, latency, the state, and the latest problem."""
         report = self._report
-        state = self.find_state()
+        state = self._find_state()
         latency = Latency.of(np.array(tuple(self._latencies)))
         values = {"state": state.text} | {name: str(getattr(self._queue.counts, name)) for name in Counts.__slots__}
         values |= {f"{kind}, times": str(times) for kind, times in sorted(self._messages.counts.items())}
@@ -245,30 +245,34 @@ class StatePublisher:
 
     def log_state(self) -> None:
         """Log the state of the node if it has changed."""
-        state = self.find_state()
-        if state != self._logged:
+        state = self._find_state()
+        with self._lock:
+            is_new = state != self._logged
             self._logged = state
+        if is_new:
             self._messages.report_state(state.level, state.text)
 
-    def find_state(self) -> NodeState:
+    def _find_state(self) -> NodeState:
         """Return the state of the node."""
         report = self._report
-        offset_s = time.time() - time.perf_counter()  # the clock may be set while the node runs
+        now_s = time.time()
+        offset_s = now_s - time.perf_counter()  # the clock may be set while the node runs
         received_s = self._queue.received_s
+        localized = report if isinstance(report, LocalizationReport) else None
         facts = NodeFacts(
-            time.time(),
-            self.awaited,
-            self.scans_on,
-            None if received_s is None else received_s + offset_s,
-            None if report is None else self._arrived_s + offset_s,
-            self._queue.missing_transform,
-            self.outage,
-            self._queue.is_paused,
-            self._queue.waits_for_map,
-            isinstance(report, LocalizationReport),
-            report is not None and bool(report.lost),
-            isinstance(report, LocalizationReport) and report.looking,
-            self.is_closed,
-            self.failure,
+            now_s=now_s,
+            awaited=self.awaited,
+            scans_on=self.scans_on,
+            received_s=None if received_s is None else received_s + offset_s,
+            accepted_s=None if report is None else self._arrived_s + offset_s,
+            missing_transform=self._queue.missing_transform,
+            outage=self.outage,
+            is_paused=self._queue.is_paused,
+            waits_for_map=self._queue.waits_for_map,
+            localizes=localized is not None,
+            lost=report is not None and bool(report.lost),
+            looking=localized is not None and localized.looking,
+            is_closed=self.is_closed,
+            failure=self.failure,
         )
         return find_state(facts)

@@ -111,8 +111,9 @@ class DdsParticipant:
         """Note which writers belong to which node, as the participants of ROS state it."""
         participant = sample.writer[:12]
         self._names.pop(participant, None)
-        if not sample.is_gone and len(self._names) < _MAX_NAMES:
-            self._names[participant] = decode_graph(sample.payload)
+        names = {} if sample.is_gone else decode_graph(sample.payload)  # none, too, of one that ends
+        if names and len(self._names) < _MAX_NAMES:
+            self._names[participant] = names
 
     def _name_of(self, writer: bytes) -> str:
         """Return the name of a writer's node; where that is not known its number."""
@@ -271,9 +272,10 @@ def _read_nodes(data: bytes, size: int, order: str) -> tuple[dict[bytes, str], i
         readers = number()
         at += readers * size
         writers = number()
-        for k in range(min(writers, len(data) // size)):
-            names[data[at + k * size :][:16]] = f"{space.rstrip('/')}/{name}"
-        at += writers * size
+        end = at + writers * size
+        for begin in range(at, min(end, len(data)), size):
+            names[data[begin : begin + 16]] = f"{space.rstrip('/')}/{name}"
+        at = end
     return names, at
 
 
