@@ -68,6 +68,7 @@ def test_pairs_give_the_unit_and_their_residuals(call, drawn, tmp_path):
     alone = json.loads(
         call(folder / "map.yaml", folder / "plan.png", *pairs, "--by-pairs", "-o", tmp_path, "--json")[1]
     )
+    assert alone["walls_in_common"] is None
     assert abs(alone["map_in_plan"][2] - pose[2]) > abs(document["map_in_plan"][2] - pose[2])
 
 
@@ -96,6 +97,8 @@ def test_without_a_plan_the_map_is_laid_on_the_earth(call, drawn, tmp_path):
         (["plan.png", "--pair", "0,0=1,1"], "expected two to six pairs"),
         (["plan.png", "--pair", "0,0=1,1", "--pair", "0,0=2,2"], "expected places that are apart"),
         (["plan.png", "--pair", "0,0", "--pair", "1,1=2,2"], "expected X,Y=U,V"),
+        (["plan.png", "--pair", "0,0=1,1,2,2,3,3"], "expected X,Y=U,V"),
+        (["later.yaml", "--unit", "2"], "expected no --unit with a map"),
         (["plan.png", "--pair", "nan,0=1,1", "--pair", "1,1=2,2"], "finite numbers"),
         (["--pair", "0,0=91,1", "--pair", "1,1=2,2"], "expected X,Y=LAT,LON"),
         ([], "expected a PLAN"),
@@ -106,7 +109,7 @@ def test_without_a_plan_the_map_is_laid_on_the_earth(call, drawn, tmp_path):
 def test_what_cannot_be_aligned_is_one_line(call, drawn, tmp_path, arguments, problem):
     folder, _, _ = drawn
     (folder / "empty.svg").write_text("<svg/>")
-    given = [folder / word if word.endswith(("png", "svg")) else word for word in arguments]
+    given = [folder / word if word.endswith(("png", "svg", "yaml")) else word for word in arguments]
     status, out, err = call(folder / "map.yaml", *given, "-o", tmp_path / "out")
     assert (status, out, err.count("\n")) == (2, "", 1)
     assert problem in err

@@ -99,11 +99,14 @@ def test_a_run_is_planned_by_its_end_points_and_its_edits(call, tmp_path):
     edited = json.loads(call("plan", carried, "-o", tmp_path / "plan2", "--json")[1])
     assert edited["made_from"] == "end points"
     assert edited["walls_length_m"] > whole["walls_length_m"] + 0.7 * np.ptp([low[1], high[1]])
-    # A robot is localized in the map as it was drawn.
-    for source in (carried, out / "map.yaml"):
-        options = "--initial-pose", "0,0,0", "--particles", "300"
-        assert call("localize", log, "--map", source, "-o", tmp_path / "there", *options)[0] == 0
-    assert call("map", log, "-o", tmp_path / "more", "--prior", carried, "--no-history")[0] == 0
+    # A robot is localized in the map as it was drawn, and goes on mapping from that.
+    options = "--initial-pose", "0,0,0", "--particles", "300"
+    for name, source in (("edited", carried), ("plain", out / "map.yaml")):
+        assert call("localize", log, "--map", source, "-o", tmp_path / f"in_{name}", *options)[0] == 0
+        assert call("map", log, "-o", tmp_path / f"on_{name}", "--prior", source, "--no-history")[0] == 0
+    for place, file in (("in", "trajectory.tum"), ("on", "map.pgm")):
+        edited, plain = ((tmp_path / f"{place}_{name}" / file).read_bytes() for name in ("edited", "plain"))
+        assert edited != plain, "the edits are honoured"
 
 
 @pytest.mark.parametrize(

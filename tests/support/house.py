@@ -72,6 +72,7 @@ INNER_RANKS = {
         "cache": 1,
         "remote": 2,
         "log_statistics": 1,
+        "geojson": 0,
         "edits": 1,
         "maps": 2,
         "edited_maps": 3,

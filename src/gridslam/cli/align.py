@@ -15,7 +15,7 @@ from gridslam.plan.alignment import Alignment, align_points, align_walls, fit_pa
 from gridslam.plan.drawn_plans import SUFFIXES, draw_aligned, read_drawn_plan
 from gridslam.plan.georeference import fit_world, write_geotiff
 from gridslam.plan.source import MapSource, read_source
-from gridslam.plan.surfaces import SurfacePoints, points_of_grid
+from gridslam.plan.surfaces import SurfacePoints
 from gridslam.types import FloatArray
 
 __all__ = ["align_to_folder"]
@@ -43,7 +43,7 @@ def align_to_folder(
                 "map_in_plan": alignment.pose.tolist(),
                 "scale": alignment.scale,
                 "unit_m": unit_m,
-                "walls_in_common": alignment.share,
+                "walls_in_common": None if by_pairs else alignment.share,
                 "residual_m": alignment.residual_m,
             }
         folder.write_json("align.json", document)
@@ -55,6 +55,8 @@ def _align(
 ) -> tuple[Alignment, FloatArray, SurfacePoints, float]:
     """Find how a map lies on a plan, in the plan's metres; how far pairs are apart, the plan's walls, its unit."""
     drawn = read_drawn_plan(plan) if plan.suffix.lower() in SUFFIXES else None
+    if drawn is None and unit_m is not None:
+        raise InputError(plan, "expected no --unit with a map, which is in m")
     unit_m = unit_m or (1.0 if drawn is None else drawn.unit_m)
     there = pairs[:, 2:] if drawn is None else drawn.turn_up(pairs[:, 2:])
     if unit_m is None and not len(pairs):
@@ -62,8 +64,8 @@ def _align(
             plan, "expected a plan with a scale: state --unit METRES of its pixels or units, or two --pair"
         )
     unit_m = unit_m or 1.0 / fit_pairs(pairs[:, :2], there)[0].scale
-    fixed = _surfaces(read_source(plan, warn)) if drawn is None else drawn.surfaces(unit_m)
-    moved = _surfaces(given)
+    fixed = read_source(plan, warn).surfaces if drawn is None else drawn.surfaces(unit_m)
+    moved = given.surfaces
     for path, points in ((source, moved), (plan, fixed)):
         if not len(points):
             raise InputError(path, "expected walls, got none")
@@ -76,10 +78,6 @@ def _align(
         return found, left, fixed, unit_m
     problem = f"expected a plan of what {source} shows, but {found.share:.0%} of its walls agree with it"
     raise InputError(plan, f"{problem}; --by-pairs aligns by pairs alone")
-
-
-def _surfaces(given: MapSource) -> SurfacePoints:
-    return points_of_grid(given.grid) if given.points is None else given.points
 
 
 def _describe(source: Path, plan: Path | None, left: FloatArray) -> dict[str, Any]:
@@ -99,6 +97,6 @@ def _summarize(document: dict[str, Any], out: Path) -> Iterator[str]:
         return
     x, y, heading = document["map_in_plan"]
     yield f"aligned: {x:.3f} m, {y:.3f} m, {np.rad2deg(heading):.3f} deg, scale {document['scale']:.4f}"
-    if document["walls_in_common"] < 1 or not left:
+    if document["walls_in_common"] is not None:
         yield f"{document['walls_in_common']:.0%} of the walls agree, to {document['residual_m']:.3f} m"
     yield f"map in the plan's frame: {out / 'map.yaml'}; both: {out / 'align.png'}"

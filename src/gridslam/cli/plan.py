@@ -20,7 +20,6 @@ from gridslam.plan.floor_plan import FloorPlan, make_plan
 from gridslam.plan.rooms import name_rooms
 from gridslam.plan.sheet import write_pdf, write_png, write_svg
 from gridslam.plan.source import read_source
-from gridslam.plan.surfaces import points_of_grid
 
 __all__ = ["changes_to_folder", "plan_to_folder"]
 
@@ -97,7 +96,7 @@ def changes_to_folder(first: Path, second: Path, out: Path, same_frame: bool, as
     """Find the changes between two maps, write them to a folder and print a summary."""
     with open_output(out, _CHANGES_NAMES) as folder:
         maps = [read_source(path, warn) for path in (first, second)]
-        points = [points_of_grid(given.grid) if given.points is None else given.points for given in maps]
+        points = [given.surfaces for given in maps]
         for path, found in zip((first, second), points, strict=True):
             if not len(found):
                 raise InputError(path, "expected a map with walls, got one without")

@@ -23,7 +23,7 @@ __all__ = ["SUFFIX", "MapEdits", "anchor_edits", "apply_edits", "cells_of", "rea
 _BoolArray: TypeAlias = NDArray[np.bool_]
 SUFFIX = ".geojson"
 _SURE_LOG_ODDS = 4.6  # of probability 0.99, as maps are read
-_CONNECTED = 0.7072  # of a cell from a line: who is no farther forms a row of cells that touch
+_CONNECTED = 0.7072  # of a cell, from a line: cells whose middles are no farther from it touch each other
 _NEAR_NS = 1_000_000
 
 

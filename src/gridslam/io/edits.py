@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import InputError
+from gridslam.io.geojson import format_features
 from gridslam.io.output import write_atomically
 from gridslam.io.text import read_json
 
@@ -114,8 +114,7 @@ class Edits:
         head: dict[str, Any] = {"type": "FeatureCollection", "schema": SCHEMA, "units": "m", "frame": "map"}
         if self.map_name:
             head["map"] = {"file": self.map_name, "sha256": self.map_sha256}
-        lines = ",\n".join(json.dumps(edit.to_feature(), allow_nan=False) for edit in self.edits)
-        return f'{json.dumps(head, allow_nan=False)[:-1]}, "features": [\n{lines}\n]}}\n'
+        return format_features(head, (edit.to_feature() for edit in self.edits))
 
 
 def write_edits(path: str | Path, edits: Edits) -> None:
@@ -250,7 +249,8 @@ def _check_ring(points: _FloatArray) -> _FloatArray:
 def _find_crossing(ring: _FloatArray) -> _FloatArray | None:
     """An end of a side of a ring (K, 2) that meets one which is not its neighbour; None if none does.
 
-    So does one that goes back on its neighbour: where it ends, or where that one began, there is a third.
+    One that folds back on its neighbour is found as well: it ends on it, where the next side begins, or it passes the
+    place where the neighbour began, and the side before that ends.
     """
     begin, end = ring, np.roll(ring, -1, axis=0)
 

@@ -28,6 +28,7 @@ __all__ = [
     "measure_size",
     "open_for_reading",
     "parse_json",
+    "parse_json_object",
     "read_head",
     "read_json",
     "read_numbered_lines",
@@ -142,7 +143,7 @@ def read_text(path: str | Path, most: int = _LARGEST_TEXT_BYTES) -> str:
         raise InputError(path, "expected a text file, got binary data") from None
 
 
-def parse_json(text: str, *, odd_names: bool = False) -> Any:  # noqa: ANN401
+def parse_json(text: str | bytes, *, odd_names: bool = False) -> Any:  # noqa: ANN401
     """Read JSON; raises an error of any kind for invalid text, or for values that `require_plain` rejects."""
     document = json.loads(text)
     require_plain(document, odd_names=odd_names)
@@ -151,9 +152,13 @@ def parse_json(text: str, *, odd_names: bool = False) -> Any:  # noqa: ANN401
 
 def read_json(path: str | Path) -> dict[str, Any]:
     """Read a JSON object; raises InputError, with the line, where the file holds none."""
-    text = read_text(path)
+    return parse_json_object(read_text(path), path, odd_names=True)
+
+
+def parse_json_object(text: str | bytes, path: str | Path, *, odd_names: bool = False) -> dict[str, Any]:
+    """Read a JSON object, as `read_json`; `path` names the file in errors."""
     with refuse_unreadable(path, "JSON"):
-        document = parse_json(text, odd_names=True)
+        document = parse_json(text, odd_names=odd_names)
     if not isinstance(document, dict):
         raise InputError(path, f"expected a JSON object, got a {type(document).__name__}")
     return document

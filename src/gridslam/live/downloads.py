@@ -23,7 +23,7 @@ from gridslam.io.trajectories import write_tum
 from gridslam.live.limits import FileCache, PacedThread
 from gridslam.types import OccupancyGrid, Trajectory
 
-__all__ = ["DownloadableContent", "is_authorized", "make_download_routes"]
+__all__ = ["DownloadableContent", "is_authorized", "is_foreign", "make_download_routes"]
 
 _BLOCK = 1 << 16
 _REFUSED = "this needs the token of the page"
@@ -91,6 +91,12 @@ def is_authorized(connection: HTTPConnection, token: str | None) -> bool:
     """Return whether a request has the token, if one is needed."""
     given = connection.query_params.get("token", "")
     return token is None or secrets.compare_digest(given.encode(), token.encode())
+
+
+def is_foreign(connection: HTTPConnection) -> bool:
+    """Return whether a request comes from another site's page."""
+    origin = connection.headers.get("origin")
+    return origin is not None and origin.partition("://")[2] != connection.headers.get("host")
 
 
 async def _split(data: bytes) -> AsyncIterator[bytes]:

@@ -17,8 +17,8 @@ from gridslam.errors import GridslamError, InputError
 from gridslam.io.edited_maps import MapEdits, anchor_edits
 from gridslam.io.edits import Edits, parse_edits, read_edits, write_edits
 from gridslam.io.maps import read_map
-from gridslam.io.text import parse_json
-from gridslam.live.downloads import is_authorized
+from gridslam.io.text import parse_json_object
+from gridslam.live.downloads import is_authorized, is_foreign
 
 __all__ = ["EDITS_NAME", "EditsFile", "make_edit_route"]
 
@@ -66,13 +66,7 @@ class EditsFile:
         OutputError
             The file cannot be written.
         """
-        try:
-            document = parse_json(body.decode())
-        except Exception as error:
-            raise InputError(self.path, f"expected JSON: {error}") from None
-        if not isinstance(document, dict):
-            raise InputError(self.path, f"expected a JSON object, got a {type(document).__name__}")
-        edits = self._complete(parse_edits(document, self.path))
+        edits = self._complete(parse_edits(parse_json_object(body, self.path), self.path))
         with self._lock:
             if tag != self.read()[1]:
                 raise InputError(self.path, _CHANGED)
@@ -94,8 +88,7 @@ def make_edit_route(file: EditsFile, token: str | None) -> Route:
         if request.method != "PUT":
             text, tag = file.read()
             return Response(text, media_type="application/geo+json", headers={"etag": f'"{tag}"'})
-        origin = request.headers.get("origin")
-        if origin is not None and origin.partition("://")[2] != request.headers.get("host"):
+        if is_foreign(request):
             return PlainTextResponse("this page is another one's", 403)
         body = bytearray()
         async for block in request.stream():

@@ -25,7 +25,7 @@ from starlette.websockets import WebSocket
 
 from gridslam.errors import OutputError
 from gridslam.live.connections import LimitedConnection, LimitedSocket, drop_stalled
-from gridslam.live.downloads import DownloadableContent, is_authorized, make_download_routes
+from gridslam.live.downloads import DownloadableContent, is_authorized, is_foreign, make_download_routes
 from gridslam.live.edits import EditsFile, make_edit_route
 from gridslam.live.limits import Pace, PacedSelector, PacedThread
 from gridslam.live.options import LiveOptions
@@ -207,9 +207,7 @@ def _make_application(
 
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
-        origin = websocket.headers.get("origin")
-        foreign = origin is not None and origin.partition("://")[2] != websocket.headers.get("host")
-        if foreign or not is_authorized(websocket, token):
+        if is_foreign(websocket) or not is_authorized(websocket, token):
             await websocket.close(_BAD_TOKEN, "this page needs the address with its token")
         elif viewers.locked():
             await websocket.close(_TOO_MANY, "too many look at this page")

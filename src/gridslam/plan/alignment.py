@@ -9,7 +9,7 @@ import numpy as np
 
 from gridslam.geometry import se2
 from gridslam.plan.surfaces import SurfacePoints
-from gridslam.plan.untyped import fft, spatial
+from gridslam.plan.untyped import fft
 from gridslam.types import FloatArray
 
 __all__ = ["Alignment", "align_points", "align_walls", "fit_pairs"]
@@ -69,7 +69,8 @@ def align_points(moved: SurfacePoints, fixed: SurfacePoints, is_drawn: bool = Fa
 def align_walls(moved: SurfacePoints, fixed: SurfacePoints, guess: Alignment) -> Alignment:
     """Move and scale surfaces onto lines that were drawn, beginning with a guess that is right to half a metre.
 
-    A wall has two faces: from where most agree it is tried whether more do a wall's thickness beside it.
+    A map's walls may have come to lie on lines of their other faces: the refinement begins again a wall's thickness
+    beside the place that it found, in eight directions, and the best result is taken.
     """
     few = _select_some(moved)
     found = _refine(guess, few, fixed, True, _SCALED_REACHES_M)
@@ -81,7 +82,7 @@ def align_walls(moved: SurfacePoints, fixed: SurfacePoints, guess: Alignment) ->
 
 def _count_close(found: Alignment, moved: SurfacePoints, fixed: SurfacePoints) -> float:
     """Weight of the moved points, each by its closeness to a line."""
-    distances, _ = spatial.cKDTree(fixed.positions).query(found.transform(moved.positions))
+    distances, _ = fixed.tree.query(found.transform(moved.positions))
     return float((moved.weights / (1 + (distances / _CLOSE_M) ** 2)).sum())
 
 
@@ -116,7 +117,8 @@ def _find_headings(moved: SurfacePoints, fixed: SurfacePoints, is_drawn: bool) -
     for points in (fixed, moved):
         degrees = np.rad2deg(np.arctan2(points.normals[:, 1], points.normals[:, 0])) % 360
         histogram = np.bincount(degrees.astype(np.int64) % 360, points.weights.clip(max=20.0), 360)
-        histogram = histogram + np.roll(histogram, 180) if is_drawn else histogram
+        if is_drawn:
+            histogram = histogram + np.roll(histogram, 180)
         spectra.append(fft.rfft(histogram + np.roll(histogram, 1) + np.roll(histogram, -1)))
     agreement = fft.irfft(spectra[0] * np.conj(spectra[1]), 360)
     peaks = np.flatnonzero((agreement >= np.roll(agreement, 1)) & (agreement > np.roll(agreement, -1)))
@@ -156,13 +158,12 @@ def _refine(
     scaled_reaches_m: tuple[float, ...] = (),
 ) -> Alignment:
     """Match points to lines, with ever shorter reach, or with given ones and a scale; weighed by Cauchy's function."""
-    tree = spatial.cKDTree(fixed.positions)
     found, is_scaled = guess, bool(scaled_reaches_m)
     residuals, agreeing = np.zeros(0), np.zeros(len(moved), np.bool_)
     for reach in scaled_reaches_m or _REACHES_M:
         positions = found.transform(moved.positions)
         normals = se2.transform_points([0.0, 0.0, found.pose[2]], moved.normals)
-        distances, nearest = tree.query(positions, distance_upper_bound=reach)
+        distances, nearest = fixed.tree.query(positions, distance_upper_bound=reach)
         agreeing = np.isfinite(distances)
         facing = (normals[agreeing] * fixed.normals[nearest[agreeing]]).sum(axis=1)
         agreeing[agreeing] &= (np.abs(facing) if is_drawn else facing) > 0.9

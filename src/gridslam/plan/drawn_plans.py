@@ -125,9 +125,8 @@ def _read_dxf(path: Path) -> DrawnPlan:
     with refuse_unreadable(path, "DXF"):
         drawing = read(StringIO(text))
         lines = [segment for entity in drawing.modelspace() for segment in _lines_of(entity)]
-        has_unit = bool(drawing.units)
-    factor = units.conversion_factor(InsertUnits(drawing.units), InsertUnits.Meters)
-    return DrawnPlan(path, np.array(lines, np.float64).reshape(-1, 2, 2), None, None, factor if has_unit else None)
+        unit_m = units.conversion_factor(InsertUnits(drawing.units), InsertUnits.Meters) if drawing.units else None
+    return DrawnPlan(path, np.array(lines, np.float64).reshape(-1, 2, 2), None, None, unit_m)
 
 
 def _lines_of(entity: Any) -> Iterator[tuple[Any, Any]]:  # noqa: ANN401
@@ -151,9 +150,9 @@ def _read_svg(path: Path) -> DrawnPlan:
     with refuse_unreadable(path, "SVG"):
         root = ElementTree.fromstring(text)
         box = _numbers(root.get("viewBox", "")) or [0.0, 0.0, 0.0, *_numbers(root.get("height", "0"))[:1]]
+        height = box[1] + box[3]
         lines = [segment for segments in _walk(root, np.eye(3)) for segment in segments]
     found = np.array(lines, np.float64).reshape(-1, 2, 2)
-    height = box[1] + box[3]
     found[..., 1] = height - found[..., 1]
     return DrawnPlan(path, found, None, height)
 
@@ -237,4 +236,4 @@ _SHAPES: dict[str, Callable[[ElementTree.Element], Any]] = {
     "path": _of_path,
 }
 _READERS: dict[str, Callable[[Path], DrawnPlan]] = {".dxf": _read_dxf, ".svg": _read_svg}
-SUFFIXES = (".dxf", ".svg", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm")
+SUFFIXES = (*_READERS, ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm")

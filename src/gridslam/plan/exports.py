@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any, NamedTuple, final
@@ -11,6 +10,7 @@ import numpy as np
 
 from gridslam.errors import MissingDependencyError
 from gridslam.geometry import se2
+from gridslam.io.geojson import format_features
 from gridslam.plan.floor_plan import FloorPlan
 from gridslam.types import FloatArray
 
@@ -104,14 +104,7 @@ def write_geojson(path: Path, plan: FloorPlan, name: str, origin: WorldOrigin | 
         "units": "m" if origin is None else "degrees",
         "turned_rad": plan.turned_rad,
     }
-    write_features(path, document, describe_features(plan, origin))
-
-
-def write_features(path: Path, document: dict[str, Any], features: list[dict[str, Any]]) -> None:
-    """Write a FeatureCollection with members of its own, a line for each feature: who compares two files sees which."""
-    head = json.dumps(document, allow_nan=False)[:-1]
-    lines = ",\n".join(json.dumps(feature, allow_nan=False) for feature in features)
-    path.write_text(f'{head}, "features": [\n{lines}\n]}}\n', encoding="utf-8")
+    path.write_text(format_features(document, describe_features(plan, origin)), encoding="utf-8")
 
 
 def write_dxf(path: Path, plan: FloorPlan) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 from gridslam.plan.rasters import BoolArray, Raster
 from gridslam.plan.segments import Segments
 from gridslam.plan.surfaces import SurfacePoints
-from gridslam.plan.untyped import spatial
 from gridslam.plan.walls import Wall
 from gridslam.types import FloatArray
 
@@ -70,7 +69,6 @@ def find_openings(floor: BoolArray, raster: Raster, walls: Sequence[Wall], point
     """Find where a wall ends and continues, or meets another one, 0.5 to 2.6 m further, with floor between."""
     openings: list[Opening] = []
     segments = Segments.of(np.array([wall.ends for wall in walls]))
-    tree = spatial.cKDTree(points.positions)
     halves = np.array([0.5 * (wall.thickness_m or 0.0) for wall in walls])
     for k in sorted(range(len(walls)), key=lambda k: (walls[k].thickness_m is None, -walls[k].length_m)):
         if walls[k].thickness_m is None and walls[k].length_m < _SHORTEST_FACE_M:
@@ -79,7 +77,7 @@ def find_openings(floor: BoolArray, raster: Raster, walls: Sequence[Wall], point
             gap = _find_gap(k, start, along, segments, halves)
             if gap is None or not _is_passage(start, along, gap, floor, raster):
                 continue
-            near = tree.query_ball_point(start + gap / 2 * along, gap / 2 + _ASIDE_M + _REACH_M)
+            near = points.tree.query_ball_point(start + gap / 2 * along, gap / 2 + _ASIDE_M + _REACH_M)
             opening = _measure(walls[k], start, along, gap, points.select(np.array(near, np.int64)))
             if opening.width_m >= _NARROWEST_M and not any(_is_same(opening, known) for known in openings):
                 openings.append(opening)

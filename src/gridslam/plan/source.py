@@ -40,6 +40,11 @@ class MapSource(NamedTuple):
     path: FloatArray | None = None
     names: tuple[tuple[str, FloatArray], ...] = ()
 
+    @property
+    def surfaces(self) -> SurfacePoints:
+        """Points on walls: of the scans, or without any of the map's cells."""
+        return points_of_grid(self.grid) if self.points is None else self.points
+
 
 def read_source(path: str | Path, on_remark: Callable[[str], None] = lambda remark: None) -> MapSource:
     """Read the source of a plan.

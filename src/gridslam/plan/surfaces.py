@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import final
+from functools import cached_property
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ _SIDES = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class SurfacePoints:
     """Points at which beams ended, each on one side of a surface.
 
@@ -41,6 +42,11 @@ class SurfacePoints:
     positions: FloatArray
     normals: FloatArray
     weights: FloatArray
+
+    @cached_property
+    def tree(self) -> Any:  # noqa: ANN401
+        """Return a k-d tree of the positions."""
+        return spatial.cKDTree(self.positions)
 
     def select(self, chosen: NDArray[np.bool_] | IntArray | slice) -> SurfacePoints:
         """Those that are chosen, by a mask (N,), their numbers or a slice."""
@@ -142,7 +148,7 @@ def _find_normals(
 
 def label_surfaces(points: SurfacePoints) -> IntArray:
     """Number (N,) of the smooth surface that each point is on: neighbours lie in the line of both, and face one way."""
-    pairs = spatial.cKDTree(points.positions).query_pairs(_LINK_M, output_type="ndarray")
+    pairs = points.tree.query_pairs(_LINK_M, output_type="ndarray")
     linked = [np.zeros((0, 2), np.int64)]
     for band in _bands(pairs):
         first, second = band.T

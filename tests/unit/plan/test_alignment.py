@@ -49,9 +49,9 @@ def _write_svg(path, lines, height=20.0):
     path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 30 {height}"><g>{drawn}</g></svg>')
 
 
-def _write_dxf(path, lines):
+def _write_dxf(path, lines, units=ezdxf.units.CM):
     drawing = ezdxf.new("R2010")
-    drawing.units = ezdxf.units.CM
+    drawing.header["$INSUNITS"] = units
     for begin, end in 100 * lines:
         drawing.modelspace().add_line(tuple(begin), tuple(end))
     drawing.modelspace().add_lwpolyline([(0, 0), (100, 0), (100, 50)], close=True)
@@ -64,6 +64,14 @@ def test_a_dxf_has_the_lengths_of_its_units(tmp_path):
     assert plan.unit_m == pytest.approx(0.01)
     assert plan.lines[: len(LINES)] == pytest.approx(100 * LINES)
     assert plan.lines[len(LINES) :].tolist() == [[[0, 0], [100, 0]], [[100, 0], [100, 50]], [[100, 50], [0, 0]]]
+
+
+def test_a_dxf_may_state_no_unit(tmp_path):
+    _write_dxf(tmp_path / "plan.dxf", LINES, units=0)
+    assert read_drawn_plan(tmp_path / "plan.dxf").unit_m is None
+    _write_dxf(tmp_path / "plan.dxf", LINES, units=99)
+    with pytest.raises(InputError, match=r"plan\.dxf"):
+        read_drawn_plan(tmp_path / "plan.dxf")
 
 
 def test_shapes_of_an_svg_lie_where_they_are_transformed_to(tmp_path):
@@ -110,13 +118,16 @@ def test_a_map_is_laid_on_a_turned_plan_by_its_walls(tmp_path, kind):
     corners = np.array([[0, 0], [10, 0], [10, 4], [0, 4]], float)
     assert found.transform(corners) == pytest.approx(se2.transform_points(pose, corners), abs=0.06)
     assert found.pose[2] == pytest.approx(0.6, abs=0.005)
+    assert found.share > 0.9  # by either side of a line
     # Pairs that are picked 20 cm beside it are good enough, too, and correct a unit.
     there = se2.transform_points(pose, corners) + np.array([[0.2, 0], [-0.1, 0.2], [0, -0.2], [0.1, 0.1]])
     again = align_walls(moved, fixed, fit_pairs(corners, there)[0])
     assert again.transform(corners) == pytest.approx(found.transform(corners), abs=0.02)
 
 
-@pytest.mark.parametrize("text", ["", "<svg", "<svg/>", "<!DOCTYPE a [<!ENTITY b 'c'>]><svg/>", "<svg><line x1='1'"])
+@pytest.mark.parametrize(
+    "text", ["", "<svg", "<svg/>", "<!DOCTYPE a [<!ENTITY b 'c'>]><svg/>", "<svg><line x1='1'", "<svg height='auto'/>"]
+)
 def test_what_is_no_plan_is_refused_by_name(tmp_path, text):
     for name in ("plan.svg", "plan.dxf", "plan.png"):
         (tmp_path / name).write_text(text)

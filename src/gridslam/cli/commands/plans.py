@@ -1,4 +1,4 @@
-"""gridslam plan and changes: options and help."""
+"""gridslam plan, changes, mask and align: options and help."""
 
 from __future__ import annotations
 
@@ -120,7 +120,8 @@ def _read_pairs(ctx: click.Context, param: click.Parameter, texts: tuple[str, ..
     import numpy as np
 
     try:
-        pairs = np.array([[float(n) for n in text.replace("=", ",", 1).split(",")] for text in texts]).reshape(-1, 4)
+        numbers = [[float(n) for n in text.replace("=", ",", 1).split(",")] for text in texts]
+        pairs = np.array(numbers).reshape(len(texts), 4)
     except ValueError:
         raise click.BadParameter(f"expected X,Y=U,V, got {' '.join(texts)[:100]!r}", ctx, param) from None
     if not (np.isfinite(pairs).all() and len(pairs) in (0, 2, 3, 4, 5, 6)):
