@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import NamedTuple, final
 
 import numpy as np
@@ -34,9 +35,8 @@ class ScanBatch(NamedTuple):
     @classmethod
     def of(cls, scans: Sequence[BeamEnds]) -> ScanBatch:
         """Put scans side by side."""
-        starts = np.zeros(len(scans) + 1, np.int64)
-        np.cumsum([len(scan) for scan in scans], out=starts[1:])
-        ends = np.concatenate([scan.ends for scan in scans]) if scans else np.empty((0, 2))
+        starts = np.array([0, *accumulate(map(len, scans))], np.int64)
+        ends = scans[0].ends if len(scans) == 1 else np.concatenate([np.empty((0, 2)), *(scan.ends for scan in scans)])
         return cls(ends, starts, np.array([scan.origin for scan in scans], np.float64).reshape(-1, 2))
 
     @property

@@ -36,18 +36,18 @@ constexpr double kLongestGapRatio = 0.05;  // and for each metre of range
 constexpr double kMostSpread2 = 0.0036;    // m^2, of the points about their line
 constexpr double kReach2 = 900.0;          // m^2
 
-// Fits a line to the points at `at` and its neighbours; false where they are not near each other or not in line.
-bool fit_normal(const double* x, const double* y, int64_t size, int64_t at, double* nx, double* ny) {
-  if (at < kLineBeside || at + kLineBeside >= size || x[at] * x[at] + y[at] * y[at] >= kReach2) return false;
+// Whether point k and the one before it may be on one surface.
+bool is_beside(const double* x, const double* y, int64_t k) {
+  const double gap = std::hypot(x[k] - x[k - 1], y[k] - y[k - 1]);
+  const double range = std::sqrt(x[k - 1] * x[k - 1] + y[k - 1] * y[k - 1]);
+  return gap < kLongestGapM + kLongestGapRatio * range;
+}
+
+// Fits a line to the points at `at` and its neighbours, which are there; false where they are not in line.
+bool fit_normal(const double* x, const double* y, int64_t at, double* nx, double* ny) {
+  if (x[at] * x[at] + y[at] * y[at] >= kReach2) return false;
   double mx = 0, my = 0, xx = 0, yy = 0, xy = 0;
-  for (int64_t k = at - kLineBeside; k <= at + kLineBeside; ++k) {
-    if (k > at - kLineBeside) {
-      const double gap = std::hypot(x[k] - x[k - 1], y[k] - y[k - 1]);
-      const double range = std::sqrt(x[k - 1] * x[k - 1] + y[k - 1] * y[k - 1]);
-      if (gap >= kLongestGapM + kLongestGapRatio * range) return false;
-    }
-    mx += x[k], my += y[k];
-  }
+  for (int64_t k = at - kLineBeside; k <= at + kLineBeside; ++k) mx += x[k], my += y[k];
   constexpr double count = 2 * kLineBeside + 1;
   mx /= count, my /= count;
   for (int64_t k = at - kLineBeside; k <= at + kLineBeside; ++k) {
@@ -92,15 +92,16 @@ std::array<double, 3> solve(const std::array<double, 6>& a, const std::array<dou
 void add(const Surfaces& of, int64_t fixed, const Surfaces& by, int64_t moved, const Increment& pose, bool moves_to,
          double gate_m, double scale_m, double* out) {
   const double c = std::cos(pose.theta), s = std::sin(pose.theta);
-  const double* low = of.bearings + of.starts[fixed];
-  const double* high = of.bearings + of.starts[fixed + 1];
+  const int64_t low = of.starts[fixed], high = of.starts[fixed + 1];
+  int64_t place = low;  // both scans are ordered by bearing, so that the next one is found a step or two farther
   for (int64_t k = by.starts[moved]; k < by.starts[moved + 1]; ++k) {
     const double px = by.points[2 * k], py = by.points[2 * k + 1];
     const double x = c * px - s * py + pose.x, y = s * px + c * py + pose.y;
     const double bearing = rank_bearing(x - of.origins[2 * fixed], y - of.origins[2 * fixed + 1]);
-    const int64_t place = std::lower_bound(low, high, bearing) - of.bearings;
-    const int64_t first = std::max(place - kBeside, of.starts[fixed]);
-    const int64_t last = std::min(place + kBeside, of.starts[fixed + 1]);
+    while (place < high && of.bearings[place] < bearing) ++place;
+    while (place > low && of.bearings[place - 1] >= bearing) --place;
+    const int64_t first = std::max(place - kBeside, low);
+    const int64_t last = std::min(place + kBeside, high);
     int64_t nearest = -1;
     double nearest2 = kNear2;
     for (int64_t q = first; q < last; ++q) {
@@ -159,9 +160,12 @@ void fit_surfaces(const double* ends, const int64_t* starts, const double* origi
       }
       x.swap(ordered_x), y.swap(ordered_y), rank.swap(ordered_rank);
     }
-    for (int64_t k = 0; k < size; ++k) {
+    int64_t beside = 0;  // how many points before `end` follow each other on one surface, without a gap
+    for (int64_t end = 1; end < size; ++end) {
+      beside = is_beside(x.data(), y.data(), end) ? beside + 1 : 0;
+      const int64_t k = end - kLineBeside;
       double nx = 0, ny = 0;
-      if (!fit_normal(x.data(), y.data(), size, k, &nx, &ny)) continue;
+      if (beside < 2 * kLineBeside || !fit_normal(x.data(), y.data(), k, &nx, &ny)) continue;
       points[2 * found] = x[k] + origins[2 * scan], points[2 * found + 1] = y[k] + origins[2 * scan + 1];
       normals[2 * found] = nx, normals[2 * found + 1] = ny;
       bearings[found++] = rank[k];

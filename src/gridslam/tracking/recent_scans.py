@@ -33,6 +33,11 @@ class RecentScans:
 
     scans: list[RecentScan] = field(default_factory=list)
     fitted: Surfaces | None = field(default=None, metadata=NOT_SAVED)
+    poses: FloatArray = field(init=False, metadata=NOT_SAVED)
+
+    def __post_init__(self) -> None:
+        """Put the poses (S, 3) side by side."""
+        self.poses = np.array([scan.pose for scan in self.scans], np.float64).reshape(-1, 3)
 
     @property
     def surfaces(self) -> Surfaces:

@@ -19,8 +19,8 @@ _GATES_M = np.array([0.15, 0.08])
 _MIN_POINTS = 20
 _MAX_CORRECTION_M = 0.1
 """Where fewer points are matched, or the scan would move farther, it stays."""
-_PRIOR_SIGMAS = np.array([0.02, 0.02, 0.01])
-"""Standard deviations (m, m, rad) of the match to the map."""
+_PRIOR = 1 / np.square([0.02, 0.02, 0.01])
+"""Information of the match to the map, from standard deviations in m, m, rad."""
 SURFACE_SCANS = 8
 """How many of the newest scans in the local map."""
 _SIGMA_M = 0.02
@@ -39,16 +39,16 @@ def match_to_surfaces(recent: RecentScans, own: Surfaces, found: PoseEstimate) -
     point-to-line metric (2008).
     """
     guess, predicted = found.pose, found.prediction
-    sigmas = _PRIOR_SIGMAS
+    prior = _PRIOR
     if predicted.covariance is not None:  # reported by the odometry, and part of what was found
-        sigmas = np.minimum(sigmas, [predicted.sigma_m, predicted.sigma_m, predicted.sigma_rad])
+        prior = np.maximum(prior, 1 / np.square([predicted.sigma_m, predicted.sigma_m, predicted.sigma_rad]))
     pose, count = backend.match_to_surfaces(
         *recent.surfaces,
-        np.array([scan.pose for scan in recent.scans]).reshape(-1, 3),
+        recent.poses,
         own.points,
         own.normals,
         guess,
-        1 / np.square(sigmas),
+        prior,
         _GATES_M,
         _SIGMA_M,
         LEAST_INFORMATION,
