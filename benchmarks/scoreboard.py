@@ -36,7 +36,7 @@ VARIANTS["filter"] = {"no-loop-closure": "true"}
 SYSTEMS = {"gmapping-cpp": "systems/gmapping/{log}.tum", "lama": "systems/lama/{log}.tum"}
 """Other systems: their trajectories in TUM format."""
 
-FIGURES = {"error_m": 6, "error_rad": 7, "worst_m": 6, "cpu_s": 2, "peak_memory_bytes": 0}
+FIGURES = {"error_m": 6, "error_rad": 7, "worst_m": 6, "sharpness_m": 5, "cpu_s": 2, "peak_memory_bytes": 0}
 """Figures of a run, and the decimals that are kept."""
 
 _OLD_NAMES = {"default": "gridslam", "filter": "filter"}

@@ -420,6 +420,7 @@ class MapResult(Result):
                 for name, score in loops.candidates.items()
             },
             "selected": loops.selected,
+            "sharpness_m": loops.sharpness_m,
         }
 
 

@@ -27,6 +27,7 @@ COLUMNS: Final = (
     ("error_m", "error", "m"),
     ("error_rad", "error, heading", "rad"),
     ("worst_m", "worst error", "m"),
+    ("sharpness_m", "sharpness of walls", "m"),
     ("latency_median_s", "scan, median", "ms"),
     ("latency_p99_s", "scan, 99 %", "ms"),
     ("cpu_s", "CPU time", "s"),

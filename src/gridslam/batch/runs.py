@@ -32,6 +32,7 @@ _FIGURES: Final[dict[str, tuple[str, ...]]] = {
     "latency_median_s": ("latency", "all_scans", "median_s"),
     "latency_p99_s": ("latency", "all_scans", "p99_s"),
     "latency_max_s": ("latency", "all_scans", "max_s"),
+    "sharpness_m": ("loop_closure", "sharpness_m"),
     "map_width_m": ("filter", "map_width_m"),
     "map_height_m": ("filter", "map_height_m"),
     "bytes": ("input", "bytes"),

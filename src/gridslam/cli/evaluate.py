@@ -30,7 +30,7 @@ def format_scores(scores: dict[str, Any]) -> list[str]:
     if "relations" in scores:
         return [_format_relation_errors(RelationErrors(**scores["relations"]))]
     if "self_consistency" in scores:
-        return [_format_self_consistency(SelfConsistency(**scores["self_consistency"]))]
+        return _format_self_consistency(SelfConsistency(**scores["self_consistency"]))
     rpe = dict(scores["rpe"])
     distance_m = rpe.pop("distance_m")
     lines = [
@@ -58,8 +58,11 @@ def _format_relation_errors(errors: RelationErrors) -> str:
     )
 
 
-def _format_self_consistency(agreement: SelfConsistency) -> str:
-    return (
+def _format_self_consistency(agreement: SelfConsistency) -> list[str]:
+    lines = [
         f"self-consistency: {agreement.nats_per_beam:.4f} nats a beam, {agreement.beams} beams of {agreement.scans} "
         "scans (less is better, between trajectories of one log)"
-    )
+    ]
+    if agreement.sharpness_m is not None:
+        lines.append(f"walls seen on several visits agree within {100 * agreement.sharpness_m:.1f} cm (rms)")
+    return lines

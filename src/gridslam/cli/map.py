@@ -151,5 +151,7 @@ def _summarize_loop_closure(loops: dict[str, Any] | Literal[False]) -> Iterator[
     yield f"{counted(recognized + tracked, 'loop closure')} ({kinds}), {corrections}; {moved}"
     if rejected:
         yield f"{counted(sum(rejected.values()), 'loop-closure candidate')} rejected: {reasons}"
+    if loops["sharpness_m"] is not None:
+        yield f"walls seen on several visits agree within {100 * loops['sharpness_m']:.1f} cm (rms)"
     if loops["unsearched"]:
         yield f"{counted(loops['unsearched'], 'submap')} not compared with places that only a greater drift reaches"

@@ -12,7 +12,10 @@ import numpy as np
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import compose
+from gridslam.grid.scan_batch import ScanBatch
 from gridslam.mapping.beam_counts import BeamCounts
+from gridslam.matching.sharpness import measure_sharpness
+from gridslam.matching.surfaces import Surfaces
 from gridslam.scan import LaserScan
 from gridslam.types import BeamEnds, FloatArray, Trajectory
 
@@ -52,11 +55,14 @@ class SelfConsistency:
         Their beams.
     nats_per_beam : float, nats, > 0
         -ln p(scans | trajectory) for each beam, the map integrated out. Less is better.
+    sharpness_m : float or None, m
+        rms distance of points to the surfaces that other visits have seen (`measure_sharpness`); None without such.
     """
 
     scans: int
     beams: int
     nats_per_beam: float
+    sharpness_m: float | None = None
 
 
 @checked
@@ -128,7 +134,8 @@ def score_drawn_scans(scans: Sequence[BeamEnds], poses: FloatArray) -> SelfConsi
         hits, misses = counts.observed()
         cells = betaln(_PRIOR_HITS + hits, _PRIOR_MISSES + misses) - betaln(_PRIOR_HITS, _PRIOR_MISSES)
         evidence += float(cells.sum())
-    return SelfConsistency(len(scans), beams, -evidence / (len(_PLACES) * beams))
+    sharpness_m = measure_sharpness(Surfaces.of(ScanBatch.of(scans)), poses)
+    return SelfConsistency(len(scans), beams, -evidence / (len(_PLACES) * beams), sharpness_m)
 
 
 def sample_evenly(items: Iterable[_Item], most: int = MAX_SCANS) -> list[_Item]:

@@ -412,7 +412,7 @@ auto py_match_surfaces(Points points, Points normals, Vector bearings, Starts st
   require(std::all_of(pairs.data(), pairs.data() + pairs.size(),
                       [&](int64_t scan) { return scan >= 0 && static_cast<size_t>(scan) < scans; }),
           "pairs: expected scans that are there");
-  auto out = fresh<double, 2>({pairs.shape(0), size_t{10}});
+  auto out = fresh<double, 2>({pairs.shape(0), static_cast<size_t>(kSurfaceSums)});
   {
     nb::gil_scoped_release release;
     match_surfaces(surfaces, poses.data(), pairs.data(), static_cast<int64_t>(pairs.shape(0)), gate_m, scale_m, both,

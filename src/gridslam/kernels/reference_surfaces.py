@@ -157,7 +157,7 @@ def match_to_surfaces(
         sums = match_surfaces(*whole, np.concatenate([poses, pose[None]]), pairs, gate_m, scale_m, False).sum(axis=0)
         fewest = min(fewest, int(sums[9]))
         information = sums[[[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
-        (kept,) = project_on_determined(information[None], sums[9:], least_information)
+        (kept,) = project_on_determined(information[None], sums[9:10], least_information)
         away = _rotate(-guess[2], pose - np.array(guess))
         own = 0.5 / scale_m**2 * (kept @ information @ kept) + np.diag(prior)
         step = np.linalg.solve(own, 0.5 / scale_m**2 * (kept @ sums[6:9]) + prior * away)
@@ -209,11 +209,12 @@ def match_surfaces(
 
     Returns
     -------
-    (P, 10) float64
+    (P, 11) float64
         By the error e of the pose of `to` seen from `from`, in the frame of `to` (`PoseGraph.errors`): the sums of
-        w g g' (upper triangle, row by row) and of w g r, for slopes g = dr/de; and the number of matched points.
+        w g g' (upper triangle, row by row) and of w g r, for slopes g = dr/de; the number of matched points; and the
+        sum of r^2.
     """
-    out = np.zeros((len(pairs), 10))
+    out = np.zeros((len(pairs), 11))
     for row, (from_, to) in zip(out, pairs.tolist(), strict=True):
         for fixed, moved in ((from_, to), (to, from_))[: 1 + both]:
             x, y, turn = (poses[moved] - poses[fixed]).tolist()
@@ -247,4 +248,5 @@ def match_surfaces(
             row[:6] += (weighted.T @ slope)[np.triu_indices(3)]
             row[6:9] += weighted.T @ residual
             row[9] += len(residual)
+            row[10] += np.square(residual).sum()
     return out

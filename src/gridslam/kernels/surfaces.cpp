@@ -131,6 +131,7 @@ void add(const Surfaces& of, int64_t fixed, const Surfaces& by, int64_t moved, c
     }
     for (int64_t a = 0; a < 3; ++a) out[6 + a] += weight * slope[a] * residual;
     out[9] += 1.0;
+    out[10] += residual * residual;
   }
 }
 
@@ -181,7 +182,7 @@ int64_t match_to_surfaces(const Surfaces& fixed, const double* poses, int64_t co
   int64_t fewest = moved.starts[1] - moved.starts[0];
   fewest *= count;
   for (int64_t step = 0; step < how.steps; ++step) {
-    std::array<double, 10> sums{};
+    std::array<double, kSurfaceSums> sums{};
     for (int64_t scan = 0; scan < count; ++scan) {
       add(fixed, scan, moved, 0, between(poses + 3 * scan, pose), true, how.gates_m[step], how.scale_m, sums.data());
     }
@@ -207,8 +208,8 @@ void match_surfaces(const Surfaces& surfaces, const double* poses, const int64_t
                     double scale_m, bool both, double* out) {
   for (int64_t p = 0; p < count; ++p) {
     const int64_t from = pairs[2 * p], to = pairs[2 * p + 1];
-    double* own = out + 10 * p;
-    std::fill(own, own + 10, 0.0);
+    double* own = out + kSurfaceSums * p;
+    std::fill(own, own + kSurfaceSums, 0.0);
     add(surfaces, from, surfaces, to, between(poses + 3 * from, poses + 3 * to), true, gate_m, scale_m, own);
     if (both) add(surfaces, to, surfaces, from, between(poses + 3 * to, poses + 3 * from), false, gate_m, scale_m, own);
   }

@@ -16,8 +16,10 @@ struct Surfaces {
   const double* origins;   // (S, 2)
 };
 
+constexpr int64_t kSurfaceSums = 11;
+
 // For each pair `from`, `to` of scans at poses (S, 3): the upper triangle of the normal equations' matrix, the right
-// side and the number of matched points, (P, 10); see `reference_surfaces`.
+// side, the number of matched points and the sum of their squared residuals; see `reference_surfaces`.
 void match_surfaces(const Surfaces& surfaces, const double* poses, const int64_t* pairs, int64_t count, double gate_m,
                     double scale_m, bool both, double* out);
 

@@ -30,11 +30,14 @@ class SurfaceMatches(NamedTuple):
         Weighted sums of residuals times slopes.
     counts : (P,) int64
         Points that were matched.
+    squares : (P,) float64, m^2
+        Sums of their squared residuals.
     """
 
     information: FloatArray
     gradients: FloatArray
     counts: IntArray
+    squares: FloatArray
 
 
 @final
@@ -103,4 +106,4 @@ class Surfaces(NamedTuple):
         information = sums[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
         kept = project_on_determined(information, sums[:, 9], LEAST_INFORMATION)
         gradients = np.einsum("pij,pj->pi", kept, sums[:, 6:9])
-        return SurfaceMatches(kept @ information @ kept, gradients, sums[:, 9].astype(np.int64))
+        return SurfaceMatches(kept @ information @ kept, gradients, sums[:, 9].astype(np.int64), sums[:, 10])

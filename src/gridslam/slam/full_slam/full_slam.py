@@ -65,6 +65,8 @@ class LoopClosureSummary:
         Candidate trajectories of the final refinement, by name (see `Candidate`).
     selected : str
         Name of the one that is the answer.
+    sharpness_m : float or None, m
+        rms distance of the key scans' points to the surfaces that other visits have seen; None without such.
     """
 
     closures: IntArray
@@ -78,6 +80,7 @@ class LoopClosureSummary:
     max_correction_m: float
     candidates: dict[str, TrajectoryScore]
     selected: str
+    sharpness_m: float | None
 
     @property
     def count(self) -> int:
@@ -241,4 +244,5 @@ def _summarize(
         max_correction_m=float(np.hypot(*(best.graph.poses - trajectory)[:, :2].T).max()),
         candidates=refined.scores,
         selected=best.name,
+        sharpness_m=refined.sharpness_m,
     )

@@ -11,6 +11,7 @@ import numpy as np
 from gridslam.geometry.se2 import between
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.matching.sharpness import measure_sharpness
 from gridslam.matching.surfaces import Surfaces
 from gridslam.slam.full_slam.component_alignment import align_components
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
@@ -132,6 +133,8 @@ class RefinementResult:
     measured : PoseGraph
         All that determines the best trajectory, by which its poses are uncertain: its graph, with the weights of the
         robust estimate and the surfaces.
+    sharpness_m : float or None, m
+        See `measure_sharpness`.
     """
 
     best: Candidate
@@ -139,6 +142,7 @@ class RefinementResult:
     maps: TileMaps
     scores: dict[str, TrajectoryScore]
     measured: PoseGraph
+    sharpness_m: float | None
 
 
 _MAX_ROUNDS = 2
@@ -215,7 +219,8 @@ def refine_trajectory(
     frozen = sum(len(drive.keys) for drive in drives if int(drive.keys[-1]) < graph.frozen)
     keys = np.concatenate([drive.keys for drive in drives])[frozen:]
     poses[frozen:] = match_scans(poses[frozen:], keys, scans, surfaces, key_poses)
-    return RefinementResult(selection.best, poses, selection.maps, selection.scores, measured)
+    sharpness_m = measure_sharpness(surfaces, key_poses)
+    return RefinementResult(selection.best, poses, selection.maps, selection.scores, measured, sharpness_m)
 
 
 @final
