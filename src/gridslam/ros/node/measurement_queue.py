@@ -111,6 +111,7 @@ class MeasurementQueue:
         self._warn = warn
         self._clock = clock
         self._changed = threading.Condition()
+        self._caught_up_s = clock()  # when the filter last waited
         self._scans: deque[_Waiting] = deque()
         self._calls: deque[Callable[[], None]] = deque()
         self._session_end: SessionEnd | None = None
@@ -200,6 +201,7 @@ class MeasurementQueue:
                 if accepted is not None:
                     return accepted
                 self._changed.wait(wait_s)
+                self._caught_up_s = self._clock()
 
     def _take_session_end(self) -> SessionEnd:
         why = self._session_end
@@ -346,9 +348,10 @@ class MeasurementQueue:
             self._warn("late scans", f"{late}: it is late, or the clocks differ")
 
     def _drop_old(self, now_s: float) -> None:
-        """Drop the oldest scans beyond the limits of the queue."""
-        scans = self._scans
-        while len(scans) > self._settings.queue_scans or now_s - scans[0].arrived_s > self._settings.queue_s:
+        """Drop the oldest scans beyond the limits of the queue: what came in a pause the filter can catch up with."""
+        scans, settings = self._scans, self._settings
+        queue_s = settings.queue_s if now_s - self._caught_up_s > settings.catch_up_s else math.inf
+        while len(scans) > settings.queue_scans or now_s - scans[0].arrived_s > queue_s:
             self._discard()
             self.counts.dropped += 1
 
