@@ -208,10 +208,8 @@ class MeasurementQueue:
         assert why is not None
         if why is not SessionEnd.CLOSED:
             self._session_end = None
-        self._odometry = None
         self._pending_jump = False
-        self._latest_ns.clear()
-        self._forget_start()
+        self._forget_scans()
         return why
 
     def _next_measurement(self) -> tuple[AcceptedScan | SessionEnd | None, float | None]:
@@ -234,9 +232,7 @@ class MeasurementQueue:
                 continue
             if waiting.after_jump and not self._continues(accepted.measurement.odometry):
                 self._scans[0] = waiting._replace(after_jump=False)
-                self._odometry = None
-                self._latest_ns.clear()
-                self._forget_start()
+                self._forget_scans()
                 return SessionEnd.JUMP, None
             self._scans.popleft()
             self.counts.accepted += 1
@@ -267,7 +263,10 @@ class MeasurementQueue:
         else:
             self._refuse("missing transform", str(missing))
 
-    def _forget_start(self) -> None:
+    def _forget_scans(self) -> None:
+        """Forget the scans that were taken, as those of a new session are compared with none of them."""
+        self._odometry = None
+        self._latest_ns.clear()
         self._has_begun = False
         self._held = ""
 

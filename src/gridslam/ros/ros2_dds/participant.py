@@ -47,24 +47,17 @@ class DdsParticipant:
 
     Parameters
     ----------
-    domain : int
-        ROS_DOMAIN_ID.
-    interfaces : sequence of str
-        Addresses or names of the network interfaces; if empty, all.
-    on_mismatch : callable
-        Called with an incompatibility of another program, so that nothing passes: "quality of service" or "message
-        type", the topic, and a description.
+    domain, interfaces, on_mismatch, peers
+        As of `Participant`.
     node : (str, str)
         Namespace and name of the node, as others list it; no name: it is not listed.
-    peers : sequence of str
-        Addresses of machines that multicast does not reach.
     encoder : MessageEncoder, optional
         Of the messages, requests and replies; a new one if not given.
 
     Attributes
     ----------
     encoder : MessageEncoder
-        Of the messages, requests and replies.
+        As given.
 
     Raises
     ------

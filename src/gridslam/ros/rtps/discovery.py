@@ -83,9 +83,9 @@ def encode_endpoint(
     return PL_CDR_LE + encode_parameters(values)
 
 
-def encode_gone(name: int, guid: Guid) -> tuple[bytes, bytes]:
-    """Return payload and inline QoS that state that a participant or endpoint is gone."""
-    key = PL_CDR_LE + encode_parameters([(name, guid)])
+def encode_gone(guid: Guid) -> tuple[bytes, bytes]:
+    """Return payload and inline QoS that state that a participant is gone."""
+    key = PL_CDR_LE + encode_parameters([(PARTICIPANT_GUID, guid)])
     return key, encode_parameters([(0x70, guid), (_STATUS, b"\0\0\0\3")])
 
 

@@ -61,7 +61,7 @@ class Participant:
     Parameters
     ----------
     domain : int
-        ROS_DOMAIN_ID.
+        ROS_DOMAIN_ID, from 0 to 232.
     interfaces : sequence of str
         Network interfaces by name or address; if empty, all.
     peers : sequence of str
@@ -157,7 +157,7 @@ class Participant:
             end_s = time.monotonic() + _LINGER_S
             while time.monotonic() < end_s and not all(writer.is_acknowledged for writer in self._writers.values()):
                 time.sleep(0.01)
-            key, parameters = discovery.encode_gone(discovery.PARTICIPANT_GUID, self.guid)
+            key, parameters = discovery.encode_gone(self.guid)
             gone = encode_data(_SPDP_READER, _SPDP_WRITER, 2, key, parameters, is_key=True)
             self._broadcast(gone)
         self._closed.set()
@@ -303,11 +303,9 @@ class Participant:
         """Forget a participant with its endpoints."""
         if self._others.pop(prefix, None) is None:
             return
-        for guid in [guid for guid in self._known if guid[:12] == prefix]:
+        builtin = [prefix + entity for entity in (*_PUBLICATIONS, *_SUBSCRIPTIONS)]
+        for guid in [*(guid for guid in self._known if guid[:12] == prefix), *builtin]:
             self._forget(guid)
-        for writer, reader in (_PUBLICATIONS, _SUBSCRIPTIONS):
-            self._writers[writer].unmatch(prefix + reader)
-            self._readers[reader].unmatch(prefix + writer)
 
     def _forget(self, guid: Guid) -> None:
         self._known.pop(guid, None)
