@@ -56,7 +56,7 @@ def test_transforms_at_200_hz_and_scans_at_40_hz(start, robot, drive, clock_hz, 
 
 
 def test_no_scan_is_lost_where_the_machine_pauses_the_node(start, robot, drive):
-    """All that has come meanwhile comes at once; in a pause of 1 s Fast DDS's shared memory loses scans."""
+    """All that has come in the pause comes at once; in one of 1 s Fast DDS's shared memory loses scans."""
     node = start()
     assert robot.meets()
     for after_s, number in ((0.5, signal.SIGSTOP), (1.3, signal.SIGCONT)):
