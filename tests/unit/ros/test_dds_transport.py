@@ -98,9 +98,11 @@ def test_publishers_are_named_by_their_nodes():
         assert until(arrives_named)
         for writer in wheels._graph:  # of both layouts
             (payload,) = (stored.payload for stored in writer._history.values())
-            assert decode_graph(payload) == {wheels._guids[1][0]: "/robot1/wheels"}
-            assert [decode_graph(payload[:end]) for end in range(len(payload) - 4)] == [{}] * (len(payload) - 4)
-        assert decode_graph(b"\0\1\0\0" + b"\xff" * 200) == {}
+            assert decode_graph(wheels.encoder, payload) == {wheels._guids[1][0]: "/robot1/wheels"}
+            assert [decode_graph(wheels.encoder, payload[:end]) for end in range(len(payload) - 4)] == [{}] * (
+                len(payload) - 4
+            )
+        assert decode_graph(wheels.encoder, b"\0\1\0\0" + b"\xff" * 200) == {}
     finally:
         wheels.close()
         other.close()

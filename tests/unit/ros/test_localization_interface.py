@@ -243,9 +243,7 @@ def test_quality_of_service_is_overridden_as_in_ros(tmp_path):
 
 def test_a_managed_node_changes_its_state_as_ros_s():
     calls, events = [], []
-    lifecycle = LifecycleServices(
-        lambda active: calls.append(active), lambda: calls.append("cleaned"), events.append, lambda: 5
-    )
+    lifecycle = LifecycleServices(lambda active: calls.append(active), lambda: calls.append("cleaned"), events.append)
     services = lifecycle.services()
 
     def change(number=0, label=""):
@@ -263,10 +261,10 @@ def test_a_managed_node_changes_its_state_as_ros_s():
     assert services["get_state"][1](None) == ((4, "finalized"),)
     assert calls == [False, True, False, "cleaned", False]
     assert events[2:4] == [
-        (5, (3, "activate"), (2, "inactive"), (13, "activating")),
-        (5, (30, "transition_success"), (13, "activating"), (3, "active")),
+        ((3, "activate"), (2, "inactive"), (13, "activating")),
+        ((30, "transition_success"), (13, "activating"), (3, "active")),
     ]
     assert len(services["get_available_states"][1](None)[0]) == 11
     assert len(services["get_transition_graph"][1](None)[0]) == 25
     encoder = ENCODERS["ROS 2"]
-    assert encoder.encode("lifecycle_msgs/TransitionEvent", *events[1])[4:12] == struct.pack("<Q", 5)
+    assert encoder.encode("lifecycle_msgs/TransitionEvent", 5, *events[1])[4:12] == struct.pack("<Q", 5)

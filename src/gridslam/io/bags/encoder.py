@@ -106,7 +106,7 @@ class MessageEncoder:
         for (_, kind, length), value in zip(self.fields(message_type), values, strict=True):
             if "/" not in kind:
                 is_plain = length is None or kind == "string"
-                made.append(value if is_plain else np.asarray(value, "uint8" if kind == "byte" else kind))
+                made.append(value if is_plain else np.asarray(value, "uint8" if kind in ("byte", "char") else kind))
             elif length is None:
                 made.append(self._make(kind, value))
             else:

@@ -6,7 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, TimeoutError
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -169,13 +169,13 @@ class NodeCore:
 
     def await_input(self, scans: str, frames: str = "") -> None:
         """Report the topic of the scans, and the frames whose transform the node needs besides."""
-        self._publisher.awaited = f"scans on {scans}" + (f" and {frames}" if frames else "")
-        self._publisher.scans_on = scans
+        self._publisher.facts.awaited = f"scans on {scans}" + (f" and {frames}" if frames else "")
+        self._publisher.facts.scans_on = scans
         self._publisher.log_state()
 
     def note_outage(self, outage: str) -> None:
         """Note the loss of a part of ROS, such as its master; an empty text if nothing is lost."""
-        self._publisher.outage = outage
+        self._publisher.facts.outage = outage
 
     def start(self) -> None:
         """Start the node's threads and accept messages."""
@@ -196,7 +196,7 @@ class NodeCore:
             if thread.ident is not None:
                 thread.join()
         if self.failure is None:
-            self._publisher.is_closed = True
+            self._publisher.facts.is_closed = True
             with suppress(Exception):  # of who looks on: what was mapped is written all the same
                 self._report_state(lambda call: call())
         if self._renderer is not None:
@@ -431,7 +431,7 @@ class NodeCore:
                 self._end_session()
         except BaseException as error:  # report any error of the thread
             self.failure = error
-            self._publisher.failure = f"{type(error).__name__}: {error}"
+            self._publisher.facts.failure = f"{type(error).__name__}: {error}"
             self._report_state(lambda call: call())
         finally:
             self.ended.set()
@@ -457,10 +457,8 @@ class NodeCore:
         self._begin_session()
         if is_begun and not is_carried:  # what is recorded is split by `gridslam map` where the node has
             self._close_record()
-            try:
+            with self._reporting("record"):
                 self._begin_record()
-            except OutputError as error:
-                self._warn("record", str(error))
 
     def _run_session(self) -> bool:
         """Map until the session ends; return whether another one follows."""
@@ -505,13 +503,11 @@ class NodeCore:
         on_jump = None if goes_on or end not in _UNASKED or self.mapped_session is None else self._on_jump
         if on_jump is None and not goes_on:
             return
-        try:
+        with self._reporting("session not saved"):
             if on_jump is not None:
                 on_jump(self._copy_mapped())
             if self._autosave is not None:
                 self._autosave.note_kept()
-        except Exception as error:
-            self._warn("session not saved", describe_error(error))
 
     def _report_failure(self, failed: FailedStep) -> None:
         self._warn("scan failed", str(failed))
@@ -540,28 +536,26 @@ class NodeCore:
                 self._record_scan(item)
                 self._certain.extend(self._number(item))
                 continue
-            try:
+            with self._reporting("request failed"):
                 item()
-            except Exception as error:
-                self._warn("request failed", describe_error(error))
 
     def _number(self, accepted: AcceptedScan) -> list[tuple[int, AcceptedScan]]:
         """Return the scans whose drive is certain from this one on; without loop closure no robot is relocalized."""
         measurement = accepted.measurement
-        try:
+        with self._reporting("checks failed"):
             if isinstance(self.configuration, Configuration) and self.configuration.loop_closure is not None:
                 return self._numbering.take(accepted, measurement)
             for finding in self._breaks.take(measurement):
                 self._warn_of(finding)
-        except Exception as error:  # a check must not end the map
-            self._warn("checks failed", describe_error(error))
         return [*self._numbering.end(), (self._drive, accepted)]
 
     def _begin_step(self, accepted: AcceptedScan) -> Measurement:
-        """Note a scan that the filter processes next."""
+        """Note a scan that the filter processes next, and warn of what the doctor finds where the session begins."""
         if isinstance(self._session, Session):
             self._session.add(accepted)
-        self._report_findings(accepted.measurement)
+        with self._reporting("checks failed"):
+            for finding in self._check.take(accepted.measurement):
+                self._warn_of(finding)
         self._publisher.set_measurement(accepted)
         return accepted.measurement
 
@@ -574,13 +568,13 @@ class NodeCore:
             self._close_record()
             self._warn("record", describe_error(error))
 
-    def _report_findings(self, measurement: Measurement) -> None:
-        """Warn of what the doctor finds in the beginning of the session."""
+    @contextmanager
+    def _reporting(self, kind: str) -> Iterator[None]:
+        """Report an exception, and go on: only the filter itself may end the map."""
         try:
-            for finding in self._check.take(measurement):
-                self._warn_of(finding)
-        except Exception as error:  # a check must not end the map
-            self._warn("checks failed", describe_error(error))
+            yield
+        except Exception as error:
+            self._warn(kind, describe_error(error))
 
     def _warn_of(self, finding: Finding) -> None:
         self._warn(finding.code, f"{finding.message} {finding.remedy}".rstrip())
@@ -658,7 +652,5 @@ class NodeCore:
 
     def _run_timer(self, period_s: float, callback: Callable[[], None]) -> None:
         while not self.ended.wait(period_s):
-            try:
+            with self._reporting("publishing failed"):
                 callback()
-            except Exception as error:
-                self._warn("publishing failed", describe_error(error))

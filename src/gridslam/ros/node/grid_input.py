@@ -25,8 +25,23 @@ def grid_of(message: Any) -> GridMessage:  # noqa: ANN401
     place, turn = info.origin.position, info.origin.orientation
     origin = place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w
     cells = np.asarray(message.data, np.int8)
-    frame = message.header.frame_id.lstrip("/")
-    return _make(frame, info.resolution, (info.width, info.height), origin, cells)
+    width, height, resolution = info.width, info.height, info.resolution
+    if not (0 < width * height == len(cells) <= _MAX_CELLS and 0 < resolution < math.inf):
+        raise MessageError(f"a map of {width} x {height} cells of {resolution:g} m with {len(cells)} values")
+    if not all(map(math.isfinite, origin)):
+        raise MessageError(f"a map with the origin {origin}")
+    if max(abs(value) for value in origin[3:5]) > _ALMOST_ZERO:
+        raise MessageError(f"a map that is tilted, by the quaternion {origin[3:]}")
+    if cells.min() < -1 or cells.max() > 100:
+        raise MessageError("a map with values that are not between -1 and 100")
+    corner = origin[0], origin[1]
+    own = cells.reshape(height, width)
+    yaw = 2 * math.atan2(origin[5], origin[6])
+    if abs(yaw) > _ALMOST_ZERO:
+        if count_turned_cells(own.shape, yaw) > _MAX_CELLS:
+            raise MessageError(f"a map of {width} x {height} cells that is turned by {yaw:g} rad")
+        own, corner = turn_cells(own, resolution, corner, yaw, -1)
+    return GridMessage(0, message.header.frame_id.lstrip("/"), float(resolution), corner, own)
 
 
 def pose_of(message: Any) -> FloatArray:  # noqa: ANN401
@@ -43,29 +58,3 @@ def make_occupancy_grid(message: GridMessage) -> OccupancyGrid:
     probability = (1 - _SURE) / 2 + _SURE * np.arange(101) / 100.0
     log_odds = np.append(np.log(probability / (1 - probability)), 0.0).astype(np.float32)  # the last: of -1, unknown
     return OccupancyGrid(log_odds[message.cells], message.cells >= 0, message.resolution_m, message.origin)
-
-
-def _make(
-    frame: str,
-    resolution: float,
-    size: tuple[int, int],
-    origin: tuple[float, ...],
-    cells: Any,  # noqa: ANN401
-) -> GridMessage:
-    width, height = size
-    if not (0 < width * height == len(cells) <= _MAX_CELLS and 0 < resolution < math.inf):
-        raise MessageError(f"a map of {width} x {height} cells of {resolution:g} m with {len(cells)} values")
-    if not all(map(math.isfinite, origin)):
-        raise MessageError(f"a map with the origin {origin}")
-    if max(abs(value) for value in origin[3:5]) > _ALMOST_ZERO:
-        raise MessageError(f"a map that is tilted, by the quaternion {origin[3:]}")
-    if cells.min() < -1 or cells.max() > 100:
-        raise MessageError("a map with values that are not between -1 and 100")
-    corner = origin[0], origin[1]
-    own = cells.reshape(height, width)
-    yaw = 2 * math.atan2(origin[5], origin[6])
-    if abs(yaw) > _ALMOST_ZERO:
-        if count_turned_cells(own.shape, yaw) > _MAX_CELLS:
-            raise MessageError(f"a map of {width} x {height} cells that is turned by {yaw:g} rad")
-        own, corner = turn_cells(own, resolution, corner, yaw, -1)
-    return GridMessage(0, frame, float(resolution), corner, own)

@@ -111,6 +111,7 @@ class MeasurementQueue:
         self._warn = warn
         self._clock = clock
         self._changed = threading.Condition()
+        self._caught_up_s = clock()  # when the filter last waited
         self._scans: deque[_Waiting] = deque()
         self._calls: deque[Callable[[], None]] = deque()
         self._session_end: SessionEnd | None = None
@@ -200,16 +201,15 @@ class MeasurementQueue:
                 if accepted is not None:
                     return accepted
                 self._changed.wait(wait_s)
+                self._caught_up_s = self._clock()
 
     def _take_session_end(self) -> SessionEnd:
         why = self._session_end
         assert why is not None
         if why is not SessionEnd.CLOSED:
             self._session_end = None
-        self._odometry = None
         self._pending_jump = False
-        self._latest_ns.clear()
-        self._forget_start()
+        self._forget_scans()
         return why
 
     def _next_measurement(self) -> tuple[AcceptedScan | SessionEnd | None, float | None]:
@@ -232,9 +232,7 @@ class MeasurementQueue:
                 continue
             if waiting.after_jump and not self._continues(accepted.measurement.odometry):
                 self._scans[0] = waiting._replace(after_jump=False)
-                self._odometry = None
-                self._latest_ns.clear()
-                self._forget_start()
+                self._forget_scans()
                 return SessionEnd.JUMP, None
             self._scans.popleft()
             self.counts.accepted += 1
@@ -265,7 +263,10 @@ class MeasurementQueue:
         else:
             self._refuse("missing transform", str(missing))
 
-    def _forget_start(self) -> None:
+    def _forget_scans(self) -> None:
+        """Forget the scans that were taken, as those of a new session are compared with none of them."""
+        self._odometry = None
+        self._latest_ns.clear()
         self._has_begun = False
         self._held = ""
 
@@ -346,9 +347,10 @@ class MeasurementQueue:
             self._warn("late scans", f"{late}: it is late, or the clocks differ")
 
     def _drop_old(self, now_s: float) -> None:
-        """Drop the oldest scans beyond the limits of the queue."""
-        scans = self._scans
-        while len(scans) > self._settings.queue_scans or now_s - scans[0].arrived_s > self._settings.queue_s:
+        """Drop the oldest scans beyond the limits of the queue: what came in a pause the filter can catch up with."""
+        scans, settings = self._scans, self._settings
+        queue_s = settings.queue_s if now_s - self._caught_up_s > settings.catch_up_s else math.inf
+        while len(scans) > settings.queue_scans or now_s - scans[0].arrived_s > queue_s:
             self._discard()
             self.counts.dropped += 1
 

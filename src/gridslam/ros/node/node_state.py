@@ -33,7 +33,7 @@ class NodeState(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class NodeFacts:
     """Facts from which the state is found.
 
@@ -58,7 +58,7 @@ class NodeFacts:
         Why the filter ended; empty while it runs.
     """
 
-    now_s: float
+    now_s: float = 0.0
     awaited: str = "scans"
     scans_on: str = "scan"
     received_s: float | None = None

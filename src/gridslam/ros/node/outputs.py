@@ -85,15 +85,12 @@ class EncodedOutputs:
         header = self._encoder.header("map_updates", message.stamp_ns, message.frame)
         self._send("map_updates", header, message.x, message.y, width, height, message.cells.ravel())
 
-    def pose(self, message: PoseMessage) -> None:
-        """Publish on ~/pose."""
-        self._send_pose("~/pose", message)
-
     def updated_pose(self, message: PoseMessage) -> None:
         """Publish on amcl_pose."""
-        self._send_pose("amcl_pose", message)
+        self.pose(message, "amcl_pose")
 
-    def _send_pose(self, topic: str, message: PoseMessage) -> None:
+    def pose(self, message: PoseMessage, topic: str = "~/pose") -> None:
+        """Publish a pose with its covariance."""
         x, y, theta = message.pose.tolist()
         covariance = np.zeros((6, 6))
         covariance[np.ix_((0, 1, 5), (0, 1, 5))] = message.covariance

@@ -162,9 +162,10 @@ class NodeSettings:
     extrapolate_s, extrapolate_after_s : float, s
         If a scan has waited for its odometry by the latter, the odometry is extrapolated with its velocity, by the
         former at most (the period of 10 Hz and a half); 0: it waits.
-    queue_s, queue_scans : float in s, int
-        Limits of the queue: scans older than the newest by more than this, or beyond this number, are dropped, oldest
-        first: the filter is never further behind. Half a second bridges the correction of a loop.
+    queue_s, catch_up_s, queue_scans : float in s, float in s, int
+        Limits of the queue. Where the filter has not caught up with the scans for `catch_up_s`, those older than the
+        newest by more than `queue_s` are dropped, and at any time those beyond this number, oldest first: a machine
+        that is too slow is never further behind, and one that pauses loses no scan. Transforms are kept for 10 s.
     jump_s : float, s
         Time has jumped back if two scans in a row are stamped this much before the last one.
     map_values : str
@@ -189,7 +190,8 @@ class NodeSettings:
     extrapolate_s: float = Field(default=0.15, ge=0, le=1)
     extrapolate_after_s: float = Field(default=0.03, ge=0)
     queue_s: float = Field(default=0.75, gt=0)
-    queue_scans: int = Field(default=100, ge=1)
+    catch_up_s: float = Field(default=8.0, ge=0)
+    queue_scans: int = Field(default=1000, ge=1)
     jump_s: float = Field(default=1.0, gt=0)
     map_values: Literal["trinary", "probability"] = "trinary"
     map_updates: bool = False

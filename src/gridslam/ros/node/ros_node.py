@@ -34,7 +34,7 @@ __all__ = ["RosNode", "save_results", "set_pose_from_message"]
 _POSE = TOPICS["~/pose"]
 _PAUSED = "paused_new_measurements"
 _SAVE_AS = "save_as"
-_SCANS_DEPTH, _TRANSFORMS_DEPTH = 200, 1000  # what a pause of some seconds may hold up
+_SCANS_DEPTH, _TRANSFORMS_DEPTH = 500, 2500  # what a pause of some seconds may hold up
 _PLANAR = np.ix_((0, 1, 5), (0, 1, 5))  # x, y and yaw of x, y, z, roll, pitch, yaw
 _EMPTY_MAP: Final = GridMessage(0, "", 0.0, (0.0, 0.0), np.zeros((0, 0), np.int8))
 

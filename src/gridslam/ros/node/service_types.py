@@ -10,11 +10,23 @@ from typing import Final
 
 from gridslam.io.bags.encoder import MessageEncoder
 
-__all__ = ["BODY", "service_encoder"]
+__all__ = ["BODY", "GRAPH", "GRAPH_FROM_IRON", "service_encoder"]
 
 BODY: Final = "Body"
 """Suffix of the types without the header that rmw_cyclonedds puts before requests and responses."""
 
+GRAPH: Final = "rmw_dds_common/ParticipantEntitiesInfo"
+GRAPH_FROM_IRON: Final = f"{GRAPH}16"
+"""The graph of nodes, whose GIDs have 24 bytes up to Humble, and 16 from Iron on."""
+
+_GRAPH_TYPES: Final = {
+    "rmw_dds_common/Gid16": "uint8[16] data",
+    "rmw_dds_common/Node16": (
+        "string node_namespace\nstring node_name\n"
+        "rmw_dds_common/Gid16[] reader_gid_seq\nrmw_dds_common/Gid16[] writer_gid_seq"
+    ),
+    GRAPH_FROM_IRON: "rmw_dds_common/Gid16 gid\nrmw_dds_common/Node16[] node_entities_info_seq",
+}
 _REQUEST_HEADER: Final = "uint64 guid\nint64 sequence\n"
 _EMPTY: Final = "uint8 structure_needs_at_least_one_member"
 _NAMES: Final = "string[] names"
@@ -59,6 +71,8 @@ _OF_ROS2: Final[Mapping[str, tuple[str, str]]] = {
 def service_encoder(*, is_ros1: bool = False) -> MessageEncoder:
     """Return an encoder that knows the requests and responses, `PACKAGE/NAME_Request` with rmw_cyclonedds's header."""
     encoder = MessageEncoder(is_ros1=is_ros1)
+    for name, definition in _GRAPH_TYPES.items():
+        encoder.define(name, definition)
     empty = "" if is_ros1 else _EMPTY
     for name, definitions in (_OF_BOTH if is_ros1 else {**_OF_BOTH, **_OF_ROS2}).items():
         for side, definition in zip(("Request", "Response"), definitions, strict=True):

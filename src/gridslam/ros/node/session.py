@@ -77,6 +77,7 @@ class LocalizationSession:
         self._rng = np.random.default_rng(seed)
         assert localization.known is not None
         self._mcl = MonteCarloLocalization(localization.known, localization.configuration)
+        self.init = self._mcl.init
         self.state = self._make_state(localization.initial_pose)
         self._next_state: MonteCarloState | None = None
         self._updates_always = False
@@ -92,11 +93,6 @@ class LocalizationSession:
     def run(self, source: Iterator[Measurement], observers: Sequence[Any], on_failure: FailureCallback) -> None:
         """Run the filter on all measurements of a source; scans at which it fails are skipped."""
         run(source, self, rng=self._rng, observers=observers, state=self.state, on_failure=on_failure)
-
-    @property
-    def init(self) -> Callable[..., MonteCarloState]:
-        """Begin: see `MonteCarloLocalization.init`."""
-        return self._mcl.init
 
     def step(
         self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator

@@ -147,11 +147,10 @@ class SessionServices:
             The session cannot be read, or the pose is not in its map.
         """
         path = self._session_path(name)
-        origin = np.zeros(3)
-        begin = None if match is MatchType.UNSET else origin if match is MatchType.START_AT_FIRST_NODE else pose
-        place = Place.AUTO if match is MatchType.UNSET else Place.ELSEWHERE
-        if match is not MatchType.UNSET and begin is None:
-            begin = origin
+        place, begin = Place.AUTO, None
+        if match is not MatchType.UNSET:
+            is_origin = pose is None or match is MatchType.START_AT_FIRST_NODE
+            place, begin = Place.ELSEWHERE, np.zeros(3) if is_origin else pose
         continued = Continued.read(path, self._core.settings.threads, place, begin)
         if match is MatchType.LOCALIZE_AT_POSE:
             drives = SavedDrives.of(continued.saved, threads=self._core.settings.threads)

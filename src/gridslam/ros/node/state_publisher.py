@@ -6,6 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, TypeAlias, final
 
 import numpy as np
@@ -55,14 +56,8 @@ class StatePublisher:
 
     Attributes
     ----------
-    awaited, scans_on : str
-        What the node waits for, and the topic of the scans.
-    outage : str
-        What the transport has lost, such as ROS's master; empty if nothing.
-    failure : str
-        Why the filter ended; empty while it runs.
-    is_closed : bool
-        Whether the node has ended.
+    facts : NodeFacts
+        Facts of which the node's state is found; those that this does not know are set by others.
     """
 
     def __init__(
@@ -93,9 +88,7 @@ class StatePublisher:
         self._arrived_s = 0.0
         self._latencies: deque[float] = deque(maxlen=_MAX_LATENCIES)
         self._logged: NodeState | None = None
-        self.awaited, self.scans_on = "scans", "scan"
-        self.outage = self.failure = ""
-        self.is_closed = False
+        self.facts = NodeFacts()
         self.sessions = 0
 
     def start_session(self) -> None:
@@ -259,20 +252,16 @@ class StatePublisher:
         offset_s = now_s - time.perf_counter()  # the clock may be set while the node runs
         received_s = self._queue.received_s
         localized = report if isinstance(report, LocalizationReport) else None
-        facts = NodeFacts(
+        facts = replace(
+            self.facts,
             now_s=now_s,
-            awaited=self.awaited,
-            scans_on=self.scans_on,
             received_s=None if received_s is None else received_s + offset_s,
             accepted_s=None if report is None else self._arrived_s + offset_s,
             missing_transform=self._queue.missing_transform,
-            outage=self.outage,
             is_paused=self._queue.is_paused,
             waits_for_map=self._queue.waits_for_map,
             localizes=localized is not None,
             lost=report is not None and bool(report.lost),
             looking=localized is not None and localized.looking,
-            is_closed=self.is_closed,
-            failure=self.failure,
         )
         return find_state(facts)

@@ -64,22 +64,15 @@ class LifecycleServices:
     clean_up : callable
         Called when the node is to forget what it has.
     publish : callable
-        Called with the values of lifecycle_msgs/TransitionEvent at each transition.
-    now_ns : callable
-        The node's clock.
+        Called with the values of lifecycle_msgs/TransitionEvent after its stamp at each transition.
     """
 
     def __init__(
-        self,
-        activate: Callable[[bool], None],
-        clean_up: Callable[[], None],
-        publish: Callable[[Values], None],
-        now_ns: Callable[[], int],
+        self, activate: Callable[[bool], None], clean_up: Callable[[], None], publish: Callable[[Values], None]
     ) -> None:
         self._activate = activate
         self._clean_up = clean_up
         self._publish = publish
-        self._now_ns = now_ns
         self._state = 1
 
     def services(self) -> dict[str, tuple[str, Callable[[Any], Sequence[Any]]]]:
@@ -121,7 +114,7 @@ class LifecycleServices:
     def _enter(self, state: int, number: int, label: str) -> None:
         """Enter a state, and report the transition to it."""
         before, self._state = self._state, state
-        self._publish((self._now_ns(), (number, label), _describe(before), _describe(state)))
+        self._publish(((number, label), _describe(before), _describe(state)))
 
 
 def _describe(state: int) -> Values:

@@ -104,10 +104,10 @@ class Ros2Transport(Transport):
         """Offer the services of a managed node: it maps while it is active, and forgets when it is cleaned up."""
 
         def publish(values: Values) -> None:
-            self._send(_TRANSITION_EVENT, *values)
+            self._send(_TRANSITION_EVENT, self._now_ns(), *values)
 
         self._add_publisher(_TRANSITION_EVENT, _TYPES[_TRANSITION_EVENT], latched=False, depth=10)
-        lifecycle = LifecycleServices(lambda active: core.pause(not active), core.reset, publish, self._now_ns)
+        lifecycle = LifecycleServices(lambda active: core.pause(not active), core.reset, publish)
         for name, (kind, serve) in lifecycle.services().items():
             self.advertise(f"~/{name}", kind, serve)
 

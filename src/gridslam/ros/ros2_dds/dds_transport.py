@@ -35,14 +35,10 @@ class DdsTransport(Ros2Transport):
     ----------
     arguments : RosArguments
         Names and remappings.
-    domain : int
-        ROS_DOMAIN_ID.
-    interfaces : sequence of str
-        Network interfaces; if empty, the library chooses them.
     simulated : bool
         Whether to use the time of /clock.
-    peers : sequence of str
-        Addresses of machines that multicast does not reach.
+    domain, interfaces, peers
+        As of `gridslam.ros.rtps.participant.Participant`.
     """
 
     def __init__(
@@ -82,11 +78,9 @@ class DdsTransport(Ros2Transport):
     def advertise(self, service: str, kind: str, serve: Serve, *, slow: bool = False) -> None:
         """Offer a service; a slow one answers in a thread of its own."""
         name = self.resolve(service)
-
-        def refuse(problem: str) -> None:
-            self._refuse("request", f"{name}: {problem}")
-
-        self._participant.add_service(name, kind, serve, refuse, slow=slow)
+        self._participant.add_service(
+            name, kind, serve, lambda problem: self._refuse("request", f"{name}: {problem}"), slow=slow
+        )
 
     def spin(self, ended: threading.Event) -> Iterator[str]:
         """Deliver messages until the event is set."""

@@ -8,14 +8,16 @@ from __future__ import annotations
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, Final, final
+
+import numpy as np
 
 from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.io.bags.ros_messages import MessageError
 from gridslam.pipeline import describe_error
-from gridslam.ros.node.service_types import BODY, service_encoder
+from gridslam.ros.node.service_types import BODY, GRAPH, GRAPH_FROM_IRON, service_encoder
 from gridslam.ros.node.transport import Handler, Serve
 from gridslam.ros.rtps.endpoints import RemoteEndpoint, Sample
 from gridslam.ros.rtps.participant import Participant
@@ -28,8 +30,10 @@ __all__ = ["DdsParticipant", "decode_graph"]
 _CYCLONE: Final = b"\1\x10"
 """Vendor of Eclipse Cyclone DDS, whose rmw puts a header before requests and replies."""
 
-_GRAPH, _GRAPH_TYPE = "ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"
-_GID_BYTES = 24, 16  # up to Humble; from Iron on, whose endpoints state the hash of their type
+_GRAPH: Final = "ros_discovery_info"
+_GRAPHS: Final = {GRAPH: 24, GRAPH_FROM_IRON: 16}
+"""Bytes of a GID by the type of the graph of nodes."""
+
 _TYPE_HASH: Final = b"typehash="
 _MATCH_S: Final = 1.0
 _MAX_NAMES: Final = 500  # participants whose nodes are known by name
@@ -43,24 +47,17 @@ class DdsParticipant:
 
     Parameters
     ----------
-    domain : int
-        ROS_DOMAIN_ID.
-    interfaces : sequence of str
-        Addresses or names of the network interfaces; if empty, all.
-    on_mismatch : callable
-        Called with an incompatibility of another program, so that nothing passes: "quality of service" or "message
-        type", the topic, and a description.
+    domain, interfaces, on_mismatch, peers
+        As of `Participant`.
     node : (str, str)
         Namespace and name of the node, as others list it; no name: it is not listed.
-    peers : sequence of str
-        Addresses of machines that multicast does not reach.
     encoder : MessageEncoder, optional
         Of the messages, requests and replies; a new one if not given.
 
     Attributes
     ----------
     encoder : MessageEncoder
-        Of the messages, requests and replies.
+        As given.
 
     Raises
     ------
@@ -84,12 +81,11 @@ class DdsParticipant:
         self._guids: tuple[list[bytes], list[bytes]] = [], []  # of readers and writers
         self._graph: list[Writer] = []
         self._names: dict[bytes, dict[bytes, str]] = {}  # of each participant the nodes of its writers
-        self._participant.add_reader(_GRAPH, _GRAPH_TYPE, Qos(latched=True, depth=_MAX_NAMES), self._note_names)
+        ends = _GRAPH, _type_name(GRAPH)
+        self._participant.add_reader(*ends, Qos(latched=True, depth=_MAX_NAMES), self._note_names)
         if node[1]:
             qos = Qos(latched=True, depth=1)
-            self._graph = [
-                self._participant.add_writer(_GRAPH, _GRAPH_TYPE, qos, only) for only in (_is_old_ros, _is_new_ros)
-            ]
+            self._graph = [self._participant.add_writer(*ends, qos, only) for only in (_is_old_ros, _is_new_ros)]
 
     def add_writer(self, topic: str, message_type: str, qos: Qos = _DEFAULT) -> None:
         """Add a writer for a DDS topic."""
@@ -111,7 +107,7 @@ class DdsParticipant:
         """Note which writers belong to which node, as the participants of ROS state it."""
         participant = sample.writer[:12]
         self._names.pop(participant, None)
-        names = {} if sample.is_gone else decode_graph(sample.payload)  # none, too, of one that ends
+        names = {} if sample.is_gone else decode_graph(self.encoder, sample.payload)  # none, too, of one that ends
         if names and len(self._names) < _MAX_NAMES:
             self._names[participant] = names
 
@@ -197,9 +193,12 @@ class DdsParticipant:
 
     def _publish_graph(self) -> None:
         """State which readers and writers are the node's, by which `ros2 node list` knows it."""
-        for writer, size in zip(self._graph, _GID_BYTES, strict=False):
-            payload = _encode_graph(self._participant.guid, self._node, self._guids, size)
-            self._participant.write(writer, payload)
+        for writer, (kind, size) in zip(self._graph, _GRAPHS.items(), strict=False):
+            own, *groups = (
+                [(np.frombuffer(guid.ljust(size, b"\0"), np.uint8),) for guid in guids]
+                for guids in ([self._participant.guid], *self._guids)
+            )
+            self._participant.write(writer, self.encoder.encode(kind, *own, [(*self._node, *groups)]))
 
     @staticmethod
     def _is_matched(reply: Writer, sample: Sample) -> bool:
@@ -236,59 +235,17 @@ def _identity(sample: Sample) -> bytes:
     return guid + struct.pack("<iI", sample.sequence >> 32, sample.sequence & 0xFFFFFFFF)
 
 
-def decode_graph(payload: bytes) -> dict[bytes, str]:
-    """Return the full name of each writer's node, from rmw_dds_common/ParticipantEntitiesInfo; none if damaged.
+def decode_graph(encoder: MessageEncoder, payload: bytes) -> dict[bytes, str]:
+    """Return the full name of each writer's node, from the graph of a participant; none if it is damaged.
 
-    GIDs have 24 bytes up to Humble, and 16 from Iron on: that is right by which the message ends where it should.
+    Of the two layouts that one is right by which the message ends where it should.
     """
-    for size in _GID_BYTES:
-        with suppress(struct.error, UnicodeDecodeError, IndexError):
-            names, end = _read_nodes(payload[4:], size, "<" if payload[1] & 1 else ">")
-            if 0 <= len(payload) - 4 - end < 4:
-                return names
+    for kind in _GRAPHS:
+        with suppress(MessageError):
+            nodes = encoder.decode(kind, payload).node_entities_info_seq
+            return {
+                bytes(one.data[:16].tolist()): f"{node.node_namespace.rstrip('/')}/{node.node_name}"
+                for node in nodes
+                for one in node.writer_gid_seq
+            }
     return {}
-
-
-def _read_nodes(data: bytes, size: int, order: str) -> tuple[dict[bytes, str], int]:
-    """Read nodes whose GIDs have this size; returns their writers, and where the message ends."""
-    names: dict[bytes, str] = {}
-    at = size
-
-    def number() -> int:
-        nonlocal at
-        at += -at % 4
-        (value,) = struct.unpack_from(f"{order}I", data, at)
-        at += 4
-        return int(value)
-
-    def text() -> str:
-        nonlocal at
-        length = number()
-        at += length
-        return data[at - length : at - 1].decode()
-
-    for _ in range(number()):
-        space, name = text(), text()
-        readers = number()
-        at += readers * size
-        writers = number()
-        end = at + writers * size
-        for begin in range(at, min(end, len(data)), size):
-            names[data[begin : begin + 16]] = f"{space.rstrip('/')}/{name}"
-        at = end
-    return names, at
-
-
-def _encode_graph(participant: bytes, node: tuple[str, str], guids: Iterable[Iterable[bytes]], size: int) -> bytes:
-    """Encode rmw_dds_common/ParticipantEntitiesInfo, whose GIDs have 24 or 16 bytes."""
-    data = bytearray(participant.ljust(size, b"\0"))
-    data += struct.pack("<I", 1)
-    for text in node:
-        data += bytes(-len(data) % 4)
-        encoded = text.encode() + b"\0"
-        data += struct.pack("<I", len(encoded)) + encoded
-    for group in guids:
-        data += bytes(-len(data) % 4)
-        members = list(group)
-        data += struct.pack("<I", len(members)) + b"".join(guid.ljust(size, b"\0") for guid in members)
-    return b"\0\1\0\0" + bytes(data)

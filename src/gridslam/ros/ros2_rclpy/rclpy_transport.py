@@ -201,19 +201,9 @@ def _init_rclpy(rclpy: Any, arguments: list[str]) -> None:  # noqa: ANN401
 
 
 def run_rclpy(arguments: Sequence[str] = (), options: RunOptions = NO_OPTIONS) -> None:
-    """Run the node until ROS or Ctrl-C shuts it down, then write the results to `out`.
+    """Run the node until ROS or Ctrl-C shuts it down, as `ros2_dds.dds_transport.run_dds` does without ROS.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-        ROS arguments: ``--ros-args -p particles:=80 -r scan:=front/scan --params-file robot.yaml``.
-    options : RunOptions
-        Parameters and viewers.
-
-    Raises
-    ------
-    ConfigurationError
-        ROS 2 is not available, or a parameter is invalid.
+    Raises ConfigurationError if ROS 2 is not available, or a parameter is invalid.
     """
     _init_rclpy(_import("rclpy"), ["gridslam", *arguments])
     node = _import("rclpy.node").Node(

@@ -83,9 +83,9 @@ def encode_endpoint(
     return PL_CDR_LE + encode_parameters(values)
 
 
-def encode_gone(name: int, guid: Guid) -> tuple[bytes, bytes]:
-    """Return payload and inline QoS that state that a participant or endpoint is gone."""
-    key = PL_CDR_LE + encode_parameters([(name, guid)])
+def encode_gone(guid: Guid) -> tuple[bytes, bytes]:
+    """Return payload and inline QoS that state that a participant is gone."""
+    key = PL_CDR_LE + encode_parameters([(PARTICIPANT_GUID, guid)])
     return key, encode_parameters([(0x70, guid), (_STATUS, b"\0\0\0\3")])
 
 
@@ -98,17 +98,14 @@ def decode_list(payload: bytes) -> tuple[dict[int, list[bytes]], str]:
 
 
 def parse_participant(payload: bytes, vendor: bytes, source: str) -> RemoteParticipant:
-    """Return the participant that announces itself, from an address; raises WireError."""
+    """Return the participant that announces itself, from an address; raises WireError or struct.error."""
     parameters, order = decode_list(payload)
     guid = _guid(parameters, PARTICIPANT_GUID)
-    try:
-        lease_s = _DEFAULT_LEASE_S
-        if _LEASE in parameters:
-            seconds, fraction = struct.unpack_from(f"{order}iI", parameters[_LEASE][0])
-            lease_s = min(seconds + fraction * 2.0**-32, 1e9)
-        endpoints = struct.unpack_from(f"{order}I", parameters.get(_ENDPOINTS, [b"\0\0\0\0"])[0])[0]
-    except struct.error as error:
-        raise WireError(str(error)) from None
+    lease_s = _DEFAULT_LEASE_S
+    if _LEASE in parameters:
+        seconds, fraction = struct.unpack_from(f"{order}iI", parameters[_LEASE][0])
+        lease_s = min(seconds + fraction * 2.0**-32, 1e9)
+    endpoints = struct.unpack_from(f"{order}I", parameters.get(_ENDPOINTS, [b"\0\0\0\0"])[0])[0]
     discovery = _best(parameters, _DISCOVERY_LOCATOR, order, source)
     user = _best(parameters, _USER_LOCATOR, order, source)
     if discovery is None:
@@ -121,20 +118,20 @@ def parse_participant(payload: bytes, vendor: bytes, source: str) -> RemoteParti
 def parse_endpoint(
     payload: bytes, participants: Mapping[bytes, RemoteParticipant], *, of_reader: bool
 ) -> RemoteEndpoint | None:
-    """Return an announced endpoint; None if its participant is unknown, or it is in a partition; raises WireError."""
+    """Return an announced endpoint; None if its participant is unknown, or it is in a partition.
+
+    Raises WireError or struct.error.
+    """
     parameters, order = decode_list(payload)
     guid = _guid(parameters, ENDPOINT_GUID)
     participant = participants.get(guid[:12])
     if participant is None:
         return None
-    try:
-        topic, type_name = (_parse_text(parameters[name][0], order) for name in (_TOPIC, _TYPE))
-        qos = parse_qos(parameters, order, of_reader=of_reader)
-        partitions = struct.unpack_from(f"{order}I", parameters.get(PARTITION, [b"\0\0\0\0"])[0])[0]
-    except KeyError:
-        raise WireError("an endpoint without topic or type") from None
-    except struct.error as error:
-        raise WireError(str(error)) from None
+    if _TOPIC not in parameters or _TYPE not in parameters:
+        raise WireError("an endpoint without topic or type")
+    topic, type_name = (_parse_text(parameters[name][0], order) for name in (_TOPIC, _TYPE))
+    qos = parse_qos(parameters, order, of_reader=of_reader)
+    partitions = struct.unpack_from(f"{order}I", parameters.get(PARTITION, [b"\0\0\0\0"])[0])[0]
     if partitions and _parse_text(parameters[PARTITION][0][4:], order):
         return None
     address = _best(parameters, _LOCATOR, order, participant.user[0]) or participant.user

@@ -7,7 +7,7 @@ import selectors
 import struct
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Final, final
 
@@ -31,8 +31,8 @@ from gridslam.ros.rtps.wire import (
     encode_message,
     encode_parameters,
     parse_data,
-    parse_data_frag,
     parse_message,
+    parse_sequence,
     parse_set,
 )
 from gridslam.ros.rtps.writer import Writer
@@ -61,7 +61,7 @@ class Participant:
     Parameters
     ----------
     domain : int
-        ROS_DOMAIN_ID.
+        ROS_DOMAIN_ID, from 0 to 232.
     interfaces : sequence of str
         Network interfaces by name or address; if empty, all.
     peers : sequence of str
@@ -124,14 +124,10 @@ class Participant:
     ) -> Writer:
         """Add a writer and announce it; `only` decides which of the readers that fit get its samples."""
         with self._lock:
-            guid = self._next_guid(3)
-            writer = Writer(guid, topic, type_name, qos, self._send)
-            self._writers[guid[12:]] = writer
-            self._filters[guid] = only
-            self._announce(self._publications, guid, topic, type_name, qos, user_data)
-            for endpoint, is_reader in list(self._known.values()):
-                if is_reader:
-                    self._match_writer(writer, endpoint)
+            writer = Writer(self._next_guid(3), topic, type_name, qos, self._send)
+            self._writers[writer.guid[12:]] = writer
+            self._filters[writer.guid] = only
+            self._announce(self._publications, writer, user_data)
         return writer
 
     def add_reader(
@@ -139,13 +135,9 @@ class Participant:
     ) -> Reader:
         """Add a reader and announce it."""
         with self._lock:
-            guid = self._next_guid(4)
-            reader = Reader(guid, topic, type_name, qos, self._send, handle)
-            self._readers[guid[12:]] = reader
-            self._announce(self._subscriptions, guid, topic, type_name, qos, user_data)
-            for endpoint, is_reader in list(self._known.values()):
-                if not is_reader:
-                    self._match_reader(reader, endpoint)
+            reader = Reader(self._next_guid(4), topic, type_name, qos, self._send, handle)
+            self._readers[reader.guid[12:]] = reader
+            self._announce(self._subscriptions, reader, user_data)
         return reader
 
     def write(self, writer: Writer, payload: bytes, parameters: Sequence[tuple[int, bytes]] = ()) -> None:
@@ -165,7 +157,7 @@ class Participant:
             end_s = time.monotonic() + _LINGER_S
             while time.monotonic() < end_s and not all(writer.is_acknowledged for writer in self._writers.values()):
                 time.sleep(0.01)
-            key, parameters = discovery.encode_gone(discovery.PARTICIPANT_GUID, self.guid)
+            key, parameters = discovery.encode_gone(self.guid)
             gone = encode_data(_SPDP_READER, _SPDP_WRITER, 2, key, parameters, is_key=True)
             self._broadcast(gone)
         self._closed.set()
@@ -221,7 +213,7 @@ class Participant:
         return []
 
     def _take_data(self, submessage: Submessage, source: str) -> list[tuple[Reader, Sample]]:
-        data = parse_data(submessage) if submessage.kind == DATA else parse_data_frag(submessage)
+        data = parse_data(submessage)
         guid = submessage.prefix + data.writer
         if data.writer == _SPDP_WRITER:
             self._take_participant(Sample(data.payload, guid, 0, submessage.vendor), data.is_key, source)
@@ -251,9 +243,8 @@ class Participant:
             (count,) = struct.unpack_from(f"{order}I", body, at)
             writer.on_acknack(guid, base, missing, count, final=bool(submessage.flags & 2))
         else:
-            high, low = struct.unpack_from(f"{order}iI", body, 8)
             _, missing, _ = parse_set(body, 16, order, wide=False)
-            writer.on_nack_frag(guid, high << 32 | low, missing)
+            writer.on_nack_frag(guid, parse_sequence(body, 8, order), missing)
 
     def _addressed(self, entity: bytes, writer: Guid) -> list[Reader]:
         """Readers that a submessage is for."""
@@ -312,11 +303,9 @@ class Participant:
         """Forget a participant with its endpoints."""
         if self._others.pop(prefix, None) is None:
             return
-        for guid in [guid for guid in self._known if guid[:12] == prefix]:
+        builtin = [prefix + entity for entity in (*_PUBLICATIONS, *_SUBSCRIPTIONS)]
+        for guid in [*(guid for guid in self._known if guid[:12] == prefix), *builtin]:
             self._forget(guid)
-        for writer, reader in (_PUBLICATIONS, _SUBSCRIPTIONS):
-            self._writers[writer].unmatch(prefix + reader)
-            self._readers[reader].unmatch(prefix + writer)
 
     def _forget(self, guid: Guid) -> None:
         self._known.pop(guid, None)
@@ -348,42 +337,35 @@ class Participant:
         if endpoint is None or (is_new and len(self._known) >= _MAX_ENDPOINTS):
             return
         self._known[endpoint.guid] = endpoint, of_reader
-        if is_new and of_reader:
-            for writer in list(self._writers.values()):
-                self._match_writer(writer, endpoint)
-        elif is_new:
-            for reader in list(self._readers.values()):
-                self._match_reader(reader, endpoint)
+        mine: Mapping[bytes, Writer | Reader] = self._writers if of_reader else self._readers
+        for own in list(mine.values()) if is_new else ():
+            self._match(own, endpoint)
 
-    def _match_writer(self, writer: Writer, reader: RemoteEndpoint) -> None:
-        if writer.topic != reader.topic or not writer.topic or not self._filters[writer.guid](reader):
+    def _match(self, own: Writer | Reader, other: RemoteEndpoint) -> None:
+        """Match an endpoint with one of another program, or report why no sample passes."""
+        if not own.topic or own.topic != other.topic:
             return
-        if writer.type_name != reader.type_name:
-            return
-        if policy := find_mismatch(writer.qos, reader.qos):
-            problem = f"a subscriber asks for more {policy} than this node, so no message passes"
-            self._on_mismatch("quality of service", writer.topic, problem)
-            return
-        writer.match(reader)
+        reads = isinstance(own, Reader)
+        if own.type_name != other.type_name:
+            if reads:
+                problem = f"a publisher sends {other.type_name}, this node expects {own.type_name}"
+                self._on_mismatch("message type", own.topic, problem)
+        elif reads or self._filters[own.guid](other):
+            if policy := find_mismatch(*((other.qos, own.qos) if reads else (own.qos, other.qos))):
+                who = "a publisher offers less" if reads else "a subscriber asks for more"
+                problem = f"{who} {policy} than this node, so no message passes"
+                self._on_mismatch("quality of service", own.topic, problem)
+                return
+            own.match(other)
 
-    def _match_reader(self, reader: Reader, writer: RemoteEndpoint) -> None:
-        if reader.topic != writer.topic or not reader.topic:
-            return
-        if reader.type_name != writer.type_name:
-            problem = f"a publisher sends {writer.type_name}, this node expects {reader.type_name}"
-            self._on_mismatch("message type", reader.topic, problem)
-            return
-        if policy := find_mismatch(writer.qos, reader.qos):
-            problem = f"a publisher offers less {policy} than this node, so no message passes"
-            self._on_mismatch("quality of service", reader.topic, problem)
-            return
-        reader.match(writer)
-
-    def _announce(self, announcer: Writer, guid: Guid, topic: str, type_name: str, qos: Qos, user_data: bytes) -> None:
-        """Announce an endpoint."""
-        payload = discovery.encode_endpoint(guid, topic, type_name, qos, self._sockets.user, user_data)
-        sequence = announcer.store(payload)
+    def _announce(self, announcer: Writer, own: Writer | Reader, user_data: bytes) -> None:
+        """Announce an endpoint, and match it with those that are known."""
+        ends = own.guid, own.topic, own.type_name, own.qos
+        sequence = announcer.store(discovery.encode_endpoint(*ends, self._sockets.user, user_data))
         announcer.send_all(announcer.datagrams(sequence))
+        for endpoint, is_reader in list(self._known.values()):
+            if is_reader is isinstance(own, Writer):
+                self._match(own, endpoint)
 
     def _next_guid(self, kind: int) -> Guid:
         self._entities += 1
@@ -392,12 +374,12 @@ class Participant:
 
 def _heartbeat(submessage: Submessage) -> tuple[int, int, int]:
     """First and last sequence number, and count."""
-    first, first_low, last, last_low, count = struct.unpack_from(f"{submessage.order}iIiII", submessage.body, 8)
-    return first << 32 | first_low, last << 32 | last_low, count
+    body, order = submessage.body, submessage.order
+    (count,) = struct.unpack_from(f"{order}I", body, 24)
+    return parse_sequence(body, 8, order), parse_sequence(body, 16, order), count
 
 
 def _gap(submessage: Submessage) -> tuple[int, int, list[int]]:
     """First sequence number of a gap, the one after it, and others."""
-    high, low = struct.unpack_from(f"{submessage.order}iI", submessage.body, 8)
     end, others, _ = parse_set(submessage.body, 16, submessage.order)
-    return high << 32 | low, end, others
+    return parse_sequence(submessage.body, 8, submessage.order), end, others

@@ -72,12 +72,8 @@ class Sockets:
 
     Parameters
     ----------
-    domain : int
-        From 0 to 232.
-    interfaces : sequence of str
-        Interfaces by name or address; if empty, all.
-    peers : sequence of str
-        Addresses of machines that multicast does not reach.
+    domain, interfaces, peers
+        As of `Participant`.
 
     Attributes
     ----------

@@ -34,10 +34,10 @@ __all__ = [
     "encode_nack_frag",
     "encode_parameters",
     "parse_data",
-    "parse_data_frag",
     "parse_locator",
     "parse_message",
     "parse_parameters",
+    "parse_sequence",
     "parse_set",
 ]
 
@@ -145,38 +145,22 @@ def parse_message(data: bytes) -> Iterator[Submessage]:
 
 
 def parse_data(submessage: Submessage) -> Data:
-    """Parse DATA (9.4.5.3)."""
+    """Parse DATA or DATA_FRAG (9.4.5.3, 9.4.5.4); raises WireError, or struct.error where it ends too early."""
     body, order, flags = submessage.body, submessage.order, submessage.flags
-    try:
-        (skip,) = struct.unpack_from(f"{order}H", body, 2)
-        sequence = _sequence(body, 12, order)
-        at = 4 + skip
-        parameters: Parameters = {}
-        if flags & 2:
-            parameters, at = parse_parameters(body, at, order)
-    except struct.error as error:
-        raise WireError(str(error)) from None
-    payload = bytes(body[at:]) if flags & 0xC else b""
-    return Data(bytes(body[4:8]), bytes(body[8:12]), sequence, parameters, payload, bool(flags & 8))
-
-
-def parse_data_frag(submessage: Submessage) -> Data:
-    """Parse DATA_FRAG (9.4.5.4)."""
-    body, order, flags = submessage.body, submessage.order, submessage.flags
-    try:
-        (skip,) = struct.unpack_from(f"{order}H", body, 2)
-        sequence = _sequence(body, 12, order)
-        fragment, _, fragment_size, size = struct.unpack_from(f"{order}IHHI", body, 20)
-        at = 4 + skip
-        parameters: Parameters = {}
-        if flags & 2:
-            parameters, at = parse_parameters(body, at, order)
-    except struct.error as error:
-        raise WireError(str(error)) from None
-    if not fragment or not fragment_size:
+    is_part = submessage.kind == DATA_FRAG
+    (skip,) = struct.unpack_from(f"{order}H", body, 2)
+    fragment, _, fragment_size, size = struct.unpack_from(f"{order}IHHI", body, 20) if is_part else (0, 0, 0, 0)
+    if is_part and not (fragment and fragment_size):
         raise WireError("fragments are numbered from 1 on, and not empty")
-    ends = bytes(body[4:8]), bytes(body[8:12])
-    return Data(*ends, sequence, parameters, bytes(body[at:]), bool(flags & 4), fragment, fragment_size, size)
+    at = 4 + skip
+    parameters: Parameters = {}
+    if flags & 2:
+        parameters, at = parse_parameters(body, at, order)
+    payload = bytes(body[at:]) if is_part or flags & 0xC else b""
+    ends, sequence = (bytes(body[4:8]), bytes(body[8:12])), parse_sequence(body, 12, order)
+    return Data(
+        *ends, sequence, parameters, payload, bool(flags & (4 if is_part else 8)), fragment, fragment_size, size
+    )
 
 
 def parse_parameters(data: memoryview, at: int, order: str) -> tuple[dict[int, list[bytes]], int]:
@@ -197,22 +181,21 @@ def parse_parameters(data: memoryview, at: int, order: str) -> tuple[dict[int, l
 
 def parse_set(body: memoryview, at: int, order: str, *, wide: bool = True) -> tuple[int, list[int], int]:
     """Parse a set of sequence numbers, or of fragment numbers; return its base, its members, and where it ends."""
-    try:
-        if wide:
-            base = _sequence(body, at, order)
-            at += 8
-        else:
-            (base,) = struct.unpack_from(f"{order}I", body, at)
-            at += 4
-        (bits,) = struct.unpack_from(f"{order}I", body, at)
-        if bits > _MAX_BITS:
-            raise WireError(f"a set of {bits} numbers")
-        words = (bits + 31) // 32
-        bitmap = struct.unpack_from(f"{order}{words}I", body, at + 4)
-    except struct.error as error:
-        raise WireError(str(error)) from None
+    base = parse_sequence(body, at, order) if wide else struct.unpack_from(f"{order}I", body, at)[0]
+    at += 8 if wide else 4
+    (bits,) = struct.unpack_from(f"{order}I", body, at)
+    if bits > _MAX_BITS:
+        raise WireError(f"a set of {bits} numbers")
+    words = (bits + 31) // 32
+    bitmap = struct.unpack_from(f"{order}{words}I", body, at + 4)
     members = [base + k for k in range(bits) if bitmap[k // 32] >> (31 - k % 32) & 1]
     return base, members, at + 4 + 4 * words
+
+
+def parse_sequence(body: memoryview, at: int, order: str) -> int:
+    """Return the sequence number at a place."""
+    high, low = struct.unpack_from(f"{order}iI", body, at)
+    return int(high << 32 | low)
 
 
 def parse_locator(value: bytes, order: str) -> Address | None:
@@ -295,11 +278,6 @@ def _submessage(kind: int, flags: int, *parts: bytes) -> bytes:
     # A longer one extends to the end of its message.
     length = len(body) if len(body) < 0x10000 else 0
     return struct.pack("<BBH", kind, flags | _LITTLE, length) + body
-
-
-def _sequence(body: memoryview, at: int, order: str) -> int:
-    high, low = struct.unpack_from(f"{order}iI", body, at)
-    return int(high << 32 | low)
 
 
 def _pack_sequence(sequence: int) -> bytes:
