@@ -69,7 +69,6 @@ from support.fuzz_bombs import BOMBS, MAP_YAML
 from support.fuzz_commands import commands
 from support.fuzz_images import images
 from support.fuzz_page import page_requests
-from support.fuzz_processes import processes
 from support.fuzz_schemas import schemas
 from support.fuzz_sessions import sessions
 from support.fuzz_values import values
@@ -214,7 +213,6 @@ def families(folder: Path) -> list[Family]:
         *sessions(folder),
         *api(folder),
         *page_requests(folder),
-        *processes(folder / "processes"),
     )
     return [*of_files, *(Family(*family) for family in others)]
 
