@@ -64,7 +64,6 @@ from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from support import ros_bags
 from support.broken_logs import OF_BYTES, OF_TEXT, damage, drive_about, whole_logs
-from support.fuzz_api import api
 from support.fuzz_bombs import BOMBS, MAP_YAML
 from support.fuzz_commands import commands
 from support.fuzz_images import images
@@ -211,7 +210,6 @@ def families(folder: Path) -> list[Family]:
         *schemas(folder),
         *images(folder),
         *sessions(folder),
-        *api(folder),
         *page_requests(folder),
     )
     return [*of_files, *(Family(*family) for family in others)]
