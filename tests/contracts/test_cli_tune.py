@@ -15,7 +15,7 @@ from gridslam.cli.main import main
 from gridslam.config import Configuration, load, override
 
 START = override(Configuration(), "particles=2", "loop_closure=false")
-FEW = "--particles", "2", "--trials", "8", "--judging-seeds", "2", "--no-loop-closure"
+FEW = "--particles", "2", "--trials", "4", "--judging-seeds", "2", "--no-loop-closure"
 
 
 @pytest.fixture(scope="module")
