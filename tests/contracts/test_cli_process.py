@@ -10,10 +10,6 @@ import time
 
 import pytest
 
-from gridslam.api.mapping import MapResult
-from gridslam.io.sessions.session_file import read_session
-from support.interrupted import interrupt_amid_an_autosave
-
 GRIDSLAM = sys.executable, "-m", "gridslam.cli.main"
 
 
@@ -90,15 +86,6 @@ def test_further_interrupts_print_no_traceback(log, tmp_path, pause_s):
     assert "Exception ignored" not in problem
     assert problem.splitlines()[-1] == "gridslam: interrupted"
     assert not list(out.iterdir())
-
-
-def test_a_signal_amid_an_autosave_leaves_a_whole_file_or_none(log, tmp_path):
-    for kill in range(3):
-        out = tmp_path / str(kill)
-        interrupt_amid_an_autosave(log, out, signal.SIGTERM)
-        assert {path.name for path in out.iterdir()} <= {"autosave.gridslam", *MapResult.all_names()}
-        if (out / "autosave.gridslam").exists():
-            read_session(out / "autosave.gridslam")
 
 
 @pytest.mark.parametrize(

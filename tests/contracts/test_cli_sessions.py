@@ -102,7 +102,6 @@ def test_a_known_map_is_gone_on_from(call, logs, monday, tmp_path):
         (("--continue", "none.gridslam"), "none.gridslam"),
         (("--continue", "LOG"), "expected a session of gridslam"),
         (("--prior", "none.yaml"), "none.yaml"),
-        (("--autosave", "0"), "--autosave"),
     ],
 )
 def test_what_contradicts_is_refused_and_nothing_is_written(call, logs, monday, tmp_path, options, problem):

@@ -78,13 +78,6 @@ def test_every_option_that_is_written_is_checked():
                 assert parameter.type in TARGETS, (names, parameter.name)
 
 
-def test_a_folder_in_the_place_of_the_autosave_is_refused(call, log, tmp_path):
-    (tmp_path / "out" / "autosave.gridslam").mkdir(parents=True)
-    status, _, err = call("map", log, "-o", tmp_path / "out", "--autosave", "1")
-    assert (status, err.count("\n")) == (2, 1)
-    assert "autosave.gridslam: expected a file or nothing, got a folder" in err
-
-
 def full_disk(*_, **__):
     raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -93,7 +86,7 @@ def full_disk(*_, **__):
 def test_where_a_session_cannot_be_saved_the_results_are_written(call, log, tmp_path, monkeypatch, command):
     out = tmp_path / "out"
     saved = tmp_path / "s.gridslam"
-    arguments = ["map", log, *FEW, "--autosave", "60"]
+    arguments = ["map", log, *FEW]
     if command == "merge":
         sessions = tmp_path / "a.gridslam", tmp_path / "b.gridslam"
         for start_s, session in enumerate(sessions):

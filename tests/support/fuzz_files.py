@@ -64,13 +64,9 @@ from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from support import ros_bags
 from support.broken_logs import OF_BYTES, OF_TEXT, damage, drive_about, whole_logs
-from support.fuzz_api import api
 from support.fuzz_bombs import BOMBS, MAP_YAML
-from support.fuzz_commands import commands
 from support.fuzz_images import images
 from support.fuzz_page import page_requests
-from support.fuzz_processes import processes
-from support.fuzz_schemas import schemas
 from support.fuzz_sessions import sessions
 from support.fuzz_values import values
 
@@ -207,14 +203,10 @@ def families(folder: Path) -> list[Family]:
     )
     of_files = [family for maker in makers for family in maker(folder)]
     others = (
-        *commands(),
         *values(folder),
-        *schemas(folder),
         *images(folder),
         *sessions(folder),
-        *api(folder),
         *page_requests(folder),
-        *processes(folder / "processes"),
     )
     return [*of_files, *(Family(*family) for family in others)]
 

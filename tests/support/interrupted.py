@@ -1,16 +1,12 @@
-"""Runs of a session that are interrupted after a given scan, as by a kill right after an autosave, and go on."""
+"""Nodes whose session ends after a given scan and is continued, in a building that earlier days have mapped."""
 
 from __future__ import annotations
 
-import json
-import math
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
-from itertools import count, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +14,10 @@ import numpy as np
 import pytest
 
 import gridslam
-from gridslam.api.autosave import Autosave
 from gridslam.api.beginning import Place
 from gridslam.config import override
 from gridslam.geometry.se2 import between, compose, inverse
 from gridslam.io.csv import write_csv_log
-from gridslam.io.maps import read_map, write_map
 from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.session_file import SavedSession, read_session
 from gridslam.ros.node.continued import Continued
@@ -31,20 +25,13 @@ from gridslam.ros.node.live_autosave import LiveAutosave, SessionFiles
 from gridslam.ros.node.mapping_session import Session as NodeSession
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 
-__all__ = ["SCANS", "SCENARIOS", "interrupt_amid_an_autosave", "make_building", "resume_after", "run_node", "run_whole"]
+__all__ = ["SCANS", "carry", "make_building", "run_node"]
 
 CONFIG = override(gridslam.Configuration(), "particles=3", "mapper.resolution_m=0.1")
 SCANS = 260
 """Of the second day; the robot is found again after about 70 of them, earlier where its pose is given."""
 _BEGINS = 60
-CARRIED_AFTER, CARRIED_SCANS = 200, 440
-"""Of the log in which the robot is carried: scans before, and in all."""
-_FILES = ("trajectory.tum", "trajectory.csv", "trajectory_online.tum", "map.pgm", "graph.g2o")
 _DAY_S = 86_400
-
-
-class KilledError(Exception):
-    """What ends a run, as a kill would."""
 
 
 @cache
@@ -90,100 +77,14 @@ def carry(before: Sequence[Measurement], after: Sequence[Measurement]) -> list[M
 
 
 def make_building(folder: Path) -> None:
-    """Write what earlier days have left: a session of two buildings, a map of one, and the log of the next day."""
+    """Write what earlier days have left: a session of two buildings, and the log of the next day."""
     write_csv_log(folder / "monday.csv", drive()[:450])
     write_csv_log(folder / "annex.csv", drive("random")[:120])
     write_csv_log(folder / "tuesday.csv", moved(drive(seed=2)[_BEGINS : _BEGINS + SCANS]))
-    write_csv_log(
-        folder / "carried.csv", carry(drive()[:CARRIED_AFTER], drive(seed=2)[20 : 20 + CARRIED_SCANS - CARRIED_AFTER])
-    )
     session = gridslam.Session(CONFIG)
-    monday = session.add(folder / "monday.csv")
-    write_map(folder / "known.yaml", monday.map)
+    session.add(folder / "monday.csv")
     session.add(folder / "annex.csv", place="elsewhere")
     session.save(folder / "days.gridslam")
-
-
-def _continued(folder: Path) -> tuple[gridslam.Session, dict[str, Any]]:
-    return gridslam.Session.open(folder / "days.gridslam"), {"place": "elsewhere"}
-
-
-def _frozen(folder: Path) -> tuple[gridslam.Session, dict[str, Any]]:
-    return gridslam.Session.open(folder / "days.gridslam"), {"frozen": True}
-
-
-def _prior(folder: Path) -> tuple[gridslam.Session, dict[str, Any]]:
-    session = gridslam.Session(CONFIG)
-    session.add_map(read_map(folder / "known.yaml"))
-    return session, {}
-
-
-def _posed(folder: Path) -> tuple[gridslam.Session, dict[str, Any]]:
-    session, _ = _prior(folder)
-    odometry = [measurement.odometry.pose for measurement in drive()]
-    return session, {"pose": between(odometry[0], odometry[_BEGINS]) + np.array([0.5, -0.5, 0.1])}
-
-
-def _carried(folder: Path) -> tuple[gridslam.Session, dict[str, Any]]:
-    return gridslam.Session(CONFIG), {"log": "carried.csv"}
-
-
-SCENARIOS: Mapping[str, Callable[[Path], tuple[gridslam.Session, dict[str, Any]]]] = {
-    "continued": _continued,
-    "frozen": _frozen,
-    "prior": _prior,
-    "prior, its pose given": _posed,
-    "carried within a log": _carried,
-}
-"""What the second day goes on from: a session, and the options of `Session.add`."""
-
-
-def run_whole(scenario: str, folder: Path, out: Path, **options: Any) -> tuple[dict[str, Any], int]:
-    """Map the second day; returns what it gives (see `contents`), and after which scan the robot was found."""
-    session, own = SCENARIOS[scenario](folder)
-    result = session.add(folder / own.pop("log", "tuesday.csv"), **own, **options)
-    found = result.found_again
-    assert found is not None
-    online = result.online_trajectory
-    at = result.log.scan_count - len(online) + int(np.searchsorted(online.stamps_ns, found.stamp_ns))
-    return contents(session, result, out), at
-
-
-def resume_after(scan: int, scenario: str, folder: Path, out: Path) -> dict[str, Any]:
-    """The same, but killed after `scan` scans, when the run was just autosaved; and the same command again."""
-    out.mkdir()
-    autosave = Autosave(out / "autosave.gridslam", 3600.0)
-
-    numbers = count(1)  # over all drives
-
-    def gate(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
-        for measurement in measurements:
-            number = next(numbers)
-            if number == scan:
-                autosave._due_s = -math.inf
-            yield measurement
-            if number == scan:
-                autosave.close()
-                raise KilledError
-
-    with pytest.raises(KilledError):
-        run_whole(scenario, folder, out, autosave=autosave, gate=gate)
-    resumed: list[int] = []
-    again = Autosave(out / "autosave.gridslam", 3600.0, on_resume=resumed.append)
-    found, _ = run_whole(scenario, folder, out, autosave=again)
-    assert resumed == [scan]
-    return found
-
-
-def contents(session: gridslam.Session, result: Any, out: Path) -> dict[str, Any]:
-    """All that a run gives but times: files, what run.json says of drives, scans and closures, and the session."""
-    document = result.save(out)
-    files = {path.name: path.read_bytes() for path in out.glob("*.tum")} | {
-        name: (out / name).read_bytes() for name in (*_FILES, *(path.name for path in out.glob("*.pgm")))
-    }
-    told = {name: json.dumps(document[name]) for name in ("session", "scans", "loop_closure", "failures", "input")}
-    session.save(out / "saved.gridslam")
-    return files | told | describe_session(session.saved)
 
 
 def describe_session(saved: SavedSession) -> dict[str, Any]:
@@ -244,14 +145,3 @@ def _count(node: NodeSession, measurements: Iterable[Measurement]) -> Iterator[M
 
 def _fail(failed: object) -> None:
     pytest.fail(str(failed))
-
-
-def interrupt_amid_an_autosave(log: Path, out: Path, number: int, delay_s: float = 0.0) -> bool:
-    """Map a log and send a signal `delay_s` after an autosave has begun; returns whether the run was still going on."""
-    command = [sys.executable, "-m", "gridslam.cli.main", "map", str(log), "--autosave", "0.0001", "--restart", "-o"]
-    process = subprocess.Popen([*command, str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    while process.poll() is None and not list(out.glob(".autosave.gridslam.*.partial")):
-        time.sleep(0.001)
-    time.sleep(delay_s)
-    process.send_signal(number)
-    return process.wait() == 130

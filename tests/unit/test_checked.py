@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import functools
+import importlib
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
+from types import FunctionType
 from typing import Annotated, Literal
 
 import numpy as np
@@ -164,3 +168,55 @@ def test_numbers_that_do_not_go_together_are_an_argument_error_and_faults_stay_w
             fail(error)
     with pytest.raises(ArgumentError, match="share"):
         take(share=2)  # checked again after each
+
+
+PACKAGES = (
+    *("gridslam", "gridslam.config", "gridslam.doctor", "gridslam.evaluation", "gridslam.geometry.angles"),
+    *("gridslam.geometry.rigid", "gridslam.geometry.se2", "gridslam.geometry.se3", "gridslam.grid"),
+    *("gridslam.localization", "gridslam.mapping", "gridslam.matching", "gridslam.models", "gridslam.particles"),
+    *("gridslam.sim", "gridslam.slam", "gridslam.transforms", "gridslam.types"),
+)
+OF_FILTERS = ("GridFastSlamState", "MonteCarloState", "TrackerState", "ReportBuilder", "require_step")
+"""What filters alone call, for each scan: they hand in what they have checked."""
+UNCHECKED = (
+    *(
+        "doctor.Figure",
+        "doctor.LaserFacts",
+        "doctor.Mark",
+        "doctor.Repair",
+        "doctor.Series",
+        "gridslam.Diagnosis",
+        "doctor.Diagnosis",
+    ),
+    *("gridslam.Conversion", "gridslam.GridResult", "gridslam.LandmarkLocalizationResult", "gridslam.LandmarkResult"),
+    *("gridslam.LocalizationResult", "gridslam.StepReport", "localization.LocalizationReport", "sim.SimulatedLog"),
+    *("sim.SimulatedStream", "evaluation.RelationErrors", "evaluation.SelfConsistency", "matching.LatticeMatch"),
+    *("slam.ProposedPoses", "types.StoredScan", "sim.Change", "types.StepReport"),  # all these the package itself makes
+    *("geometry.angles.wrap", "sim.vary_route", "gridslam.run", "types.require_measurement"),  # check by themselves
+)
+
+
+def is_checked(function):
+    function = getattr(function, "__func__", function)
+    takes = [name for name in inspect.signature(function).parameters if name not in ("self", "cls")]
+    return hasattr(function, "__wrapped__") or not takes
+
+
+def test_every_public_function_constructor_and_method_is_checked():
+    found = set()
+    for package in PACKAGES:
+        module = importlib.import_module(package)
+        for name, public in ((name, getattr(module, name)) for name in module.__all__ if name not in OF_FILTERS):
+            whole = f"{package.removeprefix('gridslam.')}.{name}"
+            if isinstance(public, FunctionType) and not is_checked(public):
+                found.add(whole)
+            if isinstance(public, type) and not (
+                issubclass(public, Exception | Enum) or getattr(public, "_is_protocol", False)
+            ):
+                found |= {
+                    whole if method == "__init__" else f"{whole}.{method}"
+                    for method, function in vars(public).items()
+                    if method in ("__init__", "__call__") or not method.startswith("_")
+                    if isinstance(function, FunctionType | classmethod | staticmethod) and not is_checked(function)
+                }
+    assert found == set(UNCHECKED)

@@ -16,7 +16,7 @@ from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.drives import DrivenLog, SavedPiece, choose_name
 from gridslam.io.sessions.session_file import SavedRun
 from gridslam.matching.gauss_newton import NO_PRIOR
-from gridslam.pipeline import FailureRecorder, Observer
+from gridslam.pipeline import FailureRecorder
 from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
 from gridslam.slam.full_slam.full_slam import full_slam
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
@@ -73,25 +73,16 @@ class Beginning:
         The filter and its observers so far; new ones for a new drive.
     pieces : tuple of SavedPiece
         Other pieces of the map of earlier drives.
-    passed : int
-        Number of scans of the log that `run` has processed already.
     locator : EarlierPieces or None
         Looks for the robot in the pieces, until it is found.
-    observers : sequence of Observer
-        Called after each scan, when all others have been.
     failures : FailureRecorder
         The scans of the log so far at which the filter has failed.
-    on_new_piece : callable
-        Called with what each further piece of the log begins with (see `begin_new_piece`).
     """
 
     run: SavedRun
     pieces: tuple[SavedPiece, ...] = ()
-    passed: int = 0
     locator: EarlierPieces | None = None
-    observers: Sequence[Observer] = ()
     failures: FailureRecorder = field(default_factory=FailureRecorder)
-    on_new_piece: Callable[[Beginning], None] = lambda beginning: None
 
     def attach(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Let a filter that has just begun look for the robot in the pieces."""
@@ -167,9 +158,7 @@ def begin_new_piece(
     begun = SavedRun(
         np.random.default_rng(seed + len(names)), name=choose_name(run.name, names), statistics=run.statistics
     )
-    begins = replace(ended, run=begun, pieces=pieces, locator=locate_in(pieces, configuration))
-    ended.on_new_piece(begins)
-    return begins
+    return replace(ended, run=begun, pieces=pieces, locator=locate_in(pieces, configuration))
 
 
 def decide_place(run: SavedRun, slam: GridFastSlam, first: Measurement) -> PlaceDecision:

@@ -530,7 +530,7 @@ def map_log(
             gate(measurements),
             slam,
             rng=so_far.rng,
-            observers=[begun.attach, so_far.trajectory, so_far.statistics, *observers, note, *begun.observers],
+            observers=[begun.attach, so_far.trajectory, so_far.statistics, *observers, note],
             state=begun.attach_to(so_far.state),
             stopwatch=watch,
             on_failure=begun.failures,
@@ -545,7 +545,7 @@ def map_log(
         carried[f"{finding.code} ({finding.sensor})"] = finding.message
         on_finding(finding)
 
-    drives = split_where_carried(source, begun.passed, note_break)
+    drives = split_where_carried(source, note_break)
     if configuration.loop_closure is None:  # no drive can be relocalized
         drives = iter([chain.from_iterable(drives)])
     state = drive(next(drives, iter(())), begun)

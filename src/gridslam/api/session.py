@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, final
@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam import __version__
-from gridslam.api.autosave import Autosave
 from gridslam.api.beginning import (
     Beginning,
     Place,
@@ -24,15 +23,14 @@ from gridslam.api.beginning import (
 from gridslam.api.mapping import MapResult, map_log
 from gridslam.arguments import freeze, require_seed, require_threads
 from gridslam.checked import checked
-from gridslam.config import Configuration, build, dumps
+from gridslam.config import Configuration, build
 from gridslam.doctor.repair import open_repaired
 from gridslam.errors import ArgumentError
 from gridslam.grid.tiles import TiledGrid
-from gridslam.io.log import Log, LogOptions, LogSource
+from gridslam.io.log import LogOptions, LogSource
 from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.drives import Drive, SavedPiece, choose_name
 from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session, write_session
-from gridslam.io.text import compute_digest
 from gridslam.slam.full_slam.full_slam import FullSlam, full_slam, refine_piece
 from gridslam.slam.full_slam.full_trajectory import full_trajectories
 from gridslam.slam.full_slam.merging import merge_pieces
@@ -85,8 +83,6 @@ class Session:
         before.
     is_same_place : bool
         Whether it continued there, be it decided or given.
-    resumed : int
-        Number of its scans that an interrupted run had processed, from which it was resumed; 0 if it was not.
     """
 
     def __init__(self, configuration: Configuration | None = None, *, seed: int = 0, threads: int = 1) -> None:
@@ -97,7 +93,6 @@ class Session:
         self._path: Path | None = None
         self._maps: list[_Map] | None = None
         self.decision: PlaceDecision | None = None
-        self.resumed = 0
         self.is_same_place = False
 
     @classmethod
@@ -177,7 +172,6 @@ class Session:
         name: str | None = None,
         options: LogOptions | None = None,
         repair: Literal["needed", "all", "none"] = "needed",
-        autosave: Autosave | None = None,
         **map_options: Any,  # noqa: ANN401 those of map_log
     ) -> MapResult:
         """Map a log as the continuation of this session.
@@ -202,8 +196,6 @@ class Session:
             Of a new drive; that of the log if not given.
         options, repair
             As in `map_log`.
-        autosave : Autosave, optional
-            Saves the run periodically; an autosave of the same run that was killed is continued.
         **map_options
             Further arguments of `map_log`, but its configuration, seed, particles, preset and laser.
 
@@ -218,20 +210,10 @@ class Session:
         begin = None if pose is None else freeze(pose, np.float64, (3,), "pose")
         source = open_repaired(log, options, repair)
         first = next(iter(source))
-        digest = map_options.pop("digest", None) or compute_digest(source.path)
-        gate = map_options.pop("gate", iter)
         map_options.pop("keep_particles", None)
         name = name or source.path.name.partition(".")[0]
         self._decide(first, Place.ELSEWHERE if begin is not None or frozen else where)
-        left = None
-        if autosave is not None:
-            left = autosave.find(self._describe_job(source, digest, where, begin, frozen, name, repair), self._threads)
-        begun = self._look_for(left or self._begin(first, begin, frozen, name), begin)
-        self.resumed = begun.passed
-        if autosave is not None:
-            autosave.begin(self._saved, begun)
-            begun = replace(begun, observers=[autosave], on_new_piece=autosave.go_on)
-        count = iter if autosave is None else autosave.count
+        begun = self._begin(first, begin, frozen, name)
         result = map_log(
             source,
             configuration=self.configuration,
@@ -240,8 +222,6 @@ class Session:
             repair="none",
             beginning=begun,
             keep_particles=True,
-            digest=digest,
-            gate=lambda measurements: count(gate(measurements)),
             **map_options,
         )
         self.keep(result)
@@ -325,33 +305,6 @@ class Session:
         write_session(target, self._saved)
         self._path = Path(target)
 
-    def _describe_job(
-        self,
-        log: Log,
-        digest: str,
-        place: Place,
-        pose: FloatArray | None,
-        frozen: bool,
-        name: str,
-        repair: str,
-    ) -> dict[str, Any]:
-        """Return all that the results of a log depend on, as JSON values."""
-        saved = self._saved
-        return {
-            "log": digest,
-            "selection": log.statistics.selection,
-            "repair": repair,
-            "configuration": dumps(saved.configuration),
-            "seed": saved.seed,
-            "drives": [[drive.name, [asdict(log) for log in drive.logs]] for drive in saved.drives],
-            "pieces": [piece.compute_digest() for piece in saved.pieces],
-            "session": saved.written,
-            "place": place.value,
-            "pose": None if pose is None else pose.tolist(),
-            "frozen": frozen,
-            "name": name,
-        }
-
     def _decide(self, first: Measurement, place: Place) -> None:
         """Decide whether the log continues at the end of the last one."""
         saved = self._saved
@@ -370,17 +323,13 @@ class Session:
             run = saved.run.snapshot()  # that of the session is kept as it is
             if run.state is not None and self.decision is not None and not self.decision.is_same:
                 restart_at_same_place(run.state, first)
-            return Beginning(run, saved.pieces)
+            return Beginning(run, saved.pieces, locate_in(saved.pieces, saved.configuration, pose, run.state))
         pieces = tuple(own.prepare(saved.configuration, frozen=frozen) for own in self._refine())
         if pose is not None and not pieces:
             raise ArgumentError("pose", "a session in whose map the robot can begin", "an empty one")
         drives = [drive.name for drive in saved.drives]
         run = SavedRun(np.random.default_rng(saved.seed + len(drives)), name=choose_name(name, drives))
-        return Beginning(run, pieces)
-
-    def _look_for(self, begun: Beginning, pose: FloatArray | None) -> Beginning:
-        """Let a run look for the robot in its pieces, unless it was found before."""
-        return replace(begun, locator=locate_in(begun.pieces, self.configuration, pose, begun.run.state))
+        return Beginning(run, pieces, locate_in(pieces, saved.configuration, pose))
 
     def _refine(self) -> list[_Map]:
         """Refine the newest drive's piece, and build the maps of all."""

@@ -48,14 +48,13 @@ def map_to_folder(
         write_apart() as write,
         open_viewers(live, source.path.name, configuration.range_max_m, out=out, has_history=not no_history) as viewers,
     ):
-        session.make_room(out)
         if opened is not None and session.continued is not None:
             viewers.show_session(session.continued.name, [drive.name for drive in opened.saved.drives])
-        with open_output(out, [*MapResult.all_names(), *session.names()]) as folder:
+        with open_output(out, MapResult.all_names()) as folder:
             if opened is None:
                 run = partial(map_log, configuration=configuration, seed=given.seed, threads=given.threads)
             else:
-                run = partial(session.add, opened, out)
+                run = partial(session.add, opened)
             run = partial(run, on_finding=lambda finding: report(describe_finding(source, finding)))
             result = map_with_progress(source, run, watch, viewers, shown=not as_json, repair=given.repair)
             is_saved = opened is None or session.save is None or write(opened.save, session.save)
@@ -65,11 +64,10 @@ def map_to_folder(
             document = result.write(folder, viewers.messages.to_list())
         if is_saved:
             viewers.offer_session(session.save)
-            session.end(out)
         else:
             session = replace(session, save=None)
         summary = summarize(document, result, out)
-        print_result(document, [*summary, *session.summarize(opened, result, out)], as_json)
+        print_result(document, [*summary, *session.summarize(opened, result)], as_json)
 
 
 def map_with_progress(

@@ -308,19 +308,8 @@ _SESSION_OPTIONS = (
         metavar="YAML",
         help="Known map (map_server), or edits of one, to relocalize in and to extend.",
     ),
-    click.option(
-        "--autosave",
-        "autosave_min",
-        type=Number(0, 1e6, above=True),
-        metavar="MINUTES",
-        help="Save the run this often to OUT/autosave.gridslam; after a kill the same command continues it.",
-    ),
-    click.option("--restart", is_flag=True, help="Ignore any autosave in OUT and start over."),
 )
-_SESSION_FIELDS = (
-    *("save", "continued", "same_place", "elsewhere", "pose", "frozen", "name", "prior"),
-    *("autosave_min", "restart"),
-)
+_SESSION_FIELDS = ("save", "continued", "same_place", "elsewhere", "pose", "frozen", "name", "prior")
 _LOCALIZE_OPTIONS = (
     click.option(
         "--map", "map_path", type=PATH, required=True, help="Map YAML file (map_server or nav2), or edits of one."

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -11,7 +10,6 @@ from typing import Any, final
 import click
 from click.core import ParameterSource
 
-from gridslam.api.autosave import Autosave
 from gridslam.api.beginning import Place
 from gridslam.api.mapping import MapResult
 from gridslam.api.session import Session
@@ -25,7 +23,6 @@ __all__ = ["SessionOptions"]
 
 _OF_THE_SESSION = ("particles", "seed", "preset", "laser", "config", "assignments", "no_loop_closure")
 """Parameters of `gridslam map` that a session has already."""
-_AUTOSAVE = "autosave.gridslam"
 
 
 @final
@@ -47,10 +44,6 @@ class SessionOptions:
         Of the drive.
     prior : Path or None
         YAML file of a known map.
-    autosave_min : float or None
-        Minutes between two autosaves.
-    restart : bool
-        Whether the autosave of an interrupted run is ignored.
     """
 
     save: Path | None
@@ -61,8 +54,6 @@ class SessionOptions:
     frozen: bool
     name: str | None
     prior: Path | None
-    autosave_min: float | None
-    restart: bool
 
     def check(self, context: click.Context) -> None:
         """Raise click.UsageError where options contradict each other."""
@@ -89,7 +80,7 @@ class SessionOptions:
         """Give the session that the log is added to; None if none is wanted."""
         if self.continued is not None:
             session = Session.open(self.continued, threads=threads)
-        elif self.save is None and self.prior is None and self.autosave_min is None:
+        elif self.save is None and self.prior is None:
             return None
         else:
             session = Session(configuration, seed=seed, threads=threads)
@@ -100,37 +91,12 @@ class SessionOptions:
                 raise click.ClickException(f"{self.prior}: {error}") from None
         return session
 
-    def names(self) -> tuple[str, ...]:
-        """Names of further files in OUT."""
-        return () if self.autosave_min is None else (_AUTOSAVE,)
-
-    def make_room(self, out: Path) -> None:
-        """Create OUT for an autosave at once, so that results are staged in it before and after a kill."""
-        if self.autosave_min is not None:
-            with suppress(OSError):  # reported when OUT is opened
-                out.mkdir(parents=True, exist_ok=True)
-
-    def add(self, session: Session, out: Path, log: Log, **options: Any) -> MapResult:  # noqa: ANN401
+    def add(self, session: Session, log: Log, **options: Any) -> MapResult:  # noqa: ANN401
         """Add a log to a session."""
         place = Place.SAME if self.same_place else Place.ELSEWHERE if self.elsewhere else Place.AUTO
-        autosave = None
-        if self.autosave_min is not None:
-            autosave = Autosave(out / _AUTOSAVE, 60 * self.autosave_min, warn, on_resume=_report_resumed)
-            if self.restart:
-                autosave.remove()
-        result = session.add(
-            log, place=place, pose=self.pose, frozen=self.frozen, name=self.name, autosave=autosave, **options
-        )
-        if autosave is not None:
-            autosave.close()
-        return result
+        return session.add(log, place=place, pose=self.pose, frozen=self.frozen, name=self.name, **options)
 
-    def end(self, out: Path) -> None:
-        """Remove the autosave: the results are written."""
-        if self.autosave_min is not None:
-            (out / _AUTOSAVE).unlink(missing_ok=True)
-
-    def summarize(self, session: Session | None, result: MapResult, out: Path) -> Iterator[str]:
+    def summarize(self, session: Session | None, result: MapResult) -> Iterator[str]:
         """Format the lines that a session adds to the summary of a run."""
         if session is None:
             return
@@ -140,7 +106,3 @@ class SessionOptions:
             yield f"{result.source.name} {where}{forced}: {session.decision.reason}"
         if self.save is not None:
             yield f"session: {self.save}, {self.save.stat().st_size / 1e6:.1f} MB"
-
-
-def _report_resumed(scans: int) -> None:
-    warn(f"resumed from an interrupted run, after {scans} scans (--restart begins with the first scan)")

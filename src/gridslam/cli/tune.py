@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -28,29 +27,17 @@ from gridslam.io.output import write_atomically
 from gridslam.tuning.report import describe_verdict, plot_convergence, to_document, to_toml
 from gridslam.tuning.search_space import SearchSpace
 from gridslam.tuning.trial import find_reference
-from gridslam.tuning.tune import Budget, Settings, Trial, TunedLog, Tuner, load_optuna
+from gridslam.tuning.tune import Settings, Trial, TunedLog, Tuner, load_optuna
 from gridslam.viz.chart import draw_chart
 
-__all__ = ["TuneOptions", "read_duration_s", "run_tune"]
-
-_TRIALS, _MOST_TRIALS = 60, 100_000  # without --trials: of a search without and with a budget
-_UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
-
-
-def read_duration_s(text: str) -> float:
-    """Return seconds of ``90``, ``90s``, ``15m`` or ``1.5h``; raises ClickException for another text."""
-    found = re.fullmatch(r"(\d+(?:\.\d*)?)\s*([a-z]*)", text.strip())
-    if found is None or found[2] not in _UNITS or not float(found[1]):
-        raise click.ClickException(f"--budget: expected a time above 0, as 90s, 15m or 1h, got {text!r}")
-    return float(found[1]) * _UNITS[found[2]]
+__all__ = ["TuneOptions", "run_tune"]
 
 
 @dataclass(frozen=True)
 class TuneOptions:
     """The options of `gridslam tune` that are not those of `gridslam map`, by their names."""
 
-    trials: int | None
-    budget: str | None
+    trials: int
     reference: str | None
     held_out: tuple[str, ...]
     split: float | None
@@ -59,14 +46,6 @@ class TuneOptions:
     judging_seeds: int
     workers: int
     timeout_s: float | None
-
-    def find_budget(self) -> Budget | None:
-        """Read --budget, which excludes --trials."""
-        if self.budget is None:
-            return None
-        if self.trials is not None:
-            raise click.ClickException("--trials and --budget exclude each other")
-        return Budget(read_duration_s(self.budget), self.workers)
 
     def read_logs(self, logs: Sequence[str], options: LogOptions) -> list[TunedLog]:
         """Describe logs, those of the search first, but for their digests; raises InputError for one of no use."""
@@ -90,7 +69,6 @@ class TuneOptions:
 
 def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOptions, as_json: bool) -> None:
     """Search parameters for logs, and write the configuration to use, tune.json, the figures and the journal."""
-    budget = tune.find_budget()
     base = given.configuration()
     space = SearchSpace.of(base, tune.names)
     folder = out.with_suffix(".tune")
@@ -106,7 +84,7 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
     settings = Settings(
         base,
         space,
-        tune.trials or (_TRIALS if budget is None else _MOST_TRIALS),
+        tune.trials,
         given.seed,
         tune.judging_seeds,
         given.options,
@@ -120,10 +98,10 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
             executor = ProcessPool(tune.workers)
             return run_jobs(jobs, folder, executor=executor, timeout_s=tune.timeout_s, on_poll=progress.on_poll)
 
-        tuner = Tuner(settings, chosen, run, budget, progress.on_trial)
+        tuner = Tuner(settings, chosen, run, progress.on_trial)
         progress.watch(tuner)
         tuning = tuner()
-    document = to_document(tuning, settings, chosen, tuner.planned)
+    document = to_document(tuning, settings, chosen, settings.trials)
     with write_apart() as write:
         write(_write_text, out, to_toml(tuning, chosen))
         write(_write_text, folder / "tune.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
@@ -186,6 +164,6 @@ class _Progress:
         """Show how far it is, and stop if interrupted."""
         stop_if_interrupted()
         now = time.perf_counter()
-        if now >= self._due and self._tuner is not None and self._tuner.planned:
+        if now >= self._due and self._tuner is not None:
             self._due = now + self._every_s
-            self._show(min(len(self._tuner.trials) / self._tuner.planned, 1.0), self._text)
+            self._show(min(len(self._tuner.trials) / self._tuner.settings.trials, 1.0), self._text)

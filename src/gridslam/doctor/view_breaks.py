@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import groupby, islice
+from itertools import groupby
 from operator import itemgetter
 from typing import Generic, TypeVar, final
 
@@ -235,7 +235,7 @@ class ViewBreaks:
 
 
 def split_where_carried(
-    measurements: Iterable[Measurement], passed: int = 0, on_break: Callable[[Finding], None] = lambda finding: None
+    measurements: Iterable[Measurement], on_break: Callable[[Finding], None] = lambda finding: None
 ) -> Iterator[Iterator[Measurement]]:
     """Yield the measurements of each drive; a new one begins where a laser shows that the robot was carried.
 
@@ -246,16 +246,11 @@ def split_where_carried(
     ----------
     measurements : iterable of Measurement
         Of one or several lasers.
-    passed : int, >= 0
-        Number of first measurements that are only looked at; the first drive is that of the last one of them.
     on_break : callable
         Gets the finding robot_carried, with all breaks so far, as soon as one more is certain.
     """
-    numbered = _number_drives(measurements, on_break)
-    skipped = min(passed, 1)
-    for _, drive in groupby(islice(numbered, passed - skipped, None), key=itemgetter(0)):
-        yield map(itemgetter(1), islice(drive, skipped, None))
-        skipped = 0
+    for _, drive in groupby(_number_drives(measurements, on_break), key=itemgetter(0)):
+        yield map(itemgetter(1), drive)
 
 
 def _number_drives(

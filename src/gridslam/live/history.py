@@ -5,7 +5,7 @@ from __future__ import annotations
 import zlib
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple, TypeAlias, final
+from typing import Annotated, NamedTuple, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from gridslam.types import FloatArray
 
 __all__ = [
     "NO_CLOUD",
+    "NO_TILES",
     "SCAN_UNIT_M",
     "TILE_BYTES",
     "History",
@@ -36,6 +37,7 @@ TILE_BYTES = TILE * TILE // 2
 SCAN_UNIT_M = 0.01
 """Scans are stored in whole multiples of this length."""
 NO_CLOUD: Float32Array = np.zeros((0, 4), np.float32)
+NO_TILES: NDArray[np.uint8] = np.zeros(0, np.uint8)
 _MOST_MOMENTS = 1024
 _COMPRESSION = 1  # of zlib: a moment of the Intel log takes 0.15 ms
 _KEYFRAME = 32  # moments between two maps that are kept for seeking
@@ -60,7 +62,7 @@ class Moment(NamedTuple):
         The other positions of the path, NaN where the robot was lost.
     at : (K, 2) int32
         Rows and columns of the tiles that changed.
-    tiles : bytes
+    tiles : (B,) uint8
         Their packed levels, (K, `TILE_BYTES`) uint8, compressed by zlib.
     scan : (S, 2) int16
         End points of the scan in the robot frame, in units of `SCAN_UNIT_M`.
@@ -70,13 +72,13 @@ class Moment(NamedTuple):
 
     keys: int
     stamp_ns: int
-    pose: FloatArray
+    pose: Annotated[FloatArray, 3]
     first: int
-    path: Float32Array
-    at: NDArray[np.int32]
-    tiles: bytes
-    scan: NDArray[np.int16]
-    particles: Float32Array = NO_CLOUD
+    path: Annotated[Float32Array, None, 2]
+    at: Annotated[NDArray[np.int32], None, 2]
+    tiles: Annotated[NDArray[np.uint8], None]
+    scan: Annotated[NDArray[np.int16], None, 2]
+    particles: Annotated[Float32Array, None, 4] = NO_CLOUD
 
     def unpack(self) -> PackedTiles:
         """Return the tiles that changed."""
@@ -87,12 +89,12 @@ class Moment(NamedTuple):
         }
 
 
-def unpack_tiles(tiles: bytes, count: int) -> bytes:
+def unpack_tiles(tiles: NDArray[np.uint8], count: int) -> bytes:
     """Return the packed levels of this number of tiles; raises ValueError where there are not as many."""
     size = count * TILE_BYTES
     unpacker = zlib.decompressobj()
     try:
-        data = unpacker.decompress(tiles, size + 1) if tiles else b""
+        data = unpacker.decompress(tiles.tobytes(), size + 1) if len(tiles) else b""
     except zlib.error as error:
         raise ValueError(str(error)) from None
     if len(data) != size:
@@ -100,9 +102,9 @@ def unpack_tiles(tiles: bytes, count: int) -> bytes:
     return data
 
 
-def pack_tiles(tiles: NDArray[np.uint8]) -> bytes:
-    """Return packed levels (K, `TILE_BYTES`), compressed."""
-    return zlib.compress(tiles.tobytes(), _COMPRESSION) if len(tiles) else b""
+def pack_tiles(tiles: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return packed levels (K, `TILE_BYTES`), compressed: (B,)."""
+    return np.frombuffer(zlib.compress(tiles.tobytes(), _COMPRESSION), np.uint8) if len(tiles) else NO_TILES
 
 
 @final

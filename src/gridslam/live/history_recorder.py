@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gridslam.grid.tiles import TileMaps
 from gridslam.live.ancestry_tree import NO_POINTS
-from gridslam.live.history import History, Moment, pack_tiles, round_scan
+from gridslam.live.history import NO_TILES, History, Moment, pack_tiles, round_scan
 from gridslam.live.monitor import ClosureCollector
 from gridslam.live.protocol import pack_tiles as pack_levels
 from gridslam.live.scene import RowBuffer
@@ -109,7 +109,7 @@ class HistoryRecorder:
     def _make_moment(
         self, report: StepReport | LocalizationReport, state: GridFastSlamState | MonteCarloState
     ) -> Moment:
-        at, tiles = _NOWHERE, b""
+        at, tiles = _NOWHERE, NO_TILES
         if isinstance(state, GridFastSlamState):
             at, tiles = self._shown.find_changes(state.maps, state.best)
             self.closures, self.recognized = self._collector.find(state)
@@ -149,7 +149,7 @@ class _ShownMap:
         """Give the map back; all tiles are compared at the next moment."""
         self._owned = None
 
-    def find_changes(self, maps: TileMaps, row: int) -> tuple[NDArray[np.int32], bytes]:
+    def find_changes(self, maps: TileMaps, row: int) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
         """Return rows and columns (K, 2) and packed levels of the tiles that look different now."""
         is_same = self._owned is not None and maps.shares_tiles(self._owned)
         changes = self._detector.find_changes(maps, row, EMPTY_BOX if is_same else None)

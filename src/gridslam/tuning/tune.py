@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -19,12 +19,7 @@ from gridslam.tuning.search_space import SearchSpace, Value
 from gridslam.tuning.trial import TARGET
 from gridslam.types import FloatArray
 
-__all__ = ["Budget", "Settings", "Trial", "TunedLog", "Tuner", "Tuning", "load_optuna"]
-
-_RESERVE: Final = 1.3
-"""Configurations that are tried cost more than the one that the search began with: finer cells, more key scans."""
-
-_FEWEST_TRIALS: Final = 4
+__all__ = ["Settings", "Trial", "TunedLog", "Tuner", "Tuning", "load_optuna"]
 
 _HALVED_FROM: Final = 9
 """Trials from which successive halving saves anything; fewer are all tried on whole logs."""
@@ -36,8 +31,6 @@ _PARTS: Final = {1: 1 / 9, 3: 1 / 3, 9: 1.0}
 
 Less than a ninth of a log closes no loop.
 """
-_SHARE: Final = 0.5
-"""Cost of a trial as a share of whole logs: a third if a third advances, and the first ones always advance."""
 _BATCH: Final = 8
 """Configurations that are asked for together, so that workers have something to do."""
 _WORST: Final = 1e6
@@ -75,7 +68,7 @@ class Settings:
     space : SearchSpace
         What is searched.
     trials : int
-        Configurations to try; with a budget the most.
+        Configurations to try.
     seed : int
         Of the search, and of its runs; those that judge have the next ones.
     judging_seeds : int
@@ -95,14 +88,6 @@ class Settings:
     repair: str = "needed"
     max_memory_bytes: int = 1 << 32
     threads: int = 1
-
-
-@final
-class Budget(NamedTuple):
-    """Wall time that a tuning may take, s, and the number of workers."""
-
-    seconds: float
-    workers: int
 
 
 @final
@@ -171,8 +156,6 @@ class Tuner:
         At least one that is not held out.
     run : callable
         Runs jobs, and gives a row of the journal for each (see `run_jobs`).
-    budget : Budget, optional
-        Time after which no further generation is begun; from it the number of trials is computed, too.
     on_trial : callable
         Called with each trial.
     """
@@ -180,10 +163,8 @@ class Tuner:
     settings: Settings
     logs: Sequence[TunedLog]
     run: Callable[[Sequence[Job]], Sequence[Row]]
-    budget: Budget | None = None
     on_trial: Callable[[Trial], None] = lambda trial: None
     trials: list[Trial] = field(default_factory=list, init=False)
-    planned: int = field(default=0, init=False)
     _rows: dict[str, Row] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
@@ -197,12 +178,11 @@ class Tuner:
         Raises
         ------
         InputError
-            A log cannot be mapped with the configuration that the search begins with, or the budget is too small.
+            A log cannot be mapped with the configuration that the search begins with.
         """
         settings = self.settings
         space = settings.space
         losses = self._require_base(1.0, [settings.seed], self._searched)[:, 0]
-        self.planned = self._plan_trials()
         start, default = (space.values_of(one) for one in (settings.base, Configuration()))
         self._search(start, default)
         by_log = {log.name: loss for log, loss in zip(self._searched, losses.tolist(), strict=True)}
@@ -237,7 +217,7 @@ class Tuner:
         return [log for log in self.logs if log.held_out] or self._searched
 
     def _search(self, start: dict[str, Value], default: dict[str, Value]) -> None:
-        """Try the configurations that Optuna asks for, until all that are planned are tried.
+        """Try the configurations that Optuna asks for, until all are tried.
 
         The default values are the first. The start is known, and no trial.
         """
@@ -248,13 +228,13 @@ class Tuner:
             pruner=optuna.pruners.SuccessiveHalvingPruner(min_resource=1, reduction_factor=3),
         )
         distributions = {one.name: one.distribution() for one in space.dimensions}
-        parts = _PARTS if self.planned >= _HALVED_FROM else {max(_PARTS): 1.0}
+        parts = _PARTS if self.settings.trials >= _HALVED_FROM else {max(_PARTS): 1.0}
         known = {"value": 1.0, "intermediate_values": dict.fromkeys(parts, 1.0)}
         study.add_trial(optuna.trial.create_trial(params=start, distributions=distributions, **known))
         if default != start:
             study.enqueue_trial(default)
-        left = self.planned
-        while left and (left == self.planned or self._has_time(min(_BATCH, left))):
+        left = self.settings.trials
+        while left:
             asked = [study.ask(distributions) for _ in range(min(_BATCH, left))]
             left -= len(asked)
             for step, part in parts.items():
@@ -343,45 +323,6 @@ class Tuner:
             "threads": settings.threads,
         }
         return Job(TARGET, arguments, log.path, f"{log.name}-{key[:16]}", key, "tune")
-
-    def _plan_trials(self) -> int:
-        """Return the number of trials: as given, or as many as the budget allows by the cost of the start."""
-        trials = self.settings.trials
-        if self.budget is None:
-            return trials
-        each = self._spent_s()
-        left = self.budget.seconds * self.budget.workers - each - self._judging_s()
-        affordable = math.floor(left / (_RESERVE * each * _SHARE)) if each else trials
-        if affordable < _HALVED_FROM:
-            affordable = math.floor(_SHARE * affordable)  # each on whole logs
-        if affordable < _FEWEST_TRIALS:
-            needed = (each + self._judging_s() + _FEWEST_TRIALS * _RESERVE * each) / self.budget.workers
-            problem = f"the budget of {self.budget.seconds:.0f} s is too small: expected {math.ceil(needed)} s at least"
-            raise InputError(self._searched[0].path, problem)
-        return min(trials, affordable)
-
-    def _judging_s(self) -> float:
-        """Estimate the cost of the comparison from the length of its logs."""
-        searched_s = sum(log.duration_s for log in self._searched)
-        judged_s = sum(log.duration_s for log in self.judged)
-        one = self._base_s() * judged_s / searched_s if searched_s else 0.0
-        return 3 * _RESERVE * self.settings.judging_seeds * one
-
-    def _base_s(self) -> float:
-        base = (self._job(self.settings.base, 1.0, self.settings.seed, log) for log in self._searched)
-        return sum(self._rows[job.key]["wall_s"] or 0.0 for job in base)
-
-    def _spent_s(self) -> float:
-        return sum(row["wall_s"] or 0.0 for row in self._rows.values())
-
-    def _has_time(self, count: int) -> bool:
-        """Whether the budget allows another generation of this size, and the comparison after it."""
-        if self.budget is None:
-            return True
-        return (
-            self._spent_s() + count * _RESERVE * self._base_s() + self._judging_s()
-            < self.budget.seconds * self.budget.workers
-        )
 
 
 def load_optuna() -> Any:  # noqa: ANN401

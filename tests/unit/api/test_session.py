@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import gridslam
-from gridslam.api.autosave import Autosave
 from gridslam.config import override
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.se2 import between, compose
@@ -178,43 +177,6 @@ def test_a_given_map_is_gone_on_from(second, first, one_day, tmp_path):
     assert result.map.known.sum() > 1.02 * known.known.sum()
     session.save(tmp_path / "prior.gridslam")
     assert gridslam.Session.open(tmp_path / "prior.gridslam").trajectories.keys() == {"tuesday"}
-
-
-class KilledError(Exception):
-    """What ends a run, as a kill would."""
-
-
-def test_an_interrupted_run_goes_on_from_its_autosave(first, tmp_path):
-    log = write(tmp_path, "day", first.measurements[:500])
-    whole = gridslam.Session(CONFIG).add(log)
-
-    def add(autosave, seed=0, until=10_000):
-        session = gridslam.Session(CONFIG, seed=seed)
-
-        def gate(measurements):
-            for number, measurement in enumerate(measurements):
-                if number == until:
-                    raise KilledError
-                if number % 20 == 19:
-                    autosave.close()  # so that the next scan finds the last file written, on a busy machine, too
-                yield measurement
-
-        return session.add(log, autosave=autosave, gate=gate), session
-
-    resumed = []
-    for until in (0, 1, 130, 170):
-        autosave = Autosave(tmp_path / "autosave.gridslam", 1e-9, on_resume=resumed.append)
-        with pytest.raises(KilledError):
-            add(autosave, until=until)
-        autosave.close()
-    with pytest.raises(InputError, match="that of another run"):
-        add(Autosave(tmp_path / "autosave.gridslam", 1e-9), seed=1)
-    result, session = add(Autosave(tmp_path / "autosave.gridslam", 3600.0, on_resume=resumed.append))
-    assert session.resumed == resumed[-1] >= 200
-    assert files_of(result, tmp_path / "resumed") == files_of(whole, tmp_path / "whole")
-    (tmp_path / "autosave.gridslam").write_bytes((tmp_path / "autosave.gridslam").read_bytes()[:-100])
-    with pytest.raises(InputError, match="damaged"):
-        add(Autosave(tmp_path / "autosave.gridslam", 3600.0))
 
 
 def test_bad_calls_are_refused(one_day, tmp_path):

@@ -34,8 +34,8 @@ def healthy(tmp_path_factory):
     shutil.copy(folder / "out" / "trajectory.tum", folder / "out" / "truth.tum")
     history = History()
     nothing = np.zeros((0, 2))
-    history.add(Moment(1, 1, np.zeros(3), 0, np.zeros((1, 2), np.float32), nothing.astype(np.int32), b"",
-                       nothing.astype(np.int16)))  # fmt: skip
+    path, at, scan = (nothing.astype(kind) for kind in (np.float32, np.int32, np.int16))
+    history.add(Moment(1, 1, np.zeros(3), 0, path, at, np.zeros(0, np.uint8), scan))
     write_history(folder / "out" / "history.npz", history)
     return folder / "out"
 

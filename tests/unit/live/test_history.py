@@ -90,15 +90,15 @@ def test_a_file_gives_the_same_moments(drive, tmp_path):
 @pytest.mark.parametrize(
     ("name", "change", "says"),
     [
-        ("schema", lambda array: np.array("gridslam.record/1"), "expected schema gridslam.history/1"),
-        ("keys", lambda array: array[::-1], "keys: expected numbers of key scans in ascending order"),
-        ("keys", lambda array: array[:-1], "stamps_ns: expected"),
-        ("poses", lambda array: array * np.nan, "poses: expected finite"),
-        ("path_firsts", lambda array: array + 1, "path_firsts: expected"),
-        ("scan_counts", lambda array: -array, "scan_counts: expected counts"),
-        ("tiles", lambda array: array[::-1], "tiles of moment 0"),
-        ("tiles_at", lambda array: array.astype(np.int64), "expected tiles_at as int32"),
-        ("tile_counts", lambda array: array[[*range(1, len(array)), 0]], "tiles of moment 0: expected"),
+        ("schema", lambda array: np.array("gridslam.record/1"), "expected schema gridslam.history/2"),
+        ("moments.keys", lambda array: array[::-1], "moments.keys: expected numbers of key scans in ascending order"),
+        ("moments.keys", lambda array: array[:-1], "moments.stamp_ns: expected"),
+        ("moments.pose", lambda array: array * np.nan, "moments.pose, .*: expected finite"),
+        ("moments.first", lambda array: array + 1, "moments.first: expected"),
+        ("moments.scan.counts", lambda array: -array, "moments.scan.counts: expected numbers >= 0"),
+        ("moments.tiles", lambda array: array[::-1], "its arrays do not belong together: .*incorrect header"),
+        ("moments.at", lambda array: array.astype(np.int64), "moments.at: expected int32"),
+        ("moments.at.counts", lambda array: array[[*range(1, len(array)), 0]], "expected [0-9]+ bytes of tiles, got"),
     ],
 )
 def test_files_that_are_none_are_refused(drive, tmp_path, name, change, says):

@@ -125,3 +125,25 @@ def test_maps_without_free_or_occupied_cells_are_refused():
             KnownMap(grid_of(cells))
     with pytest.raises(ArgumentError, match="reach_m"):
         KnownMap(grid_of(room()), reach_m=0.0)
+
+
+@pytest.mark.parametrize("shape", [(10**6, 1), (10**8, 0), (3,), (3, 2), (1, 3, 3)])
+def test_poses_of_another_shape_are_refused(shape):
+    with pytest.raises(ArgumentError, match="poses: expected shape"):
+        KnownMap(grid_of(room())).is_free(np.zeros(shape))
+
+
+@pytest.mark.parametrize("max_m", [1e300, np.inf])
+@pytest.mark.parametrize("length", [1.0, 1e10, 1e-10, 1e300, 0.0])
+@pytest.mark.parametrize("place", [1.5, 1e6, -5e7, 1e300])
+def test_rays_end_where_the_map_does(max_m, length, place):
+    """From outside, too: as far as a ray is followed nothing is met but the map's walls."""
+    cells = np.zeros((60, 60), int)
+    cells[[0, -1]] = cells[:, [0, -1]] = 1
+    known = KnownMap(OccupancyGrid(grid_of(cells).log_odds, np.ones(cells.shape, np.bool_), 0.05, (0.0, 0.0)))
+    found = known.cast_rays(
+        np.zeros(2, np.int32), np.array([[1.5, place, 0.3], [place, 1.5, 2.0]]), np.zeros(2), length * np.eye(2), max_m
+    )
+    assert found.shape == (2, 2)
+    if place == 1.5 and length == 1.0:
+        assert (found < 3).all()

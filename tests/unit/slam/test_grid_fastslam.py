@@ -88,18 +88,6 @@ def test_branches_do_not_write_into_each_other(drive, play, contents):
     assert contents(second) != expected
 
 
-@pytest.mark.parametrize("proposal", [ScanMatchedProposal(), ImprovedProposal()])
-def test_the_number_of_threads_never_changes_a_byte(drive, play, contents, proposal):
-    slam = replace(LIVELY, proposal=proposal)
-    alone, reports = play(slam, drive.measurements[:80], particles=7)
-    for threads in (2, 3, 7):
-        state, repeated = play(replace(slam, threads=threads), drive.measurements[:80], particles=7)
-        assert contents(state) == contents(alone)
-        for ours, theirs in zip(repeated, reports, strict=True):
-            assert ours.pose.tobytes() == theirs.pose.tobytes()
-            assert ours.covariance.tobytes() == theirs.covariance.tobytes()
-
-
 @pytest.mark.parametrize("at", [60, 61, 90])
 def test_odometry_that_is_reset_does_not_move_the_robot(drive, play, at):
     """Its poses begin anew at 0 in mid log, far from where they were; the trajectory goes on."""

@@ -14,7 +14,7 @@ from gridslam.config import Configuration, loads
 from gridslam.errors import ArgumentError, InputError
 from gridslam.tuning.report import describe_verdict, plot_convergence, to_document, to_toml
 from gridslam.tuning.search_space import SearchSpace
-from gridslam.tuning.tune import Budget, Settings, TunedLog, Tuner
+from gridslam.tuning.tune import Settings, TunedLog, Tuner
 
 NAMES = "key_scan_m", "noise_m", "tempering"
 TARGET = {"key_scan_m": 0.3, "noise_m": 0.05, "tempering": 0.01}
@@ -67,12 +67,12 @@ def test_where_nothing_matters_the_start_is_kept():
     """The same distribution for all configurations: the best of 12 is so by luck, which fresh seeds do not share."""
     space = SearchSpace.of(Configuration(), NAMES)
     recommended = 0
-    for seed in range(200):
+    for seed in range(60):
         tuning = Tuner(Settings(Configuration(), space, 12, seed=10_000 * seed), LOGS, Runs(sensitivity=0.0))()
         recommended += tuning.gains
         if not tuning.gains:
             assert tuning.configuration == Configuration()
-    assert recommended <= 10  # 5 % of 200; 2.5 % are expected
+    assert recommended <= 5  # of 60; 2.5 % are expected, and more than 8 % once in 250
 
 
 def test_trials_are_trials_and_too_few_are_reported_as_such():
@@ -97,7 +97,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_one_others():
         settings = replace(SETTINGS, seed=seed)
         tuner = Tuner(settings, LOGS, Runs())
         tuning = tuner()
-        texts.append(json.dumps(to_document(tuning, settings, LOGS, tuner.planned)) + to_toml(tuning, LOGS))
+        texts.append(json.dumps(to_document(tuning, settings, LOGS, settings.trials)) + to_toml(tuning, LOGS))
     assert texts[0] == texts[1] != texts[2]
 
 
@@ -110,19 +110,6 @@ def test_failures_rank_last_and_a_start_that_fails_ends_it():
         Tuner(SETTINGS, LOGS, Runs(fails=lambda values: True))()
     with pytest.raises(ArgumentError, match="at least one that is not held out"):
         Tuner(SETTINGS, LOGS[1:], Runs())
-
-
-def test_a_budget_limits_the_time_and_one_that_is_too_small_is_refused():
-    """A run takes 2 s for 100 s of a log: the search and its comparison must end within the budget."""
-    for seconds in (100.0, 300.0):
-        runs = Runs()
-        tuner = Tuner(replace(SETTINGS, trials=100_000), LOGS, runs, Budget(seconds, 2))
-        tuner()
-        spent_s = sum(runs.row(job)["wall_s"] for job in runs.jobs)
-        assert 0.5 * seconds < spent_s / 2 <= seconds
-        assert 4 <= tuner.planned < 100_000
-    with pytest.raises(InputError, match=r"the budget of 10 s is too small: expected [0-9]+ s at least"):
-        Tuner(SETTINGS, LOGS, Runs(), Budget(10.0, 1))()
 
 
 def test_the_file_is_a_configuration_and_the_figures_show_all_trials():

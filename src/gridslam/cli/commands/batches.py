@@ -96,8 +96,14 @@ def batch_command(**options: Any) -> int:  # noqa: ANN401
     metavar="BEST.toml",
     help="Configuration to use; details in BEST.tune.",
 )
-@click.option("--trials", type=click.IntRange(1, 100_000), metavar="N", help="Configurations to try.  [default: 60]")
-@click.option("--budget", metavar="TIME", help="Wall time that it may take, as 90s, 15m or 1h, instead of --trials.")
+@click.option(
+    "--trials",
+    type=click.IntRange(1, 100_000),
+    default=60,
+    show_default=True,
+    metavar="N",
+    help="Configurations to try.",
+)
 @click.option(
     "--reference",
     metavar="PATTERN",
@@ -131,7 +137,7 @@ def tune_command(**options: Any) -> None:  # noqa: ANN401
     and logs; else the start is, and the exit status is 0 as well.
 
     \b
-      gridslam tune logs/*.clf -o best.toml --budget 1h --split 0.3
+      gridslam tune logs/*.clf -o best.toml --trials 30 --split 0.3
       gridslam map log.clf -o out --config best.toml
 
     The same command again continues an interrupted search. Needs the extra: tune.

@@ -121,8 +121,6 @@ class SavedSession:
         Date and time in UTC, ISO 8601.
     version : str
         Version of gridslam that wrote it.
-    job : str
-        What an interrupted run was to do: a digest of all that it depends on. Empty in the session of a complete run.
     """
 
     configuration: Configuration
@@ -132,7 +130,6 @@ class SavedSession:
     thumbnail: bytes = b""
     written: str = ""
     version: str = __version__
-    job: str = ""
 
     @property
     def drives(self) -> Iterator[Drive]:
@@ -164,7 +161,7 @@ class SavedSession:
             "written": self.written,
             "seed": self.seed,
             "configuration": dumps(self.configuration),
-            "job": self.job,
+            "job": "",  # unused; readers of this schema expect it
             "pieces": [[_describe(drive) for drive in piece.drives] for piece in self.pieces],
             "run": None,
         }
@@ -248,7 +245,6 @@ def read_session(path: str | Path, threads: int = 1) -> SavedSession:
             thumbnail=arrays["thumbnail"].tobytes(),
             written=str(head["written"]),
             version=str(head["version"]),
-            job=str(head["job"]),
         )
 
 
@@ -267,7 +263,7 @@ def _parse_head(arrays: Arrays) -> dict[str, Any]:
     """Read the head; raises ArgumentError, or another error, where it does not describe drives and their logs."""
     head = parse_json(read_text_array(arrays, "head"))
     require_instance("head", head, dict)
-    for name in ("version", "written", "configuration", "job"):
+    for name in ("version", "written", "configuration"):
         require_instance(name, head[name], str)
     require_seed(head["seed"])
     run = head["run"]

@@ -1,8 +1,7 @@
-"""Correspondences of a whole log: by a particle filter, revised at poses that know the whole log.
+"""Correspondences of a whole log: by a particle filter, revised once at poses that know the whole log.
 
 A filter decides when an observation comes. Where the log is complete it can be asked again: at the poses of GraphSLAM
-with the correspondences so far, which later observations have corrected, each observation has a nearest landmark, and
-two landmarks at one place that are never observed together are one.
+with the correspondences so far, which later observations have corrected, each observation has a nearest landmark.
 """
 
 from __future__ import annotations
@@ -19,12 +18,10 @@ from gridslam.models.landmark import (
     LandmarkObservations,
     LandmarkStep,
     linearize_calibrated,
-    locate_calibrated,
 )
 from gridslam.models.systematic_errors import SystematicErrors
 from gridslam.slam.landmarks.fastslam2 import FastSlam2
-from gridslam.slam.landmarks.graph_slam import LandmarkGraphSlam, LandmarkGraphSolution
-from gridslam.slam.landmarks.merging import MergeSearch
+from gridslam.slam.landmarks.graph_slam import LandmarkGraphSlam
 from gridslam.slam.landmarks.particles import smooth_trajectory
 from gridslam.slam.landmarks.report import LandmarkMap
 from gridslam.slam.landmarks.small_gaussians import mahalanobis
@@ -37,24 +34,10 @@ __all__ = ["BatchAssociation"]
 _NONE = -1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Found:
-    """Landmarks of all observations, the graph's solution with them, and their cost."""
-
-    labels: list[IntArray]
-    solution: LandmarkGraphSolution
-    cost: float
-
-
 @final
 @dataclass(frozen=True)
 class BatchAssociation:
     """Find the correspondences of all observations of a log.
-
-    A particle filter that takes a wrong turn after an interval without observations doubles half of the map. So the
-    filter starts several times, each time with odometry and sensor calibrated by what was found so far, and the
-    correspondences of the least cost are taken: chi2 of the graph, and what observations without a landmark and the
-    landmarks themselves cost. The correspondences that two starts agree about are taken as found.
 
     Attributes
     ----------
@@ -68,26 +51,14 @@ class BatchAssociation:
         For increments without covariance, when the correspondences are revised. None takes the filter's.
     gate : float
         Greatest squared Mahalanobis distance of an observation, at the smoothed pose, from its landmark.
-    merge : MergeSearch
-        Finds landmarks that are one.
     least_observations : int
         A landmark of fewer observations is none.
-    rounds : int
-        Revisions at most.
     particles : int
         Of the filter. After an interval without observations the first one may be of any of several landmarks in any of
         several directions, and some particles must be right: of MRCLAM's intervals of 30 s, in a room of 15 barcodes,
         20 particles seldom survive all.
-    starts : int
-        Runs of the filter at most.
     solver : GraphSlam
         For the smoothed poses.
-
-    References
-    ----------
-    M. Kaess, F. Dellaert, Covariance recovery from a square root information matrix for data association, RAS 2009
-    (tests by marginal covariances); Probabilistic Robotics, 11.6 (data association in GraphSLAM, by tests that two
-    landmarks are one, repeated after each solution).
     """
 
     slam: FastSlam2
@@ -95,11 +66,8 @@ class BatchAssociation:
     bias: SystematicErrors
     smoothing: MotionModel | None = None
     gate: float = 16.0
-    merge: MergeSearch = field(default_factory=MergeSearch)
     least_observations: int = 3
-    rounds: int = 10
     particles: int = 200
-    starts: int = 4
     solver: GraphSlam = field(default_factory=lambda: GraphSlam(first_guess="given", robust=CauchyEstimator()))
 
     def __call__(
@@ -119,68 +87,16 @@ class BatchAssociation:
             For increments without covariance.
         rng : numpy.random.Generator
         on_progress : callable
-            Called after each step of the filter, and after each revision.
+            Called after each step of the filter, and after the revision.
         """
-        best: _Found | None = None
-        for _ in range(self.starts):
-            calibrated = steps if best is None else self._calibrate(steps, best.solution.systematic_errors)
-            labels = self._filter(calibrated, motion, rng, on_progress)
-            found = self._revise(steps, labels, self.smoothing or motion, on_progress)
-            agreed = best is not None and _share_agreed(best.labels, found.labels) >= _AGREED
-            if best is None or found.cost < best.cost:
-                best = found
-            if agreed:
-                break
-        return _label(steps, [] if best is None else best.labels)
-
-    def _revise(
-        self,
-        steps: Sequence[LandmarkStep],
-        labels: list[IntArray],
-        motion: MotionModel,
-        on_progress: Callable[[], None],
-    ) -> _Found:
-        """Merge landmarks and assign observations again at the poses of the graph, until nothing changes."""
-        graph = LandmarkGraphSlam(self.sensor, self.solver, bias=self.bias)
-        solution: LandmarkGraphSolution | None = None
-        best: _Found | None = None
-        labels = self._leave_out_few(labels)
-        for _ in range(self.rounds):
-            solution = graph.solve(_label(steps, labels), motion, solution)
-            cost = self._cost(labels, solution)
-            if best is None or cost < best.cost:
-                best = _Found(labels, solution, cost)
-            before = labels
-            labels = self._merge(before, solution)
-            if all(np.array_equal(a, b) for a, b in zip(labels, before, strict=True)):
-                calibration = self.bias.calibration(solution.systematic_errors)
-                labels = self._assign(steps, solution.poses, solution.landmarks, calibration, _SMOOTHED)
-            labels = self._leave_out_few(labels)
-            on_progress()
-            if all(np.array_equal(a, b) for a, b in zip(labels, before, strict=True)):
-                break
-        assert best is not None
-        return best
-
-    def _cost(self, labels: list[IntArray], solution: LandmarkGraphSolution) -> float:
-        """Chi2 of the graph, and what observations of no landmark cost; a landmark costs as the fewest it may have."""
-        left_out = sum(int((of_step < 0).sum()) for of_step in labels)
-        of_landmarks = self.least_observations * len(solution.landmarks)
-        return solution.solution.chi2_after + _OUTLIER_COST * (left_out + of_landmarks)
-
-    def _calibrate(self, steps: Sequence[LandmarkStep], errors: FloatArray) -> list[LandmarkStep]:
-        """Steps without the systematic errors (B,), and without correspondences."""
-        here = np.zeros(3)
-        calibration = self.bias.calibration(errors)
-        calibrated = list[LandmarkStep]()
-        for step in steps:
-            seen = step.observations.drop_correspondences()
-            if len(seen):
-                points = locate_calibrated(self.sensor, here, seen.values, calibration)
-                seen = replace(seen, values=self.sensor.linearize(here, points)[0])
-            increment = step.increment + self.bias.by_errors(step.increment) @ errors
-            calibrated.append(replace(step, increment=increment, observations=seen))
-        return calibrated
+        labels = self._leave_out_few(self._filter(steps, motion, rng, on_progress))
+        found = _label(steps, labels)
+        graph = LandmarkGraphSlam(self.sensor, self.solver, bias=self.bias).solve(found, self.smoothing or motion)
+        calibration = self.bias.calibration(graph.systematic_errors)
+        landmarks = self._drop_copies(labels, graph.landmarks)
+        labels = self._assign(steps, graph.poses, landmarks, calibration, _SMOOTHED)
+        on_progress()
+        return _label(steps, self._leave_out_few(labels))
 
     def _filter(
         self,
@@ -206,17 +122,24 @@ class BatchAssociation:
         kept = names[(counts >= self.least_observations) & (names >= 0)]
         return [np.where(np.isin(of_step, kept), of_step, _NONE) for of_step in labels]
 
-    def _merge(self, labels: list[IntArray], solution: LandmarkGraphSolution) -> list[IntArray]:
-        """Rename landmarks that are one; of two observations of one at one time the second has none."""
-        names = self.merge(solution, labels)
-        renamed = dict(zip(solution.landmarks.names.tolist(), names.tolist(), strict=True))
-        merged = list[IntArray]()
-        for of_step in labels:
-            new = np.array([renamed.get(name, _NONE) for name in of_step.tolist()], np.int64)
-            again = np.ones(len(new), np.bool_)
-            again[np.unique(new, return_index=True)[1]] = False
-            merged.append(np.where(again, _NONE, new))
-        return merged
+    def _drop_copies(self, labels: Sequence[IntArray], landmarks: LandmarkMap) -> LandmarkMap:
+        """Drop the rarer of two landmarks at one place, the nearest pair first; two that are seen together are two."""
+        seen = np.array([np.isin(landmarks.names, of_step) for of_step in labels], np.int64)
+        counts = seen.T @ seen
+        rarer = np.minimum(np.diag(counts)[:, None], np.diag(counts))
+        i, j = np.nonzero(np.triu(counts <= _TOGETHER * rarer, 1))
+        covariances = landmarks.covariances[i] + landmarks.covariances[j]
+        squared, _ = mahalanobis(landmarks.positions[i] - landmarks.positions[j], covariances)
+        left = set(range(len(landmarks)))
+        paired = set[int]()
+        for k in np.argsort(squared, kind="stable")[: np.count_nonzero(squared < self.gate)].tolist():
+            pair = {int(i[k]), int(j[k])}
+            if not pair & paired:
+                paired |= pair
+                left.remove(min(pair, key=lambda one: counts[one, one]))
+        kept = sorted(left)
+        names, observations = landmarks.names[kept], landmarks.observations[kept]
+        return LandmarkMap(names, landmarks.positions[kept], landmarks.covariances[kept], observations)
 
     def _assign(
         self,
@@ -247,8 +170,7 @@ class BatchAssociation:
         return labels
 
 
-_OUTLIER_COST = 4.0  # what an observation adds to chi2 at most, with Cauchy's weights of scale 2
-_AGREED = 0.95  # share of the observations that two starts assign alike, if they found the same landmarks
+_TOGETHER = 0.1  # share of the observations of the rarer of two copies that may come with the other, wrongly
 _SMOOTHED = np.diag([0.05**2, 0.015**2])
 """What a smoothed pose errs by, in an observation: m and rad."""
 _FILTERED = 4 * _SMOOTHED
@@ -265,13 +187,3 @@ def _label(steps: Sequence[LandmarkStep], labels: Sequence[IntArray]) -> list[La
         observations = LandmarkObservations(seen.values[kept], names[kept], covariances, seen.passed_s)
         labelled.append(replace(step, observations=observations))
     return labelled
-
-
-def _share_agreed(labels: Sequence[IntArray], others: Sequence[IntArray]) -> float:
-    """Share of the observations that two results assign alike, whatever they call the landmarks."""
-    a, first = np.unique(np.concatenate(labels), return_inverse=True)
-    b, second = np.unique(np.concatenate(others), return_inverse=True)
-    counts = np.zeros((len(a), len(b)), np.int64)
-    np.add.at(counts, (first, second), 1)
-    rows, columns = linear_sum_assignment(-counts)
-    return float(counts[rows, columns].sum() / max(len(first), 1))
