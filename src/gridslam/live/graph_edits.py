@@ -18,7 +18,7 @@ from gridslam.io.g2o import read_g2o, write_g2o
 from gridslam.io.output import write_atomically
 from gridslam.io.sessions.session_file import SavedSession, read_session, write_session
 from gridslam.io.text import read_json
-from gridslam.live.ancestry_tree import Float32Array
+from gridslam.live.ancestry_tree import NO_POINTS, Float32Array
 from gridslam.live.results import StaticView
 from gridslam.slam.loop_closure.constraints import Constraint
 from gridslam.slam.loop_closure.graph_edits import GraphEdit, match_placed, score_placed
@@ -45,8 +45,8 @@ class Overlay(NamedTuple):
     ----------
     pair : (int, int)
         Their key scans.
-    score : float
-        Share of the second one's beams that agree with the local map of the first one, [0, 1].
+    score : float or None
+        Share of the second one's beams that agree with the local map of the first one, [0, 1]; None of a single scan.
     older : (K, 2) float32, m
         End points of the first one, map frame.
     newer : (M, 2) float32, m
@@ -58,7 +58,7 @@ class Overlay(NamedTuple):
     """
 
     pair: tuple[int, int]
-    score: float
+    score: float | None
     older: Float32Array
     newer: Float32Array
     pose: FloatArray
@@ -66,7 +66,8 @@ class Overlay(NamedTuple):
 
     def describe(self) -> dict[str, Any]:
         """Return what the page shows besides the points."""
-        return {"pair": [*self.pair], "score": round(self.score, 3), "proposed": self.proposed is not None}
+        score = None if self.score is None else round(self.score, 3)
+        return {"pair": [*self.pair], "score": score, "proposed": self.proposed is not None}
 
 
 @final
@@ -164,21 +165,33 @@ class EditedGraph:
         score = score_placed(self._piece.scans, self._now.graph.poses, mapper, (from_, to), measured)
         return self._lay((from_, to), score, measured)
 
-    def place(self, key: object, pose: object) -> Overlay:
-        """Return a key scan matched where it was put, pose (3,), on what was seen from there at another time.
+    def grab(self, place: object) -> Overlay:
+        """Return the key scan nearest to a place [x, y]; raises ArgumentError where no scans are known."""
+        piece, _, key = self._find(place)
+        ends = piece.scans.key(key).ends.astype(np.float32)
+        return Overlay((key, key), None, NO_POINTS, ends, self._now.graph.poses[key])
+
+    def put(self, from_: object, to: object) -> Overlay:
+        """Return the key scan nearest to a place [x, y], matched where it was put, on what was seen at another time.
 
         Raises ArgumentError where no scans are known, or the robot was never near.
         """
-        if self._piece is None or self._saved is None:
-            raise ArgumentError("place", "a session in the folder, whose scans can be matched", "none")
-        if not (isinstance(key, int) and 0 <= key < len(self._piece)):
-            raise ArgumentError("place", f"one of {len(self._piece)} key scans", key)
-        where = np.array(pose, np.float64)
-        if where.shape != (3,) or not np.isfinite(where).all():
-            raise ArgumentError("place", "a pose of three finite numbers", pose)
-        mapper = self._saved.configuration.mapper
-        proposed, score = match_placed(self._piece.scans, self._now.graph.poses, mapper, key, where)
+        piece, start, key = self._find(from_)
+        _, end, _ = self._find(to)
+        poses = self._now.graph.poses
+        assert self._saved is not None
+        placed = poses[key] + np.append(end - start, 0.0)
+        proposed, score = match_placed(piece.scans, poses, self._saved.configuration.mapper, key, placed)
         return self._lay(proposed.pair, score, proposed.measurement)._replace(proposed=proposed)
+
+    def _find(self, place: object) -> tuple[MapPiece, FloatArray, int]:
+        """Return the scans, a place [x, y] as an array, and the key scan that is nearest to it."""
+        if self._piece is None:
+            raise ArgumentError("put", "a session in the folder, whose scans can be matched", "none")
+        at = np.array(place, np.float64)
+        if at.shape != (2,) or not np.isfinite(at).all():
+            raise ArgumentError("put", "a place of two finite numbers", place)
+        return self._piece, at, int(np.hypot(*(self._now.graph.poses[:, :2] - at).T).argmin())
 
     def _lay(self, pair: tuple[int, int], score: float, measured: FloatArray) -> Overlay:
         assert self._piece is not None

@@ -201,10 +201,10 @@ class ReplayViewer:
                 self._speed = check_speed(command["factor"]) or self._speed
             case "select":
                 self._select(command["particle"])
-            case "look" | "place" | "edit":
+            case "look" | "grab" | "put" | "edit":
                 self._edit(self._replay.require_editor(), command)
             case what:
-                raise ArgumentError("do", "pause, resume, step, seek, speed, select, look, place or edit", what)
+                raise ArgumentError("do", "pause, resume, step, seek, speed, select, look, grab, put or edit", what)
 
     def _edit(self, editor: EditedGraph, command: Mapping[str, Any]) -> None:
         """Look at an edge, put a scan on another place, or edit the graph; what cannot be is answered."""
@@ -212,8 +212,10 @@ class ReplayViewer:
         try:
             if command["do"] == "look":
                 self._overlay = None if command["edge"] is None else editor.look(command["edge"])
-            elif command["do"] == "place":
-                self._overlay = editor.place(command["scan"], command["pose"])
+            elif command["do"] == "grab":
+                self._overlay = editor.grab(command["at"])
+            elif command["do"] == "put":
+                self._overlay = editor.put(command["from"], command["to"])
             elif command["edit"] == "add":
                 proposed = None if overlay is None else overlay.proposed
                 self._replay.edit(lambda graph: graph.add(proposed))

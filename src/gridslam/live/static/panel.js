@@ -33,7 +33,6 @@ export class Panel {
     $("#step").onclick = (event) => this.step(event.shiftKey);
     $("#line").oninput = ({ target }) => this.seek(Number(target.value));
     $("#best").onclick = () => ask({ do: "select", particle: null });
-    $("#undo").onclick = () => ask({ do: "edit", reject: null });
     $("#sheet").onclick = () => {
       const open = document.body.toggleAttribute("data-sheet");
       $("#sheet").setAttribute("aria-expanded", open);
@@ -46,7 +45,6 @@ export class Panel {
     this.run = runInfo.session;
     if (this.pauses) this.ask({ do: "pause" }); // the connection was lost
     this.mode = runInfo.mode;
-    this.edits = runInfo.edits_graph;
     document.title = `${runInfo.title} · gridslam`;
     $("#title").textContent = runInfo.title;
     const replay = this.mode === "replay", unlimited = $("#speed option[value='']");
@@ -117,7 +115,6 @@ export class Panel {
     $("#summary").textContent = this.summarize(world).join(" · ");
     $("#answer").textContent = status.answer ?? "";
     this.session(status);
-    this.residuals(status);
     this.robot(status);
     this.particles(world);
     this.time(world);
@@ -152,25 +149,6 @@ export class Panel {
     session.title = drives.join(", ");
     state.textContent = found ? `found again after ${found.way_m.toFixed(1)} m, at ${found.pose[0].toFixed(2)} m, ${found.pose[1].toFixed(2)} m`
       : searches ? "looking for the robot in its map" : goes_on ? "goes on" : "";
-  }
-
-  // The edges of a pose graph that contradict the poses most, with their chi2; a click shows one.
-  residuals({ chi2, residuals, rejected }) {
-    $("#residuals").hidden = !residuals;
-    $("#edits").hidden = !this.edits;
-    $("#edits span").textContent = rejected?.length ? `${rejected.length} rejected` : "";
-    $("#undo").disabled = !rejected?.length;
-    if (!residuals || JSON.stringify(this.listed) === JSON.stringify(residuals)) return;
-    this.choose?.(null);
-    this.listed = residuals;
-    put("chi2", `chi2 ${twoDigits(chi2)}`);
-    $("#residuals ol").replaceChildren(...residuals.slice(0, 50).map(([from, to, off], number) => {
-      const item = document.createElement("li"), button = document.createElement("button");
-      button.textContent = `${from} – ${to}: chi2 ${twoDigits(off)}`;
-      button.onclick = () => this.choose?.(number);
-      item.append(button);
-      return item;
-    }));
   }
 
   robot({ pose, covariance, lost_probability, inlier_ratio }) {
