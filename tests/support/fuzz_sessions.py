@@ -237,7 +237,10 @@ def _make_sessions(folder: Path) -> dict[str, _Arrays]:
     joined = session.add(folder / "second.csv", pose=between(log.truth.poses[0], log.truth.poses[100]), repair="none")
     assert joined.found_again is not None
     session.save(folder / "joined.gridslam")
-    edits = GraphEdit((0, 9)), GraphEdit((1, 8), Constraint(1, 8, np.zeros(3), np.eye(3), ConstraintSource.BY_HAND, True))
+    edits = (
+        GraphEdit((0, 9)),
+        GraphEdit((1, 8), Constraint(1, 8, np.zeros(3), np.eye(3), ConstraintSource.BY_HAND, True)),
+    )
     write_session(folder / "edited.gridslam", replace(session.saved, edits=edits))
     _save_while_closing(folder, loop_drive())
     names = ("joined", "edited", "pending", "correction")

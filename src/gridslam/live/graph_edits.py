@@ -46,7 +46,7 @@ class Overlay(NamedTuple):
     pair : (int, int)
         Their key scans.
     score : float or None
-        Share of the second one's beams that agree with the local map of the first one, [0, 1]; None of a single scan.
+        Inlier ratio of the second one on the local map of the first one, [0, 1]; None of a single scan.
     older : (K, 2) float32, m
         End points of the first one, map frame.
     newer : (M, 2) float32, m
@@ -65,7 +65,7 @@ class Overlay(NamedTuple):
     proposed: Constraint | None = None
 
     def describe(self) -> dict[str, Any]:
-        """Return what the page shows besides the points."""
+        """Return the values that the page shows beside the points."""
         score = None if self.score is None else round(self.score, 3)
         return {"pair": [*self.pair], "score": score, "proposed": self.proposed is not None}
 
@@ -172,7 +172,7 @@ class EditedGraph:
         return Overlay((key, key), None, NO_POINTS, ends, self._now.graph.poses[key])
 
     def put(self, from_: object, to: object) -> Overlay:
-        """Return the key scan nearest to a place [x, y], matched where it was put, on what was seen at another time.
+        """Return the key scan nearest to a place [x, y], matched where it was put, to the map of another time.
 
         Raises ArgumentError where no scans are known, or the robot was never near.
         """

@@ -207,7 +207,7 @@ class ReplayViewer:
                 raise ArgumentError("do", "pause, resume, step, seek, speed, select, look, grab, put or edit", what)
 
     def _edit(self, editor: EditedGraph, command: Mapping[str, Any]) -> None:
-        """Look at an edge, put a scan on another place, or edit the graph; what cannot be is answered."""
+        """Look at an edge, put a scan on another place, or edit the graph; a failure is answered."""
         overlay, self._overlay, self._answer = self._overlay, None, ""
         try:
             if command["do"] == "look":

@@ -237,7 +237,7 @@ def read_session(path: str | Path, threads: int = 1, *, makes_edits: bool = True
     threads : int
         Threads of the kernels; never changes a result.
     makes_edits : bool
-        Whether the edits by hand are made: its graph is solved with them, and the filter goes on from there.
+        Whether the edits by hand are made: its graph is solved with them, and the filter continues there.
 
     Raises
     ------

@@ -48,7 +48,7 @@ class GraphEdit(NamedTuple):
 
 @final
 class Placement(NamedTuple):
-    """A key scan on the local map of another one: the measurement, and the share of its beams that agree, [0, 1]."""
+    """A key scan on the local map of another one: the measurement, and its inlier ratio, [0, 1]."""
 
     constraint: Constraint
     score: float
@@ -92,7 +92,7 @@ def match_placed(
 def score_placed(
     scans: ScanArchive, poses: FloatArray, mapper: OccupancyGridMapping, pair: tuple[int, int], measured: FloatArray
 ) -> float:
-    """Return the share of the beams of the second key scan, measured (3,) from the first, that agree with its map."""
+    """Return the inlier ratio of the second key scan, measured (3,) from the first, on the local map of the first."""
     from_, to = pair
     maps = build_map(mapper, scans, *_local(poses, from_))
     beams = scans.key(to)
@@ -118,7 +118,7 @@ def dump_edits(edits: Sequence[GraphEdit]) -> list[dict[str, Any]]:
 
 
 def load_edits(values: object, key_scans: int) -> tuple[GraphEdit, ...]:
-    """Return edits of a graph of so many key scans; raises ArgumentError for what `dump_edits` does not give."""
+    """Return the edits of a graph that `dump_edits` gave as JSON values; raises ArgumentError for others."""
     if not isinstance(values, list):
         raise ArgumentError("edits", "a list", values)
     return tuple(_load(value, key_scans) for value in values)

@@ -186,7 +186,7 @@ class LoopClosure:
     def follow(
         self, state: FilterState, closure_state: LoopClosureState, mapper: OccupancyGridMapping, threads: int
     ) -> None:
-        """Let the filter go on from the graph, which was edited: its particles share its poses and one map."""
+        """Let the filter continue from the graph, which was edited: its particles share its poses and one map."""
         poses = np.array(closure_state.graph.poses)
         maps = mapper.empty(1, threads)
         insert_key_scans(maps, closure_state.scans, range(len(poses)), poses, closure_state.graph)
