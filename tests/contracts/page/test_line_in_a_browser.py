@@ -138,6 +138,17 @@ def test_a_robot_is_paused_but_not_held_and_what_is_wrong_is_read(browser, drive
         session = wait(lambda: int(told(browser)["tiles"]) > 10 and told(browser)["session"], "a map")
         browser.find_element("css selector", "#notice button").click()
         wait(lambda: not shown(browser, "notice"), "it is put away")
+        messages("two transforms", "odom is published twice")
+        page.show_messages(messages.to_list())
+        wait(lambda: "(2 times)" in text(browser, "#messages"), "it comes again")
+        assert not shown(browser, "notice"), "but not over the map"
+        browser.refresh()
+        wait(lambda: "(2 times)" in text(browser, "#messages") or click(browser, "messages"), "nor after a reload")
+        assert not shown(browser, "notice")
+        messages("late scans", "by 3 s")
+        page.show_messages(messages.to_list())
+        wait(lambda: "late scans" in text(browser, "#notice"), "another one is shown")
+        browser.find_element("css selector", "#notice button").click()
         buttons = "pause", "step", "speed", "line", "follow"
         assert [name for name in buttons if shown(browser, name)] == ["pause", "line", "follow"]
         browser.find_element("tag name", "body").send_keys(".")  # the key for a step does nothing

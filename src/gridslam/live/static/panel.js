@@ -4,6 +4,7 @@ import { COLUMNS } from "./chart.js";
 import { Messages } from "./messages.js";
 
 const $ = (selector) => document.querySelector(selector);
+const PATIENCE_MS = 2000; // with the answer to a wish
 const SPEEDS = [0.25, 0.5, 1, 2, 5, 10, 30, 100];
 
 function clock(seconds) {
@@ -76,7 +77,8 @@ export class Panel {
   seek(at) {
     if (!this.hasTime) return;
     $("#line").value = Math.min(Math.max(at, 0), Number($("#line").max));
-    this.ask({ do: "seek", at: Number($("#line").value) });
+    this.wish = { at: Number($("#line").value), untilMs: performance.now() + PATIENCE_MS };
+    this.ask({ do: "seek", at: this.wish.at });
   }
 
   seekBy(steps) { this.seek(Number($("#line").value) + steps); }
@@ -186,7 +188,9 @@ export class Panel {
     slider.disabled = !(replay || status.last > 0);
     if (runInfo.mode !== "still") {
       slider.max = Math.max(status.last ?? 0, 0);
-      if (document.activeElement !== slider || !slider.matches(":active")) slider.value = status.at ?? slider.max;
+      const at = status.at ?? Number(slider.max);
+      if (this.wish?.at === at || performance.now() > this.wish?.untilMs) this.wish = null; // until then `at` is older than the wish
+      if (!this.wish && !slider.matches(":active")) slider.value = at;
     }
     const total = replay ? ` / ${clock(status.total_s)}` : status.progress ? ` · ${percent(status.progress)}` : "";
     $("#time output").textContent = status.time_s === undefined ? "" : clock(status.time_s) + total;
