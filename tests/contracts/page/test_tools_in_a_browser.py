@@ -112,7 +112,8 @@ def test_steps_add_up_however_late_the_answers_come(page):
     wait(lambda: told(page)["at"] == "0", "the beginning")
     page.execute_script(
         "const send = WebSocket.prototype.send;"
-        "WebSocket.prototype.send = function (text) { setTimeout(() => this.readyState === 1 && send.call(this, text), 400); };"
+        "WebSocket.prototype.send = function (text) {"
+        "setTimeout(() => this.readyState === 1 && send.call(this, text), 400); };"
     )
     keys = ActionChains(page)
     for _ in range(8):
