@@ -211,7 +211,7 @@ def _visit(out: Path, result: Any, where: Path) -> None:
 def _serve(content: str, out: Path, result: Any) -> PageServer | LivePage:
     if content == "replay":
         return PageServer(Replay(out), LiveOptions(port=0))
-    nothing = RobotCommands(lambda pose: None, lambda: None, lambda: None, lambda: (True, "saved"))
+    nothing = RobotCommands(lambda pose: None, lambda: None, lambda: None, *[lambda session: (True, "done")] * 5)
     robot = RobotControl(lambda: False, lambda paused: None, nothing) if content == "robot" else None
     page = LivePage("drive", LiveOptions(port=0), robot=robot)
     page._run.finish(result.map, result.graph.poses, np.zeros((0, 4)))

@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -17,6 +18,13 @@ __all__ = ["LOCATING", "NO_COMMANDS", "Control", "RobotCommands", "RobotControl"
 
 _POSE_COVARIANCE = np.diag([0.25, 0.25, (math.pi / 12) ** 2])  # of a pose set by hand, as RViz sends it, m^2 and rad^2
 LOCATING = "the robot is being located"
+_SLOW = {  # commands that take long: what is answered at once, and in the end
+    "save": ("saving", "saved"),
+    "serialize": ("saving the session", "session saved"),
+    "go_on": ("reading the session", "continued"),
+    "merge": ("merging, while the robot maps", "merged"),
+    "localize": ("switching", "switched"),
+}
 _MAX_WAIT_S = 0.25  # longer waits are split, so that signals and requests are processed
 
 
@@ -147,14 +155,20 @@ class RobotCommands(NamedTuple):
         Makes the pose unknown: the robot is located anywhere in the known map.
     reset : callable, optional
         Starts again, with an empty map.
-    save : callable, optional
-        Writes the results; returns whether it succeeded, and a message. It may take long, and runs in its own thread.
+    save, serialize, go_on, merge, localize : callable, optional
+        Called with the name of a session, empty for the usual one, they write the results or the session, continue that
+        one, join it with what is mapped, or localize in the map so far (again: continue mapping). They return
+        whether they succeeded, and a message; they may take long, and run in a thread of their own.
     """
 
     set_pose: Callable[[tuple[FloatArray, FloatArray]], None] | None = None
     locate: Callable[[], None] | None = None
     reset: Callable[[], None] | None = None
-    save: Callable[[], tuple[bool, str]] | None = None
+    save: Callable[[str], tuple[bool, str]] | None = None
+    serialize: Callable[[str], tuple[bool, str]] | None = None
+    go_on: Callable[[str], tuple[bool, str]] | None = None
+    merge: Callable[[str], tuple[bool, str]] | None = None
+    localize: Callable[[str], tuple[bool, str]] | None = None
 
     @property
     def names(self) -> list[str]:
@@ -191,7 +205,7 @@ class RobotControl:
         self._is_paused = is_paused
         self._pause = pause
         self.commands = commands
-        self._saving = threading.Lock()
+        self._at_work = threading.Lock()
 
     def execute(self, command: Mapping[str, Any], answer: Callable[[str], None]) -> None:
         """Execute a viewer's command; `answer` receives the outcome, also from another thread.
@@ -201,8 +215,8 @@ class RobotControl:
         name = command["command"]
         if name not in self.commands.names:
             raise ArgumentError("command", f"one of {', '.join(self.commands.names) or 'none'}", name)
-        if name == "save":
-            self._save(answer)
+        if name in _SLOW:
+            self._start(name, command.get("session", ""), answer)
             return
         try:
             if name == "set_pose" and self.commands.set_pose is not None:
@@ -220,24 +234,27 @@ class RobotControl:
         except GridslamError as error:
             answer(str(error))
 
-    def _save(self, answer: Callable[[str], None]) -> None:
-        """Save in a thread, one at a time."""
-        save = self.commands.save
-        if save is None or not self._saving.acquire(blocking=False):
-            answer("the map is being saved already")
+    def _start(self, name: str, session: object, answer: Callable[[str], None]) -> None:
+        """Execute a command that takes long in a thread, one at a time."""
+        doing, done = _SLOW[name]
+        if not isinstance(session, str) or session != Path(session).name:
+            answer(f"not {done}: expected the name of a session in the node's folder, got {session!r:.60}")
+            return
+        if not self._at_work.acquire(blocking=False):
+            answer("still at work on the command before")
             return
 
         def run() -> None:
             try:
-                succeeded, message = save()
-                answer(f"saved: {message}" if succeeded else f"not saved: {message}")
+                succeeded, message = getattr(self.commands, name)(session)
+                answer(f"{done if succeeded else f'not {done}'}: {message}")
             except Exception as error:
-                answer(f"not saved: {error}")
+                answer(f"not {done}: {error}")
             finally:
-                self._saving.release()
+                self._at_work.release()
 
-        answer("saving")
-        threading.Thread(target=run, name="gridslam-save", daemon=True).start()
+        answer(doing)
+        threading.Thread(target=run, name=f"gridslam-{name}", daemon=True).start()
 
     @property
     def paused(self) -> bool:

@@ -1,127 +1,277 @@
-"""Edits of a pose graph by hand: edges that are rejected, after each of which the graph is solved again."""
+"""Edits of a pose graph by hand: closures are rejected and added, and after each edit the graph is solved again."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
+from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridslam import __version__
 from gridslam.errors import ArgumentError, InputError
+from gridslam.geometry.se2 import compose, transform_points
 from gridslam.io.g2o import read_g2o, write_g2o
 from gridslam.io.output import write_atomically
+from gridslam.io.sessions.session_file import SavedSession, read_session, write_session
 from gridslam.io.text import read_json
+from gridslam.live.ancestry_tree import NO_POINTS, Float32Array
 from gridslam.live.results import StaticView
+from gridslam.slam.loop_closure.constraints import Constraint
+from gridslam.slam.loop_closure.graph_edits import GraphEdit, match_placed, score_placed
+from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP
+from gridslam.slam.loop_closure.map_piece import MapPiece
+from gridslam.slam.loop_closure.submaps import insert_key_scans
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
+from gridslam.types import FloatArray, OccupancyGrid
 
-__all__ = ["EDITED_GRAPH", "EDITS", "EDITS_SCHEMA", "EditedGraph"]
+__all__ = ["EDITED_GRAPH", "EDITS", "EDITS_SCHEMA", "EditedGraph", "Overlay"]
 
 EDITS: Final = "graph_edits.json"
-"""Name of the file of the edits in the folder of the graph."""
+"""Name of the file of the edits in the folder of a graph without a session."""
 EDITED_GRAPH: Final = "graph_edited.g2o"
 EDITS_SCHEMA: Final = "gridslam.graph_edits/1"
 
 
 @final
-class EditedGraph:
-    """A pose graph without the edges that were rejected, solved again.
+class Overlay(NamedTuple):
+    """Two scans, one on the other.
 
-    Each edit is saved at once: the rejected edges in `graph_edits.json`, from which they are taken again the next time,
-    and the solved graph in `graph_edited.g2o`. The file of the graph itself stays as it is.
+    Attributes
+    ----------
+    pair : (int, int)
+        Their key scans.
+    score : float or None
+        Inlier ratio of the second one on the local map of the first one, [0, 1]; None of a single scan.
+    older : (K, 2) float32, m
+        End points of the first one, map frame.
+    newer : (M, 2) float32, m
+        End points of the second one, robot frame.
+    pose : (3,) float64
+        Pose of the second one, as it is measured from the first.
+    proposed : Constraint, optional
+        The measurement, where it is not in the graph.
+    """
+
+    pair: tuple[int, int]
+    score: float | None
+    older: Float32Array
+    newer: Float32Array
+    pose: FloatArray
+    proposed: Constraint | None = None
+
+    def describe(self) -> dict[str, Any]:
+        """Return the values that the page shows beside the points."""
+        score = None if self.score is None else round(self.score, 3)
+        return {"pair": [*self.pair], "score": score, "proposed": self.proposed is not None}
+
+
+@final
+class _Solved(NamedTuple):
+    """A graph with edits, which of its measurements (M,) may be rejected, and how the page shows it."""
+
+    edits: list[GraphEdit]
+    graph: PoseGraph
+    may_go: NDArray[np.bool_]
+    view: StaticView
+
+
+@final
+class EditedGraph:
+    """A pose graph without the closures that were rejected and with those that were added, solved again.
+
+    Each edit is saved at once: in the session in the folder, in which it is made whenever that is read. Without one
+    scans are not known, so that nothing is added, and what is rejected is saved in `graph_edits.json`. The solved graph
+    is written to `graph_edited.g2o`; the graph itself stays as it is.
 
     Parameters
     ----------
     folder : Path
         OUT of a command that writes `graph.g2o`.
-
-    Attributes
-    ----------
-    results : StaticView
-        The graph as it is now.
+    session : Path, optional
+        A session file of the graph.
 
     Raises
     ------
     InputError
-        The graph or its edits cannot be read.
+        The graph, its edits or the session cannot be read, or the session is another graph's.
     """
 
-    def __init__(self, folder: Path) -> None:
-        """Read the graph, and apply the saved edits."""
+    def __init__(self, folder: Path, session: Path | None = None) -> None:
+        """Read the graph, and make the saved edits."""
         self._folder = folder
         self._source = read_g2o(folder / "graph.g2o")
-        self._rejected = self._read()
-        self.results = self._solve(self._rejected)
+        self._session = session
+        self._saved: SavedSession | None = None
+        self._piece: MapPiece | None = None
+        if session is not None:
+            self._saved = read_session(session, makes_edits=False)
+            self._piece = self._saved.newest
+            key_scans = 0 if self._piece is None else len(self._piece)
+            if key_scans != len(self._source.graph.poses):
+                expected = f"the session of the {len(self._source.graph.poses)} key scans of graph.g2o"
+                raise InputError(session, f"expected {expected}, got one of {key_scans}")
+        edits = self._read() if self._saved is None else [*self._saved.edits]
+        self._now = self._solve(edits)
 
-    def edit(self, rejects: object) -> None:
-        """Reject the edges between two poses [from, to], counted from 0; None takes the last rejection back.
+    @property
+    def results(self) -> StaticView:
+        """The graph as it is now, and of a session the map."""
+        return self._now.view
+
+    def reject(self, pair: object) -> None:
+        """Reject the edges between two poses [from, to], counted from 0; with scans, those beside them, too.
 
         Raises
         ------
         ArgumentError
-            There is no such edge that may be rejected, or nothing to take back.
+            There is no such edge that may be rejected.
         OutputError
-            The edits cannot be saved.
+            The edits cannot be saved; nothing has changed.
         """
-        if rejects is None:
-            if not self._rejected:
-                raise ArgumentError("edit", "a rejected edge", "none")
-            edited = self._rejected[:-1]
-        else:
-            edited = [*self._rejected, self._check(rejects)]
-        self.results = self._solve(edited)
-        self._rejected = edited
-        self._save()
-
-    def _check(self, pair: object) -> tuple[int, int]:
-        graph = self._source.graph
-        may_go = {tuple(edge) for edge in graph.edges[~graph.trusted].tolist()}.difference(self._rejected)
-        if not (isinstance(pair, list | tuple) and tuple(pair) in may_go):
+        edges = {tuple(edge) for edge in self._now.graph.edges[self._now.may_go].tolist()}
+        if not (isinstance(pair, list | tuple) and tuple(pair) in edges):
             raise ArgumentError("edit", "two poses that an edge joins which is no odometry", pair)
-        return int(pair[0]), int(pair[1])
+        older, later = sorted(map(int, pair))
+        self._change([*self._now.edits, GraphEdit((older, later))])
 
-    def _solve(self, rejected: list[tuple[int, int]]) -> StaticView:
-        """Solve the graph without these edges; raises ArgumentError where they leave it in parts."""
+    def add(self, proposed: Constraint | None) -> None:
+        """Add a closure; raises ArgumentError where none is proposed, and OutputError as `reject`."""
+        if proposed is None:
+            raise ArgumentError("edit", "a scan that was put on another place", "none")
+        self._change([*self._now.edits, GraphEdit(proposed.pair, proposed)])
+
+    def undo(self) -> None:
+        """Take the last edit back; raises ArgumentError where there is none, and OutputError as `reject`."""
+        if not self._now.edits:
+            raise ArgumentError("edit", "an edit to take back", "none")
+        self._change(self._now.edits[:-1])
+
+    def look(self, number: object) -> Overlay | None:
+        """Return both scans of one of the edges that are listed, one on the other; None where no scans are known."""
+        listed = self.results.status(0, 0.0)["residuals"]
+        if not (isinstance(number, int) and 0 <= number < len(listed)):
+            raise ArgumentError("look", f"one of {len(listed)} edges", number)
+        if self._piece is None or self._saved is None:
+            return None
+        from_, to = listed[number][:2]
+        edge = int(np.flatnonzero((self._now.graph.edges == (from_, to)).all(axis=1))[0])
+        measured = self._now.graph.measurements[edge]
+        mapper = self._saved.configuration.mapper
+        score = score_placed(self._piece.scans, self._now.graph.poses, mapper, (from_, to), measured)
+        return self._lay((from_, to), score, measured)
+
+    def grab(self, place: object) -> Overlay:
+        """Return the key scan nearest to a place [x, y]; raises ArgumentError where no scans are known."""
+        piece, _, key = self._find(place)
+        ends = piece.scans.key(key).ends.astype(np.float32)
+        return Overlay((key, key), None, NO_POINTS, ends, self._now.graph.poses[key])
+
+    def put(self, from_: object, to: object) -> Overlay:
+        """Return the key scan nearest to a place [x, y], matched where it was put, to the map of another time.
+
+        Raises ArgumentError where no scans are known, or the robot was never near.
+        """
+        piece, start, key = self._find(from_)
+        _, end, _ = self._find(to)
+        poses = self._now.graph.poses
+        assert self._saved is not None
+        placed = poses[key] + np.append(end - start, 0.0)
+        proposed, score = match_placed(piece.scans, poses, self._saved.configuration.mapper, key, placed)
+        return self._lay(proposed.pair, score, proposed.measurement)._replace(proposed=proposed)
+
+    def _find(self, place: object) -> tuple[MapPiece, FloatArray, int]:
+        """Return the scans, a place [x, y] as an array, and the key scan that is nearest to it."""
+        if self._piece is None:
+            raise ArgumentError("put", "a session in the folder, whose scans can be matched", "none")
+        at = np.array(place, np.float64)
+        if at.shape != (2,) or not np.isfinite(at).all():
+            raise ArgumentError("put", "a place of two finite numbers", place)
+        return self._piece, at, int(np.hypot(*(self._now.graph.poses[:, :2] - at).T).argmin())
+
+    def _lay(self, pair: tuple[int, int], score: float, measured: FloatArray) -> Overlay:
+        assert self._piece is not None
+        older, newer = (self._piece.scans.key(key).ends for key in pair)
+        there = self._now.graph.poses[pair[0]]
+        ends = transform_points(there, older).astype(np.float32)
+        return Overlay(pair, score, ends, newer.astype(np.float32), compose(there, measured))
+
+    def _change(self, edits: list[GraphEdit]) -> None:
+        """Solve with these edits and save them; where either cannot be, all stays as it was."""
+        solved = self._solve(edits)
+        self._save(solved)
+        self._now = solved
+
+    def _solve(self, edits: list[GraphEdit]) -> _Solved:
+        """Solve the graph with these edits."""
         graph = self._source.graph
-        left_out = set(rejected)
-        kept = np.array([tuple(edge) not in left_out for edge in graph.edges.tolist()], np.bool_)
-        left = replace(
-            graph,
-            edges=graph.edges[kept],
-            measurements=graph.measurements[kept],
-            information=graph.information[kept],
-            trusted=graph.trusted[kept],
-        )
-        self._graph = GraphSlam().solve(left).graph if rejected else left
-        view = StaticView(None, self._graph, self._source.is_landmark)
-        view.add_status({"rejected": [list(pair) for pair in rejected]})
-        return view
+        may_go = ~graph.trusted
+        reach = 1 if self._piece is None else KEY_SCANS_PER_SUBMAP
+        for pair, added in edits:
+            if added is None:
+                near = np.abs(np.sort(graph.edges, axis=1) - sorted(pair)).max(axis=1) < reach
+                kept = ~(near & may_go)
+                graph, may_go = _select(graph, kept), may_go[kept]
+            else:
+                graph, may_go = _append(graph, added), np.append(may_go, True)
+        if edits:
+            graph = GraphSlam().solve(graph).graph
+        view = StaticView(self._draw(graph.poses), graph, self._source.is_landmark)
+        view.add_status({
+            "rejected": [[*edit.pair] for edit in edits if edit.added is None],
+            "added": [[*edit.pair] for edit in edits if edit.added is not None],
+        })  # fmt: skip
+        return _Solved(edits, graph, may_go, view)
 
-    def _read(self) -> list[tuple[int, int]]:
+    def _draw(self, poses: FloatArray) -> OccupancyGrid | None:
+        """Return the map of the key scans at poses (T, 3); None where no scans are known."""
+        if self._piece is None or self._saved is None:
+            return None
+        maps = self._saved.configuration.mapper.empty(1)
+        insert_key_scans(maps, self._piece.scans, range(len(poses)), poses, self._piece.graph)
+        return maps.tiled(0).whole()
+
+    def _read(self) -> list[GraphEdit]:
         path = self._folder / EDITS
         if not path.is_file():
             return []
-        document = read_json(path)
         places = {int(name): place for place, name in enumerate(self._source.ids)}
-        named = document.get("rejected")
-        rejected: list[tuple[int, int]] = []
+        named = read_json(path).get("rejected")
+        edits: list[GraphEdit] = []
         for pair in named if isinstance(named, list) else [None]:
             if not (
                 isinstance(pair, list) and len(pair) == 2 and all(type(name) is int and name in places for name in pair)
             ):
                 raise InputError(path, f"rejected: expected pairs of vertices of graph.g2o, got {pair!r:.60}")
-            rejected.append((places[pair[0]], places[pair[1]]))
-        return rejected
+            edits.append(GraphEdit((places[pair[0]], places[pair[1]])))
+        return edits
 
-    def _save(self) -> None:
-        ids = self._source.ids
-        document: dict[str, Any] = {
-            "schema": EDITS_SCHEMA,
-            "version": __version__,
-            "rejected": [[int(ids[a]), int(ids[b])] for a, b in self._rejected],
-        }
-        write_g2o(self._folder / EDITED_GRAPH, self._graph, ids, self._source.order, self._source.is_landmark)
+    def _save(self, solved: _Solved) -> None:
+        """Save the graph, and then the edits that have made it."""
+        source = self._source
+        write_g2o(self._folder / EDITED_GRAPH, solved.graph, source.ids, source.order, source.is_landmark)
+        if self._saved is not None and self._session is not None:
+            now = datetime.now(timezone.utc).isoformat(timespec="seconds")
+            saved = replace(self._saved, edits=tuple(solved.edits), written=now, version=__version__)
+            write_session(self._session, saved)
+            return
+        rejected = [[int(source.ids[key]) for key in edit.pair] for edit in solved.edits]
+        document = {"schema": EDITS_SCHEMA, "version": __version__, "rejected": rejected}
         with write_atomically(self._folder / EDITS) as path:
             path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def _select(graph: PoseGraph, kept: NDArray[np.bool_]) -> PoseGraph:
+    """Return the graph with some of its measurements (M,)."""
+    names = "edges", "measurements", "information", "trusted"
+    return replace(graph, **{name: getattr(graph, name)[kept] for name in names})
+
+
+def _append(graph: PoseGraph, added: Constraint) -> PoseGraph:
+    """Return the graph with another measurement."""
+    more = {"edges": added.pair, "measurements": added.measurement, "information": added.information, "trusted": True}
+    return replace(graph, **{name: np.append(getattr(graph, name), [value], axis=0) for name, value in more.items()})

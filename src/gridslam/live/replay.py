@@ -16,7 +16,7 @@ from gridslam.live.ancestry_tree import NO_POINTS
 from gridslam.live.beside import read_beside
 from gridslam.live.control import check_particle, check_speed
 from gridslam.live.finished import count_key_scans, read_optional_history, read_results
-from gridslam.live.graph_edits import EditedGraph
+from gridslam.live.graph_edits import EditedGraph, Overlay
 from gridslam.live.history import History, PastMaps, PastReplica
 from gridslam.live.history_file import HISTORY_NAME
 from gridslam.live.past import Past, PastReader
@@ -68,7 +68,8 @@ class Replay:
         with stay_below(out):
             results, title, self.messages = read_results(out)
             self.history = read_optional_history(out / HISTORY_NAME)
-        self.editor = EditedGraph(out) if edits_graph else None
+        session = _find_session(out)
+        self.editor = EditedGraph(out, None if session is None else out / session) if edits_graph else None
         if self.editor is not None:
             results = self.editor.results
             self.history = None
@@ -80,12 +81,13 @@ class Replay:
         mode = "still" if isinstance(results, StaticView) else "replay"
         self.speed = speed
         self.beside = read_beside(out, None if beside is None else Path(beside), results.trajectory)
-        self._session = _find_session(out)
+        self._session = session
         found = {
             "other": self.beside.grid is not None,
             "truth": len(self.beside.path) > 0,
             "session": self._session is not None,
             "edits": is_editable,
+            "scan": edits_graph and session is not None,
         }
         if self.history is not None:
             found |= dict.fromkeys(("scan", "particles"), True)
@@ -109,12 +111,19 @@ class Replay:
         """Add a viewer at the end of the run; `notify` is never called, as the content does not change."""
         return ReplayViewer(self)
 
-    def edit(self, rejects: object) -> None:
-        """Edit the pose graph (see `EditedGraph.edit`); raises ArgumentError where it may not be edited."""
+    def edit(self, edit: Callable[[EditedGraph], None]) -> None:
+        """Edit the pose graph, for all who look at it; raises as `EditedGraph`, and nothing has changed then."""
+        editor = self.require_editor()
+        edit(editor)
+        self.results = editor.results
+        if self.results.grid is not None:
+            self.replica = TileReplica.of(self.results.grid)
+
+    def require_editor(self) -> EditedGraph:
+        """Return the pose graph that viewers may edit; raises ArgumentError where they may not."""
         if self.editor is None:
-            raise ArgumentError("do", "something else, as this graph may not be edited (view --edit-graph)", "edit")
-        self.editor.edit(rejects)
-        self.results = self.editor.results
+            raise ArgumentError("do", "something else, as this graph may not be edited (view --edit-graph)", "an edit")
+        return self.editor
 
     def find_channel(self, channel: int) -> int:
         """Return 0, as all channels are one."""
@@ -164,6 +173,7 @@ class ReplayViewer:
         self._reader = None if replay.history is None else PastReader(replay.history, replay.past_maps)
         self._past: Past | None = None
         self._answer = ""
+        self._overlay: Overlay | None = None
         self._look()
 
     def next_message(self) -> bytes | None:
@@ -191,18 +201,29 @@ class ReplayViewer:
                 self._speed = check_speed(command["factor"]) or self._speed
             case "select":
                 self._select(command["particle"])
-            case "edit":
-                self._edit(command["reject"])
+            case "look" | "grab" | "put" | "edit":
+                self._edit(self._replay.require_editor(), command)
             case what:
-                raise ArgumentError("do", "pause, resume, step, seek, speed, select or edit", what)
+                raise ArgumentError("do", "pause, resume, step, seek, speed, select, look, grab, put or edit", what)
 
-    def _edit(self, rejects: object) -> None:
-        self._answer = ""
+    def _edit(self, editor: EditedGraph, command: Mapping[str, Any]) -> None:
+        """Look at an edge, put a scan on another place, or edit the graph; a failure is answered."""
+        overlay, self._overlay, self._answer = self._overlay, None, ""
         try:
-            self._replay.edit(rejects)
+            if command["do"] == "look":
+                self._overlay = None if command["edge"] is None else editor.look(command["edge"])
+            elif command["do"] == "grab":
+                self._overlay = editor.grab(command["at"])
+            elif command["do"] == "put":
+                self._overlay = editor.put(command["from"], command["to"])
+            elif command["edit"] == "add":
+                proposed = None if overlay is None else overlay.proposed
+                self._replay.edit(lambda graph: graph.add(proposed))
+            elif command["edit"] == "undo":
+                self._replay.edit(EditedGraph.undo)
+            else:
+                self._replay.edit(lambda graph: graph.reject(command["edit"]))
         except GridslamError as error:
-            if self._replay.editor is None:
-                raise
             self._answer = str(error)
 
     def close(self) -> None:
@@ -261,9 +282,9 @@ class ReplayViewer:
 
     def _scene(self) -> Scene:
         results = self._results
-        if self._replay.editor is not None:  # anyone may have edited it
+        if results is not self._replay.results:  # anyone may have edited it
             results = self._results = self._replay.results
-            self._frame = results.frame(0)
+            self._frame, self._overlay = results.frame(0), None
         status = {
             **results.status(self._at, self._time_s),
             "at": self._at,
@@ -286,17 +307,21 @@ class ReplayViewer:
                 replica = self._reader.replica
                 pose = results.online_pose(self._time_s)
                 status |= {"past": True, "pose": (past.pose if pose is None else pose).tolist()}
+        overlay = self._overlay
+        if overlay is not None:
+            status |= {"overlay": overlay.describe(), "scan_pose": overlay.pose.tolist()}
         return Scene(
             self._replay.run_info,
             status,
             replica,
             self._frame,
             results.series,
-            NO_POINTS if past is None else past.scan,
+            overlay.newer if overlay is not None else NO_POINTS if past is None else past.scan,
             plan=results.path,
             landmarks=results.landmarks,
             selected=self._selected_path,
             truth=self._replay.beside.path,
             other=self._replay.other,
             messages=self._replay.messages,
+            older=NO_POINTS if overlay is None else overlay.older,
         )

@@ -155,3 +155,25 @@ def test_a_robot_is_paused_but_not_held_and_what_is_wrong_is_read(browser, drive
         wait(lambda: told(browser)["session"] != session, "another session")
         wait(lambda: int(told(browser)["tiles"]) > 0, "its map")
         assert int(told(browser)["keys"]) < 5
+
+
+def test_what_was_put_away_stays_so_however_often_it_comes(browser):
+    """After a reload, too; another message is shown."""
+    messages = Messages(lambda level, text: None)
+    with LivePage("ROS 1", LiveOptions(port=0), robot=RobotControl(lambda: False, lambda paused: None)) as page:
+        for _ in range(2):
+            messages("two transforms", "odom is published twice")
+            page.show_messages(messages.to_list())
+            browser.get(page.url)
+            wait(lambda: shown(browser, "messages"), "the list")
+            if messages.to_list()[0]["count"] == 1:
+                browser.find_element("css selector", "#notice button").click()
+            assert not shown(browser, "notice")
+        messages("two transforms", "odom is published twice")
+        page.show_messages(messages.to_list())
+        click(browser, "messages")
+        wait(lambda: "(3 times)" in text(browser, "#messages"), "it comes again")
+        assert not shown(browser, "notice")
+        messages("late scans", "by 3 s")
+        page.show_messages(messages.to_list())
+        wait(lambda: "late scans" in text(browser, "#notice"), "another one is shown")

@@ -104,7 +104,7 @@ def test_the_whole_map_is_that_of_the_robot_not_of_strays(browser, finished):
 @pytest.mark.parametrize("size", [(1440, 900), (1366, 768)], ids=["desktop", "laptop"])
 def test_what_can_be_saved_is_never_cut_off_and_a_selection_shifts_nothing(browser, drive, size, screenshot):
     screen = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
-    commands = RobotCommands(lambda pose: None, lambda: None, lambda: None, lambda: (True, ""))
+    commands = RobotCommands(lambda pose: None, lambda: None, lambda: None, *[lambda session: (True, "")] * 5)
     robot = RobotControl(lambda: False, lambda paused: None, commands)
     messages = Messages(lambda level, text: None)
     messages("late scans", "by 2 s")

@@ -23,6 +23,8 @@ from support.browsing import (
 )
 from support.localization_world import flat_map
 
+SESSION = "serialize", "go_on", "merge", "localize"
+
 
 class Robot:
     """Notes what it is made to do."""
@@ -33,10 +35,15 @@ class Robot:
             "set_pose": self.done.append,
             "locate": lambda: self.done.append("locate"),
             "reset": lambda: self.done.append("reset"),
-            "save": lambda: (True, "12 scans: /out"),
+            "save": lambda session: (True, "12 scans: /out"),
+            **{name: lambda session, name=name: self.note(name, session) for name in SESSION},
         }
         commands = RobotCommands(**{name: every[name] for name in names})
         self.control = RobotControl(lambda: False, lambda paused: None, commands)
+
+    def note(self, name, session):
+        self.done.append((name, session))
+        return True, f"{name} of {session}"
 
 
 def on_map(browser, robot):
@@ -127,3 +134,25 @@ def test_the_past_of_a_running_filter(browser, drive, screenshot):
         ActionChains(browser).send_keys(Keys.END).perform()
         wait(lambda: told(browser)["at"] == "", "the present")
         wait(lambda: int(told(browser)["tiles"]) == tiles, "all of the map")
+
+
+def test_sessions_are_saved_continued_merged_and_localized_in_by_buttons(browser, screenshot):
+    """Named by what is typed, whose letters are no keys of the page."""
+    robot = Robot(*SESSION)
+    page = LivePage("robot", LiveOptions(port=0), robot=robot.control)
+    with page:
+        browser.get(page.url)
+        field = wait(lambda: shown(browser, "session-name") and browser.find_element("id", "session-name"), "the name")
+        field.click()
+        field.send_keys("mf ground")
+        for number, name in enumerate(SESSION, 1):
+            click(browser, name)
+            wait(lambda number=number: len(robot.done) == number, name)
+            wait(lambda name=name: f"{name} of mf ground" in text(browser, "#answer"), "an answer")
+        assert robot.done == [(name, "mf ground") for name in SESSION]
+        screenshot("sessions")
+        field.clear()
+        field.send_keys("../../etc/map")
+        click(browser, "serialize")
+        wait(lambda: "in the node's folder" in text(browser, "#answer"), "the refusal")
+        assert len(robot.done) == 4

@@ -104,6 +104,27 @@ def test_arrows_and_ends_move_in_time_and_space_plays(page):
     wait(lambda: view(page)[0] < before[0], "shift moves the map")
 
 
+def test_steps_add_up_however_late_the_answers_come(page):
+    """An older moment that arrives between two keys moves nothing back, nor does the last wish hold the time line."""
+    from selenium.webdriver import ActionChains, Keys
+
+    press(page, Keys.HOME)
+    wait(lambda: told(page)["at"] == "0", "the beginning")
+    page.execute_script(
+        "const send = WebSocket.prototype.send;"
+        "WebSocket.prototype.send = function (text) {"
+        "setTimeout(() => this.readyState === 1 && send.call(this, text), 400); };"
+    )
+    keys = ActionChains(page)
+    for _ in range(8):
+        keys = keys.send_keys(Keys.ARROW_RIGHT).pause(0.15)
+    keys.perform()
+    assert at(page) == 8
+    wait(lambda: told(page)["at"] == "8", "eight steps on")
+    press(page, " ")
+    wait(lambda: at(page) > 8, "the time line plays on")
+
+
 def test_all_keys_are_listed(page, screenshot):
     from selenium.webdriver import Keys
 

@@ -1,19 +1,27 @@
-"""A pose graph that is edited on the page: edges are rejected, it is solved again, and the edits stay."""
+"""A pose graph that is edited on the page: edges are rejected and added, it is solved again, and the edits stay."""
 
 from __future__ import annotations
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 
-from gridslam.errors import ArgumentError, InputError
+from gridslam.api.mapping import map_log
+from gridslam.api.session import Session
+from gridslam.errors import ArgumentError, InputError, OutputError
 from gridslam.geometry.se2 import between
+from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.g2o import read_g2o, write_g2o
+from gridslam.io.sessions.session_file import read_session
 from gridslam.live.graph_edits import EDITED_GRAPH, EDITS, EditedGraph
 from gridslam.live.replay import Replay
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.graph_edits import GraphEdit, dump_edits, load_edits
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
+from support.loops import PROVOKED, loop_drive
 from support.page_client import PageClient
 
 IDS = np.arange(20) + 100
@@ -37,7 +45,7 @@ def test_what_is_rejected_is_left_out_and_the_graph_is_solved_again(folder):
     before = (folder / "graph.g2o").read_bytes()
     edited = EditedGraph(folder)
     assert abs(edited.results.path[:, 1]).max() > 0.3, "bent by the false closure"
-    edited.edit([2, 15])
+    edited.reject([2, 15])
     assert abs(edited.results.path[:, 1]).max() < 1e-6
     assert edited.results.status(0, 0.0)["chi2"] < 1e-9
     assert json.loads((folder / EDITS).read_text())["rejected"] == [[102, 115]]
@@ -45,11 +53,11 @@ def test_what_is_rejected_is_left_out_and_the_graph_is_solved_again(folder):
     assert (folder / "graph.g2o").read_bytes() == before
     again = EditedGraph(folder)
     np.testing.assert_array_equal(again.results.path, edited.results.path)
-    again.edit([0, 10])
+    again.reject([0, 10])
     assert again.results.status(0, 0.0)["rejected"] == [[2, 15], [0, 10]]
-    again.edit(None)
+    again.undo()
     assert again.results.status(0, 0.0)["rejected"] == [[2, 15]], "the last one alone is taken back"
-    again.edit(None)
+    again.undo()
     np.testing.assert_allclose(again.results.path, EditedGraph(folder).results.path)
     assert abs(again.results.path[:, 1]).max() > 0.3
     assert json.loads((folder / EDITS).read_text())["rejected"] == []
@@ -59,7 +67,7 @@ def test_what_is_rejected_is_left_out_and_the_graph_is_solved_again(folder):
 def test_what_is_no_edge_to_reject_changes_nothing(folder, wrong):
     edited = EditedGraph(folder)
     with pytest.raises(ArgumentError, match="edit: expected"):
-        edited.edit(wrong)
+        edited.reject(wrong)
     assert not (folder / EDITS).exists()
 
 
@@ -76,14 +84,159 @@ def test_all_who_look_see_the_edits_and_only_where_they_are_allowed(folder):
     replay = Replay(folder, edits_graph=True)
     one, other = replay.add_viewer(lambda: None), replay.add_viewer(lambda: None)
     seen = PageClient()
-    one.command({"do": "edit", "reject": [2, 15]})
+    one.command({"do": "edit", "edit": [2, 15]})
     seen.catch_up(other)
     assert seen.run_info["edits_graph"]
     assert seen.status["rejected"] == [[2, 15]]
     assert abs(seen.path[:, 1]).max() < 1e-6
-    one.command({"do": "edit", "reject": [0, 1]})
+    one.command({"do": "edit", "edit": [0, 1]})
     client = PageClient()
     client.catch_up(one)
     assert "which is no odometry" in client.status["answer"]
     with pytest.raises(ArgumentError, match="view --edit-graph"):
-        Replay(folder).add_viewer(lambda: None).command({"do": "edit", "reject": [2, 15]})
+        Replay(folder).add_viewer(lambda: None).command({"do": "edit", "edit": [2, 15]})
+
+
+def test_an_edit_that_cannot_be_saved_is_none(folder):
+    """What the page shows is what is saved: else a reload would take it back."""
+    edited = EditedGraph(folder)
+    before = edited.results
+    (folder / EDITS).mkdir()
+    with pytest.raises(OutputError):
+        edited.reject([2, 15])
+    assert edited.results is before
+    (folder / EDITS).rmdir()
+    edited.reject([2, 15])
+    assert edited.results.status(0, 0.0)["rejected"] == [[2, 15]], "once"
+
+
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory):
+    """A loop that is closed, with its session, and the rest of its log."""
+    folder = tmp_path_factory.mktemp("mapped")
+    drive = loop_drive().measurements
+    write_carmen(folder / "loop.clf.gz", drive[:300])
+    write_carmen(folder / "rest.clf.gz", drive[300:])
+    result = map_log(folder / "loop.clf.gz", configuration=PROVOKED, repair="none", keep_particles=True)
+    result.save(folder / "out")
+    Session.of(result.to_session()).save(folder / "loop.gridslam")
+    return folder
+
+
+@pytest.fixture
+def session(mapped, tmp_path):
+    """A copy of its session."""
+    path = tmp_path / "loop.gridslam"
+    path.write_bytes((mapped / "loop.gridslam").read_bytes())
+    return path
+
+
+def find_beside(edges, pair):
+    """Edges within ten key scans of a pair."""
+    return [edge for edge in np.sort(edges, axis=1).tolist() if np.abs(np.subtract(edge, pair)).max() < 10]
+
+
+def test_what_is_rejected_stays_so_however_the_session_goes_on(mapped, session, tmp_path):
+    """What joins the same places goes with it, and nothing of it comes back: refined, continued or merged."""
+    edited = EditedGraph(mapped / "out", session)
+    before = read_session(session).newest.graph
+    pair = next(c.pair for c in before.constraints if c.source is ConstraintSource.RECOGNIZED)
+    shown = np.array(edited.results.status(0, 0.0)["residuals"])[:, :2].astype(int)
+    assert len(find_beside(shown, pair)) > 10
+    edited.reject([*pair])
+    left = np.array(edited.results.status(0, 0.0)["residuals"])[:, :2].astype(int)
+    assert find_beside(left, pair) == []
+    continued = Session.open(session)
+    result = continued.add(mapped / "rest.clf.gz", repair="none", place="same place")
+    assert find_beside(result.graph.edges, pair) == []
+    continued.save(tmp_path / "continued.gridslam")
+    again = Session.open(tmp_path / "continued.gridslam")
+    assert find_beside(again.merge().graph.edges, pair) == []
+    assert again.saved.newest.graph.rejected.tolist() == [[*pair]]
+    EditedGraph(mapped / "out", session).undo()
+    np.testing.assert_array_equal(read_session(session).newest.graph.poses, before.poses, "to the last bit")
+
+
+def test_a_scan_is_put_on_another_place_and_holds_it_there(mapped, session):
+    """What a person adds is matched near to where it was put, and never an outlier, however wrong it is."""
+    edited = EditedGraph(mapped / "out", session)
+    poses = read_g2o(mapped / "out" / "graph.g2o").graph.poses
+    key = len(poses) - 5
+    here = poses[key, :2]
+    assert edited.grab(here.tolist()).pair == (key, key)
+    laid = edited.put(here.tolist(), (here + 0.2).tolist())
+    assert laid.score > 0.9
+    assert laid.pose[2] == pytest.approx(poses[key, 2], abs=0.03)
+    assert len(laid.older) > 20 < len(laid.newer)
+    assert edited.results.status(0, 0.0)["added"] == [], "looked at, and not added yet"
+    before = read_session(session).newest.graph.poses
+    wrong = laid.proposed._replace(measurement=laid.proposed.measurement + np.array([0.0, 2.0, 0.0]))
+    edited.add(wrong)
+    assert np.hypot(*(edited.results.path[key] - poses[key, :2])) > 0.1
+    graph = read_session(session).newest.graph
+    assert np.hypot(*(graph.poses[key] - before[key])[:2]) > 0.1, "made in the session, too"
+    refined = Session.open(session).merge().graph
+    assert list(wrong.pair) in refined.edges.tolist(), "and kept by the final refinement"
+    with pytest.raises(ArgumentError, match="way at another time"):
+        edited.put(here.tolist(), [500.0, 0.0])
+    with pytest.raises(ArgumentError, match="one of"):
+        edited.look(10**6)
+
+
+def test_the_page_shows_both_scans_and_their_score(mapped, session, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(mapped / "out", out)
+    shutil.copy(session, out / "loop.gridslam")
+    replay = Replay(out, edits_graph=True)
+    viewer, client = replay.add_viewer(lambda: None), PageClient()
+    viewer.command({"do": "look", "edge": 0})
+    client.catch_up(viewer)
+    assert client.status["overlay"]["pair"] == client.status["residuals"][0][:2]
+    assert 0.5 < client.status["overlay"]["score"] <= 1
+    assert len(client.arrays["older"]) > 20 < len(client.arrays["scan"])
+    poses = read_g2o(out / "graph.g2o").graph.poses
+    viewer.command({"do": "grab", "at": poses[-5, :2].tolist()})
+    viewer.command({"do": "put", "from": poses[-5, :2].tolist(), "to": poses[-5, :2].tolist()})
+    viewer.command({"do": "edit", "edit": "add"})
+    client.catch_up(viewer)
+    assert len(client.status["added"]) == 1
+    assert "overlay" not in client.status
+    assert len(client.tiles) > 0, "the map as it is now"
+    viewer.command({"do": "edit", "edit": "undo"})
+    viewer.command({"do": "edit", "edit": "add"})
+    client.catch_up(viewer)
+    assert client.status["added"] == []
+    assert "edit: expected" in client.status["answer"], "nothing is proposed"
+
+
+def test_a_session_of_another_graph_is_refused(folder, session):
+    with pytest.raises(InputError, match=r"key scans of graph\.g2o"):
+        EditedGraph(folder, session)
+
+
+@pytest.mark.parametrize(
+    "edits",
+    [
+        3,
+        [[1, 2]],
+        [{"reject": [2, 1]}],
+        [{"reject": [0, 10**6]}],
+        [{"reject": [0, "a"]}],
+        [{"add": [0, 9]}],
+        [{"add": [0, 9], "measured": [0, 0, float("nan")], "information": np.eye(3).tolist()}],
+        [{"add": [0, 9], "measured": [0, 0, 0], "information": (-np.eye(3)).tolist()}],
+        [{"add": [0, 9], "measured": [0, 0, 1e300], "information": np.eye(3).tolist()}],
+    ],
+)
+def test_edits_of_a_session_that_are_none_are_refused(edits):
+    with pytest.raises(ArgumentError, match=r"edits|information|PoseGraph"):
+        load_edits(edits, 50)
+
+
+def test_edits_are_read_as_they_were_written():
+    added = Constraint(3, 9, np.array([1.0, 2.0, 0.5]), np.diag([1.0, 2.0, 3.0]), ConstraintSource.BY_HAND, True)
+    edits = (GraphEdit((1, 5)), GraphEdit((3, 9), added))
+    read = load_edits(json.loads(json.dumps(dump_edits(edits))), 10)
+    assert read[0] == edits[0]
+    assert (read[1].pair, read[1].added.identity) == ((3, 9), added.identity)
+    np.testing.assert_array_equal(read[1].added.information, added.information)

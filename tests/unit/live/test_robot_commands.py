@@ -29,7 +29,8 @@ class Robot:
             raise ArgumentError("pose", "a pose in the map", self.refuses)
         self.done.append(pose)
 
-    def save(self):
+    def save(self, session):
+        assert session == ""
         assert self.saving.wait(10)
         return True, "12 scans: /out"
 
@@ -84,10 +85,17 @@ def test_one_saves_at_a_time_and_nobody_waits():
 
     control.execute({"command": "save"}, answer)
     control.execute({"command": "save"}, answer)
-    assert answers == ["saving", "the map is being saved already"]
+    assert answers == ["saving", "still at work on the command before"]
     robot.saving.set()
     assert ended.wait(10)
     assert answers[2:] == ["saved: 12 scans: /out"]
+
+
+@pytest.mark.parametrize("session", ["../x", "/etc/x", "a/b", 3, None, ["x"]])
+def test_a_session_outside_the_folder_is_refused(session):
+    robot = Robot()
+    (told,) = execute(robot.control(), command="save", session=session)
+    assert told.startswith("not saved: expected the name of a session in the node's folder")
 
 
 @pytest.mark.parametrize(("origin", "is_obeyed"), [("http://evil.example", False), (None, True)])

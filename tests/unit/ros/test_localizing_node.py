@@ -171,3 +171,16 @@ def test_a_node_that_maps_cannot_be_placed_and_one_that_localizes_saves_no_map(m
     with pytest.raises(ArgumentError, match="gridslam localize"):
         core.save(tmp_path / "out")
     core.close()
+
+
+def test_a_bag_that_is_played_again_is_a_warning_as_no_map_ends(map_file, log):
+    outputs = RecordedOutputs()
+    core = node(outputs, map_file, **placed(log))
+    driven(core, outputs, log, 20)
+    play(core, outputs, log.measurements[:20], shift_ns=SHIFT_NS, ahead=5)
+    try:
+        assert until(lambda: "localization restarts: time jumped back" in outputs.warnings())
+        said = [message for message in core.messages.to_list() if message["text"].startswith("localization restarts")]
+        assert [message["level"] for message in said] == ["warning"]
+    finally:
+        core.close()

@@ -377,3 +377,14 @@ def test_made_up_frames_do_not_fill_the_memory():
     for k in range(1000):
         setup.scan(k / 10, frame=f"laser{k}")
     assert len(setup.queue._received_ns) <= 256
+
+
+def test_the_missing_transform_is_that_of_the_last_scan_that_was_refused():
+    """Else the state stays "no transforms" where scans are refused for another reason."""
+    setup = QueueSetup(transform_wait_s=0.5)
+    setup.scan(0.05)
+    setup.now_s += 1.0
+    assert setup.taken() == []
+    assert setup.queue.missing_transform
+    setup.scan(3.0, ranges=np.ones(3, np.float32))
+    assert setup.queue.missing_transform == ""

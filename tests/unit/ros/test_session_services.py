@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gridslam.errors import InputError
 from gridslam.geometry.se2 import between
 from gridslam.io.sessions.session_file import read_session
 from gridslam.ros.node.session_services import MatchType
@@ -69,6 +70,26 @@ def test_a_session_is_saved_and_loaded_while_the_node_runs(drive, tmp_path):
     assert 118 <= len(whole.run.trajectory.keys) <= 120
     before = read_session(tmp_path / "out-1" / "session.gridslam")  # what was mapped when another one was loaded
     assert len(before.run.trajectory.keys) == 90
+
+
+def test_what_is_mapped_is_joined_with_another_session_and_goes_on_from_both(drive, tmp_path):
+    """On the page's buttons, too; a session of another place is refused, and mapping goes on."""
+    other = RunningNode(save=str(tmp_path / "other.gridslam"))
+    other.play(drive[:200])
+    other.stop()
+    node = RunningNode(out=str(tmp_path / "out"))
+    node.play(drive[100:300])
+    serve = node.node._services
+    with pytest.raises(InputError):
+        serve.merge(str(tmp_path / "absent"))
+    assert "going on from" in serve.merge(str(tmp_path / "other"))
+    joined = read_session(tmp_path / "out" / "merged.gridslam")
+    assert len([*joined.drives]) == 2
+    assert len(joined.pieces) == 1
+    node.play(drive[300:330])
+    log = node.stop()
+    assert "looked for in its map" in log
+    assert node.error is None
 
 
 def test_the_robot_is_localized_in_the_map_so_far_and_mapping_goes_on(log, drive, tmp_path):

@@ -24,7 +24,7 @@ __all__ = ["evaluate_command", "regress_command", "view_command"]
 @click.option(
     "--edit-graph",
     is_flag=True,
-    help="Show the pose graph in OUT and let viewers reject edges; writes OUT/graph_edited.g2o, OUT/graph_edits.json.",
+    help="Show the pose graph in OUT and let viewers edit it: saved in OUT's session, or OUT/graph_edits.json.",
 )
 @host_options
 def view_command(**options: Any) -> None:  # noqa: ANN401

@@ -5,6 +5,7 @@ import { Chart, COLUMNS, WeightBars } from "./chart.js";
 import { Console } from "./console.js";
 import { Drawing } from "./drawing.js";
 import { Editor } from "./edit.js";
+import { Graph } from "./graph.js";
 import { Panel } from "./panel.js";
 import { Connection } from "./socket.js";
 import { Keys } from "./keys.js";
@@ -28,6 +29,7 @@ const weightBars = new WeightBars($("#weights"), selectParticle);
 const measure = drawing.measure = new Measure();
 const robotConsole = drawing.console = new Console(camera, (command) => connection.send(command), () => redraw());
 const editor = drawing.editor = new Editor(camera, () => redraw());
+const graph = new Graph(world, camera, (command) => connection.send(command), () => redraw());
 let colours = {}, redrawPending = false;
 
 function reset() {
@@ -35,7 +37,7 @@ function reset() {
   world.other.clear();
   Object.assign(world, {
     runInfo: {}, status: {}, path: NONE, selected: NONE, plan: NONE, tree: NONE, parents: NO_NUMBERS, leaves: NO_NUMBERS,
-    particles: NONE, scan: NONE, closures: NONE, landmarks: NONE, truth: NONE, series: NONE, steps: 0, chosen: null,
+    particles: NONE, scan: NONE, older: NONE, closures: NONE, landmarks: NONE, truth: NONE, series: NONE, steps: 0, chosen: null,
   });
 }
 
@@ -60,9 +62,10 @@ function receive({ header, arrays }) {
     world.series = splice(world.series, COLUMNS * header.series, arrays.series);
     world.steps = world.series.length / COLUMNS;
   }
-  for (const name of ["particles", "scan", "closures", "plan", "landmarks", "truth"]) world[name] = arrays[name] ?? world[name];
+  for (const name of ["particles", "scan", "older", "closures", "plan", "landmarks", "truth"]) world[name] = arrays[name] ?? world[name];
   if (arrays.tree) [world.tree, world.parents, world.leaves] = [arrays.tree, arrays.tree_parents, arrays.tree_leaves];
   panel.show(world);
+  graph.show();
   Object.assign(document.body.dataset, { tiles: world.map.tiles.size, at: world.status.at ?? "", keys: world.steps, selected: world.status.selected_particle ?? "" });
   redraw();
 }
@@ -74,6 +77,7 @@ function setRunInfo(runInfo) {
   document.body.dataset.session = runInfo.session;
   panel.setRunInfo(runInfo);
   robotConsole.setRunInfo(runInfo);
+  graph.setRunInfo(runInfo);
   if (runInfo.layers.includes("edits")) editor.start();
   resize();
 }
@@ -208,6 +212,7 @@ camera.clicked = (u, v) => {
   }
   const particle = drawing.particleAt(u, v);
   if (particle >= 0) selectParticle(particle);
+  else graph.pick(u, v);
 };
 camera.hovered = (u, v) => {
   $("#map").classList.toggle("over", !measure.active && isSelectable() && drawing.particleAt(u, v) >= 0);
@@ -220,18 +225,6 @@ camera.hovered = (u, v) => {
 camera.left = () => {
   measure.pointer = null;
   showPlace(null);
-  redraw();
-};
-$("#reject").onclick = () => connection.send({ do: "edit", reject: world.status.residuals[world.chosen].slice(0, 2) });
-panel.choose = (number) => { // an edge of a pose graph
-  world.chosen = world.chosen === number ? null : number;
-  $("#reject").disabled = world.chosen == null;
-  document.querySelectorAll("#residuals button").forEach((button, at) => button.classList.toggle("chosen", at === world.chosen));
-  if (world.chosen != null) {
-    const [x0, y0, x1, y1] = world.closures.subarray(4 * number, 4 * number + 4);
-    camera.mode = "free";
-    camera.fit([Math.min(x0, x1) - 3, Math.min(y0, y1) - 3, Math.max(x0, x1) + 3, Math.max(y0, y1) + 3]);
-  }
   redraw();
 };
 for (const chart of charts) {
@@ -272,6 +265,6 @@ new Keys([
   [["n"], "not turned", () => turn(0)],
   [["g"], "grid in metres", () => $("#layers input[name='grid']").click()],
   [["m"], "measure", () => toggleMeasure()],
-  [["Escape"], "the best particle again; end measuring", () => (camera.takes ? robotConsole.toggle(false) : measure.active ? toggleMeasure() : connection.send({ do: "select", particle: null }))],
+  [["Escape"], "the best particle again; end measuring", () => (graph.isPutting ? graph.toggle(false) : camera.takes ? robotConsole.toggle(false) : measure.active ? toggleMeasure() : connection.send({ do: "select", particle: null }))],
   [["?"], "this list", () => $("#help").showModal()],
 ], $("#help"));

@@ -1,6 +1,7 @@
-// What viewers may make a robot do: set its pose by a drag, locate it, reset it, and save.
+// What viewers may make a robot do: set its pose by a drag, locate it, reset it, save, and change sessions.
 
 const $ = (selector) => document.querySelector(selector);
+const SESSION = ["serialize", "go_on", "merge", "localize"];
 const SURE_MS = 4000, SHORTEST = 8; // px of a drag that sets a heading, too
 
 export class Console {
@@ -11,11 +12,13 @@ export class Console {
     $("#locate").onclick = () => this.command("locate");
     $("#save-robot").onclick = () => this.command("save");
     $("#reset").onclick = () => this.reset();
+    for (const name of SESSION) $(`#${name}`).onclick = () => this.command(name, { session: $("#session-name").value.trim() });
   }
 
   setRunInfo({ commands = [] }) {
     $("#console").hidden = !commands.some((name) => name !== "save");
-    for (const name of ["set_pose", "locate", "reset"]) $(`#${name}`).hidden = !commands.includes(name);
+    for (const name of ["set_pose", "locate", "reset", ...SESSION]) $(`#${name}`).hidden = !commands.includes(name);
+    $("#robot-session").hidden = !commands.includes("serialize");
     $("#save-robot").hidden = !commands.includes("save");
     if (!commands.includes("set_pose")) this.toggle(false);
   }

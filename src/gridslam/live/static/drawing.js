@@ -53,7 +53,10 @@ export class Drawing {
     if (shown.path) this.path(context, colours);
     if (shown.closures) this.closures(context, colours);
     if (shown.landmarks) this.landmarks(context, colours.landmark);
-    if (shown.scan) this.scan(context, colours.scan);
+    if (shown.scan) {
+      this.points(context, world.older, [0, 0, 0], colours.particle);
+      this.scan(context, colours.scan);
+    }
     this.found(context, colours);
     this.robot(context, colours);
     if (shown.particles) this.particles(context, colours);
@@ -125,14 +128,18 @@ export class Drawing {
 
   // Draws the current scan at the pose of the robot, or of the selected particle.
   scan(context, colour) {
-    const { world, camera } = this, pose = this.scanPose();
-    if (!pose || !world.scan.length) return;
-    const [c, s] = [Math.cos(pose[2]), Math.sin(pose[2])];
+    const { world } = this, pose = this.scanPose();
+    if (pose && world.scan.length) this.points(context, world.scan, pose, colour);
+  }
+
+  // Draws points of a frame at a pose.
+  points(context, points, [px, py, theta], colour) {
+    const { camera } = this, [c, s] = [Math.cos(theta), Math.sin(theta)];
     const size = Math.min(Math.max(0.06 * camera.scale, 1.5), 5);
     context.fillStyle = colour;
-    for (let k = 0; k < world.scan.length; k += 2) {
-      const [x, y] = world.scan.subarray(k, k + 2);
-      const [u, v] = camera.toScreen(pose[0] + c * x - s * y, pose[1] + s * x + c * y);
+    for (let k = 0; k < points.length; k += 2) {
+      const [x, y] = points.subarray(k, k + 2);
+      const [u, v] = camera.toScreen(px + c * x - s * y, py + s * x + c * y);
       context.fillRect(u - size / 2, v - size / 2, size, size);
     }
   }

@@ -3,15 +3,21 @@
 const $ = (selector) => document.querySelector(selector);
 const LEVELS = ["info", "warning", "error"];
 
+const AWAY = "put away", MOST = 1000;
+
+// Names a message for as long as it is the same, however often it comes; a worse level is another one.
+const nameOf = ({ first_s, level }) => `${first_s} ${level}`;
+
 const when = (seconds) => new Date(1000 * seconds).toLocaleTimeString();
 
 export class Messages {
   constructor() {
     this.list = [];
-    this.seen = 0; // the time up to which messages were put away, s
+    this.away = new Set(JSON.parse(sessionStorage.getItem(AWAY) ?? "[]")); // those that were put away in this tab
     this.interruption = "";
     $("#notice button").onclick = () => {
-      this.seen = Math.max(...this.list.map((message) => message.last_s));
+      for (const message of this.list) this.away.add(nameOf(message));
+      sessionStorage.setItem(AWAY, JSON.stringify([...this.away].slice(-MOST)));
       this.draw();
     };
   }
@@ -40,7 +46,7 @@ export class Messages {
 
   // A state stands in the bar already, and is over when the next one comes.
   get worst() {
-    const open = this.list.filter(({ level, state, last_s }) => level !== "info" && !state && last_s > this.seen);
+    const open = this.list.filter((message) => message.level !== "info" && !message.state && !this.away.has(nameOf(message)));
     return open.find(({ level }) => level === "error") ?? open[0];
   }
 

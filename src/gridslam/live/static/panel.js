@@ -4,6 +4,7 @@ import { COLUMNS } from "./chart.js";
 import { Messages } from "./messages.js";
 
 const $ = (selector) => document.querySelector(selector);
+const PATIENCE_MS = 2000; // with the answer to a wish
 const SPEEDS = [0.25, 0.5, 1, 2, 5, 10, 30, 100];
 
 function clock(seconds) {
@@ -33,7 +34,6 @@ export class Panel {
     $("#step").onclick = (event) => this.step(event.shiftKey);
     $("#line").oninput = ({ target }) => this.seek(Number(target.value));
     $("#best").onclick = () => ask({ do: "select", particle: null });
-    $("#undo").onclick = () => ask({ do: "edit", reject: null });
     $("#sheet").onclick = () => {
       const open = document.body.toggleAttribute("data-sheet");
       $("#sheet").setAttribute("aria-expanded", open);
@@ -46,7 +46,6 @@ export class Panel {
     this.run = runInfo.session;
     if (this.pauses) this.ask({ do: "pause" }); // the connection was lost
     this.mode = runInfo.mode;
-    this.edits = runInfo.edits_graph;
     document.title = `${runInfo.title} · gridslam`;
     $("#title").textContent = runInfo.title;
     const replay = this.mode === "replay", unlimited = $("#speed option[value='']");
@@ -78,7 +77,8 @@ export class Panel {
   seek(at) {
     if (!this.hasTime) return;
     $("#line").value = Math.min(Math.max(at, 0), Number($("#line").max));
-    this.ask({ do: "seek", at: Number($("#line").value) });
+    this.wish = { at: Number($("#line").value), untilMs: performance.now() + PATIENCE_MS };
+    this.ask({ do: "seek", at: this.wish.at });
   }
 
   seekBy(steps) { this.seek(Number($("#line").value) + steps); }
@@ -117,7 +117,6 @@ export class Panel {
     $("#summary").textContent = this.summarize(world).join(" · ");
     $("#answer").textContent = status.answer ?? "";
     this.session(status);
-    this.residuals(status);
     this.robot(status);
     this.particles(world);
     this.time(world);
@@ -152,25 +151,6 @@ export class Panel {
     session.title = drives.join(", ");
     state.textContent = found ? `found again after ${found.way_m.toFixed(1)} m, at ${found.pose[0].toFixed(2)} m, ${found.pose[1].toFixed(2)} m`
       : searches ? "looking for the robot in its map" : goes_on ? "goes on" : "";
-  }
-
-  // The edges of a pose graph that contradict the poses most, with their chi2; a click shows one.
-  residuals({ chi2, residuals, rejected }) {
-    $("#residuals").hidden = !residuals;
-    $("#edits").hidden = !this.edits;
-    $("#edits span").textContent = rejected?.length ? `${rejected.length} rejected` : "";
-    $("#undo").disabled = !rejected?.length;
-    if (!residuals || JSON.stringify(this.listed) === JSON.stringify(residuals)) return;
-    this.choose?.(null);
-    this.listed = residuals;
-    put("chi2", `chi2 ${twoDigits(chi2)}`);
-    $("#residuals ol").replaceChildren(...residuals.slice(0, 50).map(([from, to, off], number) => {
-      const item = document.createElement("li"), button = document.createElement("button");
-      button.textContent = `${from} – ${to}: chi2 ${twoDigits(off)}`;
-      button.onclick = () => this.choose?.(number);
-      item.append(button);
-      return item;
-    }));
   }
 
   robot({ pose, covariance, lost_probability, inlier_ratio }) {
@@ -208,7 +188,9 @@ export class Panel {
     slider.disabled = !(replay || status.last > 0);
     if (runInfo.mode !== "still") {
       slider.max = Math.max(status.last ?? 0, 0);
-      if (document.activeElement !== slider || !slider.matches(":active")) slider.value = status.at ?? slider.max;
+      const at = status.at ?? Number(slider.max);
+      if (this.wish?.at === at || performance.now() > this.wish?.untilMs) this.wish = null; // until then `at` is older than the wish
+      if (!this.wish && !slider.matches(":active")) slider.value = at;
     }
     const total = replay ? ` / ${clock(status.total_s)}` : status.progress ? ` · ${percent(status.progress)}` : "";
     $("#time output").textContent = status.time_s === undefined ? "" : clock(status.time_s) + total;

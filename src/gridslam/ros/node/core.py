@@ -477,7 +477,8 @@ class NodeCore:
         if self._session_end is SessionEnd.CLOSED:
             return False
         if self._session_end is not SessionEnd.SWITCH:  # which is reported by whoever serves the request
-            level = Level.ERROR if self._session_end is SessionEnd.JUMP else Level.WARN
+            ends_map = self._session_end is SessionEnd.JUMP and not self.localizes
+            level = Level.ERROR if ends_map else Level.WARN
             self.messages.report(level, f"{self._session.restart_message}: {self._session_end.value}")
         return True
 

@@ -98,7 +98,7 @@ class MeasurementQueue:
     received_s : float or None, s
         When the last scan came, by the clock; None before the first one.
     missing_transform : str
-        The transform without which the last scan was refused; empty once one is accepted.
+        The transform without which the last scan was refused; empty if that was not the reason, or it was accepted.
     """
 
     def __init__(self, settings: NodeSettings, warn: Warn, clock: Callable[[], float] = time.perf_counter) -> None:
@@ -253,7 +253,6 @@ class MeasurementQueue:
 
     def _refuse_without_transform(self, missing: MissingTransform) -> None:
         """Refuse a scan; without a warning if it only came before the first transform, or after the last one."""
-        self.missing_transform = missing.link
         is_near = missing.apart_s <= _QUIET_S
         if is_near and missing.coverage is Coverage.TOO_EARLY and not self._has_begun:
             self.counts.refused += 1
@@ -262,6 +261,7 @@ class MeasurementQueue:
             self._held = str(missing)
         else:
             self._refuse("missing transform", str(missing))
+        self.missing_transform = missing.link
 
     def _forget_scans(self) -> None:
         """Forget the scans that were taken, as those of a new session are compared with none of them."""
@@ -364,6 +364,7 @@ class MeasurementQueue:
 
     def _refuse(self, kind: str, problem: str) -> None:
         self.counts.refused += 1
+        self.missing_transform = ""
         self._warn(kind, problem)
 
 

@@ -11,6 +11,7 @@ from typing import Any, Final, TypeAlias, final
 import numpy as np
 
 from gridslam.api.beginning import Place
+from gridslam.api.merging import merge_sessions
 from gridslam.api.session import Session as SavedDrives
 from gridslam.config import Configuration
 from gridslam.errors import ArgumentError, GridslamError, InputError
@@ -76,20 +77,21 @@ class SessionServices:
     def standard(self) -> dict[str, tuple[str, Callable[[Any], Answer]]]:
         """Services of std_srvs by name: their types, and what serves a request."""
         return {
-            "~/serialize_map": ("std_srvs/Trigger", lambda request: self._try(self.serialize, self.save_as)),
-            "~/deserialize_map": ("std_srvs/Trigger", lambda request: self._try(self.deserialize, self.save_as)),
-            "~/save_map": ("std_srvs/Trigger", lambda request: self._try(self.save_map, self.save_as)),
-            "~/localize": ("std_srvs/SetBool", lambda request: self._try(self.localize, bool(request.data))),
+            "~/serialize_map": ("std_srvs/Trigger", lambda request: self.answer(self.serialize, self.save_as)),
+            "~/deserialize_map": ("std_srvs/Trigger", lambda request: self.answer(self.deserialize, self.save_as)),
+            "~/save_map": ("std_srvs/Trigger", lambda request: self.answer(self.save_map, self.save_as)),
+            "~/merge_map": ("std_srvs/Trigger", lambda request: self.answer(self.merge, self.save_as)),
+            "~/localize": ("std_srvs/SetBool", lambda request: self.answer(self.localize, bool(request.data))),
         }
 
     def of_slam_toolbox(self) -> dict[str, tuple[str, Callable[[Any], Sequence[Any]]]]:
         """Services of slam_toolbox by name: their types, and what serves a request."""
 
         def serialize(request: Any) -> tuple[int]:  # noqa: ANN401
-            return (0 if self._try(self.serialize, request.filename)[0] else _FAILED,)
+            return (0 if self.answer(self.serialize, request.filename)[0] else _FAILED,)
 
         def save(request: Any) -> tuple[int]:  # noqa: ANN401
-            return (0 if self._try(self.save_map, request.name.data)[0] else _FAILED,)
+            return (0 if self.answer(self.save_map, request.name.data)[0] else _FAILED,)
 
         def deserialize(request: Any) -> tuple[int]:  # noqa: ANN401
             try:
@@ -160,6 +162,33 @@ class SessionServices:
         self._core.ask(lambda: self._core.begin_session(continued))
         return f"going on from {path}"
 
+    def merge(self, name: str = "") -> str:
+        """Join the session with NAME.gridslam, and continue both; the robot is looked for in their map.
+
+        What was mapped is kept in before-merge.gridslam, and both in merged.gridslam, in the folder.
+
+        Raises
+        ------
+        GridslamError
+            Nothing is mapped yet, the session cannot be read, or both show no place in common.
+        """
+        other = self._session_path(name)
+        own, joined = (self._folder / f"{stem}{_SUFFIX}" for stem in ("before-merge", "merged"))
+        copied = self._core.copy_session()
+        _make_folder(own)
+        copied.save_session(own)
+        merged = merge_sessions([own, other], threads=self._core.settings.threads)
+        if not merged.is_joined:
+            raise ArgumentError("merge", "a session that shows some of the same places", str(other))
+        merged.session.save(joined)
+        continued = Continued.read(joined, self._core.settings.threads, Place.ELSEWHERE)
+        self._core.ask(lambda: self._core.begin_session(continued))
+        return f"going on from {joined.resolve()}: what was mapped, joined with {other.resolve()}"
+
+    def switch(self) -> str:
+        """Switch between localizing in the map so far and mapping; see `localize`."""
+        return self.localize(not self._core.localizes)
+
     def save_map(self, name: str = "") -> str:
         """Write the map as it is to NAME.yaml and NAME.pgm. Raises GridslamError where there is none."""
         path = Path(name).expanduser() if name else self._folder / "map"
@@ -211,7 +240,8 @@ class SessionServices:
         path = Path(name).expanduser() if name else self._folder / f"session{_SUFFIX}"
         return path if path.suffix == _SUFFIX else path.with_name(path.name + _SUFFIX)
 
-    def _try(self, serve: Callable[..., str], *arguments: object) -> Answer:
+    def answer(self, serve: Callable[..., str], *arguments: object) -> Answer:
+        """Serve a request, which raises GridslamError where it cannot be served, and report what came of it."""
         try:
             done = serve(*arguments)
         except GridslamError as error:

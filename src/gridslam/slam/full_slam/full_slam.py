@@ -43,7 +43,8 @@ class LoopClosureSummary:
     Attributes
     ----------
     closures : (K, 2) int64
-        Pairs of key scans (older, later) of recognized closures accepted by the final refinement.
+        Pairs of key scans (older, later) of recognized closures accepted by the final refinement, and of those that a
+        person added.
     tracked_revisits : (R, 2) int64
         Key scans that were matched to an older place without search, the way to it being certain; older one first.
     removed : int
@@ -229,17 +230,18 @@ def _summarize(
 ) -> LoopClosureSummary:
     """Summarize online loop closure and the final refinement."""
     best = refined.best
-    closures = key_scan_pairs(c for c in best.accepted_constraints if c.source is ConstraintSource.RECOGNIZED)
+    accepted = [c for c in best.accepted_constraints if c.source is ConstraintSource.RECOGNIZED]
+    by_hand = [c for c in best.constraints if c.source is ConstraintSource.BY_HAND]
     online = driven.graph.constraints
     recognized = len(best.recognized_constraints)
     return LoopClosureSummary(
-        closures=closures,
+        closures=key_scan_pairs(accepted + by_hand),
         tracked_revisits=key_scan_pairs(c for c in online if c.source is ConstraintSource.TRACKED),
-        removed=recognized - len(closures),
+        removed=recognized - len(accepted),
         rejected=closure_state.rejected,
         unsearched=closure_state.search.unsearched,
         constraints=Counter(constraint.source for constraint in online),
-        refinement_constraints=len(best.constraints) - recognized,
+        refinement_constraints=len(best.constraints) - recognized - len(by_hand),
         chi2=scale_information(best.graph, best.weights).chi2(),
         max_correction_m=float(np.hypot(*(best.graph.poses - trajectory)[:, :2].T).max()),
         candidates=refined.scores,

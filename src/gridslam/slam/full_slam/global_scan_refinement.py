@@ -193,8 +193,10 @@ def refine_trajectory(
         the newest one was joined with. What is frozen is not searched for either.
     """
     graph = closure_state.graph
-    known = [c for c in graph.constraints if max(c.pair) < graph.frozen]
-    known = [c for c in known if c.source is not ConstraintSource.RECOGNIZED]
+    frozen = [c for c in graph.constraints if max(c.pair) < graph.frozen]
+    by_hand = [c for c in graph.constraints if c.source is ConstraintSource.BY_HAND]
+    matched = (ConstraintSource.PROXIMITY, ConstraintSource.TRACKED)
+    known = [c for c in frozen if c.source in matched] + by_hand
     refinement = _Refinement(
         closure_state,
         mapper,
@@ -202,7 +204,7 @@ def refine_trajectory(
         on_progress,
         known,
         max(searched, graph.frozen),
-        [c for c in graph.constraints if c.source is ConstraintSource.TRACKED],
+        [c for c in graph.constraints if c.source is ConstraintSource.TRACKED] + by_hand,
         closure_state.pairs.copy(),
         SubmapPairs(),
     )
@@ -216,9 +218,9 @@ def refine_trajectory(
     key_poses = selection.best.graph.poses
     graph.poses = list(key_poses)
     poses = full_trajectories(key_poses, drives)
-    frozen = sum(len(drive.keys) for drive in drives if int(drive.keys[-1]) < graph.frozen)
-    keys = np.concatenate([drive.keys for drive in drives])[frozen:]
-    poses[frozen:] = match_scans(poses[frozen:], keys, scans, surfaces, key_poses)
+    first = sum(len(drive.keys) for drive in drives if int(drive.keys[-1]) < graph.frozen)
+    keys = np.concatenate([drive.keys for drive in drives])[first:]
+    poses[first:] = match_scans(poses[first:], keys, scans, surfaces, key_poses)
     sharpness_m = measure_sharpness(surfaces, key_poses)
     return RefinementResult(selection.best, poses, selection.maps, selection.scores, measured, sharpness_m)
 
@@ -228,8 +230,9 @@ def refine_trajectory(
 class _Refinement:
     """One run of the refinement; it goes from candidate to candidate in the key graph of its state.
 
-    `known` are constraints between frozen key scans, which are not matched again; the first `searched` key scans are
-    not searched for again; `tracked` are revisits that the robot knew of while it drove; `pairs` are submaps of all of
+    `known` are constraints between frozen key scans, which are not matched again, and those that a person added; the
+    first `searched` key scans are not searched for again; `tracked` are revisits that the robot knew of while it drove,
+    and those of the person, too; `pairs` are submaps of all of
     the way, `stretches` short ones, of stretches without a gap in the laser data.
     """
 
@@ -300,6 +303,7 @@ class _Refinement:
             self.on_progress,
             self.searched,
         )
+        new = [constraint for constraint in new if self.graph.allows(constraint)]
         if not new:
             return None
         solver = replace(SOLVER, first_guess="either")  # a wide loop is not reached from where poses are
@@ -346,11 +350,8 @@ class _Refinement:
 
     def _match_key_scans(self, recognized: list[Constraint], poses: FloatArray) -> list[Constraint]:
         """Recognized and known constraints, and those from matching key scans at poses (T, 3) to the submaps about."""
-        return [
-            *recognized,
-            *self.known,
-            *match_key_scans(self.closure_state, poses, self.mapper, self.on_progress),
-        ]
+        matched = match_key_scans(self.closure_state, poses, self.mapper, self.on_progress)
+        return [*recognized, *self.known, *filter(self.graph.allows, matched)]
 
     def _graph(
         self, poses: FloatArray, constraints: list[Constraint], increments: FloatArray | None = None

@@ -10,7 +10,7 @@ from typing import Annotated, NamedTuple, final
 import numpy as np
 
 from gridslam.arguments import index_of
-from gridslam.geometry.se2 import between, rotate_covariances
+from gridslam.geometry.se2 import adjoint, between, inverse, rotate_covariances
 from gridslam.matching.gauss_newton import degenerate_direction
 from gridslam.types import FloatArray, IntArray, Match
 
@@ -42,6 +42,9 @@ class ConstraintSource(IntEnum):
     RECOGNIZED = 2
     """Found by place recognition, unambiguously."""
 
+    BY_HAND = 3
+    """Added by a person; never rejected as an outlier."""
+
 
 @final
 class Constraint(NamedTuple):
@@ -66,6 +69,15 @@ class Constraint(NamedTuple):
     def identity(self) -> tuple[int, int, bytes]:
         """Key scans and measurement, by which a constraint is found again among others."""
         return self.from_, self.to, self.measurement.tobytes()
+
+    def in_order(self) -> Constraint:
+        """Return the same measurement as one of the later key scan, seen from the older one."""
+        if self.from_ < self.to:
+            return self
+        seen = inverse(self.measurement)
+        turn = adjoint(seen)
+        information = turn.T @ self.information @ turn
+        return self._replace(from_=self.to, to=self.from_, measurement=seen, information=information)
 
     @classmethod
     def from_match(

@@ -32,6 +32,7 @@ __all__ = [
     "SubmapDistance",
     "anchor_of",
     "first_key_scan",
+    "joins_near",
     "position_sigmas",
     "submap_of",
 ]
@@ -77,6 +78,11 @@ def first_key_scan(submap: Any) -> Any:
 def anchor_of(submap: int) -> int:
     """The key scan in whose frame a submap is."""
     return first_key_scan(submap) + KEY_SCANS_PER_SUBMAP // 2
+
+
+def joins_near(pair: tuple[int, int], others: IntArray) -> bool:
+    """Whether both of a pair of key scans lie within a submap's length of others (E, 2), the older first."""
+    return bool((np.abs(others - sorted(pair)) < KEY_SCANS_PER_SUBMAP).all(axis=1).any())
 
 
 def position_sigmas(covariances: FloatArray) -> FloatArray:
@@ -159,6 +165,8 @@ class KeyGraph:
         Matches of key scans to older submaps.
     frozen : int
         Number of first key scans that are frozen: their poses stay as they are, whatever is found out later.
+    rejected : (E, 2) int64 or None
+        Key scans that a person has found not to be a closure, the older one first: see `allows`.
 
     References
     ----------
@@ -172,6 +180,7 @@ class KeyGraph:
     drift_covariances: Annotated[list[Annotated[FloatArray, 3, 3]], "T"] = field(default_factory=list)
     constraints: list[Constraint] = field(default_factory=list)
     frozen: Annotated[int, Limits(0, "T")] = 0
+    rejected: Annotated[IntArray, None, 2, Limits(0, "T")] | None = None
     # metres driven up to each key scan, as tracked
     _driven_m: list[float] = field(init=False, default_factory=list, metadata=NOT_SAVED)
     # number of gaps in the laser data up to each key scan
@@ -252,9 +261,21 @@ class KeyGraph:
         self._derive()
 
     def add(self, constraint: Constraint) -> None:
-        """Add a measurement between two key scans."""
-        self.constraints.append(constraint)
-        self._use([constraint])
+        """Add a measurement between two key scans, unless a person has rejected it."""
+        if self.allows(constraint):
+            self.constraints.append(constraint)
+            self._use([constraint])
+
+    def reject(self, from_: int, to: int) -> None:
+        """Let nothing but a person join two key scans, the older one first, or those near both by a submap's length."""
+        pair = np.array([[from_, to]], np.int64)
+        self.constraints = [c for c in self.constraints if not joins_near(c.pair, pair)]
+        self.rejected = pair if self.rejected is None else np.concatenate([self.rejected, pair])
+
+    def allows(self, constraint: Constraint) -> bool:
+        """Whether no person has rejected what a constraint joins; what a person adds holds all the same."""
+        is_by_hand = constraint.source is ConstraintSource.BY_HAND
+        return self.rejected is None or is_by_hand or not joins_near(constraint.pair, self.rejected)
 
     def append(self, later: KeyGraph, poses: FloatArray, variances: tuple[float, float]) -> None:
         """Append the key scans of another graph, at `poses` (K, 3) in this one's map, and its constraints.
@@ -264,6 +285,10 @@ class KeyGraph:
         stays so, what is of the other one moves here.
         """
         first = len(self)
+        rejected = [
+            graph.rejected + shift for graph, shift in ((self, 0), (later, first)) if graph.rejected is not None
+        ]
+        self.rejected = np.concatenate(rejected) if rejected else None
         last = compose(later.tracked[0], between(poses[0], self.poses[-1]))
         self.tracked = [*compose(last, between(self.tracked[-1], np.array(self.tracked))), *later.tracked]
         unknown = np.diag(np.take(variances, [0, 0, 1]))
@@ -282,6 +307,8 @@ class KeyGraph:
             del own[keys:]
         self.constraints = [constraint for constraint in self.constraints if constraint.to < keys]
         self.frozen = min(self.frozen, keys)
+        if self.rejected is not None:
+            self.rejected = self.rejected[self.rejected[:, 1] < keys]
         self.correct(np.array(self.poses))
 
     def correct(self, poses: FloatArray) -> None:
@@ -373,8 +400,9 @@ class KeyGraph:
     def graph(
         self, increments: FloatArray | None = None, keys: int | None = None, constraints: int | None = None
     ) -> PoseGraph:
-        """Everything as a pose graph: increments (T - 1, 3), which are trusted, then the loop-closure constraints.
+        """Everything as a pose graph: increments (T - 1, 3), then the loop-closure constraints.
 
+        Increments are trusted, and what a person has added.
         The increments are the tracked ones if not given. `keys` and `constraints` limit the graph to the first of each.
         What is frozen is held, else the first pose alone.
         """
@@ -391,7 +419,7 @@ class KeyGraph:
             np.concatenate([chain, key_scan_pairs(known)]),
             np.concatenate([between(tracked[:-1], tracked[1:]) if increments is None else increments, measurements]),
             np.concatenate([steps, np.array([t.information for t in known]).reshape(-1, 3, 3)]),
-            np.arange(count - 1 + len(known)) < count - 1,
+            np.array([True] * (count - 1) + [t.source is ConstraintSource.BY_HAND for t in known], np.bool_),
             min(max(self.frozen, 1), count),
         )
 
@@ -400,7 +428,7 @@ class KeyGraph:
         twin = KeyGraph()
         for own in fields(self):
             value = getattr(self, own.name)
-            setattr(twin, own.name, value if isinstance(value, int) else value.copy())
+            setattr(twin, own.name, value if isinstance(value, int | None) else value.copy())
         return twin
 
     def _derive(self) -> None:
