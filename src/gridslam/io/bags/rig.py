@@ -208,7 +208,9 @@ class Rig:
         source = f"{', '.join(topics)}: {self._base} to {frame}" if way else f"{frame} is the base"
         found = MountedLaser(way, self._poses, source)
         if not found.is_near:
-            return MountedLaser(None, {}, f"{source} puts it out of reach: taken to be at the robot's base")
+            return MountedLaser(
+                None, {}, f"{source} puts it out of reach ({FARTHEST_LASER_M:g} m): taken to be at the robot's base"
+            )
         for link, _ in way:
             self._followed.setdefault(link, []).append(found)
         return found
