@@ -96,6 +96,11 @@ class BeamStatistics:
         """The number of beams that most scans have."""
         return self.counts.most_common(1)[0][0] if self.counts else 0
 
+    @property
+    def often_shows_one_thing(self) -> bool:
+        """Whether all that is seen in many scans may be a person: such a laser is no reference for a motion."""
+        return self.scans_of_one_thing > _OFTEN * self.scans
+
     def findings(self, sensor: str) -> Iterator[Finding]:
         """Yield the findings on the beams of the laser of that name."""
         if len(self.counts) > 1:
@@ -104,7 +109,7 @@ class BeamStatistics:
             yield self._invalid(sensor)
         if self.scans_without_hits > _OFTEN * self.scans:
             yield self._few_hits(sensor)
-        if self.scans_of_one_thing > _OFTEN * self.scans:
+        if self.often_shows_one_thing:
             yield self._single_object(sensor)
 
     def _varies(self, sensor: str) -> Finding:

@@ -15,6 +15,7 @@ import numpy as np
 from gridslam.checked import checked
 from gridslam.doctor.calibration import MotionCalibration, ParameterEstimate, calibrate
 from gridslam.doctor.laser_motion import LaserMotionEstimator, laser_motion
+from gridslam.doctor.lasers import BeamStatistics
 from gridslam.doctor.mirrored_odometry import Mirrored, unmirror_odometry
 from gridslam.doctor.motion_findings import name_unit
 from gridslam.doctor.range_limits import RangeCounts
@@ -351,17 +352,19 @@ class RepairedLog:
 
     def _find_repair(self) -> Repair:
         counts = RangeCounts()
+        beams = BeamStatistics()
 
         def counted() -> Iterator[Measurement]:
             for measurement in _of_first_laser(self._log):
                 counts.take(measurement.scan)
+                beams.take(measurement.scan)
                 yield measurement
 
         if self._kind == "all":
             found = calibrate(laser_motion(counted()))
             return find_full_repair(found, counts.false_hits_m())
         found = calibrate_early(counted())
-        self.disagreement = describe_disagreement(found)
+        self.disagreement = "" if beams.often_shows_one_thing else describe_disagreement(found)
         return find_needed_repair(found, counts.false_hits_m())
 
 

@@ -60,7 +60,7 @@ _TRUE, _FALSE = ("1", "true", "yes", "on"), ("0", "false", "no", "off")
 _TINY_YAW_RAD = 1e-3  # half a cell of 5 cm in 25 m
 _ROUNDED_RAD = 1e-9  # less comes of arithmetic
 _NO_NUMBERS = ("nan", "+nan", "-nan", ".nan", "null", "~", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#ind")
-"""What is written for no number in YAML, Python and C, Microsoft's included."""
+"""Spellings of no number in YAML, Python and C, those of Microsoft included."""
 _Fields: TypeAlias = Mapping[str, tuple[Any, int]]
 
 
