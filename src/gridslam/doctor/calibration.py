@@ -28,7 +28,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import adjoint
 from gridslam.types import FloatArray
 
-__all__ = ["Fit", "MotionCalibration", "ParameterEstimate", "calibrate", "robust_fit"]
+__all__ = ["Fit", "MotionCalibration", "ParameterEstimate", "are_degrees", "calibrate", "robust_fit"]
 
 _FEWEST = 8  # intervals
 _VARIANCES = (1e-4, 2e-4)  # of odometry: heading per metre and per radian (rad^2), way per metre and per radian (m^2)
@@ -51,6 +51,15 @@ _SCALE_FLOOR = 0.002  # scan matching itself: see `laser_odometry`
 
 _SURE_OF_SIGN = 0.6  # correlation of the turns
 _STEP_M = 0.1  # of odometry: shorter ways have no direction
+
+_CONFUSED = 0.02  # tracks lost per scan, from which on the laser is no reference
+_UNRELATED = 0.5  # correlation of the turns
+_TURNED_RAD = 1.2  # one corner suffices
+_DEGREES = math.degrees(1.0)
+_FEWEST_TURNS = 12  # from scan to scan, of more than
+_LEAST_TURN_RAD = 0.01  # which is most of a rad if it is read as degrees
+_AGREE = 0.6  # mean cosine of differences of turns
+_HARDLY_AGREE = 0.8
 
 _CAUCHY = 2.385  # 95 % efficient for normal noise
 _PASSES = 15
@@ -155,6 +164,10 @@ class MotionCalibration:
         What of the odometry has the wrong sign, because its path contradicts its headings; all else is as without it.
     yaw_improves : bool
         Whether the ways agree with the odometry by `yaw_rad`, and do not as declared.
+    headings_in_degrees : bool
+        The headings of the odometry, read as rad, turn 57.3 times as far as the laser, to either side.
+    is_reliable : bool
+        Whether the laser could be followed: its track was hardly ever lost.
     """
 
     reflected: bool
@@ -176,6 +189,14 @@ class MotionCalibration:
     noise: FloatArray
     mirrored: Mirrored = ""
     yaw_improves: bool = False
+    headings_in_degrees: bool = False
+    is_reliable: bool = True
+
+    @property
+    def is_unrelated(self) -> bool:
+        """Whether laser and odometry both turn, but not at the same times."""
+        has_turned = min(self.laser_rad, self.odometry_rad) >= _TURNED_RAD
+        return has_turned and abs(self.agreement) < _UNRELATED
 
 
 def calibrate(motion: LaserMotion) -> MotionCalibration:
@@ -224,7 +245,25 @@ def calibrate(motion: LaserMotion) -> MotionCalibration:
         noise,
         mirrored,
         _improves(reported, predicted, yaw.value),
+        are_degrees(*(np.diff(poses[:, 2])[np.diff(motion.tracks) == 0] for poses in (motion.odometry, motion.poses))),
+        len(motion) >= 2 and int(motion.tracks[-1]) < max(3, _CONFUSED * len(motion)),
     )
+
+
+def are_degrees(odometry: FloatArray, laser: FloatArray) -> bool:
+    """Return whether turns (K,) of the odometry agree with those of the laser as degrees, and not as rad.
+
+    Both are up to full turns, rad. In any healthy log they agree as rad, also where turns are alike, such that both
+    readings fit.
+    """
+    known = np.isfinite(odometry) & (np.abs(laser) > _LEAST_TURN_RAD)
+    if np.count_nonzero(known) < _FEWEST_TURNS:
+        return False
+
+    def agreement(unit: float) -> float:
+        return max(float(np.cos(odometry[known] - sign * unit * laser[known]).mean()) for sign in (1, -1))
+
+    return agreement(_DEGREES) > _AGREE and agreement(1.0) < _HARDLY_AGREE
 
 
 def _improves(reported: FloatArray, predicted: FloatArray, yaw_rad: float) -> bool:

@@ -14,6 +14,7 @@ from typing import final
 from gridslam.checked import checked
 from gridslam.doctor.finding import Finding, Severity
 from gridslam.doctor.lasers import BeamStatistics, Mounting, field_of_view_rad, mounting_findings, planar_mounting
+from gridslam.doctor.mixed_scans import MixedScans
 from gridslam.doctor.motion_findings import MotionExaminer
 from gridslam.doctor.odometry import OdometryExaminer
 from gridslam.doctor.range_checks import RangeExaminer
@@ -39,6 +40,7 @@ _RANGE_SCANS = 3000  # after which no motion is waited for: a robot that is park
 _ONLY_WHOLE = ("standing_still", "robot_carried")
 _OF_READER_AT_ONCE = ("missing_files", "missing_transform", "clock_skew")
 _REPORTED_ELSEWHERE = ("unreadable",)
+_MISMOUNTED = ("tilting_laser", "laser_far_away")
 _MIRRORED = ("odometry_mirrored", "reflected_laser")
 _OF_TWO_CLOCKS = ("odometry_unrelated", "no_odometry")
 
@@ -140,6 +142,7 @@ class _Laser:
     examiner: RangeExaminer = field(default_factory=RangeExaminer)
     mounting: Mounting = field(default_factory=Mounting)
     breaks: ViewBreaks = field(default_factory=ViewBreaks)
+    mixed: MixedScans = field(default_factory=MixedScans)
 
     def take(self, measurement: Measurement) -> None:
         scan = measurement.scan
@@ -149,6 +152,7 @@ class _Laser:
         self.examiner.take(measurement)
         self.mounting.take(scan.geometry)
         self.breaks.take(measurement)
+        self.mixed.take(measurement)
 
     def facts(self) -> LaserFacts:
         beams = max(self.beams.beams, 1)
@@ -226,9 +230,11 @@ class Doctor:
         yield from mounted
         random = any(finding.code == "random_ranges" for finding in implausible)  # which change while the robot stands
         yield from (f for f in self._odometry.findings() if not (random and f.code == "odometry_frozen"))
-        no_reference = {finding.sensor for finding in mounted if finding.code == "tilting_laser"}
+        no_reference = {finding.sensor for finding in mounted if finding.code in _MISMOUNTED}
         no_reference |= {finding.sensor for finding in of_beams if finding.code == "single_object"}
-        no_reference |= {finding.sensor for finding in implausible}
+        mixed = [found for sensor, laser in self._lasers.items() for found in laser.mixed.findings(sensor)]
+        yield from mixed
+        no_reference |= {finding.sensor for finding in [*implausible, *mixed]}
         matched = [] if self._motion is None else list(self._motion.findings())
         if not any(finding.code in _MIRRORED for finding in matched):  # then no scan is where odometry predicts it
             for sensor in set(self._lasers) - no_reference:

@@ -26,6 +26,8 @@ _COUNTS_KEPT = 16  # numbers of beams for which it is counted which are lost
 
 _TILTS_RAD = math.radians(1.0)  # vibration of a stiff mount stays below it; a laser that is made to tilt does not
 _NEAR_FLOOR_M = 8.0  # a beam that meets the floor nearer than most walls are draws the floor as a wall
+_STEEP_RAD = math.radians(30.0)  # from level: what is seen is no floor plan
+_FAR_M = 5.0  # from the base: beyond any robot
 _SAME = 1e-3  # m, and rad: two lasers that are no farther apart are in one place
 
 
@@ -57,6 +59,7 @@ class BeamStatistics:
     scattered: int = 0
     scans_without_hits: int = 0
     scans_of_one_thing: int = 0
+    limits_m: tuple[float, float] = (0.0, math.inf)
     _lost: dict[int, IntArray] = field(default_factory=dict)
     _invalid_trace: Trace = field(default_factory=Trace)
 
@@ -70,6 +73,7 @@ class BeamStatistics:
         self.beams += count
         self.invalid += invalid
         self.no_return += count - invalid - hits
+        self.limits_m = scan.range_min_m, scan.range_max_m
         self.scans_without_hits += hits < _FEW_HITS
         self.scans_of_one_thing += 0 < 2 * hits < count and scan.beams(0.0, math.inf).shows_one_thing
         self._invalid_trace.add(float(self.scans), invalid / max(count, 1))
@@ -92,6 +96,11 @@ class BeamStatistics:
         """The number of beams that most scans have."""
         return self.counts.most_common(1)[0][0] if self.counts else 0
 
+    @property
+    def often_shows_one_thing(self) -> bool:
+        """Whether all that is seen in many scans may be a person: such a laser is no reference for a motion."""
+        return self.scans_of_one_thing > _OFTEN * self.scans
+
     def findings(self, sensor: str) -> Iterator[Finding]:
         """Yield the findings on the beams of the laser of that name."""
         if len(self.counts) > 1:
@@ -100,7 +109,7 @@ class BeamStatistics:
             yield self._invalid(sensor)
         if self.scans_without_hits > _OFTEN * self.scans:
             yield self._few_hits(sensor)
-        if self.scans_of_one_thing > _OFTEN * self.scans:
+        if self.often_shows_one_thing:
             yield self._single_object(sensor)
 
     def _varies(self, sensor: str) -> Finding:
@@ -175,7 +184,8 @@ class BeamStatistics:
             Severity.ERROR if share > 0.5 else Severity.WARNING,
             f"{percent(share)} of the scans have fewer than {_FEW_HITS} beams that hit anything "
             f"({percent(self.no_return / max(self.beams, 1))} of all beams return nothing, "
-            f"{percent(self.invalid / max(self.beams, 1))} are invalid): they cannot be matched.",
+            f"{percent(self.invalid / max(self.beams, 1))} are invalid, by limits of {self.limits_m[0]:g} and "
+            f"{self.limits_m[1]:g} m): they cannot be matched.",
             share,
             "share",
             "Drive where walls are within the laser's reach, and check its range limits.",
@@ -222,10 +232,22 @@ class Mounting:
 
 
 def mounting_findings(lasers: Mapping[str, Mounting]) -> Iterator[Finding]:
-    """Yield several_lasers and tilting_laser, by the mountings of all lasers."""
+    """Yield several_lasers, laser_far_away and tilting_laser, by the mountings of all lasers."""
     if len(lasers) > 1:
         yield _several(lasers)
     for sensor, laser in lasers.items():
+        away_m = float(np.hypot(*planar_mounting(laser.geometry)[:2]))
+        if away_m > _FAR_M:
+            yield Finding(
+                "laser_far_away",
+                Severity.ERROR,
+                f"The laser is mounted {away_m:.4g} m away from the robot's base: as in centimetres or millimetres, or "
+                "in another frame.",
+                away_m,
+                "m",
+                "State the mounting in metres, as a transform from the robot's base to the laser.",
+                sensor,
+            )
         if laser.amplitude_rad > _TILTS_RAD:
             yield Finding(
                 "tilting_laser",
@@ -235,6 +257,17 @@ def mounting_findings(lasers: Mapping[str, Mounting]) -> Iterator[Finding]:
                 laser.amplitude_rad,
                 "rad",
                 "Hold the laser level and record again, or choose another laser with --scan.",
+                sensor,
+            )
+        elif laser.tilt_rad > _STEEP_RAD:
+            yield Finding(
+                "tilting_laser",
+                Severity.ERROR,
+                f"The laser is mounted {math.degrees(laser.tilt_rad):.1f} degrees from level, as in the optical frame "
+                "of a camera: its scans show no floor plan.",
+                laser.tilt_rad,
+                "rad",
+                "State the frame of the scan itself: x ahead, z up, the beams in the plane of x and y.",
                 sensor,
             )
         elif laser.floor_m() < _NEAR_FLOOR_M:

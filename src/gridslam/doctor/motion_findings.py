@@ -16,11 +16,12 @@ from gridslam.doctor.calibration import MotionCalibration, ParameterEstimate, ca
 from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
 from gridslam.doctor.intervals import turn_rates
 from gridslam.doctor.laser_motion import LaserMotion, LaserMotionEstimator
+from gridslam.doctor.range_units import UNITS
 from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
 from gridslam.types import FloatArray, IntArray, ScanGeometry
 
-__all__ = ["MotionExaminer", "Slip", "motion_findings", "wheel_slips"]
+__all__ = ["MotionExaminer", "Slip", "motion_findings", "name_unit", "wheel_slips"]
 
 _OF_WHEELS = {"odometry_scale", "odometry_rotation_bias", "odometry_drift", "wheel_slip"}
 _SMEAR_RAD = 0.02  # over a scan: 10 cm at 5 m, two cells
@@ -35,7 +36,7 @@ _REPORTED_TURN_SCALE = 0.015
 _TURN_SCALE = 0.025
 _REPORTED_DRIFT = 0.006
 _NO_TURN = 0.05  # turn scale of a heading that is not computed
-_FOOT_M = 0.3048
+_SAME_UNIT = 0.06  # of a scale: wheels err by some percent besides
 _DRIFT = 0.01  # rad/m: half a degree a metre
 _YAW = 0.06  # rad: 6 % of the way sideways
 _YAW_SPOILS = 0.35  # rad: from 20 degrees on matching begins too far off
@@ -47,12 +48,10 @@ errors with skews of up to 1 s, six drives at 3 rad/s with 0.1 s; with 0.3 s two
 _FASTEST = 0.998  # quantile of the turn rates: the greatest but for single wrong matches
 _SKEW_SIGMAS = 3.0
 _OPPOSITE = -0.6  # correlation of the turns
-_UNRELATED = 0.5
 _TURNED_RAD = 1.2  # one corner suffices
 _SLIP_M = 0.22  # of one episode
 _SLIP_RAD = 0.3
 _SLIP_SHARE = 0.01  # of all the way
-_CONFUSED = 0.02  # tracks lost per scan, from which on the laser is no reference
 
 _SUSPECT = np.array([0.06, 0.1])  # m, rad of an interval beyond what is explained: and `_SIGMAS` deviations
 _SIGMAS = 5.0
@@ -164,12 +163,16 @@ def motion_findings(motion: LaserMotion, calibration: MotionCalibration | None =
     A fault is reported only if it is larger than what every robot has, and than four standard deviations of its
     estimate.
     Reads `calibration` where that of `motion` is known already. Codes: reflected_laser, odometry_mirrored, yaw_offset,
-    clock_skew, odometry_scale, odometry_rotation_bias, odometry_drift, wheel_slip, odometry_unrelated.
+    clock_skew, odometry_scale, odometry_rotation_bias, odometry_drift, wheel_slip, odometry_unrelated, odometry_units.
     """
-    if len(motion) < 2 or motion.tracks[-1] + 1 > max(3, _CONFUSED * len(motion)):
+    if len(motion) < 2:
         return []
     found = calibration or calibrate(motion)
-    if abs(found.agreement) < _UNRELATED and min(found.laser_rad, found.odometry_rad) >= _TURNED_RAD:
+    if not found.is_reliable:
+        return []
+    if found.headings_in_degrees:
+        return [_in_degrees(motion)]
+    if found.is_unrelated:
         return [_unrelated(motion, found)]
     return [*_laser_findings(motion, found), *_odometry_findings(motion, found), *_slip_findings(motion, found)]
 
@@ -185,6 +188,18 @@ def _unrelated(motion: LaserMotion, found: MotionCalibration) -> Finding:
         "Choose the odometry's topic, or map with --no-odometry.",
         motion.sensor,
         _turns_figure(motion, 1.0),
+    )
+
+
+def _in_degrees(motion: LaserMotion) -> Finding:
+    return Finding(
+        "odometry_units",
+        Severity.WARNING,
+        "The headings of the odometry look like degrees: read as rad they turn 57.3 times as far as the laser.",
+        math.degrees(1.0),
+        "rad/rad",
+        "Convert the headings to rad where the odometry is computed; map with --no-odometry until then.",
+        motion.sensor,
     )
 
 
@@ -280,7 +295,7 @@ def _odometry_findings(motion: LaserMotion, found: MotionCalibration) -> Iterato
             f"laser measures, over {found.laser_m:.0f} m.",
             scale.value - 1,
             "m/m",
-            f"Divide the odometry's distances (the wheels' diameter) by {scale.value:.3f}{_name_unit(scale.value)}.",
+            f"Divide the odometry's distances (the wheels' diameter) by {scale.value:.3f}{name_unit(scale.value)}.",
             motion.sensor,
         )
     turn = found.turn_scale
@@ -313,9 +328,10 @@ def _odometry_findings(motion: LaserMotion, found: MotionCalibration) -> Iterato
         )
 
 
-def _name_unit(scale: float) -> str:
-    """Name the unit that explains a scale, in brackets; empty where none does."""
-    return ": it is in feet" if abs(scale * _FOOT_M - 1) < _SCALE else ""
+def name_unit(scale: float) -> str:
+    """Name the unit of the odometry that explains a scale, as an addition to a sentence; empty where none does."""
+    name = next((name for name, of_a_metre in UNITS.items() if abs(scale / of_a_metre - 1) < _SAME_UNIT), "")
+    return f": it is in {name}" if name else ""
 
 
 def _slip_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Finding]:

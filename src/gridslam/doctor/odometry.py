@@ -11,6 +11,7 @@ from typing import TypeAlias, final
 import numpy as np
 
 from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity, Trace, percent
+from gridslam.doctor.range_units import UNITS
 from gridslam.doctor.stamps import LogHistogram
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, LaserScan
@@ -31,7 +32,7 @@ _LEAP_M = 1.0  # between scans, and faster than any robot with wheels that maps 
 _LEAP_RAD = 1.0
 _LEAP_M_S = 10.0
 _LEAP_RAD_S = 12.0
-_UNITS = {"centimetres": 100, "millimetres": 1000}
+_UNITS = {name: of_a_metre for name, of_a_metre in UNITS.items() if of_a_metre > 10}
 _SPEEDS_M_S = (0.1, 2.0)  # at which robots are driven while they map
 _FEWEST_MOVES = 20  # between scans, from which on their speeds show the unit
 _LEAST_S = 0.05  # between scans whose stamps jitter, go back or repeat

@@ -15,7 +15,9 @@ import numpy as np
 from gridslam.checked import checked
 from gridslam.doctor.calibration import MotionCalibration, ParameterEstimate, calibrate
 from gridslam.doctor.laser_motion import LaserMotionEstimator, laser_motion
+from gridslam.doctor.lasers import BeamStatistics
 from gridslam.doctor.mirrored_odometry import Mirrored, unmirror_odometry
+from gridslam.doctor.motion_findings import name_unit
 from gridslam.doctor.range_limits import RangeCounts
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import adjoint, between, compose, exp, log
@@ -28,6 +30,7 @@ __all__ = [
     "Repair",
     "RepairedLog",
     "calibrate_early",
+    "describe_disagreement",
     "find_full_repair",
     "find_needed_repair",
     "open_repaired",
@@ -43,6 +46,7 @@ _SURELY_REFLECTED = -0.7
 _TURNED_RAD = 1.2
 _SPOILING_YAW_RAD = 0.35
 _SIGMAS = 6.0
+_GROSS = 0.2  # error of a scale that no wheels have
 
 
 @final
@@ -113,11 +117,33 @@ def find_needed_repair(calibration: MotionCalibration, range_max_m: float | None
     corrected only where that brings laser and odometry together. Hits from `range_max_m` on that are none follow the
     robot around, and hold it back along a corridor.
     """
+    if calibration.headings_in_degrees:  # then the turns have no sign
+        return Repair(range_max_m=range_max_m)
     reflected = calibration.agreement < _SURELY_REFLECTED and calibration.laser_rad > _TURNED_RAD
     yaw = calibration.yaw_rad
     large = yaw.differs(0.0, _SPOILING_YAW_RAD, _SIGMAS) and calibration.yaw_improves
     yaw_rad = yaw.value if large else 0.0
     return Repair(bool(reflected), yaw_rad, range_max_m=range_max_m, mirrored=calibration.mirrored)
+
+
+def describe_disagreement(calibration: MotionCalibration) -> str:
+    """Describe in a sentence that laser and odometry cannot both be right; empty where nothing speaks against it."""
+    if not calibration.is_reliable:
+        return ""
+    if calibration.headings_in_degrees:
+        return "the headings of the odometry look like degrees"
+    if calibration.is_unrelated:
+        return (
+            f"odometry and laser both turn, but not at the same times (correlation {calibration.agreement:+.2f}): the "
+            "angles of the scans are wrong, or the odometry is another robot's"
+        )
+    scale, turn_scale = calibration.scale, calibration.turn_scale
+    if scale.differs(1.0, _GROSS):
+        unit = name_unit(scale.value) or ": one of both is in another unit"
+        return f"odometry moves {scale.value:.3g} times as far as the laser{unit}; the map is in the laser's"
+    if turn_scale.differs(1.0, _GROSS):
+        return f"odometry turns {turn_scale.value:.3g} times as far as the laser: its headings are wrong"
+    return ""
 
 
 def _is_clean(calibration: MotionCalibration) -> bool:
@@ -155,6 +181,7 @@ def calibrate_early(measurements: Iterable[Measurement]) -> MotionCalibration:
     last: FloatArray | None = None
     moved = np.zeros(2)
     looks = list(_LOOKS)
+    end = np.array(_EARLY)
     for measurement in _of_first_laser(measurements):
         estimator.add(measurement)
         if measurement.odometry is not None:
@@ -163,8 +190,13 @@ def calibrate_early(measurements: Iterable[Measurement]) -> MotionCalibration:
             moved += [math.hypot(step[0], step[1]), abs(step[2])]
             last = pose
         enough = _NO_ODOMETRY_SCANS if last is None else _EARLY_SCANS
-        if len(estimator) >= enough or (moved > _EARLY).all():
+        if len(estimator) >= enough:
             break
+        if (moved > end).all():
+            found = calibrate(estimator.motion)
+            if found.laser_rad > _TURNED_RAD:
+                return found
+            end *= 2  # the turns of the odometry are none
         if looks and (moved > looks[0]).all():
             looks.pop(0)
             found = calibrate(estimator.motion)
@@ -280,6 +312,8 @@ class RepairedLog:
     ----------
     repair : Repair or None
         What is taken out; None before the first iteration.
+    disagreement : str
+        How laser and odometry contradict each other beyond that; it is among the remarks of the statistics, too.
     """
 
     def __init__(
@@ -293,6 +327,7 @@ class RepairedLog:
         self._kind = kind
         self._on_repair = on_repair
         self.repair: Repair | None = None
+        self.disagreement = ""
 
     @property
     def path(self) -> Path:
@@ -302,7 +337,10 @@ class RepairedLog:
     @property
     def statistics(self) -> LogStatistics:
         """Statistics of the latest iteration so far."""
-        return self._log.statistics
+        statistics = self._log.statistics
+        if self.disagreement:
+            statistics.remarks[f"{self.disagreement} (details: gridslam doctor)"] = 1
+        return statistics
 
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start."""
@@ -314,17 +352,20 @@ class RepairedLog:
 
     def _find_repair(self) -> Repair:
         counts = RangeCounts()
+        beams = BeamStatistics()
 
         def counted() -> Iterator[Measurement]:
             for measurement in _of_first_laser(self._log):
                 counts.take(measurement.scan)
+                beams.take(measurement.scan)
                 yield measurement
 
         if self._kind == "all":
-            full = calibrate(laser_motion(counted()))
-            return find_full_repair(full, counts.false_hits_m())
-        early = calibrate_early(counted())
-        return find_needed_repair(early, counts.false_hits_m())
+            found = calibrate(laser_motion(counted()))
+            return find_full_repair(found, counts.false_hits_m())
+        found = calibrate_early(counted())
+        self.disagreement = "" if beams.often_shows_one_thing else describe_disagreement(found)
+        return find_needed_repair(found, counts.false_hits_m())
 
 
 def _of_first_laser(measurements: Iterable[Measurement]) -> Iterator[Measurement]:

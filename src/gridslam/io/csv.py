@@ -222,7 +222,9 @@ class _Rows:
         step = _number(cells, "angle_increment_rad")
         if problem := find_wrong_beam_angles(start, step, beams):
             raise ValueError(f"columns angle_min_rad, angle_increment_rad: {problem}")
-        x, y, z, *angles = (_within(FARTHEST_LASER_M, cells, name) for name in LASER)
+        x, y, z, *angles = (
+            _within(math.tau if name.endswith("_rad") else FARTHEST_LASER_M, cells, name) for name in LASER
+        )
         mounting = np.eye(4)
         mounting[:3, :3] = rotation_of_angles(*angles)
         mounting[:3, 3] = x, y, z

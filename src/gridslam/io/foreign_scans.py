@@ -28,10 +28,12 @@ _NUMBERS = "angle_min", "angle_max", "angle_increment", "time_increment", "range
 _KEY = re.compile(r"([A-Za-z]\w*):\s*")
 _SYNC = re.compile(r"^S\s+(?=[A-Za-z]\w*:)")  # of a beam that begins a turn
 _ANGLE = re.compile(r"(?:angle|theta|bearing|azimuth)(?:[ _(\[]*(deg|rad)\w*[)\]]?)?")
-_DISTANCE = re.compile(r"(?:dist|distance|range|radius|r)(?:[ _(\[]*(mm|cm|m)[)\]]?)?")
+_DISTANCE = re.compile(r"(?:dist|distance|range|radius|r)(?:[ _(\[]*(mm|cm|m|in|ft)[)\]]?)?")
 _TIME = re.compile(r"(?:t|time|stamp|timestamp)(?:[ _(\[]*(ns|us|ms|s)[)\]]?)?")
-_OF_A_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
+_OF_A_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0, "in": 1 / 0.0254, "ft": 1 / 0.3048}
 _OF_A_SECOND = {"s": 0, "ms": 3, "us": 6, "ns": 9}  # powers of ten
+_SINCE_1970 = {13: "ms", 16: "us", 19: "ns"}  # by the number of digits
+_OF_RPLIDAR = "rplidar", "theta: "  # in the head of what its SDK writes, in any case; its angles count clockwise
 _MOST_RAD = 7.0  # of an angle without unit: more are degrees
 _MOST_M = 100.0  # of the median of ranges without unit: more are millimetres
 _BACK = 0.5  # of what a scan has swept, from which on the angle starts over: some jitter
@@ -66,7 +68,7 @@ def find_foreign_rows(head: str, statistics: LogStatistics) -> ForeignRows | Non
         return None
     if header.startswith(_ROSTOPIC):
         return _RostopicRows(header)
-    return _PointRows(_split(header), statistics)
+    return _PointRows(_split(header), statistics, clockwise=any(sign in head.lower() for sign in _OF_RPLIDAR))
 
 
 def _find_header(head: str) -> str:
@@ -159,15 +161,16 @@ class _PointRows:
     """A beam in each row: an angle, a distance, and mostly a time. A scan ends where the angle starts over.
 
     Units are those that the names state. Without, angles are degrees where one is beyond 7, and distances millimetres
-    where their median in the first scan is beyond 100.
+    where their median in the first scan is beyond 100. Angles count counter-clockwise unless `clockwise`.
     """
 
-    def __init__(self, names: list[str], statistics: LogStatistics) -> None:
+    def __init__(self, names: list[str], statistics: LogStatistics, *, clockwise: bool) -> None:
         self._names = names
         self._angle = _match(_ANGLE, names) or (0, "")
         self._distance = _match(_DISTANCE, names) or (0, "")
         self._time = _match(_TIME, names)
         self._statistics = statistics
+        self._direction = -1.0 if clockwise else 1.0
         self._is_header = True
         self._beams: list[tuple[float, float]] = []
         self._stamp_ns = 0
@@ -186,7 +189,7 @@ class _PointRows:
                 return None
         if len(words) != len(self._names):
             raise ValueError(f"expected {len(self._names)} values ({' '.join(self._names)}), got {len(words)}")
-        angle = _number(words, self._angle[0], self._names[self._angle[0]])
+        angle = self._direction * _number(words, self._angle[0], self._names[self._angle[0]])
         distance = _number(words, self._distance[0], self._names[self._distance[0]])
         if not math.isfinite(angle):
             raise ValueError(f"column {self._names[self._angle[0]]}: expected a finite angle, got {angle}")
@@ -213,8 +216,8 @@ class _PointRows:
             return self._scans * _PERIOD_NS
         place, unit = self._time
         word = words[place]
-        if not unit and len(word) >= 17 and word.isdecimal():
-            unit = "ns"
+        if not unit and word.isdecimal():
+            unit = _SINCE_1970.get(len(word), "")
         try:
             return parse_stamp_ns(f"{word}e-{_OF_A_SECOND[unit]}" if unit not in ("", "s") else word)
         except ValueError as error:
@@ -242,6 +245,8 @@ class _PointRows:
             self._statistics.remarks[
                 f"the units are not stated: angles are taken as {angle}, distances as {distance}"
             ] += 1
+        side, whose = ("clockwise", ", as an RPLIDAR's") if self._direction < 0 else ("counter-clockwise", "")
+        self._statistics.remarks[f"the direction is not stated: angles are taken as {side}{whose}"] += 1
         if self._time is None:
             self._statistics.remarks["the scans have no stamps: they are taken as 0.1 s apart"] += 1
         return (math.degrees(1.0) if angle == "deg" else 1.0), _OF_A_METRE[distance]

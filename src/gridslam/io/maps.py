@@ -47,15 +47,20 @@ _UNKNOWN = 205
 _BAND = 64  # rows turned to pixels, or back, at a time
 _BYTES_PER_PIXEL = 8  # of a map as it is read, beside the image as Pillow has it
 _LARGEST_YAML_BYTES = 1 << 16
+_EVEN = 50  # percent
+_MOST_OCCUPIED = 2.0  # cells for each free one, from which on black may mean free
 _SURE = 0.98  # an image represents probabilities 0.01 to 0.99, so that log-odds stay finite
 _REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 _MODES = ("trinary", "scale", "raw")
 _FARTHEST_CELL = 1 << 30  # rows and columns of cells are numbers of 32 bits
 _FINEST_M = 0.001  # what lies outside is another unit, or a slip
 _COARSEST_M = 10.0
+_USUAL_M = 1.0  # at most, of maps of buildings
+_TRUE, _FALSE = ("1", "true", "yes", "on"), ("0", "false", "no", "off")
 _TINY_YAW_RAD = 1e-3  # half a cell of 5 cm in 25 m
 _ROUNDED_RAD = 1e-9  # less comes of arithmetic
-_NO_NUMBERS = ("nan", "+nan", "-nan", ".nan", "null", "~")  # in YAML, C and Python
+_NO_NUMBERS = ("nan", "+nan", "-nan", ".nan", "null", "~", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#ind")
+"""Spellings of no number in YAML, Python and C, those of Microsoft included."""
 _Fields: TypeAlias = Mapping[str, tuple[Any, int]]
 
 
@@ -204,6 +209,7 @@ def read_map(
         percent, origin = turn_cells(percent, description.resolution_m, origin, description.yaw_rad, -1)
     probability = (1 - _SURE) / 2 + _SURE * np.arange(101) / 100.0
     log_odds = np.append(np.log(probability / (1 - probability)), 0.0).astype(np.float32)  # the last: of -1, unknown
+    _remark_on(percent, on_remark)
     grid = OccupancyGrid(log_odds[percent], percent >= 0, description.resolution_m, origin)
     spared = 0 if strict_thresholds else int(unknown_read_as_free(image, description).sum())
     if spared:
@@ -212,6 +218,15 @@ def read_map(
             f"its {spared} cells are taken as unknown (--strict-thresholds reads literally)"
         )
     return grid
+
+
+def _remark_on(percent: NDArray[np.int8], on_remark: Callable[[str], None]) -> None:
+    """Remark on a map of which nothing is known, or that looks as if black and white were exchanged."""
+    occupied, free = int((percent > _EVEN).sum()), int(((percent >= 0) & (percent < _EVEN)).sum())
+    if not occupied and not free:
+        on_remark("no cell is known: all pixels are transparent, or between the thresholds")
+    elif occupied > _MOST_OCCUPIED * free:
+        on_remark(f"{occupied} cells are occupied and {free} are free: negate, or the mode, may be wrong")
 
 
 def read_map_description(path: str | Path) -> MapDescription:
@@ -235,16 +250,18 @@ def read_map_description(path: str | Path) -> MapDescription:
     if not _FINEST_M <= resolution <= _COARSEST_M:
         problem = f"expected a resolution from {_FINEST_M:g} to {_COARSEST_M:g} m, got {resolution:g}"
         raise InputError(path, problem, fields["resolution"][1])
+    if resolution > _USUAL_M:
+        remarks.append(f"the cells have sides of {resolution:g} m: the resolution may be in centimetres")
     low = _finite(path, "free_thresh", *fields["free_thresh"])
     high = _finite(path, "occupied_thresh", *fields["occupied_thresh"])
     if not 0 <= low < high <= 1:
         problem = f"expected 0 <= free_thresh < occupied_thresh <= 1, got {low:g} and {high:g}"
         raise InputError(path, problem, fields["free_thresh"][1])
     mode, line = fields.get("mode", ("trinary", 0))
-    if mode not in _MODES:
+    if str(mode).lower() not in _MODES:
         raise InputError(path, f"expected the mode {', '.join(_MODES)}, got {mode!r}", line)
     negate, line = fields["negate"]
-    if str(negate).lower() not in ("0", "1", "false", "true"):
+    if str(negate).lower() not in (*_FALSE, *_TRUE):
         raise InputError(path, f"expected negate 0 or 1, got {negate!r}", line)
     origin, line = fields["origin"]
     if not (isinstance(origin, list) and len(origin) == 3):
@@ -254,8 +271,8 @@ def read_map_description(path: str | Path) -> MapDescription:
     if not max(abs(x), abs(y)) <= _FARTHEST_CELL * resolution:
         problem = f"expected an origin within {_FARTHEST_CELL * resolution:g} m (2^30 cells) of 0, got [{x:g}, {y:g}]"
         raise InputError(path, problem, line)
-    negated = negate.lower() in ("1", "true")
-    return MapDescription(image, resolution, (x, y), negated, high, low, mode, tuple(remarks), yaw)
+    negated = negate.lower() in _TRUE
+    return MapDescription(image, resolution, (x, y), negated, high, low, mode.lower(), tuple(remarks), yaw)
 
 
 def _find_image(folder: Path, name: str, remarks: list[str]) -> str:
@@ -291,13 +308,16 @@ def _read_yaw(path: str | Path, word: str, line: int, remarks: list[str]) -> flo
 def _read_fields(path: str | Path) -> _Fields:
     """Return text of each key's value as it stands there, or texts of a list; and the line."""
     with refuse_unreadable(path, "'key: value' in YAML"):
-        tree = parse_yaml(read_text(path, _LARGEST_YAML_BYTES), as_nodes=True)
+        text = read_text(path, _LARGEST_YAML_BYTES).replace("\t", " ")  # which PyYAML refuses between key and value
+        tree = parse_yaml(text, as_nodes=True)
     if getattr(tree, "id", None) != "mapping":
         raise InputError(path, "expected 'key: value' in each line, got none")
     fields: dict[str, tuple[Any, int]] = {}
     for key, value in tree.value:
         line = key.start_mark.line + 1
         items = value.value if value.id == "sequence" else [value]
+        if key.id == "scalar" and key.value not in (*_REQUIRED, "mode"):
+            continue
         if any(node.id != "scalar" for node in (key, *items)):
             raise InputError(
                 path, "expected a text, a number or a list of numbers for each key, got another value", line

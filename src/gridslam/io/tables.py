@@ -92,6 +92,7 @@ def read_rows(
     in_order: bool = False,
     parse_stamp: Callable[[str], int] = parse_stamp_ns,
     split: Callable[[str], list[str]] | None = None,
+    skip: Callable[[str], bool] = lambda line: False,
 ) -> Iterator[Row]:
     """Read rows of finite numbers, a piece at a time.
 
@@ -110,6 +111,8 @@ def read_rows(
         Reads a stamp.
     split : callable, optional
         Splits a line into its cells, where not by blanks or commas.
+    skip : callable
+        Returns whether a line is no row, and left out.
 
     Raises
     ------
@@ -124,6 +127,8 @@ def read_rows(
     width = len(columns.split(separator))
     last_ns = -(2**63)
     for number, line in lines:
+        if skip(line):
+            continue
         words = split(line) if split else line.split(separator)
         if len(words) != width:
             raise InputError(path, f"expected {width} numbers ({columns}), got {len(words)}", number)

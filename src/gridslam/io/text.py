@@ -218,6 +218,7 @@ def read_numbered_lines(path: str | Path, *, with_comments: bool = False) -> Ite
         if source.is_truncated:  # what is left of a line
             break
         text = line.rstrip("\r")
+        text = text.removeprefix("\xef\xbb\xbf") if number == 1 else text  # what some programs put before UTF-8
         if with_comments or (text.strip() and not text.lstrip().startswith("#")):
             yield number, text
     if source.is_truncated:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,6 +49,8 @@ _FIXED_IN_CSV = np.arange(9) < 3
 """Columns of nine decimals, the poses; others have nine significant digits, or are 0."""
 _PLANAR = (1e-3, 1e-3, 1e-3)  # m, rad, rad
 _DIGITS_OF_NS = 17  # since 1973; in s it would be a time of a billion years
+_DECIMALS = {13: 3, 16: 6}  # of a whole number of ms or us since 1970, by its digits
+_TIME_NAMES = ("timestamp", "time", "stamp", "t")  # of the first column, in a line of names
 
 
 def write_tum(path: str | Path, trajectory: Trajectory) -> None:
@@ -90,11 +93,11 @@ def read_trajectory(path: str | Path, stamps_ns: IntArray | None = None) -> Traj
     InputError
         As `read_tum`; and of KITTI where there are no stamps for it, or not as many as it has rows.
     """
-    first = next(read_numbered_lines(path), (0, ""))[1]
+    first = _first_row(path)
     words = _split(first)
     if "," in first and len(words) >= 8 and _is_ns(words[0]):
-        columns = "timestamp x y z qw qx qy qz"
-        table = read_table(path, columns, 1, parse_stamp=parse_whole_ns, split=lambda line: line.split(",")[:8])
+        how = {"parse_stamp": parse_whole_ns, "split": lambda line: line.split(",")[:8], "skip": _has_names}
+        table = read_table(path, "timestamp x y z qw qx qy qz", 1, **how)
         return _of_quaternions(path, table._replace(values=table.values[:, [0, 1, 2, 4, 5, 6, 3]]))
     return _read_kitti(path, stamps_ns) if "," not in first and len(words) == 12 else read_tum(path)
 
@@ -129,8 +132,8 @@ def _read_kitti(path: str | Path, stamps_ns: IntArray | None) -> Trajectory:
 def read_tum(path: str | Path) -> Trajectory:
     """Read a trajectory, in file order; the heading is the yaw of the quaternion.
 
-    Values are separated by blanks, or by commas. Stamps are in s, or in ns where the first one is a whole number of 17
-    digits or more.
+    Values are separated by blanks, or by commas; a line may have the columns' names. Stamps are in s, or in ms, us
+    or ns since 1970 where the first one is a whole number of 13, of 16, or of 17 digits or more.
 
     Raises
     ------
@@ -138,9 +141,29 @@ def read_tum(path: str | Path) -> Trajectory:
         Where the file cannot be read, holds no pose, or a line is not eight finite numbers with a position within 1e9 m
         and a quaternion of unit norm (within 1 %).
     """
-    first = _split(next(read_numbered_lines(path), (0, ""))[1])
-    parse = parse_whole_ns if first and _is_ns(first[0]) else parse_stamp_ns
-    return _of_quaternions(path, read_table(path, "stamp x y z qx qy qz qw", 1, parse_stamp=parse, split=_split))
+    first = _split(_first_row(path))
+    parse = _find_stamps(first[0]) if first else parse_stamp_ns
+    how = {"parse_stamp": parse, "split": _split, "skip": _has_names}
+    return _of_quaternions(path, read_table(path, "stamp x y z qx qy qz qw", 1, **how))
+
+
+def _first_row(path: str | Path) -> str:
+    """Return the first line of numbers; empty where there is none."""
+    return next((line for _, line in read_numbered_lines(path) if not _has_names(line)), "")
+
+
+def _has_names(line: str) -> bool:
+    """Return whether a line has the names of the columns."""
+    return _split(line)[0].lower() in _TIME_NAMES
+
+
+def _find_stamps(first: str) -> Callable[[str], int]:
+    """Return the parser for stamps in the form of the first one."""
+    if _is_ns(first):
+        return parse_whole_ns
+    if not first.isdecimal() or len(first) not in _DECIMALS:
+        return parse_stamp_ns
+    return lambda word: parse_stamp_ns(f"{word}e-{_DECIMALS[len(first)]}")
 
 
 def _split(line: str) -> list[str]:

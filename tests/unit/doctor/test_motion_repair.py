@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,18 +12,21 @@ import pytest
 from gridslam.api.mapping import map_log
 from gridslam.config import Configuration
 from gridslam.doctor import Doctor
-from gridslam.doctor.calibration import calibrate
+from gridslam.doctor.calibration import are_degrees, calibrate
 from gridslam.doctor.laser_motion import laser_motion
 from gridslam.doctor.motion_findings import motion_findings
 from gridslam.doctor.repair import (
     Repair,
+    RepairedLog,
     calibrate_early,
+    describe_disagreement,
     find_full_repair,
     find_needed_repair,
     repair_measurements,
 )
 from gridslam.doctor.view_breaks import ViewBreaks
 from gridslam.evaluation import absolute_errors
+from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.io.csv import write_csv_log
 from gridslam.observers import TrajectoryRecorder
@@ -30,6 +35,7 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, si
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.types import Trajectory
 from support.faults import with_fault
+from support.hand_logs import MadeLog
 from support.laser_drives import log, perfect
 
 FILTER_ALONE = Configuration(particles=2, loop_closure=None)
@@ -149,3 +155,57 @@ def test_a_mirrored_odometry_is_no_robot_that_was_carried():
         breaks.take(measurement)
     assert breaks.found
     assert {finding.code for finding in doctor.findings() if finding.is_fault} == {"odometry_mirrored"}
+
+
+def changed(measurements, change):
+    """The log with other poses of the odometry."""
+    return [m._replace(odometry=replace(m.odometry, pose=change(m.odometry.pose))) for m in measurements]
+
+
+def read_as_degrees(pose):
+    """A heading in degrees that is taken for rad."""
+    return np.array([*pose[:2], wrap(math.degrees(pose[2]))])
+
+
+@pytest.mark.parametrize(
+    ("change", "problem", "code"),
+    [
+        (read_as_degrees, "headings of the odometry look like degrees", "odometry_units"),
+        (
+            lambda pose: pose * [1 / 0.3048, 1 / 0.3048, 1],
+            r"3\.\d+ times as far as the laser: it is in feet",
+            "odometry_scale",
+        ),
+        (
+            lambda pose: pose * [1 / 0.0254, 1 / 0.0254, 1],
+            "times as far as the laser: it is in inches",
+            "odometry_scale",
+        ),
+        (lambda pose: pose * [2, 2, 1], "one of both is in another unit", "odometry_scale"),
+        (lambda pose: pose * [1, 1, 0], "headings are wrong", "odometry_rotation_bias"),
+    ],
+)
+def test_a_laser_and_an_odometry_that_cannot_both_be_right_are_told_of_while_mapping(change, problem, code):
+    measurements = log(scans=400)[0]
+    faulty = changed(measurements, change)
+    calibration = calibrate_early(faulty)
+    assert re.search(problem, describe_disagreement(calibration))
+    assert not find_needed_repair(calibration).reflected
+    assert code in {finding.code for finding in motion_findings(laser_motion(faulty))}
+    repaired = RepairedLog(MadeLog(faulty))
+    list(repaired)
+    assert any(re.search(problem, remark) for remark in repaired.statistics.remarks)
+    healthy = RepairedLog(MadeLog(measurements))
+    list(healthy)
+    assert not healthy.disagreement
+    assert not healthy.statistics.remarks
+
+
+def test_degrees_are_told_by_turns_that_are_no_rad():
+    """Turns of 6.39 degrees, from scan to scan, are alike as both."""
+    laser = np.full(200, math.tau / (math.degrees(1.0) - 1))
+    assert not are_degrees(laser, laser)
+    assert not are_degrees(laser[:5] * 50, laser[:5])
+    slower = np.random.default_rng(0).normal(0.05, 0.03, 200)
+    assert are_degrees(wrap(np.degrees(slower)), slower)
+    assert not are_degrees(slower, slower)

@@ -97,7 +97,7 @@ def test_a_tilted_laser_that_sees_the_floor():
     assert f"{0.3 / math.sin(0.1):.1f} m" in found.message
 
 
-@pytest.mark.parametrize(("factor", "unit"), [(1000, "millimetres"), (100, "centimetres")])
+@pytest.mark.parametrize(("factor", "unit"), [(1000, "millimetres"), (100, "inches or centimetres")])
 def test_an_odometry_in_another_unit_is_named_by_its_speed(factor, unit):
     far = [m._replace(odometry=Odometry.at(m.scan.stamp_ns, m.odometry.pose * (factor, factor, 1))) for m in drive()]
     found = findings(far)
@@ -105,3 +105,24 @@ def test_an_odometry_in_another_unit_is_named_by_its_speed(factor, unit):
     assert f"in {unit}, not in metres" in found["odometry_units"].message
     assert "odometry_jumps" not in found
     assert "odometry_units" not in findings(drive(v=1.5))
+
+
+@pytest.mark.parametrize(("away_m", "told"), [(4.0, None), (10.0, Severity.ERROR)])
+def test_a_laser_farther_from_the_base_than_any_robot_is_long(away_m, told):
+    mounting = np.eye(4)
+    mounting[1, 3] = away_m
+    found = findings(
+        seen(k / 5, m.scan.ranges, (0.06 * k, 0, 0), ScanGeometry(BEARINGS, mounting)) for k, m in enumerate(drive())
+    )
+    assert (found.get("laser_far_away") and found["laser_far_away"].severity) == told
+
+
+def test_scans_in_the_optical_frame_of_a_camera_are_told():
+    """x to the right, y down, z ahead: the beams, in the plane of x and y, would all be in one vertical plane."""
+    optical = np.array([[0.0, 0.0, 1.0, 0.1], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    found = findings(
+        seen(k / 5, m.scan.ranges, (0.06 * k, 0, 0), ScanGeometry(BEARINGS, optical)) for k, m in enumerate(drive())
+    )
+    assert found["tilting_laser"].severity is Severity.ERROR
+    assert found["tilting_laser"].size == pytest.approx(math.pi / 2)
+    assert "optical frame" in found["tilting_laser"].message

@@ -104,6 +104,16 @@ def test_mountings_in_space_over_a_chain(tmp_path, name, topic, slash):
     np.testing.assert_allclose(first.scan.geometry.base_from_laser, expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("topic", ["/tf", "/tf_static"])
+def test_scans_of_two_lasers_on_one_topic_have_their_own_mountings(tmp_path, topic):
+    links = [transform(0.0, "base_link", "rear", (-0.2, 0.0, 0.0), yawed(3.0), topic=topic)]
+    said = [*links, *drive(), scan("/scan", 1.105, FOUR, frame="rear")]
+    log = log_of(tmp_path, sorted(said, key=lambda each: each.time_ns))
+    places = {laser.frame: tuple(laser.geometry.origin) for _, laser in log}
+    assert places == {"laser": (0.2, 0.0), "rear": (-0.2, 0.0)}
+    assert not log.statistics.missing_transforms
+
+
 @pytest.mark.parametrize("away_m", [150.0, 1e200, -1e308])
 def test_a_laser_that_no_robot_reaches_is_told(tmp_path, away_m):
     said = [*drive(mounting=False), transform(0.0, "base_link", "laser", (away_m, 0.0, 0.0))]

@@ -24,7 +24,8 @@ def test_a_drive_is_read_back_without_odometry(tmp_path, rows):
     back, statistics = read(tmp_path, rows(SCANS))
     assert detect_log_format(tmp_path / "log.csv") is LogFormat.CSV
     assert statistics.scan_count == statistics.without_odometry == len(back) == len(SCANS)
-    assert not statistics.remarks
+    unstated = {"the direction is not stated: angles are taken as counter-clockwise"}
+    assert set(statistics.remarks) == (unstated if rows is point_rows else set())
     for (odometry, scan), (_, true) in zip(back, SCANS, strict=True):
         assert odometry is None
         assert abs(scan.stamp_ns - true.stamp_ns) < 1_000_000
@@ -37,14 +38,16 @@ RPLIDAR = "#RPLIDAR SCAN DATA\n#COUNT=4\n#Angle\tDistance\tQuality\n"
 
 
 def test_units_that_are_not_stated_are_said(tmp_path):
+    """The angles of an RPLIDAR count clockwise: else the map would be a mirror image."""
     rows = "".join(f"{angle}.0\t{distance}\t47\n" for angle, distance in ((0, 1500), (90, 0), (180, 2000), (359, 99)))
     (first, second), statistics = read(tmp_path, RPLIDAR + 2 * rows)
-    np.testing.assert_allclose(np.degrees(first.scan.geometry.bearings), [0, 90, 180, 359])
+    np.testing.assert_allclose(np.degrees(first.scan.geometry.bearings), [0, -90, -180, -359])
     np.testing.assert_allclose(first.scan.ranges, [1.5, 0, 2, 0.099])
     assert first.scan.status.tolist() == [BeamStatus.HIT, BeamStatus.INVALID, BeamStatus.HIT, BeamStatus.HIT]
     assert (first.scan.stamp_ns, second.scan.stamp_ns) == (0, 100_000_000)
     assert first.scan.geometry is second.scan.geometry
     assert sorted(statistics.remarks) == [
+        "the direction is not stated: angles are taken as clockwise, as an RPLIDAR's",
         "the scans have no stamps: they are taken as 0.1 s apart",
         "the units are not stated: angles are taken as deg, distances as mm",
     ]
@@ -61,6 +64,11 @@ def test_units_that_are_not_stated_are_said(tmp_path):
         ("timestamp_ms theta[deg] dist(cm)", "1500 0 100\n1500 90 200\n", [0, np.pi / 2], [1, 2], 1_500_000_000),
         ("time,angle,dist", "1700000000000000001,180,500\n1700000000000000001,90,500\n", [np.pi, np.pi / 2], [0.5, 0.5],
          1700000000000000001),
+        ("stamp,angle_deg,distance_in", "1700000000123,0,100\n1700000000123,90,50\n", [0, np.pi / 2], [2.54, 1.27],
+         1_700_000_000_123_000_000),
+        ("time,angle_deg,r_ft", "1700000000123456,0,10\n1700000000123456,90,5\n", [0, np.pi / 2], [3.048, 1.524],
+         1_700_000_000_123_456_000),
+        ("theta: 0.00 Dist: 01000.00 Q: 47", "theta: 90.00 Dist: 02000.00 Q: 47\n", [0, -np.pi / 2], [1, 2], 0),
     ],
 )  # fmt: skip
 def test_units_are_those_of_the_names(tmp_path, header, rows, bearings, ranges, stamp_ns):

@@ -1,5 +1,7 @@
 """Maps as map_server reads and writes them."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -61,12 +63,32 @@ def test_round_trip(tmp_path, seed, resolution, origin, name):
         "# a comment\n---\n" + YAML.replace("map.pgm", "'map.pgm'") + "unknown_key: 3\n",
         YAML.replace("map.pgm", '"map.pgm"').replace("negate: 0", "negate: false  # comment"),
         YAML.replace("\n", "\r\n"),
+        YAML.replace(": ", ":\t").replace("\n", "\t\n"),
+        YAML.replace("negate: 0", "negate: no") + "mode: Trinary\n",
+        YAML + "bounds: {x: [1, 2]}\n",
     ],
 )
 def test_ways_to_say_the_same(tmp_path, yaml):
     grid = read_map(write(tmp_path, [[0, 254]], yaml))
     assert states(grid) == [[1, 0]]
     assert grid.origin == (-1.5, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("yaml", "pixels", "remark"),
+    [
+        (YAML.replace("negate: 0", "negate: 1"), [[254, 254, 205, 0]], "3 cells are occupied and 1 are free: negate"),
+        (YAML, [[205, 205]], "no cell is known"),
+        (YAML.replace("0.05", "5"), [[254, 0]], "sides of 5 m: the resolution may be in centimetres"),
+        (YAML.replace("2, 0]", "2, -nan(ind)]"), [[254, 0]], r"yaw -nan\(ind\) of the origin is taken as 0"),
+        (YAML, [[0, 0, 254, 205]], None),
+    ],
+)
+def test_what_is_odd_about_a_map_is_remarked(tmp_path, yaml, pixels, remark):
+    remarks = []
+    read_map(write(tmp_path, pixels, yaml), on_remark=remarks.append)
+    assert len(remarks) == (remark is not None)
+    assert remark is None or re.search(remark, remarks[0])
 
 
 @pytest.mark.parametrize(

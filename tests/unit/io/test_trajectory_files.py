@@ -66,6 +66,11 @@ def in_form(form):
         "tum_ns": [
             f"{s} {x} {y} 0 0 0 {z} {w}" for s, (x, y, _), (z, w) in zip(STAMPS, POSES, QUATERNIONS, strict=True)
         ],
+        "tum_names": ["\xef\xbb\xbftimestamp x y z qx qy qz qw"]
+        + [
+            f"{format_stamp_ns(s)} {x} {y} 0 0 0 {z} {w}"
+            for s, (x, y, _), (z, w) in zip(STAMPS.tolist(), POSES.tolist(), QUATERNIONS, strict=True)
+        ],
         "euroc": ["#timestamp,p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []"]
         + [f"{s},{x},{y},0,{w},0,0,{z}" for s, (x, y, _), (z, w) in zip(STAMPS, POSES, QUATERNIONS, strict=True)],
         "euroc_17": [
@@ -83,12 +88,23 @@ def in_form(form):
     return "\n".join(lines) + "\n"
 
 
-@pytest.mark.parametrize("form", ["tum", "tum_commas", "tum_ns", "euroc", "euroc_17", "kitti", "kitti_camera"])
+FORMS = ["tum", "tum_commas", "tum_ns", "tum_names", "euroc", "euroc_17", "kitti", "kitti_camera"]
+
+
+@pytest.mark.parametrize("form", FORMS)
 def test_the_same_trajectory_in_every_form(tmp_path, form):
-    (tmp_path / "t.txt").write_text(in_form(form))
+    (tmp_path / "t.txt").write_bytes(in_form(form).encode("latin-1"))
     back = read_trajectory(tmp_path / "t.txt", STAMPS)
     assert back.stamps_ns.tolist() == STAMPS.tolist()
     np.testing.assert_allclose(back.poses, POSES, atol=1e-9)
+
+
+@pytest.mark.parametrize(("per_s", "digits"), [(10**3, 13), (10**6, 16)])
+def test_whole_stamps_since_1970_are_in_the_unit_that_their_digits_have(tmp_path, per_s, digits):
+    stamps = [STAMPS[0] // (10**9 // per_s), STAMPS[0] // (10**9 // per_s) + 1]
+    assert len(str(stamps[0])) == digits
+    (tmp_path / "t.txt").write_text("".join(f"{stamp} 0 0 0 0 0 0 1\n" for stamp in stamps))
+    assert (read_trajectory(tmp_path / "t.txt").stamps_ns - STAMPS[0]).tolist() == [0, 10**9 // per_s]
 
 
 @pytest.mark.parametrize(

@@ -199,14 +199,18 @@ class Rig:
 
     def _mounted(self, frame: str) -> MountedLaser:
         way = self._seen.way(self._base, frame)
-        if way is None or not all(link in self._poses for link, _ in way):
+        if way is None:
             missing = f"no transform names {frame}" if frame else "the scans name no frame (header.frame_id is empty)"
             return MountedLaser(None, {}, f"{missing}: taken to be at the robot's base")
+        for link, _ in way:  # a topic may have scans of several frames
+            self._poses.setdefault(link, self._reported.setdefault(link, self._seen.links[link].pose))
         topics = sorted({self._seen.links[link].topic for link, _ in way})
         source = f"{', '.join(topics)}: {self._base} to {frame}" if way else f"{frame} is the base"
         found = MountedLaser(way, self._poses, source)
         if not found.is_near:
-            return MountedLaser(None, {}, f"{source} puts it out of reach: taken to be at the robot's base")
+            return MountedLaser(
+                None, {}, f"{source} puts it out of reach ({FARTHEST_LASER_M:g} m): taken to be at the robot's base"
+            )
         for link, _ in way:
             self._followed.setdefault(link, []).append(found)
         return found

@@ -1,0 +1,100 @@
+"""A scan with its pose, compared with earlier ones."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import Final, final
+
+import numpy as np
+
+from gridslam.doctor.range_units import polar_scan
+from gridslam.doctor.scan_prediction import PolarScan, disagreements, log_ratios_as_reported, move_laser
+from gridslam.geometry.se2 import between
+from gridslam.types import BeamStatus, FloatArray, LaserScan
+
+__all__ = ["OTHER", "SAME", "View"]
+
+OTHER: Final = 0.2
+"""Disagreement (`View.differs_from`) from which on two scans show different places; on real logs it is a hundredth to a
+tenth."""
+SAME: Final = 0.1
+"""Disagreement up to which two scans show one place."""
+
+_SAMPLES = 60  # ranges of a scan that are looked at first
+_CHANGED_M = 0.1  # change of a range above noise, and
+_CHANGED = 0.02  # of the range
+_COVER_M = 0.3  # hands and arms are nearer while the robot is carried
+_BLIND = 0.25  # of the beams that saw something before
+_MOST_CHANGED = 0.5  # of these ranges: where fewer change no scan is predicted
+_MANY = 0.2  # of the beams
+_SIDE = 0.05  # of the logarithms: that much nearer, or farther
+
+
+@final
+class View:
+    """A scan with the pose (3,) of the odometry; its ranges are ordered by bearing once they are needed.
+
+    `sampled` are some of the ranges, 0 where nothing was hit; `seen` counts those that are of no cover.
+    """
+
+    def __init__(self, pose: FloatArray, scan: LaserScan) -> None:
+        """Keep both as they are."""
+        self.pose = pose
+        self.scan = scan
+        self.sampled = self.sample(0, len(scan))
+        self.seen = int(np.count_nonzero(self.sampled > _COVER_M))
+
+    def sample(self, first: int, end: int) -> FloatArray:
+        """Some of the ranges of the beams from `first` on, 0 where nothing was hit."""
+        some = slice(first, end, max(len(self.scan) // _SAMPLES, 1))
+        return np.where(self.scan.status[some] == BeamStatus.HIT, self.scan.ranges[some], 0.0)
+
+    @cached_property
+    def polar(self) -> PolarScan | None:
+        """The measured ranges by their bearings; None if they are too few."""
+        return polar_scan(self.scan)
+
+    def is_blind_beside(self, before: View) -> bool:
+        """Whether hardly anything is seen, beside before: the laser is covered, or held to floor or ceiling."""
+        return self.seen < _BLIND * before.seen
+
+    def is_changed_from(self, before: View) -> bool:
+        """Return whether more than half of the ranges are others than before, beam by beam and by the turn of both."""
+        if len(self.scan) != len(before.scan) or len(self.scan) < 2:
+            return True
+        return _is_changed(before.sampled, self.sampled) and self._is_changed_by_more_than_turn(before)
+
+    def _is_changed_by_more_than_turn(self, before: View) -> bool:
+        """Compare each beam with the one that looked that way before the robot turned, of beams at equal steps."""
+        (x, y), (next_x, next_y) = self.scan.geometry.directions[:2].tolist()
+        step = math.atan2(x * next_y - y * next_x, x * next_x + y * next_y)
+        turn = math.remainder(float(self.pose[2] - before.pose[2]), math.tau)
+        beams = len(self.scan)
+        shift = round(turn / step) if abs(turn) < abs(step) * beams else 0
+        was = before.sample(max(shift, 0), beams + min(shift, 0))
+        return _is_changed(was, self.sample(max(-shift, 0), beams - max(shift, 0)))
+
+    def differs_from(self, before: PolarScan, pose: FloatArray) -> float:
+        """How badly the scan agrees with one from before; NaN or infinite where they have too little in common."""
+        view = self.polar
+        if view is None:
+            return math.nan
+        return float(disagreements(before, view, move_laser(before, view, between(pose, self.pose)), np.ones(1))[0])
+
+    def is_both_sides_of(self, before: PolarScan, pose: FloatArray) -> bool:
+        """Return whether many beams end nearer, and many farther than by the view from before.
+
+        Who passes a door sees farther in most directions, or nearer.
+        """
+        view = self.polar
+        if view is None:
+            return False
+        ratios = log_ratios_as_reported(before, view, move_laser(before, view, between(pose, self.pose)))
+        low, high = np.quantile(ratios, [_MANY, 1 - _MANY]) if len(ratios) else (0.0, 0.0)
+        return bool(low < -_SIDE and high > _SIDE)
+
+
+def _is_changed(was: FloatArray, now: FloatArray) -> bool:
+    changed = np.count_nonzero(np.abs(now - was) > _CHANGED_M + _CHANGED * was)
+    return bool(changed > _MOST_CHANGED * len(now))
