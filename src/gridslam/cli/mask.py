@@ -35,8 +35,8 @@ def mask_to_folder(map_path: Path, edits: Path, out: Path, mode: str, off_lane_p
         problem = "expected another folder than that of the map, whose files would be replaced"
         raise click.BadParameter(problem, param_hint="'-o'")
     grid = read_map(map_yaml, on_remark=warn)
-    of_map = MapEdits(map_yaml)
-    drawn = anchor_edits(of_map.carry(read_edits(edits), edits, grid), of_map.trajectory)
+    of_map = MapEdits.of(map_yaml)
+    drawn = anchor_edits(of_map.carry(read_edits(edits), edits, grid), of_map.trajectories)
     drawn = replace(drawn, map_name=os.path.relpath(map_yaml.resolve(), out.resolve()))
     edited = apply_edits(grid, drawn)
     try:

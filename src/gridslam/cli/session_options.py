@@ -45,6 +45,8 @@ class SessionOptions:
         Whether what the session has mapped stays where it is.
     name : str or None
         Of the drive.
+    floor : str
+        On which the log is; empty where it is not known.
     prior : Path or None
         YAML file of a known map.
     autosave_min : float or None
@@ -60,6 +62,7 @@ class SessionOptions:
     pose: tuple[float, float, float] | None
     frozen: bool
     name: str | None
+    floor: str
     prior: Path | None
     autosave_min: float | None
     restart: bool
@@ -77,6 +80,8 @@ class SessionOptions:
         ):
             if given and not known:
                 raise click.UsageError(f"{option} needs --continue or --prior")
+        if self.floor and self.continued is None and self.save is None:
+            raise click.UsageError("--floor needs --save or --continue")
         if self.continued is None:
             return
         for parameter in context.command.params:
@@ -118,9 +123,8 @@ class SessionOptions:
             autosave = Autosave(out / _AUTOSAVE, 60 * self.autosave_min, warn, on_resume=_report_resumed)
             if self.restart:
                 autosave.remove()
-        result = session.add(
-            log, place=place, pose=self.pose, frozen=self.frozen, name=self.name, autosave=autosave, **options
-        )
+        where = {"place": place, "pose": self.pose, "frozen": self.frozen, "name": self.name, "floor": self.floor}
+        result = session.add(log, **where, autosave=autosave, **options)  # type: ignore[arg-type]
         if autosave is not None:
             autosave.close()
         return result
@@ -134,6 +138,9 @@ class SessionOptions:
         """Format the lines that a session adds to the summary of a run."""
         if session is None:
             return
+        floors = [drive.floor for drive in session.saved.run.drives if drive.floor] if session.saved.run else []
+        if floors:
+            yield f"floor: {floors[0]}"
         if session.decision is not None:
             where = "continues where the session ended" if session.is_same_place else "begins elsewhere"
             forced = " (forced)" if session.is_same_place != session.decision.is_same else ""

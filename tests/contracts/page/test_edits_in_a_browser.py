@@ -39,7 +39,7 @@ def out(mapped):
 
 @pytest.fixture
 def page(browser, out):
-    with PageServer(Replay(out, is_editable=True), LiveOptions(port=0), edits=EditsFile(out)) as server:
+    with PageServer(Replay(out, is_editable=True), LiveOptions(port=0), edits=EditsFile.of_folder(out)) as server:
         browser.get(server.url)
         wait(lambda: told(browser).get("features") == "0" and told(browser).get("tiles", "0") != "0", "the editor")
         yield browser
@@ -213,7 +213,7 @@ def test_a_map_without_a_run_has_the_tools_as_well(browser, out, tmp_path):
     (tmp_path / "run.json").write_text(json.dumps({"schema": "gridslam.grid/1"}))
     for name in ("map.yaml", "map.pgm"):
         shutil.copy(out / name, tmp_path)
-    with PageServer(Replay(tmp_path, is_editable=True), LiveOptions(port=0), edits=EditsFile(tmp_path)) as server:
+    with PageServer(Replay(tmp_path, is_editable=True), LiveOptions(port=0), edits=EditsFile.of_folder(tmp_path)) as server:
         browser.get(server.url)
         wait(lambda: told(browser).get("features") == "0", "the editor")
         assert shown(browser, "edit")
@@ -239,10 +239,10 @@ def _ask(server, method, headers=None, body=None):
 
 
 def test_who_has_not_seen_the_newest_edits_replaces_none(out):
-    with PageServer(Replay(out, is_editable=True), LiveOptions(port=0), edits=EditsFile(out)) as server:
+    with PageServer(Replay(out, is_editable=True), LiveOptions(port=0), edits=EditsFile.of_folder(out)) as server:
         status, text, tag = _ask(server, "GET")
         assert status == 200
-        x, y = EditsFile(out)._grid.origin
+        x, y = EditsFile.of_folder(out)._grid.origin
         room = {"type": "Feature", "properties": {"layer": "rooms", "name": "a"}}
         room["geometry"] = {"type": "Point", "coordinates": [x + 1, y + 1]}
         body = json.dumps(json.loads(text) | {"features": [room]})
@@ -262,4 +262,4 @@ def test_who_has_not_seen_the_newest_edits_replaces_none(out):
 def test_a_damaged_file_is_refused_before_the_page_opens(out):
     (out / "edits.geojson").write_text("{")
     with pytest.raises(InputError, match=r"edits\.geojson"):
-        EditsFile(out)
+        EditsFile.of_folder(out)
