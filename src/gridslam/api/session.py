@@ -190,7 +190,7 @@ class Session:
 
     def edits_of(self, number: int) -> MapEdits:
         """Return what the edits of one of the maps follow."""
-        return MapEdits(self._path or "", "", self.pieces[number].trajectories)
+        return MapEdits(self._path or "", "", self.pieces[number].trajectories, is_newest=number == 0)
 
     @property
     def edits(self) -> Edits:

@@ -77,10 +77,15 @@ class MapEdits:
         Digest of the map's image; empty for a session, whose edits always follow their scans.
     trajectories : mapping of str to Trajectory
         Of each drive of the map, by its name; the name is empty in the folder of a run.
+    is_newest : bool
+        Whether it is the newest map of a session, whose edits without a scan are its.
     """
 
-    def __init__(self, path: str | Path, sha256: str, trajectories: Mapping[str, Trajectory]) -> None:
+    def __init__(
+        self, path: str | Path, sha256: str, trajectories: Mapping[str, Trajectory], *, is_newest: bool = True
+    ) -> None:
         self.path = Path(path)
+        self._is_newest = is_newest
         self.sha256 = sha256
         self.trajectories = trajectories
 
@@ -107,7 +112,7 @@ class MapEdits:
             return edits, ()
         own, others = [], []
         for edit in edits.edits:
-            stays = not edits.map_sha256 if self.sha256 else edit.anchor is None
+            stays = not edits.map_sha256 if self.sha256 else edit.anchor is None and self._is_newest
             moved = follow_scan(edit, self.trajectories) or (edit if stays else None)
             own.append(moved) if moved is not None else others.append(edit)
         return replace(edits, edits=tuple(own), map_sha256=self.sha256), tuple(others)

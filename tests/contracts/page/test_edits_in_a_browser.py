@@ -213,7 +213,9 @@ def test_a_map_without_a_run_has_the_tools_as_well(browser, out, tmp_path):
     (tmp_path / "run.json").write_text(json.dumps({"schema": "gridslam.grid/1"}))
     for name in ("map.yaml", "map.pgm"):
         shutil.copy(out / name, tmp_path)
-    with PageServer(Replay(tmp_path, is_editable=True), LiveOptions(port=0), edits=EditsFile.of_folder(tmp_path)) as server:
+    with PageServer(
+        Replay(tmp_path, is_editable=True), LiveOptions(port=0), edits=EditsFile.of_folder(tmp_path)
+    ) as server:
         browser.get(server.url)
         wait(lambda: told(browser).get("features") == "0", "the editor")
         assert shown(browser, "edit")
