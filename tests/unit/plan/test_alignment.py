@@ -14,9 +14,9 @@ from gridslam.geometry import se2
 from gridslam.io.maps import map_pixels, read_map, read_map_description, write_map
 from gridslam.plan.alignment import align_points, align_walls, fit_pairs
 from gridslam.plan.drawn_plans import read_drawn_plan
-from gridslam.plan.exports import WorldOrigin
 from gridslam.plan.georeference import fit_world, write_geotiff
 from gridslam.plan.surfaces import points_of_grid
+from gridslam.plan.world import WorldOrigin
 from support.drawn_maps import ROOMS, draw_two_rooms
 
 LINES = np.array(
