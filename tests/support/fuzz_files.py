@@ -628,6 +628,7 @@ def _plans(folder: Path) -> Iterator[Family]:
         '<path transform="matrix(1 0 0 -1 0 20)" d="M1 1 h2 v3 L 0,0 Z m 5 5 l1,1 c 1 2 3 4 5 6"/></svg>'
     )
     pairs = ("0", "SECTION", "2", "ENTITIES", "0", "LINE", "8", "0", "10", "1.5", "20", "2", "11", "8", "21", "2")
+    pairs += ("0", "ARC", "8", "0", "10", "5", "20", "2", "40", "3", "50", "10", "51", "100")
     dxf = "\n".join([*pairs, "0", "ENDSEC", "0", "EOF", ""])
     Image.fromarray(np.random.default_rng(0).choice([0, 255], (40, 50)).astype(np.uint8)).save(folder / "drawn.png")
     whole = {"svg": svg.encode(), "dxf": dxf.encode(), "png": (folder / "drawn.png").read_bytes()}
