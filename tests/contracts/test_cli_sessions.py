@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import json
+import math
+import shutil
 
+import numpy as np
 import pytest
 from PIL import Image
 
+import gridslam
+from gridslam.api.session_edits import find_edits
+from gridslam.cli.live import _open_session_map
 from gridslam.cli.main import main
 from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.edited_maps import anchor_edit, read_edited_map
+from gridslam.io.edits import Edit, Edits, read_edits, write_edits
 from gridslam.io.trajectories import read_tum
 from gridslam.live.replay import Replay
 
@@ -127,3 +135,74 @@ def test_what_cannot_be_merged_is_refused(call, monday, tmp_path, given, problem
     assert status == 2
     assert problem in err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def floors(logs, monday, tmp_path_factory):
+    """A session of two floors, with a lift on each and a zone on the upper one."""
+    folder = tmp_path_factory.mktemp("floors")
+    ground, both = folder / "ground.gridslam", folder / "both.gridslam"
+    first = "map", logs / "monday.clf", "-o", folder / "a", *FEW, "--save", ground, "--floor", "ground"
+    second = "map", logs / "tuesday.clf", "-o", folder / "b", "--continue", ground, "--save", both, "--floor", "upper"
+    for arguments in (first, second):
+        assert main([str(argument) for argument in arguments]) == 0
+    session = gridslam.Session.open(both)
+    edits = []
+    for name, x in (("monday", 0.0), ("tuesday", 0.5)):
+        start = session.trajectories[name].poses[0, :2]
+        ends = start + np.array([[x, 0.0], [x, 1.0]])
+        edits.append(anchor_edit(Edit("links", "LineString", ends, "Lift 1"), {name: session.trajectories[name]}))
+    square = start + np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    edits.append(Edit("keep_out", "Polygon", square))  # of the newest drive's map
+    write_edits(folder / "both.edits.geojson", Edits(tuple(edits)))
+    return both
+
+
+def test_maps_of_floors_are_listed_with_their_links_and_written_with_their_edits(call, floors, tmp_path):
+    status, out, err = call("session", floors, "-o", tmp_path / "out")
+    assert (status, err) == (0, "")
+    assert "piece 1, upper: 1 drive" in out
+    assert "piece 2, ground: 1 drive" in out
+    assert "3 edits" in out
+    (link,) = (line for line in out.splitlines() if line.startswith("link Lift 1: ground "))
+    assert "; upper " in link.replace(", upper", "; upper")
+    document = json.loads(call("session", floors, "--json")[1])
+    assert document["maps"] == ["upper", "ground"]
+    assert [end["map"] for end in document["links"]["Lift 1"]] == ["ground", "upper"]
+    assert document["links"]["Lift 1"][0]["pose"][2] == pytest.approx(math.pi / 2)
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert written == {f"{name}{suffix}" for name in ("ground", "upper") for suffix in (".yaml", ".pgm", ".geojson")}
+    for name, layers in (("ground", ["links"]), ("upper", ["links", "keep_out"])):
+        assert [edit.layer for edit in read_edits(tmp_path / "out" / f"{name}.geojson").edits] == layers
+        assert read_edited_map(tmp_path / "out" / f"{name}.geojson").known.any()
+    status, out, _ = call(
+        "mask", tmp_path / "out" / "upper.yaml", tmp_path / "out" / "upper.geojson", "-o", tmp_path / "m"
+    )
+    assert (status, "keepout mask, 1.0 m²" in out) == (0, True)
+
+
+def test_a_map_of_a_session_is_edited_and_those_of_other_floors_stay(floors, tmp_path):
+    for suffix in (".gridslam", ".edits.geojson"):
+        shutil.copy(floors.with_suffix(suffix), tmp_path)
+    path = tmp_path / floors.name
+    shown, edits = _open_session_map(path, "ground")
+    assert shown.grid.known.any()
+    text, tag = edits.read()
+    (link,) = json.loads(text)["features"]
+    assert link["properties"]["drive"] == "monday"
+    edits.save(json.dumps(json.loads(text) | {"features": []}).encode(), tag)
+    left = read_edits(find_edits(path))
+    assert [(edit.layer, edit.drive) for edit in left.edits] == [("links", "tuesday"), ("keep_out", "")]
+
+
+def test_a_floor_is_named_where_it_is_kept(call, logs, floors, tmp_path):
+    for options, problem in (
+        (("--floor", "ground"), "--floor needs --save or --continue"),
+        (("--floor", "a/b", "--continue", floors), "expected 1 to 40 letters"),
+    ):
+        status, out, err = call("map", logs / "monday.clf", "-o", tmp_path / "out", *options)
+        assert (status, out) == (2, "")
+        assert problem in err
+    status, _, err = call("view", floors, "--floor", "cellar")
+    assert (status, err.count("\n")) == (2, 1)
+    assert "expected upper or ground, got cellar" in err

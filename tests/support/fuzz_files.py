@@ -37,6 +37,7 @@ import gridslam
 from gridslam.api.landmarks import map_landmarks
 from gridslam.api.mapping import map_log
 from gridslam.api.session import Session
+from gridslam.api.session_edits import EditsBefore
 from gridslam.cli.sessions import show_session
 from gridslam.config import Configuration, load, override, preset
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
@@ -51,6 +52,7 @@ from gridslam.io.ros_parameters import read_parameter_file
 from gridslam.io.sessions.archive_file import write_sealed_arrays
 from gridslam.io.sessions.drives import DrivenLog
 from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session, write_session
+from gridslam.io.text import read_json
 from gridslam.io.trajectories import read_relations, read_trajectory, read_trajectory_csv, read_tum
 from gridslam.live.graph_edits import EDITS, EDITS_SCHEMA, EditedGraph
 from gridslam.live.history_file import read_history
@@ -59,9 +61,11 @@ from gridslam.localization import KnownMap
 from gridslam.messages import Messages
 from gridslam.plan.drawn_plans import read_drawn_plan
 from gridslam.plan.masks import make_keepout_mask, make_speed_mask
+from gridslam.plan.world import WorldOrigin, format_edits_in_degrees, turn_edits_to_metres
 from gridslam.slam.full_slam.full_trajectory import full_trajectories
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
+from gridslam.types import Trajectory
 from support import ros_bags
 from support.broken_logs import OF_BYTES, OF_TEXT, damage, drive_about, whole_logs
 from support.fuzz_bombs import BOMBS, MAP_YAML
@@ -567,7 +571,7 @@ def _edits(folder: Path) -> Iterator[Family]:
     places = np.array([[0.2, -1.8], [1.2, -1.7], [1.1, -0.5], [0.1, -0.6]])
     points = {"Point": places[:1], "LineString": places[:2], "Polygon": places}
     drawn = tuple(
-        Edit(layer, kind, points[kind], "room", 0.2, {"limit_percent": 20.0}, np.array([1.0, 0.0, 0.0, 0.0]))
+        Edit(layer, kind, points[kind], "room", 0.2, {"limit_percent": 20.0}, np.array([1.0, 0.0, 0.0, 0.0]), "day")
         for layer, kinds in LAYERS.items()
         for kind in kinds
     )
@@ -589,8 +593,16 @@ def _edits(folder: Path) -> Iterator[Family]:
         else:
             (to / "edits.geojson").write_text(json.dumps(exchange(json.loads(text), rng)))
 
+    driven = {"day": Trajectory(np.array([10**9]), np.array([[0.5, 0.5, 0.3]]))}
+    world = WorldOrigin(48.0, 11.0)
+
     def read(where: Path) -> None:
+        document = read_json(where / "edits.geojson")
+        with suppress(InputError):
+            parse_edits(turn_edits_to_metres(document | {"units": "degrees"}, world), where)
+        EditsBefore(where / "edits.geojson", ({"night": driven["day"]}, driven)).keep([driven])
         edits = read_edits(where / "edits.geojson")
+        format_edits_in_degrees(edits, world)
         assert parse_edits(json.loads(edits.to_text()), where).to_text() == edits.to_text()
         grid = read_edited_map(where / "edits.geojson")
         make_keepout_mask(grid, edits)
@@ -608,6 +620,7 @@ def _plans(folder: Path) -> Iterator[Family]:
         '<path transform="matrix(1 0 0 -1 0 20)" d="M1 1 h2 v3 L 0,0 Z m 5 5 l1,1 c 1 2 3 4 5 6"/></svg>'
     )
     pairs = ("0", "SECTION", "2", "ENTITIES", "0", "LINE", "8", "0", "10", "1.5", "20", "2", "11", "8", "21", "2")
+    pairs += ("0", "ARC", "8", "0", "10", "5", "20", "2", "40", "3", "50", "10", "51", "100")
     dxf = "\n".join([*pairs, "0", "ENDSEC", "0", "EOF", ""])
     Image.fromarray(np.random.default_rng(0).choice([0, 255], (40, 50)).astype(np.uint8)).save(folder / "drawn.png")
     whole = {"svg": svg.encode(), "dxf": dxf.encode(), "png": (folder / "drawn.png").read_bytes()}
@@ -652,7 +665,7 @@ def _states(folder: Path) -> Iterator[Family]:
 
     def read_run(where: Path) -> None:
         with redirect_stdout(io.StringIO()):
-            show_session(where / "state.gridslam", None, as_json=False)
+            show_session(where / "state.gridslam", None, None, as_json=False)
         saved = read_session(where / "state.gridslam")
         went_on = saved.run
         recorders = [went_on.trajectory, went_on.statistics]

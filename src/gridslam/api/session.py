@@ -21,12 +21,15 @@ from gridslam.api.beginning import (
     restart_at_same_place,
 )
 from gridslam.api.mapping import MapResult, map_log
+from gridslam.api.session_edits import EditsBefore, find_edits, keep_edits
 from gridslam.arguments import freeze, require_seed, require_threads
 from gridslam.checked import checked
 from gridslam.config import Configuration, build
 from gridslam.doctor.repair import open_repaired
-from gridslam.errors import ArgumentError
+from gridslam.errors import ArgumentError, InputError, OutputError
 from gridslam.grid.tiles import TiledGrid
+from gridslam.io.edited_maps import MapEdits
+from gridslam.io.edits import Edits, write_edits
 from gridslam.io.log import LogOptions, LogSource
 from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.drives import Drive, SavedPiece, choose_name
@@ -94,6 +97,7 @@ class Session:
         self._maps: list[_Map] | None = None
         self.decision: PlaceDecision | None = None
         self.is_same_place = False
+        self._edits: list[EditsBefore] = []
 
     @classmethod
     def open(cls, path: str | Path, *, threads: int = 1) -> Session:
@@ -107,6 +111,7 @@ class Session:
         require_threads(threads)
         self = cls.of(read_session(path, threads), threads=threads)
         self._path = Path(path)
+        self._edits = [EditsBefore(find_edits(path))]
         return self
 
     @classmethod
@@ -162,6 +167,35 @@ class Session:
         """The trajectory of each drive by its name, in the frame of its piece's map."""
         return {name: path for piece in self.pieces for name, path in piece.trajectories.items()}
 
+    @property
+    def names(self) -> list[str]:
+        """A name of each map, in the same order: that of its floor, else of its first drive."""
+        names: list[str] = []
+        for piece in self.pieces:
+            names.append(choose_name(piece.name, names))
+        return names
+
+    def find_map(self, name: str | None) -> int:
+        """Return the place of the map of a name (see `names`), 0 without one; raises ArgumentError for another name."""
+        if name is None:
+            return 0
+        if name not in self.names:
+            raise ArgumentError("floor", " or ".join(self.names), name)
+        return self.names.index(name)
+
+    def edits_of(self, number: int) -> MapEdits:
+        """Return what the edits of one of the maps follow."""
+        return MapEdits(self._path or "", "", self.pieces[number].trajectories, is_newest=number == 0)
+
+    @property
+    def edits(self) -> Edits:
+        """The edits beside the file that was opened, as they lie in the maps; raises InputError where they are none.
+
+        Each names the drive whose scan it follows, and so the map.
+        """
+        maps = [piece.trajectories for piece in self.pieces]
+        return keep_edits(self._edits, maps, self._path or "")
+
     def add(
         self,
         log: LogSource,
@@ -170,6 +204,7 @@ class Session:
         pose: ArrayLike | None = None,
         frozen: bool = False,
         name: str | None = None,
+        floor: str = "",
         options: LogOptions | None = None,
         repair: Literal["needed", "all", "none"] = "needed",
         **map_options: Any,  # noqa: ANN401 those of map_log
@@ -194,6 +229,8 @@ class Session:
             it. What was frozen once stays so.
         name : str, optional
             Of a new drive; that of the log if not given.
+        floor : str
+            Where the robot is: it is looked for in the map of this floor alone, and in those of none.
         options, repair
             As in `map_log`.
         **map_options
@@ -212,8 +249,11 @@ class Session:
         first = next(iter(source))
         map_options.pop("keep_particles", None)
         name = name or source.path.name.partition(".")[0]
-        self._decide(first, Place.ELSEWHERE if begin is not None or frozen else where)
-        begun = self._begin(first, begin, frozen, name)
+        run = self._saved.run
+        is_other = run is not None and bool(floor) and floor != next((d.floor for d in run.drives if d.floor), floor)
+        self._decide(first, Place.ELSEWHERE if begin is not None or frozen or is_other else where)
+        self._note_edits(keeps_all=self.is_same_place)
+        begun = self._begin(first, begin, frozen, name, floor)
         result = map_log(
             source,
             configuration=self.configuration,
@@ -269,41 +309,60 @@ class Session:
         closure = self.configuration.loop_closure
         if closure is None:
             raise ArgumentError("sessions", "ones with loop closure, to recognize places", "ones without")
-        pieces = sorted((piece for session in sessions for piece in session.pieces), key=_order)
-        if not pieces:
+        owned = sorted(((piece, own) for own in sessions for piece in own.pieces), key=lambda pair: _order(pair[0]))
+        if not owned:
             raise ArgumentError("sessions", "one with a drive at least", "empty ones")
-        pieces = _name_apart(pieces)
+        pieces = _name_apart([piece for piece, _ in owned])
+        names = {own: dict[str, str]() for own in sessions}
+        for (piece, own), renamed in zip(owned, pieces, strict=True):
+            names[own] |= {old.name: new.name for old, new in zip(piece.drives, renamed.drives, strict=True)}
+        for own in sessions:
+            own._note_edits(keeps_all=False)
+        edits = [source.rename(names[own]) for own in sessions for source in own._edits]
         mapper = self.configuration.mapper
-        merged = merge_pieces([piece.piece for piece in pieces], mapper, closure, on_progress)
         groups = []
-        for group in merged:
-            members = [pieces[number] for number in group.members]
-            groups.append(SavedPiece(group.piece, _follow(members)))
+        for floor in sorted({piece.floor for piece in pieces}):
+            here = [piece for piece in pieces if piece.floor == floor]
+            for group in merge_pieces([piece.piece for piece in here], mapper, closure, on_progress):
+                groups.append(SavedPiece(group.piece, _follow([here[number] for number in group.members])))
         groups.sort(key=lambda piece: (not piece.drives, -len(piece.piece)))
         largest = groups[0]
         full = refine_piece(largest.piece, largest.tracked_scans, mapper, closure, on_progress)
         first = _Map(SavedPiece(full.piece or largest.piece, largest.drives), full.tiled_map, full.poses)
         self._maps = [first, *(_Map.draw(piece, self.configuration) for piece in groups[1:])]
         self._saved = SavedSession(self.configuration, self._saved.seed, None, tuple(self.pieces))
+        self._edits = edits
         return full
 
     def save(self, path: str | Path | None = None) -> None:
         """Write a session file; where it was opened or saved last if no path is given.
+
+        The edits beside the files that were opened are written beside it first: a process that is killed between the
+        two leaves edits that follow the scans of the session of before, too.
 
         Raises
         ------
         ArgumentError
             No path is known.
         OutputError
-            The file cannot be written.
+            The file cannot be written, or the edits are damaged; then the session is written alone.
         """
         target = path or self._path
         if target is None:
             raise ArgumentError("path", "a path: the session was never saved", None)
         now = datetime.now(timezone.utc).isoformat(timespec="seconds")
         self._saved = replace(self._saved, written=now, version=__version__, thumbnail=self._thumbnail())
+        problem = None
+        if any(source.path.exists() for source in self._edits):
+            try:
+                write_edits(find_edits(target), replace(self.edits, map_name=Path(target).name))
+            except InputError as error:
+                problem = error
         write_session(target, self._saved)
+        if problem is not None:
+            raise OutputError(f"{target}: is written without its edits: {problem}")
         self._path = Path(target)
+        self._edits = [EditsBefore(find_edits(target))]
 
     def _decide(self, first: Measurement, place: Place) -> None:
         """Decide whether the log continues at the end of the last one."""
@@ -316,20 +375,31 @@ class Session:
         is_same = self.decision is not None and self.decision.is_same
         self.is_same_place = is_same if place is Place.AUTO else place is Place.SAME
 
-    def _begin(self, first: Measurement, pose: FloatArray | None, frozen: bool, name: str) -> Beginning:
+    def _begin(self, first: Measurement, pose: FloatArray | None, frozen: bool, name: str, floor: str) -> Beginning:
         """Return the beginning of the run of a log."""
         saved = self._saved
         if self.is_same_place and saved.run is not None:
             run = saved.run.snapshot()  # that of the session is kept as it is
+            run = replace(run, floor=run.floor or floor)
+            pieces = saved.pieces
             if run.state is not None and self.decision is not None and not self.decision.is_same:
                 restart_at_same_place(run.state, first)
-            return Beginning(run, saved.pieces, locate_in(saved.pieces, saved.configuration, pose, run.state))
-        pieces = tuple(own.prepare(saved.configuration, frozen=frozen) for own in self._refine())
-        if pose is not None and not pieces:
-            raise ArgumentError("pose", "a session in whose map the robot can begin", "an empty one")
-        drives = [drive.name for drive in saved.drives]
-        run = SavedRun(np.random.default_rng(saved.seed + len(drives)), name=choose_name(name, drives))
-        return Beginning(run, pieces, locate_in(pieces, saved.configuration, pose))
+        else:
+            pieces = tuple(own.prepare(saved.configuration, frozen=frozen) for own in self._refine())
+            if pose is not None and not pieces:
+                raise ArgumentError("pose", "a session in whose map the robot can begin", "an empty one")
+            drives = [drive.name for drive in saved.drives]
+            rng = np.random.default_rng(saved.seed + len(drives))
+            run = SavedRun(rng, name=choose_name(name, drives), floor=floor)
+        here = [piece for piece in pieces if not floor or piece.floor in ("", floor)]
+        return Beginning(run, pieces, locate_in(here, self.configuration, pose, run.state))
+
+    def _note_edits(self, *, keeps_all: bool) -> None:
+        """Note where the scans lie that edits follow, before some are left out as another drive begins."""
+        for source in self._edits:
+            source.keep(())  # a damaged file is refused before the log is mapped
+        maps = [] if keeps_all else [piece.trajectories for piece in self.pieces]
+        self._edits = [source.note(maps) for source in self._edits]
 
     def _refine(self) -> list[_Map]:
         """Refine the newest drive's piece, and build the maps of all."""

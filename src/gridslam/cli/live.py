@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import click
 import numpy as np
 
+from gridslam.cli.options import name_option
 from gridslam.cli.output import warn
 from gridslam.errors import OutputError
 from gridslam.live.options import LiveOptions
@@ -22,8 +23,10 @@ if TYPE_CHECKING:
     from gridslam.io.log import Log
     from gridslam.io.measurement import Measurement
     from gridslam.io.output import OutputFolder
+    from gridslam.live.edits import EditsFile
     from gridslam.live.history_recorder import HistoryRecorder
     from gridslam.live.page import LivePage
+    from gridslam.live.results import StaticView
     from gridslam.pipeline import Stopwatch
     from gridslam.ros import NodeCore
     from gridslam.ros.node.messages import Diagnostics
@@ -233,9 +236,15 @@ def open_page(url: str, live: LiveOptions) -> None:
 
 
 def view(
-    out: Path, live: LiveOptions, beside: Path | None = None, *, edit: bool = False, edit_graph: bool = False
+    out: Path,
+    live: LiveOptions,
+    beside: Path | None = None,
+    *,
+    edit: bool = False,
+    edit_graph: bool = False,
+    floor: str | None = None,
 ) -> None:
-    """Show a finished run in the browser until interrupted, which is how it ends well."""
+    """Show a finished run, or a map of a session, in the browser until interrupted, which is how it ends well."""
     from gridslam.live.edits import EditsFile
     from gridslam.live.replay import Replay
     from gridslam.live.server import PageServer
@@ -246,8 +255,17 @@ def view(
         click.echo(f"{out}: open {address}")
         open_page(address, live)
         return
-    replay = Replay(out, beside, 10.0 if live.speed is None else live.speed, edit, edits_graph=edit_graph)
-    with serve_page(PageServer(replay, live, edits=EditsFile(out) if edit else None)) as page:
+    speed = 10.0 if live.speed is None else live.speed
+    edits: EditsFile | None
+    if out.suffix == ".gridslam":
+        shown, edits = _open_session_map(out, floor)
+        replay = Replay(out, beside, speed, edit, shown=shown)
+    else:
+        if floor is not None:
+            raise click.UsageError("--floor needs a session, NAME.gridslam")
+        edits = EditsFile.of_folder(out) if edit else None
+        replay = Replay(out, beside, speed, edit, edits_graph=edit_graph)
+    with serve_page(PageServer(replay, live, edits=edits if edit else None)) as page:
         if replay.results.missing:
             warn(f"{out}: {replay.results.missing}")
         click.echo(f"{out}: open {page.url} (Ctrl-C ends)")
@@ -256,3 +274,17 @@ def view(
             threading.Event().wait()
         except KeyboardInterrupt:
             click.echo("closed")
+
+
+def _open_session_map(path: Path, floor: str | None) -> tuple[StaticView, EditsFile]:
+    """Open a map of a session, the newest drive's unless a floor is named, and the edits beside the session."""
+    from gridslam.api.session import Session
+    from gridslam.api.session_edits import find_edits
+    from gridslam.live.edits import EditsFile
+    from gridslam.live.results import StaticView
+
+    session = Session.open(path)
+    with name_option(floor="--floor"):
+        number = session.find_map(floor)
+    grid = session.maps[number].whole()
+    return StaticView(grid), EditsFile(find_edits(path), grid, session.edits_of(number))

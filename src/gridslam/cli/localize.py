@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from gridslam.api.amcl import AMCL_DEFAULTS, AmclParameters, from_amcl, override_configuration, read_amcl
 from gridslam.api.diagnosis import check_log
+from gridslam.api.floors import choose_floor, compare_floors
 from gridslam.api.localization import LocalizationResult, localize
 from gridslam.cli import STARTED_S
 from gridslam.cli.live import open_viewers
@@ -32,6 +34,7 @@ _MAX_LINES = 8
 def localize_to_folder(
     log: Path,
     map_path: Path,
+    other_maps: tuple[Path, ...],
     out: Path | None,
     initial_pose: tuple[float, float, float] | None,
     strict_thresholds: bool,
@@ -50,6 +53,20 @@ def localize_to_folder(
     """Localize a log in a map, write the results if a folder is given and print a summary."""
     watch = Stopwatch(STARTED_S, 0.0)
     read = read_parameters(preset, config, particles, assignments)
+    how: dict[str, Any] = {
+        "pose": read.pose if initial_pose is None else initial_pose,
+        "covariance": read.covariance,
+        "strict_thresholds": strict_thresholds,
+        "configuration": read.configuration,
+        "seed": seed,
+        "threads": threads,
+        "repair": repair,
+    }
+    shares: dict[Path, float] = {}
+    if other_maps:
+        with name_option(pose="--initial-pose"):
+            shares = compare_floors(lambda: open_log(log, options), (map_path, *other_maps), **how)
+        map_path = max(shares, key=lambda path: shares[path])
     source = check_log(open_log(log, options), options, lambda text: viewers.report(text))
     known = read_edited_map(map_path, strict_thresholds=strict_thresholds) if live is not None else None
     with open_viewers(
@@ -69,17 +86,14 @@ def localize_to_folder(
             result = localize(
                 source,
                 map_path,
-                pose=read.pose if initial_pose is None else initial_pose,
-                covariance=read.covariance,
-                strict_thresholds=strict_thresholds,
-                configuration=read.configuration,
-                seed=seed,
-                threads=threads,
-                repair=repair,
+                **how,
                 on_progress=on_progress,
                 stopwatch=watch,
                 **viewers.watch(source, watch),
             )
+            floor = choose_floor(shares) if shares else None
+            floors = {str(path): share for path, share in shares.items()}
+            result = replace(result, floors=floors, floor=None if floor is None else str(floor))
             for warning in result.warnings():
                 viewers.report(warning)
             if read.ignored:
@@ -119,6 +133,9 @@ def _summarize(document: dict[str, Any], result: LocalizationResult, out: Path |
         f"localized in {seconds:.1f} s: {scans['used']} updates of {filter_['particles_mean']:.0f} particles "
         f"on average, {filter_['inlier_ratio_mean']:.0%} of the beams agree with the map"
     )
+    if result.floors:
+        shares = ", ".join(f"{path} at {share:.0%} of the scans" for path, share in result.floors.items())
+        yield f"floor: {result.floor or 'not told, as the maps do not differ enough'}; localized in {shares}"
     yield from _summarize_intervals(result)
     x, y, theta = result.reports[-1].pose.tolist()
     deviation = math.sqrt(float(np.trace(result.reports[-1].covariance[:2, :2])))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
@@ -271,6 +272,14 @@ def evaluate_options(command: _Command) -> _Command:
     return add_options(command, _EVALUATE_OPTIONS)  # type: ignore[return-value]
 
 
+def _read_floor(ctx: click.Context, param: click.Parameter, name: str | None) -> str:
+    """Read the name of a floor, of which files get their names."""
+    if name is not None and not re.fullmatch(r"\w[\w.-]{0,39}", name):
+        problem = f"expected 1 to 40 letters, digits, '_', '.' and '-', got {name[:60]!r}"
+        raise click.BadParameter(problem, ctx, param)
+    return name or ""
+
+
 _MAP_OPTIONS = (
     click.option("--particles", type=int, help="Number of particles.  [default: the preset's, 30]"),
     seed_option,
@@ -303,13 +312,19 @@ _SESSION_OPTIONS = (
     ),
     click.option("--name", metavar="NAME", help="Name of the drive, such as the robot's.  [default: that of LOG]"),
     click.option(
+        "--floor",
+        callback=_read_floor,
+        metavar="NAME",
+        help="Floor on which LOG is; it is not joined with the maps of other floors.",
+    ),
+    click.option(
         "--prior",
         type=PATH,
         metavar="YAML",
         help="Known map (map_server), or edits of one, to relocalize in and to extend.",
     ),
 )
-_SESSION_FIELDS = ("save", "continued", "same_place", "elsewhere", "pose", "frozen", "name", "prior")
+_SESSION_FIELDS = ("save", "continued", "same_place", "elsewhere", "pose", "frozen", "name", "floor", "prior")
 _LOCALIZE_OPTIONS = (
     click.option(
         "--map", "map_path", type=PATH, required=True, help="Map YAML file (map_server or nav2), or edits of one."

@@ -15,11 +15,12 @@ from gridslam.plan.alignment import Alignment, align_points
 from gridslam.plan.changes import Changes, find_changes
 from gridslam.plan.changes_files import describe_changes, write_changes_geojson, write_changes_png
 from gridslam.plan.drawing import draw_plan
-from gridslam.plan.exports import WorldOrigin, write_dxf, write_geojson
+from gridslam.plan.exports import write_dxf, write_geojson
 from gridslam.plan.floor_plan import FloorPlan, make_plan
 from gridslam.plan.rooms import name_rooms
 from gridslam.plan.sheet import write_pdf, write_png, write_svg
 from gridslam.plan.source import read_source
+from gridslam.plan.world import WorldOrigin
 
 __all__ = ["changes_to_folder", "plan_to_folder"]
 

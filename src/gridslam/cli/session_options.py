@@ -42,6 +42,8 @@ class SessionOptions:
         Whether what the session has mapped stays where it is.
     name : str or None
         Of the drive.
+    floor : str
+        On which the log is; empty where it is not known.
     prior : Path or None
         YAML file of a known map.
     """
@@ -53,6 +55,7 @@ class SessionOptions:
     pose: tuple[float, float, float] | None
     frozen: bool
     name: str | None
+    floor: str
     prior: Path | None
 
     def check(self, context: click.Context) -> None:
@@ -68,6 +71,8 @@ class SessionOptions:
         ):
             if given and not known:
                 raise click.UsageError(f"{option} needs --continue or --prior")
+        if self.floor and self.continued is None and self.save is None:
+            raise click.UsageError("--floor needs --save or --continue")
         if self.continued is None:
             return
         for parameter in context.command.params:
@@ -94,12 +99,16 @@ class SessionOptions:
     def add(self, session: Session, log: Log, **options: Any) -> MapResult:  # noqa: ANN401
         """Add a log to a session."""
         place = Place.SAME if self.same_place else Place.ELSEWHERE if self.elsewhere else Place.AUTO
-        return session.add(log, place=place, pose=self.pose, frozen=self.frozen, name=self.name, **options)
+        where = {"place": place, "pose": self.pose, "frozen": self.frozen, "name": self.name, "floor": self.floor}
+        return session.add(log, **where, **options)  # type: ignore[arg-type]
 
     def summarize(self, session: Session | None, result: MapResult) -> Iterator[str]:
         """Format the lines that a session adds to the summary of a run."""
         if session is None:
             return
+        floors = [drive.floor for drive in session.saved.run.drives if drive.floor] if session.saved.run else []
+        if floors:
+            yield f"floor: {floors[0]}"
         if session.decision is not None:
             where = "continues where the session ended" if session.is_same_place else "begins elsewhere"
             forced = " (forced)" if session.is_same_place != session.decision.is_same else ""

@@ -2,28 +2,38 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
 from gridslam.api.merging import MergeResult, merge_sessions
+from gridslam.api.session import Session
+from gridslam.api.session_edits import find_edits
 from gridslam.cli.options import name_option
 from gridslam.cli.output import counted, elapsed_progress, open_output, print_json, print_result, warn, write_apart
 from gridslam.errors import InputError
+from gridslam.io.edited_maps import MapEdits
+from gridslam.io.edits import Edits, read_edits, write_edits
+from gridslam.io.maps import write_map
 from gridslam.io.output import write_atomically
+from gridslam.io.sessions.drives import choose_name
 from gridslam.io.sessions.session_file import read_head
 from gridslam.pipeline import Stopwatch
 
 __all__ = ["merge_to_folder", "show_session"]
 
 
-def show_session(file: Path, picture: Path | None, as_json: bool) -> None:
-    """Print the content of a session file."""
+def show_session(file: Path, picture: Path | None, out: Path | None, as_json: bool) -> None:
+    """Print the content of a session file; with a folder write its maps and their edits there."""
     head = read_head(file)
     document = head.document
     groups = [*([] if document["run"] is None else [_of_run(document["run"])]), *document["pieces"]]
+    names = _name_maps(groups)
+    edits = read_edits(find_edits(file)) if find_edits(file).exists() else Edits()
     logs = [log for drives in groups for drive in drives for log in drive["logs"]]
     content = {
         "schema": "gridslam.session_summary/1",
@@ -31,7 +41,10 @@ def show_session(file: Path, picture: Path | None, as_json: bool) -> None:
         "bytes": file.stat().st_size,
         **{name: document[name] for name in ("version", "written", "seed", "configuration")},
         "can_go_on": document["run"] is not None,
+        "maps": names,
         "pieces": groups,
+        "edits": len(edits.edits),
+        "links": _find_links(edits, names, groups),
         "scans": sum(log["scans"] for log in logs),
         "length_m": sum(log["length_m"] for log in logs),
         "days": len({log["first_stamp_ns"] // 86_400_000_000_000 for log in logs}),
@@ -43,6 +56,8 @@ def show_session(file: Path, picture: Path | None, as_json: bool) -> None:
             raise InputError(file, "expected a session with a picture, got one without")
         with write_atomically(picture) as path:
             path.write_bytes(head.thumbnail)
+    if out is not None:
+        _write_maps(Session.open(file), out)
     if as_json:
         print_json(content)
         return
@@ -50,7 +65,41 @@ def show_session(file: Path, picture: Path | None, as_json: bool) -> None:
 
 
 def _of_run(run: dict[str, Any]) -> list[dict[str, Any]]:
-    return [*run["earlier"], {"name": run["name"], "logs": run["logs"]}]
+    return [*run["earlier"], {name: run.get(name, "") for name in ("name", "floor", "logs")}]
+
+
+def _name_maps(groups: list[list[dict[str, Any]]]) -> list[str]:
+    """Names of maps by their drives, as `Session.names` has them."""
+    names: list[str] = []
+    for drives in groups:
+        floors = [drive["floor"] for drive in drives if drive.get("floor")]
+        names.append(choose_name([*floors, *(drive["name"] for drive in drives), "given"][0], names))
+    return names
+
+
+def _find_links(edits: Edits, names: list[str], groups: list[list[dict[str, Any]]]) -> dict[str, list[dict[str, Any]]]:
+    """Lifts and stairs by their names: on which maps they are, and with which poses."""
+    links: dict[str, list[dict[str, Any]]] = {}
+    maps = {drive["name"]: name for name, drives in zip(names, groups, strict=True) for drive in drives}
+    for edit in edits.of("links"):
+        (x, y), (ahead_x, ahead_y) = edit.points[:2].tolist()
+        pose = [x, y, math.atan2(ahead_y - y, ahead_x - x)]
+        links.setdefault(edit.name, []).append({"map": maps.get(edit.drive, names[0]), "pose": pose})
+    return links
+
+
+def _write_maps(session: Session, out: Path) -> None:
+    """Write the maps of a session, each with the edits that lie on it."""
+    names, edits = session.names, session.edits
+    with open_output(out, [f"{name}{suffix}" for name in names for suffix in (".yaml", ".pgm", ".geojson")]) as folder:
+        for number, (name, grid) in enumerate(zip(names, session.maps, strict=True)):
+            write_map(folder.file(f"{name}.yaml"), grid)
+            own = MapEdits.of(folder.file(f"{name}.yaml"))
+            shown, _ = session.edits_of(number).split(edits)
+            if shown.edits:
+                write_edits(
+                    folder.file(f"{name}.geojson"), replace(shown, map_name=f"{name}.yaml", map_sha256=own.sha256)
+                )
 
 
 def _describe(content: dict[str, Any]) -> Iterator[str]:
@@ -63,12 +112,19 @@ def _describe(content: dict[str, Any]) -> Iterator[str]:
     )
     pieces = content["pieces"]
     for number, piece in enumerate(pieces, start=1):
-        what = "the map" if len(pieces) == 1 else f"piece {number}"
+        what = (
+            f"the map, {content['maps'][0]}" if len(pieces) == 1 else f"piece {number}, {content['maps'][number - 1]}"
+        )
         yield f"{what}: {len(piece)} drive{'s' * (len(piece) != 1)}" if piece else f"{what}: a given map"
         for drive in piece:
             for log in drive["logs"]:
                 digest = f", SHA-256 {log['sha256'][:12]}" if log["sha256"] else ""
                 yield f"  {drive['name']}: {log['path']}, {log['scans']} scans, {log['length_m']:.0f} m{digest}"
+    if content["edits"]:
+        yield counted(content["edits"], "edit")
+    for name, ends in content["links"].items():
+        places = ", ".join(f"{end['map']} {end['pose'][0]:.2f}, {end['pose'][1]:.2f} m" for end in ends)
+        yield f"link {name}: {places}{'' if len(ends) > 1 else ' (drawn on one floor alone)'}"
     if not content["can_go_on"]:
         yield "the filter has ended: the next log begins elsewhere"
 

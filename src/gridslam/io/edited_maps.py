@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias, final
@@ -18,7 +18,17 @@ from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import read_tum
 from gridslam.types import OccupancyGrid, Trajectory
 
-__all__ = ["SUFFIX", "MapEdits", "anchor_edits", "apply_edits", "cells_of", "read_edited_map", "read_map_of_edits"]
+__all__ = [
+    "SUFFIX",
+    "MapEdits",
+    "anchor_edit",
+    "anchor_edits",
+    "apply_edits",
+    "cells_of",
+    "follow_scan",
+    "read_edited_map",
+    "read_map_of_edits",
+]
 
 _BoolArray: TypeAlias = NDArray[np.bool_]
 SUFFIX = ".geojson"
@@ -52,28 +62,63 @@ def read_map_of_edits(
     if own.suffix not in (".yaml", ".yml"):
         raise InputError(path, f"expected the YAML file of a map in its member map, got {edits.map_name or 'none'!r}")
     grid = read_map(own, strict_thresholds=strict_thresholds, on_remark=on_remark)
-    return grid, MapEdits(own).carry(edits, path, grid), own
+    return grid, MapEdits.of(own).carry(edits, path, grid), own
 
 
 @final
 class MapEdits:
-    """The map that edits are of: its digest and its trajectory.
+    """The map that edits are of: its digest, and the drives whose scans they may follow.
 
     Parameters
     ----------
-    map_yaml : str or Path
-        The map. Its trajectory is ``trajectory.tum`` beside it, if there is one.
+    path : str or Path
+        The map's YAML file, or the session that holds it.
+    sha256 : str
+        Digest of the map's image; empty for a session, whose edits always follow their scans.
+    trajectories : mapping of str to Trajectory
+        Of each drive of the map, by its name; the name is empty in the folder of a run.
+    is_newest : bool
+        Whether it is the newest map of a session, whose edits without a scan are its.
     """
 
-    def __init__(self, map_yaml: str | Path) -> None:
-        """Compute the digest of the map's image."""
-        self.path = Path(map_yaml)
-        self.sha256 = compute_digest(self.path.parent / read_map_description(self.path).image)
-        beside = self.path.parent / "trajectory.tum"
-        self.trajectory: Trajectory | None = read_tum(beside) if beside.is_file() else None
+    def __init__(
+        self, path: str | Path, sha256: str, trajectories: Mapping[str, Trajectory], *, is_newest: bool = True
+    ) -> None:
+        self.path = Path(path)
+        self._is_newest = is_newest
+        self.sha256 = sha256
+        self.trajectories = trajectories
+
+    @classmethod
+    def of(cls, map_yaml: str | Path) -> MapEdits:
+        """Compute the digest of a map's image, and read ``trajectory.tum`` beside it, if there is one."""
+        path = Path(map_yaml)
+        beside = path.parent / "trajectory.tum"
+        digest = compute_digest(path.parent / read_map_description(path).image)
+        return cls(path, digest, {"": read_tum(beside)} if beside.is_file() else {})
+
+    def split(self, edits: Edits) -> tuple[Edits, tuple[Edit, ...]]:
+        """Move each edit with the scan that it follows, where the map is no longer the one that it was drawn on.
+
+        Returns
+        -------
+        edits : Edits
+            Those of this map; without a scan where they were drawn.
+        others : tuple of Edit
+            Those of another map, as they are: it, too, is not the one that they were drawn on, or they follow a scan
+            that this one has not.
+        """
+        if self.sha256 and edits.map_sha256 == self.sha256:
+            return edits, ()
+        own, others = [], []
+        for edit in edits.edits:
+            stays = not edits.map_sha256 if self.sha256 else edit.anchor is None and self._is_newest
+            moved = follow_scan(edit, self.trajectories) or (edit if stays else None)
+            own.append(moved) if moved is not None else others.append(edit)
+        return replace(edits, edits=tuple(own), map_sha256=self.sha256), tuple(others)
 
     def carry(self, edits: Edits, path: str | Path, grid: OccupancyGrid) -> Edits:
-        """Move each edit with the scan that it follows, where the map is no longer the one that it was drawn on.
+        """Move edits as `split`, and check that all are of this map; `path` names their file.
 
         Raises
         ------
@@ -81,15 +126,17 @@ class MapEdits:
             The edits are another map's: the image has changed, and its trajectory has not their scans; or one lies
             outside the map.
         """
-        if edits.map_sha256 and edits.map_sha256 != self.sha256:
-            moved = [self._follow(edit) for edit in edits.edits]
-            lost = sum(edit is None for edit in moved)
-            if lost:
-                problem = (
-                    f"expected edits of {self.path}, got those of another map: {lost} of {len(moved)} follow none of"
-                )
-                raise InputError(path, f"{problem} its scans, and its image is not the one that they were drawn on")
-            edits = replace(edits, edits=tuple(edit for edit in moved if edit is not None))
+        own, others = self.split(edits)
+        if others:
+            problem = (
+                f"expected edits of {self.path}, got those of another map: {len(others)} of {len(edits.edits)} follow"
+            )
+            raise InputError(path, f"{problem} none of its scans, and its image is not the one that they were drawn on")
+        self.require_inside(own, path, grid)
+        return own
+
+    def require_inside(self, edits: Edits, path: str | Path, grid: OccupancyGrid) -> None:
+        """Raise InputError, with the number of the feature, where an edit lies outside the map."""
         low = np.array(grid.origin)
         high = low + np.array(grid.shape[::-1]) * grid.resolution_m
         for number, edit in enumerate(edits.edits, start=1):
@@ -97,36 +144,47 @@ class MapEdits:
                 x, y = edit.points[0].tolist()
                 problem = f"expected places in {self.path}, {low[0]:g} to {high[0]:g} and {low[1]:g} to {high[1]:g} m"
                 raise InputError(path, f"feature {number}: {problem}, got {x:g}, {y:g}")
-        return replace(edits, map_sha256=self.sha256)
-
-    def _follow(self, edit: Edit) -> Edit | None:
-        """Move an edit as its scan's pose has; None where there is no such scan."""
-        if edit.anchor is None or self.trajectory is None:
-            return None
-        gaps = np.abs(self.trajectory.stamps_ns - round(1e9 * float(edit.anchor[0])))
-        nearest = int(gaps.argmin())
-        if gaps[nearest] > _NEAR_NS:
-            return None
-        pose = self.trajectory.poses[nearest]
-        motion = se2.compose(pose, se2.inverse(edit.anchor[1:]))
-        anchor = np.array([edit.anchor[0], *pose])
-        return replace(edit, points=se2.transform_points(motion, edit.points), anchor=anchor)
 
 
-def anchor_edits(edits: Edits, trajectory: Trajectory | None) -> Edits:
-    """Let each edit without an anchor follow the scan that was nearest to its middle."""
-    if trajectory is None:
-        return edits
+def follow_scan(edit: Edit, trajectories: Mapping[str, Trajectory]) -> Edit | None:
+    """Move an edit as its scan's pose has; None where none of the drives has this scan."""
+    if edit.anchor is None:
+        return None
+    drives = [edit.drive] if edit.drive and "" not in trajectories else [*trajectories]
+    stamp_ns = round(1e9 * float(edit.anchor[0]))
+    found = None
+    nearest_ns = _NEAR_NS + 1
+    for drive in drives:
+        trajectory = trajectories.get(drive)
+        gaps = np.abs(trajectory.stamps_ns - stamp_ns) if trajectory is not None else np.zeros(0, np.int64)
+        if len(gaps) and trajectory is not None and gaps.min() < nearest_ns:
+            nearest_ns = int(gaps.min())
+            found = drive, trajectory.poses[int(gaps.argmin())]
+    if found is None:
+        return None
+    motion = se2.compose(found[1], se2.inverse(edit.anchor[1:]))
+    anchor = np.array([edit.anchor[0], *found[1]])
+    return replace(edit, points=se2.transform_points(motion, edit.points), anchor=anchor, drive=edit.drive or found[0])
 
-    def anchor(edit: Edit) -> Edit:
-        if edit.anchor is not None:
-            return edit
-        apart = trajectory.poses[:, :2] - edit.points.mean(axis=0)
-        nearest = int(np.square(apart).sum(axis=1).argmin())
-        stamp_s = float(trajectory.stamps_ns[nearest]) * 1e-9
-        return replace(edit, anchor=np.array([stamp_s, *trajectory.poses[nearest]]))
 
-    return replace(edits, edits=tuple(anchor(edit) for edit in edits.edits))
+def anchor_edits(edits: Edits, trajectories: Mapping[str, Trajectory]) -> Edits:
+    """Let each edit without an anchor follow the scan, of any of the drives, that was nearest to its middle."""
+    return replace(
+        edits,
+        edits=tuple(edit if edit.anchor is not None else anchor_edit(edit, trajectories) for edit in edits.edits),
+    )
+
+
+def anchor_edit(edit: Edit, trajectories: Mapping[str, Trajectory]) -> Edit:
+    """Let an edit follow the scan, of any of the drives, that was nearest to its middle, if there is one."""
+    found, nearest_m2 = edit, np.inf
+    for drive, trajectory in trajectories.items():
+        apart_m2 = np.square(trajectory.poses[:, :2] - edit.points.mean(axis=0)).sum(axis=1)
+        if len(apart_m2) and apart_m2.min() < nearest_m2:
+            nearest, nearest_m2 = int(apart_m2.argmin()), float(apart_m2.min())
+            stamp_s = float(trajectory.stamps_ns[nearest]) * 1e-9
+            found = replace(edit, anchor=np.array([stamp_s, *trajectory.poses[nearest]]), drive=drive)
+    return found
 
 
 def apply_edits(grid: OccupancyGrid, edits: Edits) -> OccupancyGrid:

@@ -1,4 +1,4 @@
-"""Edits of a map: layers of walls drawn, areas erased, names of rooms and zones for robots, in one GeoJSON file."""
+"""Edits of a map: layers of walls, erased areas, rooms, zones for robots and links of floors, in one GeoJSON file."""
 
 from __future__ import annotations
 
@@ -28,13 +28,16 @@ LAYERS: Mapping[str, tuple[str, ...]] = {
     "no_go": ("LineString",),
     "speed": ("Polygon",),
     "lanes": ("LineString",),
+    "links": ("LineString",),
 }
 """Each layer, and the geometries that it may have."""
+_NAMED = "rooms", "links"
 _WIDTHS_M = {"walls": 0.1, "no_go": 0.1, "lanes": 0.6}
 _LIMITS = {"limit_percent": (1.0, 100.0), "limit_m_s": (0.01, 100.0)}
 _MOST_FEATURES = 10_000
 _MOST_CORNERS = 1000
 _LONGEST_NAME = 100
+_LONGEST_DRIVE = 300  # drives have the names of their logs
 _FARTHEST_M = 1e6
 _LEAST_AREA_M2 = 1e-6
 
@@ -53,13 +56,16 @@ class Edit:
     points : (K, 2) float64, m
         In the map's frame; of a polygon the corners, anticlockwise, the first not repeated.
     name : str
-        Of a room.
+        Of a room, or of a link: a lift or a stair, which begins on each floor where a line of this name does, in its
+        direction.
     width_m : float, m
-        Of a line.
+        Of a line; 0 of a link.
     limits : dict of str to float
         Of a speed zone: "limit_percent", 1 to 100, or "limit_m_s".
     anchor : (4,) float64 or None
         Stamp (s) and pose (m, m, rad) of the scan that it follows when the map's trajectory is corrected.
+    drive : str
+        Of a session, which that scan is of; empty in the folder of a run.
     """
 
     layer: str
@@ -69,19 +75,22 @@ class Edit:
     width_m: float = 0.0
     limits: Mapping[str, float] | None = None
     anchor: _FloatArray | None = None
+    drive: str = ""
 
     def to_feature(self) -> dict[str, Any]:
         """Return the feature of GeoJSON, with positions to 0.1 mm."""
         places = (np.round(self.points, 4) + 0.0).tolist()
         coordinates = {"Point": places[0], "LineString": places, "Polygon": [[*places, places[0]]]}[self.geometry]
         properties: dict[str, Any] = {"layer": self.layer}
-        if self.layer == "rooms":
+        if self.layer in _NAMED:
             properties["name"] = self.name
-        if self.geometry == "LineString":
+        if self.width_m:
             properties["width_m"] = self.width_m
         properties |= self.limits or {}
         if self.anchor is not None:
             properties["anchor"] = self.anchor.tolist()
+        if self.drive:
+            properties["drive"] = self.drive
         geometry = {"type": self.geometry, "coordinates": coordinates}
         return {"type": "Feature", "properties": properties, "geometry": geometry}
 
@@ -167,18 +176,30 @@ def _parse_feature(feature: Any) -> Edit:  # noqa: ANN401
         raise ValueError(f"expected a layer of {', '.join(LAYERS)}, got {str(layer)[:40]!r}")
     if kind not in LAYERS[layer]:
         raise ValueError(f"expected a {' or '.join(LAYERS[layer])} in the layer {layer}, got {str(kind)[:40]!r}")
-    name = properties.get("name", "")
-    if layer == "rooms" and not (isinstance(name, str) and 0 < len(name) <= _LONGEST_NAME and name.isprintable()):
-        raise ValueError(f"expected a room's name of 1 to {_LONGEST_NAME} printable letters, got {str(name)[:40]!r}")
+    is_named, is_wide = layer in _NAMED, kind == "LineString" and layer in _WIDTHS_M
     return Edit(
         layer,
         kind,
         _read_points(kind, geometry.get("coordinates")),
-        name if layer == "rooms" else "",
-        _read_number(properties, "width_m", 0.01, 10.0, _WIDTHS_M[layer]) if kind == "LineString" else 0.0,
+        _read_name(properties) if is_named else "",
+        _read_number(properties, "width_m", 0.01, 10.0, _WIDTHS_M[layer]) if is_wide else 0.0,
         _read_limits(properties) if layer == "speed" else None,
         _read_anchor(properties.get("anchor")),
+        _read_drive(properties.get("drive", "")),
     )
+
+
+def _read_name(properties: Mapping[str, Any]) -> str:
+    name = properties.get("name", "")
+    if not (isinstance(name, str) and 0 < len(name) <= _LONGEST_NAME and name.isprintable()):
+        raise ValueError(f"expected a name of 1 to {_LONGEST_NAME} printable letters, got {str(name)[:40]!r}")
+    return name
+
+
+def _read_drive(name: Any) -> str:  # noqa: ANN401
+    if not (isinstance(name, str) and len(name) <= _LONGEST_DRIVE):
+        raise ValueError(f"expected the name of a drive, got {str(name)[:40]!r}")
+    return name
 
 
 def _read_number(properties: Mapping[str, Any], key: str, low: float, high: float, otherwise: float) -> float:

@@ -17,42 +17,55 @@ from gridslam.errors import GridslamError, InputError
 from gridslam.io.edited_maps import MapEdits, anchor_edits
 from gridslam.io.edits import Edits, parse_edits, read_edits, write_edits
 from gridslam.io.maps import read_map
-from gridslam.io.text import parse_json_object
+from gridslam.io.text import compute_digest, parse_json_object
 from gridslam.live.downloads import is_authorized, is_foreign
+from gridslam.types import OccupancyGrid
 
 __all__ = ["EDITS_NAME", "EditsFile", "make_edit_route"]
 
 EDITS_NAME = "edits.geojson"
 _MOST_BYTES = 1 << 23
-_CHANGED = "another page has saved edits since: reload to see them"
+_CHANGED = "another page, or a run that goes on, has saved edits since: reload, or view it again, to see them"
 
 
 @final
 class EditsFile:
-    """The file of edits beside a map.
+    """The file of edits beside a map, or beside a session.
 
     Parameters
     ----------
-    folder : str or Path
-        OUT of `gridslam map` or `grid`; the file is ``edits.geojson`` in it, the map ``map.yaml``.
+    path : Path
+        The file; it need not be there.
+    grid : OccupancyGrid
+        The map that is shown.
+    of_map : MapEdits
+        What the edits follow. Those of a session's other maps stay in the file as they are, and are not shown.
 
     Raises
     ------
     InputError
-        There is no map, or the file is there and damaged, or another map's.
+        The file is damaged, or another map's.
     """
 
-    def __init__(self, folder: str | Path) -> None:
-        """Read the map and the edits, if there are any, and move these to where the map is now."""
-        self.path = Path(folder) / EDITS_NAME
-        self._grid = read_map(self.path.with_name("map.yaml"))
-        self._map = MapEdits(self.path.with_name("map.yaml"))
+    def __init__(self, path: Path, grid: OccupancyGrid, of_map: MapEdits) -> None:
+        """Read the edits, if there are any, and move these to where the map is now."""
+        self.path = path
+        self._grid = grid
+        self._map = of_map
         self._lock = Lock()
-        edits = read_edits(self.path) if self.path.exists() else Edits()
-        self._text = self._complete(edits).to_text()
+        self._stored = self._digest()
+        edits = read_edits(path) if self._stored else Edits()
+        shown, self._others = (of_map.carry(edits, path, grid), ()) if of_map.sha256 else of_map.split(edits)
+        self._text = self._complete(shown).to_text()
+
+    @classmethod
+    def of_folder(cls, folder: str | Path) -> EditsFile:
+        """Read ``edits.geojson`` of ``map.yaml`` in OUT of `gridslam map` or `grid`; raises InputError without one."""
+        path = Path(folder) / "map.yaml"
+        return cls(path.with_name(EDITS_NAME), read_map(path), MapEdits.of(path))
 
     def read(self) -> tuple[str, str]:
-        """Return the edits and the tag of this state of them."""
+        """Return the edits that are shown and the tag of this state of them."""
         text = self._text  # a save may replace it at any time
         return text, hashlib.sha256(text.encode()).hexdigest()
 
@@ -62,21 +75,28 @@ class EditsFile:
         Raises
         ------
         InputError
-            A feature is none, or the edits are no longer those of this tag.
+            A feature is none, or the edits are no longer those of this tag, or another program has written the file.
         OutputError
             The file cannot be written.
         """
-        edits = self._complete(parse_edits(parse_json_object(body, self.path), self.path))
+        edits = parse_edits(parse_json_object(body, self.path), self.path)
+        self._map.require_inside(edits, self.path, self._grid)
+        edits = self._complete(edits)
         with self._lock:
-            if tag != self.read()[1]:
+            if tag != self.read()[1] or self._digest() != self._stored:
                 raise InputError(self.path, _CHANGED)
-            write_edits(self.path, edits)
+            write_edits(self.path, replace(edits, edits=(*edits.edits, *self._others)))
+            self._stored = self._digest()
             self._text = edits.to_text()
             return self.read()[1]
 
+    def _digest(self) -> str:
+        """SHA-256 of the file; empty without one."""
+        return compute_digest(self.path) if self.path.exists() else ""
+
     def _complete(self, edits: Edits) -> Edits:
-        edits = self._map.carry(edits, self.path, self._grid)
-        return replace(anchor_edits(edits, self._map.trajectory), map_name=self._map.path.name)
+        edits = anchor_edits(edits, self._map.trajectories)
+        return replace(edits, map_name=self._map.path.name, map_sha256=self._map.sha256)
 
 
 def make_edit_route(file: EditsFile, token: str | None) -> Route:

@@ -46,6 +46,8 @@ class Replay:
         Whether the pose graph in the folder is shown instead, and viewers may edit it.
     is_editable : bool
         Whether the page shows the tools by which the map is edited.
+    shown : StaticView, optional
+        What is shown instead of results in the folder, which is none: a map of the session file of this name.
 
     Raises
     ------
@@ -62,11 +64,12 @@ class Replay:
         is_editable: bool = False,
         *,
         edits_graph: bool = False,
+        shown: StaticView | None = None,
     ) -> None:
         """Read the folder."""
         self._out = out = Path(folder)
         with stay_below(out):
-            results, title, self.messages = read_results(out)
+            results, title, self.messages = read_results(out) if shown is None else (shown, out.name, [])
             self.history = read_optional_history(out / HISTORY_NAME)
         session = _find_session(out)
         self.editor = EditedGraph(out, None if session is None else out / session) if edits_graph else None
@@ -81,7 +84,7 @@ class Replay:
         mode = "still" if isinstance(results, StaticView) else "replay"
         self.speed = speed
         self.beside = read_beside(out, None if beside is None else Path(beside), results.trajectory)
-        self._session = session
+        self._session = session if shown is None else None
         found = {
             "other": self.beside.grid is not None,
             "truth": len(self.beside.path) > 0,

@@ -114,7 +114,7 @@ def _read_image(path: Path) -> DrawnPlan:
 
 
 def _read_dxf(path: Path) -> DrawnPlan:
-    """Take LINE and polylines of the modelspace, in its units."""
+    """Take lines, polylines, arcs, circles and ellipses of the modelspace, in its units."""
     try:
         from ezdxf import units
         from ezdxf.enums import InsertUnits
@@ -130,12 +130,18 @@ def _read_dxf(path: Path) -> DrawnPlan:
 
 
 def _lines_of(entity: Any) -> Iterator[tuple[Any, Any]]:  # noqa: ANN401
-    if entity.dxftype() == "LINE":
-        yield tuple(entity.dxf.start)[:2], tuple(entity.dxf.end)[:2]
-    elif entity.dxftype() in ("LWPOLYLINE", "POLYLINE"):
-        is_light = entity.dxftype() == "LWPOLYLINE"
-        points = [tuple(p)[:2] for p in (entity.get_points("xy") if is_light else entity.points())]
-        yield from _join(points, bool(entity.closed if is_light else entity.is_closed))
+    """Segments of an entity, on a curve a degree to 12 degrees long each."""
+    from ezdxf.path import make_path
+
+    if entity.dxftype() not in _DRAWN:
+        return
+    path = make_path(entity)
+    corners = np.array([tuple(corner)[:2] for corner in path.control_vertices()], np.float64)
+    size = float(np.ptp(corners, axis=0).max()) if len(corners) else 0.0
+    if not math.isfinite(size):
+        raise ValueError(f"a {entity.dxftype()} that is not finite")
+    points = [tuple(p)[:2] for p in path.flattening(max(1e-3 * size, 1e-9), segments=4)]
+    yield from _join(points, False)
 
 
 def _join(points: list[Any], is_closed: bool) -> Iterator[tuple[Any, Any]]:
@@ -235,5 +241,6 @@ _SHAPES: dict[str, Callable[[ElementTree.Element], Any]] = {
     "rect": _of_rectangle,
     "path": _of_path,
 }
+_DRAWN = "LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE"
 _READERS: dict[str, Callable[[Path], DrawnPlan]] = {".dxf": _read_dxf, ".svg": _read_svg}
 SUFFIXES = (*_READERS, ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm")

@@ -2,52 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import Any, NamedTuple, final
+from typing import Any
 
 import numpy as np
 
 from gridslam.errors import MissingDependencyError
-from gridslam.geometry import se2
 from gridslam.io.geojson import format_features
 from gridslam.plan.floor_plan import FloorPlan
+from gridslam.plan.world import WorldOrigin
 from gridslam.types import FloatArray
 
-__all__ = ["WorldOrigin", "describe_features", "write_dxf", "write_geojson"]
+__all__ = ["describe_features", "write_dxf", "write_geojson"]
 
-_SEMIMAJOR_M = 6_378_137.0
-_ECCENTRICITY2 = 6.69437999014e-3
 _LAYERS = {"WALLS": 7, "DOORS": 5, "ROOMS": 3, "UNKNOWN": 30, "FURNITURE": 8}
 """Layers of the DXF, and their colours by the index of AutoCAD."""
-
-
-@final
-class WorldOrigin(NamedTuple):
-    """Where the origin of a map lies on WGS84, degrees, and the bearing of its x axis, degrees clockwise from north."""
-
-    latitude: float
-    longitude: float
-    bearing: float = 90.0
-
-    def to_degrees(self, points: FloatArray) -> FloatArray:
-        """Longitude and latitude (N, 2) of points (N, 2), m: exact to millimetres within a kilometre.
-
-        Source: the radii of curvature of the ellipsoid, Torge and Mueller, Geodesy, section 4.1.
-        """
-        turned = se2.transform_points([0.0, 0.0, math.radians(90.0 - self.bearing)], points)
-        return np.asarray(np.array([self.longitude, self.latitude]) + np.rad2deg(turned / self._radii()))
-
-    def to_metres(self, degrees: FloatArray) -> FloatArray:
-        """Points (N, 2), m, of longitude and latitude (N, 2): the inverse of `to_degrees`."""
-        turned = np.deg2rad(degrees - [self.longitude, self.latitude]) * self._radii()
-        return se2.transform_points([0.0, 0.0, math.radians(self.bearing - 90.0)], turned)
-
-    def _radii(self) -> FloatArray:
-        """Radii (2,), m, of the circle of latitude and of the meridian."""
-        root = math.sqrt(1 - _ECCENTRICITY2 * math.sin(math.radians(self.latitude)) ** 2)
-        parallel = _SEMIMAJOR_M / root * math.cos(math.radians(self.latitude))
-        return np.array([parallel, _SEMIMAJOR_M * (1 - _ECCENTRICITY2) / root**3])
 
 
 def describe_features(plan: FloorPlan, origin: WorldOrigin | None = None) -> list[dict[str, Any]]:

@@ -11,7 +11,7 @@ from PIL.TiffImagePlugin import ImageFileDirectory_v2
 from gridslam.geometry import se2
 from gridslam.io.maps import map_pixels
 from gridslam.plan.alignment import fit_pairs
-from gridslam.plan.exports import WorldOrigin
+from gridslam.plan.world import WorldOrigin
 from gridslam.types import FloatArray, OccupancyGrid
 
 __all__ = ["fit_world", "write_geotiff"]

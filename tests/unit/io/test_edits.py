@@ -32,10 +32,11 @@ def _draw_all():
                 layer,
                 kind,
                 places[kind],
-                "Küche" if layer == "rooms" else "",
-                0.25 if kind == "LineString" else 0.0,
+                "Küche" if layer in ("rooms", "links") else "",
+                0.25 if kind == "LineString" and layer != "links" else 0.0,
                 {"limit_percent": 30.0} if layer == "speed" else None,
                 np.array([12.5, 1.0, 2.0, 0.3]) if layer == "walls" else None,
+                "monday" if layer == "walls" else "",
             )
             for layer, kinds in LAYERS.items()
             for kind in kinds
@@ -99,8 +100,10 @@ RING = [[0, 0], [2, 0], [2, 2], [0, 2], [0, 0]]
         (_document("LineString", [[1, 1], [1, 1]], layer="walls"), "a line with a length"),
         (_document("LineString", [[0, 0], [1, 1]], layer="walls", width_m=0), "expected width_m from 0.01 to 10"),
         (_document("LineString", [[0, 0], [1, 1]], layer="walls", anchor=[1]), "expected an anchor"),
-        (_document("Point", [0, 0], layer="rooms"), "expected a room's name"),
-        (_document("Point", [0, 0], layer="rooms", name="a\nb"), "expected a room's name"),
+        (_document("Point", [0, 0], layer="rooms"), "expected a name of 1 to 100"),
+        (_document("Point", [0, 0], layer="rooms", name="a\nb"), "expected a name of 1 to 100"),
+        (_document("LineString", [[0, 0], [1, 1]], layer="links"), "expected a name of 1 to 100"),
+        (_document("LineString", [[0, 0], [1, 1]], layer="walls", drive=3), "expected the name of a drive"),
         (_document("Polygon", [RING], layer="speed"), "limit_percent or limit_m_s"),
         (_document("Polygon", [RING], layer="speed", limit_percent=3, limit_m_s=1), "limit_percent or limit_m_s"),
         (_document("Polygon", [RING], layer="speed", limit_percent=0), "limit_percent from 1 to 100"),
@@ -176,8 +179,8 @@ def run(tmp_path):
     poses = np.array([[0.0, 0.0, 0.0], [3.0, 2.0, 1.0], [4.5, 2.0, 2.0]])
     trajectory = Trajectory(np.array([10, 20, 30], np.int64) * 10**9, poses)
     write_tum(tmp_path / "trajectory.tum", trajectory)
-    of_map = MapEdits(tmp_path / "map.yaml")
-    drawn = anchor_edits(Edits((Edit("keep_out", "Polygon", SQUARE),), "map.yaml", of_map.sha256), of_map.trajectory)
+    of_map = MapEdits.of(tmp_path / "map.yaml")
+    drawn = anchor_edits(Edits((Edit("keep_out", "Polygon", SQUARE),), "map.yaml", of_map.sha256), of_map.trajectories)
     write_edits(tmp_path / "edits.geojson", drawn)
     return tmp_path, trajectory
 
@@ -189,9 +192,9 @@ def test_edits_follow_their_scan_when_the_trajectory_is_corrected(run):
     grid = _empty(rows=101, columns=140, origin=(-1.0, -1.0))
     grid.log_odds[3, 3] = 4.0
     write_map(folder / "map.yaml", grid)
-    carried = MapEdits(folder / "map.yaml").carry(read_edits(folder / "edits.geojson"), "edits.geojson", grid)
+    carried = MapEdits.of(folder / "map.yaml").carry(read_edits(folder / "edits.geojson"), "edits.geojson", grid)
     assert carried.edits[0].points == pytest.approx(se2.transform_points(correction, SQUARE), abs=1e-4)
-    again = MapEdits(folder / "map.yaml").carry(carried, "edits.geojson", grid)
+    again = MapEdits.of(folder / "map.yaml").carry(carried, "edits.geojson", grid)
     assert again.to_text() == carried.to_text()
 
 
@@ -201,17 +204,17 @@ def test_edits_of_another_map_are_refused(run):
     grid = _empty(rows=101, columns=140, origin=(-1.0, -1.0))
     write_map(folder / "map.yaml", grid)
     write_tum(folder / "trajectory.tum", Trajectory(trajectory.stamps_ns + 10**10, trajectory.poses))
-    carried = MapEdits(folder / "map.yaml").carry(edits, "edits.geojson", grid)  # 20 s is still there
+    carried = MapEdits.of(folder / "map.yaml").carry(edits, "edits.geojson", grid)  # 20 s is still there
     assert len(carried.edits) == 1
     write_tum(folder / "trajectory.tum", Trajectory(trajectory.stamps_ns + 10**11, trajectory.poses))
     with pytest.raises(InputError, match="got those of another map"):
-        MapEdits(folder / "map.yaml").carry(edits, "edits.geojson", grid)
+        MapEdits.of(folder / "map.yaml").carry(edits, "edits.geojson", grid)
     (folder / "trajectory.tum").unlink()
     with pytest.raises(InputError, match="got those of another map"):
-        MapEdits(folder / "map.yaml").carry(edits, "edits.geojson", grid)
+        MapEdits.of(folder / "map.yaml").carry(edits, "edits.geojson", grid)
     far = Edits((Edit("keep_out", "Polygon", SQUARE + 50),))
     with pytest.raises(InputError, match="feature 1: expected places in"):
-        MapEdits(folder / "map.yaml").carry(far, "edits.geojson", grid)
+        MapEdits.of(folder / "map.yaml").carry(far, "edits.geojson", grid)
 
 
 def test_a_map_is_read_with_its_edits(run):

@@ -14,9 +14,9 @@ from gridslam.geometry import se2
 from gridslam.io.maps import map_pixels, read_map, read_map_description, write_map
 from gridslam.plan.alignment import align_points, align_walls, fit_pairs
 from gridslam.plan.drawn_plans import read_drawn_plan
-from gridslam.plan.exports import WorldOrigin
 from gridslam.plan.georeference import fit_world, write_geotiff
 from gridslam.plan.surfaces import points_of_grid
+from gridslam.plan.world import WorldOrigin
 from support.drawn_maps import ROOMS, draw_two_rooms
 
 LINES = np.array(
@@ -64,6 +64,35 @@ def test_a_dxf_has_the_lengths_of_its_units(tmp_path):
     assert plan.unit_m == pytest.approx(0.01)
     assert plan.lines[: len(LINES)] == pytest.approx(100 * LINES)
     assert plan.lines[len(LINES) :].tolist() == [[[0, 0], [100, 0]], [[100, 0], [100, 50]], [[100, 50], [0, 0]]]
+
+
+def test_curves_of_a_dxf_are_walls(tmp_path):
+    drawing = ezdxf.new("R2010")
+    drawing.units = ezdxf.units.M
+    space = drawing.modelspace()
+    space.add_arc((10, 5), 3.0, 0, 90)
+    space.add_circle((-10, 5), 2.0)
+    space.add_ellipse((0, -20), (4, 0), 1.0)
+    space.add_lwpolyline([(0, 0, 1.0), (2, 0, 0.0), (2, 4, 0.0)], format="xyb")  # a half circle, and a line
+    space.add_text("no wall")
+    drawing.saveas(tmp_path / "plan.dxf")
+    lines = read_drawn_plan(tmp_path / "plan.dxf").lines
+    middles = lines.mean(axis=1)
+    curves = (
+        ((10, 5), 3.0, 3 * np.pi / 2),
+        ((-10, 5), 2.0, 4 * np.pi),
+        ((0, -20), 4.0, 8 * np.pi),
+        ((1, 0), 1.0, np.pi),
+    )
+    left = np.ones(len(lines), bool)
+    for centre, radius, length in curves:
+        own = np.abs(np.hypot(*(middles - centre).T) - radius) < 0.01 * radius
+        assert np.hypot(*(lines[own] - centre).reshape(-1, 2).T) == pytest.approx(radius, abs=0.01 * radius)
+        assert np.hypot(*np.diff(lines[own], axis=1).reshape(-1, 2).T).sum() == pytest.approx(length, rel=0.01)
+        left &= ~own
+    assert lines[left].ravel() == pytest.approx([2, 0, 2, 4], abs=1e-9)
+    assert (middles[np.hypot(*(middles - [10, 5]).T) < 3] > [10, 5]).all(), "a quarter, anticlockwise"
+    assert (middles[np.hypot(*(middles - [1, 0]).T) < 1][:, 1] < 0).all(), "the bulge is to the right"
 
 
 def test_a_dxf_may_state_no_unit(tmp_path):

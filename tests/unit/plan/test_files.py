@@ -14,8 +14,9 @@ from PIL import Image
 
 from gridslam.plan import make_plan
 from gridslam.plan.drawing import draw_plan
-from gridslam.plan.exports import WorldOrigin, write_dxf, write_geojson
+from gridslam.plan.exports import write_dxf, write_geojson
 from gridslam.plan.sheet import write_pdf, write_png, write_svg
+from gridslam.plan.world import WorldOrigin
 from support.drawn_maps import draw_two_rooms
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from gridslam.cli.option_types import LOG, OUTPUT_FILE, OUTPUT_FOLDER, PATH, SEED
+from gridslam.cli.option_types import LOG, OUT, OUTPUT_FILE, OUTPUT_FOLDER, PATH, SEED
 from gridslam.cli.options import (
     history_option,
     json_option,
@@ -94,9 +94,10 @@ def demo_command(**options: Any) -> None:  # noqa: ANN401
 @click.command("session")
 @click.argument("file", type=PATH)
 @click.option("--picture", type=OUTPUT_FILE, metavar="PNG", help="Write the map of the newest drive as a picture.")
+@click.option("-o", "--out", type=OUT, help="Write each map and its edits to this folder: NAME.yaml, NAME.geojson.")
 @json_option
 def session_command(**options: Any) -> None:  # noqa: ANN401
-    """Show the content of a session FILE: drives, logs, dates, sizes, and a picture."""
+    """Show the content of a session FILE: maps by name, drives, logs, dates, sizes, links of floors, and a picture."""
     from gridslam.cli.sessions import show_session
 
     show_session(**options)

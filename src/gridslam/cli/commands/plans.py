@@ -100,6 +100,12 @@ def changes_command(**options: Any) -> None:  # noqa: ANN401
     metavar="PERCENT",
     help="Cost beside preferred lanes, in percent of a lethal one.",
 )
+@click.option(
+    "--origin",
+    metavar="LAT,LON[,BEARING]",
+    callback=_read_origin,
+    help="Where the map's origin is, as for `plan`: EDITS in degrees are read, and written, too.",
+)
 @json_option
 def mask_command(**options: Any) -> None:  # noqa: ANN401
     """Apply EDITS to a map: the edited map, and masks of nav2's keep-out and speed filters.
@@ -108,7 +114,8 @@ def mask_command(**options: Any) -> None:  # noqa: ANN401
     map's frame: walls, erased, rooms, keep_out, no_go, speed and lanes, as `gridslam view OUT --edit` writes it.
 
     Writes to OUT: map.yaml and map.pgm (edited), keepout_mask.yaml and speed_mask.yaml with their images,
-    nav2_filters.yaml (parameters to paste) and edits.geojson (as they lie on this map).
+    nav2_filters.yaml (parameters to paste) and edits.geojson (as they lie on this map); with --origin
+    edits_wgs84.geojson.
     """
     from gridslam.cli.mask import mask_to_folder
 

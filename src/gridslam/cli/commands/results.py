@@ -20,15 +20,18 @@ __all__ = ["evaluate_command", "regress_command", "view_command"]
     metavar="PATH",
     help="Compare with another OUT, map.yaml or trajectory.tum.  [default: OUT/truth.tum, if there is one]",
 )
-@click.option("--edit", is_flag=True, help="Let the page edit the map's walls and zones: OUT/edits.geojson.")
+@click.option(
+    "--edit", is_flag=True, help="Let the page edit the map: OUT/edits.geojson, NAME.edits.geojson of a session."
+)
 @click.option(
     "--edit-graph",
     is_flag=True,
     help="Show the pose graph in OUT and let viewers edit it: saved in OUT's session, or OUT/graph_edits.json.",
 )
+@click.option("--floor", metavar="NAME", help="Of a session: the map that is shown.  [default: the newest drive's]")
 @host_options
 def view_command(**options: Any) -> None:  # noqa: ANN401
-    """Show the results in OUT in the browser.
+    """Show the results in OUT, or a map of a session, in the browser.
 
     OUT is of any command: a run is replayed, of map, localize, landmarks or demo; of grid and merge the map is shown,
     of graph the poses, the edges and their residuals; batch and doctor have written a report, whose address is

@@ -77,12 +77,15 @@ class Drive:
         Of all scans.
     scans : TrackedScans
         The scans as they were tracked; key scans are counted over the piece.
+    floor : str
+        Name of the floor; empty where none was given.
     """
 
     name: str
     logs: tuple[DrivenLog, ...]
     stamps_ns: IntArray
     scans: TrackedScans
+    floor: str = ""
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -114,6 +117,16 @@ class SavedPiece:
     def __repr__(self) -> str:
         """Return one line."""
         return f"SavedPiece({', '.join(drive.name for drive in self.drives) or 'a given map'}: {self.piece})"
+
+    @property
+    def floor(self) -> str:
+        """Name of the floor that it is the map of; empty where no drive has one."""
+        return next((drive.floor for drive in self.drives if drive.floor), "")
+
+    @property
+    def name(self) -> str:
+        """Name of its map: that of the floor, else of its first drive."""
+        return self.floor or next((drive.name for drive in self.drives), "given")
 
     @property
     def tracked_scans(self) -> list[TrackedScans]:

@@ -68,6 +68,8 @@ class SavedRun:
         The logs so far.
     earlier : tuple of Drive
         The drives of the piece in which the robot was found, whose key scans come first.
+    floor : str
+        Name of the floor; empty where none was given.
     """
 
     rng: np.random.Generator
@@ -78,6 +80,7 @@ class SavedRun:
     name: str = ""
     logs: tuple[DrivenLog, ...] = ()
     earlier: tuple[Drive, ...] = ()
+    floor: str = ""
 
     def snapshot(self) -> SavedRun:
         """Keep a copy for later."""
@@ -98,7 +101,8 @@ class SavedRun:
         keys = len(self.trajectory.key_scans)
         first = 0 if self.state is None else self.state.ancestry.steps - keys
         stamps_ns = self.trajectory.online_trajectory().stamps_ns
-        return (*self.earlier, Drive(self.name, self.logs, stamps_ns, self.trajectory.tracked_scans(first)))
+        own = Drive(self.name, self.logs, stamps_ns, self.trajectory.tracked_scans(first), self.floor)
+        return (*self.earlier, own)
 
 
 @final
@@ -180,8 +184,7 @@ class SavedSession:
         }
         if self.run is not None:
             head["run"] = {
-                "name": self.run.name,
-                "logs": [asdict(log) for log in self.run.logs],
+                **_describe(self.run),
                 "earlier": [_describe(drive) for drive in self.run.earlier],
                 "generator": dump_generator(self.run.rng),
             }
@@ -301,6 +304,7 @@ def _parse_head(arrays: Arrays) -> dict[str, Any]:
     for drive in chain.from_iterable(groups):
         require_instance("drives", drive, dict)
         require_instance("name", drive["name"], str)
+        require_instance("floor", drive.get("floor", ""), str)
         _load_logs(drive["logs"])
     return dict(head)
 
@@ -309,8 +313,8 @@ def _prefix(part: str, arrays: Arrays) -> dict[str, Any]:
     return {f"{part}.{name}": values for name, values in arrays.items()}
 
 
-def _describe(drive: Drive) -> dict[str, Any]:
-    return {"name": drive.name, "logs": [asdict(log) for log in drive.logs]}
+def _describe(drive: Drive | SavedRun) -> dict[str, Any]:
+    return {"name": drive.name, "floor": drive.floor, "logs": [asdict(log) for log in drive.logs]}
 
 
 def _dump_drives(part: str, drives: tuple[Drive, ...]) -> dict[str, Any]:
@@ -336,7 +340,7 @@ def _load_drives(arrays: Arrays, heads: list[dict[str, Any]], key_scans: int) ->
         key_from_base = read_array(own, "key_from_base", np.float64, ("scans", 3), sizes)
         poses = read_array(own, "poses", np.float64, ("scans", 3), sizes) if "poses" in own else None
         scans = TrackedScans(keys, key_from_base, poses)
-        drives.append(Drive(str(head["name"]), _load_logs(head["logs"]), stamps_ns, scans))
+        drives.append(Drive(str(head["name"]), _load_logs(head["logs"]), stamps_ns, scans, head.get("floor", "")))
     covered = int(drives[0].scans.keys[:1].sum()) if drives else key_scans
     for drive in drives:
         keys = drive.scans.keys
@@ -373,6 +377,7 @@ def _load_run(arrays: Arrays, head: dict[str, Any], configuration: Configuration
         record=RecordWriter.from_arrays(select_part(arrays, "record")),
         name=str(head["name"]),
         logs=_load_logs(head["logs"]),
+        floor=head.get("floor", ""),
     )
     keys = run.trajectory.keys
     if "state.schema" not in arrays:

@@ -63,12 +63,23 @@ export class Drawing {
     for (const tool of [this.measure, this.console, this.editor]) tool?.draw(context, camera, colours);
   }
 
+  // Draws the maps; where nothing of them has changed, as while edits are dragged, from a copy.
   maps(context) {
-    for (const name of ["map", "other"]) {
-      context.globalAlpha = this.opacity[name];
-      if (this.shown[name]) this.world[name].draw(context, this.camera);
+    const { camera, world, shown, opacity, canvas } = this, names = ["map", "other"].filter((name) => shown[name]);
+    const { x, y, scale, angle, middle } = camera, ratio = devicePixelRatio;
+    const seen = JSON.stringify([x, y, scale, angle, middle, ratio, canvas.width, canvas.height, names.map((name) => [name, opacity[name], world[name].version])]);
+    if (seen !== this.seen) {
+      this.seen = seen;
+      this.layer = new OffscreenCanvas(Math.max(canvas.width, 1), Math.max(canvas.height, 1)).getContext("2d");
+      this.layer.setTransform(ratio, 0, 0, ratio, 0, 0);
+      for (const name of names) {
+        this.layer.globalAlpha = opacity[name];
+        world[name].draw(this.layer, camera);
+      }
     }
-    context.globalAlpha = 1;
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.drawImage(this.layer.canvas, 0, 0);
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
   }
 
   truth(context, colour) {

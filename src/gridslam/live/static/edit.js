@@ -9,13 +9,15 @@ const LAYERS = {
   no_go: { key: "o", name: "no-go", type: "LineString", colour: "bad", width: 0.1 },
   speed: { key: "v", name: "speed", type: "Polygon", colour: "particle" },
   lanes: { key: "l", name: "lane", type: "LineString", colour: "good", width: 0.6 },
-  rooms: { key: "r", name: "room", type: "Point", colour: "path" },
+  rooms: { key: "r", name: "room", type: "Point", colour: "path", named: true },
+  links: { key: "i", name: "lift", type: "LineString", colour: "good", named: true },
 };
 const HINTS = {
   select: "Click to select, drag to move; Delete removes.",
   LineString: "Click from place to place; Enter ends the line.",
   Polygon: "Click corners and Enter, or drag a rectangle.",
   Point: "Enter a name, and click into the room.",
+  links: "A lift or stair: enter its name, the same on each floor; drag from where it begins, in its direction.",
 };
 
 // A history of states that share what has not changed.
@@ -44,7 +46,7 @@ export class History {
 const placesOf = ({ geometry: { type, coordinates } }) => ({ Point: [coordinates], LineString: coordinates, Polygon: coordinates[0]?.slice?.(0, -1) })[type];
 
 function withPlaces(feature, places) {
-  const { anchor, ...properties } = feature.properties, { type } = feature.geometry; // the server finds the anchor again
+  const { anchor, drive, ...properties } = feature.properties, { type } = feature.geometry; // the server finds the anchor again
   const coordinates = { Point: places[0], LineString: places, Polygon: [[...places, places[0]]] }[type];
   return { ...feature, properties, geometry: { type, coordinates } };
 }
@@ -106,10 +108,10 @@ export class Editor {
     Object.assign(this, { tool, drawn: [], drag: null });
     if (layer) this.selected = -1;
     for (const button of this.section.querySelectorAll(".tools button")) button.setAttribute("aria-pressed", button.id === `edit-${tool}`);
-    for (const [id, shown] of [["width", layer?.width], ["limit", tool === "speed"], ["name", tool === "rooms"]]) this.section.querySelector(`#edit-for-${id}`).hidden = !shown;
+    for (const [id, shown] of [["width", layer?.width], ["limit", tool === "speed"], ["name", layer?.named]]) this.section.querySelector(`#edit-for-${id}`).hidden = !shown;
     if (layer?.width) this.section.querySelector("#edit-width").value = layer.width;
     this.camera.takes = (kind, u, v) => this.take(kind, u, v);
-    this.tell(HINTS[layer?.type ?? tool]);
+    this.tell(HINTS[tool] ?? HINTS[layer.type]);
     this.redraw();
   }
 
@@ -186,7 +188,7 @@ export class Editor {
     const properties = { layer: this.tool };
     if (layer.width) properties.width_m = Number(this.value("width"));
     if (this.tool === "speed") properties.limit_percent = Number(this.value("limit"));
-    if (this.tool === "rooms") properties.name = this.value("name");
+    if (layer.named) properties.name = this.value("name");
     this.drawn = [];
     this.put([...this.features, withPlaces({ type: "Feature", properties, geometry: { type: layer.type } }, places)]);
   }

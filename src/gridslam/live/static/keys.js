@@ -2,11 +2,11 @@
 
 const NAMES = { " ": "space", ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓", Escape: "Esc", "?": "?" };
 
-const TYPED = "input:not([type='range'], [type='checkbox'])"; // what is typed into
+const TEXT = "input:not([type=range], [type=checkbox], [type=radio])"; // fields that are typed into
 
 // Whether a key is meant for the part that has the focus. A part that was clicked has lost it (see `Keys`).
 function isForPart(part, key) {
-  if (part.matches(`select, ${TYPED}`)) return true;
+  if (part.matches(`select, ${TEXT}`)) return true;
   if (part.matches("input[type='range']")) return key.startsWith("Arrow") || key === "Home" || key === "End";
   return key === " " && part.matches("button, input");
 }
@@ -23,7 +23,7 @@ export class Keys {
     }
     addEventListener("keydown", (event) => this.pressed(event));
     addEventListener("pointerup", () => setTimeout(() => { // so that keys mean the page again
-      if (document.activeElement.matches("button, input") && !document.activeElement.matches(TYPED) && !dialog.open) document.activeElement.blur();
+      if (document.activeElement.matches(`button, input:not(${TEXT})`) && !dialog.open) document.activeElement.blur();
     }));
   }
 

@@ -1,6 +1,8 @@
 // The map: tiles of levels, kept as bitmaps of many tiles each.
 
 const TILES = 8; // along a bitmap's side
+const SMALL = 4; // times fewer pixels along a side has a bitmap for maps that are seen from afar
+let changes = 0;
 const STRAY = 0.05; // share of the fullest row below which an outer one is left out
 
 function rgb(css) {
@@ -46,11 +48,12 @@ export class TileMap {
     this.tiles = new Map(); // "row,column" to the tile's levels, two in a byte
     this.sheets = new Map();
     this.known = new Map(); // "row,column" to the number of known cells, of tiles that have some
+    this.version = ++changes; // another one where it looks otherwise
   }
 
   // Sets the side of a cell, m, and the corner of tile (0, 0).
   place(resolution, offset) {
-    Object.assign(this, { resolution, offset });
+    Object.assign(this, { resolution, offset, version: ++changes });
   }
 
   // Sets the colours of the levels, [red, green, blue] or with alpha.
@@ -58,6 +61,7 @@ export class TileMap {
     this.unknown = colours[0].length === 3 && `rgb(${colours[0]})`;
     this.colours = new Uint32Array(colours.map(([r, g, b, alpha = 255]) => (alpha << 24) | (b << 16) | (g << 8) | r));
     this.sheets.clear();
+    this.version = ++changes;
     for (const [key, tile] of this.tiles) this.paint(...key.split(",").map(Number), tile);
   }
 
@@ -109,7 +113,21 @@ export class TileMap {
       }
       this.sheets.set(key, sheet);
     }
+    sheet.small = null;
+    this.version = ++changes;
     sheet.context.putImageData(image, (column - TILES * sheetColumn) * side, (TILES - 1 - row + TILES * sheetRow) * side);
+  }
+
+  // The bitmap of a sheet for a number of pixels of the screen a cell: from afar a small one, drawn once.
+  bitmap(sheet, pixels) {
+    if (pixels * SMALL > 1) return sheet.context.canvas;
+    if (!sheet.small) {
+      const side = (TILES * this.side) / SMALL, context = new OffscreenCanvas(side, side).getContext("2d");
+      context.imageSmoothingQuality = "high";
+      context.drawImage(sheet.context.canvas, 0, 0, side, side);
+      sheet.small = context.canvas;
+    }
+    return sheet.small;
   }
 
   // Draws all bitmaps in the frame of a map that is turned.
@@ -122,7 +140,7 @@ export class TileMap {
     context.scale(camera.scale, camera.scale);
     for (const sheet of this.sheets.values()) {
       const [x, y] = [x0 + sheet.column * metres - camera.x, camera.y - y0 - (sheet.row + 1) * metres];
-      context.drawImage(sheet.context.canvas, x, y, metres + bleed, metres + bleed);
+      context.drawImage(this.bitmap(sheet, camera.scale * this.resolution * devicePixelRatio), x, y, metres + bleed, metres + bleed);
     }
     context.restore();
   }
@@ -131,15 +149,16 @@ export class TileMap {
   draw(context, camera) {
     if (camera.angle) return this.drawTurned(context, camera);
     const metres = TILES * this.side * this.resolution, ratio = devicePixelRatio, [x0, y0] = this.offset;
-    context.imageSmoothingEnabled = camera.scale * this.resolution * ratio < 2;
-    context.imageSmoothingQuality = "high";
+    const pixels = camera.scale * this.resolution * ratio; // a cell
+    context.imageSmoothingEnabled = pixels < 2;
+    context.imageSmoothingQuality = pixels * SMALL > 1 ? "high" : "low";
     for (const sheet of this.sheets.values()) {
       const [left, bottom] = camera.toScreen(x0 + sheet.column * metres, y0 + sheet.row * metres);
       const [right, top] = camera.toScreen(x0 + (sheet.column + 1) * metres, y0 + (sheet.row + 1) * metres);
       if (right < 0 || bottom < 0 || left > camera.width || top > camera.height) continue;
       const whole = (value) => Math.round(value * ratio) / ratio;
       const [x, y] = [whole(left), whole(top)];
-      context.drawImage(sheet.context.canvas, x, y, whole(right) - x, whole(bottom) - y);
+      context.drawImage(this.bitmap(sheet, pixels), x, y, whole(right) - x, whole(bottom) - y);
     }
   }
 
