@@ -20,6 +20,7 @@ from gridslam.io.edits import Edit, Edits, read_edits, write_edits
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.types import Trajectory
+from support.interrupted import KilledError
 
 CONFIG = override(gridslam.Configuration(), "particles=5")
 CUTS = (0, 151, 330, 480)
