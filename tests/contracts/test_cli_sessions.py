@@ -196,10 +196,10 @@ def test_a_map_of_a_session_is_edited_and_those_of_other_floors_stay(floors, tmp
     left = read_edits(find_edits(path))
     assert [(edit.layer, edit.drive) for edit in left.edits] == [("links", "tuesday"), ("keep_out", "")]
     text, tag = edits.read()
-    write_edits(find_edits(path), left)  # as a run does that goes on with the session
+    write_edits(find_edits(path), Edits(left.edits[:1]))  # as a run does that goes on with the session
     with pytest.raises(InputError, match="a run that goes on, has saved edits since"):
         edits.save(text.encode(), tag)
-    assert len(read_edits(find_edits(path)).edits) == 2
+    assert len(read_edits(find_edits(path)).edits) == 1
 
 
 def test_a_floor_is_named_where_it_is_kept(call, logs, floors, tmp_path):
