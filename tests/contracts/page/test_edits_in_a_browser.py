@@ -289,14 +289,16 @@ LARGE_MAP = """
           const data = new Uint8Array(256 * at.length);
           for (let k = 0; k < data.length; k += 512) data.set(tile, k);
           map.put(at, data);
-          const world = { map, other, status: {}, truth: none, path: none, particles: none, closures: none, landmarks: none, scan: none, tree: none };
+          const parts = ["truth", "path", "particles", "closures", "landmarks", "scan", "tree"];
+          const world = { map, other, status: {}, ...Object.fromEntries(parts.map((part) => [part, none])) };
           const drawing = new Drawing(canvas, world, camera);
           for (const name of Object.keys(drawing.shown)) drawing.shown[name] = name === "map";
           const editor = (drawing.editor = new Editor(camera, () => {}));
           Object.assign(editor, { section: document.body, tool: "select" });
           const features = [];
           for (let k = 0; k < 1000; k++) {
-            const [x, y] = [12 * (k % 40), 10 * Math.floor(k / 40)], ring = [[x, y], [x + 8, y], [x + 8, y + 6], [x, y]];
+            const [x, y] = [12 * (k % 40), 10 * Math.floor(k / 40)];
+            const ring = [[x, y], [x + 8, y], [x + 8, y + 6], [x, y]];
             features.push({ properties: { layer: "keep_out" }, geometry: { type: "Polygon", coordinates: [ring] } });
           }
           editor.history.put(features);
