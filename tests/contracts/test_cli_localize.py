@@ -184,7 +184,7 @@ def test_a_room_whose_ends_are_alike_is_no_error(tmp_path, capsys):
     assert scans["lost"] == scans["read"]
 
 
-def test_the_floor_is_told_where_the_maps_differ(place, tmp_path, capsys):
+def test_the_floor_is_reported_where_the_maps_differ(place, tmp_path, capsys):
     own, upper, alike = place / "flat.yaml", tmp_path / "upper.yaml", tmp_path / "alike.yaml"
     flat = flat_map()
     write_map(upper, OccupancyGrid(flat.log_odds[:, ::-1].copy(), flat.known, flat.resolution_m, flat.origin))
@@ -197,7 +197,7 @@ def test_the_floor_is_told_where_the_maps_differ(place, tmp_path, capsys):
     assert document["floors"][str(own)] > 0.5 > 2 * document["floors"][str(upper)]
     status, text, _ = run(capsys, place / "flat.clf", "--map", own, "--other-map", alike)
     assert status == 0
-    assert "floor: not told, as the maps do not differ enough" in text
+    assert "floor: unknown, as the maps do not differ enough" in text
     status, text, err = run(capsys, place / "flat.clf", "--map", own, "--other-map", place / "flat.pgm")
     assert (status, text, err.count("\n")) == (2, "", 1)
     status, text, err = run(capsys, place / "hall.clf", "--map", own, "--other-map", upper)

@@ -14,6 +14,7 @@ import gridslam
 from gridslam.api.session_edits import find_edits
 from gridslam.cli.live import _open_session_map
 from gridslam.cli.main import main
+from gridslam.errors import InputError
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.edited_maps import anchor_edit, read_edited_map
 from gridslam.io.edits import Edit, Edits, read_edits, write_edits
@@ -193,6 +194,11 @@ def test_a_map_of_a_session_is_edited_and_those_of_other_floors_stay(floors, tmp
     edits.save(json.dumps(json.loads(text) | {"features": []}).encode(), tag)
     left = read_edits(find_edits(path))
     assert [(edit.layer, edit.drive) for edit in left.edits] == [("links", "tuesday"), ("keep_out", "")]
+    text, tag = edits.read()
+    write_edits(find_edits(path), Edits(left.edits[:1]))  # as a run does that goes on with the session
+    with pytest.raises(InputError, match="a run that goes on, has saved edits since"):
+        edits.save(text.encode(), tag)
+    assert len(read_edits(find_edits(path)).edits) == 1
 
 
 def test_a_floor_is_named_where_it_is_kept(call, logs, floors, tmp_path):

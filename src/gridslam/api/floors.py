@@ -15,7 +15,7 @@ __all__ = ["choose_floor", "compare_floors"]
 
 _LEAST_SHARE = 0.3
 _CLEAR = 2.0
-"""A floor is told where the robot is localized at so many times as many scans as on any other one."""
+"""Ratio of the shares of the best floor and of any other one, from which on the floor is reported."""
 
 
 def compare_floors(open_log: Callable[[], Log], maps: Sequence[Path], **options: Any) -> dict[Path, float]:  # noqa: ANN401
@@ -44,7 +44,7 @@ def compare_floors(open_log: Callable[[], Log], maps: Sequence[Path], **options:
 
 
 def choose_floor(shares: Mapping[Path, float]) -> Path | None:
-    """Return the map of the floor on which the robot was; None where the maps do not differ enough to tell."""
+    """Return the map of the floor on which the robot was; None where the maps do not differ enough."""
     best, *others = sorted(shares, key=lambda path: -shares[path])
     is_clear = all(shares[best] >= _CLEAR * shares[other] for other in others)
     return best if is_clear and shares[best] >= _LEAST_SHARE else None

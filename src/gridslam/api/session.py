@@ -184,7 +184,7 @@ class Session:
         return self.names.index(name)
 
     def edits_of(self, number: int) -> MapEdits:
-        """Return what the edits of one of the maps follow."""
+        """Return one of the maps as edits follow it."""
         return MapEdits(self._path or "", "", self.pieces[number].trajectories, is_newest=number == 0)
 
     @property

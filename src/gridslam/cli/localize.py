@@ -135,7 +135,7 @@ def _summarize(document: dict[str, Any], result: LocalizationResult, out: Path |
     )
     if result.floors:
         shares = ", ".join(f"{path} at {share:.0%} of the scans" for path, share in result.floors.items())
-        yield f"floor: {result.floor or 'not told, as the maps do not differ enough'}; localized in {shares}"
+        yield f"floor: {result.floor or 'unknown, as the maps do not differ enough'}; localized in {shares}"
     yield from _summarize_intervals(result)
     x, y, theta = result.reports[-1].pose.tolist()
     deviation = math.sqrt(float(np.trace(result.reports[-1].covariance[:2, :2])))

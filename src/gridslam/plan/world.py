@@ -67,7 +67,7 @@ def turn_edits_to_metres(document: Mapping[str, Any], origin: WorldOrigin) -> di
 
 
 def _convert(feature: Any, function: Callable[[FloatArray], FloatArray]) -> Any:  # noqa: ANN401
-    """Convert the positions of a feature; what is no position stays as it is."""
+    """Convert the positions of a feature; other values stay as they are."""
 
     def convert(value: Any) -> Any:  # noqa: ANN401
         if not isinstance(value, list):

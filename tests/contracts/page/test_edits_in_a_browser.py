@@ -289,8 +289,8 @@ LARGE_MAP = """
           const data = new Uint8Array(256 * at.length);
           for (let k = 0; k < data.length; k += 512) data.set(tile, k);
           map.put(at, data);
-          const world = { map, other, status: {}, truth: none, path: none, particles: none, closures: none };
-          Object.assign(world, { landmarks: none, scan: none, tree: none });
+          const parts = ["truth", "path", "particles", "closures", "landmarks", "scan", "tree"];
+          const world = { map, other, status: {}, ...Object.fromEntries(parts.map((part) => [part, none])) };
           const drawing = new Drawing(canvas, world, camera);
           for (const name of Object.keys(drawing.shown)) drawing.shown[name] = name === "map";
           const editor = (drawing.editor = new Editor(camera, () => {}));

@@ -124,7 +124,7 @@ def grid_command(**options: Any) -> None:  # noqa: ANN401
     type=PATH,
     multiple=True,
     metavar="YAML",
-    help="Map of another floor, any number of times: the floor on which the robot is found is told.",
+    help="Map of another floor, any number of times: the floor on which the robot is found is reported.",
 )
 @live_options
 @history_option

@@ -63,7 +63,7 @@ export class Drawing {
     for (const tool of [this.measure, this.console, this.editor]) tool?.draw(context, camera, colours);
   }
 
-  // Draws the maps; where nothing of them has changed, as while edits are dragged, from a copy.
+  // Draws both maps, from a copy where neither has changed, as while edits are dragged.
   maps(context) {
     const { camera, world, shown, opacity, canvas } = this, names = ["map", "other"].filter((name) => shown[name]);
     const { x, y, scale, angle, middle } = camera, ratio = devicePixelRatio;
