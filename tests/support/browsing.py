@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from gridslam.config import build
 from gridslam.pipeline import run
@@ -95,6 +96,14 @@ def on_screen(browser: Any, x: float, y: float) -> tuple[float, float]:
     """Where a place of the map is on the screen, px."""
     here = view(browser)
     return here[3] + (x - here[0]) * here[2], here[4] - (y - here[1]) * here[2]
+
+
+def check_by_axe(browser: Any) -> None:
+    """Let axe look for what people cannot see, hear or reach: it finds nothing."""
+    base = pytest.importorskip("axe_core_python.base")
+    found = browser.execute_async_script(f"{base.AXE_SCRIPT}; axe.run().then(arguments[0])")
+    assert [(each["id"], each["nodes"][0]["html"]) for each in found["violations"]] == []
+    assert len(found["passes"]) > 15, "it has looked"
 
 
 @contextlib.contextmanager

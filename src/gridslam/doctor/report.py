@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterator
 from html import escape
+from itertools import groupby
 from typing import Any, Final
 
 from gridslam import __version__
@@ -161,14 +162,17 @@ def html(diagnosis: Diagnosis) -> list[str]:
         "<style>body{font:15px/1.5 system-ui,sans-serif;max-width:52em;margin:2em auto;padding:0 1em}"
         "img{max-width:100%;height:auto;background:#fff}</style><main>",
     ]
-    for line in filter(None, markdown(diagnosis)):
-        head, _, text = line.strip().partition(" ")
-        if picture := _PICTURE.fullmatch(line):
-            page.append(f'<img alt="{escape(picture[1])}" src="{escape(picture[2])}">')
-        elif head and set(head) == {"#"}:
-            page.append(f"<h{len(head)}>{escape(text)}</h{len(head)}>")
-        elif head == "-":
-            page.append(f"<li>{escape(text)}</li>")
-        else:
-            page.append(f"<p>{escape(line.strip('*'))}</p>")
+    for is_list, lines in groupby(filter(None, markdown(diagnosis)), lambda line: line.lstrip().startswith("- ")):
+        parts = [_element(line) for line in lines]
+        page += ["<ul>", *parts, "</ul>"] if is_list else parts
     return [*page, "</main></html>"]
+
+
+def _element(line: str) -> str:
+    """Return a line of Markdown as an element of the page."""
+    head, _, text = line.strip().partition(" ")
+    if picture := _PICTURE.fullmatch(line):
+        return f'<img alt="{escape(picture[1])}" src="{escape(picture[2])}">'
+    if head and set(head) == {"#"}:
+        return f"<h{len(head)}>{escape(text)}</h{len(head)}>"
+    return f"<li>{escape(text)}</li>" if head == "-" else f"<p>{escape(line.strip('*'))}</p>"

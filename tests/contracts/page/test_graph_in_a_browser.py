@@ -14,7 +14,7 @@ from gridslam.io.sessions.session_file import read_session
 from gridslam.live.options import LiveOptions
 from gridslam.live.replay import Replay
 from gridslam.live.server import PageServer
-from support.browsing import click, on_screen, pixels_of, shown, text, told, wait
+from support.browsing import check_by_axe, click, on_screen, pixels_of, shown, text, told, wait
 from support.loops import PROVOKED
 
 
@@ -51,6 +51,7 @@ def test_an_edge_is_seen_rejected_and_another_one_added(page, mapped, screenshot
     wait(lambda: "of the beams agree" in text(page, "#overlay"), "the score of both scans")
     assert pixels_of(page, "scan") > 20 < pixels_of(page, "particle"), "the newer scan on the older one"
     screenshot("overlay")
+    check_by_axe(page)
     click(page, "reject")
     wait(lambda: text(page, "#edits span") == "1 rejected", "an edge less")
     assert len(read_session(mapped / "loop.gridslam", makes_edits=False).edits) == 1

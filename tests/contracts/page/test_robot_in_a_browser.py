@@ -11,6 +11,7 @@ from gridslam.live.page import LivePage
 from support.browsing import (
     PATIENCE_S,
     Mapping,
+    check_by_axe,
     click,
     move_fingers,
     on_screen,
@@ -151,6 +152,7 @@ def test_sessions_are_saved_continued_merged_and_localized_in_by_buttons(browser
             wait(lambda name=name: f"{name} of mf ground" in text(browser, "#answer"), "an answer")
         assert robot.done == [(name, "mf ground") for name in SESSION]
         screenshot("sessions")
+        check_by_axe(browser)
         field.clear()
         field.send_keys("../../etc/map")
         click(browser, "serialize")

@@ -13,7 +13,7 @@ from gridslam.io.trajectories import read_tum
 from gridslam.live.options import LiveOptions
 from gridslam.live.replay import Replay
 from gridslam.live.server import PageServer
-from support.browsing import click, emulated, on_screen, pixels_of, shown, text, told, view, wait
+from support.browsing import check_by_axe, click, emulated, on_screen, pixels_of, shown, text, told, view, wait
 from support.loops import PROVOKED
 
 
@@ -33,13 +33,6 @@ def page(browser, out):
         browser.get(server.url)
         wait(lambda: told(browser).get("tiles", "0") != "0", "the map")
         yield browser
-
-
-def check_by_axe(browser):
-    base = pytest.importorskip("axe_core_python.base")
-    found = browser.execute_async_script(f"{base.AXE_SCRIPT}; axe.run().then(arguments[0])")
-    assert [(each["id"], each["nodes"][0]["html"]) for each in found["violations"]] == []
-    assert len(found["passes"]) > 15  # it has looked
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
