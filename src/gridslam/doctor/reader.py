@@ -43,10 +43,11 @@ def reader_findings(statistics: LogStatistics) -> Iterator[Finding]:
 def _missing_files(names: tuple[str, ...]) -> Finding:
     shown = ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
     absent = "is not there: what was recorded in it" if len(names) == 1 else "are not there: what was recorded in them"
+    of_bag = "of the bag, by its metadata.yaml or by the numbers of its files,"
     return Finding(
         "missing_files",
         Severity.WARNING,
-        f"The bag's metadata.yaml lists {shown}, which {absent} is not read.",
+        f"{shown} {of_bag} {absent} is not read.",
         len(names),
         "files",
         "Copy the whole folder of the bag; ros2 bag reindex writes the metadata of what is left.",

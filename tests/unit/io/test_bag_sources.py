@@ -73,6 +73,28 @@ def test_a_file_of_a_bag_that_is_not_there_is_named(tmp_path):
     assert Ros2Bag(folder).missing_files == ()
 
 
+@pytest.mark.parametrize(
+    ("names", "missing"),
+    [
+        (["log_0", "log_1", "log_3"], ("log_2.db3",)),
+        (["log_7"], ()),
+        (["log_0", "other_2"], ()),
+        (["log_0", "log_2026"], ()),
+        (["log_0", "log"], ()),
+    ],
+)
+@pytest.mark.parametrize("metadata", [None, "", "{{"])
+def test_without_metadata_the_numbers_of_the_files_show_which_one_is_missing(tmp_path, names, missing, metadata):
+    whole = ros_bags.write(tmp_path, "db3", ros_bags.drive(0.5))
+    (whole / "log.db3").rename(tmp_path / "part.db3")
+    for name in names:
+        shutil.copy(tmp_path / "part.db3", whole / f"{name}.db3")
+    (whole / "metadata.yaml").unlink()
+    if metadata is not None:
+        (whole / "metadata.yaml").write_text(metadata)
+    assert Ros2Bag(whole).missing_files == missing
+
+
 @given(st.lists(st.lists(st.integers(0, 20), min_size=1, max_size=5), max_size=6))
 def test_chunks_are_merged_by_time_and_stay_in_order_within_one_time(chunks):
     messages = [[(time, f"{n}", b"") for time in times] for n, times in enumerate(chunks)]

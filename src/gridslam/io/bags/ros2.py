@@ -6,6 +6,7 @@ has a %, # or ? in it, and unpack whatever a file claims to hold.
 
 from __future__ import annotations
 
+import re
 import weakref
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -31,6 +32,8 @@ from gridslam.io.yaml import YamlError, parse_yaml
 
 __all__ = ["Ros2Bag"]
 
+_PART = re.compile(r"(.*_)(\d{1,4})(\..*)")
+_MOST_PARTS = 1000
 _NAMES = ("*.mcap", "*.db3", "*.mcap.zst*", "*.db3.zst*")
 
 
@@ -83,19 +86,30 @@ class Ros2Bag:
 
 
 def _missing_files(folder: Path, files: Sequence[Path]) -> tuple[str, ...]:
-    """Files that the metadata.yaml of a bag lists and that are not there; none without it, or where it is damaged.
+    """Files that the metadata.yaml of a bag lists and that are not there.
 
-    As many files beside it that it does not list are taken for the same ones by other names.
+    As many files beside it that it does not list are taken for the same ones by other names. Without it, or where it is
+    damaged, the numbers that the recorder gives to the parts of a split bag show which are missing between others.
     """
     try:
         tree = parse_yaml(read_text(folder / "metadata.yaml"))
         listed = tree["rosbag2_bagfile_information"]["relative_file_paths"]
         names = [Path(name).name for name in listed]
     except (InputError, YamlError, TypeError, KeyError, ValueError):
-        return ()
+        return _left_out([file.name for file in files])
     present = {file.name for file in files}
     missing = [name for name in names if name not in present]
     return tuple(missing) if len(present.difference(names)) < len(missing) else ()
+
+
+def _left_out(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of files whose numbers are missing, of parts NAME_0, NAME_1, ... of one bag; none for other names."""
+    parts = [_PART.fullmatch(name) for name in names]
+    numbers = {int(part[2]) for part in parts if part}
+    if None in parts or len({(part[1], part[3]) for part in parts if part}) != 1 or max(numbers) > _MOST_PARTS:
+        return ()
+    first = next(part for part in parts if part)
+    return tuple(f"{first[1]}{k}{first[3]}" for k in range(min(numbers), max(numbers)) if k not in numbers)
 
 
 def _files(folder: Path) -> list[Path]:
