@@ -115,6 +115,9 @@ def test_a_full_device_is_named_as_output_and_never_minded_as_error(log, tmp_pat
             assert done.returncode == 1
             assert done.stderr == "gridslam: [Errno 28] No space left on device: 'standard output'\n"
             assert subprocess.run(command, stderr=full, stdout=subprocess.DEVNULL).returncode == 0
+    with open("/dev/full", "w") as full:
+        warns = [*GRIDSLAM, "convert", str(log), str(tmp_path / "odometry.tum")]  # of what that form cannot hold
+        assert subprocess.run(warns, stderr=full, stdout=subprocess.DEVNULL).returncode == 0
 
 
 ASCII = {"PYTHONUTF8": "0", "LC_ALL": "C"}

@@ -15,7 +15,7 @@ from gridslam.api.result import Result, write_trajectory
 from gridslam.arguments import require_seed
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
-from gridslam.evaluation.maps import LandmarkErrors, align_points, landmark_errors, pair_by_name, pair_by_position
+from gridslam.evaluation.maps import LandmarkErrors, landmark_errors, pair_by_name, pair_by_position
 from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, clip_to_truth
 from gridslam.geometry.se2 import compose, inverse, transform_points
 from gridslam.io.landmark_logs import LandmarkLog, open_landmark_log_if_path
@@ -265,10 +265,7 @@ class LandmarkResult(ResultByLandmarks):
         if not self.unknown or compared is None:
             pairs = pair_by_name(self.landmarks.names, known.landmarks)
         else:
-            positions = self.landmarks.positions
-            by_trajectory = pair_by_position(positions, known.positions, align_trajectory(*compared))
-            by_themselves = pair_by_position(positions, known.positions, align_points(positions, known.positions))
-            pairs = max(by_trajectory, by_themselves, key=lambda pairs: len(pairs[0]))  # the first where they are equal
+            pairs = pair_by_position(self.landmarks.positions, known.positions, align_trajectory(*compared))
         found = landmark_errors(self.landmarks.positions, known.positions, pairs) if len(pairs[0]) else None
         return poses, found
 

@@ -1,4 +1,4 @@
-"""The greatest memory that this process has held, on every system, and how the C library keeps it low."""
+"""The greatest memory that this process has held, and how the C library keeps it low."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _LARGE_BLOCK_BYTES = 1 << 20
 
 
 def find_peak_memory_bytes() -> int:
-    """Return the greatest memory that this process has held, in bytes; 0 where the system does not know.
+    """Return the greatest memory that this process has held, in bytes; 0 on Windows.
 
     `getrusage` may report the memory of the parent process, so /proc is read first.
     """
     if sys.platform == "win32":
-        return _find_peak_working_set()
+        return 0
     try:
         lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
         return next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
@@ -46,26 +46,3 @@ def return_freed_memory() -> None:
     if sys.platform == "linux":
         with suppress(AttributeError):
             ctypes.CDLL(None).malloc_trim(0)
-
-
-class _MemoryCounters(ctypes.Structure):
-    """Windows' PROCESS_MEMORY_COUNTERS."""
-
-    _fields_ = [
-        ("size", ctypes.c_uint32),
-        ("page_faults", ctypes.c_uint32),
-        ("peak_working_set", ctypes.c_size_t),
-        ("others", ctypes.c_size_t * 7),
-    ]
-
-
-if sys.platform == "win32":
-
-    def _find_peak_working_set() -> int:
-        kernel = ctypes.WinDLL("kernel32")
-        kernel.GetCurrentProcess.restype = ctypes.c_void_p
-        counters = _MemoryCounters(size=ctypes.sizeof(_MemoryCounters))
-        known = kernel.K32GetProcessMemoryInfo(
-            ctypes.c_void_p(kernel.GetCurrentProcess()), ctypes.byref(counters), ctypes.c_uint32(counters.size)
-        )
-        return int(counters.peak_working_set) if known else 0

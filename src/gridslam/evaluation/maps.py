@@ -14,7 +14,6 @@ from gridslam.types import FloatArray, IntArray
 
 __all__ = [
     "LandmarkErrors",
-    "align_points",
     "landmark_errors",
     "pair_by_name",
     "pair_by_position",
@@ -87,37 +86,6 @@ def pair_by_position(
         true_from_map = align(positions[ours], truth[theirs])
     ours, theirs = np.array(pairs, np.int64).reshape(-1, 2).T
     return ours, theirs
-
-
-def align_points(positions: FloatArray, truth: FloatArray, reach_m: float = 0.5) -> FloatArray:
-    """Return pose `true_from_map` (3,) that brings most landmarks (M, 2) near true ones (L, 2), without a first guess.
-
-    Each pair of landmarks is brought onto each pair of true ones that is as far apart, within `reach_m`, and the
-    landmarks are counted that then have a true one within it; of equal counts the nearest.
-
-    References
-    ----------
-    M. Fischler, R. Bolles, Random sample consensus, CACM 1981 (here all samples instead of random ones).
-    """
-    best = np.zeros(3)
-    greatest = 0.0
-    if len(positions) < 2 or len(truth) < 2:
-        return best
-    ours = np.array([[i, j] for i in range(len(positions)) for j in range(i)])
-    theirs = np.array([[k, n] for k in range(len(truth)) for n in range(len(truth)) if k != n])
-    lengths = np.hypot(*(truth[theirs[:, 0]] - truth[theirs[:, 1]]).T)
-    for i, j in ours.tolist():
-        length = float(np.hypot(*(positions[i] - positions[j])))
-        if length <= reach_m:
-            continue  # too short for a heading
-        for k, n in theirs[np.abs(lengths - length) <= reach_m].tolist():
-            guess = align(positions[[i, j]], truth[[k, n]])
-            moved = transform_points(guess, positions)
-            nearest = np.hypot(*(moved[:, None] - truth).transpose(2, 0, 1)).min(axis=1)
-            score = float(np.maximum(1.0 - nearest / reach_m, 0.0).sum())
-            if score > greatest:
-                best, greatest = guess, score
-    return best
 
 
 def landmark_errors(positions: FloatArray, truth: FloatArray, pairs: tuple[IntArray, IntArray]) -> LandmarkErrors:

@@ -10,6 +10,8 @@ import pytest
 
 from gridslam.api.peak_memory import find_peak_memory_bytes
 
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="it is not measured there")
+
 
 def test_it_grows_with_what_is_held():
     before = find_peak_memory_bytes()
@@ -18,7 +20,6 @@ def test_it_grows_with_what_is_held():
     assert find_peak_memory_bytes() >= held.nbytes
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows knows it by another call")
 def test_without_proc_the_resources_tell_it(monkeypatch):
     def absent(self, encoding):
         raise FileNotFoundError(self)
