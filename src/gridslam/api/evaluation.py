@@ -33,7 +33,7 @@ def evaluate_trajectory(trajectory: str | Path, reference: str | Path, distance_
         A file in TUM or EuRoC format.
     reference : str or Path
         True relations if its name ends in .relations; the log that the trajectory is of, in any format; or else the
-        true trajectory, a file in TUM or EuRoC format.
+        true trajectory, a file in TUM, EuRoC or KITTI format; one of KITTI has a pose for each of the trajectory.
     distance_m : float, m, > 0
         Path length between the pairs of poses of the RPE.
 
@@ -64,7 +64,7 @@ def score_against_reference(
         if _is_log(reference):
             agreement = measure_self_consistency(estimate, (scan for _, scan in open_log(reference)))
             return {"self_consistency": asdict(agreement)}
-        return score_against_truth(estimate, read_trajectory(reference), distance_m)
+        return score_against_truth(estimate, read_trajectory(reference, estimate.stamps_ns), distance_m)
     except ArgumentError as error:
         if error.argument == "distance_m":
             raise

@@ -83,6 +83,6 @@ def _measure_error(trajectory: Trajectory, log: str, reference: Path) -> float:
             raise InputError(reference, f"expected a relation within the time of this part of {log}, got none")
         return relation_errors(trajectory, relations).trans_mean_m
     try:
-        return absolute_errors(trajectory, read_trajectory(reference)).trans_rmse_m
+        return absolute_errors(trajectory, read_trajectory(reference, trajectory.stamps_ns)).trans_rmse_m
     except ArgumentError as error:
         raise InputError(reference, f"cannot be compared with {log}: {error}") from None

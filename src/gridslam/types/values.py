@@ -144,6 +144,21 @@ class Trajectory:
         metres = float(np.hypot(*np.diff(self.poses[:, :2], axis=0).T).sum())
         return f"Trajectory({len(self)} poses, {seconds:.1f} s, {metres:.1f} m)"
 
+    def _repr_svg_(self) -> str:
+        """Draw the path in a notebook, x to the right and y up, with a dot where it begins."""
+        xy = self.poses[np.isfinite(self.poses).all(axis=1), :2] if len(self) else np.zeros((1, 2))
+        low, extent = xy.min(axis=0), max(float(np.ptp(xy, axis=0).max()), 1e-3)
+        at = 10 + 380 * (xy - low) / extent
+        high = float(at[:, 1].max()) + 10
+        at[:, 1] = high - at[:, 1]
+        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in at[:: max(1, len(at) // 2000)].tolist())
+        x, y = at[0].tolist()
+        return (
+            f'<svg xmlns="http://www.w3.org/2000/svg" width="400" height="{high:.0f}">'
+            f'<polyline points="{points}" fill="none" stroke="#4a148c" stroke-width="1.5"/>'
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="#f9a825"/></svg>'
+        )
+
 
 def require_measurement(odometry: object, scan: object) -> None:
     """Check the types of odometry and scan."""
