@@ -258,6 +258,8 @@ def view(
     speed = 10.0 if live.speed is None else live.speed
     edits: EditsFile | None
     if out.suffix == ".gridslam":
+        if edit_graph:
+            raise click.UsageError("--edit-graph needs a folder OUT, not a session")
         shown, edits = _open_session_map(out, floor)
         replay = Replay(out, beside, speed, edit, shown=shown)
     else:
