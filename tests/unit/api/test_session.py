@@ -20,7 +20,6 @@ from gridslam.io.edits import Edit, Edits, read_edits, write_edits
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.types import Trajectory
-from support.interrupted import KilledError
 
 CONFIG = override(gridslam.Configuration(), "particles=5")
 CUTS = (0, 151, 330, 480)
@@ -263,6 +262,10 @@ def test_edits_stay_where_the_building_is_over_days_and_robots(second, edited, t
     write_edits(find_edits(tmp_path / "merged.gridslam"), Edits(tuple(kept)))
     assert off_m(whole, zones, truth) < 0.05
     assert np.abs(whole.edits.edits[1].points - before).max() > 1e-4  # the map has moved there
+
+
+class KilledError(Exception):
+    """The process ends here."""
 
 
 def test_a_kill_between_edits_and_session_leaves_both_as_they_fit(second, edited, tmp_path, monkeypatch):

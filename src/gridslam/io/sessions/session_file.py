@@ -314,7 +314,8 @@ def _prefix(part: str, arrays: Arrays) -> dict[str, Any]:
 
 
 def _describe(drive: Drive | SavedRun) -> dict[str, Any]:
-    return {"name": drive.name, "floor": drive.floor, "logs": [asdict(log) for log in drive.logs]}
+    described = {"name": drive.name, "logs": [asdict(log) for log in drive.logs]}
+    return described | ({"floor": drive.floor} if drive.floor else {})
 
 
 def _dump_drives(part: str, drives: tuple[Drive, ...]) -> dict[str, Any]:
