@@ -46,3 +46,21 @@ def test_two_lasers_with_their_mountings_and_a_few_bad_scans_are_none():
     assert "mixed_scans" not in faults([turned(m, declared=True) if k % 2 else m for k, m in enumerate(measurements)])
     bad = [turned(m, declared=False) if k % 25 == 0 else m for k, m in enumerate(measurements)]
     assert "mixed_scans" not in faults(bad)
+
+
+def half(measurement, beams):
+    """Some of the beams, as of a laser that sees no more."""
+    scan = measurement.scan
+    geometry = ScanGeometry(scan.geometry.bearings[beams], scan.geometry.base_from_laser)
+    return measurement._replace(
+        scan=replace(scan, ranges=scan.ranges[beams], status=scan.status[beams], geometry=geometry)
+    )
+
+
+def test_views_that_have_nothing_in_common_and_views_that_do_not_come_back_are_none():
+    measurements = log(scans=300)[0]
+    middle = len(measurements[0].scan) // 2
+    sides = slice(None, middle), slice(middle, None)
+    assert "mixed_scans" not in faults([half(m, sides[k % 2]) for k, m in enumerate(measurements)])
+    apart = [measurements[7 * k % 300]._replace(odometry=None) for k in range(40)]
+    assert "mixed_scans" not in faults(apart)

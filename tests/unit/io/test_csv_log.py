@@ -133,6 +133,11 @@ def test_columns_in_any_order_comments_quotes_and_line_ends_of_windows(tmp_path)
         ("odom_x_m,odom_y_m,odom_theta_rad," + HEADER + "1,inf,0," + ROW, 2, "column odom_y_m: expected a number"),
         ("odom_x_m,odom_y_m,odom_theta_rad," + HEADER + "1,2e9,0," + ROW, 2, "odom_y_m: expected a number of at most"),
         ("laser_x_m," + HEADER + "-101," + ROW, 2, "column laser_x_m: expected a number of at most 100, got '-101'"),
+        (
+            "laser_yaw_rad," + HEADER + "90," + ROW,
+            2,
+            "column laser_yaw_rad: expected a number of at most 6.28319, got '90'",
+        ),
         ("range_min_m," + HEADER + "-1," + ROW, 2, "column range_min_m: expected a number >= 0, got '-1'"),
         (("frame," + HEADER).encode() + b"\xff," + ROW.encode(), 2, "column frame: expected text in UTF-8"),
         (HEADER + ROW + "2.5,-1.5,1.5,1 2 3", None, "the last line has no line end: it is cut off; 1 scans were read"),
