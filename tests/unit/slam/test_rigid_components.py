@@ -62,7 +62,7 @@ def test_a_gap_is_where_the_position_or_the_heading_is_next_to_unknown(variances
 def test_only_a_constraint_that_is_known_and_determined_joins_two_components(source, determined):
     graph = chain(40, [20])
     graph.add(constraint(graph, 5, 33, source, determined=determined))
-    joined = determined and source in (ConstraintSource.TRACKED, ConstraintSource.RECOGNIZED)
+    joined = determined and source is not ConstraintSource.PROXIMITY
     assert len(told(graph)) == (1 if joined else 2)
 
 
