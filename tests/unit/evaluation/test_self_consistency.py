@@ -52,6 +52,18 @@ def test_every_fault_scores_worse_than_the_truth(drive):
     assert min(ratios.values()) > 1.05, ratios
 
 
+def test_walls_are_less_sharp_by_noise_and_by_visits_that_are_apart(drive):
+    """The laser's noise is 1 cm: exact poses leave that of two beams, and corners that are seen from two sides."""
+    _, beams, truth = drive
+    rng = np.random.default_rng(1)
+    noisy = truth + rng.normal(0, [0.02, 0.02, 0.002], truth.shape)
+    sharpness = [
+        score_drawn_scans(beams, poses).sharpness_m for poses in (truth, noisy, _second_half(truth, [0.05, 0.05, 0.0]))
+    ]
+    assert 0.01 < sharpness[0] < 0.02
+    assert min(sharpness[1:]) > 1.5 * sharpness[0]
+
+
 def test_a_rigid_motion_of_all_changes_next_to_nothing(drive):
     """The walls lie otherwise in the grid: less than what noise of 1 cm changes."""
     _, beams, truth = drive

@@ -20,7 +20,7 @@ from gridslam.slam.loop_closure.submap_matching import SubmapMatch, SubmapMatchi
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["SubmapRecognition", "drift_distance"]
+__all__ = ["SubmapRecognition", "drift_distance", "locate_anchors"]
 
 _MATCH_SIGMA_M = 0.25
 _MATCH_SIGMA_RAD = 0.03
@@ -180,7 +180,7 @@ class SubmapRecognition:
         way = graph.driven_m()
         labels = graph.label_rigid_components()
         radii = np.array([submap.radius_m for submap in pairs.submaps[: newer + 1]])
-        poses, covariances = _locate_anchors(graph, anchors, key)
+        poses, covariances = locate_anchors(graph, anchors, key)
         sigmas_m, sigmas_rad = position_sigmas(covariances), np.sqrt(covariances[:, 2, 2])
         driven = way[key] - way[anchors]
         is_rigid = labels[anchors] == labels[key]
@@ -261,8 +261,8 @@ class SubmapRecognition:
         return Constraint(from_, to, found.pose, weight, ConstraintSource.RECOGNIZED, True)
 
 
-def _locate_anchors(graph: KeyGraph, anchors: IntArray, key: int) -> tuple[FloatArray, FloatArray]:
-    """Poses (A, 3) of a key scan seen from others, (A,), along the least uncertain ways, and covariances (A, 3, 3).
+def locate_anchors(graph: KeyGraph, anchors: IntArray, key: int) -> tuple[FloatArray, FloatArray]:
+    """Return poses (A, 3) of a key scan seen from others (A,), by the least uncertain ways, and covariances (A, 3, 3).
 
     Covariances are in the map frame, and those of the drift model's bounds.
     """
@@ -278,7 +278,7 @@ def _locate_anchors(graph: KeyGraph, anchors: IntArray, key: int) -> tuple[Float
 
 def drift_distance(graph: KeyGraph, older: int, key: int, pose: FloatArray) -> float:
     """Squared Mahalanobis distance of a key scan's pose (3,), seen from an older one, from where it is expected."""
-    (expected,), (covariance,) = _locate_anchors(graph, np.array([older]), key)
+    (expected,), (covariance,) = locate_anchors(graph, np.array([older]), key)
     frame = graph.poses[older]
     guess = compose(frame, expected)
     found = compose(frame, pose)
