@@ -374,7 +374,8 @@ class KeyGraph:
     def label_rigid_components(self) -> IntArray:
         """Label (T,) of the rigid component of each key scan.
 
-        Components are separated by gaps in the laser data and not joined by tracked or recognized constraints, or by hand.
+        Components are separated by gaps in the laser data, and joined by tracked or recognized constraints and by those
+        added by hand.
         """
         if not self._gap_counts[-1]:
             return np.zeros(len(self), np.int64)
