@@ -3,7 +3,7 @@
 gridslam's own tests call the same functions.
 
 Each check takes an implementation as a function, and raises AssertionError where the law does not hold, with a sentence
-that names the mistake where it is a typical one (`wrong_solutions.py` lists these).
+that names the mistake where it is a typical one (`wrong_solutions.json` lists these).
 """
 
 from __future__ import annotations

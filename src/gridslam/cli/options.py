@@ -111,7 +111,10 @@ _SPEED_OPTION = click.option(
     "--live-speed", type=Number(), metavar="FACTOR", help="Initial speed of the page, a factor on real time."
 )
 _CONTROL_OPTION = click.option(
-    "--live-control", "live_controls", is_flag=True, help="Let viewers set the pose, reset and save, besides pausing."
+    "--live-control",
+    "live_controls",
+    is_flag=True,
+    help="Let viewers command the robot, besides pausing: pose, reset, save, sessions.",
 )
 _WAIT_OPTION = click.option(
     "--wait", "live_wait_s", type=SECONDS, metavar="S", help="Wait up to S seconds for a viewer."

@@ -20,7 +20,7 @@ _POSE_COVARIANCE = np.diag([0.25, 0.25, (math.pi / 12) ** 2])  # of a pose set b
 LOCATING = "the robot is being located"
 _SLOW = {  # commands that take long: what is answered at once, and in the end
     "save": ("saving", "saved"),
-    "serialize": ("saving the session", "session saved"),
+    "serialize": ("saving the session", "done"),
     "go_on": ("reading the session", "continued"),
     "merge": ("merging, while the robot maps", "merged"),
     "localize": ("switching", "switched"),

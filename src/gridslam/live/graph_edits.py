@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -17,7 +18,7 @@ from gridslam.geometry.se2 import compose, transform_points
 from gridslam.io.g2o import read_g2o, write_g2o
 from gridslam.io.output import write_atomically
 from gridslam.io.sessions.session_file import SavedSession, read_session, write_session
-from gridslam.io.text import read_json
+from gridslam.io.text import compute_digest, read_json
 from gridslam.live.ancestry_tree import NO_POINTS, Float32Array
 from gridslam.live.results import StaticView
 from gridslam.slam.loop_closure.constraints import Constraint
@@ -84,39 +85,44 @@ class _Solved(NamedTuple):
 class EditedGraph:
     """A pose graph without the closures that were rejected and with those that were added, solved again.
 
-    Each edit is saved at once: in the session in the folder, in which it is made whenever that is read. Without one
-    scans are not known, so that nothing is added, and what is rejected is saved in `graph_edits.json`. The solved graph
-    is written to `graph_edited.g2o`; the graph itself stays as it is.
+    Each edit is saved at once: in the first of the sessions that has the key scans of the graph, in which it is made
+    whenever that is read. Without one scans are not known, so that nothing is added, and what is rejected is saved in
+    `graph_edits.json`. The solved graph is written to `graph_edited.g2o`; the graph itself stays as it is.
 
     Parameters
     ----------
     folder : Path
         OUT of a command that writes `graph.g2o`.
-    session : Path, optional
-        A session file of the graph.
+    sessions : sequence of Path
+        Session files, one of which may be the graph's.
 
     Raises
     ------
     InputError
-        The graph, its edits or the session cannot be read, or the session is another graph's.
+        The graph, its edits or a session cannot be read.
     """
 
-    def __init__(self, folder: Path, session: Path | None = None) -> None:
+    def __init__(self, folder: Path, sessions: Sequence[Path] = ()) -> None:
         """Read the graph, and make the saved edits."""
         self._folder = folder
         self._source = read_g2o(folder / "graph.g2o")
-        self._session = session
+        self._session: Path | None = None
+        self._digest = ""  # of the session, as it was read or saved here
         self._saved: SavedSession | None = None
         self._piece: MapPiece | None = None
-        if session is not None:
-            self._saved = read_session(session, makes_edits=False)
-            self._piece = self._saved.newest
-            key_scans = 0 if self._piece is None else len(self._piece)
-            if key_scans != len(self._source.graph.poses):
-                expected = f"the session of the {len(self._source.graph.poses)} key scans of graph.g2o"
-                raise InputError(session, f"expected {expected}, got one of {key_scans}")
+        for session in sessions:
+            digest = compute_digest(session)
+            saved = read_session(session, makes_edits=False)
+            if saved.newest is not None and len(saved.newest) == len(self._source.graph.poses):
+                self._session, self._digest, self._saved, self._piece = session, digest, saved, saved.newest
+                break
         edits = self._read() if self._saved is None else [*self._saved.edits]
         self._now = self._solve(edits)
+
+    @property
+    def has_scans(self) -> bool:
+        """Whether there is a session of the graph, so that scans are seen and put on other places."""
+        return self._piece is not None
 
     @property
     def results(self) -> StaticView:
@@ -253,11 +259,14 @@ class EditedGraph:
     def _save(self, solved: _Solved) -> None:
         """Save the graph, and then the edits that have made it."""
         source = self._source
+        if self._session is not None and compute_digest(self._session) != self._digest:
+            raise InputError(self._session, "another program has saved this session meanwhile: begin the view again")
         write_g2o(self._folder / EDITED_GRAPH, solved.graph, source.ids, source.order, source.is_landmark)
         if self._saved is not None and self._session is not None:
             now = datetime.now(timezone.utc).isoformat(timespec="seconds")
             saved = replace(self._saved, edits=tuple(solved.edits), written=now, version=__version__)
             write_session(self._session, saved)
+            self._digest = compute_digest(self._session)
             return
         rejected = [[int(source.ids[key]) for key in edit.pair] for edit in solved.edits]
         document = {"schema": EDITS_SCHEMA, "version": __version__, "rejected": rejected}

@@ -71,8 +71,8 @@ class Replay:
         with stay_below(out):
             results, title, self.messages = read_results(out) if shown is None else (shown, out.name, [])
             self.history = read_optional_history(out / HISTORY_NAME)
-        session = _find_session(out)
-        self.editor = EditedGraph(out, None if session is None else out / session) if edits_graph else None
+        sessions = _find_sessions(out) if shown is None else []
+        self.editor = EditedGraph(out, [out / name for name in sessions]) if edits_graph else None
         if self.editor is not None:
             results = self.editor.results
             self.history = None
@@ -84,13 +84,13 @@ class Replay:
         mode = "still" if isinstance(results, StaticView) else "replay"
         self.speed = speed
         self.beside = read_beside(out, None if beside is None else Path(beside), results.trajectory)
-        self._session = session if shown is None else None
+        self._session = sessions[0] if sessions else None
         found = {
             "other": self.beside.grid is not None,
             "truth": len(self.beside.path) > 0,
             "session": self._session is not None,
             "edits": is_editable,
-            "scan": edits_graph and session is not None,
+            "scan": self.editor is not None and self.editor.has_scans,
         }
         if self.history is not None:
             found |= dict.fromkeys(("scan", "particles"), True)
@@ -148,12 +148,12 @@ class Replay:
             return open_for_reading(self._out / self._session)
 
 
-def _find_session(folder: Path) -> str | None:
-    """Return the name of the newest session in a folder, without those that are links."""
+def _find_sessions(folder: Path) -> list[str]:
+    """Return the names of the sessions in a folder, the newest first, without those that are links."""
     with os.scandir(folder) as entries:
         found = [(entry.stat(follow_symlinks=False).st_mtime, entry.name) for entry in entries if
                  entry.name.endswith(".gridslam") and entry.is_file(follow_symlinks=False)]  # fmt: skip
-    return max(found)[1] if found else None
+    return [name for _, name in sorted(found, reverse=True)]
 
 
 @final

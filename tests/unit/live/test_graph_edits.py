@@ -138,7 +138,7 @@ def find_beside(edges, pair):
 
 def test_what_is_rejected_stays_so_however_the_session_goes_on(mapped, session, tmp_path):
     """What joins the same places goes with it, and nothing of it comes back: refined, continued or merged."""
-    edited = EditedGraph(mapped / "out", session)
+    edited = EditedGraph(mapped / "out", [session])
     before = read_session(session).newest.graph
     pair = next(c.pair for c in before.constraints if c.source is ConstraintSource.RECOGNIZED)
     shown = np.array(edited.results.status(0, 0.0)["residuals"])[:, :2].astype(int)
@@ -153,13 +153,13 @@ def test_what_is_rejected_stays_so_however_the_session_goes_on(mapped, session, 
     again = Session.open(tmp_path / "continued.gridslam")
     assert find_beside(again.merge().graph.edges, pair) == []
     assert again.saved.newest.graph.rejected.tolist() == [[*pair]]
-    EditedGraph(mapped / "out", session).undo()
+    EditedGraph(mapped / "out", [session]).undo()
     np.testing.assert_array_equal(read_session(session).newest.graph.poses, before.poses, "to the last bit")
 
 
 def test_a_scan_is_put_on_another_place_and_holds_it_there(mapped, session):
     """What a person adds is matched near to where it was put, and never an outlier, however wrong it is."""
-    edited = EditedGraph(mapped / "out", session)
+    edited = EditedGraph(mapped / "out", [session])
     poses = read_g2o(mapped / "out" / "graph.g2o").graph.poses
     key = len(poses) - 5
     here = poses[key, :2]
@@ -211,7 +211,7 @@ def test_the_page_shows_both_scans_and_their_score(mapped, session, tmp_path):
 
 def test_a_session_of_another_graph_is_refused(folder, session):
     with pytest.raises(InputError, match=r"key scans of graph\.g2o"):
-        EditedGraph(folder, session)
+        EditedGraph(folder, [session])
 
 
 @pytest.mark.parametrize(

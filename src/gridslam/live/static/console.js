@@ -20,7 +20,7 @@ export class Console {
     for (const name of ["set_pose", "locate", "reset", ...SESSION]) $(`#${name}`).hidden = !commands.includes(name);
     $("#robot-session").hidden = !commands.includes("serialize");
     $("#save-robot").hidden = !commands.includes("save");
-    if (!commands.includes("set_pose")) this.toggle(false);
+    if (!commands.includes("set_pose") && $("#set_pose").getAttribute("aria-pressed") === "true") this.toggle(false);
   }
 
   command(command, more = {}) { this.ask({ do: "robot", command, ...more }); }

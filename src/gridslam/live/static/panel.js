@@ -189,7 +189,7 @@ export class Panel {
     if (runInfo.mode !== "still") {
       slider.max = Math.max(status.last ?? 0, 0);
       const at = status.at ?? Number(slider.max);
-      if (this.wish?.at === at || performance.now() > this.wish?.untilMs) this.wish = null; // until then `at` is older than the wish
+      if ((this.held ? at === this.wish?.at : at >= this.wish?.at) || performance.now() > this.wish?.untilMs) this.wish = null; // until then `at` is older than the wish
       if (!this.wish && !slider.matches(":active")) slider.value = at;
     }
     const total = replay ? ` / ${clock(status.total_s)}` : status.progress ? ` · ${percent(status.progress)}` : "";
