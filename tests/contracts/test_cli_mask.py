@@ -68,6 +68,8 @@ def test_edits_in_degrees_are_those_in_metres(call, drawn):
         assert (np.abs(latitude - 48.1) < 1e-4).all()
         assert (np.abs(longitude - 11.5) < 2e-4).all()
     foreign = {"type": "FeatureCollection", "features": world["features"]}
+    zone = next(feature for feature in foreign["features"] if feature["geometry"]["type"] == "Polygon")
+    zone["geometry"]["coordinates"] = [[[*at, 520.0] for at in ring] for ring in zone["geometry"]["coordinates"]]
     (drawn / "foreign.geojson").write_text(json.dumps(foreign))
     assert call("mask", drawn / "rooms.yaml", drawn / "foreign.geojson", "-o", drawn / "again", *origin)[0] == 0
     for name in ("map.pgm", "keepout_mask.pgm", "speed_mask.pgm"):

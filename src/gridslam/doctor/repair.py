@@ -153,6 +153,11 @@ def _is_clean(calibration: MotionCalibration) -> bool:
     return upright and yaw.determined and abs(yaw.value) + _SIGMAS * yaw.sigma < _SPOILING_YAW_RAD
 
 
+def _may_be_gross(calibration: MotionCalibration) -> bool:
+    """Return whether a scale is so far off that `describe_disagreement` would report it, were it determined."""
+    return max(abs(estimate.value - 1) for estimate in (calibration.scale, calibration.turn_scale)) > _GROSS
+
+
 def find_full_repair(calibration: MotionCalibration, range_max_m: float | None = None) -> Repair:
     """Return all faults that the calibration determines reliably: those larger than four standard deviations."""
 
@@ -200,7 +205,7 @@ def calibrate_early(measurements: Iterable[Measurement]) -> MotionCalibration:
         if looks and (moved > looks[0]).all():
             looks.pop(0)
             found = calibrate(estimator.motion)
-            if _is_clean(found):
+            if _is_clean(found) and not _may_be_gross(found):
                 return found
     return calibrate(estimator.motion)
 

@@ -154,7 +154,7 @@ def _first_row(path: str | Path) -> str:
 
 def _has_names(line: str) -> bool:
     """Return whether a line has the names of the columns."""
-    return _split(line)[0].lower() in _TIME_NAMES
+    return (_split(line) or [""])[0].lower() in _TIME_NAMES
 
 
 def _find_stamps(first: str) -> Callable[[str], int]:

@@ -133,7 +133,8 @@ def _lines_of(entity: Any) -> Iterator[tuple[Any, Any]]:  # noqa: ANN401
     """Segments of an entity, on a curve a degree to 12 degrees long each."""
     from ezdxf.path import make_path
 
-    if entity.dxftype() not in _DRAWN:
+    is_mesh = entity.dxftype() == "POLYLINE" and (entity.is_poly_face_mesh or entity.is_polygon_mesh)
+    if entity.dxftype() not in _DRAWN or is_mesh:  # a mesh is furniture
         return
     path = make_path(entity)
     corners = np.array([tuple(corner)[:2] for corner in path.control_vertices()], np.float64)

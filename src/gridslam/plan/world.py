@@ -72,7 +72,8 @@ def _convert(feature: Any, function: Callable[[FloatArray], FloatArray]) -> Any:
     def convert(value: Any) -> Any:  # noqa: ANN401
         if not isinstance(value, list):
             return value
-        if len(value) in (2, 3) and all(type(number) in (int, float) and abs(number) <= 360 for number in value):
+        is_position = len(value) in (2, 3) and all(type(number) in (int, float) for number in value)
+        if is_position and max(abs(number) for number in value[:2]) <= 360:  # the third one is a height
             return function(np.array([value[:2]], np.float64))[0].tolist()
         return [convert(item) for item in value]
 

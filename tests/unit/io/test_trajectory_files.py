@@ -99,6 +99,12 @@ def test_the_same_trajectory_in_every_form(tmp_path, form):
     np.testing.assert_allclose(back.poses, POSES, atol=1e-9)
 
 
+def test_a_line_of_commas_alone_is_refused_by_its_number(tmp_path):
+    (tmp_path / "t.csv").write_text("1,0,0,0,0,0,0,1\n,,,,,,,\n")
+    with pytest.raises(InputError, match=r"t\.csv, line 2: expected 8 numbers"):
+        read_trajectory(tmp_path / "t.csv")
+
+
 @pytest.mark.parametrize(("per_s", "digits"), [(10**3, 13), (10**6, 16)])
 def test_whole_stamps_since_1970_are_in_the_unit_that_their_digits_have(tmp_path, per_s, digits):
     stamps = [STAMPS[0] // (10**9 // per_s), STAMPS[0] // (10**9 // per_s) + 1]

@@ -75,6 +75,7 @@ def test_curves_of_a_dxf_are_walls(tmp_path):
     space.add_ellipse((0, -20), (4, 0), 1.0)
     space.add_lwpolyline([(0, 0, 1.0), (2, 0, 0.0), (2, 4, 0.0)], format="xyb")  # a half circle, and a line
     space.add_text("no wall")
+    space.add_polymesh((3, 3))
     drawing.saveas(tmp_path / "plan.dxf")
     lines = read_drawn_plan(tmp_path / "plan.dxf").lines
     middles = lines.mean(axis=1)
