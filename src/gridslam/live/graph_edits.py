@@ -260,7 +260,7 @@ class EditedGraph:
         """Save the graph, and then the edits that have made it."""
         source = self._source
         if self._session is not None and compute_digest(self._session) != self._digest:
-            raise InputError(self._session, "another program has saved this session meanwhile: begin the view again")
+            raise InputError(self._session, "another program has saved this session since: begin the view again")
         write_g2o(self._folder / EDITED_GRAPH, solved.graph, source.ids, source.order, source.is_landmark)
         if self._saved is not None and self._session is not None:
             now = datetime.now(timezone.utc).isoformat(timespec="seconds")
