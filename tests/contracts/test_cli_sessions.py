@@ -188,6 +188,9 @@ def test_a_map_of_a_session_is_edited_and_those_of_other_floors_stay(floors, tmp
     path = tmp_path / floors.name
     shown, edits = _open_session_map(path, "ground")
     assert shown.grid.known.any()
+    replay = Replay(path, None, 10.0, True, shown=shown)
+    assert replay.run_info["mode"] == "still"
+    assert "edits" in replay.run_info["layers"]
     text, tag = edits.read()
     (link,) = json.loads(text)["features"]
     assert link["properties"]["drive"] == "monday"

@@ -21,14 +21,14 @@ from gridslam.io.sessions.session_file import SavedSession, read_session, write_
 from gridslam.io.text import compute_digest, read_json
 from gridslam.live.ancestry_tree import NO_POINTS, Float32Array
 from gridslam.live.results import StaticView
-from gridslam.slam.loop_closure.constraints import Constraint
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.graph_edits import GraphEdit, match_placed, score_placed
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP
 from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.slam.loop_closure.submaps import insert_key_scans
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
-from gridslam.types import FloatArray, OccupancyGrid
+from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
 __all__ = ["EDITED_GRAPH", "EDITS", "EDITS_SCHEMA", "EditedGraph", "Overlay"]
 
@@ -216,14 +216,14 @@ class EditedGraph:
         """Solve the graph with these edits."""
         graph = self._source.graph
         may_go = ~graph.trusted
-        reach = 1 if self._piece is None else KEY_SCANS_PER_SUBMAP
+        reach = self._find_reaches()  # of a rejection, to each of the edges
         for pair, added in edits:
             if added is None:
                 near = np.abs(np.sort(graph.edges, axis=1) - sorted(pair)).max(axis=1) < reach
                 kept = ~(near & may_go)
-                graph, may_go = _select(graph, kept), may_go[kept]
+                graph, may_go, reach = _select(graph, kept), may_go[kept], reach[kept]
             else:
-                graph, may_go = _append(graph, added), np.append(may_go, True)
+                graph, may_go, reach = _append(graph, added), np.append(may_go, True), np.append(reach, 1)
         if edits:
             graph = GraphSlam().solve(graph).graph
         view = StaticView(self._draw(graph.poses), graph, self._source.is_landmark)
@@ -232,6 +232,20 @@ class EditedGraph:
             "added": [[*edit.pair] for edit in edits if edit.added is not None],
         })  # fmt: skip
         return _Solved(edits, graph, may_go, view)
+
+    def _find_reaches(self) -> IntArray:
+        """Return how near, in key scans, a pair that is rejected takes each edge of the file (M,) with it.
+
+        What a person has added goes only with its own pair, as in the session.
+        """
+        edges = self._source.graph.edges
+        reaches = np.ones(len(edges), np.int64)
+        if self._piece is not None:
+            constraints = self._piece.graph.constraints
+            by_hand = {tuple(sorted(c.pair)) for c in constraints if c.source is ConstraintSource.BY_HAND}
+            others = [tuple(edge) not in by_hand for edge in np.sort(edges, axis=1).tolist()]
+            reaches[others] = KEY_SCANS_PER_SUBMAP
+        return reaches
 
     def _draw(self, poses: FloatArray) -> OccupancyGrid | None:
         """Return the map of the key scans at poses (T, 3); None where no scans are known."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from gridslam.errors import ArgumentError, InputError, OutputError
 from gridslam.geometry.se2 import between
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.g2o import read_g2o, write_g2o
-from gridslam.io.sessions.session_file import read_session
+from gridslam.io.sessions.session_file import read_session, write_session
 from gridslam.live.graph_edits import EDITED_GRAPH, EDITS, EditedGraph
 from gridslam.live.replay import Replay
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
@@ -183,6 +184,32 @@ def test_a_scan_is_put_on_another_place_and_holds_it_there(mapped, session):
         edited.look(10**6)
 
 
+def test_what_a_person_added_stays_when_what_joins_the_same_places_is_rejected(mapped, session, tmp_path):
+    """It is shown and saved alike, also once the session has gone on, whose graph is then made with it."""
+    edited = EditedGraph(mapped / "out", [session])
+    pair = next(c.pair for c in read_session(session).newest.graph.constraints)
+    beside = pair[0], pair[1] - 1
+    added = Constraint(*beside, np.array([0.1, 0.2, 0.3]), np.eye(3), ConstraintSource.BY_HAND, True)
+    edited.add(added)
+    edited.reject([*pair])
+    left = edited._now.graph
+    assert find_beside(left.edges, pair) == [[*beside]]
+    made = read_session(session).newest.graph
+    assert find_beside(made.graph().edges, pair) == [[*beside]]
+
+    (tmp_path / "later").mkdir()
+    write_g2o(tmp_path / "later" / "graph.g2o", made.graph())
+    saved = read_session(session)
+    write_session(session, replace(saved, edits=()))  # as a run does that goes on: the graph has been edited
+    later = EditedGraph(tmp_path / "later", [session])
+    later.add(added._replace(to=beside[1] - 1))
+    later.reject([beside[0], beside[1] - 1])
+    assert find_beside(later._now.graph.edges, pair) == [[*beside]]
+    assert find_beside(read_session(session).newest.graph.graph().edges, pair) == [[*beside]]
+    later.reject([*beside])
+    assert find_beside(later._now.graph.edges, pair) == []
+
+
 def test_the_page_shows_both_scans_and_their_score(mapped, session, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(mapped / "out", out)
@@ -209,9 +236,38 @@ def test_the_page_shows_both_scans_and_their_score(mapped, session, tmp_path):
     assert "edit: expected" in client.status["answer"], "nothing is proposed"
 
 
-def test_a_session_of_another_graph_is_refused(folder, session):
-    with pytest.raises(InputError, match=r"key scans of graph\.g2o"):
-        EditedGraph(folder, [session])
+def test_the_session_of_a_graph_is_the_first_that_has_its_key_scans(mapped, folder, session):
+    """Without one, edits are made without scans, and no session of another graph is touched."""
+    before = session.read_bytes()
+    other = EditedGraph(folder, [session])
+    assert not other.has_scans
+    other.reject([2, 15])
+    assert json.loads((folder / EDITS).read_text())["rejected"] == [[102, 115]]
+    assert session.read_bytes() == before
+    longer = session.with_name("longer.gridslam")
+    continued = Session.open(session)
+    continued.add(mapped / "rest.clf.gz", repair="none", place="same place")
+    continued.save(longer)
+    kept = longer.read_bytes()
+    edited = EditedGraph(mapped / "out", [longer, session])
+    assert edited.has_scans
+    edited.reject(edited.results.status(0, 0.0)["residuals"][0][:2])
+    assert len(read_session(session, makes_edits=False).edits) == 1
+    assert longer.read_bytes() == kept
+
+
+def test_a_session_that_another_program_has_saved_since_is_not_overwritten(mapped, session):
+    edited = EditedGraph(mapped / "out", [session])
+    pair = edited.results.status(0, 0.0)["residuals"][0][:2]
+    edited.reject(pair)
+    edited.undo()
+    written = replace(read_session(session), written="2020-01-01T00:00:00+00:00")
+    write_session(session, written)
+    now, shown = session.read_bytes(), edited.results
+    with pytest.raises(InputError, match="another program has saved this session"):
+        edited.reject(pair)
+    assert session.read_bytes() == now
+    assert edited.results is shown
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gridslam.errors import InputError
+from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.se2 import between
 from gridslam.io.sessions.session_file import read_session
 from gridslam.ros.node.session_services import MatchType
@@ -80,12 +80,25 @@ def test_what_is_mapped_is_joined_with_another_session_and_goes_on_from_both(dri
     node = RunningNode(out=str(tmp_path / "out"))
     node.play(drive[100:300])
     serve = node.node._services
-    with pytest.raises(InputError):
-        serve.merge(str(tmp_path / "absent"))
+    folder = tmp_path / "out"
+    folder.mkdir(exist_ok=True)
+    for name in ("before-merge", "merged"):
+        kept = folder / f"{name}.gridslam"
+        kept.write_bytes((tmp_path / "other.gridslam").read_bytes())
+        with pytest.raises(ArgumentError, match="another name"):
+            serve.merge(str(folder / name))
+        with pytest.raises(InputError):
+            serve.merge(str(tmp_path / "absent"))
+        assert kept.read_bytes() == (tmp_path / "other.gridslam").read_bytes()
+        assert not [
+            path for path in folder.rglob("*") if "before-merge" in path.name and path.name != f"{name}.gridslam"
+        ]
+        kept.unlink()
     assert "going on from" in serve.merge(str(tmp_path / "other"))
     joined = read_session(tmp_path / "out" / "merged.gridslam")
     assert len([*joined.drives]) == 2
     assert len(joined.pieces) == 1
+    assert len([*read_session(folder / "before-merge.gridslam").drives]) == 1
     node.play(drive[300:330])
     log = node.stop()
     assert "looked for in its map" in log

@@ -274,6 +274,23 @@ def test_what_a_person_rejects_follows_its_key_scans():
     assert len(earlier.rejected) == 0
 
 
+def test_what_a_person_added_stays_beside_what_is_rejected():
+    """It goes only where its own two key scans are the rejected ones, whichever is named first."""
+    graph = KeyGraph()
+    for k in range(60):
+        graph.extend(np.array([0.5 * k, 0, 0]), np.array([0.5 * k, 0, 0]), (1e-4, 1e-4))
+    by_hand = Constraint(6, 44, np.zeros(3), np.eye(3), ConstraintSource.BY_HAND, True)
+    turned = by_hand._replace(from_=43, to=7)
+    graph.constraints += [by_hand, turned, by_hand._replace(source=ConstraintSource.RECOGNIZED)]
+    graph.reject(5, 45)
+    assert [constraint.pair for constraint in graph.constraints] == [(6, 44), (43, 7)]
+    assert all(constraint.source is ConstraintSource.BY_HAND for constraint in graph.constraints)
+    graph.reject(7, 43)
+    assert [constraint.pair for constraint in graph.constraints] == [(6, 44)]
+    graph.reject(6, 44)
+    assert graph.constraints == []
+
+
 def test_a_measurement_seen_from_the_other_end_is_the_same():
     """Of a graph's error, to first order."""
     rng = np.random.default_rng(0)

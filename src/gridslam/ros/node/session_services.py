@@ -16,6 +16,7 @@ from gridslam.api.session import Session as SavedDrives
 from gridslam.config import Configuration
 from gridslam.errors import ArgumentError, GridslamError, InputError
 from gridslam.io.maps import write_map
+from gridslam.io.output import write_atomically
 from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.continued import Continued
@@ -165,22 +166,27 @@ class SessionServices:
     def merge(self, name: str = "") -> str:
         """Join the session with NAME.gridslam, and continue both; the robot is looked for in their map.
 
-        What was mapped is kept in before-merge.gridslam, and both in merged.gridslam, in the folder.
+        What was mapped is kept in before-merge.gridslam, and both in merged.gridslam, in the folder, once both are
+        joined; until then these files stay as they were.
 
         Raises
         ------
         GridslamError
-            Nothing is mapped yet, the session cannot be read, or both show no place in common.
+            Nothing is mapped yet, the session cannot be read or has the name of one of these files, or both show no
+            place in common.
         """
         other = self._session_path(name)
         own, joined = (self._folder / f"{stem}{_SUFFIX}" for stem in ("before-merge", "merged"))
+        if other.resolve() in (own.resolve(), joined.resolve()):
+            raise ArgumentError("merge", "another name, as this file is written", str(other))
         copied = self._core.copy_session()
         _make_folder(own)
-        copied.save_session(own)
-        merged = merge_sessions([own, other], threads=self._core.settings.threads)
-        if not merged.is_joined:
-            raise ArgumentError("merge", "a session that shows some of the same places", str(other))
-        merged.session.save(joined)
+        with write_atomically(own) as aside:
+            copied.save_session(aside)
+            merged = merge_sessions([aside, other], threads=self._core.settings.threads)
+            if not merged.is_joined:
+                raise ArgumentError("merge", "a session that shows some of the same places", str(other))
+            merged.session.save(joined)
         continued = Continued.read(joined, self._core.settings.threads, Place.ELSEWHERE)
         self._core.ask(lambda: self._core.begin_session(continued))
         return f"going on from {joined.resolve()}: what was mapped, joined with {other.resolve()}"

@@ -80,9 +80,9 @@ def anchor_of(submap: int) -> int:
     return first_key_scan(submap) + KEY_SCANS_PER_SUBMAP // 2
 
 
-def joins_near(pair: tuple[int, int], others: IntArray) -> bool:
-    """Whether both of a pair of key scans lie within a submap's length of others (E, 2), the older first."""
-    return bool((np.abs(others - sorted(pair)) < KEY_SCANS_PER_SUBMAP).all(axis=1).any())
+def joins_near(pair: tuple[int, int], others: IntArray, reach: int = KEY_SCANS_PER_SUBMAP) -> bool:
+    """Whether both of a pair of key scans lie nearer than `reach` key scans to others (E, 2), the older first."""
+    return bool((np.abs(others - sorted(pair)) < reach).all(axis=1).any())
 
 
 def position_sigmas(covariances: FloatArray) -> FloatArray:
@@ -267,9 +267,15 @@ class KeyGraph:
             self._use([constraint])
 
     def reject(self, from_: int, to: int) -> None:
-        """Let nothing but a person join two key scans, the older one first, or those near both by a submap's length."""
-        pair = np.array([[from_, to]], np.int64)
-        self.constraints = [c for c in self.constraints if not joins_near(c.pair, pair)]
+        """Let nothing but a person join two key scans, or those near both by a submap's length.
+
+        What a person has added goes where it joins just these two.
+        """
+        pair = np.array([sorted((from_, to))], np.int64)
+        reaches = [1 if c.source is ConstraintSource.BY_HAND else KEY_SCANS_PER_SUBMAP for c in self.constraints]
+        self.constraints = [
+            c for c, reach in zip(self.constraints, reaches, strict=True) if not joins_near(c.pair, pair, reach)
+        ]
         self.rejected = pair if self.rejected is None else np.concatenate([self.rejected, pair])
 
     def allows(self, constraint: Constraint) -> bool:
