@@ -76,9 +76,16 @@ export class Panel {
 
   seek(at) {
     if (!this.hasTime) return;
+    const from = Number($("#line").value);
     $("#line").value = Math.min(Math.max(at, 0), Number($("#line").max));
-    this.wish = { at: Number($("#line").value), untilMs: performance.now() + PATIENCE_MS };
+    this.wish = { at: Number($("#line").value), from, untilMs: performance.now() + PATIENCE_MS };
     this.ask({ do: "seek", at: this.wish.at });
+  }
+
+  // Whether a status at `at` is as the viewer wished; what plays has gone on from there.
+  isReached(at) {
+    if (!this.wish || this.held) return at === this.wish?.at;
+    return at >= this.wish.at && (this.wish.at >= this.wish.from || at < this.wish.from);
   }
 
   seekBy(steps) { this.seek(Number($("#line").value) + steps); }
@@ -189,7 +196,7 @@ export class Panel {
     if (runInfo.mode !== "still") {
       slider.max = Math.max(status.last ?? 0, 0);
       const at = status.at ?? Number(slider.max);
-      if ((this.held ? at === this.wish?.at : at >= this.wish?.at) || performance.now() > this.wish?.untilMs) this.wish = null; // until then `at` is older than the wish
+      if (this.isReached(at) || performance.now() > this.wish?.untilMs) this.wish = null; // until then `at` is older than the wish
       if (!this.wish && !slider.matches(":active")) slider.value = at;
     }
     const total = replay ? ` / ${clock(status.total_s)}` : status.progress ? ` · ${percent(status.progress)}` : "";
