@@ -239,7 +239,8 @@ class Session:
         Raises
         ------
         ArgumentError
-            There is no drive to continue at the same place, or no piece in which the pose could be.
+            There is no drive to continue at the same place, it is on another floor, or there is no piece in which the
+            pose could be.
         InputError
             The log cannot be read.
         """
@@ -250,7 +251,10 @@ class Session:
         map_options.pop("keep_particles", None)
         name = name or source.path.name.partition(".")[0]
         run = self._saved.run
-        is_other = run is not None and bool(floor) and floor != next((d.floor for d in run.drives if d.floor), floor)
+        before = "" if run is None else next((drive.floor for drive in run.drives if drive.floor), "")
+        is_other = "" not in (floor, before) and floor != before
+        if is_other and where is Place.SAME:
+            raise ArgumentError("floor", f"{before}, on which the robot is at the same place", floor)
         self._decide(first, Place.ELSEWHERE if begin is not None or frozen or is_other else where)
         self._note_edits(keeps_all=self.is_same_place)
         begun = self._begin(first, begin, frozen, name, floor)
@@ -391,8 +395,7 @@ class Session:
             drives = [drive.name for drive in saved.drives]
             rng = np.random.default_rng(saved.seed + len(drives))
             run = SavedRun(rng, name=choose_name(name, drives), floor=floor)
-        here = [piece for piece in pieces if not floor or piece.floor in ("", floor)]
-        return Beginning(run, pieces, locate_in(here, self.configuration, pose, run.state))
+        return Beginning(run, pieces, locate_in(pieces, self.configuration, run, pose))
 
     def _note_edits(self, *, keeps_all: bool) -> None:
         """Note where the scans lie that edits follow, before some are left out as another drive begins."""
