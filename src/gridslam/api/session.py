@@ -21,7 +21,7 @@ from gridslam.api.beginning import (
     restart_at_same_place,
 )
 from gridslam.api.mapping import MapResult, map_log
-from gridslam.api.session_edits import EditsBefore, find_edits, keep_edits
+from gridslam.api.session_edits import EditsBefore, find_edits, keep_edits, set_aside
 from gridslam.arguments import freeze, require_seed, require_threads
 from gridslam.checked import checked
 from gridslam.config import Configuration, build
@@ -342,7 +342,8 @@ class Session:
         """Write a session file; where it was opened or saved last if no path is given.
 
         The edits beside the files that were opened are written beside it first: a process that is killed between the
-        two leaves edits that follow the scans of the session of before, too.
+        two leaves edits that follow the scans of the session of before, too. Edits of another session that lie there
+        are kept under another name.
 
         Raises
         ------
@@ -357,6 +358,7 @@ class Session:
         now = datetime.now(timezone.utc).isoformat(timespec="seconds")
         self._saved = replace(self._saved, written=now, version=__version__, thumbnail=self._thumbnail())
         problem = None
+        set_aside(target, self._edits)
         if any(source.path.exists() for source in self._edits):
             try:
                 write_edits(find_edits(target), replace(self.edits, map_name=Path(target).name))

@@ -356,3 +356,13 @@ def test_the_next_drive_of_a_carried_robot_is_on_its_floor(first, one_day):
     assert begun.run.floor == "first"
     assert [own.floor for own in begun.pieces] == ["first", "ground"]
     assert begun.locator.pieces == [begun.pieces[0].piece]
+
+
+def test_edits_of_a_session_that_is_replaced_are_kept_under_another_name(first, edited, tmp_path):
+    path, *_ = edited
+    was = find_edits(path).read_bytes()
+    new = gridslam.Session(CONFIG)
+    new.add(write(tmp_path, "monday", first.measurements[:100]))
+    new.save(path)
+    assert new.edits.edits == ()
+    assert path.with_name("building-1.edits.geojson").read_bytes() == was
