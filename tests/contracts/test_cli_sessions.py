@@ -243,7 +243,7 @@ def test_edits_of_unknown_drives_are_left_out(call, floors, tmp_path):
     assert (json.loads(out)["edits"], json.loads(out)["links"]) == (0, {})
 
 
-def test_a_merge_says_which_maps_were_not_compared(call, logs, monday, tmp_path):
+def test_a_merge_names_which_maps_were_not_compared(call, logs, monday, tmp_path):
     upper = tmp_path / "upper.gridslam"
     given = "--save", upper, "--floor", "upper", *FEW
     assert call("map", logs / "monday.clf", "-o", tmp_path / "out", *given)[0] == 0

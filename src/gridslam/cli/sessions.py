@@ -153,7 +153,7 @@ def merge_to_folder(files: tuple[Path, ...], out: Path, save: Path | None, threa
 
 
 def _explain_apart(result: MergeResult) -> str:
-    """Say why nothing was joined: maps of one floor are compared, those of others, and of none, are not."""
+    """Explain why nothing was joined: maps of one floor are compared, those of others, and of none, are not."""
     if len({piece.floor for piece in result.session.pieces}) == 1:
         return "the sessions have nothing in common"
     floors = ", ".join(f"{', '.join(drives)} on {floor or 'no floor'}" for floor, drives in _list_floors(result))
