@@ -186,7 +186,7 @@ def test_a_map_of_a_session_is_edited_and_those_of_other_floors_stay(floors, tmp
     for suffix in (".gridslam", ".edits.geojson"):
         shutil.copy(floors.with_suffix(suffix), tmp_path)
     path = tmp_path / floors.name
-    shown, edits = _open_session_map(path, "ground")
+    shown, edits = _open_session_map(path, "ground", edit=True)
     assert shown.grid.known.any()
     replay = Replay(path, None, 10.0, True, shown=shown)
     assert replay.run_info["mode"] == "still"
@@ -216,3 +216,41 @@ def test_a_floor_is_named_where_it_is_kept(call, logs, floors, tmp_path):
     status, _, err = call("view", floors, "--floor", "cellar")
     assert (status, err.count("\n")) == (2, 1)
     assert "expected upper or ground, got cellar" in err
+
+
+def test_a_log_at_the_same_place_is_on_the_same_floor(call, logs, floors, tmp_path):
+    given = "--continue", floors, "--same-place", "--floor", "ground"
+    status, out, err = call("map", logs / "tuesday.clf", "-o", tmp_path / "out", *given)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert "--floor: expected upper, on which the robot is at the same place, got ground" in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_given_map_is_shown_and_not_edited(floors, tmp_path):
+    session = gridslam.Session.open(floors)
+    session.add_map(session.map)
+    session.save(tmp_path / "known.gridslam")
+    assert _open_session_map(tmp_path / "known.gridslam", "given", edit=False)[0].grid.known.any()
+    with pytest.raises(InputError, match="to be edited, got the given map"):
+        _open_session_map(tmp_path / "known.gridslam", "given", edit=True)
+
+
+def test_edits_of_unknown_drives_are_left_out(call, floors, tmp_path):
+    shutil.copy(floors, tmp_path)
+    ends = np.array([[0.0, 0.0], [0.0, 1.0]])
+    stray = Edit("links", "LineString", ends, "Lift 9", anchor=np.array([1.0, 0, 0, 0]), drive="sunday")
+    write_edits(tmp_path / "both.edits.geojson", Edits((stray,)))
+    status, out, err = call("session", tmp_path / floors.name, "--json")
+    assert (status, err.count("\n")) == (0, 1)
+    assert "1 edit of drives that are not in this session, left out" in err
+    assert (json.loads(out)["edits"], json.loads(out)["links"]) == (0, {})
+
+
+def test_a_merge_names_which_maps_were_not_compared(call, logs, monday, tmp_path):
+    upper = tmp_path / "upper.gridslam"
+    given = "--save", upper, "--floor", "upper", *FEW
+    assert call("map", logs / "monday.clf", "-o", tmp_path / "out", *given)[0] == 0
+    status, _, err = call("merge", monday, upper, "-o", tmp_path / "merged")
+    assert status == 1
+    assert "nothing was joined: maps are compared within a floor" in err
+    assert "on no floor" in err

@@ -21,7 +21,7 @@ from gridslam.api.beginning import (
     restart_at_same_place,
 )
 from gridslam.api.mapping import MapResult, map_log
-from gridslam.api.session_edits import EditsBefore, find_edits, keep_edits
+from gridslam.api.session_edits import EditsBefore, find_edits, keep_edits, set_aside
 from gridslam.arguments import freeze, require_seed, require_threads
 from gridslam.checked import checked
 from gridslam.config import Configuration, build
@@ -239,7 +239,8 @@ class Session:
         Raises
         ------
         ArgumentError
-            There is no drive to continue at the same place, or no piece in which the pose could be.
+            There is no drive to continue at the same place, it is on another floor, or there is no piece in which the
+            pose could be.
         InputError
             The log cannot be read.
         """
@@ -250,7 +251,10 @@ class Session:
         map_options.pop("keep_particles", None)
         name = name or source.path.name.partition(".")[0]
         run = self._saved.run
-        is_other = run is not None and bool(floor) and floor != next((d.floor for d in run.drives if d.floor), floor)
+        before = "" if run is None else next((drive.floor for drive in run.drives if drive.floor), "")
+        is_other = "" not in (floor, before) and floor != before
+        if is_other and where is Place.SAME:
+            raise ArgumentError("floor", f"{before}, on which the robot is at the same place", floor)
         self._decide(first, Place.ELSEWHERE if begin is not None or frozen or is_other else where)
         self._note_edits(keeps_all=self.is_same_place)
         begun = self._begin(first, begin, frozen, name, floor)
@@ -338,7 +342,8 @@ class Session:
         """Write a session file; where it was opened or saved last if no path is given.
 
         The edits beside the files that were opened are written beside it first: a process that is killed between the
-        two leaves edits that follow the scans of the session of before, too.
+        two leaves edits that follow the scans of the session of before, too. Edits of another session that lie there
+        are kept under another name.
 
         Raises
         ------
@@ -353,6 +358,7 @@ class Session:
         now = datetime.now(timezone.utc).isoformat(timespec="seconds")
         self._saved = replace(self._saved, written=now, version=__version__, thumbnail=self._thumbnail())
         problem = None
+        set_aside(target, self._edits)
         if any(source.path.exists() for source in self._edits):
             try:
                 write_edits(find_edits(target), replace(self.edits, map_name=Path(target).name))
@@ -391,8 +397,7 @@ class Session:
             drives = [drive.name for drive in saved.drives]
             rng = np.random.default_rng(saved.seed + len(drives))
             run = SavedRun(rng, name=choose_name(name, drives), floor=floor)
-        here = [piece for piece in pieces if not floor or piece.floor in ("", floor)]
-        return Beginning(run, pieces, locate_in(here, self.configuration, pose, run.state))
+        return Beginning(run, pieces, locate_in(pieces, self.configuration, run, pose))
 
     def _note_edits(self, *, keeps_all: bool) -> None:
         """Note where the scans lie that edits follow, before some are left out as another drive begins."""

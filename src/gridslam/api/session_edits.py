@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import TypeAlias, final
 
@@ -13,7 +14,7 @@ from gridslam.io.edited_maps import anchor_edit, follow_scan
 from gridslam.io.edits import Edit, Edits, read_edits
 from gridslam.types import Trajectory
 
-__all__ = ["EditsBefore", "Trajectories", "find_edits", "keep_edits"]
+__all__ = ["EditsBefore", "Trajectories", "find_edits", "keep_edits", "set_aside"]
 
 Trajectories: TypeAlias = Mapping[str, Trajectory]
 """Of each drive of a map, by its name."""
@@ -94,3 +95,12 @@ def _select(before: Trajectory, after: Trajectory) -> Trajectory:
 def keep_edits(sources: Sequence[EditsBefore], maps: Sequence[Trajectories], session: str | Path) -> Edits:
     """Return the edits of the sessions that have become one, as they lie in its maps, to be saved beside its file."""
     return Edits(tuple(edit for source in sources for edit in source.keep(maps)), Path(session).name)
+
+
+def set_aside(session: str | Path, sources: Sequence[EditsBefore]) -> None:
+    """Rename edits that lie beside a session file to be written, unless they are among its sources."""
+    path = find_edits(session)
+    if not path.exists() or any(source.path.exists() and source.path.samefile(path) for source in sources):
+        return
+    numbered = (path.with_name(f"{Path(session).stem}-{number}.edits.geojson") for number in count(1))
+    path.rename(next(name for name in numbered if not name.exists()))

@@ -13,7 +13,7 @@ import numpy as np
 
 from gridslam.cli.options import name_option
 from gridslam.cli.output import warn
-from gridslam.errors import OutputError
+from gridslam.errors import InputError, OutputError
 from gridslam.live.options import LiveOptions
 from gridslam.messages import Level, Messages
 from gridslam.pipeline import describe_error, isolate
@@ -260,7 +260,7 @@ def view(
     if out.suffix == ".gridslam":
         if edit_graph:
             raise click.UsageError("--edit-graph needs a folder OUT, not a session")
-        shown, edits = _open_session_map(out, floor)
+        shown, edits = _open_session_map(out, floor, edit=edit)
         replay = Replay(out, beside, speed, edit, shown=shown)
     else:
         if floor is not None:
@@ -278,8 +278,11 @@ def view(
             click.echo("closed")
 
 
-def _open_session_map(path: Path, floor: str | None) -> tuple[StaticView, EditsFile]:
-    """Open a map of a session, the newest drive's unless a floor is named, and the edits beside the session."""
+def _open_session_map(path: Path, floor: str | None, *, edit: bool) -> tuple[StaticView, EditsFile]:
+    """Open a map of a session, the newest drive's unless a floor is named, and the edits beside the session.
+
+    Raises InputError where a map is to be edited that no drive has: edits follow the scans of drives.
+    """
     from gridslam.api.session import Session
     from gridslam.api.session_edits import find_edits
     from gridslam.live.edits import EditsFile
@@ -288,5 +291,8 @@ def _open_session_map(path: Path, floor: str | None) -> tuple[StaticView, EditsF
     session = Session.open(path)
     with name_option(floor="--floor"):
         number = session.find_map(floor)
+    of_map = session.edits_of(number)
+    if edit and not of_map.trajectories:
+        raise InputError(path, "expected a map of a drive, whose scans edits follow, to be edited, got the given map")
     grid = session.maps[number].whole()
-    return StaticView(grid), EditsFile(find_edits(path), grid, session.edits_of(number))
+    return StaticView(grid), EditsFile(find_edits(path), grid, of_map)

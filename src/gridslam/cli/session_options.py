@@ -100,7 +100,12 @@ class SessionOptions:
         """Add a log to a session."""
         place = Place.SAME if self.same_place else Place.ELSEWHERE if self.elsewhere else Place.AUTO
         where = {"place": place, "pose": self.pose, "frozen": self.frozen, "name": self.name, "floor": self.floor}
-        return session.add(log, **where, **options)  # type: ignore[arg-type]
+        try:
+            return session.add(log, **where, **options)  # type: ignore[arg-type]
+        except ArgumentError as error:
+            if error.argument != "floor":
+                raise
+            raise click.ClickException(f"--{error}") from None
 
     def summarize(self, session: Session | None, result: MapResult) -> Iterator[str]:
         """Format the lines that a session adds to the summary of a run."""

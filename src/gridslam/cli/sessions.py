@@ -34,6 +34,8 @@ def show_session(file: Path, picture: Path | None, out: Path | None, as_json: bo
     groups = [*([] if document["run"] is None else [_of_run(document["run"])]), *document["pieces"]]
     names = _name_maps(groups)
     edits = read_edits(find_edits(file)) if find_edits(file).exists() else Edits()
+    drives = {"", *(drive["name"] for drives in groups for drive in drives)}
+    known = replace(edits, edits=tuple(edit for edit in edits.edits if edit.drive in drives))
     logs = [log for drives in groups for drive in drives for log in drive["logs"]]
     content = {
         "schema": "gridslam.session_summary/1",
@@ -43,8 +45,8 @@ def show_session(file: Path, picture: Path | None, out: Path | None, as_json: bo
         "can_go_on": document["run"] is not None,
         "maps": names,
         "pieces": groups,
-        "edits": len(edits.edits),
-        "links": _find_links(edits, names, groups),
+        "edits": len(known.edits),
+        "links": _find_links(known, names, groups),
         "scans": sum(log["scans"] for log in logs),
         "length_m": sum(log["length_m"] for log in logs),
         "days": len({log["first_stamp_ns"] // 86_400_000_000_000 for log in logs}),
@@ -58,6 +60,9 @@ def show_session(file: Path, picture: Path | None, out: Path | None, as_json: bo
             path.write_bytes(head.thumbnail)
     if out is not None:
         _write_maps(Session.open(file), out)
+    if len(known.edits) < len(edits.edits):
+        others = counted(len(edits.edits) - len(known.edits), "edit")
+        warn(f"{find_edits(file)}: {others} of drives that are not in this session, left out")
     if as_json:
         print_json(content)
         return
@@ -143,8 +148,21 @@ def merge_to_folder(files: tuple[Path, ...], out: Path, save: Path | None, threa
             document = result.write(folder)
         print_result(document, _summarize_merge(result, out, save if is_saved else None), as_json)
     if not result.is_joined:
-        warn("nothing was joined: the sessions have nothing in common")
+        warn(f"nothing was joined: {_explain_apart(result)}")
         raise click.exceptions.Exit(1)
+
+
+def _explain_apart(result: MergeResult) -> str:
+    """Explain why nothing was joined: maps of one floor are compared, those of others, and of none, are not."""
+    if len({piece.floor for piece in result.session.pieces}) == 1:
+        return "the sessions have nothing in common"
+    floors = ", ".join(f"{', '.join(drives)} on {floor or 'no floor'}" for floor, drives in _list_floors(result))
+    return f"maps are compared within a floor: {floors}"
+
+
+def _list_floors(result: MergeResult) -> Iterator[tuple[str, list[str]]]:
+    for piece in result.session.pieces:
+        yield piece.floor, [drive.name for drive in piece.drives] or ["the given map"]
 
 
 def _summarize_merge(result: MergeResult, out: Path, save: Path | None) -> Iterator[str]:

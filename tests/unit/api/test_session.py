@@ -11,6 +11,7 @@ import pytest
 
 import gridslam
 from gridslam.api import session as sessions_module
+from gridslam.api.beginning import Beginning, begin_new_piece
 from gridslam.api.session_edits import EditsBefore, find_edits
 from gridslam.config import override
 from gridslam.errors import ArgumentError, InputError, OutputError
@@ -18,6 +19,7 @@ from gridslam.geometry.se2 import between, compose, inverse, transform_points
 from gridslam.io.csv import write_csv_log
 from gridslam.io.edits import Edit, Edits, read_edits, write_edits
 from gridslam.io.measurement import Measurement
+from gridslam.io.sessions.drives import SavedPiece
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.types import Trajectory
 
@@ -341,3 +343,26 @@ def test_maps_of_other_floors_are_not_joined(first, one_day, tmp_path):
     assert sorted(piece.floor for piece in merged.pieces) == ["first", "ground"]
     with pytest.raises(ArgumentError, match="first or ground"):
         gridslam.Session.open(tmp_path / "both.gridslam").find_map("cellar")
+
+
+def test_the_next_drive_of_a_carried_robot_is_on_its_floor(first, one_day):
+    """The map of another floor shows the same rooms: the robot is not looked for in it."""
+    saved = gridslam.Session.open(one_day[0]).saved
+    (drive,) = saved.drives
+    (piece,) = gridslam.Session.of(saved).pieces
+    other = SavedPiece(piece.piece, (replace(drive, name="other", floor="ground"),))
+    run = replace(saved.run.snapshot(), floor="first")
+    begun = begin_new_piece(Beginning(run, (other,)), saved.configuration, 0)
+    assert begun.run.floor == "first"
+    assert [own.floor for own in begun.pieces] == ["first", "ground"]
+    assert begun.locator.pieces == [begun.pieces[0].piece]
+
+
+def test_edits_of_a_session_that_is_replaced_are_kept_under_another_name(first, edited, tmp_path):
+    path, *_ = edited
+    was = find_edits(path).read_bytes()
+    new = gridslam.Session(CONFIG)
+    new.add(write(tmp_path, "monday", first.measurements[:100]))
+    new.save(path)
+    assert new.edits.edits == ()
+    assert path.with_name("building-1.edits.geojson").read_bytes() == was

@@ -115,12 +115,11 @@ class EarlierDrives:
         lower_priority()
         try:
             saved = self._continued.saved
-            pieces, state = saved.pieces, None
-            if self._is_new_drive:
+            pieces, run = saved.pieces, saved.run
+            if self._is_new_drive or run is None:
                 pieces = tuple(SavedDrives.of(saved, threads=self._threads).pieces)
-            elif saved.run is not None:
-                state = saved.run.state
-            self._found = pieces, locate_in(pieces, self._configuration, self._continued.pose, state)
+                run = SavedRun(np.random.default_rng(saved.seed))
+            self._found = pieces, locate_in(pieces, self._configuration, run, self._continued.pose)
         except Exception as error:  # reported by the filter's thread
             self._problem = describe_error(error)
 
