@@ -82,7 +82,7 @@ export class Panel {
     this.ask({ do: "seek", at: this.wish.at });
   }
 
-  // Whether a status at `at` is as the viewer wished; what plays has gone on from there.
+  // Whether a status at `at` is as the viewer wished; what plays has continued from there.
   isReached(at) {
     if (!this.wish || this.held) return at === this.wish?.at;
     return at >= this.wish.at && (this.wish.at >= this.wish.from || at < this.wish.from);
