@@ -32,7 +32,7 @@ from gridslam.io.edited_maps import MapEdits
 from gridslam.io.edits import Edits, write_edits
 from gridslam.io.log import LogOptions, LogSource
 from gridslam.io.measurement import Measurement
-from gridslam.io.sessions.drives import Drive, SavedPiece, choose_name
+from gridslam.io.sessions.drives import Drive, SavedPiece, choose_name, find_floor
 from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session, write_session
 from gridslam.slam.full_slam.full_slam import FullSlam, full_slam, refine_piece
 from gridslam.slam.full_slam.full_trajectory import full_trajectories
@@ -251,7 +251,7 @@ class Session:
         map_options.pop("keep_particles", None)
         name = name or source.path.name.partition(".")[0]
         run = self._saved.run
-        before = "" if run is None else next((drive.floor for drive in run.drives if drive.floor), "")
+        before = "" if run is None else find_floor(run.drives)
         is_other = "" not in (floor, before) and floor != before
         if is_other and where is Place.SAME:
             raise ArgumentError("floor", f"{before}, on which the robot is at the same place", floor)

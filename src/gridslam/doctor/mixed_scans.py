@@ -26,8 +26,8 @@ _OFTEN = 0.1  # of all scans: who passes closely, or a laser that fails for a mo
 class MixedScans:
     """The scans by the name of one laser, each compared with those just before: finds mixed_scans.
 
-    Most scans cost 10 microseconds: only where more than half of the ranges change they are predicted, by the odometry
-    where there is one.
+    Only where more than half of the ranges change by more than the turn scans are predicted, by the odometry where
+    there is one.
     """
 
     scans: int = 0

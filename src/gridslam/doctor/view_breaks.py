@@ -69,8 +69,7 @@ class _Candidate:
 class ViewBreaks:
     """The scans of one laser, compared with those before by the odometry: finds robot_carried.
 
-    Scans cost about 20 microseconds: only where more than half of the ranges change by more than the turn they are
-    predicted.
+    Only where more than half of the ranges change by more than the turn scans are predicted.
 
     Attributes
     ----------

@@ -23,7 +23,7 @@ from gridslam.live.ancestry_tree import NO_POINTS, Float32Array
 from gridslam.live.results import StaticView
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.graph_edits import GraphEdit, match_placed, score_placed
-from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP
+from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, join_near
 from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.slam.loop_closure.submaps import insert_key_scans
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
@@ -219,8 +219,7 @@ class EditedGraph:
         reach = self._find_reaches()  # of a rejection, to each of the edges
         for pair, added in edits:
             if added is None:
-                near = np.abs(np.sort(graph.edges, axis=1) - sorted(pair)).max(axis=1) < reach
-                kept = ~(near & may_go)
+                kept = ~(join_near(graph.edges, pair, reach) & may_go)
                 graph, may_go, reach = _select(graph, kept), may_go[kept], reach[kept]
             else:
                 graph, may_go, reach = _append(graph, added), np.append(may_go, True), np.append(reach, 1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -18,7 +18,7 @@ from gridslam.slam.full_slam.thinning import thin_piece
 from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.types import FloatArray, IntArray, Trajectory
 
-__all__ = ["Drive", "DrivenLog", "SavedPiece", "choose_name"]
+__all__ = ["Drive", "DrivenLog", "SavedPiece", "choose_name", "find_floor"]
 
 
 @final
@@ -98,6 +98,11 @@ class Drive:
         return stamps
 
 
+def find_floor(drives: Iterable[Drive]) -> str:
+    """Return the name of the floor of drives of one map; empty where none has one."""
+    return next((drive.floor for drive in drives if drive.floor), "")
+
+
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedPiece:
@@ -121,7 +126,7 @@ class SavedPiece:
     @property
     def floor(self) -> str:
         """Name of the floor that it is the map of; empty where no drive has one."""
-        return next((drive.floor for drive in self.drives if drive.floor), "")
+        return find_floor(self.drives)
 
     @property
     def name(self) -> str:

@@ -32,7 +32,7 @@ __all__ = [
     "SubmapDistance",
     "anchor_of",
     "first_key_scan",
-    "joins_near",
+    "join_near",
     "position_sigmas",
     "submap_of",
 ]
@@ -80,9 +80,14 @@ def anchor_of(submap: int) -> int:
     return first_key_scan(submap) + KEY_SCANS_PER_SUBMAP // 2
 
 
-def joins_near(pair: tuple[int, int], others: IntArray, reach: int = KEY_SCANS_PER_SUBMAP) -> bool:
-    """Whether both of a pair of key scans lie nearer than `reach` key scans to others (E, 2), the older first."""
-    return bool((np.abs(others - sorted(pair)) < reach).all(axis=1).any())
+def join_near(
+    edges: IntArray, pair: tuple[int, int], reaches: int | IntArray = KEY_SCANS_PER_SUBMAP
+) -> NDArray[np.bool_]:
+    """Whether both ends of edges (E, 2) lie nearer to a pair of key scans than `reaches`, one number or one each (E,).
+
+    In either order of the ends.
+    """
+    return np.asarray(np.abs(np.sort(edges, axis=1) - sorted(pair)).max(axis=1) < reaches)
 
 
 def position_sigmas(covariances: FloatArray) -> FloatArray:
@@ -271,17 +276,17 @@ class KeyGraph:
 
         What a person has added goes where it joins just these two.
         """
+        edges = np.array([c.pair for c in self.constraints], np.int64).reshape(-1, 2)
+        is_by_hand = np.array([c.source is ConstraintSource.BY_HAND for c in self.constraints], np.bool_)
+        goes = join_near(edges, (from_, to), np.where(is_by_hand, 1, KEY_SCANS_PER_SUBMAP))
+        self.constraints = [c for c, is_near in zip(self.constraints, goes, strict=True) if not is_near]
         pair = np.array([sorted((from_, to))], np.int64)
-        reaches = [1 if c.source is ConstraintSource.BY_HAND else KEY_SCANS_PER_SUBMAP for c in self.constraints]
-        self.constraints = [
-            c for c, reach in zip(self.constraints, reaches, strict=True) if not joins_near(c.pair, pair, reach)
-        ]
         self.rejected = pair if self.rejected is None else np.concatenate([self.rejected, pair])
 
     def allows(self, constraint: Constraint) -> bool:
         """Whether no person has rejected what a constraint joins; what a person adds holds all the same."""
         is_by_hand = constraint.source is ConstraintSource.BY_HAND
-        return self.rejected is None or is_by_hand or not joins_near(constraint.pair, self.rejected)
+        return self.rejected is None or is_by_hand or not join_near(self.rejected, constraint.pair).any()
 
     def append(self, later: KeyGraph, poses: FloatArray, variances: tuple[float, float]) -> None:
         """Append the key scans of another graph, at `poses` (K, 3) in this one's map, and its constraints.
