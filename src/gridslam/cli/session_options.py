@@ -13,11 +13,13 @@ from click.core import ParameterSource
 from gridslam.api.beginning import Place
 from gridslam.api.mapping import MapResult
 from gridslam.api.session import Session
+from gridslam.cli.options import name_option
 from gridslam.cli.output import warn
 from gridslam.config import Configuration
 from gridslam.errors import ArgumentError
 from gridslam.io.edited_maps import read_edited_map
 from gridslam.io.log import Log
+from gridslam.io.sessions.drives import find_floor
 
 __all__ = ["SessionOptions"]
 
@@ -100,20 +102,15 @@ class SessionOptions:
         """Add a log to a session."""
         place = Place.SAME if self.same_place else Place.ELSEWHERE if self.elsewhere else Place.AUTO
         where = {"place": place, "pose": self.pose, "frozen": self.frozen, "name": self.name, "floor": self.floor}
-        try:
+        with name_option(floor="--floor"):
             return session.add(log, **where, **options)  # type: ignore[arg-type]
-        except ArgumentError as error:
-            if error.argument != "floor":
-                raise
-            raise click.ClickException(f"--{error}") from None
 
     def summarize(self, session: Session | None, result: MapResult) -> Iterator[str]:
         """Format the lines that a session adds to the summary of a run."""
         if session is None:
             return
-        floors = [drive.floor for drive in session.saved.run.drives if drive.floor] if session.saved.run else []
-        if floors:
-            yield f"floor: {floors[0]}"
+        if session.saved.run is not None and (floor := find_floor(session.saved.run.drives)):
+            yield f"floor: {floor}"
         if session.decision is not None:
             where = "continues where the session ended" if session.is_same_place else "begins elsewhere"
             forced = " (forced)" if session.is_same_place != session.decision.is_same else ""
