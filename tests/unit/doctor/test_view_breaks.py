@@ -9,7 +9,9 @@ import pytest
 
 from gridslam.doctor import Doctor, Severity
 from gridslam.doctor.view_breaks import DriveNumbering, ViewBreaks
+from gridslam.doctor.views import View
 from gridslam.geometry.se2 import between, compose
+from gridslam.scan import LaserScan, ScanGeometry
 from gridslam.sim import LidarConfig, OdometryNoise, PeopleConfig, RobotConfig, make_world, simulate
 from gridslam.types import Odometry
 from support.interrupted import carry
@@ -54,6 +56,19 @@ def test_a_carried_robot_is_named_with_time_and_place():
     assert (finding.code, finding.severity) == ("robot_carried", Severity.ERROR)
     assert f"after 20.0 s at x {place[0]:.2f} m, y {place[1]:.2f} m" in finding.message
     assert "begins a new piece" in finding.remedy
+
+
+@pytest.mark.parametrize("turn_rad", [0.3, -0.3])
+def test_a_turn_alone_changes_no_view(turn_rad):
+    """Most ranges are others, beam by beam; each way that both scans look they are the same."""
+    bearings = np.linspace(-2, 2, 361)
+    scans = [
+        LaserScan.from_ranges(0, 4 + 2 * np.sin(3 * (bearings + turn)), ScanGeometry(bearings))
+        for turn in (0.0, turn_rad)
+    ]
+    before = View(np.zeros(3), scans[0])
+    assert not View(np.array([0.0, 0.0, turn_rad]), scans[1]).is_changed_from(before)
+    assert View(np.zeros(3), scans[1]).is_changed_from(before), "the odometry does not know of the turn"
 
 
 def test_the_rest_of_a_drive_and_an_odometry_that_knows_are_no_break():

@@ -63,7 +63,8 @@ def test_one_visit_has_nothing_to_compare_with():
 def test_scans_of_a_standing_robot_count_once():
     poses = _laps()
     wrong = _shift_second_lap(poses, 0.05, 0.05)
-    waits = np.concatenate([wrong, np.tile(poses[-1:], (200, 1))])  # without the shift
+    trembles = np.random.default_rng(4).normal(0, [0.001, 0.001, 0], (200, 3))
+    waits = np.concatenate([wrong, poses[-1] + trembles])  # without the shift
     drive = measure_sharpness(_surfaces(poses, 0.0), wrong)
     waited = measure_sharpness(_surfaces(np.concatenate([poses, np.tile(poses[-1:], (200, 1))]), 0.0), waits)
     assert waited == pytest.approx(drive, rel=0.1)
