@@ -13,7 +13,7 @@ from gridslam.api.mapping import MapResult, map_log
 from gridslam.api.peak_memory import return_large_blocks
 from gridslam.cli import STARTED_S
 from gridslam.cli.live import NOBODY, Viewers, open_viewers
-from gridslam.cli.options import MapOptions
+from gridslam.cli.options import MapOptions, name_option
 from gridslam.cli.output import counted, mapping_progress, open_output, print_result, write_apart
 from gridslam.cli.session_options import SessionOptions
 from gridslam.io.log import Log, open_log
@@ -47,6 +47,7 @@ def map_to_folder(
     with (
         write_apart() as write,
         open_viewers(live, source.path.name, configuration.range_max_m, out=out, has_history=not no_history) as viewers,
+        name_option(floor="--floor"),
     ):
         if opened is not None and session.continued is not None:
             viewers.show_session(session.continued.name, [drive.name for drive in opened.saved.drives])

@@ -13,7 +13,6 @@ from click.core import ParameterSource
 from gridslam.api.beginning import Place
 from gridslam.api.mapping import MapResult
 from gridslam.api.session import Session
-from gridslam.cli.options import name_option
 from gridslam.cli.output import warn
 from gridslam.config import Configuration
 from gridslam.errors import ArgumentError
@@ -102,8 +101,7 @@ class SessionOptions:
         """Add a log to a session."""
         place = Place.SAME if self.same_place else Place.ELSEWHERE if self.elsewhere else Place.AUTO
         where = {"place": place, "pose": self.pose, "frozen": self.frozen, "name": self.name, "floor": self.floor}
-        with name_option(floor="--floor"):
-            return session.add(log, **where, **options)  # type: ignore[arg-type]
+        return session.add(log, **where, **options)  # type: ignore[arg-type]
 
     def summarize(self, session: Session | None, result: MapResult) -> Iterator[str]:
         """Format the lines that a session adds to the summary of a run."""
