@@ -118,6 +118,10 @@ def count(arguments):
             file.write(f"{arguments['job']['folder']}\n")
 
 
+def read_environment(arguments):
+    return {name: os.environ.get(name) for name in arguments["names"]}
+
+
 def write_number(arguments):
     """Write two files, slowly if wanted, and leave run.json to the caller."""
     count(arguments)

@@ -221,7 +221,7 @@ def _start(request: Mapping[str, Any], output: Path, result: Path) -> BaseProces
         os.environ.setdefault(name, "1")
     for _ in range(_STARTS):
         with _children, suppress(EOFError, ConnectionError):  # the server was killed a moment ago
-            child: BaseProcess = context.Process(target=_work, args=(request, output, result))
+            child: BaseProcess = context.Process(target=_work, args=(request, dict(os.environ), output, result))
             child.start()
             return child
         time.sleep(_LOOK_S)
@@ -248,8 +248,13 @@ def _count_oom_kills() -> int:
     return next((int(line.split()[1]) for line in lines if line.startswith("oom_kill ")), 0)
 
 
-def _work(request: Mapping[str, Any], output: Path, result: Path) -> None:
-    """Run a request in this process, a child; write its output to one file and its outcome to another."""
+def _work(request: Mapping[str, Any], environment: dict[str, str], output: Path, result: Path) -> None:
+    """Run a request in this process, a child; write its output to one file and its outcome to another.
+
+    The environment is that of the worker now: the server keeps the one it was started with.
+    """
+    os.environ.clear()
+    os.environ.update(environment)
     if hasattr(os, "setsid"):
         os.setsid()
     threading.Thread(target=_end_with_worker, daemon=True).start()

@@ -64,6 +64,16 @@ def test_a_job_that_is_done_has_its_document_its_files_and_its_costs(run, tmp_pa
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["number.txt", "run.json", "square.txt"]
 
 
+def test_a_job_has_the_environment_of_its_worker_as_it_is_now(run, monkeypatch):
+    """The server that children come from may be older."""
+    names = ["GRIDSLAM_TEST_FIRST", "GRIDSLAM_TEST_SECOND"]
+    for absent, present in (names, names[::-1]):
+        monkeypatch.delenv(absent, raising=False)
+        monkeypatch.setenv(present, "here")
+        document = run("read_environment", names=names)["document"]
+        assert (document[absent], document[present]) == (None, "here")
+
+
 @pytest.mark.parametrize(
     ("function", "error", "message"),
     [
