@@ -6,20 +6,21 @@ import pytest
 
 from error_budget import judge
 
-TARGETS = {"rooms": (0.006, 0.06), "random": (0.010, 0.06)}
-"""ATE of the final trajectory, m and degrees."""
+TARGETS = {("rooms", 301): (0.006, 0.06), ("random", 303): (0.006, 0.06)}
+"""ATE of the final trajectory, m and degrees, by world and seed. In the building of seed 303 the cells of a map agree
+better with the poses that the filter fitted to them (0.012 m off) than with the adjusted ones."""
 
 
 @pytest.fixture(scope="module", params=TARGETS)
 def budget(request):
-    return request.param, judge(request.param, 301)
+    return request.param, judge(*request.param)
 
 
 def test_the_final_trajectory_is_exact(budget):
-    world, stages = budget
+    case, stages = budget
     ate_m, ate_deg, rpe_m, _ = stages["final"]
-    assert stages["bound"][0] < ate_m < TARGETS[world][0]
-    assert ate_deg < TARGETS[world][1]
+    assert stages["bound"][0] < ate_m < TARGETS[case][0]
+    assert ate_deg < TARGETS[case][1]
     assert rpe_m < 0.006
 
 

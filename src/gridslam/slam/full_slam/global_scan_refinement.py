@@ -28,10 +28,6 @@ from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import CauchyEstimator, scale_information
 from gridslam.types import FloatArray
 
-_AGREEMENT_MARGIN = 0.01
-"""The cells of the score are coarser than the adjustment: agreement was up to 0.007 less where poses were better by
-half, and 0.017 less in a hospital's corridors."""
-
 __all__ = ["Candidate", "CandidateSelection", "RefinementResult", "refine_trajectory"]
 
 
@@ -98,21 +94,14 @@ class CandidateSelection:
         self.scores[candidate.name] = score
         return score.log_likelihood
 
-    def adjust_best(self, poses: FloatArray) -> bool:
-        """Move the best candidate to poses (T, 3), unless visits then clearly agree less; return whether it was.
+    def adjust_best(self, poses: FloatArray) -> None:
+        """Move the best candidate to poses (T, 3), whose score is that of "adjusted".
 
-        Along corridors of hundreds of metres surfaces can pull where only their noise differs. The score of these poses
-        is that of "adjusted".
+        It decides nothing: the cells of the score are coarser than the adjustment, and the filter has fitted its poses
+        to them. Agreement is up to 0.02 less where poses are better by two thirds.
         """
-        adjusted, maps = self._score(poses)
-        self.scores["adjusted"] = adjusted
-        is_taken = not adjusted.beams or (
-            adjusted.agreement >= self.scores[self.best.name].agreement - _AGREEMENT_MARGIN
-        )
-        if is_taken:
-            self.best = replace(self.best, graph=self.best.graph.with_poses(poses))
-            self.maps = maps
-        return is_taken
+        self.scores["adjusted"], self.maps = self._score(poses)
+        self.best = replace(self.best, graph=self.best.graph.with_poses(poses))
 
 
 @final
@@ -172,9 +161,9 @@ def refine_trajectory(
     surfaces about it. Key scans are matched to the overlapping older and later submaps, rebuilt from the current
     trajectory. Submaps of the same visit are excluded: they only repeat the tracker's result. The refinement starts
     from the trajectory of the best particle, whose closures are evidence like recognized places; and, if it differs,
-    from the tracked motion optimized with the online constraints. The result is the candidate with the best score. The
-    unrefined trajectory of the best particle is one of the candidates, so the result never has a worse score than the
-    filter.
+    from the tracked motion optimized with the online constraints. The candidate with the best score, one of
+    which is the trajectory of the best particle, is selected; then its key scans are moved until their surfaces fit
+    each other.
 
     Parameters
     ----------
@@ -212,9 +201,8 @@ def refine_trajectory(
     scans = closure_state.scans
     surfaces = Surfaces.of(scans.batch(scans.keys))
     on_progress()
-    weighted = scale_information(selection.best.graph, selection.best.weights)
-    adjusted = adjust_key_scans(weighted, surfaces)
-    measured = adjusted if selection.adjust_best(adjusted.poses) else weighted
+    adjusted = adjust_key_scans(scale_information(selection.best.graph, selection.best.weights), surfaces)
+    selection.adjust_best(adjusted.poses)
     key_poses = selection.best.graph.poses
     graph.poses = list(key_poses)
     poses = full_trajectories(key_poses, drives)
@@ -222,7 +210,7 @@ def refine_trajectory(
     keys = np.concatenate([drive.keys for drive in drives])[first:]
     poses[first:] = match_scans(poses[first:], keys, scans, surfaces, key_poses)
     sharpness_m = measure_sharpness(surfaces, key_poses)
-    return RefinementResult(selection.best, poses, selection.maps, selection.scores, measured, sharpness_m)
+    return RefinementResult(selection.best, poses, selection.maps, selection.scores, adjusted, sharpness_m)
 
 
 @final
