@@ -57,6 +57,9 @@ there is none, from a twentieth of that."""
 _SLIP_SIGMAS = 4.0
 """Standard deviations of calibrated odometry beyond which a match needs a gain in inliers."""
 
+_MATCHED_TURN_RAD = 0.2
+"""A scan within which the robot turned by half as much more than it was corrected for is still matched."""
+
 _MAX_UNMATCHED_SCANS = 3
 """Without odometry, a scan is inserted without a valid match after this many consecutive failures."""
 
@@ -197,22 +200,29 @@ class Tracker:
         """Find where a scan with beam times was taken, and how its beams are seen from there at its stamp.
 
         A scan goes on after its stamp, so its beams depend on the following twist: that of the motion up to the stamp,
-        by the prediction or by the match, or that one grown by as much as since the scan before. The one by which most
-        beams agree with the map is taken. `state` learns the order of the beams.
+        by the prediction or by the match, or that one grown by as much as since the scan before; where a prediction by
+        the velocity fails, that of a sudden turn. The one by which most beams agree with the map is taken. `state`
+        learns the order of the beams.
         """
         track = state.sensors.get(beams.scan.sensor)
         order = 1 if track is None else track.best_order
         deskewed = beams.deskew(order * self._twist_to(state, predicted.pose, predicted.seconds))
         best = self._locate(state, predicted, deskewed)
+
+        def try_twists(*twists: FloatArray) -> None:
+            nonlocal best, deskewed
+            for twist in twists:
+                again = beams.deskew(order * twist)
+                found = self._locate(state, predicted, again)
+                if found.inlier_ratio > best.inlier_ratio:
+                    best, deskewed = found, again
+
+        if not predicted.by_odometry and best.inlier_ratio < self.search_inlier_ratio:
+            try_twists(*_sudden_turns(state.twist, beams, self.velocity.turn_rps))
         if not best.matched or not best.inlier_ratio:
             return best, deskewed
         twist = self._twist_to(state, best.pose, predicted.seconds)
-        for other in (twist, 2 * twist - np.array(state.twist)):
-            again = beams.deskew(order * other)
-            found = self._locate(state, predicted, again)
-            if found.inlier_ratio > best.inlier_ratio:
-                best = found
-                deskewed = again
+        try_twists(twist, 2 * twist - np.array(state.twist))
         if track is not None:
             learned = track.beam_order.learn(
                 beams, twist, lambda tried: self._locate(state, predicted, tried).inlier_ratio
@@ -392,6 +402,15 @@ class Tracker:
         if len(state.sensors) == 1:
             own = Surfaces.of(ScanBatch.of([beams])) if own is None else own
             state.recent = state.recent.insert(beams, own, state.pose, SURFACE_SCANS)
+
+
+def _sudden_turns(twist: Pose, beams: Beams, fastest_rps: float) -> list[FloatArray]:
+    """Twists (3,) with every turn up to the fastest one, as far apart as the turn within a scan can be matched."""
+    times = beams.scan.beam_times_s
+    assert times is not None
+    step = _MATCHED_TURN_RAD / max(float(np.ptp(times)), 1e-3)
+    most = int(fastest_rps / step)
+    return [np.array([twist[0], twist[1], turn * step]) for turn in range(-most, most + 1)]
 
 
 def _score(state: TrackerState, pose: Pose, beams: BeamEnds) -> float:

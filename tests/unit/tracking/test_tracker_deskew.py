@@ -9,7 +9,7 @@ import pytest
 
 from gridslam.geometry.se2 import between
 from gridslam.mapping import OccupancyGridMapping
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.sim.floor_plan import furniture, join, room
 from gridslam.slam import GridFastSlam, Tracker
 
@@ -68,6 +68,18 @@ def test_a_turning_robots_scans_are_sharpened(skewed, with_odometry):
     assert order(state) == 1
     as_they_are, _ = track(Tracker(deskew=False), log)
     assert turned_wrong(as_they_are, skewed).max() > 1.8 * BAND_RAD
+
+
+def test_a_turn_that_reverses_within_a_scan_is_tracked_without_odometry():
+    """At 5 scans a second that last 0.18 s, from 1 to -1 rad/s: deskewed by the old turn no place has the scan."""
+    lidar = LidarConfig(beams=360, field_of_view_rad=2 * np.pi, range_max_m=12.0, rate_hz=5, scan_time_s=0.18)
+    world = make_world("random", np.random.default_rng(104))
+    log = simulate(world, RobotConfig(), OdometryNoise(), lidar, np.random.default_rng(1104))
+    told, _ = track(Tracker(), [(None, scan) for _, scan in log.measurements[:340]])
+    turns = between(log.truth.poses[:339], log.truth.poses[1:340])[:, 2]
+    assert turns[326] > 0.08
+    assert turns[327] < -0.19
+    assert np.abs(between(told[:-1], told[1:])[:, 2] - turns).max() < 0.08
 
 
 @pytest.mark.parametrize("with_odometry", [True, False])
