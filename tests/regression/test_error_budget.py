@@ -37,3 +37,10 @@ def test_the_online_trajectory_is_smoother_than_the_odometry(budget):
     assert stages["online"][2] < 0.7 * stages["odometry"][2]
     assert stages["online"][2] < 0.014
     assert stages["online"][3] < 0.2
+
+
+def test_a_corridor_is_as_long_as_it_is():
+    """Lines at the end of a scan, matched with points beyond it, shorten it by 0.3 %: 0.13 m of ATE after 75 m."""
+    final = judge("corridor", 7)["final"]
+    assert final[0] < 0.02
+    assert final[2] < 0.01

@@ -188,7 +188,8 @@ def match_surfaces(
     """Normal equations of the relative poses of pairs of scans, point to line (Chen and Medioni 1992).
 
     A point is matched with the nearest one among those of about the same bearing, where normals agree. The residual is
-    its distance along the other's normal, with a Cauchy weight.
+    its distance along the other's normal, with a Cauchy weight. Points beyond the bearings of the other scan do not
+    count: its outermost line, whose normal is noisy, would pull all of them toward itself, and shorten corridors.
 
     Parameters
     ----------
@@ -235,7 +236,7 @@ def match_surfaces(
             best = away.argmin(axis=1)
             line = np.clip(near[np.arange(len(near)), best], first, last - 1)
             residual = ((at - points[line]) * normals[line]).sum(axis=1)
-            fits = away.min(axis=1, initial=np.inf) < NEAR_M**2
+            fits = (place > first) & (place < last) & (away.min(axis=1, initial=np.inf) < NEAR_M**2)
             fits &= (normals[line] * (normals[own] @ turned)).sum(axis=1) >= LEAST_COSINE
             fits &= np.abs(residual) <= gate_m
             slope = -np.column_stack([normals[line], normals[line, 1] * at[:, 0] - normals[line, 0] * at[:, 1]])

@@ -100,6 +100,7 @@ void add(const Surfaces& of, int64_t fixed, const Surfaces& by, int64_t moved, c
     const double bearing = rank_bearing(x - of.origins[2 * fixed], y - of.origins[2 * fixed + 1]);
     while (place < high && of.bearings[place] < bearing) ++place;
     while (place > low && of.bearings[place - 1] >= bearing) --place;
+    if (place == low || place == high) continue;  // beyond what the other scan has seen
     const int64_t first = std::max(place - kBeside, low);
     const int64_t last = std::min(place + kBeside, high);
     int64_t nearest = -1;
