@@ -69,9 +69,9 @@ class ReportBuilder:
     def between_key_scans(
         self, state: GridFastSlamState, scan: LaserScan, key_from_base: Pose, reason: SkipReason
     ) -> StepReport:
-        """Report of a scan that did not step the particles: the best one's key pose, moved on by the tracker."""
+        """Report of a scan that did not step the particles: the pose of the key scan, moved on by the tracker."""
         best = state.best
-        pose = np.array(compose(as_pose(state.poses[best]), key_from_base))
+        pose = np.array(compose(as_pose(state.reported.pose), key_from_base))
         at_key = state.defer_covariance()  # all as they are now: the filter goes on before somebody asks
         unmatched, heading = state.tracker.unmatched, state.tracker.pose[2]
         drift, first_pose = state.drift, state.ancestry.first_pose
@@ -129,7 +129,7 @@ class ReportBuilder:
         lost = score < self.lost_below * len(beams) and state.ancestry.steps > 2
         direction = degenerate_direction(information, score)
         drift = self._drift_covariance(state, increment, lost, direction is not None)
-        return Estimate(poses[best], covariance, drift, direction, lost, poses, log_weights)
+        return Estimate(state.reported.pose, covariance, drift, direction, lost, poses, log_weights)
 
     def _drift_covariance(
         self, state: GridFastSlamState, increment: Pose, lost: bool, is_degenerate: bool
