@@ -192,9 +192,8 @@ class GridFastSlam:
         proposed = self.proposal(state.maps, state.poses, motion, likelihood, tracked.merged_beams, rng)  # match
         state.move(proposed.poses, tracked.pose, scan.sensor)
         state.weigh(proposed.log_weights)  # weigh
-        state.report(motion)  # smooth what is reported
         self.mapper(state.maps, state.poses, beams)  # map
-        estimate = self.reports.estimate(state, moved, proposed.match, tracked.merged_beams)
+        estimate = self.reports.estimate(state, motion, moved, proposed.match, tracked.merged_beams)
         state.accept(estimate)
         n_eff = effective_sample_size(state.log_weights)  # N_eff
         parents = None

@@ -27,7 +27,7 @@ from gridslam.slam.loop_closure.drift_model import compute_step_moments
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.tracking.state import UnmatchedMotion
 from gridslam.tracking.tracker import TrackerState
-from gridslam.types import FloatArray, IntArray, MotionSampler, describe_pose
+from gridslam.types import FloatArray, IntArray, describe_pose
 
 __all__ = ["STATE_SCHEMA", "Estimate", "GridFastSlamState"]
 
@@ -43,7 +43,7 @@ strong evidence."""
 class Estimate(NamedTuple):
     """Estimate of the weighted particles at a key scan, before resampling, which only loses information."""
 
-    pose: FloatArray  # (3,), that is reported
+    reported: SmoothedPose  # of the best particle
     covariance: Callable[[], FloatArray]  # (3, 3), of that pose, given its map: computed when it is asked for
     drift_covariance: FloatArray  # (3, 3), what the drift grew by since the last key scan, in the frame of that pose
     degenerate_direction: FloatArray | None  # direction that the match leaves open
@@ -198,16 +198,13 @@ class GridFastSlamState:
         if self.log_ancestry[self.best] < -_DECISIVE:
             self.best = int(self.log_ancestry.argmax())
 
-    def report(self, motion: MotionSampler) -> None:
-        """Report where the best particle is, by the motion that led there and its match."""
-        self.reported = self.reported.follow(motion, self.best_pose)
-
     def accept(self, estimate: Estimate) -> None:
         """Accept the estimate at a key scan, and add its covariance to the drift."""
+        self.reported = estimate.reported
         self.lost = estimate.lost
         self._covariance = estimate.covariance
         self.drift_covariance = estimate.drift_covariance
-        self.drift = self.drift + compute_step_moments(as_pose(estimate.pose), estimate.drift_covariance)
+        self.drift = self.drift + compute_step_moments(as_pose(estimate.reported.pose), estimate.drift_covariance)
 
     def resample(self, parents: IntArray) -> None:
         """Let particle i continue particle parents[i], all with equal weights.
