@@ -31,12 +31,12 @@ def test_surfaces_make_the_tracker_twice_as_exact(budget):
     assert stages["tracker"][3] < 0.5 * stages["tracker, cells"][3]
 
 
-def test_the_online_trajectory_is_smoother_than_the_odometry(budget):
-    """By a control that ended with the odometry since the last scan it was off by 0.02 to 0.03 m over a metre."""
+def test_the_online_trajectory_is_smooth(budget):
+    """Twice as smooth as the matches to cells that it follows, which were reported before: 0.009 to 0.011 m."""
     _, stages = budget
-    assert stages["online"][2] < 0.7 * stages["odometry"][2]
-    assert stages["online"][2] < 0.014
-    assert stages["online"][3] < 0.2
+    assert stages["online"][2] < 0.4 * stages["odometry"][2]
+    assert stages["online"][2] < 0.008
+    assert stages["online"][3] < 0.12
 
 
 def test_a_corridor_is_as_long_as_it_is():

@@ -97,11 +97,23 @@ def farthest_m(trajectory, log):
     return np.hypot(*(between(trajectory.poses[0], trajectory.poses) - true)[:, :2].T).max()
 
 
+@pytest.fixture(scope="module")
+def lacking(log, measurements):
+    """How far trajectories are off, in m, that lack as many scans as fail."""
+    found = []
+    for seed in (6, 7, 8):
+        out = np.random.default_rng(seed).permutation(np.arange(1, 300))[: len(FAILING)].tolist()
+        recorder = TrajectoryRecorder()
+        map_all([measurement for k, measurement in enumerate(measurements) if k not in out], recorder=recorder)
+        found.append(farthest_m(recorder.online_trajectory(), log))
+    return found
+
+
 @pytest.mark.parametrize(("owner", "name"), PARTS, ids=[f"{owner.__name__}.{name}" for owner, name in PARTS])
-def test_a_step_that_fails_anywhere_is_left_out(log, measurements, monkeypatch, owner, name):
+def test_a_step_that_fails_anywhere_is_left_out(log, measurements, lacking, monkeypatch, owner, name):
     """All other scans have poses, as exact as those of a log without the failed scans, and two runs give the same.
 
-    As exact as that log is by one of three seeds, by half: seeds differ by as much, 0.12 to 0.19 m.
+    As exact as three logs that lack as many other scans, by a fifth: these are off by 0.08 to 0.19 m.
     """
     found = []
     for _ in range(2):
@@ -117,10 +129,7 @@ def test_a_step_that_fails_anywhere_is_left_out(log, measurements, monkeypatch, 
     trajectory = recorder.online_trajectory()
     left = [m for k, m in enumerate(measurements) if k not in faults.hit]
     assert trajectory.stamps_ns.tolist() == [m.scan.stamp_ns for m in left]
-    without = [TrajectoryRecorder() for _ in range(3)]
-    for seed, healthy in enumerate(without, start=3):
-        map_all(left, recorder=healthy, seed=seed)
-    assert farthest_m(trajectory, log) < 1.5 * max(farthest_m(w.online_trajectory(), log) for w in without)
+    assert farthest_m(trajectory, log) < 1.2 * max(lacking)
 
 
 def test_a_measurement_that_is_refused_leaves_the_state_as_it_is(measurements):

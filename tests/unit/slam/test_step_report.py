@@ -9,7 +9,7 @@ from itertools import takewhile
 import numpy as np
 import pytest
 
-from gridslam.geometry.se2 import rotate_covariances
+from gridslam.geometry.se2 import between, rotate_covariances
 from gridslam.matching import GaussNewton
 from gridslam.matching.gauss_newton import EVALUATE_ONLY
 from gridslam.particles import AlwaysResample, EffectiveSampleSizeBelow
@@ -41,7 +41,8 @@ def test_best_stays_until_another_one_has_twenty_times_the_weight_accumulated_al
         accumulated, before = accumulated + report.log_weights - before, report.log_weights
         if accumulated[best] < accumulated.max() - 3:
             best = int(accumulated.argmax())
-        np.testing.assert_array_equal(report.pose, report.poses[best])
+        missed = np.abs(between(report.poses[best], report.pose))
+        assert (missed < [0.02, 0.02, 0.02]).all()  # less than what a match to cells errs by
         if report.parents is not None:
             accumulated, before = accumulated[report.parents], np.full(PARTICLES, -math.log(PARTICLES))
             away = np.abs(report.poses[report.parents] - report.poses[best])

@@ -30,6 +30,7 @@ from gridslam.slam.grid_fastslam.map_limit import MapLimit
 from gridslam.slam.grid_fastslam.odometry_noise import OdometryNoise, is_worse_than_velocity
 from gridslam.slam.grid_fastslam.proposals import Proposal, ScanMatchedProposal
 from gridslam.slam.grid_fastslam.report_builder import ReportBuilder, compute_spread
+from gridslam.slam.grid_fastslam.smoothed_pose import SmoothedPose
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.tracking.prediction import widen_motion
@@ -162,6 +163,7 @@ class GridFastSlam:
             equal,
             np.zeros(len(poses)),
             compute_spread(poses, equal, 0),
+            SmoothedPose(poses[0]),
             maps,
             Ancestry.start(poses),
         )
@@ -191,7 +193,7 @@ class GridFastSlam:
         state.move(proposed.poses, tracked.pose, scan.sensor)
         state.weigh(proposed.log_weights)  # weigh
         self.mapper(state.maps, state.poses, beams)  # map
-        estimate = self.reports.estimate(state, moved, proposed.match, tracked.merged_beams)
+        estimate = self.reports.estimate(state, motion, moved, proposed.match, tracked.merged_beams)
         state.accept(estimate)
         n_eff = effective_sample_size(state.log_weights)  # N_eff
         parents = None

@@ -15,7 +15,7 @@ from gridslam.parameters import bounded, parameters
 from gridslam.slam.grid_fastslam.state import Estimate, GridFastSlamState
 from gridslam.slam.loop_closure.drift_model import DriftModel, propagate_covariances
 from gridslam.tracking.state import UnmatchedMotion
-from gridslam.types import BeamEnds, FloatArray, IntArray, LaserScan, Match, SkipReason, StepReport
+from gridslam.types import BeamEnds, FloatArray, IntArray, LaserScan, Match, MotionSampler, SkipReason, StepReport
 
 __all__ = ["DRIFT", "ReportBuilder", "compute_spread"]
 
@@ -69,9 +69,9 @@ class ReportBuilder:
     def between_key_scans(
         self, state: GridFastSlamState, scan: LaserScan, key_from_base: Pose, reason: SkipReason
     ) -> StepReport:
-        """Report of a scan that did not step the particles: the best one's key pose, moved on by the tracker."""
+        """Report of a scan that did not step the particles: the pose of the key scan, moved on by the tracker."""
         best = state.best
-        pose = np.array(compose(as_pose(state.poses[best]), key_from_base))
+        pose = np.array(compose(as_pose(state.reported.pose), key_from_base))
         at_key = state.defer_covariance()  # all as they are now: the filter goes on before somebody asks
         unmatched, heading = state.tracker.unmatched, state.tracker.pose[2]
         drift, first_pose = state.drift, state.ancestry.first_pose
@@ -102,7 +102,7 @@ class ReportBuilder:
         """Report of a key scan: the estimate from before resampling, and the best particle after it."""
         return StepReport(
             scan.stamp_ns,
-            estimate.pose,
+            estimate.reported.pose,
             estimate.covariance,
             np.array(key_from_base),
             degenerate_direction=estimate.degenerate_direction,
@@ -114,9 +114,12 @@ class ReportBuilder:
             parents=parents,
         )
 
-    def estimate(self, state: GridFastSlamState, increment: Pose, match: Match, beams: BeamEnds) -> Estimate:
+    def estimate(
+        self, state: GridFastSlamState, motion: MotionSampler, increment: Pose, match: Match, beams: BeamEnds
+    ) -> Estimate:
         """Estimate the pose from the weighed particles and the `match` of `beams` at them, after an increment."""
         best = state.best
+        reported = state.reported.follow(motion, state.best_pose)
         poses, log_weights = state.poses, state.log_weights
         information = match.information[best]
         score = float(match.score[best])
@@ -129,7 +132,7 @@ class ReportBuilder:
         lost = score < self.lost_below * len(beams) and state.ancestry.steps > 2
         direction = degenerate_direction(information, score)
         drift = self._drift_covariance(state, increment, lost, direction is not None)
-        return Estimate(poses[best], covariance, drift, direction, lost, poses, log_weights)
+        return Estimate(reported, covariance, drift, direction, lost, poses, log_weights)
 
     def _drift_covariance(
         self, state: GridFastSlamState, increment: Pose, lost: bool, is_degenerate: bool

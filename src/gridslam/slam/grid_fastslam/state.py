@@ -22,6 +22,7 @@ from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.resampling import normalize, relative_to_greatest, require_log_weights
 from gridslam.serialization import NOT_SAVED
+from gridslam.slam.grid_fastslam.smoothed_pose import SmoothedPose
 from gridslam.slam.loop_closure.drift_model import compute_step_moments
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.tracking.state import UnmatchedMotion
@@ -42,7 +43,7 @@ strong evidence."""
 class Estimate(NamedTuple):
     """Estimate of the weighted particles at a key scan, before resampling, which only loses information."""
 
-    pose: FloatArray  # (3,), of the best particle
+    reported: SmoothedPose  # of the best particle
     covariance: Callable[[], FloatArray]  # (3, 3), of that pose, given its map: computed when it is asked for
     drift_covariance: FloatArray  # (3, 3), what the drift grew by since the last key scan, in the frame of that pose
     degenerate_direction: FloatArray | None  # direction that the match leaves open
@@ -77,6 +78,8 @@ class GridFastSlamState:
         The particles at the last key scan, map frame.
     log_weights : (N,) float64, nats
         Normalized.
+    reported : SmoothedPose
+        The best particle's pose at the last key scan, by its motion and by all its matches.
     log_ancestry : (N,) float64, nats
         Log weight of each particle accumulated along its ancestry, relative to the greatest.
     drift : (9,) float64
@@ -108,6 +111,7 @@ class GridFastSlamState:
     log_weights: Annotated[FloatArray, "N"]
     log_ancestry: Annotated[FloatArray, "N"]
     _covariance: Annotated[FloatArray, 3, 3] | Callable[[], FloatArray]
+    reported: SmoothedPose
     maps: Annotated[TileMaps, "N"]
     ancestry: Annotated[Ancestry, "N", Size("T", "steps")]
     drift: Annotated[FloatArray, 9] = field(default_factory=lambda: np.zeros(9))
@@ -196,10 +200,11 @@ class GridFastSlamState:
 
     def accept(self, estimate: Estimate) -> None:
         """Accept the estimate at a key scan, and add its covariance to the drift."""
+        self.reported = estimate.reported
         self.lost = estimate.lost
         self._covariance = estimate.covariance
         self.drift_covariance = estimate.drift_covariance
-        self.drift = self.drift + compute_step_moments(as_pose(estimate.pose), estimate.drift_covariance)
+        self.drift = self.drift + compute_step_moments(as_pose(estimate.reported.pose), estimate.drift_covariance)
 
     def resample(self, parents: IntArray) -> None:
         """Let particle i continue particle parents[i], all with equal weights.
@@ -225,6 +230,7 @@ class GridFastSlamState:
         """Let all particles share one past, poses (T, 3), and the first of `maps`, with equal weights."""
         count = len(self.poses)
         self.poses = np.repeat(trajectory[-1:], count, axis=0)
+        self.reported = SmoothedPose(trajectory[-1])
         self.maps = maps.snapshot(np.zeros(count, np.int64))
         self.ancestry = Ancestry.from_trajectory(trajectory, count)
         self.log_weights = np.full(count, -np.log(count))

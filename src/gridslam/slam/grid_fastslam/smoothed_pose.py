@@ -1,0 +1,53 @@
+"""The pose that is reported: the best particle's motion, corrected by all its matches and not by the last one alone.
+
+A match to the cells of a map errs by a centimetre, differently at each key scan. The tracked motion between key scans
+errs by a third of that, but its errors add up. A Kalman filter weighs both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, final
+
+import numpy as np
+
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import between, compose_jacobians
+from gridslam.types import FloatArray, MotionSampler
+
+__all__ = ["SmoothedPose"]
+
+_MATCH = np.diag(np.square([0.08, 0.08, 0.03]))
+"""Covariance (m^2, rad^2) of a match beside that of the motion model, whose standard deviations are five times what a
+tracked motion errs by, so that particles find what they are to follow. Only the ratio of both counts."""
+_MOST_SQUARED = 0.5
+"""Normalized square of what a match misses the prediction by, above which the particle's pose is taken as it is: a loop
+was closed, or another particle is the best."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class SmoothedPose:
+    """Pose (3,) and the covariance (3, 3) by which the next match is weighed, map frame."""
+
+    pose: Annotated[FloatArray, 3]
+    covariance: Annotated[FloatArray, 3, 3] = field(default_factory=lambda: np.zeros((3, 3)))
+
+    def follow(self, motion: MotionSampler, matched: FloatArray) -> SmoothedPose:
+        """Predict the next pose by the motion, and correct it by the pose (3,) that was matched.
+
+        References
+        ----------
+        Probabilistic Robotics, Table 3.3 (`Extended_Kalman_filter`).
+        """
+        (predicted,), (noise,) = motion.moments(self.pose[None])
+        by_pose, _ = compose_jacobians(self.pose, between(self.pose, predicted))
+        covariance = by_pose @ self.covariance @ by_pose.T + noise
+        missed = matched - predicted
+        missed[2] = wrap(missed[2])
+        weighed = np.linalg.solve(covariance + _MATCH, np.column_stack([missed, covariance]))
+        if missed @ weighed[:, 0] > _MOST_SQUARED:
+            return SmoothedPose(matched, _MATCH)
+        pose = predicted + covariance @ weighed[:, 0]
+        pose[2] = wrap(pose[2])
+        return SmoothedPose(pose, covariance - covariance @ weighed[:, 1:])
