@@ -19,7 +19,7 @@ from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import compose, exp, rotate_covariances
 from gridslam.parameters import bounded, parameters
-from gridslam.types import FloatArray, Poses
+from gridslam.types import FloatArray, MotionSampler, Poses
 
 __all__ = [
     "DiffusionMotion",
@@ -28,6 +28,7 @@ __all__ = [
     "OdometryMotion",
     "VelocityMotion",
     "_finite_triple",
+    "add_noise",
 ]
 
 _IDENTITY = np.eye(3)
@@ -98,6 +99,12 @@ class GaussianIncrement:
             (pose,) = poses
             return compose(pose, self.increment)[None], rotate_covariances(covariance, pose[2])[None]
         return compose(poses, self.increment), rotate_covariances(covariance, poses[:, 2])
+
+
+def add_noise(motion: MotionSampler, covariance: FloatArray) -> GaussianIncrement:
+    """Return the same motion with noise of a covariance (3, 3) beside its own, in the frame of the pose before it."""
+    (increment,), (own,) = motion.moments(np.zeros((1, 3)))
+    return GaussianIncrement.with_covariance(increment, own + covariance)
 
 
 def _rotate_translate_rotate(values: FloatArray) -> FloatArray:

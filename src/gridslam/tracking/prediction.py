@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple, final
 
 import numpy as np
@@ -13,7 +12,7 @@ from gridslam.geometry.single_pose import Information, Pose, compose, exp, log, 
 from gridslam.matching.branch_and_bound import BranchAndBound
 from gridslam.parameters import bounded, parameters
 from gridslam.tracking.state import SensorTrack, TrackerState
-from gridslam.types import FloatArray, MotionSampler
+from gridslam.types import FloatArray
 
 __all__ = [
     "MAX_INTERVAL_S",
@@ -22,7 +21,6 @@ __all__ = [
     "PoseEstimate",
     "Prediction",
     "predict_by_odometry",
-    "widen_motion",
 ]
 
 MAX_INTERVAL_S = 1.0
@@ -193,27 +191,3 @@ class ConstantVelocity:
             position + NEWEST_WEIGHT * (min(0.5 * (x * x + y * y), 9 * position) - position),
             heading + NEWEST_WEIGHT * (min(turn * turn, 9 * heading) - heading),
         )
-
-
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class _WidenedMotion:
-    """A motion sampler with noise of these variances beside its own, m^2 (each of x and y) and rad^2."""
-
-    sampler: MotionSampler
-    variances: tuple[float, float]
-
-    def __call__(self, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Draw one successor (N, 3) for each pose (N, 3)."""
-        std = np.sqrt(np.take(self.variances, [0, 0, 1]))
-        return se2.compose(self.sampler(poses, rng), std * rng.standard_normal((len(poses), 3)))
-
-    def moments(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean successors (N, 3) and their covariances (N, 3, 3)."""
-        means, covariances = self.sampler.moments(poses)
-        return means, covariances + np.diag(np.take(self.variances, [0, 0, 1]))
-
-
-def widen_motion(sampler: MotionSampler, variances: tuple[float, float] | None) -> MotionSampler:
-    """Motion whose control is uncertain by variances, m^2 and rad^2, beside the model's own noise, if not None."""
-    return sampler if variances is None else _WidenedMotion(sampler, variances)

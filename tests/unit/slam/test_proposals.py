@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import rotate_covariances
+from gridslam.mapping import OccupancyGridMapping
 from gridslam.models import CauchyEndPoint, DiffusionMotion, GaussianIncrement
+from gridslam.models.motion import add_noise
 from gridslam.slam import ImprovedProposal, MotionModelProposal, ScanMatchedProposal
-from gridslam.types import ScanGeometry
+from gridslam.slam.grid_fastslam.motion_of_particles import MotionOfAll, SearchingMotion
+from gridslam.types import LaserScan, ScanGeometry
 from support.oblong import PLACES, map_room, scan_at
 
 GEOMETRY = ScanGeometry(np.deg2rad(np.arange(0, 360, 2) - 179.0))
@@ -133,3 +137,56 @@ def test_headings_are_wrapped_where_they_cross_pi():
     assert (proposed.poses[:, 2] > 0).any()
     assert np.abs(wrap(proposed.poses[:, 2] - measured[2])).max() < 0.3
     np.testing.assert_allclose(proposed.log_weights, log_normal(measured, mean, spread + NOISE), atol=1e-4)
+
+
+UNMATCHED = GaussianIncrement.from_std(INCREMENT + np.array([0.3, -0.25, 0.2]), np.array([0.27, 0.27, 0.085]))
+"""Motion that no match has measured: off by more than a deviation along each axis, in heading by more than two."""
+
+
+@pytest.fixture(scope="module")
+def surroundings():
+    """The same room, where what lies behind its walls was seen before they stood."""
+    maps = OccupancyGridMapping().empty(10)
+    for place in PLACES:
+        seen = scan_at(np.array(place)).scan
+        far = LaserScan.from_ranges(0, np.array(seen.ranges) + 1.0, seen.geometry).beams(0.05, 30.0)
+        OccupancyGridMapping()(maps, np.tile(place, (10, 1)), far)
+    for place in 3 * PLACES:
+        OccupancyGridMapping()(maps, np.tile(place, (10, 1)), scan_at(np.array(place), GEOMETRY))
+    return maps
+
+
+def search(maps, motion):
+    return SearchingMotion(motion, maps, CauchyEndPoint()(BEAMS), BEAMS.ends)
+
+
+def test_a_search_finds_the_peak_that_a_single_draw_misses(surroundings):
+    """The motion errs by more than a peak is wide; the map shows the place."""
+    near = []
+    for motion in (UNMATCHED, search(surroundings, UNMATCHED)):
+        away = motion(BEFORE, np.random.default_rng(3)) - INCREMENT
+        near.append(int((np.hypot(away[:, 0], away[:, 1]) + np.abs(wrap(away[:, 2])) < 0.3).sum()))
+    assert near[0] <= 3
+    assert near[1] == 10
+
+
+def test_where_the_map_shows_too_little_nothing_is_searched_for(room):
+    """Half of the beams end behind the walls, where nothing was seen: new walls would be laid on old ones."""
+    drawn = search(room, UNMATCHED)(BEFORE, np.random.default_rng(0))
+    np.testing.assert_array_equal(drawn, UNMATCHED(BEFORE, np.random.default_rng(0)))
+
+
+def test_the_best_particle_keeps_to_the_mean_of_motion_that_no_match_has_measured(surroundings):
+    """It is reported, and no sample; the others are searched for."""
+    drawn = MotionOfAll(search(surroundings, UNMATCHED), 4, (0.0, 0.0))(BEFORE, np.random.default_rng(0))
+    np.testing.assert_array_equal(drawn[4], UNMATCHED.moments(BEFORE)[0][4])
+    assert (np.delete(drawn, 4, axis=0) != drawn[4]).all()
+
+
+def test_noise_beside_that_of_a_motion_adds_to_its_covariance():
+    """In the frame of the pose before; the mean is the same."""
+    turned = np.array([[1.0, 2.0, 0.7]])
+    noise = np.array([[0.04, 0.01, 0.0], [0.01, 0.02, 0.002], [0.0, 0.002, 0.003]])
+    mean, covariance = add_noise(WIDE, noise).moments(turned)
+    np.testing.assert_allclose(mean, WIDE.moments(turned)[0], atol=1e-12)
+    np.testing.assert_allclose(covariance[0], WIDE.moments(turned)[1][0] + rotate_covariances(noise, 0.7), atol=1e-12)

@@ -20,20 +20,20 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.single_pose import Pose, between
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.models.endpoint import CauchyEndPoint
-from gridslam.models.motion import DiffusionMotion
+from gridslam.models.motion import DiffusionMotion, add_noise
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold, ResamplingPolicy, UpdatePolicy
 from gridslam.particles.resampling import Systematic, effective_sample_size
 from gridslam.scan import Thinning
 from gridslam.slam.grid_fastslam.map_limit import MapLimit
+from gridslam.slam.grid_fastslam.motion_of_particles import MotionOfAll, SearchingMotion
 from gridslam.slam.grid_fastslam.odometry_noise import OdometryNoise, is_worse_than_velocity
 from gridslam.slam.grid_fastslam.proposals import Proposal, ScanMatchedProposal
 from gridslam.slam.grid_fastslam.report_builder import ReportBuilder, compute_spread
 from gridslam.slam.grid_fastslam.smoothed_pose import SmoothedPose
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
-from gridslam.tracking.prediction import widen_motion
 from gridslam.tracking.tracker import OdometryTracker, TrackedScan, Tracker
 from gridslam.types import (
     Beams,
@@ -52,9 +52,6 @@ from gridslam.types import (
 )
 
 __all__ = ["GridFastSlam"]
-
-_FREEDOM = 4e5
-"""Covariances of the motion are so much larger where matches are to follow the map: it holds next to nothing."""
 
 
 @final
@@ -237,9 +234,12 @@ class GridFastSlam:
         what the tracker errs by.
         """
         control = tracked.control
-        motion = widen_motion(self.motion(np.array(between(state.key_pose, control.pose))), control.variances)
+        motion = self.motion(np.array(between(state.key_pose, control.pose)))
         motion = motion if noise is None else noise.add_to(motion, state.key_pose, control.pose)
-        return _MotionOfAll(motion, state.best, control.common_variances or (0.0, 0.0))
+        if control.variances is not None:
+            wide = add_noise(motion, np.diag(np.take(control.variances, [0, 0, 1])))
+            motion = SearchingMotion(wide, state.maps, self.sensor(tracked.beams), tracked.beams.ends)
+        return MotionOfAll(motion, state.best, control.common_variances or (0.0, 0.0))
 
     def _close_loops(
         self, state: GridFastSlamState, report: StepReport, beams: Beams
@@ -255,35 +255,6 @@ class GridFastSlam:
             if not self.when_to_update(math.hypot(dx, dy), abs(turn)):
                 return SkipReason.BETWEEN_KEY_SCANS
         return None if len(beams) else SkipReason.NO_VALID_BEAM
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class _MotionOfAll:
-    """Motion of all particles: the best one keeps to what is expected of it, the others look elsewhere.
-
-    The best one, which is reported and mapped, is no sample: its draw is the mean, which holds its match. The others
-    spread as their motion is drawn, and follow their maps: where a loop closes one of them fits better, and is the best
-    from then on. An error that is common to all (variances in m^2 and rad^2) is left to the match.
-    """
-
-    motion: MotionSampler
-    best: int
-    common_variances: tuple[float, float]
-
-    def __call__(self, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Draw successors (N, 3) of all particles (N, 3)."""
-        drawn = self.motion(poses, rng)
-        drawn[self.best] = self.motion.moments(poses[self.best : self.best + 1])[0][0]
-        return drawn
-
-    def moments(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean successors (N, 3) and their covariances (N, 3, 3); of one pose those of the best particle."""
-        means, covariances = self.motion.moments(poses)
-        covariances = covariances + np.diag(np.take(self.common_variances, [0, 0, 1]))
-        is_other = np.arange(len(poses)) != (self.best if len(poses) > 1 else 0)
-        covariances[is_other] *= _FREEDOM
-        return means, covariances
 
 
 def _check_particles(particles: object) -> FloatArray:

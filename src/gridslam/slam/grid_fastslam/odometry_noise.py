@@ -14,7 +14,7 @@ import numpy as np
 
 from gridslam.geometry.se2 import compose_jacobians, compound_covariance
 from gridslam.geometry.single_pose import Pose, as_pose, between, compose, is_known
-from gridslam.models.motion import GaussianIncrement
+from gridslam.models.motion import add_noise
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.tracking.prediction import MAX_INTERVAL_S, ConstantVelocity
 from gridslam.types import FloatArray, MotionSampler, Odometry
@@ -90,6 +90,4 @@ class OdometryNoise:
         if max(map(abs, between(self.reached, predicted))) > _ROUNDING:
             return sampler
         _, by_motion = compose_jacobians(between(key_pose, self.base), between(self.base, predicted))
-        own = sampler.moments(np.zeros((1, 3)))[1][0]
-        reported = by_motion @ self.covariance @ by_motion.T
-        return GaussianIncrement.with_covariance(np.array(between(key_pose, predicted)), own + reported)
+        return add_noise(sampler, by_motion @ self.covariance @ by_motion.T)
