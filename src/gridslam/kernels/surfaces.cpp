@@ -38,9 +38,9 @@ constexpr double kReach2 = 900.0;          // m^2
 
 // Whether point k and the one before it may be on one surface.
 bool is_beside(const double* x, const double* y, int64_t k) {
-  const double gap = std::hypot(x[k] - x[k - 1], y[k] - y[k - 1]);
   const double range = std::sqrt(x[k - 1] * x[k - 1] + y[k - 1] * y[k - 1]);
-  return gap < kLongestGapM + kLongestGapRatio * range;
+  const double longest = kLongestGapM + kLongestGapRatio * range, dx = x[k] - x[k - 1], dy = y[k] - y[k - 1];
+  return dx * dx + dy * dy < longest * longest;
 }
 
 // Fits a line to the points at `at` and its neighbours, which are there; false where they are not in line.
@@ -54,9 +54,11 @@ bool fit_normal(const double* x, const double* y, int64_t at, double* nx, double
     const double dx = x[k] - mx, dy = y[k] - my;
     xx += dx * dx, yy += dy * dy, xy += dx * dy;
   }
-  if (0.5 * (xx + yy) - std::hypot(0.5 * (xx - yy), xy) >= kMostSpread2) return false;
-  const double along = 0.5 * std::atan2(2 * xy, xx - yy);
-  *nx = -std::sin(along), *ny = std::cos(along);
+  const double half = 0.5 * (xx - yy), radius = std::sqrt(half * half + xy * xy);
+  if (0.5 * (xx + yy) - radius >= kMostSpread2) return false;
+  const double large = radius > 0 ? radius + std::abs(half) : 1.0;  // of the vector along the line, not of length 1
+  const double size = std::sqrt(large * large + xy * xy);
+  *nx = (half < 0 ? -large : -xy) / size, *ny = (half < 0 ? xy : large) / size;
   if (*nx * x[at] + *ny * y[at] > 0) *nx = -*nx, *ny = -*ny;
   return true;
 }

@@ -1,4 +1,4 @@
-"""Global scan refinement: alternating scan matching and graph optimization, then selection of the best trajectory."""
+"""Global scan refinement: scan matching, graph optimization, and selection of the best trajectory."""
 
 from __future__ import annotations
 
@@ -134,10 +134,6 @@ class RefinementResult:
     sharpness_m: float | None
 
 
-_MAX_ROUNDS = 2
-"""Maximum number of alternations of matching and optimization."""
-_STOP_M = 0.1
-"""Converged if no key scan moves farther than this."""
 _DISTINCT_CANDIDATE_M = 0.3
 """The online constraints form a separate candidate if they move a key scan farther than this."""
 _MAX_SEARCHES = 3
@@ -157,9 +153,9 @@ def refine_trajectory(
 ) -> RefinementResult:
     """Refine the trajectory (T, 3) of the key scans and give every scan a pose.
 
-    Scan matching and graph optimization alternate, the best candidate is selected, and every scan is matched to the
-    surfaces about it. Key scans are matched to the overlapping older and later submaps, rebuilt from the current
-    trajectory. Submaps of the same visit are excluded: they only repeat the tracker's result. The refinement starts
+    Key scans are matched to the overlapping older and later submaps, rebuilt from the trajectory, and the graph is
+    solved; the best candidate is selected and adjusted, and every scan is matched to the surfaces about it. Submaps of
+    the same visit are excluded: they only repeat the tracker's result. The refinement starts
     from the trajectory of the best particle, whose closures are evidence like recognized places; and, if it differs,
     from the tracked motion optimized with the online constraints. The candidate with the best score, one of
     which is the trajectory of the best particle, is selected; then its key scans are moved until their surfaces fit
@@ -304,7 +300,7 @@ class _Refinement:
         recognized += begin.recognized_constraints
         self.graph.constraints = recognized
         constraints = self._match_key_scans(recognized, solution.poses)
-        return self._refine(name, solution.poses, recognized, constraints)
+        return self._refine(name, solution.poses, constraints)
 
     def _candidates(self, trajectory: FloatArray) -> Iterator[Candidate]:
         """Yield the trajectory of the filter, and then those computed from it and from the online constraints."""
@@ -315,26 +311,17 @@ class _Refinement:
         yield Candidate("filter", graph, constraints, _ROBUST.weights(graph))
         if not (constraints or found):
             return
-        yield self._refine("refined", trajectory, recognized, constraints)
+        yield self._refine("refined", trajectory, constraints)
         start = SOLVER.solve(self._graph(trajectory, found)).poses
         if _max_distance_m(start, trajectory) > _DISTINCT_CANDIDATE_M:
             constraints = self._match_key_scans(recognized, start)
-            yield self._refine("constraints", start, recognized, constraints)
+            yield self._refine("constraints", start, constraints)
 
-    def _refine(
-        self, name: str, poses: FloatArray, recognized: list[Constraint], constraints: list[Constraint]
-    ) -> Candidate:
-        """Alternate optimization and matching, from poses (T, 3) and the constraints matched there."""
-        solver = GraphSlam(first_guess="given", robust=_ROBUST)
-        for remaining in range(_MAX_ROUNDS - 1, -1, -1):
-            graph = self._graph(poses, constraints)
-            solution = solver.solve(graph)
-            moved_m = _max_distance_m(solution.poses, poses)
-            poses = solution.poses
-            if not remaining or moved_m < _STOP_M:
-                break
-            constraints = self._match_key_scans(recognized, poses)
-        return Candidate(name, graph.with_poses(poses), constraints, solution.weights)
+    def _refine(self, name: str, poses: FloatArray, constraints: list[Constraint]) -> Candidate:
+        """Optimize from poses (T, 3) and the constraints matched there."""
+        graph = self._graph(poses, constraints)
+        solution = GraphSlam(first_guess="given", robust=_ROBUST).solve(graph)
+        return Candidate(name, solution.graph, constraints, solution.weights)
 
     def _match_key_scans(self, recognized: list[Constraint], poses: FloatArray) -> list[Constraint]:
         """Recognized and known constraints, and those from matching key scans at poses (T, 3) to the submaps about."""

@@ -15,7 +15,7 @@ from gridslam.types import FloatArray, IntArray
 
 __all__ = ["adjust_key_scans", "match_scans"]
 
-_GATES_M = 0.4, 0.2, 0.08, 0.08
+_GATES_M = 0.4, 0.08, 0.08
 """Largest residual of a point, in each round."""
 _SUCCESSIVE = 3
 """Key scans just before one that it is matched with; the others are spread over all that are near."""
@@ -39,6 +39,8 @@ _MIN_POINTS = 10
 """Matched points of a pair, at least."""
 _MAX_CORRECTION_M = 0.15
 """A scan between key scans that moves farther stays where the motion has it."""
+_CLOSE = 0.01
+"""Step, in m and rad, after which a scan is where it fits and is not matched again."""
 _PRIOR_SIGMA_M = 0.02
 _PRIOR_SIGMA_RAD = 0.01
 """How well the motion from the key scans about it determines such a scan."""
@@ -58,7 +60,8 @@ def adjust_key_scans(graph: PoseGraph, surfaces: Surfaces) -> PoseGraph:
     poses = graph.poses
     for gate_m in _GATES_M:
         whole = _measure(graph.with_poses(poses), surfaces, pairs, gate_m)
-        if len(whole.edges) == len(graph.edges):
+        pairs = whole.edges[len(graph.edges) :]  # what does not see the other's surfaces does not in the next round
+        if not len(pairs):
             break
         poses = GraphSlam(first_guess="given", robust=None, max_iterations=1).solve(whole).poses
     return _measure(graph.with_poses(poses), surfaces, pairs, _GATES_M[-1], shared=True)
@@ -112,17 +115,21 @@ def match_scans(
             continue
         batch = archive.batch((own + len(archive) - len(poses)).tolist())
         whole = surfaces.append(Surfaces.of(batch))
-        number = np.repeat(np.arange(len(own)), 2 * _KEY_SCANS_BESIDE)
         about = keys[own][:, None] + np.arange(1 - _KEY_SCANS_BESIDE, 1 + _KEY_SCANS_BESIDE)
-        pairs = np.column_stack([np.clip(about.ravel(), 0, count - 1), count + number])
+        pairs = np.stack(np.broadcast_arrays(np.clip(about, 0, count - 1), count + np.arange(len(own))[:, None]), -1)
         at = poses[own]
+        far = np.ones(len(own), np.bool_)  # from where they were before the step, so that they are matched again
         for gate_m in _GATES_M[-2:]:
-            found = whole.match(np.concatenate([key_poses, at]), pairs, gate_m, _SIGMA_M, both=False)
+            seen_from = np.concatenate([key_poses, at])
+            found = whole.match(seen_from, pairs[far].reshape(-1, 2), gate_m, _SIGMA_M, both=False)
             weight = (found.counts >= _MIN_POINTS)[:, None] / (2 * _SIGMA_M**2)
-            shape = (len(own), 2 * _KEY_SCANS_BESIDE)
-            information = (weight[..., None] * found.information).reshape(*shape, 3, 3).sum(axis=1) + prior
-            gradients = (weight * found.gradients).reshape(*shape, 3).sum(axis=1) + between(poses[own], at) @ prior
-            at = compose(at, -np.linalg.solve(information, gradients[..., None])[..., 0])
+            shape = (-1, 2 * _KEY_SCANS_BESIDE, 3)
+            information = (weight[..., None] * found.information).reshape(*shape, 3).sum(axis=1)
+            gradients = (weight * found.gradients).reshape(shape).sum(axis=1)
+            gradients += between(poses[own][far], at[far]) @ prior
+            steps = -np.linalg.solve(information + prior, gradients[..., None])[..., 0]
+            at[far] = compose(at[far], steps)
+            far[far] = np.abs(steps).max(axis=1) > _CLOSE
         is_near = np.hypot(*(at - poses[own])[:, :2].T) < _MAX_CORRECTION_M
         matched[own[is_near]] = at[is_near]
     return matched
