@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -161,7 +162,8 @@ def floors(logs, monday, tmp_path_factory):
 
 def test_maps_of_floors_are_listed_with_their_links_and_written_with_their_edits(call, floors, tmp_path):
     status, out, err = call("session", floors, "-o", tmp_path / "out")
-    assert (status, err) == (0, "")
+    assert (status, err.count("\n")) == (0, 1)
+    assert "1 edit without a drive, taken for upper, the newest map" in err
     assert "piece 1, upper: 1 drive" in out
     assert "piece 2, ground: 1 drive" in out
     assert "3 edits" in out
@@ -242,8 +244,23 @@ def test_edits_of_unknown_drives_are_left_out(call, floors, tmp_path):
     write_edits(tmp_path / "both.edits.geojson", Edits((stray,)))
     status, out, err = call("session", tmp_path / floors.name, "--json")
     assert (status, err.count("\n")) == (0, 1)
-    assert "1 edit of drives that are not in this session, left out" in err
+    assert "1 edit of drives or scans that are not in this session, left out" in err
     assert (json.loads(out)["edits"], json.loads(out)["links"]) == (0, {})
+
+
+def test_edits_without_a_scan_lie_on_the_map_of_their_drive(call, floors, tmp_path):
+    """As another program writes them: one of a drive, one of a drive and one of a scan that are not there."""
+    shutil.copy(floors, tmp_path)
+    ends = np.array([[0.0, 0.0], [0.0, 1.0]])
+    drawn = Edit("no_go", "LineString", ends, drive="monday")
+    strays = replace(drawn, drive="sunday"), replace(drawn, drive="", anchor=np.array([12345.678, 0, 0, 0]))
+    write_edits(tmp_path / "both.edits.geojson", Edits((drawn, *strays)))
+    status, _, err = call("session", tmp_path / floors.name, "-o", tmp_path / "out")
+    assert (status, err.count("\n")) == (0, 1)
+    assert "2 edits of drives or scans that are not in this session, left out" in err
+    assert [path.name for path in (tmp_path / "out").glob("*.geojson")] == ["ground.geojson"]
+    (shown,) = read_edits(tmp_path / "out" / "ground.geojson").edits
+    assert shown.drive == "monday"
 
 
 def test_a_merge_names_which_maps_were_not_compared(call, logs, monday, tmp_path):
