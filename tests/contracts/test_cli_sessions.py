@@ -184,6 +184,38 @@ def test_maps_of_floors_are_listed_with_their_links_and_written_with_their_edits
     assert (status, "keepout mask, 1.0 m²" in out) == (0, True)
 
 
+def test_each_floor_has_a_plan_with_its_edits(call, floors, tmp_path):
+    """What is erased on one floor has gone from its plan alone; rooms have the names that people gave."""
+    for suffix in (".gridslam", ".edits.geojson"):
+        shutil.copy(floors.with_suffix(suffix), tmp_path)
+    path = tmp_path / floors.name
+    session = gridslam.Session.open(path)
+    plans = {}
+    for name in ("ground", "upper", "erased"):
+        floor = "upper" if name == "erased" else name
+        if name == "erased":
+            place = session.trajectories["tuesday"].poses[0, :2]
+            square = place + np.array([[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]])
+            edits = [Edit("erased", "Polygon", square, drive="tuesday")]
+            write_edits(find_edits(path), Edits((*edits, Edit("rooms", "Point", place[None], "hall", drive="tuesday"))))
+        status, _, err = call("plan", path, "--floor", floor, "-o", tmp_path / name)
+        assert (status, err) == (0, "")
+        plans[name] = json.loads((tmp_path / name / "plan.json").read_text())
+    assert plans["ground"]["walls"] != plans["upper"]["walls"]
+    assert plans["erased"]["walls_length_m"] < plans["upper"]["walls_length_m"] - 5.0
+    assert "hall" in [room["name"] for room in plans["erased"]["rooms"]]
+    assert "both, upper" in (tmp_path / "upper" / "plan.svg").read_text()
+    for arguments, problem in (
+        (("plan", path, "--floor", "cellar"), "--floor: expected upper or ground, got cellar"),
+        (("changes", path, path, "--floor", "cellar"), "--floor: expected upper or ground, got cellar"),
+        (("align", path, path, "--floor", "cellar"), "--floor: expected upper or ground, got cellar"),
+        (("plan", tmp_path / "x.yaml", "--floor", "upper"), "--floor: expected a session"),
+    ):
+        status, out, err = call(*arguments, "-o", tmp_path / "none")
+        assert (status, out, err.count("\n")) == (2, "", 1)
+        assert problem in err
+
+
 def test_a_map_of_a_session_is_edited_and_those_of_other_floors_stay(floors, tmp_path):
     for suffix in (".gridslam", ".edits.geojson"):
         shutil.copy(floors.with_suffix(suffix), tmp_path)

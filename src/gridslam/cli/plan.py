@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from gridslam.cli.options import name_option
 from gridslam.cli.output import open_output, print_result, warn
 from gridslam.errors import InputError
 from gridslam.plan.alignment import Alignment, align_points
@@ -31,11 +32,18 @@ _LEAST_SHARE = 0.3
 
 
 def plan_to_folder(
-    source: Path, out: Path, scale: int, straighten: bool, origin: tuple[float, float, float] | None, as_json: bool
+    source: Path,
+    floor: str | None,
+    out: Path,
+    scale: int,
+    straighten: bool,
+    origin: tuple[float, float, float] | None,
+    as_json: bool,
 ) -> None:
     """Make a floor plan, write it to a folder and print a summary."""
     with open_output(out, _NAMES) as folder:
-        given = read_source(source, warn)
+        with name_option(floor="--floor"):
+            given = read_source(source, warn, floor)
         plan = make_plan(given.grid, given.points, given.path)
         plan = replace(plan, rooms=name_rooms(plan.rooms, given.names))
         if not plan.walls:
@@ -93,10 +101,11 @@ def _summarize(plan: FloorPlan, document: dict[str, Any], out: Path) -> Iterator
     yield f"for other programs: {out / 'plan.dxf'}, {out / 'plan.geojson'}"
 
 
-def changes_to_folder(first: Path, second: Path, out: Path, same_frame: bool, as_json: bool) -> None:
+def changes_to_folder(first: Path, second: Path, floor: str | None, out: Path, same_frame: bool, as_json: bool) -> None:
     """Find the changes between two maps, write them to a folder and print a summary."""
     with open_output(out, _CHANGES_NAMES) as folder:
-        maps = [read_source(path, warn) for path in (first, second)]
+        with name_option(floor="--floor"):
+            maps = [read_source(path, warn, floor) for path in (first, second)]
         points = [given.surfaces for given in maps]
         for path, found in zip((first, second), points, strict=True):
             if not len(found):
