@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -11,7 +12,7 @@ from gridslam.plan.arcs import Arc, find_arcs
 from gridslam.plan.faces import Face, dominant_direction, find_faces, find_surfaces, snap_directions
 from gridslam.plan.openings import Opening, find_openings
 from gridslam.plan.rasters import BoolArray, Raster, dilate, erode, fill_polygons, make_raster
-from gridslam.plan.rooms import Room, find_rooms
+from gridslam.plan.rooms import LEAST_AREA_M2, Room, find_rooms
 from gridslam.plan.surfaces import SurfacePoints, points_of_grid
 from gridslam.plan.untyped import ndimage, require_map_extra
 from gridslam.plan.walls import Wall, close_corners, drop_clutter, find_furniture_faces, hull, join_faces, make_walls
@@ -20,6 +21,8 @@ from gridslam.types import FloatArray, OccupancyGrid
 __all__ = ["FloorPlan", "make_plan"]
 
 _SAGITTA_M = 0.01
+_BESIDE_M = 0.25
+_LEAST_BESIDE = 0.2
 _SLIT_CELLS = 2
 """Strips up to twice as narrow are no floor where they are free, and no gap in it where they are unknown."""
 
@@ -125,9 +128,31 @@ def make_plan(grid: OccupancyGrid, points: SurfacePoints | None = None, path: Fl
     openings = find_openings(floor, raster, bounding, points)
     rooms = find_rooms(floor, raster, [*faces, *chords], openings, path)
     furniture = [*_outline_furniture(raster), *against_walls]
+    near = _find_near_floor(floor, raster)
     return FloorPlan(
-        tuple(walls), tuple(openings), tuple(rooms), tuple(furniture), tuple(faces), dominant, arcs=tuple(arcs)
+        tuple(wall for wall in walls if near(wall.outline)),
+        tuple(openings),
+        tuple(rooms),
+        tuple(outline for outline in furniture if near(outline)),
+        tuple(faces),
+        dominant,
+        arcs=tuple(arc for arc in arcs if near(arc.points(_SAGITTA_M))),
     )
+
+
+def _find_near_floor(floor: BoolArray, raster: Raster) -> Callable[[FloatArray], bool]:
+    """Return whether a fifth of an outline lies beside floor of 2 m² and more: the rest was seen through a window."""
+    labels, _ = ndimage.label(floor)
+    is_large = np.bincount(labels.reshape(-1)) * raster.cell_m**2 >= LEAST_AREA_M2
+    is_large[0] = False
+    near = dilate(is_large[labels], round(_BESIDE_M / raster.cell_m))
+
+    def is_near(outline: FloatArray) -> bool:
+        sides = zip(outline, np.roll(outline, -1, axis=0), strict=True)
+        places = [np.linspace(a, b, 2 + int(np.hypot(*(b - a)) / _BESIDE_M)) for a, b in sides]
+        return float(near[raster.cells(np.concatenate(places))].mean()) >= _LEAST_BESIDE
+
+    return is_near
 
 
 def _find_lines_and_arcs(points: SurfacePoints, raster: Raster) -> tuple[list[Face], list[Arc]]:
