@@ -20,8 +20,8 @@ const root = document.documentElement;
 return {
   size: [root.getBoundingClientRect().width, root.getBoundingClientRect().height],
   room: of(".rooms polygon").map(each => [each.getBBox().width, each.getBBox().height]),
-  arcs: of(".walls path").map(each => [each.getTotalLength(), ...Object.values(each.getPointAtLength(1e-3))]),
-  box: of(".walls path").map(each => [each.getBBox().width, each.getBBox().height]),
+  lengths: of(".walls path").map(each => each.getTotalLength()),
+  middles: of(".walls path").map(each => each.getPointAtLength(each.getTotalLength() / 2)).map(at => [at.x, at.y]),
   walls: of(".walls *").length, doors: of(".doors text").map(each => each.textContent),
   errors: of("parsererror").length,
 };
@@ -40,8 +40,9 @@ def test_the_svg_is_shown_to_scale(browser, tmp_path, screenshot):
     assert seen["size"] == pytest.approx([side * PX_PER_MM for side in sheet.size_mm], rel=0.01)
     for box, room in zip(seen["room"], plan.rooms, strict=True):
         assert box == pytest.approx((np.ptp(room.outline, axis=0) * 20).tolist(), abs=0.05)  # mm, at 1:50
-    assert sum(length for length, *_ in seen["arcs"]) == pytest.approx(1.5 * np.pi * 1.5 * 20, rel=0.001)
-    quarters = np.array(seen["box"])  # of 3/4 of a circle, each half spans a radius and a part of one
-    assert quarters == pytest.approx(30 * np.array([[1 + np.sqrt(0.5), 1.0], [1.0, 1 + np.sqrt(0.5)]]), abs=0.05)
+    assert seen["lengths"] == pytest.approx([0.75 * np.pi * 30] * 2, rel=0.001)
+    first, second = np.deg2rad([67.5, 202.5])  # in the middle of both halves of 3/4 of a circle
+    apart = 30 * np.array([np.cos(second) - np.cos(first), np.sin(first) - np.sin(second)])  # y points down
+    assert np.diff(seen["middles"], axis=0)[0] == pytest.approx(apart, abs=0.05)
     assert seen["walls"] == len(plan.walls) + 2
     assert seen["doors"] == [f"{opening.width_m:.2f}" for opening in plan.openings]
