@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -161,7 +162,8 @@ def floors(logs, monday, tmp_path_factory):
 
 def test_maps_of_floors_are_listed_with_their_links_and_written_with_their_edits(call, floors, tmp_path):
     status, out, err = call("session", floors, "-o", tmp_path / "out")
-    assert (status, err) == (0, "")
+    assert (status, err.count("\n")) == (0, 1)
+    assert "1 edit without a drive, taken for upper, the newest map" in err
     assert "piece 1, upper: 1 drive" in out
     assert "piece 2, ground: 1 drive" in out
     assert "3 edits" in out
@@ -180,6 +182,38 @@ def test_maps_of_floors_are_listed_with_their_links_and_written_with_their_edits
         "mask", tmp_path / "out" / "upper.yaml", tmp_path / "out" / "upper.geojson", "-o", tmp_path / "m"
     )
     assert (status, "keepout mask, 1.0 m²" in out) == (0, True)
+
+
+def test_each_floor_has_a_plan_with_its_edits(call, floors, tmp_path):
+    """What is erased on one floor has gone from its plan alone; rooms have the names that people gave."""
+    for suffix in (".gridslam", ".edits.geojson"):
+        shutil.copy(floors.with_suffix(suffix), tmp_path)
+    path = tmp_path / floors.name
+    session = gridslam.Session.open(path)
+    plans = {}
+    for name in ("ground", "upper", "erased"):
+        floor = "upper" if name == "erased" else name
+        if name == "erased":
+            place = session.trajectories["tuesday"].poses[0, :2]
+            square = place + np.array([[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]])
+            edits = [Edit("erased", "Polygon", square, drive="tuesday")]
+            write_edits(find_edits(path), Edits((*edits, Edit("rooms", "Point", place[None], "hall", drive="tuesday"))))
+        status, _, err = call("plan", path, "--floor", floor, "-o", tmp_path / name)
+        assert (status, err) == (0, "")
+        plans[name] = json.loads((tmp_path / name / "plan.json").read_text())
+    assert plans["ground"]["walls"] != plans["upper"]["walls"]
+    assert plans["erased"]["walls_length_m"] < plans["upper"]["walls_length_m"] - 5.0
+    assert "hall" in [room["name"] for room in plans["erased"]["rooms"]]
+    assert "both, upper" in (tmp_path / "upper" / "plan.svg").read_text()
+    for arguments, problem in (
+        (("plan", path, "--floor", "cellar"), "--floor: expected upper or ground, got cellar"),
+        (("changes", path, path, "--floor", "cellar"), "--floor: expected upper or ground, got cellar"),
+        (("align", path, path, "--floor", "cellar"), "--floor: expected upper or ground, got cellar"),
+        (("plan", tmp_path / "x.yaml", "--floor", "upper"), "--floor: expected a session"),
+    ):
+        status, out, err = call(*arguments, "-o", tmp_path / "none")
+        assert (status, out, err.count("\n")) == (2, "", 1)
+        assert problem in err
 
 
 def test_a_map_of_a_session_is_edited_and_those_of_other_floors_stay(floors, tmp_path):
@@ -242,8 +276,23 @@ def test_edits_of_unknown_drives_are_left_out(call, floors, tmp_path):
     write_edits(tmp_path / "both.edits.geojson", Edits((stray,)))
     status, out, err = call("session", tmp_path / floors.name, "--json")
     assert (status, err.count("\n")) == (0, 1)
-    assert "1 edit of drives that are not in this session, left out" in err
+    assert "1 edit of drives or scans that are not in this session, left out" in err
     assert (json.loads(out)["edits"], json.loads(out)["links"]) == (0, {})
+
+
+def test_edits_without_a_scan_lie_on_the_map_of_their_drive(call, floors, tmp_path):
+    """As another program writes them: one of a drive, one of a drive and one of a scan that are not there."""
+    shutil.copy(floors, tmp_path)
+    ends = np.array([[0.0, 0.0], [0.0, 1.0]])
+    drawn = Edit("no_go", "LineString", ends, drive="monday")
+    strays = replace(drawn, drive="sunday"), replace(drawn, drive="", anchor=np.array([12345.678, 0, 0, 0]))
+    write_edits(tmp_path / "both.edits.geojson", Edits((drawn, *strays)))
+    status, _, err = call("session", tmp_path / floors.name, "-o", tmp_path / "out")
+    assert (status, err.count("\n")) == (0, 1)
+    assert "2 edits of drives or scans that are not in this session, left out" in err
+    assert [path.name for path in (tmp_path / "out").glob("*.geojson")] == ["ground.geojson"]
+    (shown,) = read_edits(tmp_path / "out" / "ground.geojson").edits
+    assert shown.drive == "monday"
 
 
 def test_a_merge_names_which_maps_were_not_compared(call, logs, monday, tmp_path):

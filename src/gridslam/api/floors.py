@@ -43,8 +43,11 @@ def compare_floors(open_log: Callable[[], Log], maps: Sequence[Path], **options:
     return shares
 
 
-def choose_floor(shares: Mapping[Path, float]) -> Path | None:
-    """Return the map of the floor on which the robot was; None where the maps do not differ enough."""
+def choose_floor(shares: Mapping[Path, float]) -> tuple[Path | None, str]:
+    """Return the map of the floor on which the robot was; None, and the reason, where that is not known."""
     best, *others = sorted(shares, key=lambda path: -shares[path])
-    is_clear = all(shares[best] >= _CLEAR * shares[other] for other in others)
-    return best if is_clear and shares[best] >= _LEAST_SHARE else None
+    if shares[best] < _LEAST_SHARE:
+        return None, f"the robot is localized at less than {_LEAST_SHARE:.0%} of the scans in each"
+    if any(shares[best] < _CLEAR * shares[other] for other in others):
+        return None, "the maps do not differ enough"
+    return best, ""

@@ -115,7 +115,7 @@ class LocalizationResult(Result):
     floors : mapping of str to float
         The maps of several floors, and the shares of the scans at which the robot is localized in each.
     floor : str or None
-        The one of them on which it was; None where the maps do not differ enough.
+        The one of them on which it was; None where the maps do not differ enough, or it is hardly localized in any.
     """
 
     schema: ClassVar = "gridslam.localization/2"

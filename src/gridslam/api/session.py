@@ -21,19 +21,19 @@ from gridslam.api.beginning import (
     restart_at_same_place,
 )
 from gridslam.api.mapping import MapResult, map_log
-from gridslam.api.session_edits import EditsBefore, find_edits, keep_edits, set_aside
+from gridslam.api.session_edits import EditsBefore, find_edits, keep_edits, set_aside, write_session_and_edits
 from gridslam.arguments import freeze, require_seed, require_threads
 from gridslam.checked import checked
 from gridslam.config import Configuration, build
 from gridslam.doctor.repair import open_repaired
-from gridslam.errors import ArgumentError, InputError, OutputError
+from gridslam.errors import ArgumentError
 from gridslam.grid.tiles import TiledGrid
 from gridslam.io.edited_maps import MapEdits
-from gridslam.io.edits import Edits, write_edits
+from gridslam.io.edits import Edits
 from gridslam.io.log import LogOptions, LogSource
 from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.drives import Drive, SavedPiece, choose_name, find_floor
-from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session, write_session
+from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session
 from gridslam.slam.full_slam.full_slam import FullSlam, full_slam, refine_piece
 from gridslam.slam.full_slam.full_trajectory import full_trajectories
 from gridslam.slam.full_slam.merging import merge_pieces
@@ -193,8 +193,11 @@ class Session:
 
         Each names the drive whose scan it follows, and so the map.
         """
-        maps = [piece.trajectories for piece in self.pieces]
-        return keep_edits(self._edits, maps, self._path or "")
+        return keep_edits(self._edits, self._list_maps(), self._path or "")
+
+    def _list_maps(self) -> list[dict[str, Trajectory]]:
+        """Return where the drives of each map lie."""
+        return [piece.trajectories for piece in self.pieces]
 
     def add(
         self,
@@ -341,9 +344,8 @@ class Session:
     def save(self, path: str | Path | None = None) -> None:
         """Write a session file; where it was opened or saved last if no path is given.
 
-        The edits beside the files that were opened are written beside it first: a process that is killed between the
-        two leaves edits that follow the scans of the session of before, too. Edits of another session that lie there
-        are kept under another name.
+        The edits beside the files that were opened are written beside it first (see `write_session_and_edits`). Edits
+        of another session that lie there are kept under another name.
 
         Raises
         ------
@@ -357,16 +359,8 @@ class Session:
             raise ArgumentError("path", "a path: the session was never saved", None)
         now = datetime.now(timezone.utc).isoformat(timespec="seconds")
         self._saved = replace(self._saved, written=now, version=__version__, thumbnail=self._thumbnail())
-        problem = None
         set_aside(target, self._edits)
-        if any(source.path.exists() for source in self._edits):
-            try:
-                write_edits(find_edits(target), replace(self.edits, map_name=Path(target).name))
-            except InputError as error:
-                problem = error
-        write_session(target, self._saved)
-        if problem is not None:
-            raise OutputError(f"{target}: is written without its edits: {problem}")
+        write_session_and_edits(target, self._saved, self._edits, self._list_maps)
         self._path = Path(target)
         self._edits = [EditsBefore(find_edits(target))]
 
@@ -403,7 +397,7 @@ class Session:
         """Note where the scans lie that edits follow, before some are left out as another drive begins."""
         for source in self._edits:
             source.keep(())  # a damaged file is refused before the log is mapped
-        maps = [] if keeps_all else [piece.trajectories for piece in self.pieces]
+        maps = [] if keeps_all else self._list_maps()
         self._edits = [source.note(maps) for source in self._edits]
 
     def _refine(self) -> list[_Map]:

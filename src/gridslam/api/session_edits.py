@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
@@ -10,11 +10,21 @@ from typing import TypeAlias, final
 
 import numpy as np
 
+from gridslam.errors import InputError, OutputError
 from gridslam.io.edited_maps import anchor_edit, follow_scan
-from gridslam.io.edits import Edit, Edits, read_edits
+from gridslam.io.edits import Edit, Edits, read_edits, write_edits
+from gridslam.io.sessions.session_file import SavedSession, write_session
 from gridslam.types import Trajectory
 
-__all__ = ["EditsBefore", "Trajectories", "find_edits", "keep_edits", "set_aside"]
+__all__ = [
+    "EditsBefore",
+    "Trajectories",
+    "find_edits",
+    "keep_edits",
+    "move_session",
+    "set_aside",
+    "write_session_and_edits",
+]
 
 Trajectories: TypeAlias = Mapping[str, Trajectory]
 """Of each drive of a map, by its name."""
@@ -58,7 +68,8 @@ class EditsBefore:
         """Return the edits where the maps of the session are now, by the names that its drives have now.
 
         An edit follows its scan. Where that was left out it follows the nearest one of the same map that is left; where
-        none is, it is kept as it is. One that follows no scan yet is of the newest map.
+        none is, it is kept as it is. One that follows no scan yet is of the map of its drive; without a drive of the
+        newest one.
 
         Raises
         ------
@@ -68,14 +79,13 @@ class EditsBefore:
         if not self.path.exists():
             return []
         after = {name: path for each in maps for name, path in each.items()}
-        newest = (*self.maps, *maps)[:1]
-        return [
-            self._keep(edit if edit.anchor is not None else anchor_edit(edit, newest[0] if newest else {}), after)
-            for edit in read_edits(self.path).edits
-        ]
+        return [self._keep(edit, after, self.maps or maps) for edit in read_edits(self.path).edits]
 
-    def _keep(self, edit: Edit, after: Trajectories) -> Edit:
+    def _keep(self, edit: Edit, after: Trajectories, drawn_on: Sequence[Trajectories]) -> Edit:
         edit = replace(edit, drive=self.names.get(edit.drive, edit.drive))
+        if edit.anchor is None:
+            own = (each for each in drawn_on if not edit.drive or edit.drive in each)
+            edit = anchor_edit(edit, next(own, {}))
         moved = follow_scan(edit, after)
         for before in self.maps if moved is None else ():
             was = follow_scan(edit, before)
@@ -97,6 +107,46 @@ def keep_edits(sources: Sequence[EditsBefore], maps: Sequence[Trajectories], ses
     return Edits(tuple(edit for source in sources for edit in source.keep(maps)), Path(session).name)
 
 
+def write_session_and_edits(
+    target: str | Path,
+    saved: SavedSession,
+    sources: Sequence[EditsBefore],
+    list_maps: Callable[[], Sequence[Trajectories]] = tuple,
+) -> None:
+    """Write a session file, and before it the edits of the sessions that it is made of beside it.
+
+    A process that is killed between the two leaves edits that follow the scans of the session of before, too.
+
+    Parameters
+    ----------
+    target : str or Path
+        The file.
+    saved : SavedSession
+    sources : sequence of EditsBefore
+        Their edits are read now.
+    list_maps : callable
+        Gives the maps of the session, in which the edits are moved; is called where there are edits. Without maps they
+        are moved when the session is opened.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written, or the edits are damaged; then the session is written alone.
+    """
+    problem = None
+    path = find_edits(target)
+    if any(source.path.exists() for source in sources):
+        try:
+            edits = keep_edits(sources, list_maps(), target)
+            if not (path.exists() and path.read_bytes() == edits.to_text().encode()):
+                write_edits(path, edits)
+        except InputError as error:
+            problem = error
+    write_session(target, saved)
+    if problem is not None:
+        raise OutputError(f"{target}: is written without its edits: {problem}")
+
+
 def set_aside(session: str | Path, sources: Sequence[EditsBefore]) -> None:
     """Rename edits that lie beside a session file to be written, unless they are among its sources."""
     path = find_edits(session)
@@ -104,3 +154,12 @@ def set_aside(session: str | Path, sources: Sequence[EditsBefore]) -> None:
         return
     numbered = (path.with_name(f"{Path(session).stem}-{number}.edits.geojson") for number in count(1))
     path.rename(next(name for name in numbered if not name.exists()))
+
+
+def move_session(session: Path, target: Path) -> None:
+    """Rename a session file and the edits beside it, in place of those that are there."""
+    if find_edits(session).exists():
+        find_edits(session).replace(find_edits(target))
+    else:
+        find_edits(target).unlink(missing_ok=True)
+    session.replace(target)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from gridslam.cli.options import name_option
 from gridslam.cli.output import open_output, print_result, warn
 from gridslam.errors import InputError
 from gridslam.io.maps import write_map
@@ -26,11 +27,19 @@ _LEAST_SHARE = 0.3
 
 
 def align_to_folder(
-    source: Path, plan: Path | None, out: Path, pairs: FloatArray, unit_m: float | None, by_pairs: bool, as_json: bool
+    source: Path,
+    floor: str | None,
+    plan: Path | None,
+    out: Path,
+    pairs: FloatArray,
+    unit_m: float | None,
+    by_pairs: bool,
+    as_json: bool,
 ) -> None:
     """Align a map with a plan, or with the world, write it to a folder and print a summary."""
     with open_output(out, _NAMES) as folder:
-        given = read_source(source, warn)
+        with name_option(floor="--floor"):
+            given = read_source(source, warn, floor)
         if plan is None:
             origin, left = fit_world(pairs[:, :2], pairs[:, 2:])
             write_geotiff(folder.file("map.tif"), given.grid, origin)

@@ -91,7 +91,7 @@ def localize_to_folder(
                 stopwatch=watch,
                 **viewers.watch(source, watch),
             )
-            floor = choose_floor(shares) if shares else None
+            floor, unknown = choose_floor(shares) if shares else (None, "")
             floors = {str(path): share for path, share in shares.items()}
             result = replace(result, floors=floors, floor=None if floor is None else str(floor))
             for warning in result.warnings():
@@ -101,7 +101,7 @@ def localize_to_folder(
             if folder is not None:
                 viewers.write_history(folder)
             document = result.document() if folder is None else result.write(folder, viewers.messages.to_list())
-        print_result(document, _summarize(document, result, out), as_json)
+        print_result(document, _summarize(document, result, unknown, out), as_json)
 
 
 def read_parameters(
@@ -120,8 +120,8 @@ def read_parameters(
     return read._replace(ignored=(*of_file.ignored, *read.ignored))
 
 
-def _summarize(document: dict[str, Any], result: LocalizationResult, out: Path | None) -> Iterator[str]:
-    """Format the summary of a run."""
+def _summarize(document: dict[str, Any], result: LocalizationResult, unknown: str, out: Path | None) -> Iterator[str]:
+    """Format the summary of a run; `unknown` is why the floor is not known."""
     scans = document["scans"]
     filter_ = document["filter"]
     seconds = document["time"]["wall_s"]
@@ -135,7 +135,7 @@ def _summarize(document: dict[str, Any], result: LocalizationResult, out: Path |
     )
     if result.floors:
         shares = ", ".join(f"{path} at {share:.0%} of the scans" for path, share in result.floors.items())
-        yield f"floor: {result.floor or 'unknown, as the maps do not differ enough'}; localized in {shares}"
+        yield f"floor: {result.floor or f'unknown, as {unknown}'}; localized in {shares}"
     yield from _summarize_intervals(result)
     x, y, theta = result.reports[-1].pose.tolist()
     deviation = math.sqrt(float(np.trace(result.reports[-1].covariance[:2, :2])))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
@@ -27,6 +26,7 @@ __all__ = [
     "add_options",
     "assignment_option",
     "evaluate_options",
+    "floor_option",
     "history_option",
     "host_options",
     "json_option",
@@ -277,12 +277,20 @@ def evaluate_options(command: _Command) -> _Command:
 
 def _read_floor(ctx: click.Context, param: click.Parameter, name: str | None) -> str:
     """Read the name of a floor, of which files get their names."""
-    if name is not None and not re.fullmatch(r"\w[\w.-]{0,39}", name):
-        problem = f"expected 1 to 40 letters, digits, '_', '.' and '-', got {name[:60]!r}"
-        raise click.BadParameter(problem, ctx, param)
-    return name or ""
+    if not name:
+        return ""
+    from gridslam.io.sessions.drives import require_floor
+
+    with name_option(floor="--floor"):
+        return require_floor(name)
 
 
+floor_option = click.option(
+    "--floor",
+    callback=_read_floor,
+    metavar="NAME",
+    help="Floor on which the robot is; what is mapped is not joined with the maps of other floors.",
+)
 _MAP_OPTIONS = (
     click.option("--particles", type=int, help="Number of particles.  [default: the preset's, 30]"),
     seed_option,
@@ -314,12 +322,7 @@ _SESSION_OPTIONS = (
         "--frozen", is_flag=True, help="What the session has mapped stays where it is; LOG is aligned with it."
     ),
     click.option("--name", metavar="NAME", help="Name of the drive, such as the robot's.  [default: that of LOG]"),
-    click.option(
-        "--floor",
-        callback=_read_floor,
-        metavar="NAME",
-        help="Floor on which LOG is; it is not joined with the maps of other floors.",
-    ),
+    floor_option,
     click.option(
         "--prior",
         type=PATH,

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from gridslam.cli.options import name_option
 from gridslam.cli.output import open_output, print_result, warn
 from gridslam.errors import InputError
 from gridslam.plan.alignment import Alignment, align_points
@@ -31,11 +32,18 @@ _LEAST_SHARE = 0.3
 
 
 def plan_to_folder(
-    source: Path, out: Path, scale: int, straighten: bool, origin: tuple[float, float, float] | None, as_json: bool
+    source: Path,
+    floor: str | None,
+    out: Path,
+    scale: int,
+    straighten: bool,
+    origin: tuple[float, float, float] | None,
+    as_json: bool,
 ) -> None:
     """Make a floor plan, write it to a folder and print a summary."""
     with open_output(out, _NAMES) as folder:
-        given = read_source(source, warn)
+        with name_option(floor="--floor"):
+            given = read_source(source, warn, floor)
         plan = make_plan(given.grid, given.points, given.path)
         plan = replace(plan, rooms=name_rooms(plan.rooms, given.names))
         if not plan.walls:
@@ -63,8 +71,9 @@ def _describe(source: Path, plan: FloorPlan, scale: int, made_from: str) -> dict
         "bounds_m": [low, high],
         "dominant_deg": float(np.rad2deg(plan.dominant_rad)),
         "turned_deg": float(np.rad2deg(plan.turned_rad)),
-        "walls": len(plan.walls),
-        "walls_length_m": sum(wall.length_m for wall in plan.walls),
+        "walls": len(plan.walls) + len(plan.arcs),
+        "walls_length_m": sum(wall.length_m for wall in plan.walls) + sum(arc.length_m for arc in plan.arcs),
+        "arcs": len(plan.arcs),
         "doors": [
             {"kind": o.kind, "width_m": o.width_m, "middle_m": o.ends.mean(axis=0).tolist()} for o in plan.openings
         ],
@@ -78,9 +87,10 @@ def _describe(source: Path, plan: FloorPlan, scale: int, made_from: str) -> dict
 
 def _summarize(plan: FloorPlan, document: dict[str, Any], out: Path) -> Iterator[str]:
     thick = sum(wall.thickness_m is not None for wall in plan.walls)
+    round_ones = f"{len(plan.arcs)} round, " if plan.arcs else ""
     yield (
-        f"{len(plan.walls)} walls, {document['walls_length_m']:.0f} m, {thick} of them with their thickness, "
-        f"from {document['made_from']}; most run at {document['dominant_deg']:.2f} deg"
+        f"{document['walls']} walls, {document['walls_length_m']:.0f} m, {thick} of them with their thickness, "
+        f"{round_ones}from {document['made_from']}; most run at {document['dominant_deg']:.2f} deg"
     )
     widths = sorted(opening.width_m for opening in plan.openings)
     yield f"{len(widths)} doors and openings" + (f", {widths[0]:.2f} to {widths[-1]:.2f} m wide" if widths else "")
@@ -93,10 +103,11 @@ def _summarize(plan: FloorPlan, document: dict[str, Any], out: Path) -> Iterator
     yield f"for other programs: {out / 'plan.dxf'}, {out / 'plan.geojson'}"
 
 
-def changes_to_folder(first: Path, second: Path, out: Path, same_frame: bool, as_json: bool) -> None:
+def changes_to_folder(first: Path, second: Path, floor: str | None, out: Path, same_frame: bool, as_json: bool) -> None:
     """Find the changes between two maps, write them to a folder and print a summary."""
     with open_output(out, _CHANGES_NAMES) as folder:
-        maps = [read_source(path, warn) for path in (first, second)]
+        with name_option(floor="--floor"):
+            maps = [read_source(path, warn, floor) for path in (first, second)]
         points = [given.surfaces for given in maps]
         for path, found in zip((first, second), points, strict=True):
             if not len(found):

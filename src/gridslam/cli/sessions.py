@@ -58,11 +58,15 @@ def show_session(file: Path, picture: Path | None, out: Path | None, as_json: bo
             raise InputError(file, "expected a session with a picture, got one without")
         with write_atomically(picture) as path:
             path.write_bytes(head.thumbnail)
+    shown = len(known.edits)
     if out is not None:
-        _write_maps(Session.open(file), out)
-    if len(known.edits) < len(edits.edits):
-        others = counted(len(edits.edits) - len(known.edits), "edit")
-        warn(f"{find_edits(file)}: {others} of drives that are not in this session, left out")
+        shown = _write_maps(Session.open(file), out)
+    if shown < len(edits.edits):
+        others = counted(len(edits.edits) - shown, "edit")
+        warn(f"{find_edits(file)}: {others} of drives or scans that are not in this session, left out")
+    placeless = sum(edit.anchor is None and not edit.drive for edit in known.edits)
+    if placeless and len(names) > 1:
+        warn(f"{find_edits(file)}: {counted(placeless, 'edit')} without a drive, taken for {names[0]}, the newest map")
     if as_json:
         print_json(content)
         return
@@ -93,18 +97,21 @@ def _find_links(edits: Edits, names: list[str], groups: list[list[dict[str, Any]
     return links
 
 
-def _write_maps(session: Session, out: Path) -> None:
-    """Write the maps of a session, each with the edits that lie on it."""
+def _write_maps(session: Session, out: Path) -> int:
+    """Write the maps of a session, each with the edits that lie on it; return how many these are."""
     names, edits = session.names, session.edits
+    count = 0
     with open_output(out, [f"{name}{suffix}" for name in names for suffix in (".yaml", ".pgm", ".geojson")]) as folder:
         for number, (name, grid) in enumerate(zip(names, session.maps, strict=True)):
             write_map(folder.file(f"{name}.yaml"), grid)
             own = MapEdits.of(folder.file(f"{name}.yaml"))
             shown, _ = session.edits_of(number).split(edits)
+            count += len(shown.edits)
             if shown.edits:
                 write_edits(
                     folder.file(f"{name}.geojson"), replace(shown, map_name=f"{name}.yaml", map_sha256=own.sha256)
                 )
+    return count
 
 
 def _describe(content: dict[str, Any]) -> Iterator[str]:

@@ -78,7 +78,7 @@ class MapEdits:
     trajectories : mapping of str to Trajectory
         Of each drive of the map, by its name; the name is empty in the folder of a run.
     is_newest : bool
-        Whether it is the newest map of a session, whose edits without a scan are its.
+        Whether it is the newest map of a session, whose edits without a scan and without a drive are its.
     """
 
     def __init__(
@@ -112,7 +112,8 @@ class MapEdits:
             return edits, ()
         own, others = [], []
         for edit in edits.edits:
-            stays = not edits.map_sha256 if self.sha256 else edit.anchor is None and self._is_newest
+            is_here = edit.drive in self.trajectories if edit.drive else self._is_newest
+            stays = not edits.map_sha256 if self.sha256 else edit.anchor is None and is_here
             moved = follow_scan(edit, self.trajectories) or (edit if stays else None)
             own.append(moved) if moved is not None else others.append(edit)
         return replace(edits, edits=tuple(own), map_sha256=self.sha256), tuple(others)

@@ -256,10 +256,12 @@ def _check_ring(points: _FloatArray) -> _FloatArray:
         raise ValueError("expected a closed ring, whose last position is the first one")
     ring = points[:-1][(np.diff(points, axis=0) != 0).any(axis=1)]
     x, y = (ring - points[0]).T
-    area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
-    if len(ring) < 3 or abs(area) < _LEAST_AREA_M2:
+    areas = 0.5 * (x * np.roll(y, -1) - np.roll(x, -1) * y)
+    area = float(areas.sum())
+    has_area = len(ring) >= 3 and np.abs(areas).max() >= _LEAST_AREA_M2
+    crossing = _find_crossing(ring) if has_area else None
+    if crossing is None and abs(area) < _LEAST_AREA_M2:
         raise ValueError("expected a polygon with an area")
-    crossing = _find_crossing(ring)
     if crossing is not None:
         raise ValueError(
             f"expected a polygon that does not cross itself, got a crossing at {crossing[0]:g}, {crossing[1]:g}"

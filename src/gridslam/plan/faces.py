@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import final
 
 import numpy as np
@@ -12,7 +13,7 @@ from gridslam.plan.rasters import BoolArray
 from gridslam.plan.surfaces import SurfacePoints, label_surfaces
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Face", "dominant_direction", "find_faces", "snap_directions"]
+__all__ = ["Face", "choose_seed", "dominant_direction", "find_faces", "find_surfaces", "snap_directions"]
 
 _GAP_M = 0.3
 """Along a face points are no farther apart: less than a door, more than beams are at 15 m."""
@@ -78,39 +79,34 @@ class Face:
         return apart @ self.along, apart @ self.normal
 
 
-def find_faces(points: SurfacePoints) -> list[Face]:
-    """Find straight faces of 0.25 m and more, the longest of each connected surface first."""
-    if not len(points):
-        return []
+def find_surfaces(points: SurfacePoints) -> Iterator[SurfacePoints]:
+    """Yield the points of each connected surface."""
     labels = label_surfaces(points)
     order = np.argsort(labels, kind="stable")
     starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
     ordered = replace(points.select(order), weights=points.weights[order].clip(max=_MOST_WEIGHT))
-    ends = [*starts[1:].tolist(), len(points)]
-    faces: list[Face] = []
-    for begin, end in zip(starts.tolist(), ends, strict=True):
-        if end - begin >= _FEWEST:
-            faces += _peel(ordered.select(slice(begin, end)))
-    return faces
+    for begin, end in pairwise([*starts.tolist(), len(points)]):
+        yield ordered.select(slice(begin, end))
 
 
-def _peel(left: SurfacePoints) -> Iterator[Face]:
-    """Take face after face from the points of a component, each grown from where most points agree."""
+def find_faces(left: SurfacePoints) -> Iterator[Face]:
+    """Take straight faces of 0.25 m and more from a connected surface, each grown from where most points agree."""
     while len(left) >= _FEWEST and np.hypot(*np.ptp(left.positions, axis=0)) >= _SHORTEST_M:
-        taken, face = _grow(left, _choose_seed(left))
+        taken, face = _grow(left, choose_seed(left)[0])
         if face is not None and face.length_m >= _SHORTEST_M:
             yield face
         left = left.select(~taken)
 
 
-def _choose_seed(left: SurfacePoints) -> int:
-    """The point whose line has most points: of at most 40 that are tried, evenly distributed."""
+def choose_seed(left: SurfacePoints) -> tuple[int, float]:
+    """Return the point whose line has most points, of at most 40 that are tried, and the weight of these."""
     tried = np.linspace(0, len(left) - 1, min(40, len(left))).astype(np.int64)
     places, normals = left.positions[tried], left.normals[tried]
     asked = left.select(slice(None, None, 1 + len(left) // _MOST_ASKED))
     offsets = asked.positions @ normals.T - (places * normals).sum(axis=1)
     agree = (np.abs(offsets) < _OFFSET_M) & (asked.normals @ normals.T > _LEAST_COSINE)
-    return int(tried[np.argmax(asked.weights @ agree)])
+    heights = asked.weights @ agree
+    return int(tried[np.argmax(heights)]), float(heights.max() * left.weights.sum() / asked.weights.sum())
 
 
 def _grow(left: SurfacePoints, seed: int) -> tuple[BoolArray, Face | None]:

@@ -16,9 +16,9 @@ from gridslam.plan.segments import Segments
 from gridslam.plan.untyped import ndimage, require_map_extra
 from gridslam.types import FloatArray
 
-__all__ = ["Room", "find_rooms", "name_rooms"]
+__all__ = ["LEAST_AREA_M2", "Room", "find_rooms", "name_rooms"]
 
-_LEAST_AREA_M2 = 2.0
+LEAST_AREA_M2 = 2.0
 _LEAST_ENCLOSED = 0.2
 _SMALLEST_HOLE_M2 = 0.3
 _SIMPLE_M = 0.12
@@ -85,7 +85,7 @@ def find_rooms(
     rooms = []
     sizes = np.bincount(labels.reshape(-1)) * raster.cell_m**2
     for number, part in enumerate(ndimage.find_objects(labels), start=1):
-        if sizes[number] >= _LEAST_AREA_M2:
+        if sizes[number] >= LEAST_AREA_M2:
             window = tuple(slice(max(0, s.start - 1), s.stop + 1) for s in part)
             mask = labels[window] == number
             corner = raster.origin + np.array([window[1].start, window[0].start]) * raster.cell_m
@@ -150,7 +150,7 @@ def _make_room(mask: BoolArray, corner: FloatArray, raster: Raster, sides: Segme
     polygon = shapely.geometry.polygon.orient(polygon)
     outline = np.array(polygon.exterior.coords)[:-1]
     unknown, share = _find_unknown(outline, raster, sides)
-    if polygon.area < _LEAST_AREA_M2 or 1 - share < _LEAST_ENCLOSED:
+    if polygon.area < LEAST_AREA_M2 or 1 - share < _LEAST_ENCLOSED:
         return None
     holes = tuple(np.array(ring.coords)[:-1] for ring in polygon.interiors)
     return Room("", outline, holes, unknown, float(polygon.area))

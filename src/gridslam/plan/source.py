@@ -13,6 +13,7 @@ from gridslam.doctor.repair import open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry import se2
 from gridslam.io.edited_maps import SUFFIX, apply_edits, cells_of, read_map_of_edits
+from gridslam.io.edits import Edits
 from gridslam.io.maps import read_map
 from gridslam.io.text import compute_digest, read_json
 from gridslam.io.trajectories import read_tum
@@ -46,7 +47,9 @@ class MapSource(NamedTuple):
         return points_of_grid(self.grid) if self.points is None else self.points
 
 
-def read_source(path: str | Path, on_remark: Callable[[str], None] = lambda remark: None) -> MapSource:
+def read_source(
+    path: str | Path, on_remark: Callable[[str], None] = lambda remark: None, floor: str | None = None
+) -> MapSource:
     """Read the source of a plan.
 
     Parameters
@@ -55,37 +58,44 @@ def read_source(path: str | Path, on_remark: Callable[[str], None] = lambda rema
         A map's YAML file, edits of one, the folder OUT of `gridslam map` or `grid`, or a session NAME.gridslam.
     on_remark : callable
         Gets what is odd, a sentence each; so, that walls are taken from cells, as a folder's log is not there.
+    floor : str, optional
+        Name of one of a session's maps; the newest drive's if not given.
 
     Raises
     ------
     InputError
         Nothing of these is there, or it cannot be read.
+    ArgumentError
+        There is no map of this name.
     """
     path = Path(path)
+    if floor and path.suffix != ".gridslam":
+        raise ArgumentError("floor", "a session, of whose maps one is named", path)
     if path.is_dir():
         return _read_folder(path, on_remark)
     if path.suffix == ".gridslam":
-        return _read_session(path)
+        return _read_session(path, floor)
     if path.suffix == SUFFIX:
         return _read_edits(path, on_remark)
     return MapSource(read_map(path, on_remark=on_remark), path.stem)
 
 
-def _read_session(path: Path) -> MapSource:
-    """The map of a session's newest piece, and the end points of its key scans."""
+def _read_session(path: Path, floor: str | None) -> MapSource:
+    """A map of a session, with its edits, and the end points of its key scans."""
     session = Session.open(path)
-    try:
-        grid = session.map
-    except ArgumentError:
-        raise InputError(path, "expected a session with a map, got one without a scan") from None
-    piece = session.pieces[0].piece
+    if not session.maps:
+        raise InputError(path, "expected a session with a map, got one without a scan")
+    number = session.find_map(floor or None)
+    grid, piece = session.maps[number].whole(), session.pieces[number].piece
+    edits, _ = session.edits_of(number).split(session.edits)
 
     def scans() -> Iterator[tuple[FloatArray, FloatArray]]:
         for key, pose in enumerate(piece.poses):
             scan = piece.scans.key(key)
             yield se2.transform_points(pose, scan.origin[None])[0], se2.transform_points(pose, scan.ends)
 
-    return _add_scans(MapSource(grid, path.stem), scans())
+    name = f"{path.stem}, {session.names[number]}" if len(session.maps) > 1 else path.stem
+    return _apply(edits, _add_scans(MapSource(grid, name), scans()))
 
 
 def _read_folder(out: Path, on_remark: Callable[[str], None]) -> MapSource:
@@ -124,13 +134,17 @@ def _add_scans(source: MapSource, scans: Iterable[tuple[FloatArray, FloatArray]]
 
 
 def _read_edits(path: Path, on_remark: Callable[[str], None]) -> MapSource:
-    """The map that edits name, with them: of its run's end points without those in areas that were changed."""
+    """The map that edits name, with them."""
     grid, edits, own = read_map_of_edits(path, on_remark=on_remark)
-    edited = apply_edits(grid, edits)
     is_run = own.name == "map.yaml" and (own.parent / "trajectory.tum").is_file()
-    source = _read_folder(own.parent, on_remark) if is_run else MapSource(grid, own.stem)
+    return _apply(edits, _read_folder(own.parent, on_remark) if is_run else MapSource(grid, own.stem))
+
+
+def _apply(edits: Edits, source: MapSource) -> MapSource:
+    """Make edits on a map, and leave out the end points in areas that were changed."""
+    grid, points = source.grid, source.points
+    edited = apply_edits(grid, edits)
     names = tuple((edit.name, edit.points.mean(axis=0)) for edit in edits.of("rooms"))
-    points = source.points
     if points is not None:
         changed = np.zeros(grid.shape, np.bool_)
         for edit in edits.of("erased", "walls"):

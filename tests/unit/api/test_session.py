@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import gridslam
-from gridslam.api import session as sessions_module
+from gridslam.api import session_edits as sessions_module
 from gridslam.api.beginning import Beginning, begin_new_piece
 from gridslam.api.session_edits import EditsBefore, find_edits
 from gridslam.config import override

@@ -126,3 +126,22 @@ def test_no_points_and_few_points_are_no_face():
     grid = draw_two_rooms()
     assert not make_plan(grid, SurfacePoints(nothing, nothing, np.zeros(0))).faces
     assert not make_plan(grid, points_of_scans([(np.zeros(2), np.array([[1.0, 0.0]]))], 0.05)).faces
+
+
+def test_what_was_seen_through_a_window_bounds_nothing():
+    """A wall outside, at the end of a few beams, is left out; the sheet ends at the rooms."""
+    grid = draw_two_rooms(margin_m=6.0)
+    log_odds, known = grid.log_odds.copy(), grid.known.copy()
+    x, y = np.meshgrid(
+        *(low + (np.arange(n) + 0.5) * 0.05 for low, n in zip(grid.origin, grid.shape[::-1], strict=True))
+    )
+    beam = (np.abs(x - 3.0) < 0.05) & (y > 3.9) & (y < 7.0)  # 10 cm wide
+    beam |= (np.abs(x - 3.2) < 0.6) & (np.abs(y - 6.95) < 0.05)
+    log_odds[beam], known[beam] = -4.0, True
+    wall = (np.abs(x - 3.2) < 0.6) & (np.abs(y - 7.05) < 0.05)
+    log_odds[wall], known[wall] = 4.0, True
+    outside = OccupancyGrid(log_odds, known, grid.resolution_m, grid.origin)
+    plan, alone = make_plan(outside), make_plan(grid)
+    assert any(face.middle[1] > 6.9 for face in plan.faces)
+    assert plan.bounds[1, 1] == pytest.approx(alone.bounds[1, 1], abs=0.1)
+    assert [room.area_m2 for room in plan.rooms] == pytest.approx(AREAS, rel=0.04)

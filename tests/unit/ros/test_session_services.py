@@ -9,6 +9,7 @@ import pytest
 
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.se2 import between
+from gridslam.io.edits import Edit, Edits, read_edits, write_edits
 from gridslam.io.sessions.session_file import read_session
 from gridslam.ros.node.session_services import MatchType
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
@@ -77,6 +78,8 @@ def test_what_is_mapped_is_joined_with_another_session_and_goes_on_from_both(dri
     other = RunningNode(save=str(tmp_path / "other.gridslam"))
     other.play(drive[:200])
     other.stop()
+    zone = Edit("rooms", "Point", np.zeros((1, 2)), "hall")
+    write_edits(tmp_path / "other.edits.geojson", Edits((zone,)))
     node = RunningNode(out=str(tmp_path / "out"))
     node.play(drive[100:300])
     serve = node.node._services
@@ -99,6 +102,12 @@ def test_what_is_mapped_is_joined_with_another_session_and_goes_on_from_both(dri
     assert len([*joined.drives]) == 2
     assert len(joined.pieces) == 1
     assert len([*read_session(folder / "before-merge.gridslam").drives]) == 1
+    assert [edit.name for edit in read_edits(folder / "merged.edits.geojson").edits] == ["hall"]
+    assert sorted(path.name for path in folder.glob("*merge*")) == [
+        "before-merge.gridslam",
+        "merged.edits.geojson",
+        "merged.gridslam",
+    ]
     node.play(drive[300:330])
     log = node.stop()
     assert "looked for in its map" in log

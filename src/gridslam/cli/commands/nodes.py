@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from gridslam.cli.option_types import OUTPUT_FILE, OUTPUT_FOLDER, PATH, SEED, THREADS, Number
-from gridslam.cli.options import SETTINGS, add_options, assignment_option, read_pose, robot_live_options
+from gridslam.cli.options import SETTINGS, add_options, assignment_option, floor_option, read_pose, robot_live_options
 
 __all__ = ["ros1_command", "ros2_command"]
 
@@ -32,6 +32,7 @@ _NODE_OPTIONS = (
     click.option(
         "--pose", "begin_pose", callback=read_pose, metavar="X,Y,THETA", help="About where in that map, m, rad."
     ),
+    floor_option,
     click.option(
         "--autosave",
         type=Number(0),

@@ -29,8 +29,14 @@ def _read_origin(ctx: click.Context, param: click.Parameter, text: str | None) -
     return latitude, longitude, bearing
 
 
+_floor_option = click.option(
+    "--floor", metavar="NAME", help="Of a session: the map that is taken.  [default: the newest drive's]"
+)
+
+
 @click.command("plan")
 @click.argument("source", type=PATH)
+@_floor_option
 @out_option
 @click.option(
     "--scale",
@@ -64,6 +70,7 @@ def plan_command(**options: Any) -> None:  # noqa: ANN401
 @click.command("changes")
 @click.argument("first", type=PATH)
 @click.argument("second", type=PATH)
+@_floor_option
 @out_option
 @click.option("--same-frame", is_flag=True, help="Both maps have one frame; do not align them by their walls.")
 @json_option
@@ -142,6 +149,7 @@ def _read_pairs(ctx: click.Context, param: click.Parameter, texts: tuple[str, ..
 @click.command("align")
 @click.argument("source", metavar="MAP", type=PATH)
 @click.argument("plan", required=False, type=PATH)
+@_floor_option
 @out_option
 @click.option(
     "--pair",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import final
@@ -11,6 +12,7 @@ import numpy as np
 
 from gridslam import serialization
 from gridslam.arguments import require_instance
+from gridslam.errors import ArgumentError
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
@@ -18,7 +20,7 @@ from gridslam.slam.full_slam.thinning import thin_piece
 from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.types import FloatArray, IntArray, Trajectory
 
-__all__ = ["Drive", "DrivenLog", "SavedPiece", "choose_name", "find_floor"]
+__all__ = ["Drive", "DrivenLog", "SavedPiece", "choose_name", "find_floor", "require_floor"]
 
 
 @final
@@ -96,6 +98,13 @@ class Drive:
         """Stamps of its key scans."""
         stamps: IntArray = self.stamps_ns[np.flatnonzero(np.diff(self.scans.keys, prepend=-1))]
         return stamps
+
+
+def require_floor(name: str) -> str:
+    """Return the name of a floor, of which files get their names, or none; raises ArgumentError for another one."""
+    if name and not re.fullmatch(r"\w[\w.-]{0,39}", name):
+        raise ArgumentError("floor", "1 to 40 letters, digits, '_', '.' and '-'", repr(name[:60]))
+    return name
 
 
 def find_floor(drives: Iterable[Drive]) -> str:

@@ -13,11 +13,12 @@ import numpy as np
 
 from gridslam.api.beginning import Beginning, Place, decide_place, locate_in, restart_at_same_place
 from gridslam.api.session import Session as SavedDrives
+from gridslam.api.session_edits import EditsBefore, find_edits
 from gridslam.config import Configuration
 from gridslam.errors import GridslamError
 from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.background_writer import lower_priority
-from gridslam.io.sessions.drives import SavedPiece, choose_name
+from gridslam.io.sessions.drives import SavedPiece, choose_name, find_floor
 from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.messages import Level
@@ -47,6 +48,8 @@ class Continued:
         About where the robot is in the map of the newest piece, if that is known.
     is_in_file : bool
         Whether the file holds it, or what it has begun with: then the session may replace the file.
+    edits : tuple of EditsBefore
+        Those beside its file, or beside that of the session that it continues itself.
     """
 
     path: Path
@@ -54,13 +57,14 @@ class Continued:
     place: Place = Place.AUTO
     pose: FloatArray | None = None
     is_in_file: bool = True
+    edits: tuple[EditsBefore, ...] = ()
 
     @classmethod
     def read(
         cls, path: str | Path, threads: int = 1, place: Place = Place.AUTO, pose: FloatArray | None = None
     ) -> Continued:
         """Read a session file; raises InputError if it is none."""
-        return cls(Path(path), read_session(path, threads), place, pose)
+        return cls(Path(path), read_session(path, threads), place, pose, edits=(EditsBefore(find_edits(path)),))
 
     @property
     def names(self) -> list[str]:
@@ -82,14 +86,19 @@ class EarlierDrives:
         Of the kernels.
     is_new_drive : bool
         Whether the drive that the session has ended with is earlier, too; otherwise it goes on.
+    floor : str
+        Where the robot is; empty where it is not known.
     """
 
-    def __init__(self, continued: Continued, configuration: Configuration, threads: int, *, is_new_drive: bool) -> None:
+    def __init__(
+        self, continued: Continued, configuration: Configuration, threads: int, *, is_new_drive: bool, floor: str = ""
+    ) -> None:
         self._continued = continued
         self._configuration = configuration
         self._threads = threads
         self._is_new_drive = is_new_drive
-        self._found: tuple[tuple[SavedPiece, ...], EarlierPieces | None] | None = None
+        self._floor = floor
+        self._found: tuple[tuple[SavedPiece, ...], EarlierPieces | None, tuple[EditsBefore, ...]] | None = None
         self._problem = ""
         self._thread = threading.Thread(target=self._prepare, name="gridslam-earlier", daemon=True)
         self._thread.start()
@@ -108,46 +117,54 @@ class EarlierDrives:
         if self._found is None:
             problem = f"{self._continued.path} cannot be gone on from: {self._problem}"
             raise GridslamError(f"{problem}. The robot is not looked for in it, and no session is saved")
-        pieces, locator = self._found
-        return replace(begun, pieces=pieces, locator=locator)
+        pieces, locator, edits = self._found
+        return replace(begun, pieces=pieces, locator=locator, edits=edits)
 
     def _prepare(self) -> None:
         lower_priority()
         try:
             saved = self._continued.saved
-            pieces, run = saved.pieces, saved.run
+            pieces, run, edits = saved.pieces, saved.run, self._continued.edits
             if self._is_new_drive or run is None:
                 pieces = tuple(SavedDrives.of(saved, threads=self._threads).pieces)
-                run = SavedRun(np.random.default_rng(saved.seed))
-            self._found = pieces, locate_in(pieces, self._configuration, run, self._continued.pose)
+                run = SavedRun(np.random.default_rng(saved.seed), floor=self._floor)
+                edits = tuple(source.note([piece.trajectories for piece in pieces]) for source in edits)
+            self._found = pieces, locate_in(pieces, self._configuration, run, self._continued.pose), edits
         except Exception as error:  # reported by the filter's thread
             self._problem = describe_error(error)
 
 
 def begin(
-    continued: Continued | None, first: Measurement, slam: GridFastSlam, seed: int, log: Log
+    continued: Continued | None, first: Measurement, slam: GridFastSlam, seed: int, log: Log, floor: str = ""
 ) -> tuple[Beginning, bool]:
-    """Decide what a mapping session begins with at its first measurement, and whether that is a new drive."""
+    """Decide what a mapping session begins with at its first measurement, and whether that is a new drive.
+
+    A robot on another floor than that on which the session has ended is elsewhere.
+    """
     name = datetime.fromtimestamp(1e-9 * first.scan.stamp_ns, timezone.utc).strftime("%Y-%m-%d_%H-%M-%S")
     if continued is None:
-        return Beginning(SavedRun(np.random.default_rng(seed), name=name)), True
+        return Beginning(SavedRun(np.random.default_rng(seed), name=name, floor=floor)), True
     saved = continued.saved
     reason = "the newest drive has ended"
     is_same = False
-    if saved.run is not None and continued.pose is None:
+    before = "" if saved.run is None else find_floor(saved.run.drives)
+    if "" not in (floor, before) and floor != before:
+        reason = f"it was on {before}, and is on {floor}"
+    elif saved.run is not None and continued.pose is None:
         decision = decide_place(saved.run, slam, first)
         reason = decision.reason
         is_same = decision.is_same if continued.place is Place.AUTO else continued.place is Place.SAME
         if is_same:
             run = saved.run.snapshot()
+            run = replace(run, floor=run.floor or floor)
             if run.state is not None and not decision.is_same:
                 restart_at_same_place(run.state, first)
             log(Level.OK, f"session {continued.path}: goes on where it has ended: {reason}")
-            return Beginning(run, saved.pieces), False
+            return Beginning(run, saved.pieces, edits=continued.edits), False
     drives = continued.names
     log(Level.OK, f"session {continued.path}: goes on elsewhere, the robot is looked for in its map: {reason}")
-    run = SavedRun(np.random.default_rng(saved.seed + len(drives)), name=choose_name(name, drives))
-    return Beginning(run), True
+    run = SavedRun(np.random.default_rng(saved.seed + len(drives)), name=choose_name(name, drives), floor=floor)
+    return Beginning(run, edits=continued.edits), True
 
 
 def describe_drives(names: Sequence[str]) -> str:

@@ -132,6 +132,7 @@ class NodeCore:
         self._has_switched = False
         self._began_localizing = isinstance(configuration, Localization)
         self._continued = None if files is None else files.continued
+        self._floor = "" if files is None else files.floor
         self._goes_on = None if files is None else files.save or (files.continued and files.continued.path)
         self._session_end = SessionEnd.CLOSED
         self._drive = 0
@@ -495,7 +496,7 @@ class NodeCore:
         if saved is not None:
             is_in_file = mapped.continued is not None and mapped.continued.is_in_file
             path = self._goes_on or self.results_folder / "session.gridslam"  # where it is saved if somebody asks
-            self._continued = Continued(path, saved, Place.ELSEWHERE, is_in_file=is_in_file)
+            self._continued = Continued(path, saved, Place.ELSEWHERE, is_in_file=is_in_file, edits=mapped.edits)
 
     def _hand_over_session(self) -> None:
         """Give a copy of a session that was not ended on purpose to whoever saves it, unless the next one holds it."""
@@ -623,7 +624,7 @@ class NodeCore:
         else:
             seed = self.settings.seed if self._continued is None else self._continued.saved.seed
             log = self.messages.report
-            self._session = Session(self.configuration, seed, self.settings.threads, self._continued, log)
+            self._session = Session(self.configuration, seed, self.settings.threads, self._continued, log, self._floor)
             self._continued = None  # a later one begins with nothing
 
     def _use_renderer(self, configuration: Configuration) -> None:

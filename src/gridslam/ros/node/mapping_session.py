@@ -17,6 +17,7 @@ import numpy as np
 
 from gridslam.api.beginning import Beginning, restart_at_pose
 from gridslam.api.mapping import MapResult, finish_mapping
+from gridslam.api.session_edits import EditsBefore, write_session_and_edits
 from gridslam.config import Configuration, build
 from gridslam.doctor.repair import Repair
 from gridslam.errors import GridslamError, OutputError
@@ -24,7 +25,7 @@ from gridslam.geometry.se2 import compose
 from gridslam.io.log_statistics import LogStatistics, Mounting
 from gridslam.io.measurement import Measurement
 from gridslam.io.sessions.drives import DrivenLog
-from gridslam.io.sessions.session_file import SavedRun, SavedSession, write_session
+from gridslam.io.sessions.session_file import SavedRun, SavedSession
 from gridslam.io.text import compute_digest
 from gridslam.pipeline import FailedStep, FailureRecorder, Observer, Stopwatch, run
 from gridslam.ros.node.accepted_scan import AcceptedScan
@@ -55,6 +56,8 @@ class Session:
         What it goes on from.
     log : callable
         Reports to the user.
+    floor : str
+        Where the robot is; empty where it is not known.
 
     Attributes
     ----------
@@ -77,6 +80,7 @@ class Session:
         threads: int,
         continued: Continued | None = None,
         log: Callable[[Level, str], None] = lambda level, text: None,
+        floor: str = "",
     ) -> None:
         for name in _PRELOADED:
             import_module(name)
@@ -88,6 +92,7 @@ class Session:
         self._seed = seed
         self._threads = threads
         self._report = log
+        self._floor = floor
         self._log = LogStatistics()
         self._stopwatch = Stopwatch()
         self._failures = FailureRecorder()
@@ -154,6 +159,12 @@ class Session:
             messages,
         )
 
+    @property
+    def edits(self) -> tuple[EditsBefore, ...]:
+        """Those of the session that it continues."""
+        earlier = self._earlier
+        return self._begun.edits if earlier is None or not earlier.is_ready else earlier.add_to(self._begun).edits
+
     def to_session(self, *, wait: bool = False) -> SavedSession | None:
         """Give what a file of the session holds, to be frozen or written before the next scan; None if there is none.
 
@@ -181,9 +192,11 @@ class Session:
         self._begun = replace(self._begun, run=replace(self._begun.run, state=state))
 
     def _begin(self, first: Measurement, slam: GridFastSlam) -> None:
-        self._begun, is_new = begin(self.continued, first, slam, self._seed, self._report)
+        self._begun, is_new = begin(self.continued, first, slam, self._seed, self._report, self._floor)
         if self.continued is not None and (is_new or self.continued.saved.pieces):
-            self._earlier = EarlierDrives(self.continued, self.configuration, self._threads, is_new_drive=is_new)
+            self._earlier = EarlierDrives(
+                self.continued, self.configuration, self._threads, is_new_drive=is_new, floor=self._floor
+            )
 
     def _attach(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Let the filter look for the robot in what earlier drives have left, once that is at hand."""
@@ -226,6 +239,11 @@ class SessionCopy:
     continued: Continued | None = None
     messages: Sequence[Mapping[str, Any]] = ()
 
+    @property
+    def edits(self) -> tuple[EditsBefore, ...]:
+        """Those of the session that it continues."""
+        return self.beginning.edits
+
     def save(self, folder: str | Path) -> dict[str, Any]:
         """Write the files of `gridslam map` after the final refinement, which takes time; returns run.json's content.
 
@@ -241,12 +259,12 @@ class SessionCopy:
             raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
 
     def save_session(self, path: str | Path) -> None:
-        """Write the session file.
+        """Write the session file, and beside it the edits of the session that it continues.
 
         Raises
         ------
         OutputError
-            It cannot be written.
+            It cannot be written, or the edits are damaged; then the session is written alone.
         GridslamError
             What earlier drives have left cannot be gone on from.
         """
@@ -254,7 +272,7 @@ class SessionCopy:
         state = begun.run.state
         assert state is not None
         session = _make_session(self.configuration, self.seed, begun, state, self.log, self.record)
-        write_session(path, replace(session, thumbnail=_draw(state)))
+        write_session_and_edits(path, replace(session, thumbnail=_draw(state)), begun.edits)
 
     def _whole(self) -> Beginning:
         """What the session has begun with, and what earlier drives have left, which may take time."""

@@ -10,7 +10,8 @@ from typing import Any, Final
 import numpy as np
 
 from gridslam.api.beginning import Place
-from gridslam.errors import ConfigurationError
+from gridslam.errors import ArgumentError, ConfigurationError
+from gridslam.io.sessions.drives import find_floor, require_floor
 from gridslam.ros.node.continued import Continued
 from gridslam.ros.node.live_autosave import AUTOSAVE, SessionFiles
 from gridslam.types import FloatArray
@@ -23,6 +24,7 @@ SESSION_DEFAULTS: Final[Mapping[str, float | str]] = {
     "autosave": 5.0,
     "begin_at": Place.AUTO.value,
     "begin_pose": "",
+    "floor": "",
     "save_as": "",
 }
 """The node's parameters that concern sessions, and their defaults: see docs/ros.md."""
@@ -53,6 +55,7 @@ def read_session_files(values: Mapping[str, Any], out: Path | None, threads: int
         known = ", ".join(place.value for place in Place)
         raise ConfigurationError(f"begin_at: expected one of {known}, got {values['begin_at']!r}") from None
     pose = _read_pose(values["begin_pose"])
+    floor = _read_floor(values["floor"])
     continued = None
     if values["continue"]:
         continued = Continued.read(str(values["continue"]), threads, place, pose)
@@ -60,11 +63,21 @@ def read_session_files(values: Mapping[str, Any], out: Path | None, threads: int
             raise ConfigurationError("begin_at: expected a session whose last drive can go on, got a merged one")
         if pose is not None and place is Place.SAME:
             raise ConfigurationError("begin_at: the same place contradicts begin_pose")
+        before = "" if continued.saved.run is None else find_floor(continued.saved.run.drives)
+        if place is Place.SAME and "" not in (floor, before) and floor != before:
+            raise ConfigurationError(f"floor: expected {before}, on which the robot is at the same place, got {floor}")
     elif pose is not None or place is not Place.AUTO:
         raise ConfigurationError("begin_at, begin_pose: expected a session to continue, got none")
     save = Path(str(values["save"])) if values["save"] else None
     autosave = save if out is None else out / AUTOSAVE
-    return SessionFiles(continued, save, autosave if minutes else None, 60.0 * minutes)
+    return SessionFiles(continued, save, autosave if minutes else None, 60.0 * minutes, floor)
+
+
+def _read_floor(value: Any) -> str:  # noqa: ANN401
+    try:
+        return require_floor(str(value))
+    except ArgumentError as error:
+        raise ConfigurationError(str(error)) from None
 
 
 def _read_pose(value: Any) -> FloatArray | None:  # noqa: ANN401

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import IntEnum
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final, TypeAlias, final
 
 import numpy as np
@@ -13,10 +14,10 @@ import numpy as np
 from gridslam.api.beginning import Place
 from gridslam.api.merging import merge_sessions
 from gridslam.api.session import Session as SavedDrives
+from gridslam.api.session_edits import move_session, set_aside
 from gridslam.config import Configuration
 from gridslam.errors import ArgumentError, GridslamError, InputError
 from gridslam.io.maps import write_map
-from gridslam.io.output import write_atomically
 from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.continued import Continued
@@ -74,6 +75,7 @@ class SessionServices:
         self._core = core
         self._folder = folder
         self._log = log
+        self._written: set[Path] = set()
 
     def standard(self) -> dict[str, tuple[str, Callable[[Any], Answer]]]:
         """Services of std_srvs by name: their types, and what serves a request."""
@@ -127,7 +129,10 @@ class SessionServices:
         path = self._session_path(name)
         copied = self._core.copy_session()
         _make_folder(path)
+        if path not in self._written:
+            set_aside(path, copied.edits)
         copied.save_session(path)
+        self._written.add(path)
         return f"session saved: {path.resolve()}"
 
     def deserialize(self, name: str = "", match: MatchType = MatchType.UNSET, pose: FloatArray | None = None) -> str:
@@ -181,12 +186,14 @@ class SessionServices:
             raise ArgumentError("merge", "another name, as this file is written", str(other))
         copied = self._core.copy_session()
         _make_folder(own)
-        with write_atomically(own) as aside:
+        with TemporaryDirectory(dir=own.parent) as folder:
+            aside = Path(folder) / own.name
             copied.save_session(aside)
             merged = merge_sessions([aside, other], threads=self._core.settings.threads)
             if not merged.is_joined:
                 raise ArgumentError("merge", "a session that shows some of the same places", str(other))
             merged.session.save(joined)
+            move_session(aside, own)
         continued = Continued.read(joined, self._core.settings.threads, Place.ELSEWHERE)
         self._core.ask(lambda: self._core.begin_session(continued))
         return f"going on from {joined.resolve()}: what was mapped, joined with {other.resolve()}"
