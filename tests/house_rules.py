@@ -32,8 +32,6 @@ ONLY_IN = {
     "uvicorn": {"live"},
     "websockets": set(),
     "fsspec": {"io"},
-    "dask": {"batch"},
-    "distributed": {"batch"},
     "contourpy": {"plan"},
     "shapely": {"plan"},
     "ezdxf": {"plan"},

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, final
 
 from gridslam import __version__
@@ -56,10 +56,6 @@ class Job:
         module, colon, name = self.target.partition(":")
         if not (module and colon and name):
             raise ArgumentError("target", "package.module:function", repr(self.target))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the job as a JSON object."""
-        return asdict(self)
 
     def summary(self) -> dict[str, Any]:
         """Return the entry ``job`` of run.json: its key identifies the result of a finished job."""

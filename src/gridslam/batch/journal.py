@@ -29,12 +29,10 @@ COLUMNS = {
     "message": "TEXT",
     "output_tail": "TEXT",
     "exit_status": "INTEGER",
-    "attempts": "INTEGER NOT NULL",
     "wall_s": "REAL",
     "cpu_s": "REAL",
     "peak_memory_bytes": "INTEGER",
     "started": "TEXT",
-    "worker": "TEXT",
     "document": "TEXT",
 }
 """Columns of the table ``runs``: ``status`` is "done" or "failed", ``document`` JSON text (see docs/outputs.md)."""

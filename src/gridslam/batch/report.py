@@ -38,9 +38,8 @@ COLUMNS: Final = (
     ("path_m", "driven", "m"),
     ("closures", "closures", "count"),
     ("lost_scans", "lost scans", "count"),
-    ("attempts", "attempts", "count"),
 )
-"""Figures that the page can show: name, label and unit; a column without a value, or attempts of 1, is left out."""
+"""Figures that the page can show: name, label and unit; a column without a value is left out."""
 
 _PICTURES = ("map.png", "localization.png", "landmarks.png")
 _THUMBNAIL = "thumbnail.jpg"
@@ -84,7 +83,7 @@ def write_report(out: str | Path) -> Path:
 
 def _is_shown(name: str, runs: list[dict[str, Any]]) -> bool:
     values = [run["figures"].get(name) for run in runs]
-    return any(value is not None and (name != "attempts" or value > 1) for value in values)
+    return any(value is not None for value in values)
 
 
 def _fill(title: str, data: dict[str, Any]) -> str:
@@ -105,7 +104,7 @@ def _describe(out: Path, run: Run) -> dict[str, Any]:
     """Return the values of a run that the page shows."""
     row = run.row
     figures = run.figures | {
-        name: row[name] for name in ("attempts", "wall_s", "cpu_s", "peak_memory_bytes") if row[name] is not None
+        name: row[name] for name in ("wall_s", "cpu_s", "peak_memory_bytes") if row[name] is not None
     }
     picture, path, extent = _draw(out / row["folder"]) if run.is_done and row["folder"] else (None, None, None)
     log = str(row["log"])

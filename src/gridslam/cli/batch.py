@@ -15,11 +15,10 @@ from typing import Any, Literal, final
 import click
 
 from gridslam.api.amcl import AmclParameters
-from gridslam.batch.engine import Executor, run_jobs
+from gridslam.batch.engine import run_jobs
 from gridslam.batch.job import Job, compute_key
 from gridslam.batch.journal import Journal
 from gridslam.batch.manifest import COLUMNS, Entry, find_logs
-from gridslam.batch.pool import ProcessPool
 from gridslam.batch.report import REPORT, write_report
 from gridslam.cli.localize import read_parameters
 from gridslam.cli.options import MapOptions, evaluate_options, localize_options, log_options, map_options
@@ -47,10 +46,8 @@ def run_batch(
     command: str,
     reference: str | None,
     workers: int | None,
-    scheduler: str | None,
     timeout_s: float | None,
     memory_mb: float | None,
-    retries: int,
     as_json: bool,
     words: Sequence[str],
 ) -> int:
@@ -58,7 +55,6 @@ def run_batch(
     make = _Maker(command, words)
     entries = find_logs(logs, trajectories=command == "evaluate", reference=reference)
     prepared = [make.prepare(entry) for entry in entries]
-    executor = _open_executor(scheduler, workers)
     try:
         with Journal(out) as journal:
             jobs = _make_jobs(command, entries, prepared, journal)
@@ -70,10 +66,9 @@ def run_batch(
         rows = run_jobs(
             jobs,
             out,
-            executor=executor,
+            workers=workers or _count_processors(),
             timeout_s=timeout_s,
             memory_bytes=None if memory_mb is None else round(1e6 * memory_mb),
-            retries=retries,
             on_row=progress.on_row,
             on_poll=progress.on_poll,
         )
@@ -84,18 +79,6 @@ def run_batch(
             report = [f"report: {out / REPORT}"] if is_written else []
             click.echo("\n".join([*progress.summarize(out), *report]))
     return 1 if failed else 0
-
-
-def _open_executor(scheduler: str | None, workers: int | None) -> Executor:
-    """Connect to a cluster, or make the pool of this machine."""
-    if scheduler is None:
-        return ProcessPool(workers or _count_processors())
-    from gridslam.batch.cluster import DaskCluster
-
-    cluster = DaskCluster(scheduler)
-    if cluster.dashboard:
-        warn(f"dashboard: {cluster.dashboard}")
-    return cluster
 
 
 def _count_processors() -> int:

@@ -17,7 +17,6 @@ from gridslam.batch.engine import run_jobs
 from gridslam.batch.job import Job
 from gridslam.batch.journal import Journal
 from gridslam.batch.manifest import find_logs
-from gridslam.batch.pool import ProcessPool
 from gridslam.cli.options import MapOptions
 from gridslam.cli.output import open_display, print_result, stop_if_interrupted, write_apart
 from gridslam.errors import InputError, OutputError
@@ -95,8 +94,7 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
     with _Progress(not as_json) as progress:
 
         def run(jobs: Sequence[Job]) -> list[dict[str, Any]]:
-            executor = ProcessPool(tune.workers)
-            return run_jobs(jobs, folder, executor=executor, timeout_s=tune.timeout_s, on_poll=progress.on_poll)
+            return run_jobs(jobs, folder, workers=tune.workers, timeout_s=tune.timeout_s, on_poll=progress.on_poll)
 
         tuner = Tuner(settings, chosen, run, progress.on_trial)
         progress.watch(tuner)
