@@ -27,13 +27,13 @@ from gridslam.doctor.repair import Repair, open_repaired
 from gridslam.doctor.view_breaks import split_where_carried
 from gridslam.errors import ArgumentError
 from gridslam.grid.tiles import TiledGrid
-from gridslam.io.cache import find_origin
 from gridslam.io.g2o import write_g2o
 from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.maps import write_map
 from gridslam.io.measurement import Measurement
 from gridslam.io.output import OutputFolder
+from gridslam.io.remote import find_origin
 from gridslam.io.results.record import RecordWriter
 from gridslam.io.sessions.drives import Drive, DrivenLog, SavedPiece
 from gridslam.io.sessions.session_file import SavedRun, SavedSession

@@ -12,7 +12,7 @@ from typing import Any, Final
 from gridslam import __version__
 from gridslam.doctor.diagnose import Diagnosis, LaserFacts
 from gridslam.doctor.finding import Finding, Severity, percent
-from gridslam.io.cache import find_origin
+from gridslam.io.remote import find_origin
 
 __all__ = ["SCHEMA", "document", "html", "markdown", "picture_name", "text"]
 
