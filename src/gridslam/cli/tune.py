@@ -23,11 +23,10 @@ from gridslam.errors import InputError, OutputError
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.output import write_atomically
-from gridslam.tuning.report import describe_verdict, plot_convergence, to_document, to_toml
+from gridslam.tuning.report import describe_verdict, to_document, to_toml
 from gridslam.tuning.search_space import SearchSpace
 from gridslam.tuning.trial import find_reference
 from gridslam.tuning.tune import Settings, Trial, TunedLog, Tuner, load_optuna
-from gridslam.viz.chart import draw_chart
 
 __all__ = ["TuneOptions", "run_tune"]
 
@@ -103,7 +102,6 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
     with write_apart() as write:
         write(_write_text, out, to_toml(tuning, chosen))
         write(_write_text, folder / "tune.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
-        write(_draw, folder / "convergence.png", *plot_convergence(tuning))
         tried = len({tuple(trial.values.items()) for trial in tuning.trials})
         lines = [f"{tried} configurations were tried", *describe_verdict(tuning, chosen), f"{out}; details: {folder}"]
         print_result(document, lines, as_json)
@@ -112,11 +110,6 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
 def _write_text(file: Path, text: str) -> None:
     with write_atomically(file) as path:
         path.write_text(text, encoding="utf-8", errors="backslashreplace")
-
-
-def _draw(file: Path, figure: Any, caption: str) -> None:  # noqa: ANN401
-    with write_atomically(file) as path:
-        draw_chart(figure, caption=[caption]).save(path)
 
 
 def _digest(log: TunedLog, journal: Journal) -> TunedLog:

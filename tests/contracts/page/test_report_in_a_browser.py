@@ -7,11 +7,7 @@ import time
 import pytest
 
 from gridslam.batch import report
-from gridslam.doctor.diagnose import diagnose
-from gridslam.doctor.report import html
-from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.log import open_log
-from support.browsing import check_by_axe, emulated, text, wait
+from support.browsing import check_by_axe, text, wait
 from support.journals import make_rows, write_journal, write_results
 
 ROWS = 10_000
@@ -59,15 +55,6 @@ def test_ten_thousand_rows_open_within_two_seconds(browser, page):
     wait(lambda: browser.execute_script("return document.body.dataset.readyMs"), "the page is ready")
     assert time.monotonic() - begin < 2.0
     assert text(browser, "#count") == f"{ROWS} runs"
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_axe_finds_nothing_in_the_doctors_report(browser, drive, tmp_path, scheme):
-    write_carmen(tmp_path / "loop.clf", drive[:60])
-    (tmp_path / "report.html").write_text("\n".join(html(diagnose(open_log(tmp_path / "loop.clf")))))
-    with emulated(browser, {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}, scheme):
-        browser.get((tmp_path / "report.html").as_uri())
-        check_by_axe(browser)
 
 
 def test_failures_come_first_and_any_column_sorts(opened, screenshot):

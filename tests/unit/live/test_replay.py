@@ -113,7 +113,7 @@ def broken(out, tmp_path, name, text):
         ("run.json", "{", "expected JSON"),
         ("run.json", "[]", "expected a JSON object"),
         ("run.json", "{}", "gridslam map, localize, grid, landmarks, graph or merge wrote, got schema none"),
-        ("run.json", json.dumps({"schema": "gridslam.doctor/2"}), "got schema gridslam.doctor"),
+        ("run.json", json.dumps({"schema": "gridslam.doctor/3"}), "got schema gridslam.doctor"),
         ("record.npz", "nothing", "expected a record of a run"),
         ("map.yaml", None, "map.yaml"),
         ("trajectory.tum", "", "trajectory.tum"),
