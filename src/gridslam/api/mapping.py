@@ -435,7 +435,7 @@ def map_log(
     seed: int = 0,
     threads: int = 1,
     options: LogOptions | None = None,
-    repair: Literal["needed", "all", "none"] = "needed",
+    repair: Literal["needed", "none"] = "needed",
     observers: Sequence[Observer] = (),
     gate: Callable[[Iterable[Measurement]], Iterable[Measurement]] = iter,
     on_progress: Callable[[], None] = lambda: None,
@@ -469,7 +469,7 @@ def map_log(
         Threads of the kernels; their number never changes a result.
     options : LogOptions, optional
         What to read of the log at a path.
-    repair : "needed", "all" or "none"
+    repair : "needed" or "none"
         Faults of the log corrected before mapping: those that make any map unusable (a mirrored or misaligned laser),
         also clock offsets and odometry errors, or none. The result reports them.
     observers : sequence of Observer

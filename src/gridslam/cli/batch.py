@@ -37,7 +37,7 @@ _TARGET = "gridslam.batch.commands:run_{}"
 _TRUE = ("1", "true", "yes", "on")
 _FALSE = ("0", "false", "no", "off")
 
-_Repair = Literal["needed", "all", "none"]
+_Repair = Literal["needed", "none"]
 
 
 def run_batch(

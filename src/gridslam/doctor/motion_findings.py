@@ -253,9 +253,7 @@ def _laser_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[F
             f"by up to {wrong_rad:.2f} rad{'' if harms else ', which matching compensates'}.",
             skew.value,
             "s",
-            "Stamp both when they are measured, by one clock; --repair all takes it out before mapping."
-            if harms
-            else "",
+            "Stamp both when they are measured, by one clock." if harms else "",
             motion.sensor,
         )
 
