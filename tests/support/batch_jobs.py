@@ -36,7 +36,6 @@ def map_job(log, name):
 
     arguments = {
         "log": str(log),
-        "digest": None,
         "configuration": to_table(Configuration(particles=3)),
         "seed": 0,
         "threads": 1,

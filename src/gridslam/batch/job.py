@@ -62,17 +62,17 @@ class Job:
         return {"key": self.key, "command": self.command, "log": self.log, "folder": self.folder}
 
 
-def compute_key(command: str, digest: str, parameters: Mapping[str, Any]) -> str:
+def compute_key(command: str, log: str, parameters: Mapping[str, Any]) -> str:
     """Key of a result: SHA-256 of the command, the log, the effective parameters and the version of gridslam.
 
     Parameters
     ----------
     command : str
         Name of the command.
-    digest : str
-        SHA-256 of the log (see `gridslam.io.text.compute_digest`).
+    log : str
+        What identifies the content of the log: its size and time of modification, or its SHA-256.
     parameters : mapping
-        JSON values of all else that determines the result: the configuration, the seed, digests of further files.
+        JSON values of all else that determines the result: the configuration, the seed, the states of further files.
     """
-    content = {"command": command, "log": digest, "parameters": parameters, "version": __version__}
+    content = {"command": command, "log": log, "parameters": parameters, "version": __version__}
     return hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode()).hexdigest()

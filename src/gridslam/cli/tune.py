@@ -15,14 +15,14 @@ import click
 
 from gridslam.batch.engine import run_jobs
 from gridslam.batch.job import Job
-from gridslam.batch.journal import Journal
 from gridslam.batch.manifest import find_logs
 from gridslam.cli.options import MapOptions
 from gridslam.cli.output import open_display, print_result, stop_if_interrupted, write_apart
-from gridslam.errors import InputError, OutputError
+from gridslam.errors import InputError
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.output import write_atomically
+from gridslam.io.text import compute_digest
 from gridslam.tuning.report import describe_verdict, to_document, to_toml
 from gridslam.tuning.search_space import SearchSpace
 from gridslam.tuning.trial import find_reference
@@ -74,11 +74,7 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
         raise click.ClickException(f"{out}: expected the name of a file to write, as best.toml")
     load_optuna()
     read = tune.read_logs(logs, given.options)
-    try:
-        with Journal(folder) as journal:
-            chosen = [_digest(log, journal) for log in read]
-    except OutputError as error:
-        raise click.ClickException(str(error)) from None
+    chosen = [_digest(log) for log in read]
     settings = Settings(
         base,
         space,
@@ -112,10 +108,10 @@ def _write_text(file: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
-def _digest(log: TunedLog, journal: Journal) -> TunedLog:
+def _digest(log: TunedLog) -> TunedLog:
     """Return the log with the digest that identifies its results."""
-    reference = None if log.reference is None else journal.digest(Path(log.reference))
-    return replace(log, digest=journal.digest(Path(log.path)), reference_digest=reference)
+    reference = None if log.reference is None else compute_digest(log.reference)
+    return replace(log, digest=compute_digest(log.path), reference_digest=reference)
 
 
 @final

@@ -83,7 +83,8 @@ def test_a_full_disk_ends_the_batch_and_loses_nothing(tmp_path, trace):
         run(jobs, tmp_path / "out", workers=1)
     rows = run([job for job in jobs if job.folder != "full"], tmp_path / "out")
     assert sum(row["resumed"] for row in rows) >= 3
-    assert set(Counter(trace.read_text().split()).values()) == {1}
+    counts = Counter(trace.read_text().split())
+    assert {counts[row["folder"]] for row in rows if row["resumed"]} == {1}  # another may have been killed as it began
 
 
 def test_an_interrupt_ends_the_children_and_what_they_began(tmp_path, trace):
