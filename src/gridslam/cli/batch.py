@@ -236,7 +236,7 @@ def _find_image(path: str) -> str:
 
 
 def _describe(path: str, states: Mapping[str, str]) -> str:
-    """Size and time of modification of a file; of one at a URL what its server reports, by `states` or now.
+    """Return size and time of modification of a file; of one at a URL as its server reports them, by `states` or now.
 
     Of one that cannot be read nothing is known, and its job reports it.
     """
