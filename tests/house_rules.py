@@ -27,7 +27,6 @@ ONLY_IN = {
     "rosbags": {"io"},
     "lz4": {"io"},
     "ruamel": {"io"},
-    "pooch": {"io"},
     "starlette": {"live"},
     "uvicorn": {"live"},
     "websockets": set(),
