@@ -145,8 +145,8 @@ def test_closures_that_are_none_are_named(out, tmp_path, change, says):
 
 @pytest.mark.parametrize(
     ("name", "value", "says"),
-    [("best", 999, "best: expected particles 0 to 4, got 999"), ("parents", -1, "parents: .* got -1"),
-     ("poses", np.nan, "poses: expected finite"), ("n_eff", -1.0, "n_eff")],
+    [("best", 999, "best: expected numbers from 0 to 4, got 999"), ("parents", -1, "parents: .* got -1"),
+     ("poses", np.nan, "poses: .* got nan"), ("n_eff", -1.0, "n_eff")],
 )  # fmt: skip
 def test_records_of_what_no_run_does_are_refused(out, tmp_path, name, value, says):
     shutil.copytree(out, tmp_path / "out")
