@@ -16,7 +16,6 @@ TIERS = {
     "dev": (
         "contracts/test_docs.py::test_the_pages_build",
         "reference/test_graph_oracles.py",
-        "regression/test_cluster_batches.py",
     ),
     "browser": ("contracts/page/",),
     "ros": (

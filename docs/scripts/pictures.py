@@ -5,17 +5,21 @@ Worlds, noise and seeds are fixed, so that the same version draws the same pictu
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from drives import drive, extent, mapped
+from matplotlib.figure import Figure
 from panels import ORANGE, SIDE, Chart, Panel, keep, save
 from pictures_of_parts import measurement_models, motion_models, resampling, scan_matching
 from PIL import Image
@@ -24,7 +28,6 @@ from gridslam import GraphSlam, GridFastSlam, GridFastSlamState, OccupancyGrid, 
 from gridslam.api.mapping import map_log
 from gridslam.api.session import Session
 from gridslam.config import Configuration
-from gridslam.doctor.finding import Figure, Series
 from gridslam.evaluation import relation_errors
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.carmen.writer import write_carmen
@@ -35,12 +38,9 @@ from gridslam.localization import KnownMap, MonteCarloLocalization
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.plan.changes_files import write_changes_png
 from gridslam.sim import LidarConfig
-from gridslam.tuning.report import plot_convergence
-from gridslam.tuning.tune import Trial, Tuning
 from gridslam.types import FloatArray, StepReport
 from gridslam.viz import draw_graph
 from gridslam.viz.canvas import CLOSURE, TRUTH
-from gridslam.viz.chart import draw_chart
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 from map_changes import compare, make_days
@@ -231,14 +231,29 @@ def tuning() -> None:
             for log in names
             for one, score in zip(logs[log]["errors"], logs[log]["scores"], strict=True)
         ]
-        series.append(Series(name, *np.log10(np.array(ratios)).T, "dots"))
+        series.append((name, *np.log10(np.array(ratios)).T))
     labels = "log10 of the error as a ratio to the default's", "log10 of the score as a ratio to the default's"
-    keep("self_consistency", draw_chart(Figure("30 configurations on each log", *labels, tuple(series))), 760)
+    keep("self_consistency", scatter("30 configurations on each log", labels, series), 760)
     found = json.loads((RESULTS / "tuning.json").read_text())["from_spoiled"]
-    trials = tuple(Trial(part, {}, {}, ratio or math.inf) for _, part, ratio in found["trials"])
-    done = Tuning(Configuration(), None, (), trials[0], trials)
-    figure, caption = plot_convergence(done)
-    keep("tuning_convergence", draw_chart(figure, caption=[caption]), 760)
+    trials = [(number, part, ratio or math.inf) for number, (_, part, ratio) in enumerate(found["trials"], 1)]
+    whole = [(number, ratio) for number, part, ratio in trials if part == 1.0]
+    parts = [(number, ratio) for number, part, ratio in trials if part < 1.0]
+    drawn = [("on parts of the logs", *zip(*parts, strict=True)), ("on whole logs", *zip(*whole, strict=True))]
+    labels = "trial", "error as a ratio to that of the start"
+    keep("tuning_convergence", scatter("Convergence", labels, drawn, highest=3.0), 760)
+
+
+def scatter(title: str, labels: tuple[str, str], series: Sequence[Any], highest: float | None = None) -> Image.Image:
+    """Draw points, each series a name, abscissae and ordinates; those above `highest` are left out."""
+    figure = Figure(figsize=(14, 8), layout="constrained")
+    axes = figure.subplots()
+    for name, x, y in series:
+        axes.scatter(x, y, label=name)
+    axes.set(title=title, xlabel=labels[0], ylabel=labels[1], ylim=(None, highest))
+    axes.legend()
+    file = io.BytesIO()
+    figure.savefig(file)
+    return Image.open(file)
 
 
 def sessions() -> None:

@@ -21,7 +21,6 @@ __all__ = [
     "index_of",
     "is_covariance",
     "require_array",
-    "require_covariance",
     "require_generator",
     "require_instance",
     "require_plain",
@@ -95,14 +94,6 @@ def require_array(name: str, array: object, dtype: type, shape: tuple[int | None
 
 def _has_shape(array: NDArray[Any], shape: tuple[int | None, ...]) -> bool:
     return array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
-
-
-def require_covariance(name: str, matrix: object) -> None:
-    """Check that an array is a symmetric positive definite (3, 3) float64 matrix."""
-    require_array(name, matrix, np.float64, (3, 3))
-    assert isinstance(matrix, np.ndarray)
-    if not is_covariance(matrix):
-        raise ArgumentError(name, "a finite, symmetric and positive definite matrix", matrix.tolist())
 
 
 def is_covariance(matrix: NDArray[np.float64]) -> bool:

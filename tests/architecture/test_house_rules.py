@@ -9,7 +9,7 @@ import pytest
 from house_rules import ALLOWED, ONLY_IN, impurities, is_pure, misplaced, upward, violations
 from support.house import ROOT, Source, find_cycle, sources
 
-EXTRAS = {"contourpy", "dask", "distributed", "ezdxf", "fsspec", "optuna", "pooch", "shapely"}
+EXTRAS = {"contourpy", "ezdxf", "fsspec", "optuna", "shapely"}
 """Of the dependencies, what is installed on demand."""
 
 UNSEEN = {"backports"}

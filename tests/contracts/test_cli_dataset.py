@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import socket
-import sys
 import threading
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -101,7 +100,6 @@ def test_another_file_or_half_of_it_leaves_nothing(mirror, tmp_path, call, name)
     refused(call, tmp_path, "get", name, "-o", tmp_path / "new", status=1)
 
 
-@pytest.mark.dev
 def test_no_connection(tmp_path, call):
     with socket.socket() as free:  # bound and not listening: nobody answers there
         free.bind(("127.0.0.1", 0))
@@ -109,13 +107,6 @@ def test_no_connection(tmp_path, call):
         err = refused(call, tmp_path, "get", "intel", "-o", tmp_path / "new", "--url", url, status=1)
     assert f"{url}/intel.clf.bz2: cannot be got: " in err
     assert "refused" in err
-
-
-def test_without_pooch_there_is_one_clear_line(tmp_path, call, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pooch", None)
-    err = refused(call, tmp_path, "get", "intel", "-o", tmp_path / "new", status=1)
-    assert err == "gridslam: datasets are got by pooch: pip install 'gridslam[datasets]'\n"
-    assert call("list")[0] == 0
 
 
 def test_a_name_that_is_unknown_lists_the_names(tmp_path, call):

@@ -11,10 +11,10 @@ import threading
 import pytest
 
 from gridslam.cli.main import main
-from gridslam.errors import GridslamError, InputError, MissingDependencyError
+from gridslam.errors import GridslamError, InputError, MissingDependencyError, OutputError
 from gridslam.io import remote
 from gridslam.io.log import open_log
-from gridslam.io.remote import describe_remote, fetch, mask_url
+from gridslam.io.remote import describe_remote, fetch, find_origin, mask_url
 from support.object_store import SECRET, bucket, object_store
 
 SIGNED = "https://user:pass-word@host:8000/logs/run.clf?X-Amz-Signature=abcdef&X-Amz-Credential=id#part"
@@ -142,6 +142,28 @@ def test_a_log_on_a_web_server_is_mapped(web, log, tmp_path, capsys):
     assert describe_remote(f"{web}/run.clf") == describe_remote(f"{web}/run.clf")
     with pytest.raises(InputError, match="no such file"):
         fetch(f"{web}/absent.clf?token=abcdefgh")
+
+
+def test_a_copy_is_used_until_the_log_changes_and_is_complete_or_absent(web, log, tmp_path, monkeypatch):
+    there = log.with_name("changing.clf")
+    there.write_bytes(b"one")
+    url = f"{web}/changing.clf"
+    first = fetch(url)
+    assert (first.read_bytes(), find_origin(first), find_origin(there)) == (b"one", url, None)
+    first.write_bytes(b"the copy")  # which is not fetched again
+    assert fetch(url) == first
+    assert first.read_bytes() == b"the copy"
+    there.write_bytes(b"another")
+
+    def fail(*paths):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(remote.os, "replace", fail)
+        with pytest.raises(OutputError, match="cannot be written: No space left on device"):
+            fetch(url)
+    assert [*(tmp_path / "cache").rglob("changing.clf")] == [first]
+    assert fetch(url).read_bytes() == b"another"
 
 
 def test_a_batch_reads_logs_of_the_store(s3, log, tmp_path, call):

@@ -36,7 +36,6 @@ def map_job(log, name):
 
     arguments = {
         "log": str(log),
-        "digest": None,
         "configuration": to_table(Configuration(particles=3)),
         "seed": 0,
         "threads": 1,
@@ -102,13 +101,6 @@ def children_of(pid):
         if int(fields[1]) == pid:
             found.append(path.parent.name)
     return found
-
-
-def check_same_results(one, two, names):
-    """The results of two batches are the same, but for times."""
-    for name in names:
-        for file in ("map.pgm", "map.yaml", "trajectory.tum", "trajectory.csv", "trajectory_online.tum", "graph.g2o"):
-            assert (one / name / file).read_bytes() == (two / name / file).read_bytes(), (name, file)
 
 
 def count(arguments):
@@ -179,7 +171,7 @@ def return_nonsense(arguments):
     return {"value": float("nan")}
 
 
-def kill_worker(arguments):
+def kill_server(arguments):
     """Kill the process that this one was forked from, the first few times."""
     count(arguments)
     trace = Path(arguments["trace"])
@@ -187,11 +179,3 @@ def kill_worker(arguments):
         os.kill(os.getppid(), signal.SIGKILL)
         time.sleep(600)
     return {"value": 1}
-
-
-def kill_cluster_worker(arguments):
-    """Kill the worker of a cluster that has asked for this child."""
-    count(arguments)
-    worker = Path(f"/proc/{os.getppid()}/stat").read_text().rpartition(")")[2].split()[1]
-    os.kill(int(worker), signal.SIGKILL)
-    time.sleep(600)

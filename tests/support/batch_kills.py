@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import sqlite3
 import subprocess
@@ -25,9 +24,9 @@ def kill_and_repeat(logs, out, kills, rng, most_s):
     done = {}
     counts = []
     for kill in range(kills + 1):
-        shutil.rmtree(out / ".attempts", ignore_errors=True)
+        left = set(out.glob(".*.partial"))
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
-            while kill % 4 and run.poll() is None and not (out / ".attempts").exists():
+            while kill % 4 and run.poll() is None and set(out.glob(".*.partial")) <= left:
                 time.sleep(0.01)
             try:
                 run.wait(None if kill == kills else rng.uniform(0, most_s))

@@ -22,7 +22,6 @@ from gridslam.doctor import CheckedLog, diagnose
 from gridslam.doctor.report import document
 from gridslam.errors import InputError
 from gridslam.io.log import LogOptions, open_log
-from gridslam.viz.chart import draw_chart
 from support.broken_logs import broken_logs, whole_logs
 
 _LIMIT_S = 20.0
@@ -104,9 +103,6 @@ def _diagnosed(path: Path, keep: bool) -> str:
     except InputError as error:
         return "error" if "\n" not in str(error) else f"{path.name}: more than one line: {error}"
     json.dumps(document(diagnosis), allow_nan=False)
-    for finding in diagnosis.findings:
-        if finding.figure is not None:
-            draw_chart(finding.figure, caption=[finding.message])
     with TemporaryDirectory(dir=path.parent) as out:
         for form in _FORMS:
             with suppress(InputError):

@@ -64,12 +64,10 @@ def make_rows(count: int, failed: int = 0, seed: int = 0) -> list[dict[str, Any]
             "log": log,
             "command": "map",
             "folder": f"run-{i:05}",
-            "attempts": 1,
             "wall_s": float(rng.uniform(1, 60)),
             "cpu_s": float(rng.uniform(1, 60)),
             "peak_memory_bytes": int(rng.uniform(1e8, 4e8)),
             "started": f"2026-11-23T{i // 3600:02}:{i // 60 % 60:02}:{i % 60:02}.000+00:00",
-            "worker": "local",
         }
         if i in broken:
             error, message, status = broken[i]

@@ -69,13 +69,8 @@ def odometry(
     *,
     frames: tuple[str, str] = ("odom", "base_link"),
     stamp_s: float | None = None,
-    covariance: np.ndarray | None = None,
 ) -> Said:
-    """A planar pose, with the covariance (3, 3) of x, y and yaw where it is told."""
-    spread = np.zeros((6, 6))
-    if covariance is not None:
-        spread[np.ix_((0, 1, 5), (0, 1, 5))] = covariance
-        spread[[2, 3, 4], [2, 3, 4]] = 1e6  # what a planar robot does not know
+    """A planar pose."""
 
     def make(maker: Maker) -> object:
         types = maker.types
@@ -87,7 +82,7 @@ def odometry(
         return types["nav_msgs/msg/Odometry"](
             maker.header(at_s if stamp_s is None else stamp_s, frames[0]),
             frames[1],
-            types["geometry_msgs/msg/PoseWithCovariance"](where, spread.ravel()),
+            types["geometry_msgs/msg/PoseWithCovariance"](where, np.zeros(36)),
             types["geometry_msgs/msg/TwistWithCovariance"](types["geometry_msgs/msg/Twist"](zero, zero), np.zeros(36)),
         )
 
@@ -187,13 +182,12 @@ def drive(
     *,
     scans: bool = True,
     mounting: bool = True,
-    covariance: Callable[[float], np.ndarray | None] = lambda at_s: None,
 ) -> list[Said]:
     """A robot that drives 1 m/s along x, turning 0.1 rad/s: scans at 10 Hz, odometry at 20 Hz, a laser 0.2 m ahead."""
     said = [transform(0.0, "base_link", "laser", (0.2, 0.0, 0.3))] if mounting else []
     for step in range(round(duration_s * 20) + 1):
         at_s = step / 20
-        said.append(odometry("/odom", at_s, (at_s, 0.0, 0.1 * at_s), covariance=covariance(at_s)))
+        said.append(odometry("/odom", at_s, (at_s, 0.0, 0.1 * at_s)))
         if scans and step % 2:
             said.append(scan("/scan", at_s + 0.01, [1.0 + at_s, 2.0, 3.0, 4.0]))
     return said

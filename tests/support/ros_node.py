@@ -21,7 +21,6 @@ from gridslam.ros.node.messages import (
     PoseMessage,
     ScanMessage,
     StampedTransform,
-    UpdateMessage,
 )
 from gridslam.types import BeamStatus
 
@@ -36,7 +35,6 @@ class RecordedOutputs:
         self.maps: list[GridMessage] = []
         self.transforms: list[StampedTransform] = []
         self.poses: list[PoseMessage] = []
-        self.updates: list[UpdateMessage] = []
         self.updated_poses: list[PoseMessage] = []
         self.topics: tuple[str, ...] = ()
         self.entropies: list[float] = []
@@ -59,9 +57,6 @@ class RecordedOutputs:
 
     def pose(self, message: PoseMessage) -> None:
         self.poses.append(message)
-
-    def map_update(self, message: UpdateMessage) -> None:
-        self.updates.append(message)
 
     def updated_pose(self, message: PoseMessage) -> None:
         self.updated_poses.append(message)

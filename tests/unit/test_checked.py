@@ -180,11 +180,8 @@ OF_FILTERS = ("GridFastSlamState", "MonteCarloState", "TrackerState", "ReportBui
 """What filters alone call, for each scan: they hand in what they have checked."""
 UNCHECKED = (
     *(
-        "doctor.Figure",
         "doctor.LaserFacts",
-        "doctor.Mark",
         "doctor.Repair",
-        "doctor.Series",
         "gridslam.Diagnosis",
         "doctor.Diagnosis",
     ),

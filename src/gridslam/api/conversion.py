@@ -144,8 +144,6 @@ def convert_log(
         nonlocal scans
         for measurement in measurements:
             scans += 1
-            odometry = measurement.odometry
-            lost["covariances of odometry"] += odometry is not None and odometry.covariance is not None
             yield measurement
             on_progress()
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from gridslam.doctor import CheckedLog, Diagnosis, Finding
-from gridslam.doctor.report import document, html, markdown, picture_name
+from gridslam.doctor.report import document, text
 from gridslam.io.log import Log, LogOptions
 from gridslam.io.output import OutputFolder
 
@@ -34,17 +34,9 @@ def describe_finding(log: Log, finding: Finding) -> str:
 
 
 def write_diagnosis(diagnosis: Diagnosis, folder: OutputFolder) -> dict[str, Any]:
-    """Write report.json, .md and .html, and a picture for each finding that has one; returns the JSON."""
-    from gridslam.viz.chart import draw_chart  # only drawing pays for the import of Pillow
-
+    """Write report.json and report.txt; returns the JSON."""
     content = document(diagnosis)
     folder.write_json("report.json", content)
-    for file, report in (("report.md", markdown(diagnosis)), ("report.html", html(diagnosis))):
-        text = "\n".join(report) + "\n"  # with the name of the log, which may hold bytes that are no text
-        folder.file(file).write_text(text, encoding="utf-8", errors="backslashreplace")
-    for number, finding in enumerate(diagnosis.findings, 1):
-        name = picture_name(number, finding)
-        if name is not None and finding.figure is not None:
-            lines = [finding.message, *([finding.remedy] if finding.remedy else [])]
-            draw_chart(finding.figure, caption=lines).save(folder.file(name), optimize=True)
+    lines = "\n".join(text(diagnosis)) + "\n"  # with the name of the log, which may hold bytes that are no text
+    folder.file("report.txt").write_text(lines, encoding="utf-8", errors="backslashreplace")
     return content

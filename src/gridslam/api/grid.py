@@ -167,7 +167,7 @@ def map_with_poses(
     configuration: Configuration | None = None,
     threads: int = 1,
     options: LogOptions | None = None,
-    repair: Literal["needed", "all", "none"] = "needed",
+    repair: Literal["needed", "none"] = "needed",
     on_progress: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
 ) -> GridResult:
@@ -203,7 +203,7 @@ def map_with_poses(
         Threads of the kernels; their number never changes a result.
     options : LogOptions, optional
         What to read of the log at a path.
-    repair : "needed", "all" or "none"
+    repair : "needed" or "none"
         As for `map_log`; only what is wrong with the laser's mounting matters here.
     on_progress : callable
         Called after each scan.

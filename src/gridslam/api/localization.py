@@ -265,7 +265,7 @@ def localize(
     seed: int = 0,
     threads: int = 1,
     options: LogOptions | None = None,
-    repair: Literal["needed", "all", "none"] = "needed",
+    repair: Literal["needed", "none"] = "needed",
     observers: Sequence[LocalizationObserver] = (),
     gate: Callable[[Iterable[Measurement]], Iterable[Measurement]] = iter,
     on_progress: Callable[[], None] = lambda: None,
@@ -294,7 +294,7 @@ def localize(
         Threads of the kernels; their number never changes a result.
     options : LogOptions, optional
         What to read of the log at a path.
-    repair : "needed", "all" or "none"
+    repair : "needed" or "none"
         As for `gridslam.map_log`: what is taken out of the log.
     observers : sequence of LocalizationObserver
         Called after each scan.

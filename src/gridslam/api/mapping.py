@@ -27,13 +27,13 @@ from gridslam.doctor.repair import Repair, open_repaired
 from gridslam.doctor.view_breaks import split_where_carried
 from gridslam.errors import ArgumentError
 from gridslam.grid.tiles import TiledGrid
-from gridslam.io.cache import find_origin
 from gridslam.io.g2o import write_g2o
 from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.maps import write_map
 from gridslam.io.measurement import Measurement
 from gridslam.io.output import OutputFolder
+from gridslam.io.remote import find_origin
 from gridslam.io.results.record import RecordWriter
 from gridslam.io.sessions.drives import Drive, DrivenLog, SavedPiece
 from gridslam.io.sessions.session_file import SavedRun, SavedSession
@@ -435,7 +435,7 @@ def map_log(
     seed: int = 0,
     threads: int = 1,
     options: LogOptions | None = None,
-    repair: Literal["needed", "all", "none"] = "needed",
+    repair: Literal["needed", "none"] = "needed",
     observers: Sequence[Observer] = (),
     gate: Callable[[Iterable[Measurement]], Iterable[Measurement]] = iter,
     on_progress: Callable[[], None] = lambda: None,
@@ -469,7 +469,7 @@ def map_log(
         Threads of the kernels; their number never changes a result.
     options : LogOptions, optional
         What to read of the log at a path.
-    repair : "needed", "all" or "none"
+    repair : "needed" or "none"
         Faults of the log corrected before mapping: those that make any map unusable (a mirrored or misaligned laser),
         also clock offsets and odometry errors, or none. The result reports them.
     observers : sequence of Observer

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from gridslam import __version__
 from gridslam.api.peak_memory import return_freed_memory
 from gridslam.doctor.repair import Repair, RepairedLog
-from gridslam.io.cache import find_origin
 from gridslam.io.log import Log
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.output import OutputFolder
+from gridslam.io.remote import find_origin
 from gridslam.io.trajectories import write_trajectory_csv, write_tum
 from gridslam.pipeline import Stopwatch, describe_error
 from gridslam.types import FloatArray, Trajectory

@@ -209,7 +209,7 @@ class Session:
         name: str | None = None,
         floor: str = "",
         options: LogOptions | None = None,
-        repair: Literal["needed", "all", "none"] = "needed",
+        repair: Literal["needed", "none"] = "needed",
         **map_options: Any,  # noqa: ANN401 those of map_log
     ) -> MapResult:
         """Map a log as the continuation of this session.

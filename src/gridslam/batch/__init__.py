@@ -1,1 +1,1 @@
-"""Many logs: jobs in child processes, on this machine or a Dask cluster, and the journal of their results."""
+"""Many logs: jobs in child processes and the journal of their results."""

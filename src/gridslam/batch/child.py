@@ -1,7 +1,7 @@
-"""Run a job in a child process by `run_job`, the one function that workers import, and return a row with its outcome.
+"""Run a job in a child process, and return a row with its outcome.
 
 Children come from a server of the standard library that has imported gridslam (forkserver of `multiprocessing`), so
-that they begin in milliseconds; each has one job, and ends with the worker.
+that they begin in milliseconds; each has one job, and ends with the batch.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import json
 import multiprocessing
 import os
 import signal
-import socket
 import sys
 import tempfile
 import threading
@@ -26,112 +25,65 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from gridslam import __version__
-from gridslam.errors import GridslamError, OutputError
+from gridslam.batch.job import Job
+from gridslam.batch.journal import COLUMNS
+from gridslam.errors import GridslamError
 from gridslam.io.output import OutputFolder
 from gridslam.io.staging import StagingFolder
 
-__all__ = ["LostWorkerError", "attempts_folder", "lost_row", "remove_partial", "run_job"]
+__all__ = ["remove_partial", "run_job", "start_row"]
 
 _METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 _PRELOADED = ["__main__", "gridslam.batch.commands"]
 _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _LOOK_S = 0.2
-_STARTS = 20
 _TAIL_BYTES = 4000  # of the output of a job
-_SERVER_ENDED = 255  # what multiprocessing gives as the exit status of a child whose server was killed
 
 _children = threading.Lock()
 """Held where a child is started or its status read: two threads that read one status would lose it."""
 
 
-class LostWorkerError(GridslamError):
-    """A worker ended while it ran a job, which may be run again elsewhere."""
-
-
-def run_job(job: dict[str, Any], limits: dict[str, Any]) -> dict[str, Any]:
-    """Run a job in a child process.
+def run_job(
+    job: Job, out: Path, stopped: threading.Event, *, timeout_s: float | None = None, memory_bytes: int | None = None
+) -> dict[str, Any]:
+    """Run a job in a child process, which is killed when the batch is `stopped`.
 
     Parameters
     ----------
-    job : dict
-        A `Job`, as `Job.to_dict` returns it.
-    limits : dict
-        ``out``: OUT, the folder of the batch; ``timeout_s``: time limit in s, or None; ``memory_bytes``: limit of the
-        address space (Linux), or None; ``attempts``: how often the job may be begun, by any worker; ``version``: that
-        of gridslam.
+    job : Job
+        What to run.
+    out : Path
+        OUT, the absolute path of the folder of the batch.
+    stopped : threading.Event
+        Set when the batch ends.
+    timeout_s : float, optional
+        Time limit, s.
+    memory_bytes : int, optional
+        Limit of the address space (Linux).
 
     Returns
     -------
     dict
         The row of the journal: its columns, ``document`` an object or None. Every outcome of the child is a row with
         status "failed", a named ``error`` and the last bytes of its output.
-
-    Raises
-    ------
-    LostWorkerError
-        The server that the child came from was killed, or the batch has ended.
-    OutputError
-        This machine does not have OUT, or has another version of gridslam.
     """
-    host = socket.gethostname()
-    if limits["version"] != __version__:
-        raise OutputError(f"worker {host} has gridslam {__version__}, and the batch is of {limits['version']}")
-    claim = attempts_folder(limits["out"]) / job["folder"]
-    attempt = _claim_attempt(claim, host)
-    if attempt > limits["attempts"]:
-        return lost_row(job, attempt - 1)
     started = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
-    folder = Path(limits["out"]) / job["folder"]
+    folder = out / job.folder
     request = {
-        "target": job["target"],
-        "arguments": job["arguments"],
+        "target": job.target,
+        "arguments": job.arguments,
         "out": os.fspath(folder),
-        "job": {name: job[name] for name in ("key", "command", "log", "folder")},
-        "memory_bytes": limits["memory_bytes"],
+        "job": job.summary(),
+        "memory_bytes": memory_bytes,
     }
-    end = _run_child(request, limits["timeout_s"], claim)
-    row = _start_row(job, attempt) | {
-        "exit_status": end["exit_status"],
-        "output_tail": end["output_tail"],
-        "wall_s": end["wall_s"],
-        "cpu_s": end.get("cpu_s"),
-        "peak_memory_bytes": end.get("peak_memory_bytes"),
-        "started": started,
-        "worker": f"{host}:{os.getpid()}",
-    }
+    end = _run_child(request, timeout_s, stopped)
+    row = start_row(job) | {"started": started}
+    row |= {name: end.get(name) for name in ("exit_status", "output_tail", "wall_s", "cpu_s", "peak_memory_bytes")}
     if "document" in end:
         return row | {"status": "done", "document": end["document"]}
     remove_partial(folder)
-    error, message = _name_failure(end, limits["timeout_s"])
+    error, message = _name_failure(end, timeout_s)
     return row | {"error": error, "message": message}
-
-
-def attempts_folder(out: str | Path) -> Path:
-    """Folder of OUT, there as long as a batch runs, in which workers count how often each job was begun."""
-    return Path(out) / ".attempts"
-
-
-def _claim_attempt(claim: Path, host: str) -> int:
-    """Count a beginning of a job by a byte in its file; gives its number, from 1.
-
-    So also a scheduler that repeats a job by itself cannot exceed the limit.
-    """
-    try:
-        descriptor = os.open(claim, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
-    except FileNotFoundError:
-        raise OutputError(f"{claim.parents[1]}: worker {host} does not see this folder of a running batch") from None
-    try:
-        os.write(descriptor, b"+")
-        return os.fstat(descriptor).st_size
-    finally:
-        os.close(descriptor)
-
-
-def lost_row(job: Mapping[str, Any], attempts: int) -> dict[str, Any]:
-    """Return row of a job all of whose workers were lost."""
-    times = "1 worker that ran it was" if attempts == 1 else f"all {attempts} workers that ran it were"
-    return _start_row(job, attempts) | {"error": "lost worker", "message": f"{times} killed or ended"}
 
 
 def remove_partial(folder: Path) -> None:
@@ -142,22 +94,9 @@ def remove_partial(folder: Path) -> None:
             StagingFolder(folder, folder.name).remove()
 
 
-def _start_row(job: Mapping[str, Any], attempts: int) -> dict[str, Any]:
-    return {
-        **{name: job[name] for name in ("key", "log", "command", "folder")},
-        "status": "failed",
-        "error": None,
-        "message": None,
-        "output_tail": None,
-        "exit_status": None,
-        "attempts": attempts,
-        "wall_s": None,
-        "cpu_s": None,
-        "peak_memory_bytes": None,
-        "started": None,
-        "worker": None,
-        "document": None,
-    }
+def start_row(job: Job) -> dict[str, Any]:
+    """Return the row of a job of whose outcome nothing is known yet."""
+    return dict.fromkeys(COLUMNS) | job.summary() | {"status": "failed"}
 
 
 def _name_failure(end: Mapping[str, Any], timeout_s: float | None) -> tuple[str, str]:
@@ -175,11 +114,8 @@ def _name_failure(end: Mapping[str, Any], timeout_s: float | None) -> tuple[str,
     return "exit", f"ended with status {code} and without a result"
 
 
-def _run_child(request: Mapping[str, Any], timeout_s: float | None, claim: Path) -> dict[str, Any]:
-    """Run a request in a child until it ends, its time is over or the batch has ended; describe its end.
-
-    When the batch ends it removes the claim of the job, and the child is killed.
-    """
+def _run_child(request: Mapping[str, Any], timeout_s: float | None, stopped: threading.Event) -> dict[str, Any]:
+    """Run a request in a child until it ends, its time is over or the batch is stopped; describe its end."""
     with tempfile.TemporaryDirectory() as folder:
         output, result = Path(folder, "output"), Path(folder, "result")
         output.touch()
@@ -190,7 +126,7 @@ def _run_child(request: Mapping[str, Any], timeout_s: float | None, claim: Path)
         try:
             while not (ended := bool(wait([child.sentinel], _LOOK_S))):
                 timed_out = timeout_s is not None and time.monotonic() - began >= timeout_s
-                if timed_out or not claim.exists():
+                if timed_out or stopped.is_set():
                     break
         finally:
             _kill_group(child.pid, ended=ended)  # what the child may have left, too
@@ -198,8 +134,6 @@ def _run_child(request: Mapping[str, Any], timeout_s: float | None, claim: Path)
         with _children:
             child.join()
         code = child.exitcode
-        if code == _SERVER_ENDED or not claim.exists():
-            raise LostWorkerError(f"worker {os.getpid()} ended while it ran a job")
         return {
             "exit_status": code,
             "timed_out": timed_out and code != 0,
@@ -215,17 +149,12 @@ def _start(request: Mapping[str, Any], output: Path, result: Path) -> BaseProces
     context: Any = multiprocessing.get_context(_METHOD)
     if _METHOD == "forkserver":
         context.set_forkserver_preload(_PRELOADED)
-    # A Dask nanny runs its worker as a daemon, which may have no children; ours end with the worker.
-    vars(multiprocessing.current_process())["_config"].pop("daemon", None)
     for name in _BLAS_THREADS:
         os.environ.setdefault(name, "1")
-    for _ in range(_STARTS):
-        with _children, suppress(EOFError, ConnectionError):  # the server was killed a moment ago
-            child: BaseProcess = context.Process(target=_work, args=(request, dict(os.environ), output, result))
-            child.start()
-            return child
-        time.sleep(_LOOK_S)
-    raise LostWorkerError(f"worker {os.getpid()} ended before it ran a job")
+    with _children:
+        child: BaseProcess = context.Process(target=_work, args=(request, dict(os.environ), output, result))
+        child.start()
+    return child
 
 
 def _kill_group(pid: int | None, *, ended: bool = False) -> None:
@@ -251,13 +180,13 @@ def _count_oom_kills() -> int:
 def _work(request: Mapping[str, Any], environment: dict[str, str], output: Path, result: Path) -> None:
     """Run a request in this process, a child; write its output to one file and its outcome to another.
 
-    The environment is that of the worker now: the server keeps the one it was started with.
+    The environment is that of the batch now: the server keeps the one it was started with.
     """
     os.environ.clear()
     os.environ.update(environment)
     if hasattr(os, "setsid"):
         os.setsid()
-    threading.Thread(target=_end_with_worker, daemon=True).start()
+    threading.Thread(target=_end_with_batch, daemon=True).start()
     for path, flags, numbers in ((os.devnull, os.O_RDONLY, (0,)), (output, os.O_WRONLY | os.O_APPEND, (1, 2))):
         descriptor = os.open(path, flags)
         for number in numbers:
@@ -268,11 +197,11 @@ def _work(request: Mapping[str, Any], environment: dict[str, str], output: Path,
     result.write_text(json.dumps(end), encoding="utf-8")
 
 
-def _end_with_worker() -> None:
-    """Wait until the worker has ended, and kill this child and its group."""
-    worker = multiprocessing.parent_process()
-    assert worker is not None
-    worker.join()
+def _end_with_batch() -> None:
+    """Wait until the process of the batch has ended, and kill this child and its group."""
+    batch = multiprocessing.parent_process()
+    assert batch is not None
+    batch.join()
     _kill_group(os.getpid())
 
 

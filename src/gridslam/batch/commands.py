@@ -37,7 +37,7 @@ def run_map(arguments: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     arguments : mapping
-        ``log``, its path, ``digest``, its SHA-256, and ``bytes``, its size then, if known; ``configuration``, a table
+        ``log``, its path, and ``bytes``, its size then, if known; ``configuration``, a table
         of parameters; ``seed``, ``threads``, ``repair``; ``options``, the fields of `LogOptions`; ``max_memory_bytes``;
         ``reference``, a file of relations or a true trajectory, or None; ``out`` and ``job`` (see `Job`).
 
@@ -54,7 +54,6 @@ def run_map(arguments: Mapping[str, Any]) -> dict[str, Any]:
             seed=arguments["seed"],
             threads=arguments["threads"],
             repair=arguments["repair"],
-            digest=arguments["digest"],
             keep_particles=False,
             on_finding=lambda finding: _warn(describe_finding(log, finding)),
         )
@@ -75,7 +74,6 @@ def run_localize(arguments: Mapping[str, Any]) -> dict[str, Any]:
             seed=arguments["seed"],
             threads=arguments["threads"],
             repair=arguments["repair"],
-            digest=arguments["digest"],
         )
         _warn(*result.warnings(), *result.failures)
         return _write(result, folder, arguments)
@@ -97,7 +95,7 @@ def run_evaluate(arguments: Mapping[str, Any]) -> dict[str, Any]:
 
 @contextmanager
 def _open_output(arguments: Mapping[str, Any], names: Sequence[str] = ()) -> Iterator[OutputFolder]:
-    """Open OUT for a job; nothing is written if its log has another size than when its digest was computed."""
+    """Open OUT for a job; nothing is written if its log has another size than when the job was made."""
     with limit_memory(arguments["max_memory_bytes"]), OutputFolder(arguments["out"], names) as folder:
         yield folder
         size = arguments.get("bytes")

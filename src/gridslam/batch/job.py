@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, final
 
 from gridslam import __version__
@@ -57,26 +57,22 @@ class Job:
         if not (module and colon and name):
             raise ArgumentError("target", "package.module:function", repr(self.target))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the job as a JSON object."""
-        return asdict(self)
-
     def summary(self) -> dict[str, Any]:
         """Return the entry ``job`` of run.json: its key identifies the result of a finished job."""
         return {"key": self.key, "command": self.command, "log": self.log, "folder": self.folder}
 
 
-def compute_key(command: str, digest: str, parameters: Mapping[str, Any]) -> str:
+def compute_key(command: str, log: str, parameters: Mapping[str, Any]) -> str:
     """Key of a result: SHA-256 of the command, the log, the effective parameters and the version of gridslam.
 
     Parameters
     ----------
     command : str
         Name of the command.
-    digest : str
-        SHA-256 of the log (see `gridslam.io.text.compute_digest`).
+    log : str
+        What identifies the content of the log: its size and time of modification, or its SHA-256.
     parameters : mapping
-        JSON values of all else that determines the result: the configuration, the seed, digests of further files.
+        JSON values of all else that determines the result: the configuration, the seed, the states of further files.
     """
-    content = {"command": command, "log": digest, "parameters": parameters, "version": __version__}
+    content = {"command": command, "log": log, "parameters": parameters, "version": __version__}
     return hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode()).hexdigest()

@@ -1,11 +1,9 @@
-"""The journal of a batch, OUT/runs.sqlite: a row for each job that has ended, and the digests of the logs."""
+"""The journal of a batch, OUT/runs.sqlite: a row for each job that has ended."""
 
 from __future__ import annotations
 
 import json
-import os
 import sqlite3
-import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +11,6 @@ from typing import Any, final
 
 from gridslam.errors import InputError, OutputError
 from gridslam.io.database import require_tables
-from gridslam.io.text import compute_digest
 
 __all__ = ["COLUMNS", "JOURNAL", "Journal", "describe_file"]
 
@@ -29,17 +26,13 @@ COLUMNS = {
     "message": "TEXT",
     "output_tail": "TEXT",
     "exit_status": "INTEGER",
-    "attempts": "INTEGER NOT NULL",
     "wall_s": "REAL",
     "cpu_s": "REAL",
     "peak_memory_bytes": "INTEGER",
     "started": "TEXT",
-    "worker": "TEXT",
     "document": "TEXT",
 }
 """Columns of the table ``runs``: ``status`` is "done" or "failed", ``document`` JSON text (see docs/outputs.md)."""
-
-_DIGESTS = "CREATE TABLE IF NOT EXISTS digests (path TEXT PRIMARY KEY, state TEXT NOT NULL, sha256 TEXT NOT NULL)"
 
 
 @final
@@ -64,20 +57,18 @@ class Journal:
     def __init__(self, folder: Path) -> None:
         """Open the journal, or create it."""
         self.path = folder / JOURNAL
-        self._lock = threading.Lock()
         columns = ", ".join(f"{name} {kind}" for name, kind in COLUMNS.items())
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(f"{folder}: cannot be written: {error.strerror}") from None
         with self._translate_errors():
-            self._database = sqlite3.connect(self.path, timeout=30, isolation_level=None, check_same_thread=False)
+            self._database = sqlite3.connect(self.path, timeout=30, isolation_level=None)
             try:
-                require_tables(self._database, ["runs", "digests"])
+                require_tables(self._database, ["runs"])
                 self._database.execute("PRAGMA journal_mode=WAL")
                 self._database.execute("PRAGMA synchronous=NORMAL")
                 self._database.execute(f"CREATE TABLE IF NOT EXISTS runs ({columns})")
-                self._database.execute(_DIGESTS)
                 self._require_columns()
             except BaseException:
                 self._database.close()
@@ -129,22 +120,6 @@ class Journal:
                 self._database.execute("ROLLBACK")
                 raise
             self._database.execute("COMMIT")
-
-    def digest(self, path: Path) -> str:
-        """Return the SHA-256 of a log, computed only if its size or its time of modification has changed.
-
-        Several threads may call it at a time. Raises InputError where it cannot be read.
-        """
-        where = _to_text(os.fspath(path.absolute()))
-        state = describe_file(path)
-        with self._lock, self._translate_errors():
-            found = self._database.execute("SELECT state, sha256 FROM digests WHERE path = ?", (where,)).fetchone()
-        if found is not None and found[0] == state:
-            return str(found[1])
-        digest = compute_digest(path)
-        with self._lock, self._translate_errors():
-            self._database.execute("INSERT OR REPLACE INTO digests VALUES (?, ?, ?)", (where, state, digest))
-        return digest
 
     def _require_columns(self) -> None:
         found = [row[1] for row in self._database.execute("PRAGMA table_info(runs)")]

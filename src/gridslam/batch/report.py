@@ -7,12 +7,9 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
-
-import numpy as np
 
 from gridslam.batch.runs import Run, read_runs
 from gridslam.errors import OutputError
@@ -38,14 +35,11 @@ COLUMNS: Final = (
     ("path_m", "driven", "m"),
     ("closures", "closures", "count"),
     ("lost_scans", "lost scans", "count"),
-    ("attempts", "attempts", "count"),
 )
-"""Figures that the page can show: name, label and unit; a column without a value, or attempts of 1, is left out."""
+"""Figures that the page can show: name, label and unit; a column without a value is left out."""
 
 _PICTURES = ("map.png", "localization.png", "landmarks.png")
 _THUMBNAIL = "thumbnail.jpg"
-_SIDE = 250  # of the square that a trajectory is drawn in
-_SAMPLES = 120  # poses of a trajectory that are drawn
 _TAIL_LETTERS = 600
 _DIGITS = 6
 
@@ -84,7 +78,7 @@ def write_report(out: str | Path) -> Path:
 
 def _is_shown(name: str, runs: list[dict[str, Any]]) -> bool:
     values = [run["figures"].get(name) for run in runs]
-    return any(value is not None and (name != "attempts" or value > 1) for value in values)
+    return any(value is not None for value in values)
 
 
 def _fill(title: str, data: dict[str, Any]) -> str:
@@ -105,9 +99,8 @@ def _describe(out: Path, run: Run) -> dict[str, Any]:
     """Return the values of a run that the page shows."""
     row = run.row
     figures = run.figures | {
-        name: row[name] for name in ("attempts", "wall_s", "cpu_s", "peak_memory_bytes") if row[name] is not None
+        name: row[name] for name in ("wall_s", "cpu_s", "peak_memory_bytes") if row[name] is not None
     }
-    picture, path, extent = _draw(out / row["folder"]) if run.is_done and row["folder"] else (None, None, None)
     log = str(row["log"])
     seed = run.figures.get("seed")
     return {
@@ -121,9 +114,7 @@ def _describe(out: Path, run: Run) -> dict[str, Any]:
         "tail": "" if run.is_done else (row["output_tail"] or "")[-_TAIL_LETTERS:],
         "figures": {name: _round(value) for name, value in figures.items() if name in _NAMES},
         "findings": [list(finding) for finding in run.findings],
-        "picture": picture,
-        "path": path,
-        "extent": extent,
+        "picture": _find_picture(out / row["folder"]) if run.is_done and row["folder"] else None,
     }
 
 
@@ -134,13 +125,10 @@ def _round(value: float) -> float:
     return value if value == 0 else round(value, _DIGITS - 1 - math.floor(math.log10(abs(value))))
 
 
-def _draw(folder: Path) -> tuple[str | None, str | None, str | None]:
-    """Name of the picture that the thumbnail opens, the trajectory as points of a polyline, and its extent."""
+def _find_picture(folder: Path) -> str | None:
+    """Name of the picture that the thumbnail opens; None if there is none."""
     picture = next((name for name in _PICTURES if (folder / name).is_file()), None)
-    if picture is not None and not _make_thumbnail(folder, picture):
-        picture = None
-    path, extent = _outline(folder / "trajectory.tum")
-    return picture, path, extent
+    return picture if picture is not None and _make_thumbnail(folder, picture) else None
 
 
 def _make_thumbnail(folder: Path, picture: str) -> bool:
@@ -159,31 +147,3 @@ def _make_thumbnail(folder: Path, picture: str) -> bool:
     except OSError as error:
         raise OutputError(f"{thumbnail}: cannot be written: {error.strerror or error}") from None
     return True
-
-
-def _outline(path: Path) -> tuple[str | None, str | None]:
-    """Return points of a trajectory in a square, y down, and its extent in metres; of a file that can be read."""
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError):
-        return None, None
-    chosen = {round(i * (len(lines) - 1) / (_SAMPLES - 1)) for i in range(_SAMPLES)}
-    try:
-        points = np.array(list(_positions([lines[i] for i in sorted(chosen)] if lines else [])))
-    except ValueError:  # a trajectory that was damaged later must not hide the other runs
-        points = np.zeros(0)
-    if not len(points):
-        return None, None
-    size = np.ptp(points, axis=0)
-    scaled = (points - points.min(axis=0) - size / 2) * (_SIDE / max(float(size.max()), 1e-9)) + _SIDE / 2
-    kept = np.column_stack([scaled[:, 0], _SIDE - scaled[:, 1]])
-    return " ".join(f"{x:.0f},{y:.0f}" for x, y in kept.tolist()), f"{size[0]:.0f} x {size[1]:.0f} m"
-
-
-def _positions(lines: list[str]) -> Iterator[tuple[float, float]]:
-    for line in lines:
-        words = line.split()
-        if len(words) >= 3 and not line.startswith("#"):
-            x, y = float(words[1]), float(words[2])
-            if math.isfinite(x) and math.isfinite(y):
-                yield x, y

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import time
-from collections.abc import Collection, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Literal, final
@@ -15,11 +13,10 @@ from typing import Any, Literal, final
 import click
 
 from gridslam.api.amcl import AmclParameters
-from gridslam.batch.engine import Executor, run_jobs
+from gridslam.batch.engine import run_jobs
 from gridslam.batch.job import Job, compute_key
-from gridslam.batch.journal import Journal
+from gridslam.batch.journal import Journal, describe_file
 from gridslam.batch.manifest import COLUMNS, Entry, find_logs
-from gridslam.batch.pool import ProcessPool
 from gridslam.batch.report import REPORT, write_report
 from gridslam.cli.localize import read_parameters
 from gridslam.cli.options import MapOptions, evaluate_options, localize_options, log_options, map_options
@@ -38,7 +35,7 @@ _TARGET = "gridslam.batch.commands:run_{}"
 _TRUE = ("1", "true", "yes", "on")
 _FALSE = ("0", "false", "no", "off")
 
-_Repair = Literal["needed", "all", "none"]
+_Repair = Literal["needed", "none"]
 
 
 def run_batch(
@@ -47,10 +44,8 @@ def run_batch(
     command: str,
     reference: str | None,
     workers: int | None,
-    scheduler: str | None,
     timeout_s: float | None,
     memory_mb: float | None,
-    retries: int,
     as_json: bool,
     words: Sequence[str],
 ) -> int:
@@ -58,10 +53,9 @@ def run_batch(
     make = _Maker(command, words)
     entries = find_logs(logs, trajectories=command == "evaluate", reference=reference)
     prepared = [make.prepare(entry) for entry in entries]
-    executor = _open_executor(scheduler, workers)
     try:
-        with Journal(out) as journal:
-            jobs = _make_jobs(command, entries, prepared, journal)
+        with Journal(out):
+            jobs = _make_jobs(command, entries, prepared)
     except OutputError as error:
         raise click.ClickException(str(error)) from None
     sizes = {job.folder: max(1, job.arguments["bytes"] or 0) for job in jobs}
@@ -70,10 +64,9 @@ def run_batch(
         rows = run_jobs(
             jobs,
             out,
-            executor=executor,
+            workers=workers or _count_processors(),
             timeout_s=timeout_s,
             memory_bytes=None if memory_mb is None else round(1e6 * memory_mb),
-            retries=retries,
             on_row=progress.on_row,
             on_poll=progress.on_poll,
         )
@@ -84,18 +77,6 @@ def run_batch(
             report = [f"report: {out / REPORT}"] if is_written else []
             click.echo("\n".join([*progress.summarize(out), *report]))
     return 1 if failed else 0
-
-
-def _open_executor(scheduler: str | None, workers: int | None) -> Executor:
-    """Connect to a cluster, or make the pool of this machine."""
-    if scheduler is None:
-        return ProcessPool(workers or _count_processors())
-    from gridslam.batch.cluster import DaskCluster
-
-    cluster = DaskCluster(scheduler)
-    if cluster.dashboard:
-        warn(f"dashboard: {cluster.dashboard}")
-    return cluster
 
 
 def _count_processors() -> int:
@@ -214,32 +195,28 @@ def _read_evaluate(distance_m: float) -> dict[str, Any]:
 _PARSERS = {"map": _read_map, "doctor": _read_doctor, "localize": _read_localize, "evaluate": _read_evaluate}
 
 
-def _make_jobs(
-    command: str, entries: Sequence[Entry], prepared: Sequence[Mapping[str, Any]], journal: Journal
-) -> list[Job]:
-    """Make the jobs; the logs that have changed since the last time are read for their digests."""
+def _make_jobs(command: str, entries: Sequence[Entry], prepared: Sequence[Mapping[str, Any]]) -> list[Job]:
     references = [entry.reference for entry in entries if entry.reference]
     images = {path: _find_image(path) for path in {arguments["map"] for arguments in prepared if "map" in arguments}}
     sizes = {entry.path: _measure(entry.path) for entry in entries}
-    states = {entry.path: entry.state for entry in entries if entry.state is not None}
-    digests = _compute_digests({*sizes, *references, *images, *images.values()}, states, journal)
+    listed = {entry.path: entry.state for entry in entries if entry.state is not None}
+    states = {path: _describe(path, listed) for path in {*sizes, *references, *images, *images.values()}}
     jobs = []
     for entry, arguments in zip(entries, prepared, strict=True):
         used = {name: path for name, path in (("reference", entry.reference), ("map", arguments.get("map"))) if path}
         if "map" in used:
             used["map_image"] = images[used["map"]]
         parameters = {name: value for name, value in arguments.items() if name != "threads"} | {
-            name: digests[path] for name, path in used.items()
+            name: states[path] for name, path in used.items()
         }
         every = {
             "log": entry.path,
-            "digest": "" if is_url(entry.path) else digests[entry.path],
             "bytes": sizes[entry.path],
             "reference": entry.reference,
             "max_memory_bytes": max_memory_bytes(),
             **arguments,
         }
-        key = compute_key(command, digests[entry.path], parameters)
+        key = compute_key(command, states[entry.path], parameters)
         jobs.append(Job(_TARGET.format(command), every, entry.log, entry.name, key, command))
     return jobs
 
@@ -258,32 +235,16 @@ def _find_image(path: str) -> str:
     return path
 
 
-def _compute_digests(paths: Collection[str], states: Mapping[str, str], journal: Journal) -> dict[str, str]:
-    """SHA-256 of files; of one at a URL that of its size, time and ETag, as far as these are known or in `states`.
+def _describe(path: str, states: Mapping[str, str]) -> str:
+    """Return size and time of modification of a file; of one at a URL as its server reports them, by `states` or now.
 
-    Of one that cannot be read there is none, and the job reports it.
+    Of one that cannot be read nothing is known, and its job reports it.
     """
-
-    def compute(path: str) -> str:
-        try:
-            if is_url(path):
-                return hashlib.sha256(
-                    f"{mask_url(path)}\n{states.get(path) or describe_remote(path)}".encode()
-                ).hexdigest()
-            return journal.digest(Path(path))
-        except OutputError:  # of the journal
-            raise
-        except Exception:
-            return ""
-
-    threads = ThreadPoolExecutor(min(8, _count_processors()))
-    try:
-        pending = {threads.submit(compute, path): path for path in sorted(paths)}
-        for _ in as_completed(pending):
-            stop_if_interrupted()
-        return {path: future.result() for future, path in pending.items()}
-    finally:
-        threads.shutdown(cancel_futures=True)
+    with suppress(Exception):
+        if is_url(path):
+            return f"{mask_url(path)} {states.get(path) or describe_remote(path)}"
+        return describe_file(Path(path))
+    return ""
 
 
 @final

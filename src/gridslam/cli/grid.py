@@ -29,7 +29,7 @@ def grid_to_folder(
     laser: str | None,
     threads: int,
     options: LogOptions,
-    repair: Literal["needed", "all", "none"],
+    repair: Literal["needed", "none"],
     as_json: bool,
 ) -> None:
     """Map a log with known poses, write the results to a folder and print a summary."""

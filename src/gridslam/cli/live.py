@@ -249,7 +249,7 @@ def view(
     from gridslam.live.replay import Replay
     from gridslam.live.server import PageServer
 
-    report = out / "report.html"  # of gridslam batch or doctor
+    report = out / "report.html"  # of gridslam batch
     if report.is_file():
         address = report.resolve().as_uri()
         click.echo(f"{out}: open {address}")

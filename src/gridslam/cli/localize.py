@@ -45,7 +45,7 @@ def localize_to_folder(
     seed: int,
     threads: int,
     options: LogOptions,
-    repair: Literal["needed", "all", "none"],
+    repair: Literal["needed", "none"],
     live: LiveOptions | None,
     no_history: bool,
     as_json: bool,

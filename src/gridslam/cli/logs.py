@@ -44,7 +44,7 @@ def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) 
         with open_output(out) as folder:
             diagnosis = _diagnose_with_progress(source, not as_json)
             write_diagnosis(diagnosis, folder)
-    report = [] if out is None else [f"report: {out / 'report.md'}"]
+    report = [] if out is None else [f"report: {out / 'report.txt'}"]
     print_result(document(diagnosis), [*text(diagnosis), *report], as_json)
     return EXIT_FOUND_ERRORS if diagnosis.worst is Severity.ERROR else 0
 

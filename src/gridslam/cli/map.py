@@ -78,7 +78,7 @@ def map_with_progress(
     viewers: Viewers = NOBODY,
     *,
     shown: bool,
-    repair: Literal["needed", "all", "none"] = "none",
+    repair: Literal["needed", "none"] = "none",
 ) -> MapResult:
     """Map a log while progress is shown, the map on a page if there is one, and all of it recorded.
 

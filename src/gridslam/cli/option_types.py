@@ -88,7 +88,7 @@ class _Log(_Path):
             from gridslam.io.remote import fetch, is_url
 
             if is_url(value):
-                return fetch(value).path
+                return fetch(value)
         return super().convert(value, param, ctx)
 
 

@@ -58,7 +58,7 @@ threads_option = click.option(
 )
 assignment_option = functools.partial(click.option, "--set", "assignments", multiple=True, metavar="NAME=VALUE")
 repair_option = functools.partial(
-    click.option, "--repair", type=click.Choice(["needed", "all", "none"]), default="needed", show_default=True
+    click.option, "--repair", type=click.Choice(["needed", "none"]), default="needed", show_default=True
 )
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print one JSON object instead of text, and no progress."
@@ -222,7 +222,7 @@ class MapOptions:
     config: Path | None
     assignments: tuple[str, ...]
     no_loop_closure: bool
-    repair: Literal["needed", "all", "none"]
+    repair: Literal["needed", "none"]
     options: LogOptions
 
     def configuration(self) -> Configuration:
@@ -300,9 +300,7 @@ _MAP_OPTIONS = (
     click.option("--config", type=PATH, help="TOML file with parameters; overrides the preset."),
     assignment_option(help="Set one parameter (see below)."),
     click.option("--no-loop-closure", is_flag=True, help="Disable loop closure."),
-    repair_option(
-        help="Faults to correct before mapping; needed: those that make any map unusable, all: all measurable ones."
-    ),
+    repair_option(help="Faults to correct before mapping; needed: those that make any map unusable."),
     log_options,
 )
 _SESSION_OPTIONS = (

@@ -15,20 +15,18 @@ import click
 
 from gridslam.batch.engine import run_jobs
 from gridslam.batch.job import Job
-from gridslam.batch.journal import Journal
 from gridslam.batch.manifest import find_logs
-from gridslam.batch.pool import ProcessPool
 from gridslam.cli.options import MapOptions
 from gridslam.cli.output import open_display, print_result, stop_if_interrupted, write_apart
-from gridslam.errors import InputError, OutputError
+from gridslam.errors import InputError
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.output import write_atomically
-from gridslam.tuning.report import describe_verdict, plot_convergence, to_document, to_toml
+from gridslam.io.text import compute_digest
+from gridslam.tuning.report import describe_verdict, to_document, to_toml
 from gridslam.tuning.search_space import SearchSpace
 from gridslam.tuning.trial import find_reference
 from gridslam.tuning.tune import Settings, Trial, TunedLog, Tuner, load_optuna
-from gridslam.viz.chart import draw_chart
 
 __all__ = ["TuneOptions", "run_tune"]
 
@@ -76,11 +74,7 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
         raise click.ClickException(f"{out}: expected the name of a file to write, as best.toml")
     load_optuna()
     read = tune.read_logs(logs, given.options)
-    try:
-        with Journal(folder) as journal:
-            chosen = [_digest(log, journal) for log in read]
-    except OutputError as error:
-        raise click.ClickException(str(error)) from None
+    chosen = [_digest(log) for log in read]
     settings = Settings(
         base,
         space,
@@ -95,8 +89,7 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
     with _Progress(not as_json) as progress:
 
         def run(jobs: Sequence[Job]) -> list[dict[str, Any]]:
-            executor = ProcessPool(tune.workers)
-            return run_jobs(jobs, folder, executor=executor, timeout_s=tune.timeout_s, on_poll=progress.on_poll)
+            return run_jobs(jobs, folder, workers=tune.workers, timeout_s=tune.timeout_s, on_poll=progress.on_poll)
 
         tuner = Tuner(settings, chosen, run, progress.on_trial)
         progress.watch(tuner)
@@ -105,7 +98,6 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
     with write_apart() as write:
         write(_write_text, out, to_toml(tuning, chosen))
         write(_write_text, folder / "tune.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
-        write(_draw, folder / "convergence.png", *plot_convergence(tuning))
         tried = len({tuple(trial.values.items()) for trial in tuning.trials})
         lines = [f"{tried} configurations were tried", *describe_verdict(tuning, chosen), f"{out}; details: {folder}"]
         print_result(document, lines, as_json)
@@ -116,15 +108,10 @@ def _write_text(file: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
-def _draw(file: Path, figure: Any, caption: str) -> None:  # noqa: ANN401
-    with write_atomically(file) as path:
-        draw_chart(figure, caption=[caption]).save(path)
-
-
-def _digest(log: TunedLog, journal: Journal) -> TunedLog:
+def _digest(log: TunedLog) -> TunedLog:
     """Return the log with the digest that identifies its results."""
-    reference = None if log.reference is None else journal.digest(Path(log.reference))
-    return replace(log, digest=journal.digest(Path(log.path)), reference_digest=reference)
+    reference = None if log.reference is None else compute_digest(log.reference)
+    return replace(log, digest=compute_digest(log.path), reference_digest=reference)
 
 
 @final

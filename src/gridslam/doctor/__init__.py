@@ -10,7 +10,7 @@ from gridslam.doctor.diagnose import (
     diagnose,
     quick_check,
 )
-from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
+from gridslam.doctor.finding import Finding, Severity
 from gridslam.doctor.repair import Repair, RepairedLog
 
 __all__ = [
@@ -19,13 +19,10 @@ __all__ = [
     "Diagnosis",
     "Doctor",
     "EarlyCheck",
-    "Figure",
     "Finding",
     "LaserFacts",
-    "Mark",
     "Repair",
     "RepairedLog",
-    "Series",
     "Severity",
     "diagnose",
     "quick_check",

@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.doctor.finding import Figure, Finding, Series, Severity, Trace, percent
+from gridslam.doctor.finding import Finding, Severity, percent
 from gridslam.geometry.angles import wrap
 from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan, ScanGeometry
 
@@ -61,7 +61,6 @@ class BeamStatistics:
     scans_of_one_thing: int = 0
     limits_m: tuple[float, float] = (0.0, math.inf)
     _lost: dict[int, IntArray] = field(default_factory=dict)
-    _invalid_trace: Trace = field(default_factory=Trace)
 
     def take(self, scan: LaserScan) -> None:
         """Take the beams of the next scan."""
@@ -76,7 +75,6 @@ class BeamStatistics:
         self.limits_m = scan.range_min_m, scan.range_max_m
         self.scans_without_hits += hits < _FEW_HITS
         self.scans_of_one_thing += 0 < 2 * hits < count and scan.beams(0.0, math.inf).shows_one_thing
-        self._invalid_trace.add(float(self.scans), invalid / max(count, 1))
         self.scans += 1
         if invalid:
             self._note_lost(scan, lost)
@@ -115,7 +113,6 @@ class BeamStatistics:
     def _varies(self, sensor: str) -> Finding:
         least = min(self.counts)
         most = max(self.counts)
-        numbers = np.array(sorted(self.counts.items()), np.float64)
         return Finding(
             "beam_count_varies",
             Severity.WARNING,
@@ -126,7 +123,6 @@ class BeamStatistics:
             "gridslam uses the angles of each scan: make sure that the driver sets angle_min and angle_increment "
             "for each scan, since a fixed increment with a varying number of beams bends the walls.",
             sensor,
-            Figure("Beams of a scan", "beams", "scans", (Series("scans", numbers[:, 0], numbers[:, 1], "bars"),)),
         )
 
     def _invalid(self, sensor: str) -> Finding:
@@ -152,7 +148,6 @@ class BeamStatistics:
         remedy = (
             "Clean the laser, and look for what disturbs it: sun, dark or shining surfaces, another laser, a cable."
         )
-        course = Series("ratio of the beams of a scan", *self._invalid_trace.arrays())
         return Finding(
             "invalid_beams",
             Severity.WARNING if many else Severity.INFO,
@@ -161,7 +156,6 @@ class BeamStatistics:
             "share",
             remedy if many else "",
             sensor,
-            Figure("Invalid beams", "scan", "share", (course,)) if many else None,
         )
 
     def _single_object(self, sensor: str) -> Finding:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.doctor.calibration import MotionCalibration, ParameterEstimate, calibrate
-from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
+from gridslam.doctor.finding import Finding, Severity
 from gridslam.doctor.intervals import turn_rates
 from gridslam.doctor.laser_motion import LaserMotion, LaserMotionEstimator
 from gridslam.doctor.range_units import UNITS
@@ -120,7 +120,6 @@ class _Laser:
             if sweep_factor < 0:
                 message += ", but by their reverse, which fits better: the driver reports them in reverse order"
             return Finding("skewed_while_turning", Severity.INFO, message + ".", size, "rad", "", motion.sensor)
-        smear = Series("turn during a scan", motion.seconds, rates * self.sweep_s)
         return Finding(
             "skewed_while_turning",
             Severity.WARNING,
@@ -130,7 +129,6 @@ class _Laser:
             "Configure the driver to publish time_increment so that scans can be deskewed; until then turn more "
             "slowly.",
             motion.sensor,
-            Figure("Turn during a scan", "time, s", "rad", (smear,), (Mark("harmful", _SMEAR_RAD),)),
         )
 
 
@@ -187,7 +185,6 @@ def _unrelated(motion: LaserMotion, found: MotionCalibration) -> Finding:
         "1",
         "Choose the odometry's topic, or map with --no-odometry.",
         motion.sensor,
-        _turns_figure(motion, 1.0),
     )
 
 
@@ -226,7 +223,6 @@ def _laser_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[F
             "angle_max and angle_increment, or mount it upside-down in /tf_static. If it falls left and right wheels "
             "are swapped; until that is repaired map with --no-odometry.",
             motion.sensor,
-            _turns_figure(motion, 1.0),
         )
     yaw = found.yaw_rad
     if yaw.differs(0.0, _YAW):
@@ -257,11 +253,8 @@ def _laser_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[F
             f"by up to {wrong_rad:.2f} rad{'' if harms else ', which matching compensates'}.",
             skew.value,
             "s",
-            "Stamp both when they are measured, by one clock; --repair all takes it out before mapping."
-            if harms
-            else "",
+            "Stamp both when they are measured, by one clock." if harms else "",
             motion.sensor,
-            _turns_figure(motion, -1.0 if found.reflected else 1.0),
         )
 
 
@@ -345,10 +338,6 @@ def _slip_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Fi
     first_ns = int(motion.stamps_ns[0])
     times = "once" if len(slips) == 1 else f"{len(slips)} times"
     ways = sizes > _SLIP_M / 2
-    course = Series(
-        "odometry beyond the laser's motion", motion.seconds[found.intervals.begins], found.residuals[:, 0], "bars"
-    )
-    marks = tuple(Mark("slip", (slip.stamp_ns - first_ns) * 1e-9, "x") for slip in slips[:20])
     yield Finding(
         "wheel_slip",
         Severity.WARNING if matters else Severity.INFO,
@@ -358,7 +347,6 @@ def _slip_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Fi
         *((np.median(sizes[ways]), "m") if ways.any() else (np.median(turns), "rad")),
         "Drive more gently there; scan matching compensates where walls constrain the motion.",
         motion.sensor,
-        Figure("Wheel slip", "time, s", "m", (course,), marks),
     )
 
 
@@ -368,19 +356,6 @@ def _more(amount: float) -> str:
 
 def _side(angle: float) -> str:
     return "left" if angle > 0 else "right"
-
-
-def _turns_figure(motion: LaserMotion, sign: float) -> Figure:
-    """Turn rates of both over the part of the log in which the robot turns most."""
-    times = motion.seconds
-    steps = np.maximum(np.diff(times), 1e-3)
-    laser = sign * between(motion.poses[:-1], motion.poses[1:])[:, 2] / steps
-    odometry = np.nan_to_num(between(motion.odometry[:-1], motion.odometry[1:])[:, 2]) / steps
-    width = min(len(laser), 150)
-    first = int(np.convolve(np.abs(laser) * steps, np.ones(width), "valid").argmax())
-    part = slice(first, first + width)
-    series = (Series("laser", times[1:][part], laser[part]), Series("odometry", times[1:][part], odometry[part]))
-    return Figure("Turn rate of laser and odometry", "time, s", "rad/s", series)
 
 
 class Slip(NamedTuple):

@@ -10,7 +10,7 @@ from typing import TypeAlias, final
 
 import numpy as np
 
-from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity, Trace, percent
+from gridslam.doctor.finding import Finding, Severity, percent
 from gridslam.doctor.range_units import UNITS
 from gridslam.doctor.stamps import LogHistogram
 from gridslam.io.measurement import Measurement
@@ -69,7 +69,6 @@ class OdometryExaminer:
     _watched_s: float = 0.0
     _still_s: float = 0.0
     _frozen_s: float = 0.0
-    _turns: Trace = field(default_factory=Trace)
 
     def take(self, measurement: Measurement) -> None:
         """Look at the odometry of the next scan."""
@@ -112,7 +111,6 @@ class OdometryExaminer:
             self._fields[scan.sensor] = min(float(np.ptp(bearings)), math.tau) if len(bearings) else 0.0
         if before is not None:
             _, turned = _motion(before, place)
-            self._turns.add(float(self.scans), turned)
             self._too_far[scan.sensor] += turned > self._limit(scan.sensor)
             self._fastest_rad = max(self._fastest_rad, turned)
 
@@ -221,7 +219,6 @@ class OdometryExaminer:
             if count < 3 or count <= _FAST_SHARE * self.scans:
                 continue
             limit = self._limit(sensor)
-            turns = Series("turn since the scan before", *self._turns.arrays())
             yield Finding(
                 "fast_turning",
                 Severity.WARNING,
@@ -231,7 +228,6 @@ class OdometryExaminer:
                 "rad",
                 "Turn more slowly, or let the laser scan faster.",
                 sensor,
-                Figure("Turn between scans", "scan", "rad", (turns,), (Mark("limit", limit),)),
             )
 
 

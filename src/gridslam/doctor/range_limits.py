@@ -9,7 +9,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity, percent
+from gridslam.doctor.finding import Finding, Severity, percent
 from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan
 
 __all__ = ["RangeCounts"]
@@ -136,7 +136,6 @@ class RangeCounts:
                 "m/m",
                 "Let the driver state the laser's true range_max.",
                 sensor,
-                self._figure(Mark("stated limit", self.range_max_m, "x")),
             )
 
     def _range_peak(self, sensor: str, peak: _RangePeak) -> Finding:
@@ -161,17 +160,7 @@ class RangeCounts:
             "m/m",
             remedy,
             sensor,
-            self._figure(Mark(f"{peak.value_m:.2f} m", peak.value_m, "x")),
         )
-
-    def _figure(self, mark: Mark) -> Figure:
-        """Return how often each range is reported, in bins of 10 cm, up to the farthest; counts as 1 + their number."""
-        by_bin = self._hits.sum(axis=1) + self._beyond
-        coarse = np.add.reduceat(by_bin, np.arange(0, len(by_bin), 10))
-        coarse = coarse[: int(np.flatnonzero(coarse)[-1]) + 1]
-        at = (np.arange(len(coarse), dtype=np.float64) + 0.5) * 10 * _BIN_M
-        bars = Series("readings in 10 cm", at, np.log10(1.0 + coarse), "bars")
-        return Figure("Ranges", "range, m", "log10(1 + readings)", (bars,), (mark,))
 
 
 def _bins(ranges: FloatArray) -> IntArray:

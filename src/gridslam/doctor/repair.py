@@ -1,10 +1,9 @@
-"""A log that is read as it should have been recorded: laser, clock and odometry without their faults."""
+"""A log that is read as it should have been recorded: without the faults that make any map unusable."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -13,25 +12,24 @@ from typing import Literal, final
 import numpy as np
 
 from gridslam.checked import checked
-from gridslam.doctor.calibration import MotionCalibration, ParameterEstimate, calibrate
-from gridslam.doctor.laser_motion import LaserMotionEstimator, laser_motion
+from gridslam.doctor.calibration import MotionCalibration, calibrate
+from gridslam.doctor.laser_motion import LaserMotionEstimator
 from gridslam.doctor.lasers import BeamStatistics
 from gridslam.doctor.mirrored_odometry import Mirrored, unmirror_odometry
 from gridslam.doctor.motion_findings import name_unit
 from gridslam.doctor.range_limits import RangeCounts
 from gridslam.errors import ArgumentError
-from gridslam.geometry.se2 import adjoint, between, compose, exp, log
+from gridslam.geometry.se2 import adjoint, between
 from gridslam.io.log import Log, LogOptions, LogSource, open_if_path
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
-from gridslam.types import BeamStatus, FloatArray, Odometry, ScanGeometry
+from gridslam.types import BeamStatus, FloatArray, ScanGeometry
 
 __all__ = [
     "Repair",
     "RepairedLog",
     "calibrate_early",
     "describe_disagreement",
-    "find_full_repair",
     "find_needed_repair",
     "open_repaired",
     "repair_measurements",
@@ -60,12 +58,6 @@ class Repair:
         The beam order is reversed relative to the log.
     yaw_rad : float, rad
         Error of the mounting yaw, to the left.
-    skew_s : float, s
-        Scans are stamped so much too late.
-    scale, turn_scale : float
-        Measured metres per true metre, measured radians per true radian.
-    drift_rad_per_m : float, rad/m
-        What odometry turns too much to the left for each metre driven forward.
     range_max_m : float or None, m
         Hits from this range on are beams that hit nothing; None: there are none.
     mirrored : "", "heading" or "path"
@@ -74,10 +66,6 @@ class Repair:
 
     reflected: bool = False
     yaw_rad: float = 0.0
-    skew_s: float = 0.0
-    scale: float = 1.0
-    turn_scale: float = 1.0
-    drift_rad_per_m: float = 0.0
     range_max_m: float | None = None
     mirrored: Mirrored = ""
 
@@ -97,15 +85,6 @@ class Repair:
             yield f"odometry is mirrored, its path contradicts its headings: {what} the wrong sign"
         if self.yaw_rad:
             yield f"the mounting yaw of the laser is off by {math.degrees(self.yaw_rad):+.1f} degrees"
-        if self.skew_s:
-            late = "late" if self.skew_s > 0 else "early"
-            yield f"scans are stamped {1e3 * abs(self.skew_s):.0f} ms too {late} against the odometry"
-        if self.scale != 1:
-            yield f"odometry scale is {self.scale:.3f} m per metre"
-        if self.turn_scale != 1:
-            yield f"odometry rotation scale is {self.turn_scale:.3f} rad per radian"
-        if self.drift_rad_per_m:
-            yield f"odometry heading drifts by {math.degrees(self.drift_rad_per_m):+.2f} degrees per metre"
         if self.range_max_m is not None:
             yield f"no-return beams are reported as hits from {self.range_max_m:.2f} m on"
 
@@ -158,24 +137,6 @@ def _may_be_gross(calibration: MotionCalibration) -> bool:
     return max(abs(estimate.value - 1) for estimate in (calibration.scale, calibration.turn_scale)) > _GROSS
 
 
-def find_full_repair(calibration: MotionCalibration, range_max_m: float | None = None) -> Repair:
-    """Return all faults that the calibration determines reliably: those larger than four standard deviations."""
-
-    def sure(estimate: ParameterEstimate, usual: float) -> float:
-        return estimate.value if estimate.differs(usual, 0.0) else usual
-
-    return Repair(
-        find_needed_repair(calibration).reflected,
-        sure(calibration.yaw_rad, 0.0),
-        sure(calibration.skew_s, 0.0),
-        sure(calibration.scale, 1.0),
-        sure(calibration.turn_scale, 1.0),
-        sure(calibration.drift_rad_per_m, 0.0),
-        range_max_m,
-        calibration.mirrored,
-    )
-
-
 def calibrate_early(measurements: Iterable[Measurement]) -> MotionCalibration:
     """Calibrate with the beginning of a log: until 8 m and 6 rad of odometry, or 1000 scans of the first laser.
 
@@ -218,18 +179,12 @@ def repair_measurements(
     Parameters
     ----------
     measurements : iterable of Measurement
-        Read ahead by the skew where that is negative, else not at all.
+        Not read ahead.
     repair : Repair
         What to take out.
     sensor : str, optional
-        The laser whose direction, yaw, skew and range are corrected; that of the first scan if not given. Odometry is
+        The laser whose direction, yaw and range are corrected; that of the first scan if not given. Odometry is
         corrected for all.
-
-    Yields
-    ------
-    Measurement
-        Odometry is that of the time at which the scan was taken; within one skew of the log's begin or end it is the
-        first or last that is known.
     """
 
     @cache
@@ -238,9 +193,7 @@ def repair_measurements(
         mounting[:2, :3] = adjoint([0.0, 0.0, repair.yaw_rad])[:2, :2] @ mounting[:2, :3]
         return ScanGeometry(-geometry.bearings if repair.reflected else geometry.bearings, mounting)
 
-    reported: FloatArray | None = None
-    pose = np.zeros(3)
-    for odometry, scan in _remove_skew(measurements, repair.skew_s, sensor):
+    for odometry, scan in measurements:
         sensor = scan.sensor if sensor is None else sensor
         if scan.sensor == sensor:
             if repair.reflected or repair.yaw_rad:
@@ -248,70 +201,21 @@ def repair_measurements(
             if repair.range_max_m is not None:
                 false = (scan.status == BeamStatus.HIT) & (scan.ranges >= repair.range_max_m)
                 scan = replace(scan, status=np.where(false, np.uint8(BeamStatus.NO_RETURN), scan.status))
-        if odometry is not None:
-            now = unmirror_odometry(odometry.pose, repair.mirrored) if repair.mirrored else odometry.pose
-            pose = now if reported is None else compose(pose, _true_increment(reported, now, repair))
-            reported = now
-            odometry = replace(odometry, pose=pose)
+        if odometry is not None and repair.mirrored:
+            odometry = replace(odometry, pose=unmirror_odometry(odometry.pose, repair.mirrored))
         yield Measurement(odometry, scan)
-
-
-def _true_increment(before: FloatArray, after: FloatArray, repair: Repair) -> FloatArray:
-    """Return pose (3,) of `after` seen from `before`, without the errors of odometry."""
-    x, y, turn = (log(between(before, after)) / [repair.scale, repair.scale, 1.0]).tolist()
-    return exp([x, y, (turn - repair.drift_rad_per_m * math.copysign(math.hypot(x, y), x)) / repair.turn_scale])
-
-
-def _remove_skew(measurements: Iterable[Measurement], skew_s: float, sensor: str | None) -> Iterator[Measurement]:
-    """Give each scan of the laser the odometry of `skew_s` before its stamp."""
-    skew_ns = round(skew_s * 1e9)
-    if skew_ns == 0:
-        yield from measurements
-        return
-    waiting: deque[Measurement] = deque()
-    readings: deque[Odometry] = deque()
-    for measurement in measurements:
-        sensor = measurement.scan.sensor if sensor is None else sensor
-        waiting.append(measurement)
-        if measurement.odometry is not None:
-            readings.append(measurement.odometry)
-        while waiting and readings and readings[-1].stamp_ns >= waiting[0].scan.stamp_ns - skew_ns:
-            yield _at(waiting.popleft(), readings, skew_ns, sensor)
-    while waiting:
-        yield _at(waiting.popleft(), readings, skew_ns, sensor)
-
-
-def _at(measurement: Measurement, readings: deque[Odometry], skew_ns: int, sensor: str | None) -> Measurement:
-    """Return the scan with the odometry of the time it was taken at; forgets readings that are not needed again."""
-    odometry, scan = measurement
-    if odometry is None or scan.sensor != sensor:
-        return measurement
-    taken = scan.stamp_ns - skew_ns
-    while len(readings) > 2 and readings[1].stamp_ns <= taken:
-        readings.popleft()
-    before = readings[0]
-    after = readings[min(1, len(readings) - 1)]
-    passed = after.stamp_ns - before.stamp_ns
-    share = min(max((taken - before.stamp_ns) / passed, 0.0), 1.0) if passed > 0 else 0.0
-    pose = compose(before.pose, exp(share * log(between(before.pose, after.pose))))
-    return Measurement(replace(odometry, pose=pose), scan)
 
 
 @final
 @checked
 class RepairedLog:
-    """A log from which the faults of the laser's mounting, of the clocks and of the odometry are taken out.
+    """A log from which the faults that make any map unusable are taken out (see `find_needed_repair`).
 
     Parameters
     ----------
     log : Log
         What is read. What is wrong with its first laser is found out before the first iteration, from a reading of its
         own.
-    kind : "needed" or "all"
-        Only faults that make any map unusable, estimated from the beginning of the log (see `find_needed_repair`), or
-        all faults that are certain, estimated from the whole log (see `find_full_repair`).
-    on_repair : callable
-        Gets the repair, if there is any, before the first measurement.
 
     Attributes
     ----------
@@ -321,16 +225,9 @@ class RepairedLog:
         How laser and odometry contradict each other beyond that; it is among the remarks of the statistics, too.
     """
 
-    def __init__(
-        self,
-        log: Log,
-        kind: Literal["needed", "all"] = "needed",
-        on_repair: Callable[[Repair], None] = lambda repair: None,
-    ) -> None:
+    def __init__(self, log: Log) -> None:
         """Nothing is read before the iteration."""
         self._log = log
-        self._kind = kind
-        self._on_repair = on_repair
         self.repair: Repair | None = None
         self.disagreement = ""
 
@@ -351,8 +248,6 @@ class RepairedLog:
         """Read the log from its start."""
         if self.repair is None:
             self.repair = self._find_repair()
-            if self.repair:
-                self._on_repair(self.repair)
         return repair_measurements(self._log, self.repair) if self.repair else iter(self._log)
 
     def _find_repair(self) -> Repair:
@@ -365,9 +260,6 @@ class RepairedLog:
                 beams.take(measurement.scan)
                 yield measurement
 
-        if self._kind == "all":
-            found = calibrate(laser_motion(counted()))
-            return find_full_repair(found, counts.false_hits_m())
         found = calibrate_early(counted())
         self.disagreement = "" if beams.often_shows_one_thing else describe_disagreement(found)
         return find_needed_repair(found, counts.false_hits_m())
@@ -381,12 +273,12 @@ def _of_first_laser(measurements: Iterable[Measurement]) -> Iterator[Measurement
             yield measurement
 
 
-def open_repaired(log: LogSource, options: LogOptions | None, kind: Literal["needed", "all", "none"]) -> Log:
+def open_repaired(log: LogSource, options: LogOptions | None, kind: Literal["needed", "none"]) -> Log:
     """Open a log as `open_if_path` does, with the corrections of `RepairedLog`, or none.
 
     Raises ArgumentError for another `kind`, too.
     """
-    if kind not in ("needed", "all", "none"):
-        raise ArgumentError("repair", "needed, all or none", kind)
+    if kind not in ("needed", "none"):
+        raise ArgumentError("repair", "needed or none", kind)
     read = open_if_path(log, options)
-    return read if kind == "none" else RepairedLog(read, kind)
+    return read if kind == "none" else RepairedLog(read)

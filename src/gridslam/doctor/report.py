@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator
-from html import escape
-from itertools import groupby
-from typing import Any, Final
+from typing import Any
 
 from gridslam import __version__
 from gridslam.doctor.diagnose import Diagnosis, LaserFacts
 from gridslam.doctor.finding import Finding, Severity, percent
-from gridslam.io.cache import find_origin
+from gridslam.io.remote import find_origin
 
-__all__ = ["SCHEMA", "document", "html", "markdown", "picture_name", "text"]
+__all__ = ["SCHEMA", "document", "text"]
 
-SCHEMA = "gridslam.doctor/2"
+SCHEMA = "gridslam.doctor/3"
 
-_PICTURE: Final = re.compile(r"!\[(.*)\]\((.*)\)")
 _HEADS = {
     Severity.ERROR: "Faults that make the map unusable",
     Severity.WARNING: "Warnings",
@@ -42,7 +38,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         },
         "worst": diagnosis.worst.value,
         "counts": {s.value: sum(f.severity is s for f in diagnosis.findings) for s in Severity},
-        "findings": [_finding(number, finding) for number, finding in enumerate(diagnosis.findings, 1)],
+        "findings": [_finding(finding) for finding in diagnosis.findings],
     }
 
 
@@ -62,7 +58,7 @@ def _laser(facts: LaserFacts) -> dict[str, Any]:
     }
 
 
-def _finding(number: int, finding: Finding) -> dict[str, Any]:
+def _finding(finding: Finding) -> dict[str, Any]:
     size = finding.size
     return {
         "code": finding.code,
@@ -72,13 +68,7 @@ def _finding(number: int, finding: Finding) -> dict[str, Any]:
         "message": finding.message,
         "remedy": finding.remedy,
         "sensor": finding.sensor,
-        "picture": picture_name(number, finding),
     }
-
-
-def picture_name(number: int, finding: Finding) -> str | None:
-    """Name of the file for the picture of the `number`-th finding, counted from 1; None where there is none."""
-    return None if finding.figure is None else f"{number:02}_{finding.code}.png"
 
 
 def text(diagnosis: Diagnosis) -> list[str]:
@@ -136,43 +126,3 @@ def _facts(diagnosis: Diagnosis) -> Iterator[str]:
 
 def _title(finding: Finding) -> str:
     return f"{finding.code} ({finding.sensor})" if finding.sensor else finding.code
-
-
-def markdown(diagnosis: Diagnosis) -> list[str]:
-    """Format a diagnosis as Markdown, with figures."""
-    lines = [f"# {diagnosis.path.name}", "", f"**{verdict(diagnosis)}**", "", _head(diagnosis), ""]
-    lines += [f"{'  ' if line.startswith('  ') else ''}- {line.strip()}" for line in _facts(diagnosis)]
-    for severity, head in _HEADS.items():
-        found = [(k, f) for k, f in enumerate(diagnosis.findings, 1) if f.severity is severity]
-        lines += ["", f"## {head}"] if found else []
-        for number, finding in found:
-            lines += ["", f"### {_title(finding)}", "", finding.message]
-            lines += ["", f"Remedy: {finding.remedy}"] if finding.remedy else []
-            name = picture_name(number, finding)
-            lines += ["", f"![{finding.code}]({name})"] if name else []
-    return lines
-
-
-def html(diagnosis: Diagnosis) -> list[str]:
-    """Format a diagnosis as a page, with figures: the Markdown, line by line."""
-    page = [
-        '<!doctype html><html lang="en"><meta charset="utf-8">',
-        '<meta name="viewport" content="width=device-width"><meta name="color-scheme" content="light dark">',
-        f"<title>{escape(diagnosis.path.name)}</title>",
-        "<style>body{font:15px/1.5 system-ui,sans-serif;max-width:52em;margin:2em auto;padding:0 1em}"
-        "img{max-width:100%;height:auto;background:#fff}</style><main>",
-    ]
-    for is_list, lines in groupby(filter(None, markdown(diagnosis)), lambda line: line.lstrip().startswith("- ")):
-        parts = [_element(line) for line in lines]
-        page += ["<ul>", *parts, "</ul>"] if is_list else parts
-    return [*page, "</main></html>"]
-
-
-def _element(line: str) -> str:
-    """Return a line of Markdown as an element of the page."""
-    head, _, text = line.strip().partition(" ")
-    if picture := _PICTURE.fullmatch(line):
-        return f'<img alt="{escape(picture[1])}" src="{escape(picture[2])}">'
-    if head and set(head) == {"#"}:
-        return f"<h{len(head)}>{escape(text)}</h{len(head)}>"
-    return f"<li>{escape(text)}</li>" if head == "-" else f"<p>{escape(line.strip('*'))}</p>"

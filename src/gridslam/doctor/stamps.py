@@ -10,7 +10,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity, Trace, percent
+from gridslam.doctor.finding import Finding, Severity, percent
 from gridslam.geometry.angles import wrap
 from gridslam.io.measurement import Measurement
 from gridslam.types import FloatArray, IntArray, describe_duration
@@ -81,8 +81,6 @@ class StampStatistics:
     _pose: FloatArray | None = None
     _periods: LogHistogram = field(default_factory=LogHistogram)
     _pauses: list[_Pause] = field(default_factory=list)
-    _trace: Trace = field(default_factory=Trace)
-    _behind: Trace = field(default_factory=Trace)
 
     @property
     def rate_hz(self) -> float:
@@ -110,29 +108,25 @@ class StampStatistics:
         self.repeated += seconds == 0
         self.farthest_back_s = max(self.farthest_back_s, -seconds)
         self.deepest_s = max(self.deepest_s, behind)
-        self._behind.add(float(self.scans), max(behind, 0.0))
         if seconds <= 0:
             return
         at = (stamp_ns - self.first_ns) * 1e-9
         self._periods.add(seconds)
-        self._trace.add(at, seconds)
         if len(self._pauses) < _KEPT or seconds > self._pauses[0].seconds:
             x, y, theta = (math.nan,) * 3 if pose is None or self._pose is None else (pose - self._pose).tolist()
             keep = heapq.heappush if len(self._pauses) < _KEPT else heapq.heapreplace
             keep(self._pauses, _Pause(seconds, at - seconds, math.hypot(x, y), abs(float(wrap(theta)))))
 
-    def gaps(self) -> tuple[float, list[_Pause]]:
-        """From how many seconds on a pause is a gap, and the longest gaps, longest first."""
+    def gaps(self) -> list[_Pause]:
+        """Return the longest gaps, longest first."""
         limit = max(_MANY_PERIODS * self._periods.quantile(0.9), 0.5)
-        return limit, sorted((pause for pause in self._pauses if pause.seconds > limit), reverse=True)
+        return sorted((pause for pause in self._pauses if pause.seconds > limit), reverse=True)
 
     def findings(self, sensor: str) -> Iterator[Finding]:
         """Yield the findings on the stamps of the laser of that name."""
-        limit, gaps = self.gaps()
+        gaps = self.gaps()
         if gaps:
-            course = Series("time to the next scan", *self._trace.arrays(), "dots")
-            marks = (Mark("gap from here on", limit),)
-            yield _gaps(sensor, gaps, Figure("Time between scans", "time, s", "s", (course,), marks))
+            yield _gaps(sensor, gaps)
         if self.backward:
             yield self._backward(sensor)
         if self.repeated:
@@ -140,8 +134,6 @@ class StampStatistics:
 
     def _backward(self, sensor: str) -> Finding:
         share = self.backward / self.scans
-        course = Series("behind the latest stamp", *self._behind.arrays())
-        figure: Figure | None = Figure("Stamps that go backwards", "scan", "s", (course,))
         if self.deepest_s > _RESTART_S:
             severity = Severity.ERROR
             meaning = ": the clock was set back, or several recordings were joined"
@@ -154,7 +146,6 @@ class StampStatistics:
             severity = Severity.INFO
             meaning = "; it is jitter, and scans are taken in the order of the file"
             remedy = ""
-            figure = None
         return Finding(
             "backward_stamps",
             severity,
@@ -164,7 +155,6 @@ class StampStatistics:
             "s",
             remedy,
             sensor,
-            figure,
         )
 
     def _repeated(self, sensor: str) -> Finding:
@@ -181,7 +171,7 @@ class StampStatistics:
         )
 
 
-def _gaps(sensor: str, gaps: list[_Pause], figure: Figure) -> Finding:
+def _gaps(sensor: str, gaps: list[_Pause]) -> Finding:
     blind = [gap for gap in gaps if _is_blind(gap)]
     worst = max(blind, key=lambda gap: gap.seconds) if blind else gaps[0]
     count = f"{len(gaps)} gaps" if len(gaps) < _KEPT else f"{_KEPT} gaps or more"
@@ -205,7 +195,6 @@ def _gaps(sensor: str, gaps: list[_Pause], figure: Figure) -> Finding:
         if blind
         else "",
         sensor,
-        figure if blind else None,
     )
 
 

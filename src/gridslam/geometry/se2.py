@@ -27,9 +27,7 @@ __all__ = [
     "between_jacobians",
     "compose",
     "compose_jacobians",
-    "compound_covariance",
     "exp",
-    "increment_covariance",
     "inverse",
     "lever_arm_jacobian",
     "log",
@@ -255,28 +253,6 @@ def lever_arm_jacobian(frames: FloatArray, carried: FloatArray) -> FloatArray:
     jacobian[..., 0, 2] = frames[..., 1] - carried[..., 1]
     jacobian[..., 1, 2] = carried[..., 0] - frames[..., 0]
     return jacobian
-
-
-@checked
-def compound_covariance(
-    moved: ArrayLike, covariance: FloatArray, increment: ArrayLike, noise: FloatArray
-) -> FloatArray:
-    """Covariance (3, 3) of a motion and an increment after it, which has a noise (3, 3) of its own, to first order.
-
-    Source: Smith, Self and Cheeseman, Estimating uncertain spatial relationships in robotics (1990).
-    """
-    by_moved, by_increment = compose_jacobians(moved, increment)
-    return np.asarray(by_moved @ covariance @ by_moved.T + by_increment @ noise @ by_increment.T)
-
-
-@checked
-def increment_covariance(
-    moved: ArrayLike, covariance: FloatArray, increment: ArrayLike, both: FloatArray
-) -> FloatArray:
-    """Undo `compound_covariance`: the noise (3, 3) of the increment, which need not be a valid covariance."""
-    by_moved, by_increment = compose_jacobians(moved, increment)
-    noise = by_increment.T @ (both - by_moved @ covariance @ by_moved.T) @ by_increment  # a rotation
-    return np.asarray(0.5 * (noise + noise.T))
 
 
 def _as_poses(values: ArrayLike, name: str, width: int = 3) -> FloatArray:

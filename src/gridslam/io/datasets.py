@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import difflib
 import os
+import shutil
 from dataclasses import dataclass
+from http.client import HTTPException
 from pathlib import Path
-from typing import Any, final
+from typing import final
+from urllib.request import urlopen
 
 from gridslam.errors import ArgumentError, GridslamError
 from gridslam.io.output import OutputFolder
@@ -115,7 +118,7 @@ def fetch_dataset(name: str, folder: str | Path = ".", *, url: str | None = None
     ArgumentError
         There is no dataset of this name.
     DatasetError
-        pooch is not installed, the file cannot be got, or it is not the one that it should be.
+        The file cannot be got, or it is not the one that it should be.
     OutputError
         The folder cannot be written.
     """
@@ -132,26 +135,9 @@ def fetch_dataset(name: str, folder: str | Path = ".", *, url: str | None = None
 def _retrieve(source: str, dataset: Dataset, file: Path) -> None:
     """Write the file at an URL, if it is the right one."""
     try:
-        import pooch  # an extra, and slow to import
-    except ImportError:
-        raise DatasetError("datasets are got by pooch: pip install 'gridslam[datasets]'") from None
-    pooch.get_logger().setLevel("ERROR")
-    try:
-        downloader: Any = pooch.HTTPDownloader(timeout=_TIMEOUT_S)
-        pooch.retrieve(source, f"sha256:{dataset.sha256}", file.name, file.parent, downloader=downloader)
-    except OSError as error:  # those of requests are such
-        raise DatasetError(f"{source}: cannot be got: {_reason(error)}") from None
-    except ValueError as error:
-        wrong = "hash" in str(error).lower()
-        problem = f"expected the file of SHA-256 {dataset.sha256}, got another one" if wrong else str(error)
-        raise DatasetError(f"{source}: {problem}") from None
-
-
-def _reason(error: BaseException) -> str:
-    """Return the first cause: the message of requests is a paragraph."""
-    response = getattr(error, "response", None)
-    if response is not None:
-        return f"{response.status_code} {response.reason}"
-    while (cause := error.__cause__ or error.__context__) is not None:
-        error = cause
-    return getattr(error, "strerror", None) or str(error) or type(error).__name__
+        with urlopen(source, timeout=_TIMEOUT_S) as answer, file.open("wb") as copy:
+            shutil.copyfileobj(answer, copy)
+    except (OSError, HTTPException, ValueError) as error:
+        raise DatasetError(f"{source}: cannot be got: {getattr(error, 'reason', error)}") from None
+    if (digest := compute_digest(file)) != dataset.sha256:
+        raise DatasetError(f"{source}: expected the file of SHA-256 {dataset.sha256}, got {digest}")

@@ -76,7 +76,7 @@ def open_log(path: str | Path, options: LogOptions = _ALL) -> Log:
         There is no such file, or it is no log: names what it looks like; or an option does not fit its format.
     """
     if isinstance(path, str) and is_url(path):
-        path = fetch(path).path
+        path = fetch(path)
     form = detect_log_format(path)
     if form is LogFormat.BAG:
         from gridslam.io.bags.bag import BagLog  # only bags pay for the import of rosbags

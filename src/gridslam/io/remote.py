@@ -1,10 +1,11 @@
-"""Logs at URLs, read through a cache on this machine; by fsspec, an extra.
+"""Logs at URLs, copied to a folder of this machine; by fsspec, an extra.
 
 Credentials in a URL, its user and its query, appear in no message and in no file (`mask_url`).
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 from collections.abc import Iterator
@@ -13,12 +14,13 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Final
 from urllib.parse import parse_qsl, unquote, urlsplit
 
-from gridslam.errors import GridslamError, InputError, MissingDependencyError
-from gridslam.io.cache import Cached, LogCache
+from gridslam.errors import GridslamError, InputError, MissingDependencyError, OutputError
+from gridslam.io.output import write_atomically
 
 __all__ = [
     "describe_remote",
     "fetch",
+    "find_origin",
     "is_url",
     "list_files",
     "mask_url",
@@ -29,6 +31,8 @@ _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 _STATE = ("ETag", "etag", "LastModified", "mtime", "md5Hash", "crc32c", "generation", "VersionId", "content_md5")
 """Properties of a file's content, besides its size, that file systems may report."""
 _MASK: Final = "***"
+_CACHE: Final = "GRIDSLAM_CACHE"
+_ORIGIN: Final = "gridslam_origin.txt"
 
 
 def is_url(path: str | Path) -> bool:
@@ -71,49 +75,51 @@ def describe_remote(url: str) -> str:
         return _state(_find(system, path, url))
 
 
-def fetch(url: str, cache: LogCache | None = None) -> Cached:
+def fetch(url: str) -> Path:
     """Copy a log at a URL, a file or the folder of a ROS 2 bag, into the cache, unless it is there already.
 
     Parameters
     ----------
     url : str
         Where it is; credentials are those of the environment, as the libraries of fsspec expect them.
-    cache : LogCache, optional
-        By default that of `LogCache.default`.
 
     Returns
     -------
-    Cached
-        The copy: its path and its SHA-256. It stays in the cache as long as this process lives.
+    Path
+        The copy, in GRIDSLAM_CACHE or ~/.cache/gridslam/logs.
 
     Raises
     ------
     MissingDependencyError, InputError
-        As `describe_remote`; InputError also where the copy is not complete, or larger than the cache.
+        As `describe_remote`; InputError also where the copy is not complete.
     OutputError
         The cache cannot be written.
     """
-    cache = cache or LogCache.default()
     with _translate(url):
         system, path = _connect(url)
         files = _find(system, path, url)
-        size = sum(int(info.get("size") or 0) for info in files.values())
-        cache.require_size(size, mask_url(url))
-        root = path.rstrip("/")
-        name = PurePosixPath(root.partition("?")[0]).name or "log"
+        origin = mask_url(url)
+        name = PurePosixPath(path.rstrip("/").partition("?")[0]).name or "log"
+        entry = _find_cache() / hashlib.sha256(f"{origin}\n{_state(files)}".encode()).hexdigest()[:16]
+        log = entry / name
+        try:
+            if not log.exists():
+                with write_atomically(entry) as partial:
+                    partial.mkdir()
+                    _download(system, path, files, partial / name, url)
+                    (partial / _ORIGIN).write_text(origin, encoding="utf-8")
+        except OutputError:
+            if not log.exists():  # else another process was faster
+                raise
+        return log
 
-        def download(folder: Path) -> Path:
-            target = folder / name
-            if list(files) == [root] or list(files) == [path]:
-                _download(system, path, target, files[next(iter(files))], url)
-                return target
-            for file, info in files.items():
-                relative = PurePosixPath(file).relative_to(root)
-                (target / relative).parent.mkdir(parents=True, exist_ok=True)
-                _download(system, file, target / relative, info, url)
-            return target
 
-        return cache.get(mask_url(url), _state(files), download)
+def find_origin(path: Path) -> str | None:
+    """URL, without credentials, of which a path is the copy; None where it is no copy."""
+    try:
+        return (path.parent / _ORIGIN).read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return None
 
 
 def list_files(pattern: str) -> dict[str, str]:
@@ -163,11 +169,21 @@ def _state(files: dict[str, dict[str, Any]]) -> str:
     return repr(parts)
 
 
-def _download(system: Any, path: str, target: Path, info: dict[str, Any], url: str) -> None:  # noqa: ANN401
-    system.get_file(path, os.fspath(target))
-    expected, got = info.get("size"), target.stat().st_size
-    if expected is not None and got != expected:
-        raise InputError(mask_url(url), f"expected {expected} bytes, got {got}: it was changed, or the connection cut")
+def _find_cache() -> Path:
+    default = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "gridslam", "logs")
+    return Path(os.environ.get(_CACHE) or default)
+
+
+def _download(system: Any, path: str, files: dict[str, dict[str, Any]], target: Path, url: str) -> None:  # noqa: ANN401
+    """Copy the files of a log: one, or those in the folder `path`."""
+    for file, info in files.items():
+        copy = target / PurePosixPath(file).relative_to(path.rstrip("/"))
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        system.get_file(file, os.fspath(copy))
+        expected, got = info.get("size"), copy.stat().st_size
+        if expected not in (None, got):
+            problem = f"expected {expected} bytes, got {got}: it was changed, or the connection cut"
+            raise InputError(mask_url(url), problem)
 
 
 @contextmanager

@@ -12,12 +12,10 @@ from typing import Any, Protocol, final, runtime_checkable
 
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
-from gridslam.geometry.se2 import between, compound_covariance
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
-from gridslam.types import FloatArray, Odometry
 
-__all__ = ["CovarianceSum", "Log", "LogOptions", "SelectedLog", "select"]
+__all__ = ["Log", "LogOptions", "SelectedLog", "select"]
 
 _MOST_S = 9e9  # 285 years: in ns less than 64 bits hold
 _CHOOSING = "scan_topics", "no_odometry", "start_s", "duration_s", "every"
@@ -154,16 +152,13 @@ class SelectedLog:
         options = self._options
         counts = self._counts = LogStatistics(selection=self._selection())
         seen = Counter[str]()
-        since = CovarianceSum()
         for measurement in self._in_span(counts):
             sensor = measurement.scan.sensor
-            odometry = since.add(measurement.odometry)
             seen[sensor] += 1
             unwanted = options.scan_topics and sensor not in options.scan_topics
             if unwanted or (seen[sensor] - 1) % options.every:
                 continue
-            since.given()
-            chosen = Measurement(None if options.no_odometry else odometry, measurement.scan)
+            chosen = Measurement(None if options.no_odometry else measurement.odometry, measurement.scan)
             counts.count(chosen)
             yield chosen
         missing = [name for name in options.scan_topics if name not in seen]
@@ -192,39 +187,6 @@ class SelectedLog:
         """Return the options that leave something out."""
         values = {name: getattr(self._options, name) for name in _CHOOSING}
         return {name: value for name, value in values.items() if value != getattr(LogOptions(), name)}
-
-
-@final
-class CovarianceSum:
-    """Covariance of the odometry's motion since the last reading that was given on, of a log of which not all is."""
-
-    def __init__(self) -> None:
-        self._begin: Odometry | None = None
-        self._last: Odometry | None = None
-        self._covariance: FloatArray | None = None
-
-    def add(self, odometry: Odometry | None) -> Odometry | None:
-        """Take the next reading; give it with the covariance since the last one that was `given`."""
-        if odometry is None:
-            return None
-        last = self._last
-        before = self._covariance
-        covariance = odometry.covariance
-        if self._begin is not None and last is not None and last is not self._begin:
-            if before is None or covariance is None:
-                covariance = None
-            else:
-                moved = between(self._begin.pose, last.pose)
-                increment = between(last.pose, odometry.pose)
-                covariance = compound_covariance(moved, before, increment, covariance)
-        self._last = odometry
-        self._covariance = covariance
-        reported = covariance is odometry.covariance
-        return odometry if reported else Odometry(odometry.stamp_ns, odometry.pose, covariance)
-
-    def given(self) -> None:
-        """Restart: the last reading was passed on."""
-        self._begin = self._last
 
 
 def _timed(log: Log) -> Iterator[tuple[int, Measurement]]:

@@ -1,7 +1,4 @@
-"""Floor plans: walls are line segments (S, 4) = [x0, y0, x1, y1] in m, made by a few builders and joined by `join`.
-
-`carve` is the inverse: it builds the walls around the given free space.
-"""
+"""Floor plans: walls are line segments (S, 4) = [x0, y0, x1, y1] in m, made by a few builders and joined by `join`."""
 
 from __future__ import annotations
 
@@ -10,13 +7,13 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry import se2
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import FloatArray
 
-__all__ = ["box", "carve", "clearance", "furniture", "join", "near", "pillar", "place", "polyline", "room", "wall"]
+__all__ = ["box", "clearance", "furniture", "join", "near", "pillar", "place", "polyline", "room", "wall"]
 
 WALL_THICKNESS_M = 0.12
 """An inner wall: thick enough that its two faces are two lines of 5 cm cells in a map, as in a real building."""
@@ -96,47 +93,6 @@ def room(x0: float, y0: float, x1: float, y1: float, **doors: Sequence[tuple[flo
     if unknown := doors.keys() - ends.keys():
         raise ArgumentError("doors", f"sides among {', '.join(ends)}", ", ".join(sorted(unknown)))
     return join(*(wall((a, b), (c, d), doors.get(side, ())) for side, (a, b, c, d) in ends.items()))
-
-
-def carve(spaces: ArrayLike) -> FloatArray:
-    """Return walls (S, 4) around free space: the outline of the union of upright rectangles.
-
-    Corridors, rooms, doorways through the thickness of a wall and niches are all rectangles; where they overlap or
-    touch, one opens into the other. No wall is there twice, and those in one line are one.
-
-    Parameters
-    ----------
-    spaces : (R, 4) array_like, m
-        Two opposite corners of each rectangle; taken to the micrometre, so that adjacent edges touch.
-
-    Raises
-    ------
-    ArgumentError
-        For another shape.
-    """
-    corners = np.array(spaces, dtype=np.float64)
-    if corners.ndim != 2 or corners.shape[1] != 4:
-        raise ArgumentError("spaces", "shape (R, 4)", corners.shape)
-    corners = np.sort(np.round(corners, 6).reshape(-1, 2, 2), axis=1)
-    xs = np.unique(corners[..., 0])
-    ys = np.unique(corners[..., 1])
-    free = np.zeros((len(ys) + 1, len(xs) + 1), np.bool_)  # cells between the lines, with a border of solid ones
-    columns = np.searchsorted(xs, corners[..., 0]) + 1
-    rows = np.searchsorted(ys, corners[..., 1]) + 1
-    for (left, right), (bottom, top) in zip(columns, rows, strict=True):
-        free[bottom:top, left:right] = True
-    line, first, last = _runs(free[1:] != free[:-1])
-    level = np.stack([xs[first], ys[line], xs[last], ys[line]], axis=1)
-    line, first, last = _runs((free[:, 1:] != free[:, :-1]).T)
-    upright = np.stack([xs[line], ys[first], xs[line], ys[last]], axis=1)
-    return join(level, upright)
-
-
-def _runs(marked: NDArray[np.bool_]) -> IntArray:
-    """Row, first and last line (3, K) of each run of marked cells between lines; the cells at both ends are not."""
-    steps = np.diff(marked.astype(np.int8), axis=1)
-    row, first = np.nonzero(steps == 1)
-    return np.stack([row, first, np.nonzero(steps == -1)[1]])
 
 
 def pillar(x: float, y: float, radius_m: float, sides: int = 16) -> FloatArray:

@@ -14,7 +14,7 @@ from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Change", "World", "distinct", "tour", "vary_route", "wander"]
+__all__ = ["Change", "World", "vary_route", "wander"]
 
 
 @final
@@ -87,51 +87,6 @@ class World:
         for first, end, walls in zip([0, *begins], [*begins, len(legs)], plans, strict=True):
             for begin in range(first, end, longest):
                 yield slice(begin, min(begin + longest, end)), walls
-
-
-def distinct(route: Sequence[tuple[float, float]]) -> FloatArray:
-    """Waypoints (K, 2) without those that repeat the one before."""
-    points = np.array(route, dtype=np.float64)
-    keep = np.ones(len(points), np.bool_)
-    keep[1:] = np.abs(np.diff(points, axis=0)).sum(axis=1) > 1e-6
-    return points[keep]
-
-
-def tour(
-    junctions: FloatArray, passages: Sequence[tuple[int, int]], length_m: float, rng: np.random.Generator
-) -> FloatArray:
-    """Drive about a net of passages for at least `length_m`.
-
-    At each junction the robot takes the passage that it took the fewest times, by chance among equals, and turns back
-    only in a dead end. So it sees everything early, and then everything again, by other ways.
-
-    Parameters
-    ----------
-    junctions : (J, 2) float64, m
-        The tour begins at the first.
-    passages : sequence of (int, int)
-        Which junctions are joined by a straight passage; the first is taken first.
-    length_m : float, m
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    (K, 2) float64, m
-    """
-    taken = np.zeros(len(passages))
-    here = passages[0][0]
-    last = -1
-    way = [junctions[here]]
-    length = 0.0
-    while length < length_m:
-        leaving = [k for k, ends in enumerate(passages) if here in ends]
-        onward = [k for k in leaving if k != last] or leaving
-        last = 0 if last < 0 else min(rng.permutation(onward).tolist(), key=lambda k: taken[k])
-        taken[last] += 1
-        here = sum(passages[last]) - here
-        way.append(junctions[here])
-        length += float(np.hypot(*(way[-1] - way[-2])))
-    return np.array(way)
 
 
 def wander(

@@ -46,9 +46,6 @@ _BEAM_SIGMA_M = 0.03
 """Standard deviation of a beam against which a prediction by the velocity is weighed: a lidar's. Unlike wheels, mass
 does not slip."""
 
-_STILL_COVARIANCE = 1e-8 * np.eye(3)
-"""Of odometry that does not move: a tenth of a millimetre and of a milliradian."""
-
 NEWEST_WEIGHT = 0.05
 """Weight of the newest scan in a running mean."""
 
@@ -65,15 +62,10 @@ class Prediction(NamedTuple):
     sigma_m: float
     sigma_rad: float
     beam_sigma_m: float  # that of a beam, against which the prediction is weighed
-    covariance: FloatArray | None = None  # (3, 3) in the tracker's frame; None: by the standard deviations
 
     @property
     def prior(self) -> Information:
         """Information of the prediction, beside residuals in m."""
-        if self.covariance is not None:
-            information = self.beam_sigma_m**2 * np.linalg.inv(self.covariance)
-            (xx, xy, xt), (_, yy, yt), (_, _, tt) = information.tolist()
-            return xx, xy, xt, yy, yt, tt
         position = (self.beam_sigma_m / self.sigma_m) ** 2
         heading = (self.beam_sigma_m / self.sigma_rad) ** 2
         return position, 0.0, 0.0, position, 0.0, heading
@@ -92,25 +84,17 @@ class PoseEstimate(NamedTuple):
     open_direction: tuple[float, float] | None = None  # unit vector along which the prediction was kept; None: no such
 
 
-def predict_by_odometry(
-    state: TrackerState, increment: Pose, seconds: float, covariance: FloatArray | None, beam_sigma_m: float
-) -> Prediction:
+def predict_by_odometry(state: TrackerState, increment: Pose, seconds: float, beam_sigma_m: float) -> Prediction:
     """Predict the pose after an increment of the odometry since the last scan that was matched.
 
-    `covariance` (3, 3) is that of the increment in the frame of the base at that scan. Where nothing is known of it
-    standard deviations are assumed that grow with the motion, from a tenth of a cell on.
+    The standard deviations grow with the motion, from a tenth of a cell on.
     """
     pose = compose(state.matched_pose, increment)
     moved_m, turned_rad = motion_of(increment)
-    if covariance is None:
-        cell_m = state.maps.resolution_m
-        sigma_m = 0.1 * cell_m + 0.15 * moved_m + 0.5 * cell_m * turned_rad
-        sigma_rad = 0.003 + 0.05 * turned_rad + 0.04 * moved_m
-    else:
-        covariance = se2.rotate_covariances(covariance, state.matched_pose[2]) + _STILL_COVARIANCE
-        sigma_m = math.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])
-        sigma_rad = math.sqrt(covariance[2, 2])
-    return Prediction(pose, True, seconds, moved_m, turned_rad, sigma_m, sigma_rad, beam_sigma_m, covariance)
+    cell_m = state.maps.resolution_m
+    sigma_m = 0.1 * cell_m + 0.15 * moved_m + 0.5 * cell_m * turned_rad
+    sigma_rad = 0.003 + 0.05 * turned_rad + 0.04 * moved_m
+    return Prediction(pose, True, seconds, moved_m, turned_rad, sigma_m, sigma_rad, beam_sigma_m)
 
 
 @final

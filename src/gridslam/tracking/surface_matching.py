@@ -38,17 +38,14 @@ def match_to_surfaces(recent: RecentScans, own: Surfaces, found: PoseEstimate) -
     Chen and Medioni, Object modelling by registration of multiple range images (1992); Censi, An ICP variant using a
     point-to-line metric (2008).
     """
-    guess, predicted = found.pose, found.prediction
-    prior = _PRIOR
-    if predicted.covariance is not None:  # reported by the odometry, and part of what was found
-        prior = np.maximum(prior, 1 / np.square([predicted.sigma_m, predicted.sigma_m, predicted.sigma_rad]))
+    guess = found.pose
     pose, count = backend.match_to_surfaces(
         *recent.surfaces,
         recent.poses,
         own.points,
         own.normals,
         guess,
-        prior,
+        _PRIOR,
         _GATES_M,
         _SIGMA_M,
         LEAST_INFORMATION,

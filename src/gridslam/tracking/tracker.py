@@ -142,16 +142,11 @@ class Tracker:
         odometry: Odometry | None,
         stamp_ns: int,
         beams: Beams,
-        odometry_covariance: FloatArray | None = None,
     ) -> TrackedScan:
-        """Track one scan; updates `state`.
-
-        `odometry_covariance` (3, 3) is that of the odometry's motion since the last scan that was matched, by x, y and
-        theta in the frame of the base at that scan; None if nothing is known of it.
-        """
+        """Track one scan; updates `state`."""
         reading = pose_of(odometry)
         seconds = self.velocity.seconds(state, stamp_ns)
-        predicted = self._predict(state, reading, stamp_ns, seconds, odometry_covariance)
+        predicted = self._predict(state, reading, stamp_ns, seconds)
         spread = state.velocity_variances
         if predicted.by_odometry:  # which is better than what may move by itself
             beams = beams.without_movable()
@@ -179,14 +174,7 @@ class Tracker:
         control = self.search.control(state, found) if by_odometry else control
         return TrackedScan(found.pose, found.prediction.pose, control, beams, joint)
 
-    def _predict(
-        self,
-        state: TrackerState,
-        odometry: Pose,
-        stamp_ns: int,
-        seconds: float,
-        covariance: FloatArray | None,
-    ) -> Prediction:
+    def _predict(self, state: TrackerState, odometry: Pose, stamp_ns: int, seconds: float) -> Prediction:
         measured = between(state.matched_odometry, odometry)
         useless = not (state.odometry_errors.trusted or self.search.is_sparse(state))  # else velocities are worse
         passed = abs(stamp_ns - state.stamp_ns) * 1e-9
@@ -194,7 +182,7 @@ class Tracker:
         if not is_known(measured) or useless or jumped:
             return self.velocity.predict(state, seconds)
         increment = state.odometry_errors.correct_increment(measured)
-        return predict_by_odometry(state, increment, seconds, covariance, self.beam_sigma_m)
+        return predict_by_odometry(state, increment, seconds, self.beam_sigma_m)
 
     def _locate_deskewed(self, state: TrackerState, predicted: Prediction, beams: Beams) -> tuple[PoseEstimate, Beams]:
         """Find where a scan with beam times was taken, and how its beams are seen from there at its stamp.
@@ -436,9 +424,8 @@ class OdometryTracker:
         odometry: Odometry | None,
         stamp_ns: int,
         beams: Beams,
-        odometry_covariance: FloatArray | None = None,
     ) -> TrackedScan:
-        """Track one scan; updates `state`; ArgumentError where there is no odometry. The covariance is not used."""
+        """Track one scan; updates `state`; ArgumentError where there is no odometry."""
         state.odometry = as_pose(_require_odometry(odometry, stamp_ns).pose)
         state.stamp_ns = stamp_ns
         state.pose = compose(state.matched_pose, between(state.matched_odometry, state.odometry))

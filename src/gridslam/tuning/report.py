@@ -1,4 +1,4 @@
-"""Files of a tuning: the configuration with its verdict, a JSON document, and two figures."""
+"""Files of a tuning: the configuration with its verdict, and a JSON document."""
 
 from __future__ import annotations
 
@@ -7,20 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Final
 
-import numpy as np
-
 from gridslam import __version__
 from gridslam.config import PARAMETERS, Configuration, dumps
 from gridslam.config.tables import to_table, value_of
-from gridslam.doctor.finding import Figure, Mark, Series
 from gridslam.tuning.comparison import CONFIDENCE, Comparison
 from gridslam.tuning.tune import Settings, TunedLog, Tuning
 
-__all__ = ["TUNING_SCHEMA", "describe_verdict", "plot_convergence", "to_document", "to_toml"]
+__all__ = ["TUNING_SCHEMA", "describe_verdict", "to_document", "to_toml"]
 
 TUNING_SCHEMA: Final = "gridslam.tuning/2"
-
-_HIGHEST = 3.0  # ratio to the start up to which trials are drawn
 
 
 def describe_verdict(tuning: Tuning, logs: Sequence[TunedLog]) -> list[str]:
@@ -95,28 +90,6 @@ def to_document(tuning: Tuning, settings: Settings, logs: Sequence[TunedLog], tr
             for trial in tuning.trials
         ],
     }
-
-
-def plot_convergence(tuning: Tuning) -> tuple[Figure, str]:
-    """Figure and caption: the error of each trial as a ratio to the start's, and the best on whole logs."""
-    number = np.arange(1.0, len(tuning.trials) + 1)
-    ratio = np.array([trial.ratio for trial in tuning.trials])
-    whole = np.array([trial.part == 1.0 for trial in tuning.trials])
-    best = np.minimum.accumulate(np.where(whole, ratio, np.inf))
-    drawn = np.where(ratio <= _HIGHEST, ratio, np.nan)
-    figure = Figure(
-        "Convergence",
-        "trial",
-        "error as a ratio to that of the start",
-        (
-            Series("on parts of the logs", number[~whole], drawn[~whole], "dots"),
-            Series("on whole logs", number[whole], drawn[whole], "dots"),
-            Series("best on whole logs", number, best),
-        ),
-        (Mark("the start", 1.0),),
-    )
-    beyond = int(np.isnan(drawn).sum())
-    return figure, f"{beyond} trials are above {_HIGHEST:g} times the start, or failed."
 
 
 def _interval(found: Comparison) -> str:

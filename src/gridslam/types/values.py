@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.arguments import freeze, require_array, require_covariance, require_generator, require_instance
+from gridslam.arguments import freeze, require_array, require_generator, require_instance
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.scan import FloatArray, IntArray, LaserScan
@@ -66,9 +66,6 @@ class Odometry:
         When.
     pose : (3,) float64
         Of the base in the odometry frame, [x m, y m, theta rad], finite.
-    covariance : (3, 3) float64 or None, m^2, m rad, rad^2
-        Of the motion since the log's odometry before this one, by x, y and theta in the base frame at that time;
-        symmetric and positive definite. None where nothing trustworthy is known.
 
     Raises
     ------
@@ -78,7 +75,6 @@ class Odometry:
 
     stamp_ns: int
     pose: FloatArray
-    covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -86,13 +82,10 @@ class Odometry:
         require_array("pose", self.pose, np.float64, (3,))
         if not math.isfinite(sum(self.pose.tolist())):
             raise ArgumentError("pose", "finite x, y, theta", self.pose.tolist())
-        if self.covariance is not None:
-            require_covariance("covariance", self.covariance)
 
     def __repr__(self) -> str:
         """Return one line."""
-        known = "" if self.covariance is None else ", with covariance"
-        return f"Odometry({describe_time(self.stamp_ns)}: {describe_pose(self.pose)}{known})"
+        return f"Odometry({describe_time(self.stamp_ns)}: {describe_pose(self.pose)})"
 
     @classmethod
     def from_rows(cls, stamps_ns: Sequence[int], poses: FloatArray) -> list[Odometry]:
@@ -106,16 +99,13 @@ class Odometry:
             reading = new(cls)
             put(reading, "stamp_ns", stamp_ns)
             put(reading, "pose", pose)
-            put(reading, "covariance", None)
             readings.append(reading)
         return readings
 
     @classmethod
-    def at(cls, stamp_ns: int, pose: ArrayLike, covariance: ArrayLike | None = None) -> Odometry:
+    def at(cls, stamp_ns: int, pose: ArrayLike) -> Odometry:
         """Copy the values; raises ArgumentError as the constructor does."""
-        checked = freeze(pose, np.float64, (3,), "pose")
-        spread = None if covariance is None else freeze(covariance, np.float64, (3, 3), "covariance")
-        return cls(stamp_ns, checked, spread)
+        return cls(stamp_ns, freeze(pose, np.float64, (3,), "pose"))
 
 
 @final

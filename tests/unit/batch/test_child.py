@@ -10,10 +10,8 @@ import time
 
 import pytest
 
-from gridslam import __version__
-from gridslam.batch.child import LostWorkerError, run_job
+from gridslam.batch.child import run_job
 from gridslam.batch.journal import COLUMNS
-from gridslam.errors import OutputError
 from support.batch_jobs import make_job
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the children of this system are not forked")
@@ -21,18 +19,11 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the children of
 
 @pytest.fixture
 def run(tmp_path):
-    def run(function, *, timeout_s=30.0, memory_bytes=None, attempts=1, **arguments):
-        limits = limits_of(tmp_path, timeout_s=timeout_s, memory_bytes=memory_bytes, attempts=attempts)
-        row = run_job(make_job(function, "a", **arguments).to_dict(), limits)
-        (tmp_path / ".attempts" / "a").unlink()  # as when the row is written
-        return row
+    def run(function, *, timeout_s=30.0, memory_bytes=None, **arguments):
+        job = make_job(function, "a", **arguments)
+        return run_job(job, tmp_path, threading.Event(), timeout_s=timeout_s, memory_bytes=memory_bytes)
 
     return run
-
-
-def limits_of(out, **limits):
-    (out / ".attempts").mkdir(exist_ok=True)
-    return {"out": str(out), "timeout_s": None, "memory_bytes": None, "attempts": 1, "version": __version__, **limits}
 
 
 def is_alive(pid):
@@ -53,7 +44,7 @@ def wait_until(condition, seconds=10.0):
 
 def test_a_job_that_is_done_has_its_document_its_files_and_its_costs(run, tmp_path):
     row = run("write_number", number=3)
-    assert (row["status"], row["error"], row["exit_status"], row["attempts"]) == ("done", None, 0, 1)
+    assert (row["status"], row["error"], row["exit_status"]) == ("done", None, 0)
     assert row["document"]["number"] == 3
     assert row["document"]["job"] == {"key": row["key"], "command": "test", "log": "a.clf", "folder": "a"}
     assert row["output_tail"] == "a line of output\n"
@@ -64,7 +55,7 @@ def test_a_job_that_is_done_has_its_document_its_files_and_its_costs(run, tmp_pa
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["number.txt", "run.json", "square.txt"]
 
 
-def test_a_job_has_the_environment_of_its_worker_as_it_is_now(run, monkeypatch):
+def test_a_job_has_the_environment_of_its_batch_as_it_is_now(run, monkeypatch):
     """The server that children come from may be older."""
     names = ["GRIDSLAM_TEST_FIRST", "GRIDSLAM_TEST_SECOND"]
     for absent, present in (names, names[::-1]):
@@ -113,44 +104,39 @@ def test_a_job_that_wants_more_memory_than_it_may_have_is_out_of_memory(run):
 
 
 def test_the_server_that_is_killed_takes_its_child_along_and_the_next_job_runs(run, tmp_path):
-    trace = tmp_path / "trace"
-    with pytest.raises(LostWorkerError):
-        run("kill_worker", trace=str(trace), times=1, attempts=2)
-    assert run("kill_worker", trace=str(trace), times=1, attempts=2)["attempts"] == 2
+    arguments = {"trace": str(tmp_path / "trace"), "times": 1}
+    row = run("kill_server", **arguments)
+    assert (row["status"], row["error"]) == ("failed", "exit")
+    assert run("kill_server", **arguments)["status"] == "done"
 
 
 def test_a_job_whose_batch_has_ended_is_killed(tmp_path):
-    limits = limits_of(tmp_path)
-    job = make_job("hang", "a", pids=str(tmp_path / "pids")).to_dict()
+    job = make_job("hang", "a", pids=str(tmp_path / "pids"))
+    stopped = threading.Event()
 
     def end_batch():
         wait_until(lambda: (tmp_path / "pids").exists())
-        (tmp_path / ".attempts" / job["folder"]).unlink()
+        stopped.set()
 
     thread = threading.Thread(target=end_batch)
     thread.start()
-    with pytest.raises(LostWorkerError):
-        run_job(job, limits)
+    assert run_job(job, tmp_path, stopped)["status"] == "failed"
     thread.join()
     pids = [*map(int, (tmp_path / "pids").read_text().split()[:2])]
     wait_until(lambda: not any(map(is_alive, pids)))
 
 
-def test_all_children_end_with_a_worker_that_is_killed(tmp_path):
-    job = make_job("hang", "a", pids=str(tmp_path / "pids")).to_dict()
-    code = f"from gridslam.batch.child import run_job; run_job({job}, {limits_of(tmp_path)})"
-    worker = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)})
+def test_all_children_end_with_a_batch_that_is_killed(tmp_path):
+    job = f"make_job('hang', 'a', pids={str(tmp_path / 'pids')!r})"
+    code = (
+        "import pathlib, threading\n"
+        "from gridslam.batch.child import run_job\n"
+        "from support.batch_jobs import make_job\n"
+        f"run_job({job}, pathlib.Path({str(tmp_path)!r}), threading.Event())"
+    )
+    batch = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)})
     wait_until(lambda: (tmp_path / "pids").exists(), 60.0)
-    worker.kill()
-    worker.wait()
+    batch.kill()
+    batch.wait()
     pids = [*map(int, (tmp_path / "pids").read_text().split())]
     wait_until(lambda: not any(map(is_alive, pids)))
-
-
-def test_a_worker_of_another_version_or_without_the_folder_refuses(tmp_path):
-    job = make_job("write_number", "a", number=1).to_dict()
-    with pytest.raises(OutputError, match=r"has gridslam .*, and the batch is of 0\.0"):
-        run_job(job, limits_of(tmp_path) | {"version": "0.0"})
-    with pytest.raises(OutputError, match="does not see this folder"):
-        run_job(job, limits_of(tmp_path) | {"out": str(tmp_path / "absent")})
-    assert not (tmp_path / "absent").exists()

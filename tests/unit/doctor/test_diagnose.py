@@ -11,12 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gridslam.doctor import CheckedLog, Doctor, Severity, diagnose
-from gridslam.doctor.report import document, markdown, text, verdict
+from gridslam.doctor.report import document, text, verdict
 from gridslam.errors import InputError
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.types import ScanGeometry
-from gridslam.viz.chart import draw_chart
 from support.faults import FAULTS, with_fault
 from support.hand_logs import drive, findings, seen
 
@@ -119,7 +118,3 @@ def test_whatever_a_reader_gives_is_diagnosed(data):
     diagnosis = diagnose(Memory(one(k) for k in range(data.draw(st.sampled_from([1, 2, 40])))))
     json.dumps(document(diagnosis), allow_nan=False)
     assert text(diagnosis)
-    assert markdown(diagnosis)
-    for finding in diagnosis.findings:
-        if finding.figure is not None:
-            draw_chart(finding.figure)

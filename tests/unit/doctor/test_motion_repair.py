@@ -12,7 +12,7 @@ import pytest
 from gridslam.api.mapping import map_log
 from gridslam.config import Configuration
 from gridslam.doctor import Doctor
-from gridslam.doctor.calibration import are_degrees, calibrate
+from gridslam.doctor.calibration import are_degrees
 from gridslam.doctor.laser_motion import laser_motion
 from gridslam.doctor.motion_findings import motion_findings
 from gridslam.doctor.repair import (
@@ -20,14 +20,12 @@ from gridslam.doctor.repair import (
     RepairedLog,
     calibrate_early,
     describe_disagreement,
-    find_full_repair,
     find_needed_repair,
     repair_measurements,
 )
 from gridslam.doctor.view_breaks import ViewBreaks
 from gridslam.evaluation import absolute_errors
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between
 from gridslam.io.csv import write_csv_log
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
@@ -36,31 +34,18 @@ from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.types import Trajectory
 from support.faults import with_fault
 from support.hand_logs import MadeLog
-from support.laser_drives import log, perfect
+from support.laser_drives import log
 
 FILTER_ALONE = Configuration(particles=2, loop_closure=None)
-EXACT_REPAIRS = {
-    "yaw_offset": lambda size: Repair(yaw_rad=size),
-    "odometry_scale": lambda size: Repair(scale=1 + size),
-    "odometry_rotation_bias": lambda size: Repair(turn_scale=1 + size),
-    "odometry_drift": lambda size: Repair(drift_rad_per_m=size),
-}
 
 
-def steps(measurements):
-    poses = np.array([odometry.pose for odometry, _ in measurements])
-    return between(poses[:-1], poses[1:])
-
-
-@pytest.mark.parametrize("name", EXACT_REPAIRS)
-@pytest.mark.parametrize("size", [0.05, -0.3])
-def test_a_fault_and_its_repair_leave_the_log_as_it_was(name, size):
+def test_an_offset_of_the_yaw_and_its_repair_leave_the_log_as_it_was():
     measurements = log(scans=120)[0]
-    faulty = with_fault(measurements, name, np.random.default_rng(0), size)
-    mended = list(repair_measurements(faulty, EXACT_REPAIRS[name](size)))
-    np.testing.assert_allclose(steps(mended), steps(measurements), atol=1e-9)
+    faulty = with_fault(measurements, "yaw_offset", np.random.default_rng(0), 0.3)
+    mended = list(repair_measurements(faulty, Repair(yaw_rad=0.3)))
     for one, other in zip(mended[::30], measurements[::30], strict=True):
         assert one.scan.stamp_ns == other.scan.stamp_ns
+        np.testing.assert_array_equal(one.odometry.pose, other.odometry.pose)
         np.testing.assert_allclose(one.scan.beams(0.1, 20).ends, other.scan.beams(0.1, 20).ends, atol=1e-9)
 
 
@@ -73,28 +58,6 @@ def test_a_reflected_laser_sees_the_world_again():
     for one, other in zip(mended, measurements, strict=True):
         ends, true = one.scan.beams(0.1, 20).ends[::-1], other.scan.beams(0.1, 20).ends
         assert np.hypot(*(ends - true).T).max() < 20 * np.pi / 180 * 1.01
-
-
-@pytest.mark.parametrize("skew", [0.03, 0.25, -0.25])
-def test_a_skew_is_taken_out_by_the_odometry_of_the_right_time(skew):
-    measurements = log(scans=200)[0]
-    faulty = list(with_fault(measurements, "clock_skew", np.random.default_rng(0), skew))
-    mended = list(repair_measurements(faulty, Repair(skew_s=skew)))
-    assert [scan.stamp_ns for _, scan in mended] == [scan.stamp_ns for _, scan in faulty]
-    true = {scan.ranges.tobytes(): odometry.pose for odometry, scan in measurements}
-    off = [np.abs(between(true[scan.ranges.tobytes()], odometry.pose)) for odometry, scan in mended[3:-3]]
-    before = [np.abs(between(true[scan.ranges.tobytes()], odometry.pose)) for odometry, scan in faulty[3:-3]]
-    assert np.mean(off) < 0.35 * np.mean(before)
-
-
-def test_a_full_repair_takes_out_all_that_is_certain():
-    found = calibrate(perfect(60.0, scale=1.1, turn_scale=0.95, skew_s=0.08, reflected=True))
-    repair = find_full_repair(found)
-    assert repair.reflected
-    assert repair.scale == pytest.approx(1.1, abs=0.005)
-    assert repair.turn_scale == pytest.approx(0.95, abs=0.005)
-    assert repair.skew_s == pytest.approx(0.08, abs=0.003)
-    assert repair.yaw_rad == pytest.approx(0.0, abs=0.005)
 
 
 def test_the_map_of_a_reflected_log_is_right_once_it_is_repaired():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gridslam.doctor.range_limits import RangeCounts
-from gridslam.doctor.repair import Repair, RepairedLog
+from gridslam.doctor.repair import RepairedLog
 from gridslam.io.csv import write_csv_log
 from gridslam.io.log import open_log
 from gridslam.io.measurement import Measurement
@@ -41,12 +41,11 @@ def told(value_m: float, lost: float = 0.1, jitter_m: float = 0.0, sensor: str =
     return log
 
 
-def mended(folder, measurements, kind):
-    """What a repaired log reads, its repair, and what was reported of it."""
+def mended(folder, measurements):
+    """What a repaired log reads, and its repair."""
     write_csv_log(folder / "log.csv", measurements)
-    said: list[Repair] = []
-    log = RepairedLog(open_log(folder / "log.csv"), kind, on_repair=said.append)
-    return list(log), log.repair, said
+    log = RepairedLog(open_log(folder / "log.csv"))
+    return list(log), log.repair
 
 
 def counted(measurements) -> RangeCounts:
@@ -56,14 +55,12 @@ def counted(measurements) -> RangeCounts:
     return counts
 
 
-@pytest.mark.parametrize("kind", ["needed", "all"])
 @pytest.mark.parametrize("jitter_m", [0.0, 0.004])
-def test_beams_that_hit_nothing_are_no_hits_once_the_log_is_repaired(tmp_path, kind, jitter_m):
+def test_beams_that_hit_nothing_are_no_hits_once_the_log_is_repaired(tmp_path, jitter_m):
     """All of them, and no other but what lies within the margin; ranges and stamps stay as they are."""
     faulty = told(REACH_M, jitter_m=jitter_m)
-    found, repair, said = mended(tmp_path, faulty, kind)
+    found, repair = mended(tmp_path, faulty)
     assert repair.range_max_m == pytest.approx(REACH_M - MARGIN_M, abs=0.01)
-    assert said == [repair]
     assert [line for line in repair.describe() if "8.13 m" in line and "no-return beams" in line]
     lost = 0
     for one, wrong, true in zip(found, faulty, drive(), strict=True):
@@ -79,12 +76,10 @@ def test_beams_that_hit_nothing_are_no_hits_once_the_log_is_repaired(tmp_path, k
     assert lost < 0.005 * sum(len(scan) for _, scan in faulty)
 
 
-@pytest.mark.parametrize("kind", ["needed", "all"])
-def test_a_log_that_tells_no_return_truly_keeps_its_ranges(tmp_path, kind):
+def test_a_log_that_tells_no_return_truly_keeps_its_ranges(tmp_path):
     clean = drive()
-    found, repair, said = mended(tmp_path, clean, kind)
+    found, repair = mended(tmp_path, clean)
     assert repair.range_max_m is None
-    assert all(one.range_max_m is None for one in said)
     for one, other in zip(found, clean, strict=True):
         np.testing.assert_array_equal(one.scan.status, other.scan.status)
 

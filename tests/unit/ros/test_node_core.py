@@ -16,7 +16,7 @@ from gridslam.io.maps import read_map
 from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.ros import NodeCore, NodeSettings
 from gridslam.ros.node import rendering
-from gridslam.ros.node.messages import GridMessage, Level
+from gridslam.ros.node.messages import Level
 from gridslam.ros.node.rendering import make_grid_message, map_cells
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support.interrupted import carry
@@ -96,8 +96,8 @@ def test_the_published_map_is_the_one_that_is_written(drive, tmp_path):
 def test_no_map_of_the_mapping_session_comes_after_the_one_to_localize_in(drive, monkeypatch):
     outputs = RecordedOutputs()
     published = []
-    outputs.map = outputs.map_update = published.append
-    core = node(outputs, map_updates=True)
+    outputs.map = published.append
+    core = node(outputs)
     drive_all(core, outputs, drive[:30])
     known = KnownMap(core.copy_session().beginning.run.state.maps.occupancy(0))
     begun = threading.Event()
@@ -125,27 +125,7 @@ def test_no_map_of_the_mapping_session_comes_after_the_one_to_localize_in(drive,
     core.ask(core.resume_mapping)
     drive_all(core, outputs, drive[65:70])
     assert until(lambda: len(published) > count)
-    assert isinstance(published[count], GridMessage)  # no update changes the known map to the mapped one
     core.close()
-
-
-def test_updates_change_the_last_whole_map_to_the_present_one(drive):
-    outputs = RecordedOutputs()
-    whole = []
-    outputs.map = lambda message: whole.append((len(outputs.updates), message))
-    core = node(outputs, map_updates=True, map_update_interval_s=0.0)
-    drive_all(core, outputs, drive[:40])
-    core.close()
-    latest = core.dynamic_map()
-    since, map_ = whole[-1]
-    assert len(outputs.updates) > since
-    cells = map_.cells.copy()
-    for update in outputs.updates[since:]:
-        height, width = update.cells.shape
-        cells[update.y : update.y + height, update.x : update.x + width] = update.cells
-    assert map_.origin == latest.origin
-    np.testing.assert_array_equal(cells, latest.cells)
-    assert not np.array_equal(map_.cells, latest.cells)
 
 
 def test_a_slow_subscriber_of_the_map_does_not_hold_the_filter_up(drive):

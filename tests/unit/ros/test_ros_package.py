@@ -124,7 +124,7 @@ def test_the_layouts_show_topics_of_the_node():
     rviz = (PACKAGE / "rviz" / "gridslam.rviz").read_text(encoding="utf-8")
     layout = parse_yaml(rviz)["Visualization Manager"]
     topics = set(re.findall(r"Value: (/[\w/]+)", rviz))
-    assert {"/map", "/map_updates", "/scan", "/particlecloud", "/gridslam/pose", "/initialpose"} == topics
+    assert {"/map", "/scan", "/particlecloud", "/gridslam/pose", "/initialpose"} == topics
     assert topics <= PUBLISHED | TAKEN
     assert layout["Global Options"]["Fixed Frame"] == "map"
     latched = next(display for display in layout["Displays"] if display["Name"] == "Map")

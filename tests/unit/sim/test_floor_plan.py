@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from gridslam.errors import ArgumentError
 from gridslam.sim.floor_plan import (
     box,
-    carve,
     clearance,
     join,
     polyline,
     room,
     wall,
 )
+from support.passages import carve
 
 
 def _length(walls):
@@ -72,8 +72,3 @@ def test_carved_walls_stand_between_free_and_solid_and_nowhere_else(spaces):
         here, there = (x, y) if horizontal else (y, x)
         crossed = (b < there[..., None]) & (there[..., None] < d) & (a == c) & (a < here[..., None])
         assert np.array_equal(crossed.sum(axis=-1) % 2 == 1, free)
-
-
-def test_carving_takes_rectangles():
-    with pytest.raises(ArgumentError, match="spaces"):
-        carve([(0, 0), (1, 1)])

@@ -30,10 +30,9 @@ def fit(scan):
     return Surfaces.of(ScanBatch.of([scan]))
 
 
-def at(pose, covariance=None):
-    """Found at a pose, from a prediction of that covariance."""
-    sigmas = (0.02, 0.01) if covariance is None else (covariance[0, 0] ** 0.5, covariance[2, 2] ** 0.5)
-    predicted = Prediction(pose, True, 0.1, 0.1, 0.0, *sigmas, 0.03, covariance)
+def at(pose):
+    """Found at a pose."""
+    predicted = Prediction(pose, True, 0.1, 0.1, 0.0, 0.02, 0.01, 0.03)
     return PoseEstimate(pose, predicted, matched=True, lost=False, inlier_ratio=1.0)
 
 

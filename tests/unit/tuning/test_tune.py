@@ -12,7 +12,7 @@ import pytest
 
 from gridslam.config import Configuration, loads
 from gridslam.errors import ArgumentError, InputError
-from gridslam.tuning.report import describe_verdict, plot_convergence, to_document, to_toml
+from gridslam.tuning.report import describe_verdict, to_document, to_toml
 from gridslam.tuning.search_space import SearchSpace
 from gridslam.tuning.tune import Settings, TunedLog, Tuner
 
@@ -112,11 +112,8 @@ def test_failures_rank_last_and_a_start_that_fails_ends_it():
         Tuner(SETTINGS, LOGS[1:], Runs())
 
 
-def test_the_file_is_a_configuration_and_the_figures_show_all_trials():
+def test_the_file_is_a_configuration():
     tuning = Tuner(SETTINGS, LOGS, Runs())()
     text = to_toml(tuning, LOGS)
     assert text.startswith("# gridslam tune, version ")
     assert loads(text) == tuning.configuration
-    convergence, caption = plot_convergence(tuning)
-    assert sum(len(series.x) for series in convergence.series[:2]) == len(tuning.trials)
-    assert "above 3 times the start" in caption

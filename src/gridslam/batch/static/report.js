@@ -1,7 +1,6 @@
 "use strict";
 
 const CHUNK = 60; // rows added at a time, as the end of the view comes near
-const SVG = "http://www.w3.org/2000/svg";
 
 const { runs, columns } = JSON.parse(document.getElementById("data").textContent);
 const byId = (name) => document.getElementById(name);
@@ -40,7 +39,7 @@ function compare(a, b) {
   return a < b ? -1 : a > b ? 1 : 0;
 }
 
-const state = { sort: "status", descending: false, status: "all", error: "", view: "table", shown: [] };
+const state = { sort: "status", descending: false, status: "all", error: "", shown: [] };
 
 function select() {
   const words = byId("filter").value.toLowerCase().split(/\s+/).filter(Boolean);
@@ -103,46 +102,14 @@ function row(run) {
   return make("tr", run.failed ? "failed" : "", head, ...cells);
 }
 
-function path(run) {
-  const item = make("li", run.failed ? "failed" : "");
-  let box = make("span", "none", run.failed ? run.error : "no trajectory");
-  if (run.path) {
-    const drawing = document.createElementNS(SVG, "svg");
-    drawing.setAttribute("viewBox", "-10 -10 270 270");
-    drawing.setAttribute("role", "img");
-    drawing.setAttribute("aria-label", `Trajectory of ${run.log}`);
-    const line = document.createElementNS(SVG, "polyline");
-    line.setAttribute("points", run.path);
-    const start = document.createElementNS(SVG, "circle");
-    const [x, y] = run.path.split(" ", 1)[0].split(",");
-    start.setAttribute("cx", x);
-    start.setAttribute("cy", y);
-    start.setAttribute("r", 7);
-    drawing.append(line, start);
-    box = make(run.picture ? "a" : "span", "none", drawing);
-    if (run.picture) box.href = url(run.folder, run.picture);
-  }
-  const name = make("p", "log", run.folder);
-  name.title = run.log;
-  const [sorted, , form] = columns.find(([column]) => column === state.sort) ?? [];
-  const value = run.figures[sorted];
-  const figure = form && value !== undefined ? FORMS[form](value) : run.note;
-  item.append(box, name, make("p", "message", [figure, run.extent].filter(Boolean).join(" · ")));
-  return item;
-}
-
-const views = {
-  table: { box: byId("table"), list: document.querySelector("tbody"), make: row },
-  paths: { box: byId("paths"), list: byId("paths"), make: path },
-};
-
+const box = byId("table");
+const list = document.querySelector("tbody");
 let observer;
 
 // Rows are added in chunks when the last one comes near the visible part.
 function extend() {
-  const { list, box, make: build } = views[state.view];
   const from = list.childElementCount;
-  list.append(...state.shown.slice(from, from + CHUNK).map((i) => build(runs[i])));
+  list.append(...state.shown.slice(from, from + CHUNK).map((i) => row(runs[i])));
   observer?.disconnect();
   if (list.childElementCount < state.shown.length) {
     observer = new IntersectionObserver((seen) => seen.some((entry) => entry.isIntersecting) && extend(), { root: box, rootMargin: "800px" });
@@ -152,13 +119,10 @@ function extend() {
 
 function show() {
   select();
-  const { list, box } = views[state.view];
-  for (const [name, view] of Object.entries(views)) view.box.hidden = name !== state.view;
   list.replaceChildren();
   box.scrollTop = 0;
   extend();
-  if (!state.shown.length && state.view === "paths") list.append(make("li", "empty", "No run matches."));
-  if (!state.shown.length && state.view === "table") {
+  if (!state.shown.length) {
     const cell = make("td", "empty", "No run matches.");
     cell.colSpan = columns.length + 1;
     list.append(make("tr", "", cell));
@@ -171,7 +135,6 @@ function show() {
     if (cell.dataset.name === state.sort) cell.setAttribute("aria-sort", state.descending ? "descending" : "ascending");
   }
   for (const button of document.querySelectorAll("#errors button")) button.setAttribute("aria-pressed", String(button.dataset.error === state.error));
-  for (const button of document.querySelectorAll("#views button")) button.setAttribute("aria-pressed", String(button.dataset.view === state.view));
 }
 
 function sortBy(name, descending) {
@@ -227,10 +190,5 @@ byId("status").addEventListener("change", (event) => {
 });
 byId("sort").addEventListener("change", (event) => sortBy(event.target.value, false));
 byId("direction").addEventListener("click", () => sortBy(state.sort, !state.descending));
-byId("views").addEventListener("click", (event) => {
-  if (!event.target.dataset.view) return;
-  state.view = event.target.dataset.view;
-  show();
-});
 show();
 requestAnimationFrame(() => setTimeout(() => (document.body.dataset.readyMs = performance.now().toFixed(0))));

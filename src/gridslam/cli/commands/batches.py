@@ -45,11 +45,6 @@ class _BatchCommand(click.Command):
 @click.option(
     "--workers", type=click.IntRange(1, 256), metavar="N", help="Logs at a time.  [default: number of processors]"
 )
-@click.option(
-    "--scheduler",
-    metavar="ADDRESS|FILE",
-    help="Run on a Dask cluster: address of its scheduler (tcp://, tls://), or its scheduler file (extra: cluster).",
-)
 @click.option("--timeout", "timeout_s", type=TIME_LIMIT, metavar="S", help="Time limit for a log, s.")
 @click.option(
     "--memory",
@@ -57,14 +52,6 @@ class _BatchCommand(click.Command):
     type=MEMORY,
     metavar="MB",
     help="Limit of the address space for a log, MB (Linux only).",
-)
-@click.option(
-    "--retries",
-    type=click.IntRange(0, 100),
-    default=1,
-    show_default=True,
-    metavar="N",
-    help="Run a log whose worker is lost again elsewhere, at most N times.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line for each log, and no progress.")
 def batch_command(**options: Any) -> int:  # noqa: ANN401

@@ -21,9 +21,6 @@ Values: TypeAlias = tuple[Any, ...]
 
 
 _DEFINITIONS: Final = {
-    "map_msgs/msg/OccupancyGridUpdate": (
-        "std_msgs/Header header\nint32 x\nint32 y\nuint32 width\nuint32 height\nint8[] data"
-    ),
     "nav2_msgs/msg/Particle": "geometry_msgs/Pose pose\nfloat64 weight",
     "nav2_msgs/msg/ParticleCloud": "std_msgs/Header header\nnav2_msgs/Particle[] particles",
 }

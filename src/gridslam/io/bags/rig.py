@@ -3,37 +3,27 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections.abc import Sequence
 from typing import final
 
 import numpy as np
 
-from gridslam.arguments import is_covariance
 from gridslam.errors import ArgumentError
 from gridslam.geometry import rigid
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.rigid import Rigid
-from gridslam.geometry.se2 import between, compose, compound_covariance, exp, increment_covariance, log
-from gridslam.io.bags.ros_messages import OdometryMessage, StampedTransform, Triangle
+from gridslam.io.bags.ros_messages import OdometryMessage, StampedTransform
 from gridslam.io.bags.survey import Choice, Step, Survey, differs
 from gridslam.io.log_statistics import Mounting
 from gridslam.io.measurement import FARTHEST_LASER_M
 from gridslam.transforms import Coverage, MissingTransform, TransformBuffer
-from gridslam.types import FloatArray, Odometry
+from gridslam.types import Odometry
 
-__all__ = ["MountedLaser", "PoseCovariances", "Rig"]
+__all__ = ["MountedLaser", "Rig"]
 
 _KEEP_S = 5.0  # of odometry: no wider gap is interpolated, and a scan may be this much behind the latest reading
 _ODOMETRY = "(odometry)"  # parent frame for an odometry topic, distinct from the same link on /tf
-_UNKNOWN = np.zeros(3)
 _IDENTITY: Rigid = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-_KEEP_NS = 5_000_000_000
-_STILL = 1e-3  # m and rad: noise of no more motion is not seen
-_FLOOR = 1e-8 * np.eye(3)  # of a robot that stands: a tenth of a millimetre and of a milliradian
-_MOST = 1.0  # m^2 and rad^2, from one reading to the next: no odometry is so bad
-_PROOF = 3  # readings in a row that must have grown before one is used: drivers switch between two constants, too
-_HUGE = 1e12  # of a pose: such a number, or infinity, often means unknown
 
 
 @final
@@ -137,8 +127,6 @@ class Rig:
         self.topics = frozenset(seen.links[link].topic for link in links)
         self._reported = {link: seen.links[link].pose for link in links}
         self._poses = dict(self._reported)
-        self._covariances = PoseCovariances() if way == [] and choice.odometry else None  # of the base itself
-        self._reported_ns: int | None = None
         for link in self._odometry_links - self._moving:
             self._add(link, 0, self._poses[link], static=True)
 
@@ -152,9 +140,6 @@ class Rig:
         pose = message.pose
         self._buffer.add_quaternion(_ODOMETRY, self._child, message.stamp_ns, pose[:3], pose[3:])
         self.latest_ns = message.stamp_ns
-        if self._covariances is not None:
-            seen = np.array(rigid.planar(rigid.from_quaternion(pose[:3], pose[3:]))) if message.covariance else _UNKNOWN
-            self._covariances.add(message.stamp_ns, seen, message.covariance)
 
     def add_transform(self, transform: StampedTransform) -> bool:
         """Add a transform; return whether it may be odometry; raises ArgumentError if it is not a pose."""
@@ -178,17 +163,13 @@ class Rig:
         return False
 
     def odometry(self, stamp_ns: int) -> tuple[Coverage, Odometry | None]:
-        """Pose of the base in the odometry frame, with the covariance since the last call; or why it is unknown."""
+        """Pose of the base in the odometry frame; or why it is unknown."""
         try:
             pose = self._buffer.planar(self._frame, self._base, stamp_ns)
         except MissingTransform as missing:
             return missing.coverage, None
         pose.flags.writeable = False
-        covariance = None
-        if self._covariances is not None and self._reported_ns is not None:
-            covariance = self._covariances.between(self._reported_ns, stamp_ns)
-        self._reported_ns = stamp_ns
-        return Coverage.KNOWN, Odometry(stamp_ns, pose, covariance)
+        return Coverage.KNOWN, Odometry(stamp_ns, pose)
 
     def laser(self, frame: str) -> MountedLaser:
         """Return the laser of this frame."""
@@ -226,78 +207,3 @@ class Rig:
 
     def _add(self, link: tuple[str, str], stamp_ns: int, pose: Rigid, *, static: bool) -> None:
         self._buffer.add_quaternion(*link, stamp_ns, pose[:3], pose[3:], static)
-
-
-@final
-class PoseCovariances:
-    """Processes poses with covariances in order, and returns the covariance of the motion between them.
-
-    In nav_msgs/Odometry the covariance is that of the pose since the odometry began, so it grows from reading to
-    reading by the noise of the motion. Many drivers send zeros, a constant, or huge numbers for what they do not know,
-    and a filter with an absolute heading does not grow either: a covariance that does not grow by a covariance
-    while the robot moves has no information on the motion, and is left out.
-    """
-
-    def __init__(self) -> None:
-        self._stamps_ns: list[int] = []
-        self._poses: list[FloatArray] = []
-        self._noises: list[FloatArray | None] = []  # of the motion up to each reading
-        self._last: Triangle | None = None
-        self._grown = 0
-
-    def add(self, stamp_ns: int, pose: FloatArray, covariance: Triangle | None) -> None:
-        """Add a reading: pose (3,) in the odometry frame and its covariance; None if unknown."""
-        if covariance is not None and not all(abs(value) < _HUGE for value in covariance):
-            covariance = None
-        last, self._last = self._last, covariance
-        if covariance is None or last is None or stamp_ns <= self._stamps_ns[-1]:
-            self._begin(stamp_ns, pose, covariance)
-            return
-        self._noises.append(self._noise(self._poses[-1], _full(last), pose, _full(covariance), last == covariance))
-        self._stamps_ns.append(stamp_ns)
-        self._poses.append(pose)
-        if self._stamps_ns[0] < stamp_ns - 2 * _KEEP_NS:
-            gone = bisect_right(self._stamps_ns, stamp_ns - _KEEP_NS)
-            del self._stamps_ns[:gone], self._poses[:gone], self._noises[:gone]
-
-    def between(self, begin_ns: int, end_ns: int) -> FloatArray | None:
-        """Covariance (3, 3) of the motion from one stamp to another, in the base frame at the first; None: unknown."""
-        stamps = self._stamps_ns
-        if not stamps or not stamps[0] <= begin_ns < end_ns <= stamps[-1]:
-            return None
-        moved = np.zeros(3)
-        covariance = np.zeros((3, 3))
-        for k in range(bisect_right(stamps, begin_ns), len(stamps)):
-            noise = self._noises[k]
-            if noise is None:
-                return None
-            start, stop = stamps[k - 1 : k + 1]
-            share = (min(stop, end_ns) - max(start, begin_ns)) / (stop - start)
-            increment = exp(share * log(between(self._poses[k - 1], self._poses[k])))
-            covariance = compound_covariance(moved, covariance, increment, share * noise)
-            moved = compose(moved, increment)
-            if stop >= end_ns:
-                break
-        return covariance if is_covariance(covariance) else None
-
-    def _begin(self, stamp_ns: int, pose: FloatArray, covariance: Triangle | None) -> None:
-        known = covariance is not None
-        self._stamps_ns, self._poses, self._noises = ([stamp_ns], [pose], [None]) if known else ([], [], [])
-        self._grown = 0
-
-    def _noise(
-        self, before: FloatArray, known: FloatArray, pose: FloatArray, covariance: FloatArray, same: bool
-    ) -> FloatArray | None:
-        """Return noise of the motion between two readings, if the covariances of their poses determine it."""
-        increment = between(before, pose)
-        if np.abs(increment).max() <= _STILL and (same or np.abs(covariance - known).max() <= _FLOOR[0, 0]):
-            return _FLOOR if self._grown >= _PROOF else None
-        noise = None if same else increment_covariance(before, known, increment, covariance)
-        grows = noise is not None and is_covariance(noise) and float(np.diagonal(noise).max()) <= _MOST
-        self._grown = self._grown + 1 if grows else 0
-        return noise if self._grown >= _PROOF else None
-
-
-def _full(triangle: Triangle) -> FloatArray:
-    xx, xy, xt, yy, yt, tt = triangle
-    return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])

@@ -24,7 +24,6 @@ __all__ = [
     "OdometryMessage",
     "ScanMessage",
     "StampedTransform",
-    "Triangle",
     "Wire",
     "decode_odometry",
     "decode_scan",
@@ -37,10 +36,6 @@ __all__ = [
 Values = tuple[float, float, float, float, float, float, float]
 """Position in m and quaternion xyzw, as the message has them: not necessarily finite or of norm 1."""
 
-Triangle = tuple[float, float, float, float, float, float]
-"""A covariance's xx, xy, x yaw, yy, y yaw and yaw yaw in m and rad, as the message has them: not necessarily one."""
-
-_PLANAR = "2d24xd8xd24xd184xd"  # of 36 numbers in rows of six: x, y, z, roll, pitch, yaw
 _KINDS = {
     "sensor_msgs/LaserScan": "scan",
     "nav_msgs/Odometry": "odometry",
@@ -72,16 +67,12 @@ class ScanMessage(NamedTuple):
 
 
 class OdometryMessage(NamedTuple):
-    """nav_msgs/Odometry, without its twist: pose of `child_frame` in `frame`.
-
-    `covariance` is that of x, y and yaw, None where all of it is 0.
-    """
+    """nav_msgs/Odometry, without its covariance and twist: pose of `child_frame` in `frame`."""
 
     stamp_ns: int
     frame: str
     child_frame: str
     pose: Values
-    covariance: Triangle | None = None
 
 
 class StampedTransform(NamedTuple):
@@ -112,11 +103,10 @@ class Wire:
     header: struct.Struct = field(init=False)
     scan: struct.Struct = field(init=False)
     pose: struct.Struct = field(init=False)
-    spread: struct.Struct = field(init=False)
 
     def __post_init__(self) -> None:
         """Compile the layouts."""
-        for name, layout in (("count", "I"), ("header", "III"), ("scan", "7fI"), ("pose", "7d"), ("spread", _PLANAR)):
+        for name, layout in (("count", "I"), ("header", "III"), ("scan", "7fI"), ("pose", "7d")):
             object.__setattr__(self, name, struct.Struct(self.order + layout))
 
     def string(self, data: bytes, begin: int) -> tuple[str, int]:
@@ -197,11 +187,9 @@ def decode_odometry(data: bytes, wire: Wire) -> OdometryMessage:
         if wire.aligned:
             end += (4 - end) & 7
         pose = wire.pose.unpack_from(data, end)
-        spread = wire.spread.unpack_from(data, end + 56)
     except struct.error as error:
         raise MessageError(str(error)) from None
-    reported = spread if any(spread) else None
-    return OdometryMessage(seconds * 1_000_000_000 + nanoseconds, frame, child, pose, reported)
+    return OdometryMessage(seconds * 1_000_000_000 + nanoseconds, frame, child, pose)
 
 
 def decode_transforms(data: bytes, wire: Wire) -> list[StampedTransform]:

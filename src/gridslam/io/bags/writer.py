@@ -59,7 +59,7 @@ def write_bag(path: str | Path, measurements: Iterable[Measurement]) -> None:
 
     Scans stand in /scan; those of a sensor that is named like a topic in that one, of further sensors in
     /scan_<sensor>. INVALID beams are NaN, those without return infinite. Odometry stands in /odom, with its mean
-    velocity since the reading before, and in /tf as odom -> base_link; the covariance of its increments has no place.
+    velocity since the reading before, and in /tf as odom -> base_link.
     The laser's mounting stands in /tf_static as base_link -> its frame. Stamps and poses come back exactly, ranges and
     bearings to single precision.
 

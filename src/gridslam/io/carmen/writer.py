@@ -172,7 +172,7 @@ def to_carmen_form(measurements: Iterable[Measurement], lost: Counter[str]) -> I
             lost["more than 6 decimals of poses"] += _rounds(1e6 * odometry.pose, 1e-3)
             if odometry.stamp_ns != scan.stamp_ns:
                 lost["the odometry's own stamps"] += 1
-                odometry = Odometry(scan.stamp_ns, odometry.pose, odometry.covariance)
+                odometry = Odometry(scan.stamp_ns, odometry.pose)
         yield Measurement(odometry, _form_scan(scan, _name(scan.sensor, names), lost))
 
 

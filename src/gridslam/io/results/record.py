@@ -14,8 +14,8 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.arguments import index_of
-from gridslam.errors import InputError
+from gridslam.arguments import Limits, index_of
+from gridslam.errors import ArgumentError, InputError
 from gridslam.io.limits import UnpackingLimit, require_memory
 from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.text import open_for_reading
@@ -163,12 +163,7 @@ class RecordWriter:
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> RecordWriter:
         """Continue a recorder from the arrays of `to_arrays`; raises ArgumentError for other arrays."""
         self = cls()
-        sizes: dict[str, int] = {}
-        for name, (dtype, ndim) in _FORMS.items():
-            values = read_array(arrays, name, dtype, ("key scans", "particles", 3)[:ndim], sizes)
-            if name in ("parents", "best"):
-                index_of("particles").require(name, values, sizes)
-            self._rows[name] = list(values)
+        self._rows = {name: list(values) for name, values in _read(arrays, {}).items()}
         return self
 
     def snapshot(self) -> RecordWriter:
@@ -185,42 +180,31 @@ class RecordWriter:
             np.savez_compressed(file, schema=np.array(_SCHEMA), **arrays)
 
 
+def _read(arrays: Mapping[str, NDArray[Any]], sizes: dict[str, int]) -> dict[str, NDArray[Any]]:
+    """Return copies of the arrays of a recorder, whose `sizes` become known; raises ArgumentError for other ones."""
+    lengths = ("key scans", "particles", 3)
+    content = {name: read_array(arrays, name, dtype, lengths[:ndim], sizes) for name, (dtype, ndim) in _FORMS.items()}
+    for name in ("parents", "best"):
+        index_of("particles").require(name, content[name], sizes)
+    return content
+
+
 def read_record(path: str | Path) -> Record:
     """Read a record; raises InputError where the file is none, or its arrays do not belong together."""
-    arrays = read_arrays(path, _SCHEMA, "a record of a run")
-    steps, particles = arrays["poses"].shape[:2] if arrays.get("poses", np.zeros(0)).ndim == 3 else (-1, -1)
-    for name, (dtype, ndim) in _FORMS.items():
-        want = (steps, particles, 3)[:ndim]
-        if name not in arrays or arrays[name].shape != want or arrays[name].dtype != dtype:
-            got = f"{arrays[name].dtype} {arrays[name].shape}" if name in arrays else "nothing"
-            raise InputError(path, f"expected {name} as {np.dtype(dtype)} {want}, got {got}")
-    if steps and not particles:
-        raise InputError(path, f"expected particles at {steps} key scans, got none")
-    for name, low, high, expected in (
-        ("poses", -FARTHEST_M, FARTHEST_M, f"finite numbers up to {FARTHEST_M:g} m and rad"),
-        ("log_weights", -np.inf, 50.0, "logarithms of weights"),
-        ("parents", 0, particles - 1, f"particles 0 to {particles - 1}"),
-        ("best", 0, particles - 1, f"particles 0 to {particles - 1}"),
-        ("n_eff", 0, 1.001 * particles, f"numbers of particles up to {particles}"),
-        ("latency_s", 0, 1e9, "times >= 0 s"),
-    ):
-        values = arrays[name]
-        bad = values[~((values >= low) & (values <= high))]
-        if bad.size:
-            raise InputError(path, f"{name}: expected {expected}, got {bad[0]:g}")
-    return Record(**{name: arrays[name] for name in _FORMS}, revisits=_read_revisits(path, arrays, steps))
-
-
-def _read_revisits(path: str | Path, arrays: dict[str, NDArray[Any]], steps: int) -> NDArray[np.int32]:
-    """Return the tracked revisits; none of an older file."""
-    revisits = arrays.get("revisits", np.zeros((0, 2), np.int32))
-    if revisits.dtype != np.int32 or revisits.ndim != 2 or revisits.shape[1] != 2:
-        raise InputError(path, f"expected revisits as int32 (R, 2), got {revisits.dtype} {revisits.shape}")
-    if not ((revisits >= 0) & (revisits < steps)).all():
-        raise InputError(
-            path, f"revisits: expected key scans 0 to {steps - 1}, got {revisits.min()} to {revisits.max()}"
-        )
-    return revisits
+    arrays = {"revisits": np.zeros((0, 2), np.int32)} | read_arrays(path, _SCHEMA, "a record of a run")
+    sizes: dict[str, int] = {}
+    try:
+        record = Record(**_read(arrays, sizes), revisits=read_array(arrays, "revisits", np.int32, (None, 2)))
+        index_of("key scans").require("revisits", record.revisits, sizes)
+        Limits(-FARTHEST_M, FARTHEST_M).require("poses", record.poses, sizes)  # m and rad
+        Limits(-math.inf, 50.0).require("log_weights", record.log_weights, sizes)
+        Limits(0, 1.001 * sizes["particles"]).require("n_eff", record.n_eff, sizes)
+        Limits(0, 1e9).require("latency_s", record.latency_s, sizes)
+    except ArgumentError as error:
+        raise InputError(path, str(error)) from None
+    if len(record) and not sizes["particles"]:
+        raise InputError(path, f"expected particles at {len(record)} key scans, got none")
+    return record
 
 
 def read_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[Any]]:

@@ -632,8 +632,7 @@ class NodeCore:
         if self._renderer is None or self._renderer.mapper != configuration.mapper:
             if self._renderer is not None:
                 self._renderer.close()
-            outputs = self._outputs
-            self._renderer = MapRenderer(configuration.mapper, self.settings, outputs.map, outputs.map_update)
+            self._renderer = MapRenderer(configuration.mapper, self.settings, self._outputs.map)
             self._publisher.renderer = self._renderer
 
     def _begin_record(self) -> None:

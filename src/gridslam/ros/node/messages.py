@@ -21,7 +21,6 @@ __all__ = [
     "PoseMessage",
     "ScanMessage",
     "StampedTransform",
-    "UpdateMessage",
 ]
 
 
@@ -42,16 +41,6 @@ class PoseMessage(NamedTuple):
     frame: str
     pose: FloatArray
     covariance: FloatArray
-
-
-class UpdateMessage(NamedTuple):
-    """map_msgs/OccupancyGridUpdate: cells (H, W) int8 of a map, from column x and row y on."""
-
-    stamp_ns: int
-    frame: str
-    x: int
-    y: int
-    cells: NDArray[np.int8]
 
 
 class CloudMessage(NamedTuple):
@@ -105,9 +94,6 @@ class Outputs(Protocol):
 
     def map(self, message: GridMessage) -> None:
         """Publish the map, latched."""
-
-    def map_update(self, message: UpdateMessage) -> None:
-        """Publish what has changed of the map."""
 
     def transform(self, message: StampedTransform) -> None:
         """Publish the transform from map to odometry."""

@@ -17,7 +17,6 @@ from gridslam.ros.node.messages import (
     Level,
     PoseMessage,
     StampedTransform,
-    UpdateMessage,
 )
 from gridslam.ros.node.transport import ALL_TOPICS, TOPICS
 
@@ -78,12 +77,6 @@ class EncodedOutputs:
         pose = message.pose
         header = self._encoder.header("/tf", message.stamp_ns, message.parent)
         self._send("/tf", [(header, message.child, (pose[:3], pose[3:]))])
-
-    def map_update(self, message: UpdateMessage) -> None:
-        """Publish on map_updates."""
-        height, width = message.cells.shape
-        header = self._encoder.header("map_updates", message.stamp_ns, message.frame)
-        self._send("map_updates", header, message.x, message.y, width, height, message.cells.ravel())
 
     def updated_pose(self, message: PoseMessage) -> None:
         """Publish on amcl_pose."""

@@ -84,7 +84,6 @@ _OWN: Final[tuple[tuple[str, float | int | str | bool, str], ...]] = (
     ("map_file", "", ""),
     ("scan_topic", "scan", ""),
     ("paused_new_measurements", False, ""),
-    ("map_updates", False, "map_updates"),
     ("use_map_topic", False, ""),
     ("map_topic", "", ""),
     ("first_map_only", False, ""),
@@ -170,8 +169,6 @@ class NodeSettings:
         Time has jumped back if two scans in a row are stamped this much before the last one.
     map_values : str
         "trinary": 0, 100 and -1 as in map.pgm; "probability": 0 to 100 in per cent, -1 where unknown.
-    map_updates : bool
-        Whether only what has changed is published while the area of the map stays the same.
     min_beams, max_beams : int
         Scans with fewer or more beams are refused.
     seed, threads : int
@@ -194,7 +191,6 @@ class NodeSettings:
     queue_scans: int = Field(default=1000, ge=1)
     jump_s: float = Field(default=1.0, gt=0)
     map_values: Literal["trinary", "probability"] = "trinary"
-    map_updates: bool = False
     min_beams: int = Field(default=10, ge=1)
     max_beams: int = Field(default=100_000, ge=1)
     seed: int = Field(default=0, ge=0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any, Literal, final
@@ -13,14 +12,13 @@ from numpy.typing import NDArray
 
 from gridslam.io.maps import FREE_THRESH, OCCUPIED_THRESH
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.ros.node.messages import GridMessage, UpdateMessage
+from gridslam.ros.node.messages import GridMessage
 from gridslam.ros.node.parameters import NodeSettings
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import OccupancyGrid
 
-__all__ = ["MapRenderer", "find_update", "make_grid_message", "map_cells"]
+__all__ = ["MapRenderer", "make_grid_message", "map_cells"]
 
-_FULL_S = 10.0  # with updates, the whole map is published at least this often: for who comes late
 _PATIENCE_S = 10.0  # with a subscriber of the map that is slow
 
 
@@ -80,14 +78,11 @@ class MapRenderer:
         mapper: OccupancyGridMapping,
         settings: NodeSettings,
         publish: Callable[[GridMessage], None],
-        publish_update: Callable[[UpdateMessage], None] = lambda message: None,
     ) -> None:
         self.latest: GridMessage | None = None
         self.mapper = mapper
         self._settings = settings
         self._publish = publish
-        self._publish_update = publish_update
-        self._full_due_s = 0.0
         self._executor = ThreadPoolExecutor(1, "gridslam-map")
         self._rendered: Future[None] | None = None
 
@@ -110,9 +105,8 @@ class MapRenderer:
         return state.maps.nbytes
 
     def finish(self) -> None:
-        """Publish the pending map, before another map takes its place; the next one is published whole."""
+        """Publish the pending map, before another map takes its place."""
         self._wait()
-        self._full_due_s = 0.0
 
     def reset(self) -> None:
         """Discard the map at the start of a new session."""
@@ -130,23 +124,5 @@ class MapRenderer:
 
     def _render(self, arrays: Mapping[str, NDArray[Any]], stamp_ns: int) -> None:
         grid = self.mapper.restore(arrays).occupancy(0)
-        before, self.latest = self.latest, make_grid_message(grid, self._settings, stamp_ns)
-        now_s = time.monotonic()
-        is_same_area = before is not None and before.origin == self.latest.origin
-        is_same_area = is_same_area and before is not None and before.cells.shape == self.latest.cells.shape
-        if not self._settings.map_updates or before is None or not is_same_area or now_s >= self._full_due_s:
-            self._full_due_s = now_s + _FULL_S
-            self._publish(self.latest)
-        elif (update := find_update(before, self.latest)) is not None:
-            self._publish_update(update)
-
-
-def find_update(before: GridMessage, after: GridMessage) -> UpdateMessage | None:
-    """Return the smallest rectangle with all cells that differ between two maps of the same area; None if none does."""
-    differs = before.cells != after.cells
-    rows, columns = np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))
-    if not len(rows):
-        return None
-    x, y = int(columns[0]), int(rows[0])
-    cells = after.cells[y : rows[-1] + 1, x : columns[-1] + 1]
-    return UpdateMessage(after.stamp_ns, after.frame, x, y, cells)
+        self.latest = make_grid_message(grid, self._settings, stamp_ns)
+        self._publish(self.latest)

@@ -27,7 +27,7 @@ from gridslam.ros.node.messages import GridMessage, Level
 from gridslam.ros.node.outputs import grid_values
 from gridslam.ros.node.parameters import NodeParameters
 from gridslam.ros.node.session_services import SessionServices
-from gridslam.ros.node.transport import LOCALIZATION_TOPICS, MAPPING_TOPICS, TOPICS, RunOptions, Serve, Transport
+from gridslam.ros.node.transport import LOCALIZATION_TOPICS, TOPICS, RunOptions, Serve, Transport
 from gridslam.types import FloatArray
 
 __all__ = ["RosNode", "save_results", "set_pose_from_message"]
@@ -252,7 +252,7 @@ class RosNode:
     def _topics(self, parameters: NodeParameters) -> dict[str, str]:
         """Topics that are published, and their types."""
         if not self.core.localizes:
-            return {**TOPICS, **(MAPPING_TOPICS if parameters.settings.map_updates else {})}
+            return {**TOPICS}
         topics = {**TOPICS, **LOCALIZATION_TOPICS}
         if parameters.map_topic:  # another program publishes it
             del topics["map"], topics["map_metadata"]

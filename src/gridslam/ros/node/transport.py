@@ -19,7 +19,6 @@ __all__ = [
     "ALL_TOPICS",
     "LATCHED",
     "LOCALIZATION_TOPICS",
-    "MAPPING_TOPICS",
     "NO_OPTIONS",
     "POLL_S",
     "TOPICS",
@@ -42,8 +41,6 @@ TOPICS: Final = {
 }
 """Published topics and their types; ~ is the node's own name."""
 
-MAPPING_TOPICS: Final = {"map_updates": "map_msgs/OccupancyGridUpdate"}
-"""Published by a node that maps, if it is asked for."""
 
 LOCALIZATION_TOPICS: Final = {
     "amcl_pose": "geometry_msgs/PoseWithCovarianceStamped",
@@ -51,7 +48,7 @@ LOCALIZATION_TOPICS: Final = {
 }
 """Published by a node that localizes, with the names and types of nav2."""
 
-ALL_TOPICS: Final = {**TOPICS, **MAPPING_TOPICS, **LOCALIZATION_TOPICS}
+ALL_TOPICS: Final = {**TOPICS, **LOCALIZATION_TOPICS}
 
 LATCHED: Final = ("map", "map_metadata", "~/entropy", "amcl_pose")
 """Topics whose last message late subscribers receive."""

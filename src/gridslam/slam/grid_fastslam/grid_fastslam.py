@@ -28,7 +28,6 @@ from gridslam.particles.resampling import Systematic, effective_sample_size
 from gridslam.scan import Thinning
 from gridslam.slam.grid_fastslam.map_limit import MapLimit
 from gridslam.slam.grid_fastslam.motion_of_particles import MotionOfAll, SearchingMotion
-from gridslam.slam.grid_fastslam.odometry_noise import OdometryNoise, is_worse_than_velocity
 from gridslam.slam.grid_fastslam.proposals import Proposal, ScanMatchedProposal
 from gridslam.slam.grid_fastslam.report_builder import ReportBuilder, compute_spread
 from gridslam.slam.grid_fastslam.smoothed_pose import SmoothedPose
@@ -179,12 +178,12 @@ class GridFastSlam:
         """
         require_step(GridFastSlamState, state, odometry, scan, rng)
         state = state.take()
-        tracked, noise = self._track(state, odometry, self._select(scan))
+        tracked = self.tracker.step(state.tracker, odometry, scan.stamp_ns, self._select(scan))
         beams = tracked.beams
         moved = between(state.key_pose, tracked.pose)
         if reason := self._skip(state, tracked.pose, beams):
             return self._close_loops(state, self.reports.between_key_scans(state, scan, moved, reason), beams)
-        motion = self._predict(state, tracked, noise)  # predict
+        motion = self._predict(state, tracked)  # predict
         likelihood = self.sensor(beams)
         proposed = self.proposal(state.maps, state.poses, motion, likelihood, tracked.merged_beams, rng)  # match
         state.move(proposed.poses, tracked.pose, scan.sensor)
@@ -213,20 +212,7 @@ class GridFastSlam:
         state.resample(kept)
         return kept if parents is None else parents[kept]
 
-    def _track(
-        self, state: GridFastSlamState, odometry: Odometry | None, beams: Beams
-    ) -> tuple[TrackedScan, OdometryNoise | None]:
-        """Track a scan with the odometry, unless its reported noise makes it useless; also return that noise."""
-        stamp_ns = beams.scan.stamp_ns
-        matched = isinstance(self.tracker, Tracker)
-        if odometry is not None and isinstance(self.tracker, Tracker):
-            seconds = 1e-9 * abs(stamp_ns - state.tracker.stamp_ns)
-            odometry = None if is_worse_than_velocity(odometry, seconds, self.tracker.velocity) else odometry
-        noise = OdometryNoise.from_reading(state, odometry, matched=matched)
-        state.odometry_covariance = None if noise is None else noise.covariance
-        return self.tracker.step(state.tracker, odometry, stamp_ns, beams, state.odometry_covariance), noise
-
-    def _predict(self, state: GridFastSlamState, tracked: TrackedScan, noise: OdometryNoise | None) -> MotionSampler:
+    def _predict(self, state: GridFastSlamState, tracked: TrackedScan) -> MotionSampler:
         """Condition the motion on the control: the tracked motion since the last key scan, up to this scan.
 
         Both the control and the weight know of this scan, but of different maps: those of the scans just before it, and
@@ -235,7 +221,6 @@ class GridFastSlam:
         """
         control = tracked.control
         motion = self.motion(np.array(between(state.key_pose, control.pose)))
-        motion = motion if noise is None else noise.add_to(motion, state.key_pose, control.pose)
         if control.variances is not None:
             wide = add_noise(motion, np.diag(np.take(control.variances, [0, 0, 1])))
             motion = SearchingMotion(wide, state.maps, self.sensor(tracked.beams), tracked.beams.ends)

@@ -96,8 +96,6 @@ class GridFastSlamState:
         Whether the last key scan agreed with the best map too little.
     closure_state : LoopClosureState or None
         What loop closure remembers, where it is at work.
-    odometry_covariance : (3, 3) float64 or None
-        Reported noise of the odometry since its last accepted pose (see `OdometryNoise`).
     best : int
         Index of the particle that is reported: one of great log weight accumulated along its ancestry, and its
         descendants from then on, or what is nearest to it where it has none, until another one is better by odds of 20
@@ -119,7 +117,6 @@ class GridFastSlamState:
     unmatched: UnmatchedMotion = field(default_factory=UnmatchedMotion)
     lost: bool = False
     closure_state: LoopClosureState | None = None
-    odometry_covariance: Annotated[FloatArray, 3, 3] | None = None
     best: Annotated[int, index_of("N")] = 0
     consumed: bool = field(default=False, metadata=NOT_SAVED)
     before_step: BeforeStep = field(default=BeforeStep(), metadata=NOT_SAVED)  # when it was consumed
