@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import warnings
 from pathlib import Path
 
@@ -35,11 +36,22 @@ FIXTURES = {"data_dir": "real_logs", "s3": "dev", "web": "dev", "mirror": "dev"}
 
 def pytest_configure(config: pytest.Config) -> None:
     """End at once where GRIDSLAM_REQUIRE_COMPILED=1 and the package runs on the NumPy twins."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        # The shell ignores it for what it starts in the background, and programs that the tests interrupt inherit that.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of missing kernels: told once, and tested elsewhere
         from gridslam.kernels import backend, compiled
     if os.environ.get("GRIDSLAM_REQUIRE_COMPILED") == "1" and not compiled:
         raise pytest.UsageError(f"expected the compiled kernels, got {backend.__file__}")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Give each process tests in the order of the files, so that what a file's tests share is made once."""
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log) if config.getoption("dist") == "load" else None
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -7,7 +7,6 @@ import json
 import numpy as np
 import pytest
 
-from gridslam.cli.main import main
 from gridslam.io.edits import Edit, Edits, read_edits, write_edits
 from gridslam.io.maps import read_map, write_map
 from support.drawn_maps import DOOR, draw_two_rooms
@@ -19,16 +18,6 @@ NAMES = (
     Edit("rooms", "Point", np.array([[1.0, 3.0]]), "Lager"),
     Edit("rooms", "Point", np.array([[5.0, 3.0]]), "Flur"),
 )
-
-
-@pytest.fixture
-def call(capsys):
-    def run(*arguments):
-        status = main([*map(str, arguments)])
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
 
 
 @pytest.fixture
