@@ -11,6 +11,8 @@ import pytest
 
 pytest.register_assert_rewrite("support.real_logs")
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # processes of tests that share the cores wait for each other else
+
 TESTS = Path(__file__).parent
 
 TIERS = {
