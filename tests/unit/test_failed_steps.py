@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,7 @@ PARTS = [
     (LoopClosure, "__call__"),
 ]
 
+SLAM = build(override(Configuration(particles=5), "when_to_resample.kind=AlwaysResample"))
 FAILING = np.random.default_rng(5).permutation(np.arange(1, 300))[:120].tolist()  # scans; many are no key scan
 
 
@@ -82,12 +85,35 @@ def arrays_of(state):
 
 
 def map_all(source, failures=None, recorder=None, seed=3):
-    slam = build(override(Configuration(particles=5), "when_to_resample.kind=AlwaysResample"))
     recorder = recorder or TrajectoryRecorder()
     rng = np.random.default_rng(seed)
     on_failure = None if failures is None else failures.append
-    state = run(source, slam, rng=rng, observers=[recorder], on_failure=on_failure)
+    state = run(source, SLAM, rng=rng, observers=[recorder], on_failure=on_failure)
     return arrays_of(state), arrays_of(recorder), rng.bit_generator.state
+
+
+@pytest.fixture(scope="module")
+def healthy_m(log, measurements):
+    """How far from the truth a log without some scans is mapped at most, by the worst of three seeds."""
+
+    @cache
+    def error_m(left_out):
+        found = []
+        for seed in (3, 4, 5):
+            recorder = TrajectoryRecorder()
+            map_all([m for k, m in enumerate(measurements) if k not in left_out], recorder=recorder, seed=seed)
+            found.append(farthest_m(recorder.online_trajectory(), log))
+        return max(found)
+
+    return error_m
+
+
+@pytest.fixture(scope="module")
+def begun(measurements):
+    """The poses of the first 150 scans where nothing fails."""
+    recorder = TrajectoryRecorder()
+    state = run(measurements[:150], SLAM, rng=np.random.default_rng(0), observers=[recorder])
+    return recorder.best_trajectory(state).poses
 
 
 def farthest_m(trajectory, log):
@@ -98,7 +124,7 @@ def farthest_m(trajectory, log):
 
 
 @pytest.mark.parametrize(("owner", "name"), PARTS, ids=[f"{owner.__name__}.{name}" for owner, name in PARTS])
-def test_a_step_that_fails_anywhere_is_left_out(log, measurements, monkeypatch, owner, name):
+def test_a_step_that_fails_anywhere_is_left_out(log, measurements, healthy_m, monkeypatch, owner, name):
     """All other scans have poses, as exact as those of a log without the failed scans, and two runs give the same.
 
     As exact as that log is by one of three seeds, by half: seeds differ by as much, 0.12 to 0.19 m.
@@ -117,10 +143,7 @@ def test_a_step_that_fails_anywhere_is_left_out(log, measurements, monkeypatch, 
     trajectory = recorder.online_trajectory()
     left = [m for k, m in enumerate(measurements) if k not in faults.hit]
     assert trajectory.stamps_ns.tolist() == [m.scan.stamp_ns for m in left]
-    without = [TrajectoryRecorder() for _ in range(3)]
-    for seed, healthy in enumerate(without, start=3):
-        map_all(left, recorder=healthy, seed=seed)
-    assert farthest_m(trajectory, log) < 1.5 * max(farthest_m(w.online_trajectory(), log) for w in without)
+    assert farthest_m(trajectory, log) < 1.5 * healthy_m(frozenset(faults.hit))
 
 
 def test_a_measurement_that_is_refused_leaves_the_state_as_it_is(measurements):
@@ -186,9 +209,8 @@ def test_localization_goes_on_after_a_step_that_failed(monkeypatch):
 
 @pytest.mark.parametrize("after", [False, True], ids=["before", "after"])
 @pytest.mark.parametrize(("owner", "name"), PARTS, ids=[f"{owner.__name__}.{name}" for owner, name in PARTS])
-def test_where_steps_fail_in_a_row_mapping_goes_on_after_them(measurements, monkeypatch, owner, name, after):
+def test_where_steps_fail_in_a_row_mapping_goes_on_after_them(measurements, begun, monkeypatch, owner, name, after):
     """A fault that stays, as memory that is short: nothing is lost of what was mapped, and mapping goes on after it."""
-    slam = build(override(Configuration(particles=5), "when_to_resample.kind=AlwaysResample"))
     recorder = TrajectoryRecorder()
     real = getattr(owner, name)
     is_broken = False
@@ -209,7 +231,7 @@ def test_where_steps_fail_in_a_row_mapping_goes_on_after_them(measurements, monk
 
     failures = []
     monkeypatch.setattr(owner, name, failing)
-    state = run(watch(), slam, rng=np.random.default_rng(0), observers=[recorder], on_failure=failures.append)
+    state = run(watch(), SLAM, rng=np.random.default_rng(0), observers=[recorder], on_failure=failures.append)
     assert failures
     stamps = recorder.online_trajectory().stamps_ns
     assert set(stamps) == {m.scan.stamp_ns for m in measurements} - {failed.scan.stamp_ns for failed in failures}
@@ -219,8 +241,6 @@ def test_where_steps_fail_in_a_row_mapping_goes_on_after_them(measurements, monk
     assert archive.keys == [0, *(np.flatnonzero(np.diff(recorder.keys)) + 1)]
     assert all(len(archive.key(key)) for key in range(len(archive.keys)))
     poses = recorder.best_trajectory(state).poses[:150]  # before the fault, as if it had never come
-    alone = TrajectoryRecorder()
-    before = run(measurements[:150], slam, rng=np.random.default_rng(0), observers=[alone])
-    assert np.abs(between(poses, alone.best_trajectory(before).poses)).max() < 0.5
-    restored = type(state).from_arrays(state.to_arrays(), slam.mapper)
+    assert np.abs(between(poses, begun)).max() < 0.5
+    restored = type(state).from_arrays(state.to_arrays(), SLAM.mapper)
     assert arrays_of(restored) == arrays_of(state)
