@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -36,11 +38,17 @@ FIXTURES = {"data_dir": "real_logs", "s3": "dev", "web": "dev", "mirror": "dev"}
 """The same by what they take: real logs, and servers whose clients are libraries of the extra dev."""
 
 
+IGNORED: dict[int, Any] = {signal.SIGINT: signal.default_int_handler}
+"""Signals that a shell or nohup ignores for what runs in the background, and so for programs that the tests stop."""
+if sys.platform != "win32":
+    IGNORED[signal.SIGHUP] = signal.SIG_DFL
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """End at once where GRIDSLAM_REQUIRE_COMPILED=1 and the package runs on the NumPy twins."""
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        # The shell ignores it for what it starts in the background, and programs that the tests interrupt inherit that.
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    for number, handler in IGNORED.items():
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, handler)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of missing kernels: told once, and tested elsewhere
         from gridslam.kernels import backend, compiled
