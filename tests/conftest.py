@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import os
+import signal
+import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 pytest.register_assert_rewrite("support.real_logs")
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # processes of tests that share the cores wait for each other else
 
 TESTS = Path(__file__).parent
 
@@ -32,13 +37,30 @@ FIXTURES = {"data_dir": "real_logs", "s3": "dev", "web": "dev", "mirror": "dev"}
 """The same by what they take: real logs, and servers whose clients are libraries of the extra dev."""
 
 
+IGNORED: dict[int, Any] = {signal.SIGINT: signal.default_int_handler}
+"""Signals that a shell or nohup ignores for what runs in the background, and so for programs that the tests stop."""
+if sys.platform != "win32":
+    IGNORED[signal.SIGHUP] = signal.SIG_DFL
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """End at once where GRIDSLAM_REQUIRE_COMPILED=1 and the package runs on the NumPy twins."""
+    for number, handler in IGNORED.items():
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, handler)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of missing kernels: told once, and tested elsewhere
         from gridslam.kernels import backend, compiled
     if os.environ.get("GRIDSLAM_REQUIRE_COMPILED") == "1" and not compiled:
         raise pytest.UsageError(f"expected the compiled kernels, got {backend.__file__}")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Give each process tests in the order of the files, so that what a file's tests share is made once."""
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log) if config.getoption("dist") == "load" else None
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

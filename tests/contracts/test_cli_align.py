@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from gridslam.cli.main import main
 from gridslam.geometry import se2
 from gridslam.io.maps import read_map_description, write_map
 from support.drawn_maps import draw_two_rooms
@@ -17,13 +17,8 @@ CORNERS = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 4.0]])
 
 
 @pytest.fixture
-def call(capsys):
-    def run(*arguments):
-        status = main(["align", *map(str, arguments)])
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
+def call(call):
+    return partial(call, "align")
 
 
 @pytest.fixture(scope="module")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from gridslam.cli.main import main
 from gridslam.io.maps import write_map
 from support.drawn_maps import TABLE, draw_two_rooms
 
@@ -16,13 +16,8 @@ MOVED = (3.6, 0.8, 5.0, 1.6)
 
 
 @pytest.fixture
-def call(capsys):
-    def run(*arguments):
-        status = main(["changes", *map(str, arguments)])
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
+def call(call):
+    return partial(call, "changes")
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,11 @@ import json
 import socket
 import threading
 from dataclasses import replace
+from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from gridslam.cli.main import main
 from gridslam.errors import ArgumentError
 from gridslam.io import datasets
 from gridslam.io.datasets import DATASETS, fetch_dataset
@@ -57,13 +57,8 @@ def mirror(monkeypatch):
 
 
 @pytest.fixture
-def call(capsys):
-    def run(*arguments):
-        status = main(["dataset", *(str(argument) for argument in arguments)])
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
+def call(call):
+    return partial(call, "dataset")
 
 
 def test_what_is_got_is_checked_and_credited(mirror, tmp_path, call):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ import pytest
 from PIL import Image
 
 from gridslam import __version__
-from gridslam.cli.main import main
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.g2o import read_g2o, write_g2o
 from gridslam.io.text import compute_digest
@@ -23,13 +23,8 @@ FALSE = [(3, 31), (8, 39), (25, 49)]
 
 
 @pytest.fixture
-def call(capsys):
-    def run(*arguments):
-        status = main(["graph", *map(str, arguments)])
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
+def call(call):
+    return partial(call, "graph")
 
 
 def _rounds(false=()):

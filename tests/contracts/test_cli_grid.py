@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,7 +13,6 @@ from PIL import Image
 from gridslam import __version__
 from gridslam.api.grid import map_with_poses
 from gridslam.api.mapping import map_log
-from gridslam.cli.main import main
 from gridslam.config import Configuration, override
 from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.io.log import LogOptions, open_log
@@ -27,13 +27,8 @@ FILES = {"map.yaml", "map.pgm", "map.png", "run.json"}
 
 
 @pytest.fixture
-def call(capsys):
-    def run(*arguments):
-        status = main(["grid", *map(str, arguments)])
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
+def call(call):
+    return partial(call, "grid")
 
 
 @pytest.fixture

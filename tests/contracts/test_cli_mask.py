@@ -7,7 +7,6 @@ import json
 import numpy as np
 import pytest
 
-from gridslam.cli.main import main
 from gridslam.io.edits import Edit, Edits, read_edits, write_edits
 from gridslam.io.maps import read_map, write_map
 from support.drawn_maps import DOOR, draw_two_rooms
@@ -19,16 +18,6 @@ NAMES = (
     Edit("rooms", "Point", np.array([[1.0, 3.0]]), "Lager"),
     Edit("rooms", "Point", np.array([[5.0, 3.0]]), "Flur"),
 )
-
-
-@pytest.fixture
-def call(capsys):
-    def run(*arguments):
-        status = main([*map(str, arguments)])
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
 
 
 @pytest.fixture
@@ -137,10 +126,11 @@ def test_a_run_is_planned_by_its_end_points_and_its_edits(call, tmp_path):
     assert edited["made_from"] == "end points"
     assert edited["walls_length_m"] > whole["walls_length_m"] + 0.7 * np.ptp([low[1], high[1]])
     # A robot is localized in the map as it was drawn, and goes on mapping from that.
-    options = "--initial-pose", "0,0,0", "--particles", "300"
+    options = "--initial-pose", "0,0,0", "--particles", "300", "--duration", "30"
     for name, source in (("edited", carried), ("plain", out / "map.yaml")):
         assert call("localize", log, "--map", source, "-o", tmp_path / f"in_{name}", *options)[0] == 0
-        assert call("map", log, "-o", tmp_path / f"on_{name}", "--prior", source, "--no-history")[0] == 0
+        mapped = "-o", tmp_path / f"on_{name}", "--no-history", "--particles", "3"
+        assert call("map", log, *mapped, "--prior", source)[0] == 0
     for place, file in (("in", "trajectory.tum"), ("on", "map.pgm")):
         edited, plain = ((tmp_path / f"{place}_{name}" / file).read_bytes() for name in ("edited", "plain"))
         assert edited != plain, "the edits are honoured"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from functools import partial
 
 import pytest
 
@@ -15,13 +16,8 @@ NAMES = {"plan.svg", "plan.pdf", "plan.png", "plan.dxf", "plan.geojson", "plan.j
 
 
 @pytest.fixture
-def call(capsys):
-    def run(*arguments):
-        status = main(["plan", *map(str, arguments)])
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
+def call(call):
+    return partial(call, "plan")
 
 
 @pytest.fixture(scope="module")

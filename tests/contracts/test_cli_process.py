@@ -23,7 +23,7 @@ def test_interrupted_run_leaves_everything_as_it_was(log, tmp_path, number):
     out = tmp_path / "out"
     out.mkdir()
     (out / "map.png").write_text("of an earlier run")
-    run = start("map", log, "-o", out, "--particles", "3000")
+    run = start("map", log, "-o", out, "--particles", "500")
     while not list(out.glob(".*.partial")):  # the folder aside is made when the run begins
         assert run.poll() is None, run.communicate()
         time.sleep(0.01)
@@ -71,7 +71,7 @@ def test_a_reader_that_goes_away_is_no_traceback(log, tmp_path):
 def test_further_interrupts_print_no_traceback(log, tmp_path, pause_s):
     out = tmp_path / "out"
     out.mkdir()
-    run = start("map", log, "-o", out, "--particles", "3000")
+    run = start("map", log, "-o", out, "--particles", "500")
     while not list(out.glob(".*.partial")):
         assert run.poll() is None, run.communicate()
         time.sleep(0.01)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import ast
 import doctest
-import os
 import re
-import subprocess
-import sys
+import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +13,7 @@ from pathlib import Path
 import graphical_models
 import pytest
 
+from gridslam.cli.main import main
 from gridslam.config import PARAMETERS, Configuration
 from gridslam.config.tables import value_of
 from gridslam.io.landmarks import LANDMARKS_HEADER
@@ -68,37 +67,28 @@ def examples(page: Path) -> Iterator[Example]:
 RUN = [page for page in PAGES if any(examples(page))]
 
 
-def run_console(shown: str, folder: Path) -> None:
+def run_console(shown: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Run lines that begin with $; what stands below them is their output, where ... is anything."""
     for part in re.split(r"^\$ ", shown, flags=re.MULTILINE)[1:]:
         command, _, expected = part.partition("\n")
-        done = subprocess.run(
-            ["bash", "-c", command], cwd=folder, capture_output=True, text=True, timeout=120, env=environment(folder)
-        )
-        assert done.returncode == 0, f"{command}\n{done.stderr}"
-        told = done.stdout
+        program, *arguments = shlex.split(command)
+        capsys.readouterr()
+        status = main(arguments)
+        told, problem = capsys.readouterr()
+        assert (program, status) == ("gridslam", 0), f"{command}\n{problem}"
         assert not expected.strip() or SAME.check_output(expected, told, doctest.ELLIPSIS), f"{command}\n{told}"
 
 
-def environment(folder: Path) -> dict[str, str]:
-    """The command line of the package that is under test, on the path, in a terminal of no colour and one width."""
-    program = folder / ".bin" / "gridslam"
-    if not program.exists():
-        program.parent.mkdir()
-        program.write_text(f"#!{sys.executable}\nfrom gridslam.cli.main import main\nmain()\n")
-        program.chmod(0o755)
-    here = {"PATH": f"{program.parent}:{os.environ['PATH']}", "COLUMNS": "120", "NO_COLOR": "1"}
-    paths = [str(ROOT / "src")] if "PYTHONPATH" in os.environ else []
-    return os.environ | here | ({"PYTHONPATH": os.pathsep.join(paths)} if paths else {})
-
-
 @pytest.mark.parametrize("page", RUN, ids=lambda page: page.name)
-def test_examples_run(page, tmp_path, monkeypatch):
+def test_examples_run(page, tmp_path, monkeypatch, capsys):
+    """In a folder of its own, as in a terminal of no colour and one width."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("NO_COLOR", "1")
     names: dict[str, object] = {"__name__": "__main__"}
     for example in examples(page):
         if example.language == "console":
-            run_console(example.text, tmp_path)
+            run_console(example.text, capsys)
         else:
             code = ast.increment_lineno(ast.parse(example.text), example.line)
             exec(compile(code, str(page), "exec"), names)

@@ -25,7 +25,7 @@ def by_brute_force(occupied, cells, reach):
     """Field (N,) at cells (N, 2) from occupied cells (M, 2)."""
     if not len(occupied):
         return np.zeros(len(cells), int)
-    nearest = np.array([np.hypot(*(occupied - cell).T).min() for cell in cells])
+    nearest = np.hypot(*(occupied - cells[:, None]).T).min(axis=0)
     return np.rint(255 * np.maximum(0, 1 - nearest / reach)).astype(int)
 
 

@@ -15,7 +15,7 @@ from support.global_localization import Building, GlobalRun
 from support.localization_consistency import ALIKE, WORLDS, buildings, describe_covariances, describe_finds
 from support.localization_world import RandomWalk, drive, flat_map
 
-RUNS = 50
+RUNS = 20
 FIRST = np.diag([0.01, 0.01, 0.0025])
 
 
@@ -25,7 +25,7 @@ def known():
 
 
 def test_nees_of_the_belief_with_the_simulators_true_noise(known):
-    """Mean NEES of 50 runs between 0.5 and 2 times its expectation of 3, of the particles' mean.
+    """Mean NEES of 20 runs between 0.5 and 2 times its expectation of 3, of the particles' mean.
 
     The noise of odometry and of a range is the simulator's own (1 cm); the map is of 5 cm cells, whose rounding the
     filter adds, and the beams are tempered, since they share it: less than by default, as this map has no other errors.
@@ -55,13 +55,13 @@ def test_nees_of_the_matched_pose():
     """
     building = Building.of("demo", 300)
 
-    def average(parts: MonteCarloConfiguration) -> float:
-        runs = [building.track(seed, configuration=parts) for seed in range(300, 306)]
-        return float(GlobalRun.joined(runs).nees.mean())
+    def average(parts: MonteCarloConfiguration, runs: int) -> float:
+        tracked = [building.track(300 + run, configuration=parts) for run in range(runs)]
+        return float(GlobalRun.joined(tracked).nees.mean())
 
-    assert 1.5 < average(MonteCarloConfiguration()) < 5
-    assert average(MonteCarloConfiguration(matcher=GaussNewton(max_iterations=0))) < 1.5
-    assert average(MonteCarloConfiguration(match_covariance=MatchCovariance(patch_m=0.01, residual_factor=0))) > 5
+    assert 1.5 < average(MonteCarloConfiguration(), 6) < 5
+    assert average(MonteCarloConfiguration(matcher=GaussNewton(max_iterations=0)), 2) < 1.5
+    assert average(MonteCarloConfiguration(match_covariance=MatchCovariance(patch_m=0.01, residual_factor=0)), 2) > 5
 
 
 @pytest.mark.long
@@ -105,9 +105,9 @@ def test_a_place_is_verified_before_it_counts_as_found():
 
 
 def test_who_is_told_to_be_found_is_there(known):
-    """From nothing, 20 seeds: of all scans at which the robot is said to be found, and of all at which it is lost."""
+    """From nothing, 10 seeds: of all scans at which the robot is said to be found, and of all at which it is lost."""
     mcl, doubt, wrong, lost = MonteCarloLocalization(known), [], [], []
-    for seed in range(20):
+    for seed in range(10):
         log, rng, state = drive(seed % 5 + 1), np.random.default_rng(seed), mcl.init()
         for (odometry, scan), truth in zip(log.measurements[:45], log.truth.poses, strict=False):
             state, report = mcl.step(state, odometry, scan, rng)

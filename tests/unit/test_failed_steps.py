@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+
 import numpy as np
 import pytest
 
@@ -38,6 +39,7 @@ PARTS = [
     (LoopClosure, "__call__"),
 ]
 
+SLAM = build(override(Configuration(particles=5), "when_to_resample.kind=AlwaysResample"))
 FAILING = np.random.default_rng(5).permutation(np.arange(1, 300))[:120].tolist()  # scans; many are no key scan
 
 
@@ -82,12 +84,19 @@ def arrays_of(state):
 
 
 def map_all(source, failures=None, recorder=None, seed=3):
-    slam = build(override(Configuration(particles=5), "when_to_resample.kind=AlwaysResample"))
     recorder = recorder or TrajectoryRecorder()
     rng = np.random.default_rng(seed)
     on_failure = None if failures is None else failures.append
-    state = run(source, slam, rng=rng, observers=[recorder], on_failure=on_failure)
+    state = run(source, SLAM, rng=rng, observers=[recorder], on_failure=on_failure)
     return arrays_of(state), arrays_of(recorder), rng.bit_generator.state
+
+
+@pytest.fixture(scope="module")
+def begun(measurements):
+    """The poses of the first 150 scans where nothing fails."""
+    recorder = TrajectoryRecorder()
+    state = run(measurements[:150], SLAM, rng=np.random.default_rng(0), observers=[recorder])
+    return recorder.best_trajectory(state).poses
 
 
 def farthest_m(trajectory, log):
@@ -195,9 +204,8 @@ def test_localization_goes_on_after_a_step_that_failed(monkeypatch):
 
 @pytest.mark.parametrize("after", [False, True], ids=["before", "after"])
 @pytest.mark.parametrize(("owner", "name"), PARTS, ids=[f"{owner.__name__}.{name}" for owner, name in PARTS])
-def test_where_steps_fail_in_a_row_mapping_goes_on_after_them(measurements, monkeypatch, owner, name, after):
+def test_where_steps_fail_in_a_row_mapping_goes_on_after_them(measurements, begun, monkeypatch, owner, name, after):
     """A fault that stays, as memory that is short: nothing is lost of what was mapped, and mapping goes on after it."""
-    slam = build(override(Configuration(particles=5), "when_to_resample.kind=AlwaysResample"))
     recorder = TrajectoryRecorder()
     real = getattr(owner, name)
     is_broken = False
@@ -218,7 +226,7 @@ def test_where_steps_fail_in_a_row_mapping_goes_on_after_them(measurements, monk
 
     failures = []
     monkeypatch.setattr(owner, name, failing)
-    state = run(watch(), slam, rng=np.random.default_rng(0), observers=[recorder], on_failure=failures.append)
+    state = run(watch(), SLAM, rng=np.random.default_rng(0), observers=[recorder], on_failure=failures.append)
     assert failures
     stamps = recorder.online_trajectory().stamps_ns
     assert set(stamps) == {m.scan.stamp_ns for m in measurements} - {failed.scan.stamp_ns for failed in failures}
@@ -228,8 +236,6 @@ def test_where_steps_fail_in_a_row_mapping_goes_on_after_them(measurements, monk
     assert archive.keys == [0, *(np.flatnonzero(np.diff(recorder.keys)) + 1)]
     assert all(len(archive.key(key)) for key in range(len(archive.keys)))
     poses = recorder.best_trajectory(state).poses[:150]  # before the fault, as if it had never come
-    alone = TrajectoryRecorder()
-    before = run(measurements[:150], slam, rng=np.random.default_rng(0), observers=[alone])
-    assert np.abs(between(poses, alone.best_trajectory(before).poses)).max() < 0.5
-    restored = type(state).from_arrays(state.to_arrays(), slam.mapper)
+    assert np.abs(between(poses, begun)).max() < 0.5
+    restored = type(state).from_arrays(state.to_arrays(), SLAM.mapper)
     assert arrays_of(restored) == arrays_of(state)

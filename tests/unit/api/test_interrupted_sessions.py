@@ -19,8 +19,7 @@ def test_a_node_that_goes_on_from_what_another_one_has_left_gives_the_same_bytes
     whole = run_node(building, tmp_path / "whole")
     assert whole["found"]["drives"] == ("monday",)
     assert whole["apart"] == [["annex"]]
-    for number, cuts in enumerate(([30], [150], [30, 90, 200])):
-        for autosaved in (False, True):
-            again = run_node(building, tmp_path / f"{number}{autosaved}", cuts, autosaved=autosaved)
-            assert again.keys() == whole.keys()
-            assert [name for name in whole if again[name] != whole[name]] == [], cuts
+    for autosaved in (False, True):
+        again = run_node(building, tmp_path / str(autosaved), [30, 90, 200], autosaved=autosaved)
+        assert again.keys() == whole.keys()
+        assert [name for name in whole if again[name] != whole[name]] == []

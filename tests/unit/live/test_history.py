@@ -36,24 +36,35 @@ def drive():
     return loop_drive().measurements
 
 
-def record(drive, most):
-    """A recorder, and of each key scan the map, the path and the pose as they were; the past is corrected."""
-    recorder, seen = HistoryRecorder(30.0), []
-    recorder.history = History(most)
+def record(drive, *most):
+    """Recorders, and of each key scan the map, the path and the pose as they were; the past is corrected."""
+    recorders, seen = [HistoryRecorder(30.0) for _ in most], []
+    source = drive
+    for recorder, count in zip(recorders, most, strict=True):
+        recorder.history = History(count)
+        source = recorder.follow(source)
 
     def note(report, state, seconds):
         if report.skipped is None:
             path = state.ancestry.trajectory(state.best)[:, :2]
             seen.append((looks_of(state.maps.occupancy(state.best)), path, np.array(report.pose), report.corrected))
 
-    source, slam = recorder.follow(drive), build(RESAMPLING)
-    run(source, replace(slam, particles=4), rng=np.random.default_rng(3), observers=[recorder, note])
-    return recorder, seen
+    slam = replace(build(RESAMPLING), particles=4)
+    run(source, slam, rng=np.random.default_rng(3), observers=[*recorders, note])
+    return recorders, seen
+
+
+@pytest.fixture(scope="module")
+def recorded(drive):
+    """A recorder that keeps every moment, one that keeps 40 at most, and what was to be seen."""
+    (every, few), seen = record(drive, 10_000, 40)
+    return {10_000: every, 40: few}, seen
 
 
 @pytest.mark.parametrize("most", [10_000, 40])
-def test_every_moment_is_as_it_was(drive, most):
-    recorder, seen = record(drive, most)
+def test_every_moment_is_as_it_was(recorded, most):
+    recorders, seen = recorded
+    recorder = recorders[most]
     history = recorder.history
     assert any(corrected for *_, corrected in seen), "the drive was to correct the past"
     assert len(history.moments) < most
@@ -74,7 +85,7 @@ def test_every_moment_is_as_it_was(drive, most):
 
 
 def test_a_file_gives_the_same_moments(drive, tmp_path):
-    history = record(drive[:150], 30)[0].history
+    history = record(drive[:150], 30)[0][0].history
     write_history(tmp_path / "history.npz", history)
     read = read_history(tmp_path / "history.npz")
     assert len(read.moments) == len(history.moments)
@@ -85,6 +96,14 @@ def test_a_file_gives_the_same_moments(drive, tmp_path):
     assert (tmp_path / "history.npz").stat().st_size < 400_000
     write_history(tmp_path / "none.npz", History())
     assert not read_history(tmp_path / "none.npz").moments
+
+
+@pytest.fixture(scope="module")
+def written(drive, tmp_path_factory):
+    """The arrays of a short history."""
+    path = tmp_path_factory.mktemp("written") / "history.npz"
+    write_history(path, record(drive[:40], 30)[0][0].history)
+    return dict(np.load(path).items())
 
 
 @pytest.mark.parametrize(
@@ -101,9 +120,7 @@ def test_a_file_gives_the_same_moments(drive, tmp_path):
         ("moments.at.counts", lambda array: array[[*range(1, len(array)), 0]], "expected [0-9]+ bytes of tiles, got"),
     ],
 )
-def test_files_that_are_none_are_refused(drive, tmp_path, name, change, says):
-    write_history(tmp_path / "history.npz", record(drive[:40], 30)[0].history)
-    arrays = dict(np.load(tmp_path / "history.npz").items())
-    np.savez(tmp_path / "history.npz", **(arrays | {name: change(arrays[name])}))
+def test_files_that_are_none_are_refused(written, tmp_path, name, change, says):
+    np.savez(tmp_path / "history.npz", **(written | {name: change(written[name])}))
     with pytest.raises(InputError, match=says):
         read_history(tmp_path / "history.npz")

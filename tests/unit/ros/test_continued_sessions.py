@@ -89,14 +89,14 @@ def test_a_robot_that_was_carried_is_found_again_in_the_map(drive, first_half, t
 
 def test_a_robot_that_is_carried_while_the_node_runs_is_found_in_the_map_so_far(drive, tmp_path):
     """Nobody notices: the view changes. A new piece of the map begins there, and is joined with the one before."""
-    measurements = carry(drive[:450], drive[60:400])
+    measurements = carry(drive[:300], drive[60:260])
     out = tmp_path / "out"
     node = RunningNode(out=str(out), save=str(tmp_path / "s.gridslam"), record=str(tmp_path / "r.csv"), autosave=0.002)
-    node.play(measurements[:480])
+    node.play(measurements[:330])
     core, outputs = node.node.core, node.transport.outputs
     assert until(lambda: is_prepared(core), 120.0)
     assert core.diagnostics().values["session"] == "2"
-    node.play(measurements[480:])
+    node.play(measurements[330:])
     log = node.stop()
     assert node.error is None
     assert log.count("the view changes while the odometry is continuous") == 1
@@ -105,13 +105,13 @@ def test_a_robot_that_is_carried_while_the_node_runs_is_found_in_the_map_so_far(
     assert len({pose.stamp_ns for pose in outputs.poses}) == len(measurements)
     saved = read_session(tmp_path / "s.gridslam")
     assert saved.pieces == ()
-    assert [sum(log.scans for log in drive.logs) for drive in saved.drives] == [450, 340]
+    assert [sum(log.scans for log in drive.logs) for drive in saved.drives] == [300, 200]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "r.csv", "s.gridslam"]
     assert not [*out.glob("autosave*")]
     run = json.loads((out / "run.json").read_text())
     assert len(run["session"]["drives"]) == 2
     again = map_log(tmp_path / "r.csv", configuration=saved.configuration, repair="none")
-    assert [len(path) for path in again.trajectories.values()] == [450, 340]
+    assert [len(path) for path in again.trajectories.values()] == [300, 200]
 
 
 def test_a_carried_robot_that_is_not_found_leaves_two_pieces(drive, tmp_path):
