@@ -8,16 +8,17 @@ Beside them two large worlds.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from gridslam.sim.floor_plan import box, carve, clearance, furniture, join
-from gridslam.sim.world import Change, World, distinct, tour, wander
+from gridslam.sim.floor_plan import box, clearance, furniture, join
+from gridslam.sim.world import Change, World, wander
 from gridslam.sim.worlds import make_world as make_plain_world
 from gridslam.types import FloatArray
+from passages import carve, tour
 
 __all__ = [
     "ALIASED",
@@ -71,8 +72,16 @@ def equal_rooms(rng: np.random.Generator) -> World:
     return EQUAL_ROOMS[rng.integers(len(EQUAL_ROOMS))](rng)
 
 
+def _distinct(route: Sequence[tuple[float, float]]) -> FloatArray:
+    """Waypoints (K, 2) without those that repeat the one before."""
+    points = np.array(route, dtype=np.float64)
+    keep = np.ones(len(points), np.bool_)
+    keep[1:] = np.abs(np.diff(points, axis=0)).sum(axis=1) > 1e-6
+    return points[keep]
+
+
 def _world(name: str, spaces: list[_Space], way: list[_Point], rng: np.random.Generator, *desks: FloatArray) -> World:
-    return World.of(name, join(carve(spaces), *desks), wander(distinct(way), rng)[0])
+    return World.of(name, join(carve(spaces), *desks), wander(_distinct(way), rng)[0])
 
 
 def _turned_four_times(spaces: list[_Space], about: float) -> list[_Space]:

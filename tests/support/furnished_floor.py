@@ -17,7 +17,7 @@ from gridslam.sim.floor_plan import clearance, furniture, join
 from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
 from gridslam.slam.full_slam.full_slam import full_slam
 from gridslam.types import FloatArray
-from support.passages import carve, tour
+from passages import carve, tour
 
 ROOMS = (
     *((0.0, 0.0, 6.0, 5.85), (6.15, 0.0, 11.0, 5.85), (11.15, 0.0, 18.0, 5.85), (18.15, 0.0, 26.0, 5.85)),

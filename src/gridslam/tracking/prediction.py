@@ -5,14 +5,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, final
 
-import numpy as np
-
-from gridslam.geometry import se2
 from gridslam.geometry.single_pose import Information, Pose, compose, exp, log, motion_of
 from gridslam.matching.branch_and_bound import BranchAndBound
 from gridslam.parameters import bounded, parameters
 from gridslam.tracking.state import SensorTrack, TrackerState
-from gridslam.types import FloatArray
 
 __all__ = [
     "MAX_INTERVAL_S",

@@ -16,7 +16,7 @@ from gridslam.sim.floor_plan import (
     room,
     wall,
 )
-from support.passages import carve
+from passages import carve
 
 
 def _length(walls):

@@ -9,7 +9,7 @@ import pytest
 
 from gridslam.sim.floor_plan import clearance, polyline
 from gridslam.sim.world import wander
-from support.passages import tour
+from passages import tour
 
 JUNCTIONS = np.array([(0, 0), (10, 0), (20, 0), (20, 8), (10, 8), (30, 0)], dtype=float)
 PASSAGES = [(0, 1), (1, 2), (2, 3), (3, 4), (4, 1), (2, 5)]
