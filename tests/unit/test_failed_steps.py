@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -91,6 +93,22 @@ def map_all(source, failures=None, recorder=None, seed=3):
 
 
 @pytest.fixture(scope="module")
+def healthy_m(log, measurements):
+    """How far from the truth a log without some scans is mapped at most, by the worst of three seeds."""
+
+    @cache
+    def error_m(left_out):
+        found = []
+        for seed in (3, 4, 5):
+            recorder = TrajectoryRecorder()
+            map_all([m for k, m in enumerate(measurements) if k not in left_out], recorder=recorder, seed=seed)
+            found.append(farthest_m(recorder.online_trajectory(), log))
+        return max(found)
+
+    return error_m
+
+
+@pytest.fixture(scope="module")
 def begun(measurements):
     """The poses of the first 150 scans where nothing fails."""
     recorder = TrajectoryRecorder()
@@ -105,23 +123,11 @@ def farthest_m(trajectory, log):
     return np.hypot(*(between(trajectory.poses[0], trajectory.poses) - true)[:, :2].T).max()
 
 
-@pytest.fixture(scope="module")
-def lacking(log, measurements):
-    """How far trajectories are off, in m, that lack as many scans as fail."""
-    found = []
-    for seed in (6, 7, 8):
-        out = np.random.default_rng(seed).permutation(np.arange(1, 300))[: len(FAILING)].tolist()
-        recorder = TrajectoryRecorder()
-        map_all([measurement for k, measurement in enumerate(measurements) if k not in out], recorder=recorder)
-        found.append(farthest_m(recorder.online_trajectory(), log))
-    return found
-
-
 @pytest.mark.parametrize(("owner", "name"), PARTS, ids=[f"{owner.__name__}.{name}" for owner, name in PARTS])
-def test_a_step_that_fails_anywhere_is_left_out(log, measurements, lacking, monkeypatch, owner, name):
+def test_a_step_that_fails_anywhere_is_left_out(log, measurements, healthy_m, monkeypatch, owner, name):
     """All other scans have poses, as exact as those of a log without the failed scans, and two runs give the same.
 
-    As exact as three logs that lack as many other scans, by a fifth: these are off by 0.08 to 0.19 m.
+    As exact as that log is by one of three seeds, by half: seeds differ by as much, 0.12 to 0.19 m.
     """
     found = []
     for _ in range(2):
@@ -137,7 +143,7 @@ def test_a_step_that_fails_anywhere_is_left_out(log, measurements, lacking, monk
     trajectory = recorder.online_trajectory()
     left = [m for k, m in enumerate(measurements) if k not in faults.hit]
     assert trajectory.stamps_ns.tolist() == [m.scan.stamp_ns for m in left]
-    assert farthest_m(trajectory, log) < 1.2 * max(lacking)
+    assert farthest_m(trajectory, log) < 1.5 * healthy_m(frozenset(faults.hit))
 
 
 def test_a_measurement_that_is_refused_leaves_the_state_as_it_is(measurements):
