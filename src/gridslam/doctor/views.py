@@ -21,6 +21,7 @@ tenth."""
 SAME: Final = 0.1
 """Disagreement up to which two scans show one place."""
 
+_HIT = int(BeamStatus.HIT)  # an enumeration takes longer to compare with an array than the array
 _SAMPLES = 60  # ranges of a scan that are looked at first
 _CHANGED_M = 0.1  # change of a range above noise, and
 _CHANGED = 0.02  # of the range
@@ -48,7 +49,7 @@ class View:
     def sample(self, first: int, end: int) -> FloatArray:
         """Some of the ranges of the beams from `first` on, 0 where nothing was hit."""
         some = slice(first, end, max(len(self.scan) // _SAMPLES, 1))
-        return np.where(self.scan.status[some] == BeamStatus.HIT, self.scan.ranges[some], 0.0)
+        return np.where(self.scan.status[some] == _HIT, self.scan.ranges[some], 0.0)
 
     @cached_property
     def polar(self) -> PolarScan | None:

@@ -54,11 +54,10 @@ bool fit_normal(const double* x, const double* y, int64_t at, double* nx, double
     const double dx = x[k] - mx, dy = y[k] - my;
     xx += dx * dx, yy += dy * dy, xy += dx * dy;
   }
-  const double half = 0.5 * (xx - yy), radius = std::sqrt(half * half + xy * xy);
-  if (0.5 * (xx + yy) - radius >= kMostSpread2) return false;
-  const double large = radius > 0 ? radius + std::abs(half) : 1.0;  // of the vector along the line, not of length 1
-  const double size = std::sqrt(large * large + xy * xy);
-  *nx = (half < 0 ? -large : -xy) / size, *ny = (half < 0 ? xy : large) / size;
+  const double half = 0.5 * (xx - yy);
+  if (0.5 * (xx + yy) - std::sqrt(half * half + xy * xy) >= kMostSpread2) return false;
+  const double along = 0.5 * std::atan2(2 * xy, xx - yy);
+  *nx = -std::sin(along), *ny = std::cos(along);
   if (*nx * x[at] + *ny * y[at] > 0) *nx = -*nx, *ny = -*ny;
   return true;
 }

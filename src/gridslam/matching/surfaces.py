@@ -78,16 +78,12 @@ class Surfaces(NamedTuple):
             np.concatenate([self.origins, later.origins]),
         )
 
-    def last(self, count: int) -> Surfaces:
-        """Those of the last `count` scans."""
-        scan = max(len(self.origins) - count, 0)
-        point = self.starts[scan]
+    def of_scans(self, first: int, end: int | None = None) -> Surfaces:
+        """Those of scans from `first` on, up to the one before `end`."""
+        starts = self.starts[first : None if end is None else end + 1]
+        own = slice(starts[0], starts[-1])
         return Surfaces(
-            self.points[point:],
-            self.normals[point:],
-            self.bearings[point:],
-            self.starts[scan:] - point,
-            self.origins[scan:],
+            self.points[own], self.normals[own], self.bearings[own], starts - starts[0], self.origins[first:end]
         )
 
     def match(

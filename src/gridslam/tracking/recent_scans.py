@@ -50,4 +50,6 @@ class RecentScans:
         """Add a scan with its surfaces, of which the oldest go beyond `most`."""
         kept = most - 1
         scan = RecentScan(beams.ends, np.asarray(beams.origin, np.float64), pose)
-        return RecentScans([*self.scans[-kept:], scan], self.surfaces.last(kept).append(own))
+        return RecentScans(
+            [*self.scans[-kept:], scan], self.surfaces.of_scans(max(len(self.scans) - kept, 0)).append(own)
+        )

@@ -107,20 +107,21 @@ def match_scans(
     """
     matched = poses.copy()
     prior = np.diag(1 / np.square([_PRIOR_SIGMA_M, _PRIOR_SIGMA_M, _PRIOR_SIGMA_RAD]))
-    count = len(key_poses)
     is_between = np.diff(keys, prepend=-1) == 0  # a drive begins with a key scan
     for begin in range(0, len(poses), _SCANS_AT_A_TIME):
         own = begin + np.flatnonzero(is_between[begin : begin + _SCANS_AT_A_TIME])
         if not len(own):
             continue
         batch = archive.batch((own + len(archive) - len(poses)).tolist())
-        whole = surfaces.append(Surfaces.of(batch))
         about = keys[own][:, None] + np.arange(1 - _KEY_SCANS_BESIDE, 1 + _KEY_SCANS_BESIDE)
-        pairs = np.stack(np.broadcast_arrays(np.clip(about, 0, count - 1), count + np.arange(len(own))[:, None]), -1)
+        about = np.clip(about, 0, len(key_poses) - 1)
+        low, high = int(about.min()), int(about.max()) + 1
+        whole = surfaces.of_scans(low, high).append(Surfaces.of(batch))
+        pairs = np.stack(np.broadcast_arrays(about - low, high - low + np.arange(len(own))[:, None]), -1)
         at = poses[own]
         far = np.ones(len(own), np.bool_)  # from where they were before the step, so that they are matched again
         for gate_m in _GATES_M[-2:]:
-            seen_from = np.concatenate([key_poses, at])
+            seen_from = np.concatenate([key_poses[low:high], at])
             found = whole.match(seen_from, pairs[far].reshape(-1, 2), gate_m, _SIGMA_M, both=False)
             weight = (found.counts >= _MIN_POINTS)[:, None] / (2 * _SIGMA_M**2)
             shape = (-1, 2 * _KEY_SCANS_BESIDE, 3)
