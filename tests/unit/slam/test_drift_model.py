@@ -31,3 +31,13 @@ def test_what_a_match_left_open_is_turned_into_the_frame_of_the_increment(headin
     left_open = DriftModel().covariance((0.5, 0.0, 0.1), unmatched, heading)[:2, :2] - closed[:2, :2]
     turned = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]]) @ along
     np.testing.assert_allclose(left_open, 0.3 * np.outer(turned, turned), atol=1e-15)
+
+
+def test_a_direction_left_open_leaves_the_heading_of_searches_as_uncertain_as_it_is_expected():
+    """Two parallel walls determine the heading less than a room, whatever it is asked for."""
+    moved = (0.5, 0.0, 0.1)
+    corridor = UnmatchedMotion(open_covariance=np.diag([0.1, 0.0]))
+    (_, closed), (position, heading) = (DriftModel().bounds(moved, it) for it in (UnmatchedMotion(), corridor))
+    assert heading == pytest.approx(DriftModel().open_heading_ratio ** 2 * closed)
+    assert heading == pytest.approx(DriftModel().covariance(moved, corridor)[2, 2])
+    assert position > 0.1

@@ -110,12 +110,9 @@ class DriftModel:
     def bounds(self, increment: Pose, unmatched: UnmatchedMotion) -> tuple[float, float]:
         """Variances (m^2, rad^2) of an increment for searches."""
         dx, dy, turned = increment
-        position, heading = self.variances(math.hypot(dx, dy), abs(turned))
-        excess = _REJECTED_MATCH_SIGMAS**2
-        return (
-            position + excess * unmatched.position_m2 + float(np.trace(unmatched.open_covariance)),
-            heading + excess * unmatched.heading_rad2,
-        )
+        position, _ = self.variances(math.hypot(dx, dy), abs(turned))
+        unmatched_m2 = _REJECTED_MATCH_SIGMAS**2 * unmatched.position_m2 + float(np.trace(unmatched.open_covariance))
+        return position + unmatched_m2, float(self.covariance(increment, unmatched)[2, 2])
 
 
 def diagonal_covariances(variances: FloatArray) -> FloatArray:
