@@ -119,7 +119,7 @@ class ReportBuilder:
     ) -> Estimate:
         """Estimate the pose from the weighed particles and the `match` of `beams` at them, after an increment."""
         best = state.best
-        reported = state.reported.follow(motion, state.best_pose)
+        reported = state.reported.follow(increment, motion, state.best_pose)
         poses, log_weights = state.poses, state.log_weights
         information = match.information[best]
         score = float(match.score[best])
