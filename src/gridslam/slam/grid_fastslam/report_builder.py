@@ -33,7 +33,8 @@ DRIFT = DriftModel(
     open_heading_ratio=6.0,
 )
 """How uncertain the motion is once its scans are matched to the particles' maps, which show more than the tracker's
-local ones, and smoothed: with half as much again the average NEES of simulated buildings was 0.05 to 0.8 in place of 3."""
+local ones, and smoothed: with half as much again the average NEES of simulated buildings was 0.2 to 0.8 in place of 3.
+"""
 _FIRST_SIGMA_RAD = 0.003
 """Standard deviation of the heading that the first increment has beside, as the map of one scan is matched."""
 
