@@ -21,7 +21,7 @@ import numpy as np
 from drives import drive, extent, mapped
 from matplotlib.figure import Figure
 from panels import ORANGE, SIDE, Chart, Panel, keep, save
-from pictures_of_parts import measurement_models, motion_models, resampling, scan_matching
+from pictures_of_parts import RESULTS, error_budget, measurement_models, motion_models, resampling, scan_matching
 from PIL import Image
 
 from gridslam import GraphSlam, GridFastSlam, GridFastSlamState, OccupancyGrid, PoseGraph, run
@@ -46,7 +46,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 from map_changes import compare, make_days
 
 DATA = Path(os.environ.get("GRIDSLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
-RESULTS = Path(__file__).resolve().parents[2] / "benchmarks" / "results"
 LOGS_DRAWN = {
     "simulated": [f"world{seed}" for seed in range(1, 7)],
     "Intel": ["intel"],
@@ -313,6 +312,7 @@ PICTURES = (
     measurement_models,
     resampling,
     scan_matching,
+    error_budget,
     loop_closure,
     graph_slam,
     localization,

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 from drives import drive, mapped
 from numpy.typing import NDArray
 from panels import GAP, ORANGE, SIDE, VIOLET, Chart, Panel, row_of, save
+from PIL import ImageDraw
 
 from gridslam import GridFastSlam, run
 from gridslam.geometry.se2 import between
@@ -23,7 +26,9 @@ from gridslam.models import (
 )
 from gridslam.particles import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
 from gridslam.types import StepReport
-from gridslam.viz.canvas import CLOSURE, FAINT, FREE, OCCUPIED, RULE, TRUTH, time_colours
+from gridslam.viz.canvas import CLOSURE, FAINT, FREE, OCCUPIED, RULE, TRUTH, font, time_colours
+
+RESULTS = Path(__file__).resolve().parents[2] / "benchmarks" / "results"
 
 
 def motion_models() -> None:
@@ -177,3 +182,32 @@ def scan_matching() -> None:
         1,
         [("guesses from which the pose is found", TRUTH), ("and from which it is not", ORANGE)],
     )
+
+
+def error_budget() -> None:
+    """Draw the errors of each stage, from the result of `benchmarks/error_budget.py`; bars are geometric means."""
+    rows = json.loads((RESULTS / "error_budget.json").read_text())["rows"]
+    stages = list(dict.fromkeys(row["stage"] for row in rows))
+    charts = []
+    for head, key, low, high, ticks in (
+        ("over one metre, cm", "rpe_m", 0.2, 4.0, (0.25, 0.5, 1, 2)),
+        ("over the whole way, cm", "ate_m", 0.1, 300.0, (0.2, 1, 5, 20, 100)),
+    ):
+        chart = Chart(head, [math.log10(low), -len(stages) - 0.4, math.log10(high), 0.3], SIDE + 60, 44 * len(stages))
+        draw = ImageDraw.Draw(chart.page)
+        for tick in ticks:
+            x = math.log10(tick)
+            chart.line(np.array([[x, chart.box[1]], [x, 0.3]]), RULE, 1.0)
+            at = chart.pixels(np.array([[x, chart.box[1]]]))[0]
+            draw.text((at[0] + 4, at[1] - 4), f"{tick:g}", fill=FAINT, font=font(15, 1.0), anchor="ls")
+        for place, stage in enumerate(stages):
+            y = -0.55 - place
+            errors = np.log10([100 * row[key] for row in rows if row["stage"] == stage])
+            colour = TRUTH if stage == "bound" else CLOSURE
+            chart.line(np.array([[math.log10(low), y], [errors.mean(), y]]), colour, 9.0)
+            chart.dots(np.column_stack([errors, np.full(len(errors), y)]), ORANGE, 6.0)
+            corner = chart.pixels(np.array([[math.log10(low), y + 0.28]]))[0]
+            draw.text((corner[0] + 6, corner[1]), stage, fill=OCCUPIED, font=font(15, 1.0), anchor="ls")
+        charts.append(chart)
+    key_of = [("mean of five worlds", CLOSURE), ("what the beams allow", TRUTH), ("a world", ORANGE)]
+    save("error_budget", charts, 2, key_of)

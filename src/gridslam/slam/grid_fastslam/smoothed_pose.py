@@ -12,7 +12,8 @@ from typing import Annotated, final
 import numpy as np
 
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between, compose_jacobians
+from gridslam.geometry.se2 import compose, compose_jacobians
+from gridslam.geometry.single_pose import Pose
 from gridslam.types import FloatArray, MotionSampler
 
 __all__ = ["SmoothedPose"]
@@ -33,15 +34,16 @@ class SmoothedPose:
     pose: Annotated[FloatArray, 3]
     covariance: Annotated[FloatArray, 3, 3] = field(default_factory=lambda: np.zeros((3, 3)))
 
-    def follow(self, motion: MotionSampler, matched: FloatArray) -> SmoothedPose:
-        """Predict the next pose by the motion, and correct it by the pose (3,) that was matched.
+    def follow(self, increment: Pose, motion: MotionSampler, matched: FloatArray) -> SmoothedPose:
+        """Predict the next pose by the tracked increment, as uncertain as the motion, and correct it by a match (3,).
 
         References
         ----------
         Probabilistic Robotics, Table 3.3 (`Extended_Kalman_filter`).
         """
-        (predicted,), (noise,) = motion.moments(self.pose[None])
-        by_pose, _ = compose_jacobians(self.pose, between(self.pose, predicted))
+        predicted = compose(self.pose, increment)
+        _, (noise,) = motion.moments(self.pose[None])
+        by_pose, _ = compose_jacobians(self.pose, increment)
         covariance = by_pose @ self.covariance @ by_pose.T + noise
         missed = matched - predicted
         missed[2] = wrap(missed[2])
