@@ -131,7 +131,7 @@ def _guess_circles(faces: Sequence[Face]) -> Iterator[tuple[FloatArray, float, f
 
 def _grow(points: SurfacePoints, centre: FloatArray, radius: float, sign: float) -> tuple[Arc, IntArray] | None:
     """Fit a circle to the points that agree with it, again and again; None where a line has nearly as many."""
-    on_it = np.zeros(0, np.int64)
+    on_it, begin, end = np.zeros(0, np.int64), 0.0, 0.0
     for _ in range(_ROUNDS):
         before, (radial, apart) = on_it, _locate(points, centre)
         cosines = sign * np.einsum("ij,ij->i", radial, points.normals)
