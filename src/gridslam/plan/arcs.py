@@ -28,6 +28,8 @@ _MOST_MISS = 0.15
 """Between the centres of the circles of two faces, as a share of the radius."""
 _RADII_M = 0.4, 25.0
 _SHORTEST_M = 2.0
+_SHORTEST_FACE_M = 0.4
+"""Of the smallest circle a chord is longer that is nowhere 5 cm off it."""
 _LEAST_SAGITTA_M = 0.15
 """Three times as far from its chord as points may lie from a line."""
 _MOST_RMS_M = 0.025
@@ -110,11 +112,11 @@ def find_arcs(points: SurfacePoints, faces: Sequence[Face]) -> tuple[list[Arc], 
 
 def _guess_circles(faces: Sequence[Face]) -> Iterator[tuple[FloatArray, float, float]]:
     """Yield centre, radius and side, -1 inside and 1 outside, of the circle on each two faces that meet and turn."""
-    faces = sorted(faces, key=lambda face: -face.length_m)
+    faces = sorted((face for face in faces if face.length_m >= _SHORTEST_FACE_M), key=lambda face: -face.length_m)
+    if len(faces) < 2:
+        return
     ends = np.array([face.ends for face in faces]).reshape(-1, 2)
-    pairs = (
-        spatial.cKDTree(ends).query_pairs(_GAP_M, output_type="ndarray") if len(ends) else np.zeros((0, 2), np.int64)
-    )
+    pairs = spatial.cKDTree(ends).query_pairs(_GAP_M, output_type="ndarray")
     for first, second in np.unique(np.sort(pairs // 2, axis=1), axis=0).tolist():
         apart = faces[first].ends.mean(axis=0) - faces[second].ends.mean(axis=0)
         turned = faces[first].normal - faces[second].normal
@@ -131,8 +133,7 @@ def _guess_circles(faces: Sequence[Face]) -> Iterator[tuple[FloatArray, float, f
 
 def _grow(points: SurfacePoints, centre: FloatArray, radius: float, sign: float) -> tuple[Arc, IntArray] | None:
     """Fit a circle to the points that agree with it, again and again; None where a line has nearly as many."""
-    on_it = np.zeros(0, np.int64)
-    begin = end = 0.0
+    on_it, begin, end = np.zeros(0, np.int64), 0.0, 0.0
     for _ in range(_ROUNDS):
         before, (radial, apart) = on_it, _locate(points, centre)
         cosines = sign * np.einsum("ij,ij->i", radial, points.normals)
@@ -140,6 +141,8 @@ def _grow(points: SurfacePoints, centre: FloatArray, radius: float, sign: float)
         if len(on_it) < _FEWEST:
             return None
         run, begin, end = _run_about(np.arctan2(radial[on_it, 1], radial[on_it, 0]), _GAP_M / radius)
+        if radius * (end - begin) < _SHORTEST_M / 2:
+            return None
         on_it = on_it[run]
         if np.array_equal(before, on_it):
             break

@@ -180,8 +180,13 @@ def test_requests_of_slam_toolbox_are_served_by_their_fields(log, drive, tmp_pat
     turn = SimpleNamespace(x=0.0, y=0.0, z=float(np.sin(there[2] / 2)), w=float(np.cos(there[2] / 2)))
     pose = SimpleNamespace(position=SimpleNamespace(x=float(there[0]), y=float(there[1]), z=0.0), orientation=turn)
     asked = requests(filename=name, match_type=MatchType.LOCALIZE_AT_POSE, initial_pose=pose)
+    wall = Edit("walls", "LineString", np.array([[0.0, -0.6], [0.0, -0.5]]), width_m=0.1)
+    write_edits(tmp_path / "floor.edits.geojson", Edits((wall,)))
     assert services["deserialize_map"](asked) == (0,)
     assert until(lambda: node.node.core.localizes)
+    known = node.node.core.configuration.known.grid
+    row, column = np.floor((wall.points.mean(axis=0) - known.origin) / known.resolution_m).astype(int)[::-1]
+    assert known.log_odds[row, column] > 4.0
     end = 3 * len(drive) // 4
     node.play(drive[len(drive) // 2 : end], lost=1)
     metres, _ = away(node, log.truth.poses, 0, end - 1)

@@ -17,6 +17,7 @@ from gridslam.api.session import Session as SavedDrives
 from gridslam.api.session_edits import move_session, set_aside
 from gridslam.config import Configuration
 from gridslam.errors import ArgumentError, GridslamError, InputError
+from gridslam.io.edited_maps import apply_edits
 from gridslam.io.maps import write_map
 from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.pipeline import describe_error
@@ -145,7 +146,7 @@ class SessionServices:
         match : MatchType
             At the first node and at a given pose, the robot is looked for about `pose` (3,), which of the first node
             is the origin; unset, the first scan decides. With `LOCALIZE_AT_POSE` the session's map is known from then
-            on, and the mapping session waits.
+            on, with the edits beside it, and the mapping session waits.
         pose : (3,) float64, optional
             Of the robot in the session's map; the origin if it is needed and not given.
 
@@ -161,9 +162,10 @@ class SessionServices:
             place, begin = Place.ELSEWHERE, np.zeros(3) if is_origin else pose
         continued = Continued.read(path, self._core.settings.threads, place, begin)
         if match is MatchType.LOCALIZE_AT_POSE:
-            drives = SavedDrives.of(continued.saved, threads=self._core.settings.threads)
+            drives = SavedDrives.open(path, threads=self._core.settings.threads)
+            grid = apply_edits(drives.map, drives.edits_of(0).split(drives.edits)[0])
             assert begin is not None
-            self._localize(drives.map, continued.saved.configuration, (begin, _GIVEN_VARIANCES))
+            self._localize(grid, continued.saved.configuration, (begin, _GIVEN_VARIANCES))
             return f"localizing in {path}"
         self._core.ask(lambda: self._core.begin_session(continued))
         return f"going on from {path}"
