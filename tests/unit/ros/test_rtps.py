@@ -194,13 +194,13 @@ def test_promises_of_huge_samples_cost_nothing():
     reader = Reader(b"r" * 16, "rt/a", KIND, Qos(), lambda *what: sent.append(what), lambda sample: None)
     writer = b"w" * 16
     reader.match(RemoteEndpoint(writer, "rt/a", KIND, Qos(), ("127.0.0.1", 1)))
-    begin = time.perf_counter()
+    begin = time.thread_time()
     reader.on_heartbeat(writer, 1, 1 << 50, 1, final=False)
     reader.on_gap(writer, 3, 1 << 50, [])
     for sequence in range(2, 40):
         huge = wire.Data(b"", b"", sequence, {}, b"x", False, 1, 1, 1 << 31)
         assert reader.on_data(writer, huge, b"\0\0") == []
-    assert time.perf_counter() - begin < 0.5
+    assert time.thread_time() - begin < 0.5
     assert len(sent) == 2  # the first word, and one request of no more than 256 samples
 
 
