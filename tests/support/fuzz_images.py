@@ -17,7 +17,6 @@ from PIL import Image
 from gridslam.errors import ArgumentError
 from gridslam.io.maps import read_map
 from gridslam.localization import KnownMap
-from gridslam.viz.thumbnail import write_thumbnail
 from support.fuzz_bombs import MAP_YAML
 from support.fuzz_commands import Prepare, Read
 
@@ -155,9 +154,7 @@ def _claim(width: int, height: int, rng: np.random.Generator) -> bytes:
 
 def _read(where: Path) -> None:
     os.environ["PATH"] = f"{where / 'bin'}:{os.environ['PATH']}"
-    (picture,) = (path for path in where.iterdir() if path.is_file() and path.name != "map.yaml")
     try:
-        write_thumbnail(picture, where / "small.jpg")
         grid = read_map(where / "map.yaml")
         with suppress(ArgumentError):  # a map without walls, which the command refuses by its file
             KnownMap(grid)

@@ -81,7 +81,7 @@ def make_rows(count: int, failed: int = 0, seed: int = 0) -> list[dict[str, Any]
 
 
 def write_results(out: Path, rows: Iterable[dict[str, Any]]) -> None:
-    """Write a map and a trajectory to the folder of each row that is done."""
+    """Write a map to the folder of each row that is done."""
     rng = np.random.default_rng(1)
     for row in rows:
         if row["status"] != "done":
@@ -94,8 +94,4 @@ def write_results(out: Path, rows: Iterable[dict[str, Any]]) -> None:
             top, left = rng.integers(40, 200), rng.integers(30, 180)
             cells[top : top + 50, left : left + 2] = 0
             cells[top : top + 2, left : left + 40] = 0
-        Image.fromarray(cells).save(folder / "map.pgm")
         Image.fromarray(cells).convert("RGB").save(folder / "map.png")
-        steps = rng.normal(0.0, 0.3, (120, 2)).cumsum(axis=0).cumsum(axis=0)
-        lines = [f"{i / 5} {x:.3f} {y:.3f} 0 0 0 0 1" for i, (x, y) in enumerate(steps)]
-        (folder / "trajectory.tum").write_text("\n".join(lines) + "\n", encoding="utf-8")

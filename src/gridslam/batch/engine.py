@@ -43,7 +43,7 @@ def run_jobs(
     timeout_s: float | None = None,
     memory_bytes: int | None = None,
     on_row: Callable[[dict[str, Any]], None] = lambda row: None,
-    on_poll: Callable[[], None] = lambda: None,
+    on_poll: Callable[[], object] = lambda: None,
 ) -> list[dict[str, Any]]:
     """Run jobs, at most once each, and write a row of the journal OUT/runs.sqlite for each.
 
@@ -118,7 +118,7 @@ def run_jobs(
 
 
 def _run(
-    queue: deque[Job], run: Callable[..., dict[str, Any]], workers: int, on_poll: Callable[[], None]
+    queue: deque[Job], run: Callable[..., dict[str, Any]], workers: int, on_poll: Callable[[], object]
 ) -> Generator[list[dict[str, Any]], None, None]:
     """Yield the rows of jobs as they end, those together that have ended since the last time."""
     pending = set[Future[dict[str, Any]]]()

@@ -5,14 +5,12 @@ from __future__ import annotations
 import html
 import json
 import math
-import os
 import re
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
 from gridslam.batch.runs import Run, read_runs
-from gridslam.errors import OutputError
 from gridslam.io.output import write_atomically
 
 __all__ = ["COLUMNS", "REPORT", "write_report"]
@@ -39,13 +37,12 @@ COLUMNS: Final = (
 """Figures that the page can show: name, label and unit; a column without a value is left out."""
 
 _PICTURES = ("map.png", "localization.png", "landmarks.png")
-_THUMBNAIL = "thumbnail.jpg"
 _TAIL_LETTERS = 600
 _DIGITS = 6
 
 
 def write_report(out: str | Path) -> Path:
-    """Write OUT/report.html, and a thumbnail beside each map that has none yet.
+    """Write OUT/report.html.
 
     Parameters
     ----------
@@ -126,24 +123,5 @@ def _round(value: float) -> float:
 
 
 def _find_picture(folder: Path) -> str | None:
-    """Name of the picture that the thumbnail opens; None if there is none."""
-    picture = next((name for name in _PICTURES if (folder / name).is_file()), None)
-    return picture if picture is not None and _make_thumbnail(folder, picture) else None
-
-
-def _make_thumbnail(folder: Path, picture: str) -> bool:
-    """Make the thumbnail unless there is one of this picture; returns whether there is one now."""
-    thumbnail = folder / _THUMBNAIL
-    source = folder / "map.pgm" if picture == "map.png" and (folder / "map.pgm").is_file() else folder / picture
-    if thumbnail.is_file() and thumbnail.stat().st_mtime_ns >= source.stat().st_mtime_ns:
-        return True
-    from gridslam.viz.thumbnail import write_thumbnail  # only those who draw pay for Pillow
-
-    partial = folder / f".{_THUMBNAIL}.partial"
-    try:
-        if not write_thumbnail(source, partial):
-            return False
-        os.replace(partial, thumbnail)  # not synced: it can be made again
-    except OSError as error:
-        raise OutputError(f"{thumbnail}: cannot be written: {error.strerror or error}") from None
-    return True
+    """Name of the picture of a run; None if there is none."""
+    return next((name for name in _PICTURES if (folder / name).is_file()), None)

@@ -6,7 +6,7 @@ import json
 import os
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, final
 
@@ -20,7 +20,7 @@ from gridslam.batch.manifest import COLUMNS, Entry, find_logs
 from gridslam.batch.report import REPORT, write_report
 from gridslam.cli.localize import read_parameters
 from gridslam.cli.options import MapOptions, evaluate_options, localize_options, log_options, map_options
-from gridslam.cli.output import open_display, stop_if_interrupted, warn, write_apart
+from gridslam.cli.output import open_display, warn, write_apart
 from gridslam.config.tables import suggest_names, to_table
 from gridslam.errors import ConfigurationError, GridslamError, InputError, OutputError
 from gridslam.io.limits import max_memory_bytes
@@ -60,7 +60,8 @@ def run_batch(
         raise click.ClickException(str(error)) from None
     sizes = {job.folder: max(1, job.arguments["bytes"] or 0) for job in jobs}
     jobs.sort(key=lambda job: -sizes[job.folder])  # the largest first: the last one is waited for alone
-    with _Progress(sizes, as_json) as progress:
+    progress = _Progress(sizes, as_json)
+    with open_display(not as_json) as display:
         rows = run_jobs(
             jobs,
             out,
@@ -68,7 +69,7 @@ def run_batch(
             timeout_s=timeout_s,
             memory_bytes=None if memory_mb is None else round(1e6 * memory_mb),
             on_row=progress.on_row,
-            on_poll=progress.on_poll,
+            on_poll=lambda: display(progress.describe),
         )
     failed = sum(row["status"] == "failed" for row in rows)
     with write_apart() as write:
@@ -258,19 +259,8 @@ class _Progress:
         self._left_bytes = sum(sizes.values())
         self._ended_bytes = 0
         self._as_json = as_json
-        self._began = self._due = time.perf_counter()
+        self._began = time.perf_counter()
         self._done = self._failed = self._resumed = 0
-        self._stack = ExitStack()
-
-    def __enter__(self) -> _Progress:
-        """Open the display."""
-        self._show, self._every_s = self._stack.enter_context(open_display(not self._as_json))
-        self._due = self._began + self._every_s
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Close the display."""
-        self._stack.close()
 
     def on_row(self, row: Mapping[str, Any]) -> None:
         """Count a row; print it, or that its log has failed."""
@@ -285,18 +275,12 @@ class _Progress:
         elif row["status"] == "failed":
             warn(f"{row['log']}: {row['error']}: {row['message']}")
 
-    def on_poll(self) -> None:
-        """Show the progress when it is time, and stop if interrupted."""
-        stop_if_interrupted()
-        now = time.perf_counter()
-        if now < self._due:
-            return
-        self._due = now + self._every_s
+    def describe(self, passed_s: float) -> tuple[float, str]:
+        """Return the share of the logs that have ended, and a line about them."""
         ended = self._done + self._failed
-        passed_s = now - self._began
         left = f", {passed_s * self._left_bytes / self._ended_bytes:.0f} s left" if self._ended_bytes else ""
         failed = f", {self._failed} failed" if self._failed else ""
-        self._show(ended / self._total, f"{ended} of {self._total} logs{failed}{left}")
+        return ended / self._total, f"{ended} of {self._total} logs{failed}{left}"
 
     def summarize(self, out: Path) -> list[str]:
         """Format the summary."""

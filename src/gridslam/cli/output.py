@@ -10,9 +10,10 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, final
 
 import click
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "TARGETS",
+    "Display",
     "Progress",
     "counted",
     "elapsed_progress",
@@ -43,6 +45,9 @@ __all__ = [
     "warn",
     "write_apart",
 ]
+
+Display: TypeAlias = Callable[[Callable[[float], tuple[float, str]]], float]
+"""Displays the fraction and the text that its argument returns: see `open_display`."""
 
 TARGETS: Final = "gridslam.targets"
 """Where a context of click has the targets that options name."""
@@ -218,33 +223,25 @@ def stop_if_interrupted() -> None:
 @contextmanager
 def mapping_progress(statistics: Callable[[], LogStatistics], *, shown: bool = True) -> Iterator[Progress]:
     """Yield the progress of a mapping run, which prints nothing if disabled."""
-    with open_display(shown) as (show, every_s):
-        yield Progress(statistics, show, every_s)
+    with open_display(shown) as display:
+        yield Progress(statistics, display)
 
 
 @contextmanager
 def elapsed_progress(what: str, *, shown: bool = True) -> Iterator[Callable[[], None]]:
     """Return a callback that shows the elapsed time where no progress is known, and stops if interrupted."""
-    with open_display(shown) as (show, every_s):
-        yield _show_now_and_then(
-            lambda steps, passed_s: show(0.0, f"{what}, {steps} steps in {passed_s:.0f} s"), every_s
-        )
+    with open_display(shown) as display:
+        yield _count(display, lambda steps, passed_s: (0.0, f"{what}, {steps} steps in {passed_s:.0f} s"))
 
 
-def _show_now_and_then(show: Callable[[int, float], None], every_s: float) -> Callable[[], None]:
-    """Return a callback for each step that periodically shows their number and the time, and stops if interrupted."""
-    began = time.perf_counter()
-    due = began + every_s
+def _count(display: Display, describe: Callable[[int, float], tuple[float, str]]) -> Callable[[], None]:
+    """Return a callback for each step that displays what their number and the time so far are described by."""
     steps = 0
 
     def on_progress() -> None:
-        nonlocal steps, due
-        stop_if_interrupted()
+        nonlocal steps
         steps += 1
-        now = time.perf_counter()
-        if now >= due:
-            due = now + every_s
-            show(steps, now - began)
+        display(lambda passed_s: describe(steps, passed_s))
 
     return on_progress
 
@@ -252,9 +249,10 @@ def _show_now_and_then(show: Callable[[int, float], None], every_s: float) -> Ca
 @contextmanager
 def reading_progress(statistics: Callable[[], LogStatistics], *, shown: bool = True) -> Iterator[Callable[[], None]]:
     """Return a callback for each scan that periodically shows the progress of reading, and stops if interrupted."""
-    with open_display(shown) as (show, every_s):
-        yield _show_now_and_then(
-            lambda scans, passed_s: show(statistics().share_read, f"{scans} scans, {scans / passed_s:.0f}/s"), every_s
+    with open_display(shown) as display:
+        yield _count(
+            display,
+            lambda scans, passed_s: (statistics().share_read, f"{scans} scans, {scans / passed_s:.0f}/s"),
         )
 
 
@@ -262,16 +260,11 @@ def reading_progress(statistics: Callable[[], LogStatistics], *, shown: bool = T
 class Progress:
     """Observer that periodically shows rate, N_eff, map size and remaining time, or the final refinement."""
 
-    def __init__(
-        self, statistics: Callable[[], LogStatistics], show: Callable[[float, str], None], every_s: float
-    ) -> None:
-        """Display a fraction (0 to 1) and a text with `show`, at the given period in seconds."""
+    def __init__(self, statistics: Callable[[], LogStatistics], display: Display) -> None:
+        """Begin with no scan."""
         self._statistics = statistics
-        self._show = show
-        self._every_s = every_s
-        self._began = time.perf_counter()
-        self._due = self._began + every_s
-        self._ended = math.inf
+        self._display = display
+        self._ended_s = math.inf
         self._scans = 0
         self._first_ns = 0
         self._n_eff = 0.0
@@ -287,44 +280,54 @@ class Progress:
 
     def on_progress(self) -> None:
         """Show the progress of the scan since the last call, or of the final refinement; stop if interrupted."""
-        stop_if_interrupted()
-        now = time.perf_counter()
         latest = self._latest
         self._latest = None
+        passed_s = self._display(partial(self._describe, latest))
         if latest is None:
-            self._ended = min(self._ended, now)
-        if now < self._due:
-            return
-        self._due = now + self._every_s
-        if latest is None:
-            self._show(1.0, f"{self._scans} scans; final refinement, {now - self._ended:.0f} s")
-        else:
-            self._show_rate(now - self._began, *latest)
+            self._ended_s = min(self._ended_s, passed_s)
 
-    def _show_rate(self, seconds: float, report: StepReport, state: GridFastSlamState) -> None:
+    def _describe(self, latest: tuple[StepReport, GridFastSlamState] | None, passed_s: float) -> tuple[float, str]:
+        if latest is None:
+            return 1.0, f"{self._scans} scans; final refinement, {max(passed_s - self._ended_s, 0):.0f} s"
+        report, state = latest
         share = self._statistics().share_read
         height, width = state.maps.tiled(state.best).shape
         side = state.maps.resolution_m
-        real = (report.stamp_ns - self._first_ns) * 1e-9 / seconds
-        left = f"{seconds * (1 - share) / share:.0f} s left" if share else ""
-        self._show(
+        real = (report.stamp_ns - self._first_ns) * 1e-9 / passed_s
+        left = f"{passed_s * (1 - share) / share:.0f} s left" if share else ""
+        return (
             share,
-            f"{self._scans} scans, {self._scans / seconds:.0f}/s, {real:.0f} x real time, "
+            f"{self._scans} scans, {self._scans / passed_s:.0f}/s, {real:.0f} x real time, "
             f"N_eff {self._n_eff:.1f} of {len(state.poses)}, "
             f"map {width * side:.0f} x {height * side:.0f} m, {state.maps.nbytes / 1e6:.0f} MB, {left}",
         )
 
 
 @contextmanager
-def open_display(shown: bool) -> Iterator[tuple[Callable[[float, str], None], float]]:
-    """Yield a function that displays a fraction and a text, and its period in seconds."""
-    if not shown:
-        yield lambda share, text: None, math.inf
-    elif sys.stderr.isatty():
-        with _bar() as show:
-            yield show, _BAR_EVERY_S
-    else:
-        yield _print_line, _LINE_EVERY_S
+def open_display(shown: bool) -> Iterator[Display]:
+    """Yield a function that displays a fraction and a text when it is time, and stops if interrupted.
+
+    Its argument, which is not called before, returns both by the time passed so far, s; so does the function itself.
+    """
+    with ExitStack() as stack:
+        show: Callable[[float, str], None] = _print_line
+        every_s = _LINE_EVERY_S if shown else math.inf
+        if shown and sys.stderr.isatty():
+            show = stack.enter_context(_bar())
+            every_s = _BAR_EVERY_S
+        began = time.perf_counter()
+        due = began + every_s
+
+        def display(describe: Callable[[float], tuple[float, str]]) -> float:
+            nonlocal due
+            stop_if_interrupted()
+            now = time.perf_counter()
+            if now >= due:
+                due = now + every_s
+                show(*describe(now - began))
+            return now - began
+
+        yield display
 
 
 def _print_line(share: float, text: str) -> None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, final
+from typing import Any
 
 import click
 
@@ -26,7 +25,7 @@ from gridslam.io.text import compute_digest
 from gridslam.tuning.report import describe_verdict, to_document, to_toml
 from gridslam.tuning.search_space import SearchSpace
 from gridslam.tuning.trial import find_reference
-from gridslam.tuning.tune import Settings, Trial, TunedLog, Tuner, load_optuna
+from gridslam.tuning.tune import Settings, TunedLog, Tuner, load_optuna
 
 __all__ = ["TuneOptions", "run_tune"]
 
@@ -86,13 +85,13 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
         max_memory_bytes(),
         given.threads,
     )
-    with _Progress(not as_json) as progress:
+    with open_display(not as_json) as display:
 
         def run(jobs: Sequence[Job]) -> list[dict[str, Any]]:
-            return run_jobs(jobs, folder, workers=tune.workers, timeout_s=tune.timeout_s, on_poll=progress.on_poll)
+            on_poll = partial(display, lambda passed_s: _describe(tuner))
+            return run_jobs(jobs, folder, workers=tune.workers, timeout_s=tune.timeout_s, on_poll=on_poll)
 
-        tuner = Tuner(settings, chosen, run, progress.on_trial)
-        progress.watch(tuner)
+        tuner = Tuner(settings, chosen, run)
         tuning = tuner()
     document = to_document(tuning, settings, chosen, settings.trials)
     with write_apart() as write:
@@ -114,43 +113,12 @@ def _digest(log: TunedLog) -> TunedLog:
     return replace(log, digest=compute_digest(log.path), reference_digest=reference)
 
 
-@final
-class _Progress:
-    """Shows on standard error how far a tuning is."""
-
-    def __init__(self, shown: bool) -> None:
-        """Open the display when the context is entered."""
-        self._shown = shown
-        self._stack = ExitStack()
-        self._tuner: Tuner | None = None
-        self._text = "the configuration that the search begins with"
-
-    def __enter__(self) -> _Progress:
-        """Open the display."""
-        self._show, self._every_s = self._stack.enter_context(open_display(self._shown))
-        self._due = time.perf_counter() + self._every_s
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Close the display."""
-        self._stack.close()
-
-    def watch(self, tuner: Tuner) -> None:
-        """Show the progress of this one."""
-        self._tuner = tuner
-
-    def on_trial(self, trial: Trial) -> None:
-        """Show a trial."""
-        assert self._tuner is not None
-        done = self._tuner.trials
-        whole = [one.ratio for one in done if one.part == 1.0]
-        best = f", best {min(whole):.3f} times the start's error" if whole else ""
-        self._text = f"on {trial.part:.0%} of the logs: trial {len(done)}{best}"
-
-    def on_poll(self) -> None:
-        """Show how far it is, and stop if interrupted."""
-        stop_if_interrupted()
-        now = time.perf_counter()
-        if now >= self._due and self._tuner is not None:
-            self._due = now + self._every_s
-            self._show(min(len(self._tuner.trials) / self._tuner.settings.trials, 1.0), self._text)
+def _describe(tuner: Tuner) -> tuple[float, str]:
+    """Return the share of the trials that are made, and a line about them."""
+    done = tuner.trials
+    if not done:
+        return 0.0, "the configuration that the search begins with"
+    whole = [one.ratio for one in done if one.part == 1.0]
+    best = f", best {min(whole):.3f} times the start's error" if whole else ""
+    share = min(len(done) / tuner.settings.trials, 1.0)
+    return share, f"on {done[-1].part:.0%} of the logs: trial {len(done)}{best}"

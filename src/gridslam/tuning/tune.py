@@ -156,14 +156,11 @@ class Tuner:
         At least one that is not held out.
     run : callable
         Runs jobs, and gives a row of the journal for each (see `run_jobs`).
-    on_trial : callable
-        Called with each trial.
     """
 
     settings: Settings
     logs: Sequence[TunedLog]
     run: Callable[[Sequence[Job]], Sequence[Row]]
-    on_trial: Callable[[Trial], None] = lambda trial: None
     trials: list[Trial] = field(default_factory=list, init=False)
     _rows: dict[str, Row] = field(default_factory=dict, init=False)
 
@@ -261,7 +258,6 @@ class Tuner:
         for one, of_logs, ratio in zip(values, losses.tolist(), ratios.tolist(), strict=True):
             by_log = {log.name: loss for log, loss in zip(logs, of_logs, strict=True)}
             self.trials.append(Trial(part, one, by_log, ratio))
-            self.on_trial(self.trials[-1])
         return [float(ratio) for ratio in ratios]
 
     def _judge(self, one: Mapping[str, Value] | None, other: Mapping[str, Value]) -> list[Pair]:

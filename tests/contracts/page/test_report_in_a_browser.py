@@ -80,13 +80,13 @@ def test_rows_are_added_as_the_end_comes_near(opened):
     assert len(set(logs(opened))) == len(logs(opened))
 
 
-def test_a_thumbnail_is_loaded_from_its_folder_and_opens_the_map(opened):
+def test_a_picture_is_loaded_from_its_folder_and_opens_the_map(opened):
     choose(opened, "sort", "log")
     opened.find_element("id", "filter").send_keys("run-00001")
     link = opened.find_element("css selector", ".run a")
     assert link.get_attribute("href").endswith("/run-00001/map.png")
     image = link.find_element("css selector", "img")
-    wait(lambda: image.get_attribute("naturalWidth") not in ("0", None), "the thumbnail")
+    wait(lambda: image.get_attribute("naturalWidth") not in ("0", None), "the picture")
 
 
 def test_axe_finds_nothing_in_light(opened):

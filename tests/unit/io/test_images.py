@@ -13,7 +13,6 @@ from PIL import Image
 from gridslam.errors import InputError
 from gridslam.io.images import LONGEST_SIDE_PX, open_image
 from gridslam.io.maps import read_map
-from gridslam.viz.thumbnail import write_thumbnail
 from support.fuzz_bombs import MAP_YAML
 from support.house import sources
 
@@ -41,7 +40,6 @@ def test_a_map_never_starts_a_program(tmp_path, monkeypatch, name):
     (tmp_path / "map.yaml").write_text(MAP_YAML.replace("map.pgm", name))
     with pytest.raises(InputError, match=f"{name}: expected an image, got: cannot identify"):
         read_map(tmp_path / "map.yaml")
-    assert not write_thumbnail(tmp_path / name, tmp_path / "small.jpg")
     assert not (tmp_path / "started").exists()
 
 

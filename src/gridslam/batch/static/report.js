@@ -66,7 +66,7 @@ function picture(run) {
   image.loading = "lazy";
   image.decoding = "async";
   image.alt = `Map of ${run.log}`;
-  image.src = url(run.folder, "thumbnail.jpg");
+  image.src = url(run.folder, run.picture);
   const link = make("a", "", image);
   link.href = url(run.folder, run.picture);
   return link;
