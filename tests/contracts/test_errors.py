@@ -91,7 +91,7 @@ def test_a_refused_call_does_not_consume_the_state():
         (lambda: gridslam.map_log("a.clf", seed=1.5), "seed: expected int"),
         (lambda: gridslam.map_log("a.clf", threads="two"), "threads: expected int"),
         (lambda: gridslam.map_log("a.clf", configuration="fast"), "configuration: expected Configuration or None"),
-        (lambda: gridslam.map_log("a.clf", repair="some"), "repair: expected needed, all or none, got some"),
+        (lambda: gridslam.map_log("a.clf", repair="some"), "repair: expected needed or none, got some"),
         (lambda: gridslam.localize("a.clf", room(), seed=None), "seed: expected int"),
         (
             lambda: gridslam.localize("a.clf", 7),

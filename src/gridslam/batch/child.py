@@ -37,6 +37,7 @@ _METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods(
 _PRELOADED = ["__main__", "gridslam.batch.commands"]
 _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _LOOK_S = 0.2
+_STARTS = 20
 _TAIL_BYTES = 4000  # of the output of a job
 
 _children = threading.Lock()
@@ -151,10 +152,13 @@ def _start(request: Mapping[str, Any], output: Path, result: Path) -> BaseProces
         context.set_forkserver_preload(_PRELOADED)
     for name in _BLAS_THREADS:
         os.environ.setdefault(name, "1")
-    with _children:
-        child: BaseProcess = context.Process(target=_work, args=(request, dict(os.environ), output, result))
-        child.start()
-    return child
+    for _ in range(_STARTS):
+        with _children, suppress(EOFError, ConnectionError):  # the server was killed a moment ago
+            child: BaseProcess = context.Process(target=_work, args=(request, dict(os.environ), output, result))
+            child.start()
+            return child
+        time.sleep(_LOOK_S)
+    raise ConnectionError("child processes cannot be started")
 
 
 def _kill_group(pid: int | None, *, ended: bool = False) -> None:

@@ -235,7 +235,7 @@ def elapsed_progress(what: str, *, shown: bool = True) -> Iterator[Callable[[], 
 
 
 def _count(display: Display, describe: Callable[[int, float], tuple[float, str]]) -> Callable[[], None]:
-    """Return a callback for each step that displays what their number and the time so far are described by."""
+    """Return a callback that counts steps and displays the description of their number and the time so far."""
     steps = 0
 
     def on_progress() -> None:
