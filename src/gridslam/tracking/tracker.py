@@ -304,13 +304,17 @@ class Tracker:
         return PoseEstimate(pose, predicted, True, False, match.score / count, determined, direction)
 
     def _advance(self, state: TrackerState, found: PoseEstimate) -> None:
-        """Move on; where nothing is known of the motion, the robot is thought to come to rest."""
+        """Move on; where nothing is known of the motion, the robot is thought to come to rest.
+
+        Motion that no match has measured is at least as uncertain as the odometry was found to be.
+        """
         predicted = found.prediction
         if found.lost or self.search.had_blind_gap(state, predicted):
+            learned_m2, learned_rad2 = state.odometry_errors.variances.tolist()
             state.unmatched = replace(
                 state.unmatched,
-                position_m2=state.unmatched.position_m2 + predicted.sigma_m**2,
-                heading_rad2=state.unmatched.heading_rad2 + predicted.sigma_rad**2,
+                position_m2=state.unmatched.position_m2 + max(predicted.sigma_m**2, learned_m2),
+                heading_rad2=state.unmatched.heading_rad2 + max(predicted.sigma_rad**2, learned_rad2),
             )
         self._accumulate_open_variance(state, found)
         increment = between(state.pose, found.pose)
