@@ -89,7 +89,8 @@ class Tracker:
         prediction is used.
     search_inlier_ratio : float
         Inlier ratio of a match below which a better one is searched for from the velocity's
-        prediction and all around: on real logs more agree in the right place, and fewer in others.
+        prediction and all around: on real logs more agree in the right place, and fewer in others. It must reach this
+        ratio, too, unless it is the only place that the odometry allows between scans that are far apart.
     slip_m : float, m
         A match that moves the position farther than this from the odometry, and than four of the odometry's standard
         deviations, requires a gain in inliers (`slip_inlier_gain`): wheel slip or delayed odometry. Else something
@@ -235,17 +236,15 @@ class Tracker:
         if self._is_standing(state, track, predicted, joint):
             return PoseEstimate(predicted.pose, predicted, matched=False, lost=False)
         found = self._match_from_odometry(state, predicted, joint)
-        if found.inlier_ratio < self.search_inlier_ratio:  # it may be the odometry that is wrong: a reading came late
-            other = self._locate_by_search(state, predicted, joint)
-            is_better = other.inlier_ratio - found.inlier_ratio > self.slip_inlier_gain
-            found = other if is_better and other.inlier_ratio >= self.search_inlier_ratio else found
-        return found
-
-    def _locate_by_search(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
-        """Search around the velocity's prediction; around that of the odometry if the velocity is invalid."""
-        if self.search.is_far_from_last(state, predicted):
-            return self.search(state, predicted, beams, self.matcher)
-        return self._match_from_velocity(state, self.velocity.predict(state, predicted.seconds), beams)
+        if found.inlier_ratio >= self.search_inlier_ratio:
+            return found
+        if self.search.is_far_from_last(state, predicted):  # the only place about the odometry: as any match
+            other = self.search(state, predicted, joint, self.matcher)
+            needed = self.min_inlier_ratio
+        else:  # it may be the odometry that is wrong: a reading came late
+            other = self._match_from_velocity(state, self.velocity.predict(state, predicted.seconds), joint)
+            needed = self.search_inlier_ratio
+        return other if other.inlier_ratio >= max(needed, found.inlier_ratio + self.slip_inlier_gain) else found
 
     def _merge_lasers(self, state: TrackerState, pose: Pose, predicted: Prediction, beams: Beams) -> BeamEnds:
         """The scan, taken at about `pose`, with those of the other lasers."""

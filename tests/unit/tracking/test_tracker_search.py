@@ -108,6 +108,26 @@ def test_a_jump_of_the_odometry_between_scans_far_apart_leaves_no_trace(sparse, 
     assert lost[:, 0].max() > 0.5
 
 
+def overgrown(measurements, ratio, seed=0):
+    """Scans of which this ratio of beams ends anywhere before the walls, as in leaves."""
+    rng = np.random.default_rng(seed)
+    for odometry, scan in measurements:
+        shares = np.where(rng.random(len(scan.ranges)) < ratio, rng.uniform(0.3, 0.9, len(scan.ranges)), 1.0)
+        yield odometry, replace(scan, ranges=scan.ranges * shares)
+
+
+def test_the_only_place_that_the_odometry_allows_needs_no_more_beams_than_a_match(sparse):
+    """Of those outdoors fewer than 0.7 agree with what was seen before; a turn that is missed there is lost for good."""
+    measurements = list(overgrown(sparse, 0.35))
+    steady, _ = track(Tracker(), measurements)
+    off = []
+    for at in JUMPS:
+        told = track(Tracker(), jumping(measurements, at, (0.0, 0.0, 0.3))[: at + 5])[0]
+        off.append(away(told[-1], steady[at + 4])[0, 1])
+    assert np.median(off) < FAR[1]
+    assert np.mean(np.array(off) < 0.1) > 0.8
+
+
 def predicted_off(pose, turn):
     """A prediction of odometry half a metre on, wrong by a turn, that claims to be as good as odometry usually is."""
     off = compose(pose, np.array([0.0, 0.0, turn]))
