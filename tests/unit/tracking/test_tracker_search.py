@@ -117,7 +117,7 @@ def overgrown(measurements, ratio, seed=0):
 
 
 def test_the_only_place_that_the_odometry_allows_needs_no_more_beams_than_a_match(sparse):
-    """Of those outdoors fewer than 0.7 agree with what was seen before; a turn that is missed there is lost for good."""
+    """Outdoors fewer than 0.7 agree with what was seen before; a turn that is missed there is lost for good."""
     measurements = list(overgrown(sparse, 0.35))
     steady, _ = track(Tracker(), measurements)
     off = []
