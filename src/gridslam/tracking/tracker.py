@@ -90,7 +90,7 @@ class Tracker:
     search_inlier_ratio : float
         Inlier ratio of a match below which a better one is searched for from the velocity's
         prediction and all around: on real logs more agree in the right place, and fewer in others. It must reach this
-        ratio, too, unless it is the only place that the odometry allows between scans that are far apart.
+        ratio, too; between scans that are far apart, where else none would be matched, the least of a match will do.
     slip_m : float, m
         A match that moves the position farther than this from the odometry, and than four of the odometry's standard
         deviations, requires a gain in inliers (`slip_inlier_gain`): wheel slip or delayed odometry. Else something
@@ -238,12 +238,12 @@ class Tracker:
         found = self._match_from_odometry(state, predicted, joint)
         if found.inlier_ratio >= self.search_inlier_ratio:
             return found
-        if self.search.is_far_from_last(state, predicted):  # the only place about the odometry: as any match
+        needed = self.search_inlier_ratio
+        if self.search.is_far_from_last(state, predicted):
             other = self.search(state, predicted, joint, self.matcher)
-            needed = self.min_inlier_ratio
+            needed = self.min_inlier_ratio if found.lost else needed  # the only place that the odometry allows
         else:  # it may be the odometry that is wrong: a reading came late
             other = self._match_from_velocity(state, self.velocity.predict(state, predicted.seconds), joint)
-            needed = self.search_inlier_ratio
         return other if other.inlier_ratio >= max(needed, found.inlier_ratio + self.slip_inlier_gain) else found
 
     def _merge_lasers(self, state: TrackerState, pose: Pose, predicted: Prediction, beams: Beams) -> BeamEnds:
