@@ -309,7 +309,7 @@ class Tracker:
         """
         predicted = found.prediction
         if found.lost or self.search.had_blind_gap(state, predicted):
-            learned_m2, learned_rad2 = state.odometry_errors.variances.tolist()
+            learned_m2, learned_rad2 = state.odometry_errors.variances_of(predicted.moved_m, predicted.turned_rad)
             state.unmatched = replace(
                 state.unmatched,
                 position_m2=state.unmatched.position_m2 + max(predicted.sigma_m**2, learned_m2),
