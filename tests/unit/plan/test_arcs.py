@@ -81,7 +81,7 @@ def test_a_room_of_straight_sides_has_none(corners, is_scanned):
 
 
 def test_a_round_wall_that_was_seen_through_a_window_is_left_out():
-    """Its ends are at the wall of the room, between them there is no floor: the chord along that wall does not count."""
+    """Only its ends are at the room; the chord between them, along the wall of the room, does not count."""
     x, y = np.meshgrid(*(np.arange(-5.0, 10.0, CELL_M) + CELL_M / 2,) * 2)
     far, apart = np.maximum(np.abs(x), np.abs(y)), np.hypot(x, y - 3.0)
     is_beyond = y > 3.0 + CELL_M
