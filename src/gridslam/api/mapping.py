@@ -95,7 +95,7 @@ class MapResult(Result):
     covariances : (N, 3, 3) float64
         Of its poses, by x, y in m and theta in rad, map frame, given that the first pose is exact.
     online_trajectory : Trajectory
-        The online trajectory: the pose of the best particle at each scan.
+        The online trajectory: the pose of the best particle at each scan, smoothed over its matches.
     tiled_map : TiledGrid
         The map, drawn from the trajectory.
     graph : PoseGraph
@@ -471,7 +471,7 @@ def map_log(
         What to read of the log at a path.
     repair : "needed" or "none"
         Faults of the log corrected before mapping: those that make any map unusable (a mirrored or misaligned laser),
-        also clock offsets and odometry errors, or none. The result reports them.
+        or none. The result reports them.
     observers : sequence of Observer
         Called after each scan.
     gate : callable

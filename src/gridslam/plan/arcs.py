@@ -78,6 +78,11 @@ class Arc:
         angles = np.linspace(self.begin, self.end, 1 + max(1, int(np.ceil((self.end - self.begin) / step))))
         return np.asarray(self.centre + self.radius_m * np.column_stack([np.cos(angles), np.sin(angles)]))
 
+    def outline(self, sagitta_m: float) -> FloatArray:
+        """Corners (K, 2), m, along the arc there and back: the chord between its ends is no wall."""
+        corners = self.points(sagitta_m)
+        return np.concatenate([corners, corners[::-1]])
+
     def faces(self, sagitta_m: float = 0.02) -> list[Face]:
         """Chords as straight faces, free space to their left."""
         corners = self.points(sagitta_m)

@@ -136,7 +136,7 @@ def make_plan(grid: OccupancyGrid, points: SurfacePoints | None = None, path: Fl
         tuple(outline for outline in furniture if near(outline)),
         tuple(faces),
         dominant,
-        arcs=tuple(arc for arc in arcs if near(arc.points(_SAGITTA_M))),
+        arcs=tuple(arc for arc in arcs if near(arc.outline(_SAGITTA_M))),
     )
 
 

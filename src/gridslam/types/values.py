@@ -210,7 +210,7 @@ class StepReport:
     stamp_ns : int
         Stamp of the scan.
     pose : (3,) float64
-        Of the best particle, the one of greatest log weight accumulated along its ancestry; map frame.
+        Of the best particle, smoothed over its matches, and so some millimetres from its row of `poses`; map frame.
     computed_covariance : (3, 3) float64, or a function that returns it
         Of that pose: what `covariance` returns. It is computed when it is asked for, as most scans of a log never are.
     key_from_base : (3,) float64

@@ -80,6 +80,20 @@ def test_a_room_of_straight_sides_has_none(corners, is_scanned):
     assert not make_plan(draw(corners), see(corners) if is_scanned else None).arcs
 
 
+def test_a_round_wall_that_was_seen_through_a_window_is_left_out():
+    """Only its ends are at the room; the chord between them, along the wall of the room, does not count."""
+    x, y = np.meshgrid(*(np.arange(-5.0, 10.0, CELL_M) + CELL_M / 2,) * 2)
+    far, apart = np.maximum(np.abs(x), np.abs(y)), np.hypot(x, y - 3.0)
+    is_beyond = y > 3.0 + CELL_M
+    free = (far < 3.0) | (is_beyond & (np.abs(apart - 1.95) < 0.05))
+    known = free | (far < 3.0 + CELL_M) | (is_beyond & (np.abs(apart - 2.05) <= 0.05))
+    log_odds = np.where(free, -4.0, np.where(known, 4.0, 0.0)).astype(np.float32)
+    plan = make_plan(OccupancyGrid(log_odds, known, CELL_M, (-5.0, -5.0)))
+    assert plan.rooms[0].area_m2 == pytest.approx(36.0, rel=0.03)
+    assert not plan.arcs
+    assert plan.bounds[1, 1] < 3.2
+
+
 def test_arcs_turn_with_their_plan(plan):
     (arc,), (turned,) = plan.arcs, plan.turn(0.3).arcs
     c, s = np.cos(0.3), np.sin(0.3)

@@ -61,6 +61,18 @@ def test_the_best_is_the_first_of_those_that_no_other_exceeds(likelihoods, best)
     assert held.maps is judge.maps[best]
 
 
+def test_adjusted_poses_are_the_answer_though_they_score_less():
+    held, judge, all_, _ = selection([-5.0, -4.0, -6.0])
+    judge.likelihoods.append(-40.0)
+    moved = all_[1].graph.poses + 0.01
+    held.adjust_best(moved)
+    assert held.best.name == "closed 1"
+    np.testing.assert_array_equal(held.best.graph.poses, moved)
+    assert held.maps is judge.maps[3]
+    assert held.scores["adjusted"].log_likelihood == -40.0
+    assert held.scores["closed 1"].log_likelihood == -4.0
+
+
 def test_accepted_constraints_are_those_of_the_last_weights_and_recognized_ones_those_searched_for():
     constraints = [
         Constraint(0, 1, np.array([1.0, 0.0, 0.0]), np.eye(3), source, True)

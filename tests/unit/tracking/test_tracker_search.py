@@ -228,6 +228,15 @@ def test_after_a_blind_gap_the_robot_is_where_the_odometry_has_it(halls, scans):
     assert told.control.variances[0] == pytest.approx(state.unmatched.position_m2)
 
 
+def test_motion_that_no_match_has_measured_is_as_uncertain_as_the_odometry_was_found_to_be(halls):
+    log, known = halls
+    state = known.snapshot()
+    state.odometry_errors.variances = np.array([9.0, 0.5])
+    step(Tracker(), state, *log.measurements[85])
+    assert state.unmatched.position_m2 == 9.0
+    assert state.unmatched.heading_rad2 == 0.5
+
+
 def test_a_blind_gap_makes_doubt_by_what_the_odometry_may_err(halls):
     """15 % of the way and more, whether or not the scan was found: it may have been found where it looks alike."""
     doubts = []

@@ -63,9 +63,9 @@ class LoopClosureSummary:
     max_correction_m : float
         Largest correction of a key scan by the final refinement.
     candidates : dict of str to TrajectoryScore
-        Candidate trajectories of the final refinement, by name (see `Candidate`).
+        Candidate trajectories of the final refinement, by name (see `RefinementResult.scores`).
     selected : str
-        Name of the one that is the answer.
+        Name of the one that, adjusted, is the answer.
     sharpness_m : float or None, m
         rms distance of the key scans' points to the surfaces that other visits have seen; None without such.
     """

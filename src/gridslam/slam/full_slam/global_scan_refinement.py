@@ -118,7 +118,8 @@ class RefinementResult:
     maps : TileMaps
         One map, drawn from the key scans.
     scores : dict of str to TrajectoryScore
-        Of all candidates, by name; the first of the greatest log likelihood is the best.
+        Of all candidates, by name, of which the first of the greatest log likelihood is the best; and of that one as it
+        was moved, "adjusted".
     measured : PoseGraph
         All that determines the best trajectory, by which its poses are uncertain: its graph, with the weights of the
         robust estimate and the surfaces.
@@ -154,12 +155,11 @@ def refine_trajectory(
     """Refine the trajectory (T, 3) of the key scans and give every scan a pose.
 
     Key scans are matched to the overlapping older and later submaps, rebuilt from the trajectory, and the graph is
-    solved; the best candidate is selected and adjusted, and every scan is matched to the surfaces about it. Submaps of
-    the same visit are excluded: they only repeat the tracker's result. The refinement starts
-    from the trajectory of the best particle, whose closures are evidence like recognized places; and, if it differs,
-    from the tracked motion optimized with the online constraints. The candidate with the best score, one of
-    which is the trajectory of the best particle, is selected; then its key scans are moved until their surfaces fit
-    each other.
+    solved. Submaps of the same visit are excluded: they only repeat the tracker's result. The refinement starts from
+    the trajectory of the best particle, whose closures are evidence like recognized places; and, if it differs, from
+    the tracked motion optimized with the online constraints. The candidate with the best score is selected; one of them
+    is the trajectory of the best particle. Then its key scans are moved until their surfaces fit each other, and every
+    other scan is matched to the surfaces about it.
 
     Parameters
     ----------

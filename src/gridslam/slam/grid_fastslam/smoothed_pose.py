@@ -1,6 +1,6 @@
 """The pose that is reported: the best particle's motion, corrected by all its matches and not by the last one alone.
 
-A match to the cells of a map errs by a centimetre, differently at each key scan. The tracked motion between key scans
+A match to the cells of a map errs by some 7 mm, differently at each key scan. The tracked motion between key scans
 errs by a third of that, but its errors add up. A Kalman filter weighs both.
 """
 
