@@ -189,6 +189,13 @@ def test_a_log_that_cannot_be_opened_is_a_row_and_the_others_are_mapped(logs, tm
     assert [bool(row["message"]) for row in failed] == [True]
 
 
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="the system does not say which processors there are")
+def test_by_default_a_machine_of_many_processors_runs_as_many_logs_as_may_be(log, tmp_path, call, monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: range(400))
+    status, _, err = call("batch", log, "-o", tmp_path / "out", "--command", "doctor")
+    assert status == 0, err
+
+
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs process groups")
 def test_an_interrupt_ends_a_batch_cleanly_and_it_goes_on_later(logs, tmp_path):
     (logs / "broken.clf").unlink()

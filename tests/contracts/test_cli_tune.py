@@ -119,6 +119,12 @@ def test_bad_input_is_one_line_and_nothing_is_written(logs, tmp_path, capsys, wo
     assert "small" in expected or list(tmp_path.iterdir()) == []
 
 
+def test_a_place_that_cannot_be_written_is_bad_usage(logs, tmp_path, capsys):
+    (tmp_path / "best.tune").touch()
+    assert main(["tune", str(logs / "log1.clf"), "-o", str(tmp_path / "best.toml"), *FEW]) == 2
+    assert capsys.readouterr().err == f"gridslam: {tmp_path / 'best.tune'}: cannot be written: File exists\n"
+
+
 def test_without_the_library_the_extra_is_named_before_anything_runs(logs, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "optuna", None)
     assert main(["tune", str(logs / "log1.clf"), "-o", str(tmp_path / "best.toml")]) == 1

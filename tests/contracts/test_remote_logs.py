@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import http.server
 import json
+import os
 import sys
 import threading
 
@@ -164,6 +165,32 @@ def test_a_copy_is_used_until_the_log_changes_and_is_complete_or_absent(web, log
             fetch(url)
     assert [*(tmp_path / "cache").rglob("changing.clf")] == [first]
     assert fetch(url).read_bytes() == b"another"
+
+
+def test_a_copy_that_was_deleted_is_fetched_again(web):
+    first = fetch(f"{web}/run.clf")
+    content = first.read_bytes()
+    first.unlink()
+    assert fetch(f"{web}/run.clf") == first
+    assert first.read_bytes() == content
+
+
+def test_a_web_server_shows_by_the_time_that_a_log_of_the_same_size_has_changed(web, log):
+    there = log.with_name("as_long.clf")
+    for time_s, content in ((1_000_000_000, b"one"), (1_000_000_100, b"two")):
+        there.write_bytes(content)
+        os.utime(there, (time_s, time_s))
+        assert fetch(f"{web}/as_long.clf").read_bytes() == content
+
+
+def test_a_name_that_leads_out_of_the_folder_of_a_bag_is_refused(tmp_path, monkeypatch):
+    fsspec = pytest.importorskip("fsspec", reason="fsspec is missing")
+    monkeypatch.setenv("GRIDSLAM_CACHE", str(tmp_path / "cache"))
+    store = fsspec.filesystem("memory")
+    store.pipe({"/fleet/bag/metadata.yaml": b"", "/fleet/bag/../../../../beside": b""})
+    with pytest.raises(InputError, match=r"^memory://fleet/bag: expected files below it, got '\.\./.*beside'$"):
+        fetch("memory://fleet/bag")
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
 def test_a_batch_reads_logs_of_the_store(s3, log, tmp_path, call):

@@ -127,7 +127,7 @@ def write_number(arguments):
 
 def reject(arguments):
     count(arguments)
-    raise InputError("broken.clf", "expected a scan", 3)
+    raise InputError("broken.clf", arguments.get("problem", "expected a scan"), 3)
 
 
 def fail(arguments):

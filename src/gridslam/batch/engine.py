@@ -18,6 +18,7 @@ from gridslam.batch.child import remove_partial, run_job, start_row
 from gridslam.batch.job import Job
 from gridslam.batch.journal import Journal
 from gridslam.errors import ArgumentError, InputError, OutputError
+from gridslam.io.remote import is_url
 from gridslam.io.text import read_json
 
 try:
@@ -25,13 +26,14 @@ try:
 except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["run_jobs"]
+__all__ = ["MOST_WORKERS", "run_jobs"]
 
 _POLL_S = 0.5
-_MOST_WORKERS = 256
+MOST_WORKERS: Final = 256
 _ENDING_S = 5.0
 _OF_THE_LOG: Final = frozenset({"InputError", "ArgumentError", "ConfigurationError"})
-"""Errors that the same key always has; all others may have had to do with the machine, and are tried again."""
+"""Errors that the same key always has, unless a server, the machine or its limits had to do with them."""
+_OF_THE_MACHINE: Final = ("--max-memory", *map(os.strerror, errno.errorcode))
 _FULL: Final = tuple(os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT))
 
 
@@ -48,8 +50,8 @@ def run_jobs(
     """Run jobs, at most once each, and write a row of the journal OUT/runs.sqlite for each.
 
     A job is done when run.json in its folder has its key. Such jobs are not run again, nor those that failed for their
-    log's own sake (InputError); those that failed for another reason are. A row is written when its job has ended, so a
-    batch that is killed at any time continues where it was.
+    log's own sake (InputError of a file that could be read); those that failed for another reason are. A row is written
+    when its job has ended, so a batch that is killed at any time continues where it was.
 
     Parameters
     ----------
@@ -153,9 +155,13 @@ def _find_earlier(job: Job, out: Path, journal: Journal) -> dict[str, Any] | Non
         restored |= _read_costs(document)
         journal.write(restored)
         return restored
-    if row is not None and same and row["error"] in _OF_THE_LOG and "--max-memory" not in (row["message"] or ""):
-        return row
-    return None
+    return row if row is not None and same and _fails_again(row) else None
+
+
+def _fails_again(row: Mapping[str, Any]) -> bool:
+    """Return whether a job has failed for its log's own sake, and not since something could not be reached or read."""
+    is_of_machine = any(text in (row["message"] or "") for text in _OF_THE_MACHINE)
+    return row["error"] in _OF_THE_LOG and not is_url(row["log"]) and not is_of_machine
 
 
 def _read_costs(document: dict[str, Any]) -> dict[str, Any]:
@@ -195,8 +201,8 @@ def _check(jobs: Sequence[Job], workers: int, timeout_s: float | None, memory_by
         raise ArgumentError("timeout_s", "a time > 0 s", timeout_s)
     if memory_bytes is not None and memory_bytes < 1:
         raise ArgumentError("memory_bytes", "a number >= 1", memory_bytes)
-    if not 1 <= workers <= _MOST_WORKERS:
-        raise ArgumentError("workers", f"a number from 1 to {_MOST_WORKERS}", workers)
+    if not 1 <= workers <= MOST_WORKERS:
+        raise ArgumentError("workers", f"a number from 1 to {MOST_WORKERS}", workers)
 
 
 def _clean(out: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Any, Literal, final
 import click
 
 from gridslam.api.amcl import AmclParameters
-from gridslam.batch.engine import run_jobs
+from gridslam.batch.engine import MOST_WORKERS, run_jobs
 from gridslam.batch.job import Job, compute_key
 from gridslam.batch.journal import Journal, describe_file
 from gridslam.batch.manifest import COLUMNS, Entry, find_logs
@@ -29,7 +29,7 @@ from gridslam.io.maps import read_map_description
 from gridslam.io.remote import describe_remote, is_url, mask_url
 from gridslam.io.text import measure_size
 
-__all__ = ["run_batch"]
+__all__ = ["require_journal", "run_batch"]
 
 _TARGET = "gridslam.batch.commands:run_{}"
 _TRUE = ("1", "true", "yes", "on")
@@ -53,11 +53,8 @@ def run_batch(
     make = _Maker(command, words)
     entries = find_logs(logs, trajectories=command == "evaluate", reference=reference)
     prepared = [make.prepare(entry) for entry in entries]
-    try:
-        with Journal(out):
-            jobs = _make_jobs(command, entries, prepared)
-    except OutputError as error:
-        raise click.ClickException(str(error)) from None
+    require_journal(out)
+    jobs = _make_jobs(command, entries, prepared)
     sizes = {job.folder: max(1, job.arguments["bytes"] or 0) for job in jobs}
     jobs.sort(key=lambda job: -sizes[job.folder])  # the largest first: the last one is waited for alone
     progress = _Progress(sizes, as_json)
@@ -81,7 +78,17 @@ def run_batch(
 
 
 def _count_processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(count, MOST_WORKERS)
+
+
+def require_journal(out: Path) -> None:
+    """Check that the journal of a batch can be written to OUT before the long work; else that is bad usage."""
+    try:
+        with Journal(out):
+            pass
+    except OutputError as error:
+        raise click.ClickException(str(error)) from None
 
 
 @final

@@ -36,7 +36,7 @@ EXIT_FOUND_ERRORS = 3
 
 
 def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) -> int:
-    """Diagnose a log, print the findings, and write the report and its figures if a folder is given."""
+    """Diagnose a log, print the findings, and write the report if a folder is given."""
     source = open_log(log, options)
     if out is None:
         diagnosis = _diagnose_with_progress(source, not as_json)

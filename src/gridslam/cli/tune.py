@@ -15,6 +15,7 @@ import click
 from gridslam.batch.engine import run_jobs
 from gridslam.batch.job import Job
 from gridslam.batch.manifest import find_logs
+from gridslam.cli.batch import require_journal
 from gridslam.cli.options import MapOptions
 from gridslam.cli.output import open_display, print_result, stop_if_interrupted, write_apart
 from gridslam.errors import InputError
@@ -74,6 +75,7 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
     load_optuna()
     read = tune.read_logs(logs, given.options)
     chosen = [_digest(log) for log in read]
+    require_journal(folder)
     settings = Settings(
         base,
         space,

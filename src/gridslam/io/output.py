@@ -52,7 +52,7 @@ def _find_folder(path: Path, folder: Path) -> Path:
 
 @contextmanager
 def write_atomically(path: str | Path) -> Iterator[Path]:
-    """Give a path near `path` to write to; it becomes `path` at the end unless an exception passes.
+    """Give a path near `path` to write a file or a folder to; it becomes `path` at the end unless an exception passes.
 
     Folders above it are made where there are none.
     """
@@ -63,7 +63,7 @@ def write_atomically(path: str | Path) -> Iterator[Path]:
         staging = StagingFolder(target.parent, target.name)
         aside = staging.path / target.name
         yield aside
-        sync(aside)
+        sync(*aside.rglob("*"), aside)
         os.replace(aside, target)
         sync(target.parent)
     except OSError as error:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
@@ -28,7 +29,10 @@ __all__ = [
 ]
 
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
-_STATE = ("ETag", "etag", "LastModified", "mtime", "md5Hash", "crc32c", "generation", "VersionId", "content_md5")
+_STATE = (
+    *("ETag", "etag", "LastModified", "Last-Modified", "mtime", "generation", "VersionId"),
+    *("md5Hash", "crc32c", "content_md5", "Content-MD5", "Digest"),
+)
 """Properties of a file's content, besides its size, that file systems may report."""
 _MASK: Final = "***"
 _CACHE: Final = "GRIDSLAM_CACHE"
@@ -103,6 +107,8 @@ def fetch(url: str) -> Path:
         entry = _find_cache() / hashlib.sha256(f"{origin}\n{_state(files)}".encode()).hexdigest()[:16]
         log = entry / name
         try:
+            if entry.exists() and not log.exists():
+                shutil.rmtree(entry, ignore_errors=True)  # both appear at once: the copy was deleted
             if not log.exists():
                 with write_atomically(entry) as partial:
                     partial.mkdir()
@@ -177,7 +183,10 @@ def _find_cache() -> Path:
 def _download(system: Any, path: str, files: dict[str, dict[str, Any]], target: Path, url: str) -> None:  # noqa: ANN401
     """Copy the files of a log: one, or those in the folder `path`."""
     for file, info in files.items():
-        copy = target / PurePosixPath(file).relative_to(path.rstrip("/"))
+        below = PurePosixPath(file).relative_to(path.rstrip("/"))
+        if ".." in below.parts:
+            raise InputError(mask_url(url), f"expected files below it, got {os.fspath(below)!r}")
+        copy = target / below
         copy.parent.mkdir(parents=True, exist_ok=True)
         system.get_file(file, os.fspath(copy))
         expected, got = info.get("size"), copy.stat().st_size

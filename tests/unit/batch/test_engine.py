@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 import sqlite3
 from collections import Counter
+from dataclasses import replace
 
 import pytest
 
@@ -68,6 +71,14 @@ def test_what_failed_for_the_machines_sake_is_tried_again(tmp_path, trace):
     jobs = [make_job("reject", "a", trace=str(trace)), make_job("leave", "b")]
     run(jobs, tmp_path)
     assert [row["resumed"] for row in run(jobs, tmp_path)] == [True, False]
+
+
+def test_a_log_that_could_not_be_reached_or_read_is_tried_again(tmp_path):
+    closed = make_job("reject", "closed", problem=f"cannot be opened: {os.strerror(errno.EACCES)}")
+    remote = replace(make_job("reject", "remote", problem="connection cut"), log="s3://fleet/remote.clf")
+    jobs = [make_job("reject", "broken"), closed, remote]
+    run(jobs, tmp_path)
+    assert [row["resumed"] for row in run(jobs, tmp_path)] == [True, False, False]
 
 
 def test_a_log_that_kills_the_server_of_children_fails_alone_and_is_tried_again(tmp_path, trace):

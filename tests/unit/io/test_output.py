@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from gridslam.errors import OutputError
+from gridslam.io import output
 from gridslam.io.output import OutputFolder, write_atomically
 
 
@@ -132,6 +133,16 @@ def test_files_that_were_left_half_written_are_removed(tmp_path):
     with write_atomically(tmp_path / "state.npz") as path:
         path.write_text("whole")
     assert listing(tmp_path) == {"state.npz": "whole", "record.csv": "mine"}
+
+
+def test_all_files_of_a_folder_are_stored_before_it_appears(tmp_path, monkeypatch):
+    """Else a loss of power would leave a folder whose files are empty."""
+    stored = []
+    monkeypatch.setattr(output, "sync", lambda *paths: stored.extend(path.name for path in paths))
+    with write_atomically(tmp_path / "bag") as path:
+        (path / "inner").mkdir(parents=True)
+        (path / "inner" / "data.db3").touch()
+    assert sorted(stored[:3]) == ["bag", "data.db3", "inner"]
 
 
 def test_a_link_to_nothing_is_no_folder(tmp_path):

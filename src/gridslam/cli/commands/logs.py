@@ -15,7 +15,7 @@ __all__ = ["convert_command", "dataset_command", "doctor_command", "simulate_com
 
 @click.command("doctor")
 @click.argument("log", type=LOG)
-@click.option("-o", "--out", type=OUT, help="Folder for the report and its figures; created if missing.")
+@click.option("-o", "--out", type=OUT, help="Folder for the report; created if missing.")
 @log_options
 @json_option
 def doctor_command(**options: Any) -> Any:  # noqa: ANN401

@@ -33,8 +33,8 @@ __all__ = ["evaluate_command", "regress_command", "view_command"]
 def view_command(**options: Any) -> None:  # noqa: ANN401
     """Show the results in OUT, or a map of a session, in the browser.
 
-    OUT is of any command: a run is replayed, of map, localize, landmarks or demo; of grid and merge the map is shown,
-    of graph the poses, the edges and their residuals; batch has written a report, whose address is printed.
+    A run is replayed, of map, localize, landmarks or demo; of grid and merge the map is shown, of graph the poses, the
+    edges and their residuals; batch has written a report, whose address is printed.
     """
     from gridslam.cli.live import view
 

@@ -62,8 +62,6 @@ class MapRenderer:
         Frame and values of the map.
     publish : callable
         Publishes each map; called in the renderer's thread.
-    publish_update : callable, optional
-        Publishes what has changed since the map before, if the settings ask for that.
 
     Attributes
     ----------

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import IntEnum
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Final, TypeAlias, final
 
 import numpy as np
@@ -19,6 +18,7 @@ from gridslam.config import Configuration
 from gridslam.errors import ArgumentError, GridslamError, InputError
 from gridslam.io.edited_maps import apply_edits
 from gridslam.io.maps import write_map
+from gridslam.io.staging import StagingFolder
 from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.continued import Continued
@@ -188,14 +188,17 @@ class SessionServices:
             raise ArgumentError("merge", "another name, as this file is written", str(other))
         copied = self._core.copy_session()
         _make_folder(own)
-        with TemporaryDirectory(dir=own.parent) as folder:
-            aside = Path(folder) / own.name
+        staging = StagingFolder(own.parent, own.name)  # which the next run removes if this one is killed
+        try:
+            aside = staging.path / own.name
             copied.save_session(aside)
             merged = merge_sessions([aside, other], threads=self._core.settings.threads)
             if not merged.is_joined:
                 raise ArgumentError("merge", "a session that shows some of the same places", str(other))
             merged.session.save(joined)
             move_session(aside, own)
+        finally:
+            staging.remove()
         continued = Continued.read(joined, self._core.settings.threads, Place.ELSEWHERE)
         self._core.ask(lambda: self._core.begin_session(continued))
         return f"going on from {joined.resolve()}: what was mapped, joined with {other.resolve()}"
