@@ -91,7 +91,7 @@ class OdometryErrorModel:
         return variance * moved_m / _SEGMENT_M + scale * ((way_m + moved_m) ** 2 - way_m**2)
 
     def variances_of(self, moved_m: float, turned_rad: float) -> tuple[float, float]:
-        """Return variances (m^2, rad^2) that a motion of at most a segment adds, by what was left over segments."""
+        """Return the variances (m^2, rad^2) of a motion, as a share of those of a whole segment."""
         share = min(1.0, max(moved_m / _SEGMENT_M, turned_rad / _SEGMENT_RAD))
         position, heading = self.variances.tolist()
         return share * position, share * heading
