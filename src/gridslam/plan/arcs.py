@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from gridslam.plan.faces import Face, choose_seed
+from gridslam.plan.faces import GAP_M, LEAST_COSINE, OFFSET_M, Face, choose_seed
 from gridslam.plan.rasters import BoolArray
 from gridslam.plan.surfaces import SurfacePoints
 from gridslam.plan.untyped import spatial
@@ -16,9 +16,6 @@ from gridslam.types import FloatArray, IntArray
 
 __all__ = ["Arc", "find_arcs"]
 
-_GAP_M = 0.3
-_OFFSET_M = 0.05
-_LEAST_COSINE = np.cos(np.deg2rad(15))
 _FEWEST = 8
 _ROUNDS = 6
 _LEAST_TURN = 0.05
@@ -121,7 +118,7 @@ def _guess_circles(faces: Sequence[Face]) -> Iterator[tuple[FloatArray, float, f
     if len(faces) < 2:
         return
     ends = np.array([face.ends for face in faces]).reshape(-1, 2)
-    pairs = spatial.cKDTree(ends).query_pairs(_GAP_M, output_type="ndarray")
+    pairs = spatial.cKDTree(ends).query_pairs(GAP_M, output_type="ndarray")
     for first, second in np.unique(np.sort(pairs // 2, axis=1), axis=0).tolist():
         apart = faces[first].ends.mean(axis=0) - faces[second].ends.mean(axis=0)
         turned = faces[first].normal - faces[second].normal
@@ -142,10 +139,10 @@ def _grow(points: SurfacePoints, centre: FloatArray, radius: float, sign: float)
     for _ in range(_ROUNDS):
         before, (radial, apart) = on_it, _locate(points, centre)
         cosines = sign * np.einsum("ij,ij->i", radial, points.normals)
-        on_it = np.flatnonzero((np.abs(apart - radius) < _OFFSET_M) & (cosines > _LEAST_COSINE))
+        on_it = np.flatnonzero((np.abs(apart - radius) < OFFSET_M) & (cosines > LEAST_COSINE))
         if len(on_it) < _FEWEST:
             return None
-        run, begin, end = _run_about(np.arctan2(radial[on_it, 1], radial[on_it, 0]), _GAP_M / radius)
+        run, begin, end = _run_about(np.arctan2(radial[on_it, 1], radial[on_it, 0]), GAP_M / radius)
         if radius * (end - begin) < _SHORTEST_M / 2:
             return None
         on_it = on_it[run]
@@ -165,7 +162,7 @@ def _grow(points: SurfacePoints, centre: FloatArray, radius: float, sign: float)
         return None
     radial, apart = _locate(points, centre)
     is_taken = (np.arctan2(radial[:, 1], radial[:, 0]) - begin) % (2 * np.pi) <= end - begin
-    is_taken &= np.abs(apart - radius) < 2 * _OFFSET_M  # of a doubled wall both
+    is_taken &= np.abs(apart - radius) < 2 * OFFSET_M  # of a doubled wall both
     return Arc(centre, radius, begin, end, sign < 0), np.flatnonzero(is_taken)
 
 

@@ -13,12 +13,24 @@ from gridslam.plan.rasters import BoolArray
 from gridslam.plan.surfaces import SurfacePoints, label_surfaces
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Face", "choose_seed", "dominant_direction", "find_faces", "find_surfaces", "snap_directions"]
+__all__ = [
+    "GAP_M",
+    "LEAST_COSINE",
+    "OFFSET_M",
+    "Face",
+    "choose_seed",
+    "dominant_direction",
+    "find_faces",
+    "find_surfaces",
+    "snap_directions",
+]
 
-_GAP_M = 0.3
+GAP_M = 0.3
 """Along a face points are no farther apart: less than a door, more than beams are at 15 m."""
-_OFFSET_M = 0.05
-_LEAST_COSINE = np.cos(np.deg2rad(15))
+OFFSET_M = 0.05
+"""Points of a face lie no farther from its line."""
+LEAST_COSINE = np.cos(np.deg2rad(15))
+"""Of the angle between the normals of a face and of its points, at least."""
 _MOST_WEIGHT = 20.0
 _FEWEST = 4
 _MOST_ASKED = 1000
@@ -104,7 +116,7 @@ def choose_seed(left: SurfacePoints) -> tuple[int, float]:
     places, normals = left.positions[tried], left.normals[tried]
     asked = left.select(slice(None, None, 1 + len(left) // _MOST_ASKED))
     offsets = asked.positions @ normals.T - (places * normals).sum(axis=1)
-    agree = (np.abs(offsets) < _OFFSET_M) & (asked.normals @ normals.T > _LEAST_COSINE)
+    agree = (np.abs(offsets) < OFFSET_M) & (asked.normals @ normals.T > LEAST_COSINE)
     heights = asked.weights @ agree
     return int(tried[np.argmax(heights)]), float(heights.max() * left.weights.sum() / asked.weights.sum())
 
@@ -117,7 +129,7 @@ def _grow(left: SurfacePoints, seed: int) -> tuple[BoolArray, Face | None]:
     agree = np.zeros(0, np.int64)
     for _ in range(_ROUNDS):
         apart, before = left.positions - middle, agree
-        agree = np.flatnonzero((np.abs(apart @ normal) < _OFFSET_M) & (left.normals @ normal > _LEAST_COSINE))
+        agree = np.flatnonzero((np.abs(apart @ normal) < OFFSET_M) & (left.normals @ normal > LEAST_COSINE))
         if len(agree) < _FEWEST - 1:
             return taken, None
         agree = agree[_run(apart[agree] @ np.array([normal[1], -normal[0]]))]
@@ -133,7 +145,7 @@ def _grow(left: SurfacePoints, seed: int) -> tuple[BoolArray, Face | None]:
 def _run(along: FloatArray) -> IntArray:
     """Of places (N,) along a line the numbers of those in the run without a gap that has most of them."""
     order = np.argsort(along)
-    bounds = np.concatenate([[0], np.flatnonzero(np.diff(along[order]) > _GAP_M) + 1, [len(along)]])
+    bounds = np.concatenate([[0], np.flatnonzero(np.diff(along[order]) > GAP_M) + 1, [len(along)]])
     most = np.argmax(np.diff(bounds))
     return order[bounds[most] : bounds[most + 1]]
 
