@@ -24,8 +24,6 @@ from gridslam.api.evaluation import evaluate_trajectory
 from gridslam.batch.runs import Run, read_runs
 from measure import RESULTS, document
 
-__all__ = ["FIGURES", "collect", "interval", "main", "ratios", "write_manifest"]
-
 LOGS = {"intel": "intel.relations", "aces": "aces.relations", "mit-csail": ""}
 """Public logs, each with its file of relations in the same folder, if it has one."""
 

@@ -22,8 +22,6 @@ from gridslam.io.output import write_atomically
 from gridslam.io.trajectories import write_tum
 from gridslam.types import BeamStatus, Odometry, Trajectory
 
-__all__ = ["Conversion", "OutFormat", "convert_log", "infer_format"]
-
 
 class OutFormat(Enum):
     """Formats that a log can be written in."""

@@ -28,8 +28,6 @@ from gridslam.tuning.search_space import SearchSpace
 from gridslam.tuning.trial import find_reference
 from gridslam.tuning.tune import Settings, TunedLog, Tuner, load_optuna
 
-__all__ = ["TuneOptions", "run_tune"]
-
 
 @dataclass(frozen=True)
 class TuneOptions:

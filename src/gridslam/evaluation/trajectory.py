@@ -14,21 +14,6 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
 from gridslam.types import FloatArray, IntArray, Trajectory
 
-__all__ = [
-    "MAX_GAP_NS",
-    "PoseErrors",
-    "RelationErrors",
-    "Relations",
-    "absolute_errors",
-    "align",
-    "associate",
-    "clip_relations",
-    "clip_to_truth",
-    "interpolate",
-    "relation_errors",
-    "relative_errors_by_distance",
-]
-
 MAX_GAP_NS = 1_000_000_000
 """Between poses of a reference that are farther apart in time nothing is interpolated: a robot may turn in it."""
 

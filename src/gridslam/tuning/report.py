@@ -9,11 +9,10 @@ from typing import Any, Final
 
 from gridslam import __version__
 from gridslam.config import PARAMETERS, Configuration, dumps
-from gridslam.config.tables import to_table, value_of
+from gridslam.config.tables import value_of
+from gridslam.parameters import to_table
 from gridslam.tuning.comparison import CONFIDENCE, Comparison
 from gridslam.tuning.tune import Settings, TunedLog, Tuning
-
-__all__ = ["TUNING_SCHEMA", "describe_verdict", "to_document", "to_toml"]
 
 TUNING_SCHEMA: Final = "gridslam.tuning/2"
 

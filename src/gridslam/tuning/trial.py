@@ -17,8 +17,6 @@ from gridslam.io.log import LogOptions, open_log
 from gridslam.io.trajectories import read_relations, read_trajectory
 from gridslam.types import Trajectory
 
-__all__ = ["TARGET", "find_reference", "run_trial"]
-
 TARGET: Final = f"{__name__}:run_trial"
 """Target of the jobs of a tuning."""
 

@@ -11,15 +11,13 @@ import numpy as np
 
 from gridslam.batch.job import Job, compute_key
 from gridslam.config import Configuration
-from gridslam.config.tables import to_table
 from gridslam.errors import ArgumentError, InputError, MissingDependencyError
 from gridslam.io.log import LogOptions
+from gridslam.parameters import to_table
 from gridslam.tuning.comparison import Comparison, Pair, compare
 from gridslam.tuning.search_space import SearchSpace, Value
 from gridslam.tuning.trial import TARGET
 from gridslam.types import FloatArray
-
-__all__ = ["Settings", "Trial", "TunedLog", "Tuner", "Tuning", "load_optuna"]
 
 _HALVED_FROM: Final = 9
 """Trials from which successive halving saves anything; fewer are all tried on whole logs."""

@@ -9,8 +9,6 @@ import click
 from gridslam.cli.option_types import MEMORY, OUTPUT_FILE, OUTPUT_FOLDER, TIME_LIMIT, Number
 from gridslam.cli.options import json_option, map_options
 
-__all__ = ["batch_command", "tune_command"]
-
 
 class _BatchCommand(click.Command):
     """Command that passes the arguments after ``--`` to the command that it runs."""

@@ -10,8 +10,6 @@ import click
 from gridslam.cli.option_types import LOG, OUT, OUTPUT_FILE, OUTPUT_FOLDER, SECONDS, SEED, Number
 from gridslam.cli.options import json_option, log_options
 
-__all__ = ["convert_command", "dataset_command", "doctor_command", "simulate_command"]
-
 
 @click.command("doctor")
 @click.argument("log", type=LOG)
