@@ -316,20 +316,6 @@ class RelationErrors:
     rot_max_deg: float
 
 
-def clip_relations(relations: Relations, trajectory: Trajectory, *, tolerance_ns: int = 1_000_000) -> Relations | None:
-    """Relations both of whose times lie within a trajectory's span; None where there is none."""
-    if not len(trajectory):
-        return None
-    first = trajectory.stamps_ns.min() - tolerance_ns
-    last = trajectory.stamps_ns.max() + tolerance_ns
-    early = np.minimum(relations.from_ns, relations.to_ns)
-    late = np.maximum(relations.from_ns, relations.to_ns)
-    within = (early >= first) & (late <= last)
-    if not within.any():
-        return None
-    return Relations(relations.from_ns[within], relations.to_ns[within], relations.poses[within])
-
-
 @checked
 def relation_errors(trajectory: Trajectory, relations: Relations) -> RelationErrors:
     """Score a trajectory: component difference of each estimated and true relative pose.
