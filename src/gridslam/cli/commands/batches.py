@@ -116,8 +116,8 @@ def tune_command(**options: Any) -> None:  # noqa: ANN401
     """Search parameters that suit LOGS better than those given by --preset, --config and --set.
 
     LOGS are what gridslam batch accepts. Configurations that Optuna proposes are tried on them. The best is then
-    compared with the start on held-out logs, or with other seeds. It is written only if it is better beyond the noise of
-    seeds and logs; else the start is, and the exit status is 0 as well.
+    compared with the start on held-out logs, or with other seeds. It is written only if it is better beyond the noise
+    of seeds and logs; else the start is, and the exit status is 0 as well.
 
     \b
       gridslam tune logs/*.clf -o best.toml --trials 30 --held-out other.clf
