@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from gridslam.errors import ArgumentError, ConfigurationError, InputError
+from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, InputError
 from gridslam.geometry.se2 import between
 from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.io.bags.ros_messages import MessageError

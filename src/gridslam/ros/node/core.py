@@ -444,7 +444,8 @@ class NodeCore:
         """Give the session away and begin the next one; where it has no scan yet and nothing changes it is the next."""
         end = self._session_end
         is_begun = self._session.state is not None
-        if not is_begun and end not in _OTHERS:
+        forgets = end is SessionEnd.RESET and isinstance(self._session, Session) and self._session.continued is not None
+        if not is_begun and end not in _OTHERS and not forgets:
             return
         if end is SessionEnd.SWITCH:
             self._has_switched = True
