@@ -9,11 +9,12 @@ from typing import Any, Final
 from gridslam.api.mapping import map_log
 from gridslam.config import Configuration
 from gridslam.config.tables import replace_parameters
+from gridslam.doctor.repair import open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.evaluation.self_consistency import measure_self_consistency
 from gridslam.evaluation.trajectory import absolute_errors, clip_relations, relation_errors
 from gridslam.io.limits import limit_memory
-from gridslam.io.log import LogOptions, open_log
+from gridslam.io.log import LogOptions
 from gridslam.io.trajectories import read_relations, read_trajectory
 from gridslam.types import Trajectory
 
@@ -67,7 +68,7 @@ def run_trial(arguments: Mapping[str, Any]) -> dict[str, Any]:
             keep_particles=False,
         )
         if arguments["reference"] is None:
-            scans = (scan for _, scan in open_log(arguments["log"], options))
+            scans = (scan for _, scan in open_repaired(arguments["log"], options, arguments["repair"]))
             loss = measure_self_consistency(result.trajectory, scans).nats_per_beam
         else:
             loss = _measure_error(result.trajectory, arguments["log"], Path(arguments["reference"]))
