@@ -10,9 +10,10 @@ from gridslam.api.evaluation import score_against_reference
 from gridslam.api.mapping import map_log
 from gridslam.config import Configuration
 from gridslam.config.tables import replace_parameters
+from gridslam.doctor.repair import open_repaired
 from gridslam.evaluation.self_consistency import measure_self_consistency
 from gridslam.io.limits import limit_memory
-from gridslam.io.log import LogOptions, open_log
+from gridslam.io.log import LogOptions
 
 TARGET: Final = f"{__name__}:run_trial"
 """Target of the jobs of a tuning."""
@@ -61,7 +62,7 @@ def run_trial(arguments: Mapping[str, Any]) -> dict[str, Any]:
             keep_particles=False,
         )
         if arguments["reference"] is None:
-            scans = (scan for _, scan in open_log(arguments["log"], options))
+            scans = (scan for _, scan in open_repaired(arguments["log"], options, arguments["repair"]))
             loss = measure_self_consistency(result.trajectory, scans).nats_per_beam
         else:
             scores = score_against_reference(result.trajectory, arguments["log"], arguments["reference"])
