@@ -24,20 +24,6 @@ from gridslam.types import GridRows, OccupancyGrid
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = [
-    "FREE_THRESH",
-    "OCCUPIED_THRESH",
-    "MapDescription",
-    "MapImage",
-    "map_pixels",
-    "occupancy_percent",
-    "read_map",
-    "read_map_description",
-    "read_map_image",
-    "unknown_read_as_free",
-    "write_map",
-]
-
 OCCUPIED_THRESH = 0.65
 FREE_THRESH = 0.196
 

@@ -17,8 +17,6 @@ from typing import IO, Any, cast, final
 from gridslam.errors import ArgumentError, OutputError
 from gridslam.io.staging import REPLACED, StagingFolder, exchange_folders, remove_abandoned, sync
 
-__all__ = ["OutputFolder", "open_for_writing", "require_writable", "write_atomically"]
-
 
 def require_writable(path: Path, *, is_folder: bool) -> None:
     """Check that a file or a folder of this path can be made or replaced, by making it in a temporary folder.

@@ -18,16 +18,6 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 from gridslam.errors import GridslamError, InputError, MissingDependencyError, OutputError
 from gridslam.io.output import write_atomically
 
-__all__ = [
-    "describe_remote",
-    "fetch",
-    "find_origin",
-    "is_url",
-    "list_files",
-    "mask_url",
-    "mask_urls",
-]
-
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 _STATE = (
     *("ETag", "etag", "LastModified", "Last-Modified", "mtime", "generation", "VersionId"),

@@ -17,8 +17,6 @@ try:
 except ImportError:  # Windows has no such locks: there nothing is removed
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["REPLACED", "StagingFolder", "exchange_folders", "remove_abandoned", "sync"]
-
 REPLACED: Final = ".replaced"
 """Folder within a staging folder for the files that are being replaced; it shows that publishing had begun."""
 

@@ -8,8 +8,6 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["count_turned_cells", "turn_cells"]
-
 _QUARTER_RAD = 1e-3  # from a quarter turn: half a cell of 5 cm in 25 m
 _BAND = 256  # rows at a time
 

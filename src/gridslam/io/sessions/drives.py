@@ -20,8 +20,6 @@ from gridslam.slam.full_slam.thinning import thin_piece
 from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.types import FloatArray, IntArray, Trajectory
 
-__all__ = ["Drive", "DrivenLog", "SavedPiece", "choose_name", "find_floor", "require_floor"]
-
 
 @final
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,6 @@ from gridslam.io.turned_maps import count_turned_cells, turn_cells
 from gridslam.ros.node.messages import GridMessage
 from gridslam.types import FloatArray, OccupancyGrid
 
-__all__ = ["grid_of", "make_occupancy_grid", "pose_of"]
-
 _SURE: Final = 0.98  # probability between a cell of 0 and one of 100
 _MAX_CELLS: Final = 1 << 28
 _ALMOST_ZERO: Final = 1e-6

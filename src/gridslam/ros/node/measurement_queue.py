@@ -21,8 +21,6 @@ from gridslam.ros.node.parameters import NodeSettings
 from gridslam.transforms import Coverage, MissingTransform
 from gridslam.types import BeamStatus, FloatArray, Odometry, describe_duration
 
-__all__ = ["Counts", "MeasurementQueue", "SessionEnd"]
-
 _CONTINUES_M = 0.5  # and rad: the odometry continues within this distance
 _LATE_S = 0.5
 _IGNORED_S = 10.0

@@ -20,8 +20,6 @@ from gridslam.ros.node.messages import (
 )
 from gridslam.ros.node.transport import ALL_TOPICS, TOPICS
 
-__all__ = ["EncodedOutputs", "grid_values"]
-
 
 @final
 class EncodedOutputs:

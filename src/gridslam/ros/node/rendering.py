@@ -17,8 +17,6 @@ from gridslam.ros.node.parameters import NodeSettings
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import OccupancyGrid
 
-__all__ = ["MapRenderer", "make_grid_message", "map_cells"]
-
 _PATIENCE_S = 10.0  # with a subscriber of the map that is slow
 
 

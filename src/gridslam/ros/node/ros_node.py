@@ -30,8 +30,6 @@ from gridslam.ros.node.session_services import SessionServices
 from gridslam.ros.node.transport import LOCALIZATION_TOPICS, TOPICS, RunOptions, Serve, Transport
 from gridslam.types import FloatArray
 
-__all__ = ["RosNode", "save_results", "set_pose_from_message"]
-
 _POSE = TOPICS["~/pose"]
 _PAUSED = "paused_new_measurements"
 _SAVE_AS = "save_as"

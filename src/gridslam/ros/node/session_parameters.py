@@ -16,8 +16,6 @@ from gridslam.ros.node.continued import Continued
 from gridslam.ros.node.live_autosave import AUTOSAVE, SessionFiles
 from gridslam.types import FloatArray
 
-__all__ = ["SESSION_DEFAULTS", "find_saved_session", "read_session_files"]
-
 SESSION_DEFAULTS: Final[Mapping[str, float | str]] = {
     "save": "",
     "continue": "",

@@ -28,8 +28,6 @@ from gridslam.ros.node.messages import Level
 from gridslam.ros.node.session import InitialPose
 from gridslam.types import FloatArray, OccupancyGrid
 
-__all__ = ["MatchType", "SessionServices"]
-
 Answer: TypeAlias = tuple[bool, str]
 """Whether it succeeded, and a message."""
 

@@ -10,8 +10,6 @@ from typing import Any, Final, TypeAlias, final
 
 from gridslam.io.bags.encoder import Values
 
-__all__ = ["ParameterServices"]
-
 _NOT_SET, _BOOL, _INTEGER, _DOUBLE, _STRING, _ARRAYS = range(6)
 _FIELDS: Final = ("bool_value", "integer_value", "double_value", "string_value")
 _NOTHING: Final[Values] = (False, 0, 0.0, "", [], [], [], [], [])

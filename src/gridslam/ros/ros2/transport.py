@@ -19,8 +19,6 @@ from gridslam.ros.ros2.arguments import find_foreign_files
 from gridslam.ros.ros2.lifecycle_services import LifecycleServices
 from gridslam.ros.ros2.parameter_services import ParameterServices
 
-__all__ = ["Ros2Transport"]
-
 _PARAMETER_EVENTS, _TRANSITION_EVENT = "/parameter_events", "~/transition_event"
 _TYPES: Final = {
     _PARAMETER_EVENTS: "rcl_interfaces/ParameterEvent",

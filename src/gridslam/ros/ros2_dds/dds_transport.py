@@ -20,8 +20,6 @@ from gridslam.ros.ros2.transport import Ros2Transport
 from gridslam.ros.ros2_dds.participant import DdsParticipant
 from gridslam.ros.rtps.qos import Qos
 
-__all__ = ["DdsTransport", "run_dds"]
-
 _ROSOUT, _LOG, _LOG_DEPTH = "/rosout", "rcl_interfaces/Log", 1000
 _LEVELS: Final = {Level.OK: (20, "INFO"), Level.WARN: (30, "WARN"), Level.ERROR: (40, "ERROR")}
 """Numbers of rcl_interfaces/Log, and names."""

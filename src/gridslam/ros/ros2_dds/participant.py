@@ -25,8 +25,6 @@ from gridslam.ros.rtps.qos import Qos
 from gridslam.ros.rtps.reader import RELATED
 from gridslam.ros.rtps.writer import Writer
 
-__all__ = ["DdsParticipant", "decode_graph"]
-
 _CYCLONE: Final = b"\1\x10"
 """Vendor of Eclipse Cyclone DDS, whose rmw puts a header before requests and replies."""
 

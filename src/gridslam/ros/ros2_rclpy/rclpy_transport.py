@@ -19,8 +19,6 @@ from gridslam.ros.node.service_types import BODY
 from gridslam.ros.node.transport import NO_OPTIONS, POLL_S, TOPICS, Handler, RunOptions, Serve, import_ros
 from gridslam.ros.ros2.transport import Ros2Transport
 
-__all__ = ["NODE_NAME", "RclpyTransport", "run_rclpy"]
-
 NODE_NAME = "gridslam"
 
 _ROS_S = "use_sim_time", "start_type_description_service"  # parameters that rclpy handles

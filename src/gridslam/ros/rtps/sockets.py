@@ -13,8 +13,6 @@ from typing import Final, final
 from gridslam.errors import ConfigurationError
 from gridslam.ros.rtps.wire import Address
 
-__all__ = ["MULTICAST", "Sockets", "find_addresses"]
-
 MULTICAST: Final = "239.255.0.1"
 _MAX_PARTICIPANTS: Final = 120
 _BUFFER_BYTES: Final = 1 << 22
