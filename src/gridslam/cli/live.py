@@ -69,7 +69,7 @@ class Viewers(NamedTuple):
             write_history(folder.file(HISTORY_NAME), self.history.history)
 
     def wait(self, timeout_s: float) -> None:
-        """Give someone this time to open the page; if nobody comes, go as fast as can be."""
+        """Wait this long for a viewer of the page; without one run at full speed."""
         if self.page is not None and timeout_s > 0:
             warn(f"open the page to begin; without it the run begins in {timeout_s:.0f} s")
             if not self.page.wait_for_viewer(timeout_s):

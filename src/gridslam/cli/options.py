@@ -252,7 +252,7 @@ def evaluate_options(command: _Command) -> _Command:
 
 
 def _read_floor(ctx: click.Context, param: click.Parameter, name: str | None) -> str:
-    """Read the name of a floor, of which files get their names."""
+    """Read the name of a floor, which is used in file names."""
     if not name:
         return ""
     from gridslam.io.sessions.drives import require_floor

@@ -207,7 +207,7 @@ def read_map(
 
 
 def _remark_on(percent: NDArray[np.int8], on_remark: Callable[[str], None]) -> None:
-    """Remark on a map of which nothing is known, or that looks as if black and white were exchanged."""
+    """Remark on a map without known cells, or with black and white probably exchanged."""
     occupied, free = int((percent > _EVEN).sum()), int(((percent >= 0) & (percent < _EVEN)).sum())
     if not occupied and not free:
         on_remark("no cell is known: all pixels are transparent, or between the thresholds")

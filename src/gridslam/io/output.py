@@ -176,7 +176,7 @@ class OutputFolder:
         return StagingFolder(self.path, name, self.path)
 
     def _is_exchangeable(self, beside: Path) -> bool:
-        """Whether OUT is an earlier result and no more than that, and nobody stands in it as far as this process knows.
+        """Whether OUT contains only an earlier result, and is not this process's working folder.
 
         A mount point cannot be exchanged.
         """
@@ -207,7 +207,7 @@ class OutputFolder:
         sync(self.path)
 
     def _exchange(self, aside: Path) -> bool:
-        """Exchange the folder with OUT, whose other files are in both; returns False if that is not possible."""
+        """Exchange the folder with OUT; OUT's other files are in both. Return False if that is impossible."""
         out = self.path.resolve()
         if not self._is_exchangeable(aside.parent):
             return False

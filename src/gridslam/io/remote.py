@@ -50,7 +50,7 @@ def mask_url(url: str) -> str:
 
 
 def mask_urls(text: str) -> str:
-    """Return a text in which URLs are without their credentials."""
+    """Return a text without the credentials in its URLs."""
     return re.sub(_URL.pattern + r"\S+", lambda found: mask_url(found[0]), text)
 
 

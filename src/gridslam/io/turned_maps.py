@@ -15,7 +15,7 @@ _Value = TypeVar("_Value", bound=np.generic)
 
 
 def count_turned_cells(shape: tuple[int, int], yaw_rad: float) -> int:
-    """How many cells `turn_cells` makes of those of a shape (H, W)."""
+    """Number of cells that `turn_cells` returns for a shape (H, W)."""
     rows, columns = shape if _find_quarters(yaw_rad) is not None else _find_bounds(shape, yaw_rad)[1]
     return rows * columns
 

@@ -99,7 +99,7 @@ class Drive:
 
 
 def require_floor(name: str) -> str:
-    """Return the name of a floor, of which files get their names, or none; raises ArgumentError for another one."""
+    """Return a valid name of a floor, or none; raises ArgumentError for a name that no file can have."""
     if name and not re.fullmatch(r"\w[\w.-]{0,39}", name):
         raise ArgumentError("floor", "1 to 40 letters, digits, '_', '.' and '-'", repr(name[:60]))
     return name
