@@ -161,7 +161,7 @@ def calibrated(matcher: GaussNewton) -> GaussNewton:
 def _refine(
     state: TrackerState, pose: Pose, predicted: Prediction, beams: BeamEnds, matcher: GaussNewton
 ) -> PoseEstimate:
-    """Match from a place that was found; its inlier ratio is that of the beams that end in what the map knows.
+    """Match from a found place; its inlier ratio is that of the beams that end in known cells.
 
     If the scan is degenerate the odometry constrains it.
     """

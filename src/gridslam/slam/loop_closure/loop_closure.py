@@ -210,7 +210,7 @@ class LoopClosure:
         closure_state.online_poses.append(state.best_pose)
 
     def _decide(self, closure_state: LoopClosureState, trajectory: FloatArray) -> None:
-        """Add what is recognized to the graph and take back what is no longer; solve it if the filter is elsewhere.
+        """Add recognized closures to the graph and remove withdrawn ones; solve it if the filter disagrees.
 
         Where the filter's trajectory (T, 3) agrees with all that is new, nothing is added: it was no news.
         """
@@ -279,7 +279,7 @@ class LoopClosure:
         correction.inserted = last
 
     def _merge_corrected_map(self, closure_state: LoopClosureState, state: FilterState) -> bool:
-        """Let the filter go on from the corrected map when it is complete, up to the newest key scan."""
+        """Move the filter to the corrected map when that is complete, up to the newest key scan."""
         correction = closure_state.correction
         if correction is None:
             return False
