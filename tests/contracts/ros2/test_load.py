@@ -161,9 +161,10 @@ def play(robot, bag, rate):
 
 @pytest.mark.parametrize("times", [pytest.param(20, marks=pytest.mark.long), 4])
 def test_a_node_maps_at_once_though_the_static_transform_is_old(start, transport, robot, drive, times, record_property):
-    """By rclpy what is latched comes late in 3 to 8 of 20 starts, as to any listener of rclpy: of four not in all.
+    """By rclpy what is latched may come late, as to any listener of rclpy: of four not in all.
 
-    The median of three of them would be late in one run of five, the soonest of four in one of a hundred.
+    Fast DDS announces itself before it listens: an answer that is lost comes again within 3 s. That was so in 3 to 8 of
+    20 starts. The median of three would be late in one run of five, the soonest of four in one of a hundred.
     """
     took = []
     for _ in range(times):

@@ -130,7 +130,7 @@ class SessionServices:
     def save(self) -> str:
         """Write what `gridslam map` writes to the folder; returns what was done. Raises GridslamError."""
         document = self._core.save(self._folder)
-        return f"{document['scans']['read']} scans: {self._folder.resolve()}"
+        return f"results of {document['scans']['read']} scans saved: {self._folder.resolve()}"
 
     def serialize(self, name: str = "") -> str:
         """Write the session to NAME.gridslam; returns what was done. Raises GridslamError where it cannot be."""
