@@ -371,3 +371,13 @@ def test_demo_maps_a_simulated_building_and_tells_its_errors(call, tmp_path):
     assert told["run"]["input"]["sha256"] == compute_digest(tmp_path / "demo" / "demo.clf.gz")
     # two cells for 116 m with a loop, where the odometry alone is off by a metre
     assert told["errors"]["ate"]["trans_rmse_m"] < 0.1 < 0.5 < told["odometry_errors"]["ate"]["trans_rmse_m"]
+
+
+@pytest.mark.parametrize("asked", [["--particles", "8"], ["--map", "map.yaml"]])
+def test_a_node_gets_the_options_that_were_given_and_no_others(monkeypatch, asked):
+    """Else what a parameter file says, of `floor` for one, is overridden, and a node that localizes is warned of it."""
+    given = {}
+    run = "gridslam.ros.ros2_dds.dds_transport.run_dds"
+    monkeypatch.setattr(run, lambda arguments, options, interfaces: given.update(options.given))
+    assert main(["ros2", "--transport", "dds", *asked]) == 0
+    assert given in ({"particles": 8}, {"map_file": "map.yaml", "mode": "localization"})
