@@ -29,7 +29,7 @@ __all__ = ["FIGURES", "collect", "interval", "main", "ratios", "write_manifest"]
 LOGS = {"intel": "intel.relations", "aces": "aces.relations", "mit-csail": ""}
 """Public logs, each with its file of relations in the same folder, if it has one."""
 
-VARIANTS = {name: {"preset": name} for name in ("default", "accurate", "gmapping")}
+VARIANTS = {name: {"preset": name} for name in ("default", "gmapping")}
 VARIANTS["filter"] = {"no-loop-closure": "true"}
 """Options of `gridslam map` of each way in which a log is mapped."""
 

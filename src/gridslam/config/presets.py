@@ -21,11 +21,6 @@ from gridslam.tracking.tracker import OdometryTracker
 __all__ = ["LASERS", "PRESETS", "Laser", "apply_laser", "preset"]
 
 
-def _accurate() -> Configuration:
-    """More particles and key scans: where loops are long and time does not matter."""
-    return Configuration(particles=100, when_to_update=MotionThreshold(0.4, 0.25))
-
-
 def _gmapping() -> Configuration:
     """Decides as GMapping does with the defaults of its ROS node, but for its range, which is the laser's.
 
@@ -47,7 +42,6 @@ def _gmapping() -> Configuration:
 
 PRESETS: Final[Mapping[str, Callable[[], Configuration]]] = {
     "default": Configuration,
-    "accurate": _accurate,
     "gmapping": _gmapping,
 }
 

@@ -14,7 +14,7 @@ __all__ = ["ros1_command", "ros2_command"]
 
 _NODE_OPTIONS = (
     click.argument("arguments", nargs=-1, type=click.UNPROCESSED),
-    click.option("--preset", help="Preset: default, accurate or gmapping."),
+    click.option("--preset", help="Preset: default or gmapping."),
     click.option("--particles", type=int, help="Number of particles."),
     click.option("--seed", type=SEED, help="Random seed; equal seeds and scans give equal results."),
     click.option("--threads", type=THREADS, help="Number of threads; does not affect the results."),
