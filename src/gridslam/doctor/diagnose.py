@@ -50,7 +50,7 @@ _CONSEQUENCES = {
     ("odometry_frozen", Severity.ERROR): _OF_ODOMETRY,
     ("odometry_units", Severity.WARNING): (*_OF_ODOMETRY, "odometry_jumps", "fast_turning"),
 }
-"""What follows from a fault of this severity, and is not reported beside it."""
+"""Consequences of a fault of this severity, which are not reported beside it."""
 
 
 @final
@@ -231,7 +231,7 @@ class Doctor:
         yield from (finding for finding in found if finding.code not in follow)
 
     def _examine(self) -> Iterator[Finding]:
-        """Yield what each check finds; a laser that tilts, sees a person or whose ranges are wrong is no reference."""
+        """Yield the findings of each check; a laser that tilts, sees a person or has wrong ranges is no reference."""
         for sensor, laser in self._lasers.items():
             yield from laser.stamps.findings(sensor)
         of_beams = [found for sensor, laser in self._lasers.items() for found in laser.beams.findings(sensor)]
