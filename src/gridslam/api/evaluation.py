@@ -20,8 +20,6 @@ from gridslam.io.log import detect_log_format
 from gridslam.io.trajectories import read_relations, read_trajectory
 from gridslam.types import Trajectory
 
-__all__ = ["EVALUATION_SCHEMA", "evaluate_trajectory", "score_against_reference", "score_against_truth"]
-
 EVALUATION_SCHEMA = "gridslam.evaluation/1"
 
 

@@ -269,7 +269,8 @@ class SessionServices:
         return True, done
 
     def _refuse(self, error: Exception) -> None:
-        self._log(Level.WARN, str(error) if isinstance(error, GridslamError) else describe_error(error))
+        problem = str(error) if isinstance(error, GridslamError) else describe_error(error)
+        self._log(Level.WARN, f"request refused: {problem}")
 
 
 def _make_folder(path: Path) -> None:
