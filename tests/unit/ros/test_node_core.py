@@ -10,7 +10,7 @@ import pytest
 
 from gridslam.api.mapping import map_log
 from gridslam.config import Configuration, preset
-from gridslam.errors import ArgumentError, ConfigurationError, GridslamError
+from gridslam.errors import ConfigurationError, GridslamError
 from gridslam.geometry.se2 import compose
 from gridslam.io.maps import read_map
 from gridslam.localization import KnownMap, MonteCarloConfiguration
