@@ -21,8 +21,6 @@ from numpy.typing import ArrayLike, NDArray
 from gridslam.arguments import Limits, describe
 from gridslam.errors import ArgumentError, GridslamError
 
-__all__ = ["checked"]
-
 _Public = TypeVar("_Public", bound=Callable[..., Any])
 _LARGEST = 1 << 62
 _READ_LOGS = ("gridslam.api.", "gridslam.pipeline")

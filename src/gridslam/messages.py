@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final, final
 
-__all__ = ["Level", "Messages"]
-
 _NUMBER: Final = re.compile(r"\d+")
 _QUIET_S = 10.0  # after this long without it a problem is new again
 _LONGEST_S = 60.0

@@ -21,19 +21,6 @@ from gridslam.errors import ArgumentError, GridslamError
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import LaserScan, Odometry, StepReport, describe_time
 
-__all__ = [
-    "FailedStep",
-    "FailureRecorder",
-    "Filter",
-    "FilterReport",
-    "FilterState",
-    "Observer",
-    "Stopwatch",
-    "describe_error",
-    "isolate",
-    "run",
-]
-
 
 class FilterState(Protocol):
     """State of a filter."""

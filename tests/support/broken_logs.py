@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gridslam.api.conversion import convert_log
+from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.csv import write_csv_log
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
@@ -79,7 +79,7 @@ def whole_logs(folder: Path) -> list[Whole]:
     """One log of each format and compression, of the same short drive."""
     measurements = drive_about(_SCANS)
     write_csv_log(folder / "log.csv", measurements)
-    convert_log(folder / "log.csv", folder / "log.clf")
+    write_carmen(folder / "log.clf", measurements)
     carmen, csv = (folder / "log.clf").read_bytes(), (folder / "log.csv").read_bytes()
     found = [
         _text("log.clf", carmen),

@@ -26,7 +26,7 @@ from support.broken_logs import broken_logs, whole_logs
 
 _LIMIT_S = 20.0
 """For a log that takes a tenth of a second, on a machine however busy."""
-_FORMS = ("log.csv", "log.clf", "log.mcap", "log.tum")
+_FORMS = ("log.csv", "log.mcap", "log.tum")
 _FILES = {"map.yaml", "map.pgm", "map.png", "trajectory.tum", "trajectory.csv", "run.json", "record.npz"}
 
 

@@ -74,8 +74,6 @@ from support.fuzz_page import page_requests
 from support.fuzz_sessions import sessions
 from support.fuzz_values import values
 
-__all__ = ["Family", "Outcome", "families", "run_cases", "summarize"]
-
 CPU_LIMIT_S = 20  # of CPU time
 _PATIENCE_S = 120  # for what waits; and other processes may be at work
 MEMORY_LIMIT_BYTES = 2 << 30

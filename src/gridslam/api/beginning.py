@@ -26,17 +26,6 @@ from gridslam.tracking.state import SensorTrack, TrackerState, pose_of
 from gridslam.tracking.tracker import Tracker
 from gridslam.types import FloatArray, LaserScan, StepReport, describe_duration
 
-__all__ = [
-    "Beginning",
-    "Place",
-    "PlaceDecision",
-    "begin_new_piece",
-    "decide_place",
-    "locate_in",
-    "restart_at_pose",
-    "restart_at_same_place",
-]
-
 _MAX_GAP_S = 600.0
 """Longest time between two logs of one drive; after a longer one the robot begins a new drive."""
 _MAX_SPEED_M_S = 2.0

@@ -39,8 +39,6 @@ from gridslam.slam.full_slam.full_trajectory import full_trajectories
 from gridslam.slam.full_slam.merging import merge_pieces
 from gridslam.types import FloatArray, OccupancyGrid, Trajectory
 
-__all__ = ["Session"]
-
 
 @final
 class _Map(NamedTuple):

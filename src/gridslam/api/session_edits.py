@@ -16,16 +16,6 @@ from gridslam.io.edits import Edit, Edits, read_edits, write_edits
 from gridslam.io.sessions.session_file import SavedSession, write_session
 from gridslam.types import Trajectory
 
-__all__ = [
-    "EditsBefore",
-    "Trajectories",
-    "find_edits",
-    "keep_edits",
-    "move_session",
-    "set_aside",
-    "write_session_and_edits",
-]
-
 Trajectories: TypeAlias = Mapping[str, Trajectory]
 """Of each drive of a map, by its name."""
 

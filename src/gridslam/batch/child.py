@@ -31,8 +31,6 @@ from gridslam.errors import GridslamError
 from gridslam.io.output import OutputFolder
 from gridslam.io.staging import StagingFolder
 
-__all__ = ["remove_partial", "run_job", "start_row"]
-
 _METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 _PRELOADED = ["__main__", "gridslam.batch.commands"]
 _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")

@@ -17,8 +17,6 @@ from gridslam.errors import GridslamError, InputError
 from gridslam.io.remote import is_url, list_files, mask_url
 from gridslam.io.text import read_text
 
-__all__ = ["COLUMNS", "Entry", "find_logs"]
-
 COLUMNS: Final = ("log", "name", "reference")
 """Columns of a manifest beside the options of the command."""
 

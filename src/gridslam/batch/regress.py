@@ -15,8 +15,6 @@ from gridslam.batch.runs import Run, read_runs
 from gridslam.errors import InputError
 from gridslam.evaluation.regression import LEAST_PAIRS, Change, find_changes
 
-__all__ = ["ALL_LOGS", "FIGURES", "REGRESSION_SCHEMA", "Regression", "compare_batches"]
-
 REGRESSION_SCHEMA: Final = "gridslam.regression/1"
 
 ALL_LOGS: Final = "all logs"

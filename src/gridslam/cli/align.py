@@ -19,8 +19,6 @@ from gridslam.plan.source import MapSource, read_source
 from gridslam.plan.surfaces import SurfacePoints
 from gridslam.types import FloatArray
 
-__all__ = ["align_to_folder"]
-
 _NAMES = "align.json", "align.png", "map.yaml", "map.pgm", "map.tif"
 _LEAST_SHARE = 0.3
 """Of a map's surfaces that must lie on the plan: people draw less than a laser sees."""

@@ -21,16 +21,15 @@ from gridslam.batch.report import REPORT, write_report
 from gridslam.cli.localize import read_parameters
 from gridslam.cli.options import MapOptions, evaluate_options, localize_options, log_options, map_options
 from gridslam.cli.output import counted, open_display, warn, write_apart
-from gridslam.config.tables import suggest_names, to_table
+from gridslam.config.tables import suggest_names
 from gridslam.errors import ConfigurationError, GridslamError, InputError, OutputError
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions
 from gridslam.io.maps import read_map_description
 from gridslam.io.remote import describe_remote, is_url, mask_url
 from gridslam.io.text import measure_size
+from gridslam.parameters import to_table
 from gridslam.types import describe_duration
-
-__all__ = ["require_journal", "run_batch"]
 
 _TARGET = "gridslam.batch.commands:run_{}"
 _TRUE = ("1", "true", "yes", "on")

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from gridslam.ros.node.messages import Diagnostics
     from gridslam.types import OccupancyGrid
 
-__all__ = ["NOBODY", "Viewers", "node_page", "open_viewers", "serve_page", "view"]
-
 _Page = TypeVar("_Page")
 _MOST_MOMENTS = 512
 _KEYS_BETWEEN_MOMENTS = 8  # at first

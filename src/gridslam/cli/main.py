@@ -15,8 +15,6 @@ from gridslam.cli.output import handle_signals, is_interrupted, report_backgroun
 from gridslam.cli.streams import close_output, open_streams
 from gridslam.errors import ConfigurationError, GridslamError, InputError
 
-__all__ = ["EXIT_BUG", "main"]
-
 EXIT_BUG = 70
 """Exit status of an exception that nobody foresaw, as EX_SOFTWARE of sysexits.h."""
 

@@ -26,27 +26,6 @@ if TYPE_CHECKING:
     from gridslam.slam.grid_fastslam.state import GridFastSlamState
     from gridslam.types import StepReport
 
-__all__ = [
-    "TARGETS",
-    "Display",
-    "Progress",
-    "counted",
-    "elapsed_progress",
-    "end_by_signal",
-    "handle_signals",
-    "is_interrupted",
-    "mapping_progress",
-    "open_display",
-    "open_output",
-    "print_json",
-    "print_result",
-    "reading_progress",
-    "report_background_failures",
-    "stop_if_interrupted",
-    "warn",
-    "write_apart",
-]
-
 Display: TypeAlias = Callable[[Callable[[float], tuple[float | None, str]]], float]
 """Displays the fraction and the text that its argument returns: see `open_display`."""
 

@@ -23,8 +23,6 @@ from gridslam.plan.sheet import write_pdf, write_png, write_svg
 from gridslam.plan.source import read_source
 from gridslam.plan.world import WorldOrigin
 
-__all__ = ["changes_to_folder", "plan_to_folder"]
-
 _NAMES = "plan.svg", "plan.pdf", "plan.png", "plan.dxf", "plan.geojson", "plan.json"
 _CHANGES_NAMES = "changes.png", "changes.geojson", "changes.json"
 _LEAST_SHARE = 0.3

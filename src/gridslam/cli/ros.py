@@ -17,8 +17,6 @@ from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.session import Localization
 from gridslam.ros.node.transport import RunOptions, ViewerOpener
 
-__all__ = ["make_viewer_opener", "ros1", "ros2"]
-
 
 def _collect_parameters(
     assignments: Sequence[str] = (),

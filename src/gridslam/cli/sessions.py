@@ -24,8 +24,6 @@ from gridslam.io.sessions.drives import choose_name
 from gridslam.io.sessions.session_file import read_head
 from gridslam.pipeline import Stopwatch
 
-__all__ = ["merge_to_folder", "show_session"]
-
 
 def show_session(file: Path, picture: Path | None, out: Path | None, as_json: bool) -> None:
     """Print the content of a session file; with a folder write its maps and their edits there."""

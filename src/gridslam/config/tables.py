@@ -25,19 +25,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = [
-    "Table",
-    "describe_error",
-    "names",
-    "nest",
-    "parse_toml",
-    "read_assignments",
-    "replace_parameters",
-    "suggest_names",
-    "to_table",
-    "value_of",
-]
-
 _Part = TypeVar("_Part")
 _MOST_DOTS = 100  # a parser takes time and memory that grow with the square of the parts of a dotted key
 _UNKNOWN = "unexpected_keyword_argument", "extra_forbidden"  # pydantic's types of errors

@@ -259,7 +259,6 @@ class TextSource:
         self.path = Path(path)
         with open_for_reading(path) as file:
             self.total_bytes = os.fstat(file.fileno()).st_size
-            self._is_compressed = bool(_find_compression(file))
         self.bytes_read = 0
         self.is_truncated = False
         self.unterminated = False

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CSV_HEADER",
-    "columns_of_trajectory",
     "read_relations",
     "read_trajectory",
     "read_trajectory_csv",
@@ -208,12 +207,6 @@ def write_trajectory_csv(path: str | Path, trajectory: Trajectory, covariances: 
     with Path(path).open("wb") as file:
         file.write(f"{CSV_HEADER}\n".encode())
         file.write(lines)
-
-
-def columns_of_trajectory(poses: FloatArray, covariances: FloatArray | None = None) -> dict[str, FloatArray]:
-    """Columns (N,) of poses (N, 3), and of their covariances (N, 3, 3) where given, by `CSV_HEADER`'s names."""
-    parts = [poses] if covariances is None else [poses, upper_of_symmetric(covariances)]
-    return dict(zip(CSV_HEADER.split(",")[1:], np.concatenate(parts, axis=1).T, strict=False))
 
 
 def read_trajectory_csv(path: str | Path) -> tuple[Trajectory, FloatArray]:

@@ -9,10 +9,10 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.grid.arena import Int32Array
 from gridslam.grid.cells import LOG_ODDS_UNIT, cell_corner
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE, UNKNOWN
+from gridslam.kernels.reference_update import Int32Array
 from gridslam.live.protocol import levels
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 

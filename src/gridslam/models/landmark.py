@@ -22,18 +22,6 @@ from gridslam.models.motion import GaussianIncrement
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, IntArray, MotionModel, MotionSampler
 
-__all__ = [
-    "NO_OBSERVATIONS",
-    "DepthBearing",
-    "LandmarkModel",
-    "LandmarkObservations",
-    "LandmarkStep",
-    "ObservationKind",
-    "RangeBearing",
-    "RelativePosition",
-    "offset",
-]
-
 
 class ObservationKind(Enum):
     """Type of the two numbers of an observation."""

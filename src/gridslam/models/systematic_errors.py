@@ -13,8 +13,6 @@ from gridslam.geometry.se2 import between, compose, lever_arm_jacobian
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, MotionSampler
 
-__all__ = ["NO_ERRORS", "SystematicErrors"]
-
 
 @final
 @parameters(frozen=True)

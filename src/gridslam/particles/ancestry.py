@@ -15,8 +15,6 @@ from gridslam.errors import ArgumentError
 from gridslam.serialization import read_array
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Ancestry"]
-
 
 class _Level(NamedTuple):
     """The nodes of one step; never written to, so that snapshots may share it."""

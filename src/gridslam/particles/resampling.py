@@ -25,19 +25,6 @@ from gridslam.kernels import backend
 from gridslam.parameters import parameters
 from gridslam.types import FloatArray, IntArray
 
-__all__ = [
-    "Multinomial",
-    "ResamplingWheel",
-    "Residual",
-    "Stratified",
-    "Systematic",
-    "effective_sample_size",
-    "entropy",
-    "normalize",
-    "relative_to_greatest",
-    "require_log_weights",
-]
-
 _Weights = Annotated[FloatArray, "N"]
 _Count = Annotated[int, Limits(0, 1 << 30)]
 

@@ -12,8 +12,6 @@ from gridslam.plan.surfaces import SurfacePoints
 from gridslam.plan.untyped import fft
 from gridslam.types import FloatArray
 
-__all__ = ["Alignment", "align_points", "align_walls", "fit_pairs"]
-
 _COARSE_M = 0.2
 _HEADINGS = 8
 """Tried at most: at four of them a building's walls look alike."""

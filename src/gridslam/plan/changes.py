@@ -13,8 +13,6 @@ from gridslam.plan.rasters import BoolArray, Raster, make_raster
 from gridslam.plan.untyped import ndimage
 from gridslam.types import FloatArray, OccupancyGrid
 
-__all__ = ["Change", "Changes", "find_changes"]
-
 _NEAR_M = 0.12
 """Obstacles within this distance of earlier ones are the same: walls are drawn two cells thick."""
 _LEAST_CELLS = 4

@@ -13,18 +13,6 @@ from gridslam.plan.rasters import BoolArray
 from gridslam.plan.surfaces import SurfacePoints, label_surfaces
 from gridslam.types import FloatArray, IntArray
 
-__all__ = [
-    "GAP_M",
-    "LEAST_COSINE",
-    "OFFSET_M",
-    "Face",
-    "choose_seed",
-    "dominant_direction",
-    "find_faces",
-    "find_surfaces",
-    "snap_directions",
-]
-
 GAP_M = 0.3
 """Along a face points are no farther apart: less than a door, more than beams are at 15 m."""
 OFFSET_M = 0.05

@@ -18,8 +18,6 @@ from gridslam.plan.untyped import ndimage, require_map_extra
 from gridslam.plan.walls import Wall, close_corners, drop_clutter, find_furniture_faces, hull, join_faces, make_walls
 from gridslam.types import FloatArray, OccupancyGrid
 
-__all__ = ["FloorPlan", "make_plan"]
-
 _SAGITTA_M = 0.01
 _BESIDE_M = 0.25
 _LEAST_BESIDE = 0.2

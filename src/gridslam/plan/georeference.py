@@ -14,8 +14,6 @@ from gridslam.plan.alignment import fit_pairs
 from gridslam.plan.world import WorldOrigin
 from gridslam.types import FloatArray, OccupancyGrid
 
-__all__ = ["fit_world", "write_geotiff"]
-
 _TRANSFORMATION, _KEYS = 34264, 34735  # tags of GeoTIFF 1.1 (OGC 19-008r4): ModelTransformation, GeoKeyDirectory
 _SHORT, _DOUBLE = 3, 12  # types of TIFF
 _DIRECTORY = (

@@ -15,8 +15,6 @@ from gridslam.types import FloatArray, OccupancyGrid
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 
-__all__ = ["BoolArray", "Raster", "dilate", "erode", "fill_polygons", "make_raster"]
-
 _LONGEST_FURNITURE_M = 4.0
 _SHORTEST_WALL_M = 0.9
 _THICKEST_WALL_M = 0.25

@@ -16,8 +16,6 @@ from gridslam.plan.segments import Segments
 from gridslam.plan.untyped import ndimage, require_map_extra
 from gridslam.types import FloatArray
 
-__all__ = ["LEAST_AREA_M2", "Room", "find_rooms", "name_rooms"]
-
 LEAST_AREA_M2 = 2.0
 _LEAST_ENCLOSED = 0.2
 _SMALLEST_HOLE_M2 = 0.3

@@ -11,8 +11,6 @@ import numpy as np
 from gridslam.plan.untyped import require_map_extra
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Segments"]
-
 
 @final
 @dataclass(frozen=True, eq=False)

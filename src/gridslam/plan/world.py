@@ -13,8 +13,6 @@ from gridslam.io.edits import Edits
 from gridslam.io.geojson import format_features
 from gridslam.types import FloatArray
 
-__all__ = ["WorldOrigin", "format_edits_in_degrees", "turn_edits_to_metres"]
-
 _SEMIMAJOR_M = 6_378_137.0
 _ECCENTRICITY2 = 6.69437999014e-3
 

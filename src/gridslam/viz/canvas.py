@@ -14,40 +14,6 @@ from PIL import Image, ImageDraw, ImageFont
 
 from gridslam.types import FloatArray, Trajectory
 
-__all__ = [
-    "CLOSURE",
-    "FAINT",
-    "FREE",
-    "LOST",
-    "MARGIN",
-    "OCCUPIED",
-    "OPEN",
-    "REJECTED",
-    "RULE",
-    "TEXT_LINE",
-    "TEXT_SIZE",
-    "TIME_ENDS",
-    "TITLE_LINE",
-    "TRUTH",
-    "UNKNOWN",
-    "Colour",
-    "Layout",
-    "arrange_keys",
-    "disc",
-    "dots",
-    "fit_page",
-    "font",
-    "label_time",
-    "mark_ends",
-    "paint_caption",
-    "paint_footer",
-    "paint_path",
-    "paint_scale",
-    "round_length",
-    "stroke",
-    "time_colours",
-]
-
 Colour: TypeAlias = tuple[int, int, int]
 
 # A quiet map in neutral tones, so that the trajectory has the colour to itself.

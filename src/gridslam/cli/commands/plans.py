@@ -10,8 +10,6 @@ import click
 from gridslam.cli.option_types import PATH, Number
 from gridslam.cli.options import json_option, out_option
 
-__all__ = ["align_command", "changes_command", "mask_command", "plan_command"]
-
 
 def _read_origin(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float, float, float] | None:
     """Read latitude, longitude and, if it is there, bearing; 90, east, if not."""

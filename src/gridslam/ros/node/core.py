@@ -423,8 +423,12 @@ class NodeCore:
     def _copy_mapped(self, *, is_last: bool = False) -> SessionCopy:
         mapped = self.mapped_session
         if mapped is None:
-            localizes = "this node localizes; `gridslam localize` takes its record"
-            raise GridslamError(f"nothing is mapped: {localizes if self.localizes else 'there was no scan yet'}")
+            why = (
+                "this node localizes; `gridslam localize` takes its record"
+                if self.localizes
+                else "there was no scan yet"
+            )
+            raise GridslamError(f"nothing is mapped: {why}")
         record = None if self._has_switched else self._whole_record()
         return mapped.copy(record, is_last=is_last, messages=self.messages.to_list())
 

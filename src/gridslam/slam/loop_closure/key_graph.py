@@ -340,11 +340,6 @@ class KeyGraph:
             [poses, compose(poses[-1], self.tracked_poses_from(last, np.arange(last + 1, len(self))))]
         )
 
-    def tracked_poses_in_map(self, anchors: IntArray, keys: IntArray) -> FloatArray:
-        """Poses (K, 3) of key scans, each as tracked about the pose of the one of `anchors` (K,) near it in the map."""
-        tracked = between(_select_poses(self.tracked, anchors), _select_poses(self.tracked, keys))
-        return compose(_select_poses(self.poses, anchors), tracked)
-
     def tracked_poses_from(self, anchor: int, keys: IntArray) -> FloatArray:
         """Poses (K, 3) of key scans seen from `anchor`, as tracked."""
         return between(self.tracked[anchor], _select_poses(self.tracked, keys))

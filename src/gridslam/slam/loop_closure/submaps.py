@@ -9,9 +9,9 @@ from typing import final
 
 import numpy as np
 
-from gridslam.grid.arena import Int32Array
 from gridslam.grid.cells import LOG_ODDS_UNIT
 from gridslam.grid.tiles import TileMaps
+from gridslam.kernels.reference_update import Int32Array
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.loop_closure.key_graph import KeyGraph, anchor_of, first_key_scan
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
