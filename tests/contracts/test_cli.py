@@ -159,6 +159,13 @@ def test_json_is_one_object_and_all_there_is(log, tmp_path, call):
     assert err == ""
 
 
+def test_progress_of_what_takes_unknown_time_has_no_percentage(monkeypatch, capsys):
+    monkeypatch.setattr(output_module, "_LINE_EVERY_S", 0.0)
+    with output_module.elapsed_progress("merging") as on_progress:
+        on_progress()
+    assert capsys.readouterr().err == "merging: 1 step in 0 s\n"
+
+
 def test_progress_is_a_plain_line_every_few_seconds_and_none_with_json(log, tmp_path, call, monkeypatch):
     seconds = itertools.count()
     monkeypatch.setattr(output_module, "time", SimpleNamespace(perf_counter=lambda: float(next(seconds))))
@@ -167,7 +174,7 @@ def test_progress_is_a_plain_line_every_few_seconds_and_none_with_json(log, tmp_
     assert len(lines) == 24  # every five of 120 seconds, one for each scan
     for line in lines:
         assert re.fullmatch(
-            r" *\d+%  \d+ scans, 1/s, 0 x real time, N_eff \d\.\d of 3, map \d+ x \d+ m, \d+ MB, \d+ s left", line
+            r" *\d+%  \d+ scans, 1/s, 0 x real time, N_eff \d\.\d of 3, map \d+ x \d+ m, \d+ MB, \d+ (s|min) left", line
         )
     assert call("map", log, "-o", tmp_path / "out", *FEW, "--json")[2] == ""
 
