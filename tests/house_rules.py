@@ -35,7 +35,7 @@ ONLY_IN = {
     "shapely": {"plan"},
     "ezdxf": {"plan"},
 }
-"""Who may import which dependency: help must not pay for drawing, nor the filter for a terminal; batch forks with all."""
+"""Who may import which dependency: help must not pay for drawing, nor the filter for a terminal; a batch forks."""
 
 OUTSIDE = {
     "argparse",
