@@ -87,6 +87,7 @@ def whole_logs(folder: Path) -> list[Whole]:
         _text("log.clf", _robotlaser(measurements)),
         _text("log.csv", csv),
         _text("log.csv", rostopic_rows(measurements)),
+        _text("echo.csv", echo_rows(measurements)),
         _text("log.txt", point_rows(measurements)),
         _text("log.clf.gz", carmen, gzip.compress),
         _text("log.clf.bz2", carmen, bz2.compress),
@@ -110,6 +111,19 @@ def rostopic_rows(measurements: Sequence[Measurement]) -> bytes:
         angles = bearings[0], bearings[-1], bearings[1] - bearings[0]
         values = (*angles, 0.0, 0.1, scan.range_min_m, scan.range_max_m, *scan.ranges)
         lines.append(f"{scan.stamp_ns},{number},{scan.stamp_ns},laser,{','.join(f'{value:.9g}' for value in values)}")
+    return ("\n".join(lines) + "\n").encode()
+
+
+def echo_rows(measurements: Sequence[Measurement], *, with_intensities: bool = False) -> bytes:
+    """The scans as `ros2 topic echo --csv` prints them: without names."""
+    lines = []
+    for _, scan in measurements:
+        bearings = scan.geometry.bearings
+        angles = bearings[0], bearings[-1], bearings[1] - bearings[0]
+        bright = np.ones(len(scan)) if with_intensities else ()
+        values = (*angles, 0.0, 0.1, scan.range_min_m, scan.range_max_m, *scan.ranges, *bright)
+        seconds, nanoseconds = divmod(scan.stamp_ns, 10**9)
+        lines.append(f"{seconds},{nanoseconds},laser,{','.join(f'{value:.9g}' for value in values)}")
     return ("\n".join(lines) + "\n").encode()
 
 

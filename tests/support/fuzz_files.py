@@ -410,6 +410,8 @@ def _tables(folder: Path) -> Iterator[Family]:
     packed = [(gzip.compress, ".gz"), (bz2.compress, ".bz2")]
     beams = [(scan, angle, 1000 + 10 * angle) for scan in range(3) for angle in range(0, 360, 9)]
     named = [f"{'S ' * (not angle)} theta: {angle:.2f} Dist: {distance:08.2f} Q: 47" for _, angle, distance in beams]
+    echoed = [f"{k},{k},laser,0,1.9,0.1,0,0.1,0.1,12,{','.join(['1.5'] * 20)}" for k in range(9)]
+    numbered = ["scan_id,angle (°),dist_mm", *(f"{scan},{angle},{distance}" for scan, angle, distance in beams)]
     points = ["t; angle [deg]; dist [mm]", *(f"{scan},5; {angle}; {distance}" for scan, angle, distance in beams)]
 
     def read_scans(path: Path) -> None:
@@ -424,6 +426,8 @@ def _tables(folder: Path) -> Iterator[Family]:
         ("a.relations", relations, read_relations),
         ("a.named", named, read_scans),
         ("a.points", points, read_scans),
+        ("a.numbered", numbered, read_scans),
+        ("a.echoed", echoed, read_scans),
         ("a.yaml", [parameters], read_parameter_file),
         ("a.toml", [configuration], load),
     ):

@@ -454,7 +454,7 @@ def map_log(
     log : str, Path or Log
         The log, of any format that `open_log` knows.
     preset : str
-        "default", "accurate" or "gmapping".
+        "default" or "gmapping".
     particles : int, optional
         Number of particles; the preset's own if not given.
     laser : str, optional

@@ -179,7 +179,6 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
     """Serve the page of a node that is not started yet, until it has ended."""
     from gridslam.live.control import NO_COMMANDS, RobotCommands, RobotControl
     from gridslam.live.page import LivePage
-    from gridslam.ros.node.ros_node import save_results
     from gridslam.ros.node.session_services import SessionServices
 
     commands = NO_COMMANDS
@@ -194,7 +193,7 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
 
         commands = RobotCommands(
             reset=core.reset,
-            save=lambda name: save_results(core, folder),
+            save=lambda name: services.answer(services.save),
             serialize=on_session(services.serialize),
             go_on=on_session(services.deserialize),
             merge=on_session(services.merge),

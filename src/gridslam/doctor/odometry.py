@@ -94,7 +94,7 @@ class OdometryExaminer:
         if moved > _STILL:
             self._moves += 1
             self._speeds.add(moved / seconds)
-        if moved > max(_LEAP_M, _LEAP_M_S * seconds) or turned > max(_LEAP_RAD, _LEAP_RAD_S * seconds):
+        if is_jump(moved, turned, seconds):
             self._jumps.append(((stamp_ns - self._first_ns) * 1e-9, moved, turned))
         else:
             self.metres += moved
@@ -227,6 +227,12 @@ class OdometryExaminer:
                 "Turn more slowly, or let the laser scan faster.",
                 sensor,
             )
+
+
+def is_jump(metres: float, radians: float, seconds: float) -> bool:
+    """Return whether no robot moves so far, or turns so much, between scans of this distance in time."""
+    seconds = max(seconds, _LEAST_S)
+    return metres > max(_LEAP_M, _LEAP_M_S * seconds) or radians > max(_LEAP_RAD, _LEAP_RAD_S * seconds)
 
 
 def _motion(before: _Place, after: _Place) -> tuple[float, float]:

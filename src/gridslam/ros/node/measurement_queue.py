@@ -31,7 +31,6 @@ _MAX_FRAMES = 256  # of lasers
 _QUIET_S = 1.0  # a scan is lost without a warning this close to the first and the last transform
 _MAY_ARRIVE = (Coverage.NOT_YET, Coverage.NOT_CONNECTED)
 
-
 _Key = TypeVar("_Key")
 _Value = TypeVar("_Value")
 

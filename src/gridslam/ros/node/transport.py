@@ -26,7 +26,6 @@ TOPICS: Final = {
 }
 """Published topics and their types; ~ is the node's own name."""
 
-
 LOCALIZATION_TOPICS: Final = {
     "amcl_pose": "geometry_msgs/PoseWithCovarianceStamped",
     "particle_cloud": "nav2_msgs/ParticleCloud",

@@ -41,7 +41,7 @@ class ParameterServices:
         self,
         values: Mapping[str, Any],
         change: Callable[[str, Any], str],
-        settable: Sequence[str] = (),
+        settable: Sequence[str],
         report: Report = lambda new, changed: None,
     ) -> None:
         self._values = dict(values)

@@ -74,13 +74,10 @@ class RclpyTransport(Ros2Transport):
                 data = self.encoder.encode(f"{kind}_Response{BODY}", *(serve(request) or (0,)))
                 return self._deserialize(data, service_class.Response)
             except Exception as error:  # the executor goes on, whatever was asked
-                self._refuse("request", f"{service}: {describe_error(error)}")
+                self._refuse_request(service, describe_error(error))
                 return response
 
-        def begin(request: Any, response: Any) -> Any:  # noqa: ANN401
-            return partial(answer, request, response)
-
-        offered = self._node.create_service(service_class, service, begin if slow else answer)
+        offered = self._node.create_service(service_class, service, partial(partial, answer) if slow else answer)
         send = offered.send_response
 
         def start(work: Callable[[], Any], header: Any) -> None:  # noqa: ANN401

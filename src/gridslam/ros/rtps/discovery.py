@@ -140,8 +140,7 @@ def _guid(parameters: Parameters, name: int) -> bytes:
 
 
 def _text(value: str) -> bytes:
-    data = value.encode() + b"\0"
-    return struct.pack("<I", len(data)) + data
+    return _octets(value.encode() + b"\0")
 
 
 def _octets(value: bytes) -> bytes:

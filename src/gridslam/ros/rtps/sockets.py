@@ -75,8 +75,6 @@ class Sockets:
 
     Attributes
     ----------
-    domain : int
-        As given.
     receivers : list of socket
         To read from.
     discovery, user : list of (str, int)
@@ -91,7 +89,6 @@ class Sockets:
     def __init__(self, domain: int, interfaces: Sequence[str] = (), peers: Sequence[str] = ()) -> None:
         if not 0 <= domain <= 232:
             raise ConfigurationError(f"ROS_DOMAIN_ID: expected a number from 0 to 232, got {domain}")
-        self.domain = domain
         base = 7400 + 250 * domain
         addresses = find_addresses(interfaces)
         is_local = all(address.startswith("127.") for address in addresses)
