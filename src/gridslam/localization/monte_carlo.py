@@ -53,8 +53,6 @@ from gridslam.types import (
     require_step,
 )
 
-__all__ = ["MonteCarloConfiguration", "MonteCarloLocalization"]
-
 _UNKNOWN_POSE = PoseEstimate(np.zeros(3), np.diag([1e6, 1e6, math.pi**2]), 0.0)
 _ROUNDING = 1e-6 * np.eye(3)  # a millimetre, for beliefs without any spread
 _CLUSTER = np.diag([CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_RAD / 2]) ** 2

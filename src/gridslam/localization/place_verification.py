@@ -19,8 +19,6 @@ from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.parameters import bounded, parameters
 from gridslam.types import BeamEnds, FloatArray
 
-__all__ = ["CERTAINLY_INSIDE", "NO_SCANS", "PlaceVerification", "RecentScans"]
-
 _BEAMS = 60
 
 
