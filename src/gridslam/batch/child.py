@@ -34,7 +34,14 @@ from gridslam.io.staging import StagingFolder
 __all__ = ["remove_partial", "run_job", "start_row"]
 
 _METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
-_PRELOADED = ["__main__", "gridslam.batch.commands"]
+_PRELOADED = [
+    "__main__",
+    "gridslam.batch.commands",
+    "gridslam.viz.picture",
+    "PIL.PngImagePlugin",
+    "scipy.sparse",
+    "qdldl",
+]
 _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _LOOK_S = 0.2
 _STARTS = 20
