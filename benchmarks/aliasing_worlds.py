@@ -20,28 +20,6 @@ from gridslam.sim.worlds import make_world as make_plain_world
 from gridslam.types import FloatArray
 from passages import carve, tour
 
-__all__ = [
-    "ALIASED",
-    "BARE_CORRIDORS",
-    "EQUAL_ROOMS",
-    "SYMMETRIC",
-    "alleys",
-    "bare_corridors",
-    "bare_loop",
-    "campus",
-    "cross",
-    "equal_rooms",
-    "facing_corridors",
-    "fleet",
-    "long_way_round",
-    "make_world",
-    "moved_furniture",
-    "ring",
-    "serpentine",
-    "symmetric",
-    "twins",
-]
-
 _WALL_M = 0.15
 _LANE_M = 0.5  # furniture stays this far from the robot's way
 _Space = tuple[float, float, float, float]

@@ -13,8 +13,6 @@ from gridslam.errors import ArgumentError
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedStream, World, simulate_stream
 from gridslam.types import FloatArray
 
-__all__ = ["DECEPTIVE", "Drive", "campus", "deceptive", "fleet", "returns"]
-
 DECEPTIVE = ("equal_rooms", "symmetric", "bare_corridors", "moved_furniture")
 SEEDS = 10
 

@@ -25,8 +25,6 @@ from recognition_drives import HONEST, KINDS, Drive, certain_revisits, driven_m,
 from recognition_scores import Score, judge, mapped, off_m, rmse
 from report import Report, table
 
-__all__ = ["LOOSE", "main", "revisits"]
-
 _ROOT = Path(__file__).resolve().parent.parent
 LOOSE = tuple(
     f"loop_closure.{it}"

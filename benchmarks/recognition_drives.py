@@ -28,8 +28,6 @@ from gridslam.matching.gauss_newton import EVALUATE_ONLY, degenerate_direction
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig
 from gridslam.types import Beams, FloatArray, IntArray, LaserScan, Odometry
 
-__all__ = ["APART_M", "HONEST", "KINDS", "Drive", "certain_revisits", "driven_m", "simulated"]
-
 HONEST = ("rooms", "demo", "loop", "random")
 KINDS = (*HONEST, *DECEPTIVE)
 _UNLIKE = (*HONEST, "moved_furniture")

@@ -20,8 +20,6 @@ from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 from recognition_drives import APART_M
 
-__all__ = ["Mapped", "Score", "judge", "kept", "mapped", "off_m", "rmse"]
-
 _FALSE_M, _FALSE_RAD = 0.5, math.radians(8.0)
 _RIGHT_M, _RIGHT_RAD = 0.2, math.radians(3.0)
 _BESIDE_M = 0.5  # a run has other key scans than those by which revisits were found

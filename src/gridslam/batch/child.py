@@ -31,8 +31,6 @@ from gridslam.errors import GridslamError
 from gridslam.io.output import OutputFolder
 from gridslam.io.staging import StagingFolder
 
-__all__ = ["remove_partial", "run_job", "start_row"]
-
 _METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 _PRELOADED = [
     "__main__",
@@ -103,7 +101,7 @@ def remove_partial(folder: Path) -> None:
 
 
 def start_row(job: Job) -> dict[str, Any]:
-    """Return the row of a job of whose outcome nothing is known yet."""
+    """Return the row of a job that has not ended yet."""
     return dict.fromkeys(COLUMNS) | job.summary() | {"status": "failed"}
 
 
@@ -266,7 +264,7 @@ def _limit(memory_bytes: int | None) -> None:
 
 
 def _lift_memory_limit() -> None:
-    """Give a process whose memory is short enough to report it."""
+    """Raise the memory limit of a process that must report that its memory is exhausted."""
     with suppress(ImportError, OSError, ValueError):
         import resource
 

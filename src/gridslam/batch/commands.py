@@ -27,8 +27,6 @@ from gridslam.io.text import measure_size
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.slam.full_slam import full_slam  # noqa: F401
 
-__all__ = ["run_doctor", "run_evaluate", "run_localize", "run_map"]
-
 
 def run_map(arguments: Mapping[str, Any]) -> dict[str, Any]:
     """Map a log into a folder as `gridslam map` does.

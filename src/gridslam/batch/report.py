@@ -13,8 +13,6 @@ from typing import Any, Final
 from gridslam.batch.runs import Run, read_runs
 from gridslam.io.output import write_atomically
 
-__all__ = ["COLUMNS", "REPORT", "write_report"]
-
 REPORT: Final = "report.html"
 """Name of the page in the output folder of a batch."""
 

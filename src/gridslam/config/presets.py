@@ -8,17 +8,16 @@ from typing import Final, NamedTuple
 
 from gridslam.checked import checked
 from gridslam.config.configuration import Configuration
-from gridslam.config.tables import Table, replace_parameters, suggest_names
+from gridslam.config.tables import replace_parameters, suggest_names
 from gridslam.errors import ConfigurationError
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.matching.hill_climbing import HillClimbing
 from gridslam.models.endpoint import GMappingEndPoint
 from gridslam.models.motion import GMappingMotion
+from gridslam.parameters import Table
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold
 from gridslam.slam.grid_fastslam.proposals import ScanMatchedProposal
 from gridslam.tracking.tracker import OdometryTracker
-
-__all__ = ["LASERS", "PRESETS", "Laser", "apply_laser", "preset"]
 
 
 def _gmapping() -> Configuration:

@@ -12,24 +12,11 @@ from numpy.typing import NDArray
 
 from gridslam.checked import checked
 from gridslam.geometry.single_pose import Information, Pose
-from gridslam.grid.arena import Int32Array
 from gridslam.grid.scan_batch import ScanBatch
 from gridslam.grid.tiles import TileMaps
+from gridslam.kernels.reference_update import Int32Array
 from gridslam.parameters import bounded, parameters
 from gridslam.types import BeamEnds, FloatArray, Match, Poses, Rows
-
-__all__ = [
-    "EVALUATE_ONLY",
-    "MIN_INFORMATION",
-    "NO_INFORMATION",
-    "NO_PRIOR",
-    "GaussNewton",
-    "PoseMatch",
-    "cauchy_weights",
-    "degenerate_direction",
-    "evaluating",
-    "weigh_known_beams",
-]
 
 MIN_INFORMATION = 0.005
 """Minimum eigenvalue of the position information per inlier beam of a non-degenerate match."""
@@ -120,7 +107,7 @@ class GaussNewton:
         )
 
     def _settings(self, maps: TileMaps) -> tuple[float | bool, ...]:
-        """What the kernels take, in cells of the maps."""
+        """Return the arguments of the kernels, in cells of the maps."""
         cell = maps.resolution_m
         return (
             self.cauchy_m / cell,

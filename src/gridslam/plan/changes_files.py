@@ -13,8 +13,6 @@ from gridslam.plan.changes import Changes
 from gridslam.types import FloatArray
 from gridslam.viz.canvas import FREE, OCCUPIED, UNKNOWN, Colour
 
-__all__ = ["describe_changes", "write_changes_geojson", "write_changes_png"]
-
 _ONE_DAY: Colour = (244, 238, 214)
 _COLOURS: dict[str, Colour] = {"gone": (214, 40, 40), "new": (0, 130, 90)}
 _LONGEST_PX = 4000

@@ -131,8 +131,7 @@ def test_the_lifecycle_is_that_of_rclpy_s_own_nodes(start, domain):
     """nav2's lifecycle_manager starts it; each state in between is told."""
     start("-p", "lifecycle:=true")
     robot = Robot(domain)
-    theirs = LifecycleNode("theirs", context=robot.context)
-    robot._executor.add_node(theirs)
+    robot.add(LifecycleNode("theirs", context=robot.context))
     try:
 
         def graph(node, service):
@@ -172,8 +171,6 @@ def test_the_lifecycle_is_that_of_rclpy_s_own_nodes(start, domain):
         impossible = Transition(id=Transition.TRANSITION_CONFIGURE)
         assert not robot.ask("/gridslam/change_state", ChangeState, transition=impossible).success
     finally:
-        robot._executor.remove_node(theirs)
-        theirs.destroy_node()
         robot.close()
 
 

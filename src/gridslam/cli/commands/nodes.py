@@ -10,8 +10,6 @@ import click
 from gridslam.cli.option_types import OUTPUT_FILE, OUTPUT_FOLDER, PATH, SEED, THREADS, Number
 from gridslam.cli.options import SETTINGS, add_options, assignment_option, floor_option, read_pose, robot_live_options
 
-__all__ = ["ros1_command", "ros2_command"]
-
 _NODE_OPTIONS = (
     click.argument("arguments", nargs=-1, type=click.UNPROCESSED),
     click.option("--preset", help="Preset: default or gmapping."),

@@ -9,8 +9,6 @@ import click
 from gridslam.cli.option_types import PATH, Number
 from gridslam.cli.options import evaluate_options, host_options, json_option
 
-__all__ = ["evaluate_command", "regress_command", "view_command"]
-
 
 @click.command("view")
 @click.argument("out", type=PATH)

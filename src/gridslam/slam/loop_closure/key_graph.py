@@ -24,19 +24,6 @@ from gridslam.slam.loop_closure.rows import Rows, new_poses
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = [
-    "KEY_SCANS_PER_SUBMAP",
-    "UNKNOWN_VARIANCES",
-    "KeyGraph",
-    "NearbySubmaps",
-    "SubmapDistance",
-    "anchor_of",
-    "first_key_scan",
-    "join_near",
-    "position_sigmas",
-    "submap_of",
-]
-
 KEY_SCANS_PER_SUBMAP = 10
 """Key scans of a submap: about 5 m of driving."""
 
@@ -339,11 +326,6 @@ class KeyGraph:
         return np.concatenate(
             [poses, compose(poses[-1], self.tracked_poses_from(last, np.arange(last + 1, len(self))))]
         )
-
-    def tracked_poses_in_map(self, anchors: IntArray, keys: IntArray) -> FloatArray:
-        """Poses (K, 3) of key scans, each as tracked about the pose of the one of `anchors` (K,) near it in the map."""
-        tracked = between(_select_poses(self.tracked, anchors), _select_poses(self.tracked, keys))
-        return compose(_select_poses(self.poses, anchors), tracked)
 
     def tracked_poses_from(self, anchor: int, keys: IntArray) -> FloatArray:
         """Poses (K, 3) of key scans seen from `anchor`, as tracked."""
