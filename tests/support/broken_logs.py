@@ -136,14 +136,6 @@ def point_rows(measurements: Sequence[Measurement]) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def broken_logs(whole: list[Whole], count: int, seed: int) -> Iterator[tuple[str, str, bytes]]:
-    """Yield what was done, a file's name and its bytes: `count` logs, each format in turn, most with one damage."""
-    for number in range(count):
-        log = whole[number % len(whole)]
-        content, done = log.damaged(np.random.default_rng([seed, number]))
-        yield f"[{seed}, {number}]: {log.name}, {done}", log.name, content
-
-
 def _text(name: str, content: bytes, wrap: Callable[[bytes], bytes] = bytes) -> Whole:
     return Whole(name, lambda rng: damage(content, OF_TEXT, rng, wrap))
 

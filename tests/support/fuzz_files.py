@@ -40,6 +40,8 @@ from gridslam.api.session import Session
 from gridslam.api.session_edits import EditsBefore
 from gridslam.cli.sessions import show_session
 from gridslam.config import Configuration, load, override, preset
+from gridslam.doctor import CheckedLog, diagnose
+from gridslam.doctor.report import document
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
 from gridslam.io.edited_maps import read_edited_map
 from gridslam.io.edits import LAYERS, Edit, Edits, parse_edits, read_edits
@@ -213,6 +215,9 @@ def families(folder: Path) -> list[Family]:
     return [*of_files, *(Family(*family) for family in others)]
 
 
+FEW = override(preset("default", 2), "loop_closure=false")
+
+
 def _scan(path: Path, *, keep: bool = False) -> None:
     for odometry, scan in open_log(path, LogOptions(keep_truncated=keep)):
         assert len(scan.ranges) == len(scan.geometry.bearings)
@@ -220,7 +225,7 @@ def _scan(path: Path, *, keep: bool = False) -> None:
 
 
 def _logs(folder: Path) -> Iterator[Family]:
-    """CARMEN, CSV and bags of all kinds, also compressed."""
+    """CARMEN, CSV and bags of all kinds, also compressed; what can be read is diagnosed and mapped."""
     (folder / "logs").mkdir(exist_ok=True)
     whole = whole_logs(folder / "logs")
 
@@ -232,6 +237,11 @@ def _logs(folder: Path) -> Iterator[Family]:
         (path,) = where.iterdir()
         _scan(path, keep=True)
         _scan(path)
+        json.dumps(document(diagnose(open_log(path))), allow_nan=False)
+        log = CheckedLog(open_log(path), lambda found: None)
+        poses = map_log(log, configuration=FEW).trajectory.poses
+        assert len(poses) == log.statistics.scan_count > 0
+        assert np.isfinite(poses).all()
 
     yield Family("logs", 0, prepare, read, 6)
 
@@ -264,8 +274,7 @@ def _stamps(folder: Path) -> Iterator[Family]:
 
     def read(where: Path) -> None:
         options = LogOptions(no_odometry=True)
-        configuration = override(preset("default", 2), "loop_closure=false")
-        result = map_log(open_log(where / "log.csv", options), configuration=configuration)
+        result = map_log(open_log(where / "log.csv", options), configuration=FEW)
         assert len(result.trajectory.poses) == len(rows) - 1
         assert np.isfinite(result.trajectory.poses).all()
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gridslam.cli.options import name_option
-from gridslam.cli.output import open_output, print_result, warn
+from gridslam.cli.output import counted, open_output, print_result, warn
 from gridslam.errors import InputError
 from gridslam.plan.alignment import Alignment, align_points
 from gridslam.plan.changes import Changes, find_changes
@@ -87,14 +87,14 @@ def _summarize(plan: FloorPlan, document: dict[str, Any], out: Path) -> Iterator
     thick = sum(wall.thickness_m is not None for wall in plan.walls)
     round_ones = f"{len(plan.arcs)} round, " if plan.arcs else ""
     yield (
-        f"{document['walls']} walls, {document['walls_length_m']:.0f} m, {thick} of them with their thickness, "
-        f"{round_ones}from {document['made_from']}; most run at {document['dominant_deg']:.2f} deg"
+        f"{counted(document['walls'], 'wall')}, {document['walls_length_m']:.0f} m, {thick} of them with their "
+        f"thickness, {round_ones}from {document['made_from']}; most run at {document['dominant_deg']:.2f} deg"
     )
     widths = sorted(opening.width_m for opening in plan.openings)
     yield f"{len(widths)} doors and openings" + (f", {widths[0]:.2f} to {widths[-1]:.2f} m wide" if widths else "")
     looked_into = [room.area_m2 for room in plan.rooms if room.is_entered is False]
     area_m2 = sum(room.area_m2 for room in plan.rooms) - sum(looked_into)
-    yield f"{len(plan.rooms) - len(looked_into)} rooms, {area_m2:.0f} m\u00b2" + (
+    yield f"{counted(len(plan.rooms) - len(looked_into), 'room')}, {area_m2:.0f} m\u00b2" + (
         f"; {len(looked_into)} more that were only looked into, {sum(looked_into):.0f} m\u00b2" if looked_into else ""
     )
     yield f"plan, 1:{document['scale']}: {out / 'plan.png'}, {out / 'plan.svg'}, {out / 'plan.pdf'}"

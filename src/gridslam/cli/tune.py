@@ -17,7 +17,7 @@ from gridslam.batch.job import Job
 from gridslam.batch.manifest import find_logs
 from gridslam.cli.batch import require_journal
 from gridslam.cli.options import MapOptions
-from gridslam.cli.output import open_display, print_result, stop_if_interrupted, write_apart
+from gridslam.cli.output import counted, open_display, print_result, stop_if_interrupted, write_apart
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.output import write_atomically
@@ -90,7 +90,8 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
         write(_write_text, out, to_toml(tuning, chosen))
         write(_write_text, folder / "tune.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
         tried = len({tuple(trial.values.items()) for trial in tuning.trials})
-        lines = [f"{tried} configurations were tried", *describe_verdict(tuning, chosen), f"{out}; details: {folder}"]
+        verdict = describe_verdict(tuning, chosen)
+        lines = [f"tried {counted(tried, 'configuration')}", *verdict, f"{out}; details: {folder}"]
         print_result(document, lines, as_json)
 
 

@@ -29,8 +29,6 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import adjoint, between, compose
 from gridslam.types import FloatArray
 
-__all__ = ["Fit", "MotionCalibration", "ParameterEstimate", "are_degrees", "calibrate", "robust_fit"]
-
 _FEWEST = 8  # intervals
 _VARIANCES = (1e-4, 2e-4)  # of odometry: heading per metre and per radian (rad^2), way per metre and per radian (m^2)
 _LEAST_SPREAD = 0.1  # of the residuals, in the standard deviations assumed

@@ -29,8 +29,6 @@ from gridslam.io.measurement import Measurement
 from gridslam.pipeline import describe_error
 from gridslam.types import FloatArray
 
-__all__ = ["BreakCheck", "CheckedLog", "Diagnosis", "Doctor", "EarlyCheck", "LaserFacts", "diagnose", "quick_check"]
-
 _QUICK_S = 60.0
 _QUICK_SCANS = 300
 _FEWEST_SCANS = 30  # of stamps in ms there is hardly one in a minute

@@ -21,8 +21,6 @@ from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
 from gridslam.types import FloatArray, IntArray, ScanGeometry
 
-__all__ = ["MotionExaminer", "Slip", "motion_findings", "name_unit", "wheel_slips"]
-
 _OF_WHEELS = {"odometry_scale", "odometry_rotation_bias", "odometry_drift", "wheel_slip"}
 _SMEAR_RAD = 0.02  # over a scan: 10 cm at 5 m, two cells
 _HALF = 0.25  # of half the sweep, or deviations: how near to it a skew is that the sweep makes

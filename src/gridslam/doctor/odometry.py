@@ -16,8 +16,6 @@ from gridslam.doctor.stamps import LogHistogram
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, LaserScan
 
-__all__ = ["OdometryExaminer", "is_jump"]
-
 _WINDOW_S = 1.0
 _STILL = 0.01  # m, and rad, in a second: slower than any robot drives, more than encoders flicker
 _CHANGED_M = 0.1  # change of a range above noise, and

@@ -25,16 +25,6 @@ from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, FloatArray, ScanGeometry
 
-__all__ = [
-    "Repair",
-    "RepairedLog",
-    "calibrate_early",
-    "describe_disagreement",
-    "find_needed_repair",
-    "open_repaired",
-    "repair_measurements",
-]
-
 _EARLY_SCANS = 1000
 _EARLY = (8.0, 6.0)  # m, rad
 _LOOKS = ((2.0, 1.6), (4.0, 3.2))  # m, rad: a log without faults is recognized sooner

@@ -20,8 +20,6 @@ from gridslam.io.measurement import Measurement
 from gridslam.io.tables import parse_stamp_ns, parse_whole_ns
 from gridslam.types import FloatArray, LaserScan, ScanGeometry
 
-__all__ = ["ForeignRows", "find_foreign_rows", "is_foreign_table"]
-
 _ROSTOPIC = "%time,"
 _STAMP = "header.stamp"
 _NUMBERS = "angle_min", "angle_max", "angle_increment", "time_increment", "range_min", "range_max"

@@ -44,7 +44,7 @@ export class Messages {
     this.draw();
   }
 
-  // Of those of the worst level the one that began last: two that continue do not alternate. A state stands in the bar
+  // Of those of the worst level the one that began last: two that last do not alternate. A state stands in the bar
   // already, and is over when the next one comes.
   get worst() {
     const open = this.list.filter((message) => message.level !== "info" && !message.state && !this.away.has(nameOf(message)));
