@@ -27,7 +27,7 @@ from measure import RESULTS, document
 LOGS = {name: f"{name}.relations" for name in ("intel", "aces", "mit-csail")}
 """Public logs, each with its file of relations in the same folder."""
 
-VARIANTS = {name: {"preset": name} for name in ("default", "accurate", "gmapping")}
+VARIANTS = {name: {"preset": name} for name in ("default", "gmapping")}
 VARIANTS["filter"] = {"no-loop-closure": "true"}
 """Options of `gridslam map` of each way in which a log is mapped."""
 

@@ -18,4 +18,4 @@ run_map, run_localize, run_doctor, run_evaluate, run_trial  # targets of jobs, w
     agreeing_keypoints,
 )  # read together with others
 START_AT_GIVEN_POSE  # a constant of slam_toolbox's service
-to_planar  # part of what is offered of SE(3)
+to_planar, laser_motion  # offered to callers

@@ -189,7 +189,7 @@ def _is(value: Any, hint: Any) -> bool:  # noqa: ANN401
 
 
 def _alternatives(items: tuple[Any, ...]) -> list[Any]:
-    """Types of which a value may be one; NumPy's union of all of which arrays are made counts as one."""
+    """Alternatives of a union; NumPy's `ArrayLike` counts as one of them."""
     of_arrays = get_args(ArrayLike)
     if not set(of_arrays) <= set(items):
         return [*items]

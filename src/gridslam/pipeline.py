@@ -137,7 +137,7 @@ class FailureRecorder:
 
 
 def isolate(observer: Callable[..., None], on_failure: Callable[[str], None]) -> Callable[..., None]:
-    """Give an observer whose exceptions do not end the run: each is described to `on_failure`."""
+    """Wrap an observer so that its exceptions do not end the run: each is described to `on_failure`."""
 
     def observe(report: FilterReport, state: FilterState, seconds: float) -> None:
         try:

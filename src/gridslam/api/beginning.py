@@ -78,7 +78,7 @@ class Beginning:
     failures: FailureRecorder = field(default_factory=FailureRecorder)
 
     def attach(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-        """Let a filter that has just begun look for the robot in the pieces."""
+        """Make a filter that has just started search for the robot in the pieces."""
         self.attach_to(state)
 
     def attach_to(self, state: GridFastSlamState | None) -> GridFastSlamState | None:
@@ -137,7 +137,7 @@ def locate_in(
 def begin_new_piece(
     ended: Beginning, configuration: Configuration, seed: int, on_progress: Callable[[], None] = lambda: None
 ) -> Beginning:
-    """Return the beginning of a carried robot's next drive: its map so far is a piece in which it is searched for.
+    """Return the start of a carried robot's next drive: the robot is searched for in its map so far.
 
     The same as where another log is added to a session; `ended` is what `Beginning.go_on` gives after the last scan.
     """

@@ -257,7 +257,7 @@ def map_with_poses(
 
 
 def _check_size(given: Trajectory, path: Path | None, config: Configuration) -> None:
-    """Refuse a trajectory whose map no memory or index holds: a pose in it is wrong, or cells are too small."""
+    """Reject a trajectory whose map would be too large: a pose is wrong, or the cells are too small."""
     cell_m = config.mapper.resolution_m
     sides_m = (np.ptp(given.poses[:, :2], axis=0) if len(given) else np.zeros(2)) + 2 * config.range_max_m
     farthest_m = float(np.abs(given.poses[:, :2]).max(initial=0.0))

@@ -297,7 +297,7 @@ class MapResult(Result):
         self.record.write(out.file("record.npz"), self._find_recorded_revisits())
 
     def _find_recorded_revisits(self) -> IntArray | None:
-        """Tracked revisits within the newest drive, whose key scans alone are recorded, counted from its first one."""
+        """Tracked revisits within the newest drive, the only one that is recorded, as numbers of its key scans."""
         if self.loop_summary is None or not self.drives:
             return None
         revisits = self.loop_summary.tracked_revisits - int(self.drives[-1].scans.keys[0])
@@ -454,7 +454,7 @@ def map_log(
     log : str, Path or Log
         The log, of any format that `open_log` knows.
     preset : str
-        "default", "accurate" or "gmapping".
+        "default" or "gmapping".
     particles : int, optional
         Number of particles; the preset's own if not given.
     laser : str, optional

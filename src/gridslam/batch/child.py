@@ -94,7 +94,7 @@ def remove_partial(folder: Path) -> None:
 
 
 def start_row(job: Job) -> dict[str, Any]:
-    """Return the row of a job of whose outcome nothing is known yet."""
+    """Return the row of a job that has not ended yet."""
     return dict.fromkeys(COLUMNS) | job.summary() | {"status": "failed"}
 
 
@@ -257,7 +257,7 @@ def _limit(memory_bytes: int | None) -> None:
 
 
 def _lift_memory_limit() -> None:
-    """Give a process whose memory is short enough to report it."""
+    """Raise the memory limit of a process that must report that its memory is exhausted."""
     with suppress(ImportError, OSError, ValueError):
         import resource
 

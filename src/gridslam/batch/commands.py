@@ -11,7 +11,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import gridslam.viz  # noqa: F401
+import PIL.PngImagePlugin  # noqa: F401
+import qdldl  # noqa: F401
+import scipy.sparse  # noqa: F401
+
+import gridslam.viz.picture  # noqa: F401
 from gridslam.api.diagnosis import check_log, describe_finding, write_diagnosis
 from gridslam.api.evaluation import evaluate_trajectory, score_against_reference
 from gridslam.api.localization import LocalizationResult, localize

@@ -116,7 +116,7 @@ def _expand(pattern: str, trajectories: bool) -> Iterator[Entry]:
 
 
 def _expand_url(pattern: str) -> Iterator[Entry]:
-    """Yield the logs at URLs: those that a pattern matches, or that are below a folder, whose URL ends in a slash."""
+    """Yield the logs at URLs: the matches of a pattern, or the files below a folder (its URL ends in a slash)."""
     wild = "*" in pattern or "[" in pattern
     if not wild and not pattern.endswith("/"):
         yield Entry(mask_url(pattern), pattern)

@@ -80,7 +80,7 @@ class Run:
 
 
 def read_runs(out: str | Path) -> Iterator[Run]:
-    """Yield the runs of a batch in the order in which they were begun first.
+    """Yield the runs of a batch in the order of their first start.
 
     Parameters
     ----------

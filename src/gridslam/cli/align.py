@@ -60,7 +60,7 @@ def align_to_folder(
 def _align(
     given: MapSource, source: Path, plan: Path, pairs: FloatArray, unit_m: float | None, by_pairs: bool
 ) -> tuple[Alignment, FloatArray, SurfacePoints, float]:
-    """Find how a map lies on a plan, in the plan's metres; how far pairs are apart, the plan's walls, its unit."""
+    """Align a map with a plan, in the plan's metres; return also the pairs' residuals, the walls and the unit."""
     drawn = read_drawn_plan(plan) if plan.suffix.lower() in SUFFIXES else None
     if drawn is None and unit_m is not None:
         raise InputError(plan, "expected no --unit with a map, which is in m")

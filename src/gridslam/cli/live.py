@@ -69,7 +69,7 @@ class Viewers(NamedTuple):
             write_history(folder.file(HISTORY_NAME), self.history.history)
 
     def wait(self, timeout_s: float) -> None:
-        """Give someone this time to open the page; if nobody comes, go as fast as can be."""
+        """Wait this long for a viewer of the page; without one run at full speed."""
         if self.page is not None and timeout_s > 0:
             warn(f"open the page to begin; without it the run begins in {timeout_s:.0f} s")
             if not self.page.wait_for_viewer(timeout_s):
@@ -179,7 +179,6 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
     """Serve the page of a node that is not started yet, until it has ended."""
     from gridslam.live.control import NO_COMMANDS, RobotCommands, RobotControl
     from gridslam.live.page import LivePage
-    from gridslam.ros.node.ros_node import save_results
     from gridslam.ros.node.session_services import SessionServices
 
     commands = NO_COMMANDS
@@ -194,7 +193,7 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
 
         commands = RobotCommands(
             reset=core.reset,
-            save=lambda name: save_results(core, folder),
+            save=lambda name: services.answer(services.save),
             serialize=on_session(services.serialize),
             go_on=on_session(services.deserialize),
             merge=on_session(services.merge),

@@ -152,7 +152,7 @@ def end_by_signal() -> Iterator[None]:
 
 @contextmanager
 def report_background_failures(report: Callable[[BaseException], object]) -> Iterator[None]:
-    """Report exceptions of other threads and of destructors, of which Python would print the traceback.
+    """Report exceptions of other threads and of destructors instead of printing their tracebacks.
 
     An interrupt that comes in a destructor is not reported: `stop_if_interrupted` repeats it.
     """

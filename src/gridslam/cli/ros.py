@@ -36,7 +36,7 @@ def _collect_parameters(
     given = {name: str(value) if isinstance(value, Path) else value for name, value in options.items()}
     given["set"] = ";".join(assignments) or None
     given["mode"] = None if options.get("map_file") is None else "localization"
-    return {name: value for name, value in given.items() if value is not None}
+    return {name: value for name, value in given.items() if value not in (None, "")}
 
 
 @end_by_signal()

@@ -96,7 +96,7 @@ def _find_links(edits: Edits, names: list[str], groups: list[list[dict[str, Any]
 
 
 def _write_maps(session: Session, out: Path) -> int:
-    """Write the maps of a session, each with the edits that lie on it; return how many these are."""
+    """Write the maps of a session, each with its edits; return the number of edits."""
     names, edits = session.names, session.edits
     count = 0
     with open_output(out, [f"{name}{suffix}" for name in names for suffix in (".yaml", ".pgm", ".geojson")]) as folder:

@@ -20,11 +20,6 @@ from gridslam.slam.grid_fastslam.proposals import ScanMatchedProposal
 from gridslam.tracking.tracker import OdometryTracker
 
 
-def _accurate() -> Configuration:
-    """More particles and key scans: where loops are long and time does not matter."""
-    return Configuration(particles=100, when_to_update=MotionThreshold(0.4, 0.25))
-
-
 def _gmapping() -> Configuration:
     """Decides as GMapping does with the defaults of its ROS node, but for its range, which is the laser's.
 
@@ -46,7 +41,6 @@ def _gmapping() -> Configuration:
 
 PRESETS: Final[Mapping[str, Callable[[], Configuration]]] = {
     "default": Configuration,
-    "accurate": _accurate,
     "gmapping": _gmapping,
 }
 

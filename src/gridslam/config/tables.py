@@ -188,7 +188,7 @@ def _names(table: Table) -> Iterator[str]:
 
 
 def _without(table: Mapping[str, Any], path: Sequence[Any]) -> Mapping[str, Any]:
-    """Return a table without the parameter at a path, in which there are names of kinds, too."""
+    """Return a table without the parameter at a path; the path includes the names of kinds."""
     key, *below = path
     if key not in table:
         return _without(table, below)

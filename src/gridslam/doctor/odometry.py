@@ -16,8 +16,6 @@ from gridslam.doctor.stamps import LogHistogram
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, LaserScan
 
-__all__ = ["OdometryExaminer"]
-
 _WINDOW_S = 1.0
 _STILL = 0.01  # m, and rad, in a second: slower than any robot drives, more than encoders flicker
 _CHANGED_M = 0.1  # change of a range above noise, and
@@ -96,7 +94,7 @@ class OdometryExaminer:
         if moved > _STILL:
             self._moves += 1
             self._speeds.add(moved / seconds)
-        if moved > max(_LEAP_M, _LEAP_M_S * seconds) or turned > max(_LEAP_RAD, _LEAP_RAD_S * seconds):
+        if is_jump(moved, turned, seconds):
             self._jumps.append(((stamp_ns - self._first_ns) * 1e-9, moved, turned))
         else:
             self.metres += moved
@@ -229,6 +227,12 @@ class OdometryExaminer:
                 "Turn more slowly, or let the laser scan faster.",
                 sensor,
             )
+
+
+def is_jump(metres: float, radians: float, seconds: float) -> bool:
+    """Return whether no robot moves so far, or turns so much, between scans of this distance in time."""
+    seconds = max(seconds, _LEAST_S)
+    return metres > max(_LEAP_M, _LEAP_M_S * seconds) or radians > max(_LEAP_RAD, _LEAP_RAD_S * seconds)
 
 
 def _motion(before: _Place, after: _Place) -> tuple[float, float]:

@@ -638,7 +638,7 @@ class TileMaps:
             arena.grow()
 
     def _cover(self, poses: FloatArray, beams: BeamEnds | ScanBatch) -> None:
-        """Lay out the tables so that every cell that the scan can write lies inside; ArgumentError where none can."""
+        """Extend the tables to every cell that the scan can write; raises ArgumentError where that is impossible."""
         reach_m = beams.reach_m
         if not reach_m <= MOST_BEAM_CELLS * self.resolution_m:
             limit = f"ends within {MOST_BEAM_CELLS * self.resolution_m:g} m, {MOST_BEAM_CELLS} cells, of the robot"

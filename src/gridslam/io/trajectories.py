@@ -28,16 +28,6 @@ from gridslam.types import FloatArray, IntArray, Trajectory
 if TYPE_CHECKING:
     from gridslam.evaluation.trajectory import Relations
 
-__all__ = [
-    "CSV_HEADER",
-    "read_relations",
-    "read_trajectory",
-    "read_trajectory_csv",
-    "read_tum",
-    "write_trajectory_csv",
-    "write_tum",
-]
-
 CSV_HEADER = (
     "stamp_s,x_m,y_m,theta_rad,cov_xx_m2,cov_xy_m2,cov_xtheta_m_rad,cov_yy_m2,cov_ytheta_m_rad,cov_thetatheta_rad2"
 )

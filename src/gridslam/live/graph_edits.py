@@ -30,8 +30,6 @@ from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
-__all__ = ["EDITED_GRAPH", "EDITS", "EDITS_SCHEMA", "EditedGraph", "Overlay"]
-
 EDITS: Final = "graph_edits.json"
 """Name of the file of the edits in the folder of a graph without a session."""
 EDITED_GRAPH: Final = "graph_edited.g2o"

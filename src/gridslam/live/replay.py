@@ -26,8 +26,6 @@ from gridslam.live.tiles import TileReplica, tile_offset
 from gridslam.messages import Level, Messages
 from gridslam.types import OccupancyGrid, Trajectory
 
-__all__ = ["Replay", "ReplayViewer"]
-
 
 @final
 class Replay:

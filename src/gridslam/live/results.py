@@ -17,8 +17,6 @@ from gridslam.slam.pose_graph.descent import squared_mahalanobis
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
 
-__all__ = ["AncestryReplay", "MappedRun", "Results", "StaticView", "TrajectoryRun"]
-
 _MOST_RESIDUALS = 1000  # edges
 _SNAPSHOTS = 32  # of the ancestry, evenly over the record: seeking back replays at most one interval
 

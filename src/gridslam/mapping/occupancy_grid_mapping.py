@@ -48,7 +48,7 @@ class OccupancyGridMapping:
     max_tiles: int = bounded(MOST_TILES, ge=1000, le=500_000_000)
 
     def empty(self, rows: int, threads: int = 1) -> TileMaps:
-        """Make `rows` maps in which nothing is known."""
+        """Return `rows` maps without known cells."""
         return TileMaps(rows, threads=threads, **self._form())
 
     def restore(self, arrays: Mapping[str, NDArray[Any]], threads: int = 1) -> TileMaps:

@@ -107,7 +107,7 @@ class GaussNewton:
         )
 
     def _settings(self, maps: TileMaps) -> tuple[float | bool, ...]:
-        """What the kernels take, in cells of the maps."""
+        """Return the arguments of the kernels, in cells of the maps."""
         cell = maps.resolution_m
         return (
             self.cauchy_m / cell,

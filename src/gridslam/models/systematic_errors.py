@@ -68,7 +68,7 @@ class SystematicErrors:
         return [str(name) for name in names[self._sought]]
 
     def covariance(self) -> FloatArray:
-        """Return the covariance (B, B) of the errors, of which nothing is known."""
+        """Return the prior covariance (B, B) of the errors."""
         return np.diag(np.square(self._sigmas[self._sought]))
 
     def calibration(self, errors: FloatArray) -> FloatArray:

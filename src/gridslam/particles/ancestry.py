@@ -86,7 +86,7 @@ class Ancestry:
         self._coalesce()
 
     def resample(self, parents: ArrayLike) -> None:
-        """Let particle i continue the past of particle parents[i], and forget pasts that nobody continues.
+        """Make particle i a child of particle parents[i], and drop the histories of particles without children.
 
         Parameters
         ----------

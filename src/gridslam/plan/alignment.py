@@ -51,7 +51,7 @@ class Alignment(NamedTuple):
 
 
 def align_points(moved: SurfacePoints, fixed: SurfacePoints, is_drawn: bool = False) -> Alignment:
-    """Find how surfaces lie on others; `is_drawn`: the fixed ones are lines, of which either side may be free.
+    """Align surfaces with fixed ones; `is_drawn`: the fixed ones are lines without a free side.
 
     The headings are those at which the histograms of the normals agree; at each the shift is the peak of the
     cross-correlation of the surfaces; each is refined by matching points to lines, and the one that most points agree

@@ -149,7 +149,7 @@ def _fit(positions: FloatArray, weights: FloatArray, normal: FloatArray) -> tupl
 
 
 def dominant_direction(faces: list[Face]) -> float:
-    """Direction (rad, [-pi/4, pi/4)) in or across which most of the faces' length lies; 0 without faces."""
+    """Dominant direction of the faces by length, modulo pi/2 (rad, [-pi/4, pi/4)); 0 without faces."""
     if not faces:
         return 0.0
     angles = np.array([face.direction for face in faces])

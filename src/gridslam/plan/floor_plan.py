@@ -180,7 +180,7 @@ def _close_floor(raster: Raster, walls: list[FloatArray], furniture: list[FloatA
 
 
 def _outline_furniture(raster: Raster) -> list[FloatArray]:
-    """Return convex outlines (K, 2) of things that stand alone."""
+    """Return the convex outlines (K, 2) of isolated objects."""
     labels, _ = ndimage.label(raster.furniture, np.ones((3, 3)))
     outlines = []
     for number, part in enumerate(ndimage.find_objects(labels), start=1):

@@ -26,7 +26,7 @@ _DIRECTORY = (
 
 
 def fit_world(places: FloatArray, degrees: FloatArray) -> tuple[WorldOrigin, FloatArray]:
-    """Find where a map lies on WGS84, without a scale; and the distances (P,), m, that are left.
+    """Fit the georeference of a map on WGS84, without a scale; and the residuals (P,), m.
 
     Parameters
     ----------

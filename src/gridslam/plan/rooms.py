@@ -198,7 +198,7 @@ def _meet(first: _Line, second: _Line) -> FloatArray | None:
 
 
 def _drop_repeated(ring: FloatArray) -> FloatArray:
-    """Without corners that repeat the one before or lie on the line between their neighbours."""
+    """Remove corners that repeat the previous one or are on the line between their neighbours."""
     while len(ring) > 3:
         before, after = np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0)
         first, second = ring - before, after - ring

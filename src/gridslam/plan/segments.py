@@ -1,4 +1,4 @@
-"""Many line segments as arrays: where all of them lie as seen from one of them."""
+"""Many line segments as arrays: positions of all of them relative to one of them."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ class Wall:
 
 
 def join_faces(faces: Sequence[Face], raster: Raster) -> list[Face]:
-    """Join faces in one line where nothing free lies between them, as behind furniture."""
+    """Join collinear faces without free space between them, as behind furniture."""
     left = sorted(faces, key=lambda face: -face.length_m)
     segments = Segments.of(np.array([face.ends for face in left]))
     is_left = np.ones(len(left), np.bool_)

@@ -13,8 +13,6 @@ from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose, between, is_known,
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray
 
-__all__ = ["MIN_SEGMENTS", "OdometryCalibration", "OdometryErrorModel"]
-
 MIN_SEGMENTS = 20
 """Number of segments after which the errors of the odometry count as known ..."""
 

@@ -17,8 +17,6 @@ from gridslam.tracking.prediction import MAX_INTERVAL_S, PoseEstimate, Predictio
 from gridslam.tracking.state import Control, TrackerState, is_within
 from gridslam.types import BeamEnds, FloatArray
 
-__all__ = ["OdometrySearch", "calibrated", "local_pyramid"]
-
 _GATES = ((2.0, 0.1), (5.0, 0.1), (12.0, 0.3))
 """Standard deviations of the odometry within which is searched, one gate after the other, and by so much more of the
 beams a place must agree than the best one within the gates before."""

@@ -131,7 +131,7 @@ def test_amcl_s_parameters_by_their_names(map_file):
         "odom_frame_id": "wheels",
         "transform_tolerance": 0.2,
         "do_beamskip": True,
-        "preset": "accurate",
+        "preset": "gmapping",
         "particels": 3,
         "set": "max_beams=33",
     }

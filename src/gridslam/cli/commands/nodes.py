@@ -12,7 +12,7 @@ from gridslam.cli.options import SETTINGS, add_options, assignment_option, floor
 
 _NODE_OPTIONS = (
     click.argument("arguments", nargs=-1, type=click.UNPROCESSED),
-    click.option("--preset", help="Preset: default, accurate or gmapping."),
+    click.option("--preset", help="Preset: default or gmapping."),
     click.option("--particles", type=int, help="Number of particles."),
     click.option("--seed", type=SEED, help="Random seed; equal seeds and scans give equal results."),
     click.option("--threads", type=THREADS, help="Number of threads; does not affect the results."),

@@ -16,8 +16,6 @@ from gridslam.io.output import open_for_writing, write_atomically
 from gridslam.io.tables import format_stamp_ns
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
-__all__ = ["write_carmen"]
-
 _SENSORS = "front", "rear"
 _HEADER = """\
 # message_name [message contents] ipc_timestamp ipc_hostname logger_timestamp

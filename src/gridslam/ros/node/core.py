@@ -38,8 +38,6 @@ from gridslam.ros.node.session import InitialPose, Localization, LocalizationSes
 from gridslam.ros.node.state_publisher import StatePublisher
 from gridslam.tracking.tracker import OdometryTracker
 
-__all__ = ["NodeCore", "SourceWrapper"]
-
 SourceWrapper: TypeAlias = Callable[[Iterator[Measurement]], Iterator[Measurement]]
 DiagnosticsCallback: TypeAlias = Callable[[Diagnostics], None]
 

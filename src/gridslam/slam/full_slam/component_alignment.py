@@ -25,17 +25,6 @@ from gridslam.slam.loop_closure.submap_recognition import drift_distance
 from gridslam.slam.loop_closure.submaps import ROW, build_map
 from gridslam.types import BeamEnds, FloatArray, IntArray, StoredScan
 
-__all__ = [
-    "LENGTH_M",
-    "MIN_CONSTRAINTS",
-    "Alignment",
-    "Hypothesis",
-    "KnownMap",
-    "SearchHit",
-    "align_components",
-    "group_hits",
-]
-
 _CONSISTENT_M = 0.3
 _CONSISTENT_M_PER_KEY_SCAN = 0.01
 _CONSISTENT_RAD = 0.06

@@ -28,8 +28,6 @@ from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import CauchyEstimator, scale_information
 from gridslam.types import FloatArray
 
-__all__ = ["Candidate", "CandidateSelection", "RefinementResult", "refine_trajectory"]
-
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)

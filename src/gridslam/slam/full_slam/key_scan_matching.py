@@ -16,8 +16,6 @@ from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submaps import build_map, key_scans_of
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["VISIT_GAP", "match_key_scans"]
-
 _RECENT_SUBMAPS = 3
 """Submaps so near in time that the tracker has matched them already."""
 

@@ -17,8 +17,6 @@ from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["MergedPiece", "merge_pieces"]
-
 _WINDOW = 90
 """Key scans that are aligned together, about 40 m: as many as locate a drive while it is driven."""
 _STRIDE = 45

@@ -11,8 +11,6 @@ from gridslam.geometry.angles import wrap
 from gridslam.grid.tiles import TileMaps
 from gridslam.types import FloatArray, MotionSampler, ScanLikelihood
 
-__all__ = ["MotionOfAll", "SearchingMotion"]
-
 _DRAWS = 200
 """Draws of a search: as many peaks of a match as half a metre and ten degrees hold."""
 

@@ -23,8 +23,6 @@ from gridslam.matching.hill_climbing import HillClimbing
 from gridslam.parameters import Kind, bounded, parameters
 from gridslam.types import BeamEnds, FloatArray, Match, MotionSampler, ScanLikelihood
 
-__all__ = ["ImprovedProposal", "MotionModelProposal", "Proposal", "ProposedPoses", "ScanMatchedProposal"]
-
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)

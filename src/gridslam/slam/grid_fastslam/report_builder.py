@@ -17,9 +17,6 @@ from gridslam.slam.loop_closure.drift_model import DriftModel, propagate_covaria
 from gridslam.tracking.state import UnmatchedMotion
 from gridslam.types import BeamEnds, FloatArray, IntArray, LaserScan, Match, MotionSampler, SkipReason, StepReport
 
-__all__ = ["DRIFT", "ReportBuilder", "compute_spread"]
-
-
 _MIN_INFORMATION = 1e-2 * np.eye(3)
 """Information (1/m^2, 1/rad^2) assumed at least: nothing is less certain than 10 m and 10 rad."""
 _SIGMA_M = 0.05

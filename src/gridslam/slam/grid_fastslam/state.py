@@ -29,8 +29,6 @@ from gridslam.tracking.state import UnmatchedMotion
 from gridslam.tracking.tracker import TrackerState
 from gridslam.types import FloatArray, IntArray, describe_pose
 
-__all__ = ["STATE_SCHEMA", "Estimate", "GridFastSlamState"]
-
 STATE_SCHEMA = "gridslam.state/13"
 
 _DECISIVE = 3.0

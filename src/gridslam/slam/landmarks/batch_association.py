@@ -29,8 +29,6 @@ from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.robust import CauchyEstimator
 from gridslam.types import FloatArray, IntArray, MotionModel
 
-__all__ = ["BatchAssociation"]
-
 _NONE = -1
 
 

@@ -31,8 +31,6 @@ from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import mahalanobis
 from gridslam.types import FloatArray, IntArray, MotionSampler
 
-__all__ = ["EkfSlam", "EkfSlamState"]
-
 
 @final
 @dataclass(frozen=True)

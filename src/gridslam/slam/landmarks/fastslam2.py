@@ -28,8 +28,6 @@ from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import draw_poses, transform_covariances
 from gridslam.types import FloatArray, IntArray, MotionSampler, Resampler
 
-__all__ = ["FastSlam2", "PoseProposal"]
-
 
 @dataclass(eq=False)
 class PoseProposal:

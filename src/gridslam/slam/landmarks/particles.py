@@ -22,9 +22,6 @@ from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import transform_covariances
 from gridslam.types import FloatArray, IntArray, MotionSampler
 
-__all__ = ["LandmarkParticles", "smooth_trajectory"]
-
-
 _NO_BIAS = np.empty((0, 0))
 _MORE = 8  # columns that are added where none is free
 

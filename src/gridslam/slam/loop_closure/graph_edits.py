@@ -21,8 +21,6 @@ from gridslam.slam.loop_closure.submaps import build_map
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["GraphEdit", "Placement", "dump_edits", "edit_graph", "load_edits", "match_placed", "score_placed"]
-
 _MATCHER = GaussNewton()
 _NEAR_M = 5.0
 """A scan is put on a place if the robot was this near to it."""

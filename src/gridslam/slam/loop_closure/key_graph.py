@@ -24,19 +24,6 @@ from gridslam.slam.loop_closure.rows import Rows, new_poses
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = [
-    "KEY_SCANS_PER_SUBMAP",
-    "UNKNOWN_VARIANCES",
-    "KeyGraph",
-    "NearbySubmaps",
-    "SubmapDistance",
-    "anchor_of",
-    "first_key_scan",
-    "join_near",
-    "position_sigmas",
-    "submap_of",
-]
-
 KEY_SCANS_PER_SUBMAP = 10
 """Key scans of a submap: about 5 m of driving."""
 

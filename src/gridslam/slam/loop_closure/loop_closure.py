@@ -30,8 +30,6 @@ from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
 from gridslam.tracking.state import TrackerState, UnmatchedMotion
 from gridslam.types import BeamEnds, FloatArray, StepReport
 
-__all__ = ["SOLVER", "FilterState", "LoopClosure"]
-
 SOLVER = GraphSlam(first_guess="given", robust=GraduatedNonConvexity())
 """How the graph is solved."""
 

@@ -16,8 +16,6 @@ from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.submaps import insert_key_scans
 from gridslam.types import FloatArray
 
-__all__ = ["UNKNOWN_VARIANCES", "MapPiece", "PieceMatch"]
-
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)

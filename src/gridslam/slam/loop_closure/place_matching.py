@@ -24,8 +24,6 @@ from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
 from gridslam.slam.loop_closure.submaps import ROW
 from gridslam.types import FloatArray
 
-__all__ = ["PlaceMatching", "squared_sigmas"]
-
 _MATCH_COVARIANCE = np.diag([0.05, 0.05, 0.02]) ** 2
 """Variances of what two matches of one scan differ by (m^2, m^2, rad^2)."""
 _TRACKED_MAX_TURN_RAD = 0.05

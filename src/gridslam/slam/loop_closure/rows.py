@@ -8,8 +8,6 @@ from typing import Generic, TypeVar, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Rows", "new_poses"]
-
 _Number = TypeVar("_Number", np.float64, np.int32)
 
 

@@ -27,17 +27,6 @@ from gridslam.slam.pose_graph.descent import Computation
 from gridslam.slam.pose_graph.graph_slam import GraphSolution
 from gridslam.types import FloatArray
 
-__all__ = [
-    "Correction",
-    "DriveLocator",
-    "FoundPiece",
-    "LoopClosureState",
-    "PendingConstraints",
-    "RejectionReason",
-    "SubmapPrior",
-    "SubmapSearch",
-]
-
 
 class RejectionReason(Enum):
     """Why a loop-closure candidate was rejected."""

@@ -20,8 +20,6 @@ from gridslam.slam.loop_closure.submap_matching import (
 )
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["SubmapPairs"]
-
 _FEWEST_KEY_SCANS = 5
 _MOST_DRAWN = 8
 """Drawn submaps that are kept, 1 to 4 MB each."""

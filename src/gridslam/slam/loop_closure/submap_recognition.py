@@ -20,8 +20,6 @@ from gridslam.slam.loop_closure.submap_matching import SubmapMatch, SubmapMatchi
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["SubmapRecognition", "drift_distance", "locate_anchors"]
-
 _MATCH_SIGMA_M = 0.25
 _MATCH_SIGMA_RAD = 0.03
 """What two matches of overlapping submaps differ by: each is bent by its drift."""

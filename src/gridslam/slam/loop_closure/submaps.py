@@ -17,15 +17,6 @@ from gridslam.slam.loop_closure.key_graph import KeyGraph, anchor_of, first_key_
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.types import FloatArray, IntArray
 
-__all__ = [
-    "ROW",
-    "SubmapCache",
-    "build_map",
-    "fade",
-    "insert_key_scans",
-    "key_scans_of",
-]
-
 ROW: Int32Array = np.array([0], np.int32)
 """The one row of a submap."""
 

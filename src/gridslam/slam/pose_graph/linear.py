@@ -16,16 +16,6 @@ from gridslam.types import FloatArray, IntArray
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
 
-__all__ = [
-    "BlockSystem",
-    "MatrixBlocks",
-    "find_parts",
-    "initial_guess",
-    "is_connected",
-    "linearize",
-    "require_connected",
-]
-
 _REFINEMENTS = 5
 """Iterations for the initial headings: each is one solution with the existing factorization, and few are enough."""
 

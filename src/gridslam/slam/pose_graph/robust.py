@@ -16,8 +16,6 @@ from gridslam.slam.pose_graph.marginals import Marginals
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["CauchyEstimator", "GraduatedNonConvexity", "RobustEstimate", "scale_information"]
-
 _LEAST_WEIGHT = 1e-8
 """Keeps the linear system regular where poses are only constrained by rejected measurements."""
 
