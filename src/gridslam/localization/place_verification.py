@@ -150,7 +150,7 @@ class PlaceVerification:
             else:
                 alike = odds > -_ALIKE
             alike_m[odds > -_UNLIKE] = way_m
-        refuted = np.count_nonzero(odds[alike] <= -_UNLIKE)
+        refuted = int((odds[alike] <= -_UNLIKE).sum())
         return tracker.without_refuted(places, odds), float(alike_m[alike].sum()) / max(refuted, 1)
 
     def compute_outside_log_odds(
