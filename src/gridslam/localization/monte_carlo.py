@@ -473,8 +473,11 @@ class MonteCarloLocalization:
             )
         if state.verified or self._lost_probability(state) > self.configuration.lost_above:
             return
-        found = verification(
+        found, alike_m = verification(
             self.map, reported, state.recent, lambda guesses: self._match_near(guesses, _CLUSTER, beams), tracker, rng
+        )
+        state.outside_log_odds = verification.bound_outside_log_odds(
+            state.outside_log_odds, state.driven_since_found_m, alike_m
         )
         state.hypotheses = tracker.join(state.hypotheses, found, reported)
         state.verified = self._lost_probability(state) <= self.configuration.lost_above
