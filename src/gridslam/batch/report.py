@@ -29,7 +29,7 @@ COLUMNS: Final = (
     ("scans", "scans", "count"),
     ("duration_s", "length", "s"),
     ("path_m", "driven", "m"),
-    ("closures", "closures", "count"),
+    ("closures", "recognized closures", "count"),
     ("lost_scans", "lost scans", "count"),
 )
 """Figures that the page can show: name, label and unit; a column without a value is left out."""

@@ -246,9 +246,9 @@ def view(
     from gridslam.live.replay import Replay
     from gridslam.live.server import PageServer
 
-    report = out / "report.html"  # of gridslam batch
-    if report.is_file():
-        address = report.resolve().as_uri()
+    reports = [report for report in (out / "report.html", out / "report.txt") if report.is_file()]  # batch, doctor
+    if reports:
+        address = reports[0].resolve().as_uri()
         click.echo(f"{out}: open {address}")
         open_page(address, live)
         return

@@ -141,5 +141,6 @@ def _summarize_changes(changes: Changes, out: Path) -> Iterator[str]:
     )
     for kind in ("gone", "new"):
         own = [change.area_m2 for change in changes.changes if change.kind == kind]
-        yield f"{kind}: {len(own)}" + (f", {', '.join(f'{area:.2f}' for area in own[:8])} m\u00b2" if own else "")
+        areas = ", ".join(f"{area:.2f}" for area in own[:8]) + ", ..." * (len(own) > 8)
+        yield f"{kind}: " + (f"{counted(len(own), 'thing')} of {areas} m\u00b2" if own else "nothing")
     yield f"changes: {out / 'changes.png'}, {out / 'changes.geojson'}"
