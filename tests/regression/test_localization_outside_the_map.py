@@ -22,3 +22,11 @@ def test_a_robot_that_leaves_the_map_is_found_where_it_comes_back():
     counts = localize_from(known, drive, 33, 33)
     assert counts["wrong"] == 0
     assert counts["found_inside"] > 0.8 * counts["inside"]
+
+
+def test_where_places_look_alike_for_longer_a_place_is_found_later():
+    """Outside, this robot was found twice, after 14 m and after 15.6 m, in a mapped corridor like the one it was in."""
+    known, drive = half_mapped("random", 13)
+    counts = localize_from(known, drive, 597, 597)
+    assert counts["wrong"] == 0
+    assert counts["found_inside"] > 100

@@ -32,7 +32,14 @@ from gridslam.io.output import OutputFolder
 from gridslam.io.staging import StagingFolder
 
 _METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
-_PRELOADED = ["__main__", "gridslam.batch.commands"]
+_PRELOADED = [
+    "__main__",
+    "gridslam.batch.commands",
+    "gridslam.viz.picture",
+    "PIL.PngImagePlugin",
+    "scipy.sparse",
+    "qdldl",
+]
 _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _LOOK_S = 0.2
 _STARTS = 20

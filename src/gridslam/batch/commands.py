@@ -1,6 +1,6 @@
 """The commands that a job of `gridslam batch` runs: map, doctor, localize, evaluate; arguments are a JSON object.
 
-Importing this module imports all that they need, so that children are forked with it.
+Children are forked from a server that has imported this module, and what the commands import only when they run.
 """
 
 from __future__ import annotations
@@ -11,11 +11,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import PIL.PngImagePlugin  # noqa: F401
-import qdldl  # noqa: F401
-import scipy.sparse  # noqa: F401
-
-import gridslam.viz.picture  # noqa: F401
 from gridslam.api.diagnosis import check_log, describe_finding, write_diagnosis
 from gridslam.api.evaluation import evaluate_trajectory, score_against_reference
 from gridslam.api.localization import LocalizationResult, localize

@@ -31,6 +31,7 @@ from gridslam.types import FloatArray
 
 _QUICK_S = 60.0
 _QUICK_SCANS = 300
+_FEWEST_SCANS = 30  # of stamps in ms there is hardly one in a minute
 """How much `quick_check` looks at: 0.1 ms a scan and 30 ms in all, where the shortest map takes a second."""
 
 _RANGE_SCANS = 3000  # after which no motion is waited for: a robot that is parked
@@ -344,7 +345,8 @@ class EarlyCheck:
             self._first_ns = stamp_ns
         if self._reported is None:
             self._doctor.take(measurement)
-            over = self._scans >= _QUICK_SCANS or stamp_ns - self._first_ns > _QUICK_S * 1e9
+            is_late = self._scans > _FEWEST_SCANS and stamp_ns - self._first_ns > _QUICK_S * 1e9
+            over = self._scans >= _QUICK_SCANS or is_late
             return self._report(self._doctor.findings()) if over else ()
         self._doctor.take_ranges(measurement)
         self.is_complete = self._doctor.is_range_check_complete or self._scans >= _RANGE_SCANS

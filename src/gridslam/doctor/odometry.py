@@ -31,6 +31,7 @@ _LEAP_RAD = 1.0
 _LEAP_M_S = 10.0
 _LEAP_RAD_S = 12.0
 _UNITS = {name: of_a_metre for name, of_a_metre in UNITS.items() if of_a_metre > 10}
+_CREEPS_M_S = 0.003  # slower than any robot drives; one that stops for each scan is faster, too
 _SPEEDS_M_S = (0.1, 2.0)  # at which robots are driven while they map
 _FEWEST_MOVES = 20  # between scans, from which on their speeds show the unit
 _LEAST_S = 0.05  # between scans whose stamps jitter, go back or repeat
@@ -44,7 +45,7 @@ _Place: TypeAlias = tuple[float, float, float]  # x m, y m, theta rad
 @final
 @dataclass(slots=True)
 class OdometryExaminer:
-    """Finds no_odometry, odometry_units, odometry_jumps, odometry_frozen, standing_still and fast_turning.
+    """Finds no_odometry, odometry_units, stamp_units, odometry_jumps, odometry_frozen, standing_still, fast_turning.
 
     Counts way and turns, without those of jumps.
     """
@@ -139,10 +140,13 @@ class OdometryExaminer:
         """Yield the findings on the odometry, and on how the robot was driven."""
         if self.without:
             yield self._no_odometry()
-        if self._moves >= _FEWEST_MOVES and self._speeds.quantile(0.5) > _LEAP_M_S:
-            yield self._odometry_units(self._speeds.quantile(0.5))
+        speed = self._speeds.quantile(0.5) if self._moves >= _FEWEST_MOVES else math.nan
+        if speed > _LEAP_M_S:
+            yield self._odometry_units(speed)
         elif self._jumps:
             yield self._odometry_jumps()
+        if speed < _CREEPS_M_S:
+            yield self._stamp_units(speed)
         if self._frozen >= _FROZEN_WINDOWS:
             yield self._odometry_frozen()
         if self._watched_s:
@@ -172,6 +176,17 @@ class OdometryExaminer:
             speed,
             "m/s",
             "Convert the positions to metres where the odometry is computed; map with --no-odometry until then.",
+        )
+
+    def _stamp_units(self, speed: float) -> Finding:
+        name, of_a_second = ("milliseconds", 1000) if speed > _CREEPS_M_S / 1000 else ("microseconds", 1_000_000)
+        return Finding(
+            "stamp_units",
+            Severity.WARNING,
+            f"The stamps look like {name}, read as seconds: by them the robot mostly drives at {speed:.2g} m/s.",
+            speed,
+            "m/s",
+            f"Divide the stamps by {of_a_second} where the log is written.",
         )
 
     def _odometry_jumps(self) -> Finding:

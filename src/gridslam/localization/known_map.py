@@ -22,9 +22,6 @@ from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.endpoint import CauchyEndPoint, LikelihoodField
 from gridslam.types import Beams, FloatArray, Match, OccupancyGrid, Points, Poses, SensorModel
 
-__all__ = ["FieldTable", "KnownMap", "PoseLikelihood"]
-
-
 PoseLikelihood = Callable[[FloatArray], FloatArray]
 """A measurement model conditioned on one scan and one map: log likelihoods (K,) of poses (K, 3)."""
 

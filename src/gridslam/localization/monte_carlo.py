@@ -53,8 +53,6 @@ from gridslam.types import (
     require_step,
 )
 
-__all__ = ["MonteCarloConfiguration", "MonteCarloLocalization"]
-
 _UNKNOWN_POSE = PoseEstimate(np.zeros(3), np.diag([1e6, 1e6, math.pi**2]), 0.0)
 _ROUNDING = 1e-6 * np.eye(3)  # a millimetre, for beliefs without any spread
 _CLUSTER = np.diag([CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_RAD / 2]) ** 2
@@ -475,8 +473,11 @@ class MonteCarloLocalization:
             )
         if state.verified or self._lost_probability(state) > self.configuration.lost_above:
             return
-        found = verification(
+        found, alike_m = verification(
             self.map, reported, state.recent, lambda guesses: self._match_near(guesses, _CLUSTER, beams), tracker, rng
+        )
+        state.outside_log_odds = verification.bound_outside_log_odds(
+            state.outside_log_odds, state.driven_since_found_m, alike_m
         )
         state.hypotheses = tracker.join(state.hypotheses, found, reported)
         state.verified = self._lost_probability(state) <= self.configuration.lost_above

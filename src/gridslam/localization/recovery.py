@@ -14,8 +14,6 @@ from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.parameters import bounded, parameters
 from gridslam.types import Beams, FloatArray
 
-__all__ = ["AugmentedRecovery", "InlierRatioAverages", "MeasurementProposal"]
-
 
 class InlierRatioAverages(NamedTuple):
     """Inlier ratio with the map, averaged over the particles and, slowly and fast, over updates."""

@@ -133,7 +133,7 @@ def evaluating(matcher: GaussNewton) -> GaussNewton:
 
 _NOTHING_KNOWN = 1e-9
 NO_PRIOR = _NOTHING_KNOWN * np.eye(3)
-"""Prior information (3, 3) of a guess that means nothing, and keeps what no beam determines."""
+"""Prior information (3, 3) without a guess: directions that no beam determines stay as they are."""
 
 NO_INFORMATION: Information = (_NOTHING_KNOWN, 0.0, 0.0, _NOTHING_KNOWN, 0.0, _NOTHING_KNOWN)
 """The same of one pose, for `match_pose`."""

@@ -168,7 +168,7 @@ class TrackerState:
         self.sensors = {**self.sensors, sensor: track}
 
     def merge_lasers(self, beams: Beams, pose: Pose, metres: float, radians: float) -> BeamEnds:
-        """The scan, taken at about `pose`, with what the other lasers saw last from no farther away.
+        """The scan, taken at about `pose`, with the other lasers' last scans from no farther away.
 
         All lasers are one sensor: each alone may see a single wall.
         """

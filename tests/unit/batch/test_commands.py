@@ -9,8 +9,11 @@ import sys
 from support.batch_jobs import map_job, write_logs
 
 _RUN = """
-import json, sys
+import importlib, json, sys
+from gridslam.batch.child import _PRELOADED
 from gridslam.batch.commands import run_map
+for name in _PRELOADED:
+    importlib.import_module(name)
 before = set(sys.modules)
 run_map(json.loads(sys.argv[1]))
 print(sorted(name for name in set(sys.modules) - before if not name.startswith("encodings.")))

@@ -73,7 +73,7 @@ def plan_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("--same-frame", is_flag=True, help="Both maps have one frame; do not align them by their walls.")
 @json_option
 def changes_command(**options: Any) -> None:  # noqa: ANN401
-    """Show what was removed from a building and what is new, by two maps.
+    """Show the objects removed from a building and the new ones, by two maps.
 
     FIRST and SECOND are each a map's YAML file, the folder OUT of `gridslam map`, or a session. What either has not
     seen is left open.

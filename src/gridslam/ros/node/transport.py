@@ -83,7 +83,7 @@ def import_ros(ros: str, hint: str, name: str, folder: str = "msg") -> Any:  # n
         module = importlib.import_module(f"{package}.{folder}" if kind else name)
         return getattr(module, kind) if kind else module
     except (ImportError, AttributeError) as error:
-        raise ConfigurationError(f"{ros} is not available ({error}): {hint}") from None
+        raise ConfigurationError(f"{name} of {ros} is not available ({error}): {hint}") from None
 
 
 class Transport(Protocol):

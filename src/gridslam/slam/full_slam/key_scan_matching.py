@@ -20,7 +20,7 @@ _RECENT_SUBMAPS = 3
 """Submaps so near in time that the tracker has matched them already."""
 
 _KEY_SCANS_AT_A_TIME = 32
-"""Compared with the submaps about them in one go: what is near one is near the next."""
+"""Key scans compared with the submaps around them together: neighbours share most submaps."""
 
 VISIT_GAP = 3
 """Key scans farther apart than this in time belong to different visits of a submap."""

@@ -62,7 +62,7 @@ class SearchingMotion:
 @final
 @dataclass(frozen=True, slots=True)
 class MotionOfAll:
-    """Motion of all particles: the best one keeps to what is expected of it, the others look elsewhere.
+    """Motion of all particles: the best one takes the expected motion, the others are sampled.
 
     The best one, which is reported and mapped, is no sample: its draw is the mean, which holds its match. The others
     spread as their motion is drawn, and follow their maps: where a loop closes one of them fits better, and is the best

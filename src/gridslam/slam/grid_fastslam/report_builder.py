@@ -158,7 +158,7 @@ class ReportBuilder:
         return replace(report, computed_covariance=covariance)
 
     def _drift_at(self, pose: FloatArray, moments: FloatArray, first_pose: FloatArray) -> FloatArray:
-        """Covariance (3, 3) of what a pose (3,) has drifted by since the first one, and of the error of the scale."""
+        """Covariance (3, 3) of the drift of a pose (3,) since the first one, and of the error of the scale."""
         drift: FloatArray = propagate_covariances(pose[None], moments[None])[0]
         drift += DRIFT.scale_covariances((pose - first_pose)[None, :2])[0]
         return drift

@@ -52,7 +52,7 @@ class Estimate(NamedTuple):
 
 @final
 class BeforeStep(NamedTuple):
-    """What a consumed state needs to be revived: counts, and what a key scan takes from the tracker."""
+    """Values that revive a consumed state: counts, and the tracker's values used at a key scan."""
 
     key_scans: int = 0
     scans: int = 0

@@ -305,7 +305,7 @@ def smooth_trajectory(
 
 
 def _smooth_bias(poses: FloatArray, rows: FloatArray, count: int) -> FloatArray:
-    """Turn poses (T, 3) by what the odometry's errors (T, B), which it returns, turned out to be at each of them."""
+    """Correct poses (T, 3) by the smoothed errors of the odometry (T, B), which are returned."""
     believed, by_errors, before = np.split(rows, [count, 4 * count], axis=1)
     errors = believed.copy()
     for t in range(len(rows) - 1, 0, -1):

@@ -65,7 +65,7 @@ def edit_graph(graph: KeyGraph, edits: Sequence[GraphEdit]) -> None:
 def match_placed(
     scans: ScanArchive, poses: FloatArray, mapper: OccupancyGridMapping, key: int, placed: FloatArray
 ) -> Placement:
-    """Match a key scan where a person has put it, pose (3,), to what was seen from there at another time.
+    """Match a key scan at a pose (3,) given by a person to the key scans seen there at another time.
 
     Raises ArgumentError where the robot of poses (T, 3) was nowhere near at another time.
     """

@@ -240,7 +240,7 @@ class KeyGraph:
         covariance: FloatArray | None = None,
         drift_covariance: FloatArray | None = None,
     ) -> None:
-        """Add a key scan: the tracker's pose (3,), the pose (3,) in the map, what the increment is uncertain by.
+        """Add a key scan: the tracker's pose (3,), the pose (3,) in the map, the variances of the increment.
 
         The expected covariance (3, 3) is that of the variances if not given, and that of the drift the same.
         """
@@ -271,7 +271,7 @@ class KeyGraph:
         self.rejected = pair if self.rejected is None else np.concatenate([self.rejected, pair])
 
     def allows(self, constraint: Constraint) -> bool:
-        """Whether no person has rejected what a constraint joins; what a person adds holds all the same."""
+        """Whether a constraint is not rejected by a person, or was added by one."""
         is_by_hand = constraint.source is ConstraintSource.BY_HAND
         return self.rejected is None or is_by_hand or not join_near(self.rejected, constraint.pair).any()
 
@@ -426,7 +426,7 @@ class KeyGraph:
         return twin
 
     def _derive(self) -> None:
-        """Extend to the newest key scan what follows from the poses and the variances."""
+        """Extend the values derived from poses and variances to the newest key scan."""
         for key in range(len(self._sums), len(self)):
             x, y, theta = self.poses[key].tolist()
             position, heading = self.variances[key]

@@ -56,7 +56,7 @@ class MapPiece:
         return maps
 
     def freeze(self) -> MapPiece:
-        """The same piece, its key scans frozen: whatever is joined with it is aligned with where they are."""
+        """Return the piece with its key scans fixed: other pieces are aligned with them."""
         return self._with_frozen(len(self))
 
     def release(self) -> MapPiece:

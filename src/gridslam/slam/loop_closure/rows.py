@@ -13,7 +13,7 @@ _Number = TypeVar("_Number", np.float64, np.int32)
 
 @final
 class Rows(Generic[_Number]):
-    """Rows of `width` numbers; what is appended costs a row's time, and all of them are one array."""
+    """Rows of `width` numbers: appending takes constant time, and all rows are one array."""
 
     __slots__ = ("_count", "_table")
 

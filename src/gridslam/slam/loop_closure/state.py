@@ -166,7 +166,7 @@ class FoundPiece(NamedTuple):
 
 
 class DriveLocator(Protocol):
-    """Locates a drive in what earlier ones have left."""
+    """Locates a drive in the maps of earlier ones."""
 
     def locate(self, closure_state: LoopClosureState) -> FoundPiece | None:
         """Called at each key scan: the piece in which the drive so far lies, once that is certain."""

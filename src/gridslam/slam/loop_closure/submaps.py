@@ -27,7 +27,7 @@ _CHANGED = 0.05
 """Share of the cells of a place that change from one drive to the next: furniture and doors, hardly ever walls."""
 _CERTAIN = math.log((1 - _CHANGED) / _CHANGED)
 _LEAST_ABOVE = 0.4
-"""Nats by which an obstacle stays above the threshold, whatever that is: one beam through it."""
+"""Nats by which an obstacle stays above any threshold: one beam through it."""
 
 _SCANS_AT_A_TIME = 128
 """Drawn in one call: as many are in memory as plain numbers."""
@@ -73,7 +73,7 @@ def batches(graph: KeyGraph, keys: range) -> Iterator[tuple[int, int]]:
 
 
 def fade(maps: TileMaps) -> None:
-    """Let what is drawn be no more certain than it is when the next drive begins; see `insert_key_scans`."""
+    """Limit the log-odds of a map to those at the start of the next drive; see `insert_key_scans`."""
     maps.limit(max(_CERTAIN, maps.evidence.occupied_above * LOG_ODDS_UNIT + _LEAST_ABOVE))
 
 

@@ -20,7 +20,7 @@ from gridslam.slam.pose_graph.robust import CauchyEstimator, GraduatedNonConvexi
 from gridslam.types import FloatArray
 
 _RETRY_RATIOS = (0.1, 0.001)
-"""Weights of what is not trusted, for first guesses: which one is fooled less by false measurements varies."""
+"""Weights of untrusted edges for first guesses: the best one depends on the false measurements."""
 
 
 @final

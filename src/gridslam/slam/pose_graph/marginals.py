@@ -14,8 +14,6 @@ from gridslam.slam.pose_graph.linear import BlockSystem, linearize, require_conn
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Marginals", "marginal_covariances"]
-
 _SOLUTIONS_PER_POSE = 0.1
 """Columns of the inverse that cost as much to solve for as all blocks on its diagonal, for each pose."""
 
