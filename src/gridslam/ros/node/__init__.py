@@ -1,1 +1,1 @@
-"""The node: what it does, whatever carries its messages."""
+"""The node of ROS, for any transport of messages."""
