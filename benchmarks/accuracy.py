@@ -13,8 +13,6 @@ from logs import Log
 from measure import GRIDSLAM, MapRun, map_timed, timed
 from report import Report, Target, table
 
-__all__ = ["accuracy", "starts"]
-
 
 class _Limits(NamedTuple):
     """Targets of one log with relations, each with the best peer's figure and GMapping's."""

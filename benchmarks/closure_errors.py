@@ -13,8 +13,6 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.types import FloatArray
 
-__all__ = ["FALSE_CLOSURE_M", "FALSE_CLOSURE_RAD", "OPEN_M", "closure_errors", "false_closures"]
-
 FALSE_CLOSURE_M = 0.5
 """Farther than this from the truth a closure is false: it is ten cells, which no matcher errs by where it is right."""
 

@@ -1,4 +1,4 @@
-"""Simulated drives that judge loop closure: forty made to deceive, a campus of 2 km, a fleet's log of 10 km."""
+"""Simulated drives that judge loop closure: some made to deceive, campuses of 2 km, grounds, a fleet's log of 10 km."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from aliasing_worlds import BARE_CORRIDORS, EQUAL_ROOMS, SYMMETRIC, make_world
 from gridslam.errors import ArgumentError
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedStream, World, simulate_stream
 from gridslam.types import FloatArray
-
-__all__ = ["DECEPTIVE", "Drive", "campus", "deceptive", "fleet", "returns"]
 
 DECEPTIVE = ("equal_rooms", "symmetric", "bare_corridors", "moved_furniture")
 SEEDS = 10
@@ -65,6 +63,19 @@ def campus(seed: int) -> Drive:
     odometry = _drifting(rng, math.radians(rng.uniform(40, 80)) / 1000, alpha2=1e-4)
     lidar = LidarConfig(range_max_m=50.0, sigma_range_m=0.015)
     return Drive(f"campus {seed}", world, _FAST, odometry, lidar, seed)
+
+
+def grounds(seed: int) -> Drive:
+    """1 km to 3 km outdoors and in corridors, a scan about every metre, of 80 m at the most.
+
+    The odometry's heading drifts by 20 to 60 degrees in 1 km, and tracked motion by a few metres, as on the logs of
+    such places.
+    """
+    rng = np.random.default_rng(seed)
+    world = make_world("grounds", rng)
+    odometry = _drifting(rng, math.radians(rng.uniform(20, 60)) / 1000, alpha2=1e-4)
+    lidar = LidarConfig(range_max_m=80.0, sigma_range_m=0.02, no_return_probability=0.02, rate_hz=0.8)
+    return Drive(f"grounds {seed}", world, _FAST, odometry, lidar, seed)
 
 
 def fleet(seed: int) -> Drive:

@@ -16,8 +16,6 @@ from typing import NamedTuple
 
 from report import table
 
-__all__ = ["Count", "count", "main"]
-
 _ROOT = Path(__file__).resolve().parent.parent
 _COMPILED = ".cpp", ".hpp"
 

@@ -27,8 +27,6 @@ from gridslam.types import FloatArray
 from measure import write_document
 from report import table
 
-__all__ = ["Drift", "judge", "main"]
-
 _NEAR_M = 8.0
 _APART_M = 40.0
 _MOST_KEYS = 200

@@ -20,8 +20,6 @@ from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
 from report import Report, Target, table
 
-__all__ = ["graphs"]
-
 LEAST_CHI2 = {"m3500": 137.912951, "intel": 45.004696, "intel_1228": 215.830235, "ring": 11.163101}
 """The least sums of e' information e that are known, with g2o's error."""
 

@@ -23,8 +23,6 @@ from gridslam.slam.landmarks.particles import LandmarkParticles
 from gridslam.types import FloatArray
 from report import Report, Target, table
 
-__all__ = ["landmarks"]
-
 _SENSOR, _MOTION = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02), DiffusionMotion()
 _INCREMENT = np.array([0.05, 0.0, 0.01])
 _SEEN = 2  # landmarks seen at a step

@@ -16,8 +16,6 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulat
 from gridslam.sim.floor_plan import box, join, place
 from gridslam.types import FloatArray
 
-__all__ = ["Log", "find", "ring", "simulated"]
-
 _CORRIDOR_M = 2.4
 
 

@@ -22,19 +22,6 @@ from gridslam import Trajectory, __version__
 from gridslam.io.trajectories import read_tum
 from gridslam.kernels import backend, compiled
 
-__all__ = [
-    "GRIDSLAM",
-    "RESULTS",
-    "Cost",
-    "MapRun",
-    "document",
-    "map_timed",
-    "provenance",
-    "timed",
-    "write_document",
-    "yardstick_s",
-]
-
 GRIDSLAM = (sys.executable, "-m", "gridslam.cli.main")
 RESULTS = Path(__file__).resolve().parent / "results"
 _ROOT = RESULTS.parents[1]

@@ -17,8 +17,6 @@ from typing import Any, NamedTuple
 from measure import RESULTS
 from report import table
 
-__all__ = ["SCOREBOARD", "block", "main", "quoted", "scoreboard", "strangers"]
-
 README = Path(__file__).resolve().parents[1] / "README.md"
 SCOREBOARD = README.parent / "docs" / "scoreboard.md"
 BLOCK = re.compile(r"(?<=<!-- figures -->\n).*?(?=<!-- end of figures -->)", re.DOTALL)

@@ -6,8 +6,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import final
 
-__all__ = ["Report", "Target", "table"]
-
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Markdown table; numbers are shown with four significant digits."""

@@ -20,8 +20,6 @@ from landmarks import landmarks
 from measure import provenance
 from report import Report
 
-__all__ = ["main"]
-
 _SECTIONS = (
     "accuracy",
     "start",

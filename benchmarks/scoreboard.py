@@ -24,12 +24,10 @@ from gridslam.api.evaluation import evaluate_trajectory
 from gridslam.batch.runs import Run, read_runs
 from measure import RESULTS, document
 
-__all__ = ["FIGURES", "collect", "interval", "main", "ratios", "write_manifest"]
+LOGS = {name: f"{name}.relations" for name in ("intel", "aces", "mit-csail")}
+"""Public logs, each with its file of relations in the same folder."""
 
-LOGS = {"intel": "intel.relations", "aces": "aces.relations", "mit-csail": ""}
-"""Public logs, each with its file of relations in the same folder, if it has one."""
-
-VARIANTS = {name: {"preset": name} for name in ("default", "accurate", "gmapping")}
+VARIANTS = {name: {"preset": name} for name in ("default", "gmapping")}
 VARIANTS["filter"] = {"no-loop-closure": "true"}
 """Options of `gridslam map` of each way in which a log is mapped."""
 
@@ -82,7 +80,7 @@ def write_manifest(path: Path, data: Path, seeds: int = 10) -> Path:
         for seed in range(seeds):
             for log, relations in LOGS.items():
                 row = {"log": (data / f"{log}.clf.bz2").absolute(), "seed": seed}
-                if relations and (data / relations).is_file():
+                if (data / relations).is_file():
                     row["reference"] = (data / relations).absolute()
                 for variant, options in VARIANTS.items():
                     rows.writerow(row | options | {"name": f"{log}-{variant}-seed{seed}"})
@@ -149,7 +147,7 @@ def _score_systems(data: Path) -> dict[str, dict[str, Any]]:
     for system, pattern in SYSTEMS.items():
         for log, relations in LOGS.items():
             trajectory = data / pattern.format(log=log)
-            if relations and trajectory.is_file() and (data / relations).is_file():
+            if trajectory.is_file() and (data / relations).is_file():
                 found.setdefault(system, {})[log] = evaluate_trajectory(trajectory, data / relations, 1.0)
     return found
 

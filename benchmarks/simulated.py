@@ -13,8 +13,6 @@ from gridslam.pipeline import run
 from gridslam.slam.full_slam.full_slam import FullSlam, full_slam
 from gridslam.types import StepReport
 
-__all__ = ["map_drive"]
-
 
 def map_drive(
     measurements: Iterable[Measurement], configuration: Configuration, seed: int

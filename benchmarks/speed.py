@@ -23,8 +23,6 @@ from typing import NamedTuple, final
 from measure import RESULTS, write_document
 from report import table
 
-__all__ = ["main"]
-
 _HERE = Path(__file__).resolve().parent
 _RESULT = RESULTS / "speed.json"
 _PAGE = _HERE.parent / "docs" / "performance.md"

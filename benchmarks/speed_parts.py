@@ -15,8 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["PARTS"]
-
 
 def mcl(particles: int = 10_000, count: int = 180, updates: int = 100) -> dict[str, float]:
     """CPU ms of an update of Monte Carlo localization in a hall of 40 m x 40 m with 600 pillars, one thread."""

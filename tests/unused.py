@@ -1,5 +1,21 @@
-"""Names that vulture must not take for dead code: arguments that a caller of ours hands in, needed or not."""
+"""Names that vulture must not take for dead code: what others call, read or set, by these names."""
 # ruff: noqa: B018, F821
 
-context  # click: Command.format_epilog
+context, format_epilog, format_usage, get_command, list_commands  # click
 unused  # Cyclone DDS: of the methods that it calls of a message's class
+__getattr__, __dir__, __signature__, __cause__, __context__, _repr_html_, _repr_svg_  # Python and notebooks
+writeable, comment, max_size, should_exit  # NumPy, zipfile, websockets, uvicorn
+run_map, run_localize, run_doctor, run_evaluate, run_trial  # targets of jobs, which are text
+(
+    comments,
+    jumps,
+    refused,
+    throttled,
+    extrapolated,
+    surplus,
+    odometry_m,
+    runner_up_pose,
+    agreeing_keypoints,
+)  # read together with others
+START_AT_GIVEN_POSE  # a constant of slam_toolbox's service
+to_planar, laser_motion  # offered to callers

@@ -14,8 +14,6 @@ from gridslam.models import InverseSensorModel
 from gridslam.types import FloatArray
 from gridslam.viz.canvas import CLOSURE, FREE, OCCUPIED, RULE, TRUTH, Colour
 
-__all__ = ["bayes_filter", "resampling_wheel"]
-
 _FINE = 3  # times finer than the page, against jagged edges
 _WEIGHTS = np.array([0.05, 0.28, 0.03, 0.12, 0.07, 0.25, 0.08, 0.12])
 

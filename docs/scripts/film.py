@@ -10,8 +10,6 @@ from PIL import Image, ImageDraw
 
 from gridslam.viz.canvas import FAINT, OCCUPIED, UNKNOWN, Colour, font
 
-__all__ = ["DOCS", "FRAME_MS", "HOLD_MS", "Film"]
-
 DOCS = Path(__file__).parents[1]
 FRAME_MS, HOLD_MS = 90, 1800
 """How long a frame is shown, and one at which something has happened."""

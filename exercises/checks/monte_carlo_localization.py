@@ -57,7 +57,7 @@ def counts_are_expected(resampler: Resampler, weights: Sequence[float], size: in
         return np.bincount(resampler(given, size, rng), minlength=len(given))
 
     worst = np.abs(z_scores(draw, size * relative / relative.sum(), 3000)).max()
-    assert worst < 5, f"of weights {weights} a mean count is {worst:.1f} standard errors off"
+    assert worst < 5, f"of weights {weights} a mean count is {worst:.1f} standard errors off: it is N times the weight"
 
 
 def low_variance_resampler(resampler: Resampler) -> None:
@@ -220,7 +220,10 @@ def poses_are_uniform(draw: Callable[[OccupancyGrid, int, Rng], FloatArray]) -> 
         "a pose is outside of the map: x is origin[0] + column * resolution_m, and y origin[1] + row * resolution_m",
     )
     require(bool(known[row, column].all()), "a pose is in an unknown cell")
-    require(bool((log_odds[row, column] < 0).all()), "a pose is in an occupied cell: row 0 is at the least y")
+    require(
+        bool((log_odds[row, column] < 0).all()),
+        "a pose is in an occupied cell: cells are [row, column], and row 0 is at the least y",
+    )
     places = np.histogram2d(poses[:, 0], poses[:, 1], bins=(4, 3), range=((-2.0, 2.0), (2.0, 5.0)))[0] / len(poses)
     require(bool((np.abs(places - 1 / 12) < 0.011).all()), f"poses are not uniform over free space: {places.round(3)}")
     inside = np.mod(poses[:, :2] / cell, 1.0)

@@ -80,7 +80,10 @@ def odometry_motion(sample: Callable[[FloatArray, FloatArray, Sequence[float], R
         straight = np.column_stack([[0.0, 0.0, 1.0], jacobian[:, 1:].T[0], jacobian[:, 2]])
         unturned = np.column_stack([[-dy, dx, 0.0], jacobian[:, 1:].T[0], jacobian[:, 2]])
         variances = np.array([first, along, second])
-        own = "each pose needs noise of its own: draw r1, s and r2 for all poses (size=len(poses))"
+        own = (
+            "each pose needs noise of its own, with the square root of the variance: draw r1, s and r2 for all poses "
+            "(size=len(poses))"
+        )
         covariances = {
             "the variance of the second rotation follows from rot2, not from rot1": [first, along, first],
             own: [0.0, along, second],
@@ -99,6 +102,13 @@ def odometry_motion(sample: Callable[[FloatArray, FloatArray, Sequence[float], R
         wrong["the robot drives in the direction theta + r1, with r1 as sampled"] = _moments_of_odometry(
             variances, straight, turn
         )
+        in_map = turn @ jacobian
+        for axis, formula in enumerate(("x by s cos(theta + r1)", "y by s sin(theta + r1)")):
+            unsampled = in_map.copy()
+            unsampled[axis, 0] = 0.0
+            wrong[f"the robot moves in {formula}, with r1 as sampled"] = _moments_of_odometry(
+                variances, unsampled, np.eye(3)
+            )
         wrong["the heading changes by r1 + r2, both as sampled"] = _moments_of_odometry(variances, unturned, turn)
         means = {
             "rot2 is the turn less rot1": compose(before, [dx, dy, heading + rot1]),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import product
 
 import numpy as np
 from feedback import expect, require
@@ -17,7 +18,8 @@ IntArray = NDArray[np.int64]
 def ray_is_connected(free: IntArray, start: Sequence[int], end: Sequence[int]) -> None:
     """Cells (n, 2) that a ray frees: from the laser's on, one step of the longer axis each, to just before the end."""
     steps = np.abs(np.subtract(end, start)).max()
-    assert len(free) == steps, f"expected {steps} cells from {start} to {end}, got {len(free)}"
+    message = "a ray has as many cells as the longer of both differences, whatever their signs"
+    assert len(free) == steps, f"{message}: expected {steps} from {start} to {end}, got {len(free)}"
     if steps:
         path = np.concatenate([along(free, start, end), [end]])
         assert path[0].tolist() == list(start), f"the ray begins at {path[0].tolist()}, not at {start}"
@@ -106,7 +108,10 @@ def binary_bayes_filter(evidence: Callable[[InverseSensorModel, bool], float]) -
         f"{free} ": [math.log(0.9), math.log(0.1)],
         "a miss: its probability if the cell is occupied is false_free": [hit, math.log(0.3 / 0.7)],
         "take the logarithm of the ratio": [0.9 / 0.3, 0.1 / 0.7],
-        "the logarithm is the natural one": [hit / math.log(10), miss / math.log(10)],
+        **{
+            "the logarithm is the natural one" + " " * k: [hit / by_hit, miss / by_miss]
+            for k, (by_hit, by_miss) in enumerate(product((1.0, math.log(2), math.log(10)), repeat=2))
+        },
         "a miss is evidence, too: it lowers the log-odds": [hit, 0.0],
     }
     expect(

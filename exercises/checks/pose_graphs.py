@@ -97,7 +97,12 @@ def edge_jacobians(
         blocks["the rotation of the measurement belongs to the derivative, (R_i R_z)'  "] = late
         turned = exact_A.copy()
         turned[:2, :2] = exact_A[:2, :2].T
-        blocks["the rotation is the wrong way: (R_i R_z) transposed"] = turned
+        blocks["the rotation is the wrong way: (R_i R_z) transposed"] = turned.copy()
+        turned[:2, 2] = turned[:2, :2] @ turned[:2, :2] @ exact_A[:2, 2]
+        blocks["the rotation is the wrong way: (R_i R_z) transposed "] = turned
+        same = -exact_A
+        same[:2, 2] = exact_A[:2, 2]
+        blocks["x_i has the opposite sign of x_j "] = same
         expect("A, the derivative by x_i", A, exact_A, 1e-7, blocks)
         expect(
             "B, the derivative by x_j",

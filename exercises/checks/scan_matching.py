@@ -90,7 +90,10 @@ def scan_jacobian(linearize: Linearization) -> None:
         map_frame = np.column_stack([-points[:, 1], points[:, 0]])
         mirrored = np.column_stack([s * ends[:, 0] - c * ends[:, 1], c * ends[:, 0] + s * ends[:, 1]])
         turned = np.column_stack([c * gradient[:, 0] + s * gradient[:, 1], c * gradient[:, 1] - s * gradient[:, 0]])
-        signs = (across * [-1.0, 1.0], across * [1.0, -1.0], -across, mirrored)
+        cross = np.column_stack([s * ends[:, 0] - c * ends[:, 1], c * ends[:, 0] - s * ends[:, 1]])
+        crossed = np.column_stack([-s * ends[:, 0] - c * ends[:, 1], c * ends[:, 0] + s * ends[:, 1]])
+        signs = (across * [-1.0, 1.0], across * [1.0, -1.0], -across, mirrored, cross, crossed)
+        twice = np.column_stack([-s * points[:, 0] - c * points[:, 1], c * points[:, 0] - s * points[:, 1]])
 
         def with_heading(
             by_heading: FloatArray, by_position: FloatArray = gradient, gradient: FloatArray = gradient
@@ -104,6 +107,9 @@ def scan_jacobian(linearize: Linearization) -> None:
             "turn the ends by the heading before they are differentiated": with_heading(local),
             "the ends turn about the robot, not about the origin of the map: leave its position out": (
                 with_heading(map_frame)
+            ),
+            "differentiate the ends as the laser sees them, not those that are transformed already": with_heading(
+                twice
             ),
             "a turn moves the ends: the third column is missing": with_heading(np.zeros_like(across)),
             "the gradient is in the map frame already: do not turn it": with_heading(across, turned),

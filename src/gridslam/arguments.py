@@ -11,23 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError
 
-__all__ = [
-    "COUNT",
-    "SHARE",
-    "Limits",
-    "Size",
-    "describe",
-    "freeze",
-    "index_of",
-    "is_covariance",
-    "require_array",
-    "require_generator",
-    "require_instance",
-    "require_plain",
-    "require_seed",
-    "require_threads",
-]
-
 
 @final
 class Size(NamedTuple):

@@ -21,8 +21,6 @@ from numpy.typing import ArrayLike, NDArray
 from gridslam.arguments import Limits, describe
 from gridslam.errors import ArgumentError, GridslamError
 
-__all__ = ["checked"]
-
 _Public = TypeVar("_Public", bound=Callable[..., Any])
 _LARGEST = 1 << 62
 _READ_LOGS = ("gridslam.api.", "gridslam.pipeline")
@@ -191,7 +189,7 @@ def _is(value: Any, hint: Any) -> bool:  # noqa: ANN401
 
 
 def _alternatives(items: tuple[Any, ...]) -> list[Any]:
-    """Types of which a value may be one; NumPy's union of all of which arrays are made counts as one."""
+    """Alternatives of a union; NumPy's `ArrayLike` counts as one of them."""
     of_arrays = get_args(ArrayLike)
     if not set(of_arrays) <= set(items):
         return [*items]

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final, final
 
-__all__ = ["Level", "Messages"]
-
 _NUMBER: Final = re.compile(r"\d+")
 _QUIET_S = 10.0  # after this long without it a problem is new again
 _LONGEST_S = 60.0
@@ -79,7 +77,7 @@ class Messages:
         self._log(level, text)
 
     def report_state(self, level: Level, text: str) -> None:
-        """Keep and log a state in which the run is until the next one, marked as such."""
+        """Store and log the state of the run, which lasts until the next one."""
         with self._lock:
             self._keep(level, text, self._clock()).is_state = True
         self._log(level, text)

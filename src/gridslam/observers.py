@@ -18,8 +18,6 @@ from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajector
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, IntArray, SkipReason, StepReport, Trajectory
 
-__all__ = ["Latency", "RunStatistics", "StatisticsRecorder", "TrajectoryRecorder"]
-
 
 @final
 class TrajectoryRecorder:

@@ -21,19 +21,6 @@ from gridslam.errors import ArgumentError, GridslamError
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import LaserScan, Odometry, StepReport, describe_time
 
-__all__ = [
-    "FailedStep",
-    "FailureRecorder",
-    "Filter",
-    "FilterReport",
-    "FilterState",
-    "Observer",
-    "Stopwatch",
-    "describe_error",
-    "isolate",
-    "run",
-]
-
 
 class FilterState(Protocol):
     """State of a filter."""
@@ -150,7 +137,7 @@ class FailureRecorder:
 
 
 def isolate(observer: Callable[..., None], on_failure: Callable[[str], None]) -> Callable[..., None]:
-    """Give an observer whose exceptions do not end the run: each is described to `on_failure`."""
+    """Wrap an observer so that its exceptions do not end the run: each is described to `on_failure`."""
 
     def observe(report: FilterReport, state: FilterState, seconds: float) -> None:
         try:

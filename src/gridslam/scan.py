@@ -20,22 +20,6 @@ from gridslam.geometry.se3 import from_planar
 from gridslam.kernels import backend
 from gridslam.parameters import bounded, parameters
 
-__all__ = [
-    "LONGEST_SCAN_S",
-    "BeamEnds",
-    "BeamStatus",
-    "Beams",
-    "FloatArray",
-    "IntArray",
-    "LaserScan",
-    "Points",
-    "Poses",
-    "Rows",
-    "ScanGeometry",
-    "StoredScan",
-    "Thinning",
-]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Rows = NDArray[np.integer[Any]]

@@ -27,8 +27,6 @@ from numpy.typing import NDArray
 from gridslam.arguments import COUNT, Limits, Size
 from gridslam.errors import ArgumentError
 
-__all__ = ["NOT_SAVED", "from_arrays", "read_array", "select_part", "to_arrays"]
-
 NOT_SAVED: Mapping[str, Any] = {"is_saved": False}
 """Metadata of a field that follows from the others, or that a restored state does without."""
 

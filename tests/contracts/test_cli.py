@@ -159,6 +159,13 @@ def test_json_is_one_object_and_all_there_is(log, tmp_path, call):
     assert err == ""
 
 
+def test_progress_of_what_takes_unknown_time_has_no_percentage(monkeypatch, capsys):
+    monkeypatch.setattr(output_module, "_LINE_EVERY_S", 0.0)
+    with output_module.elapsed_progress("merging") as on_progress:
+        on_progress()
+    assert capsys.readouterr().err == "merging: 1 step in 0 s\n"
+
+
 def test_progress_is_a_plain_line_every_few_seconds_and_none_with_json(log, tmp_path, call, monkeypatch):
     seconds = itertools.count()
     monkeypatch.setattr(output_module, "time", SimpleNamespace(perf_counter=lambda: float(next(seconds))))
@@ -167,22 +174,20 @@ def test_progress_is_a_plain_line_every_few_seconds_and_none_with_json(log, tmp_
     assert len(lines) == 24  # every five of 120 seconds, one for each scan
     for line in lines:
         assert re.fullmatch(
-            r" *\d+%  \d+ scans, 1/s, 0 x real time, N_eff \d\.\d of 3, map \d+ x \d+ m, \d+ MB, \d+ s left", line
+            r" *\d+%  \d+ scans, 1/s, 0 x real time, N_eff \d\.\d of 3, map \d+ x \d+ m, \d+ MB, \d+ (s|min) left", line
         )
     assert call("map", log, "-o", tmp_path / "out", *FEW, "--json")[2] == ""
 
 
 def test_options_go_preset_then_file_then_set(log, tmp_path, call):
     file = tmp_path / "my.toml"
-    file.write_text("particles = 7\n[tracker]\ninsert_m = 0.5\ninsert_rad = 0.5\n")
-    options = "--preset", "accurate", "--config", file, "--set", "insert_m=0.25", "--set", "tracker.map_scans=10"
+    file.write_text("particles = 7\n[when_to_update]\ntranslation_m = 0.5\nrotation_rad = 0.4\n")
+    options = "--preset", "gmapping", "--config", file, "--set", "key_scan_m=0.3", "--set", "motion.srr=0.2"
     status, out, _ = call("map", log, "-o", tmp_path / "out", *options, *FEW, "--json")
     assert status == 0
     configuration = json.loads(out)["configuration"]
-    tracker = configuration["tracker"]
-    assert (configuration["particles"], tracker["insert_m"]) == (3, 0.25)
-    assert (tracker["insert_rad"], tracker["map_scans"]) == (0.5, 10)
-    assert configuration["when_to_update"] == {"translation_m": 0.4, "rotation_rad": 0.25}
+    assert (configuration["particles"], configuration["range_max_m"], configuration["motion"]["srr"]) == (3, 80.0, 0.2)
+    assert configuration["when_to_update"] == {"translation_m": 0.3, "rotation_rad": 0.4}
 
 
 def test_map_replaces_an_earlier_result_and_leaves_other_files(log, tmp_path, call):
@@ -239,7 +244,7 @@ def test_cut_off_log_is_refused_or_mapped_on_request(call, tmp_path, simulated, 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--preset", "gmaping"], "preset: expected default, accurate, gmapping, got 'gmaping'; did you mean"),
+        (["--preset", "gmaping"], "preset: expected default, gmapping, got 'gmaping'; did you mean"),
         (["--set", "insrt_m=1"], "insrt_m: no such parameter; did you mean insert_m"),
         (["--set", "insert_m=-1"], "tracker.insert_m: expected a number greater than or equal to 0.000001, got -1"),
         (["--set", "insert_m"], "expected name=value, got 'insert_m'"),
@@ -371,3 +376,13 @@ def test_demo_maps_a_simulated_building_and_tells_its_errors(call, tmp_path):
     assert told["run"]["input"]["sha256"] == compute_digest(tmp_path / "demo" / "demo.clf.gz")
     # two cells for 116 m with a loop, where the odometry alone is off by a metre
     assert told["errors"]["ate"]["trans_rmse_m"] < 0.1 < 0.5 < told["odometry_errors"]["ate"]["trans_rmse_m"]
+
+
+@pytest.mark.parametrize("asked", [["--particles", "8"], ["--map", "map.yaml"]])
+def test_a_node_gets_the_options_that_were_given_and_no_others(monkeypatch, asked):
+    """Else what a parameter file says, of `floor` for one, is overridden, and a node that localizes is warned of it."""
+    given = {}
+    run = "gridslam.ros.ros2_dds.dds_transport.run_dds"
+    monkeypatch.setattr(run, lambda arguments, options, interfaces: given.update(options.given))
+    assert main(["ros2", "--transport", "dds", *asked]) == 0
+    assert given in ({"particles": 8}, {"map_file": "map.yaml", "mode": "localization"})

@@ -11,8 +11,10 @@ import pytest
 from gridslam import __version__
 from gridslam.cli.logs import check_log
 from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.csv import write_csv_log
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.measurement import Measurement
+from gridslam.io.trajectories import write_tum
 from support.faults import with_fault
 
 LASER_KEYS = {
@@ -80,6 +82,21 @@ def test_what_spoils_the_map_ends_with_status_3(call, reflected, tmp_path):
     assert spoiling[0]["message"] in printed
     assert f"-> {spoiling[0]['remedy']}" in printed
     assert f"report: {out / 'report.txt'}" in printed
+
+
+def test_a_trajectory_is_scored_by_the_scans_as_they_are_mapped(call, simulated, tmp_path):
+    """Drawn as the log declares the beams, the true trajectory of a reflected laser would look wrong: 2.9 times."""
+    write_tum(tmp_path / "truth.tum", simulated.truth)
+    rng = np.random.default_rng(0)
+    scores = []
+    for name, fault in (("healthy", None), ("reflected", "reflected_laser")):
+        log = tmp_path / f"{name}.csv"
+        measurements = simulated.measurements[:400]
+        write_csv_log(log, with_fault(measurements, fault, rng) if fault else measurements)
+        status, printed, _ = call("evaluate", tmp_path / "truth.tum", log, "--json")
+        assert status == 0
+        scores.append(json.loads(printed)["self_consistency"]["nats_per_beam"])
+    assert scores[1] < 1.5 * scores[0], "the beams of a reversed scan are one step, 1 degree, off"
 
 
 def test_the_report_is_what_is_printed(call, reflected, tmp_path):

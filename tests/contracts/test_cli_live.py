@@ -118,6 +118,13 @@ def test_view_says_what_is_no_result_of_a_run(call, tmp_path):
     )
 
 
+def test_view_of_a_diagnosis_gives_the_address_of_its_report(call, log, tmp_path):
+    call("doctor", log, "-o", tmp_path / "report")
+    status, out, err = call("view", tmp_path / "report")
+    address = (tmp_path / "report" / "report.txt").as_uri()
+    assert (status, out, err) == (0, f"{tmp_path / 'report'}: open {address}\n", "")
+
+
 def test_view_serves_until_interrupted_which_is_a_good_end(mapped):
     command = [sys.executable, "-u", "-m", "gridslam.cli.main", "view", str(mapped), "--live-port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as view:

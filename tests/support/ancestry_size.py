@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from gridslam.particles import Ancestry
 
-__all__ = ["size"]
-
 
 def size(ancestry: Ancestry) -> tuple[int, int]:
     """How many first steps are one and the same node for all particles, and how many nodes are kept."""

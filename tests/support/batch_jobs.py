@@ -31,8 +31,8 @@ def make_job(function, name, **arguments):
 def map_job(log, name):
     """A job that maps a log with few particles."""
     from gridslam.config import Configuration
-    from gridslam.config.tables import to_table
     from gridslam.io.log import LogOptions
+    from gridslam.parameters import to_table
 
     arguments = {
         "log": str(log),

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gridslam.api.conversion import convert_log
+from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.csv import write_csv_log
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
@@ -79,7 +79,7 @@ def whole_logs(folder: Path) -> list[Whole]:
     """One log of each format and compression, of the same short drive."""
     measurements = drive_about(_SCANS)
     write_csv_log(folder / "log.csv", measurements)
-    convert_log(folder / "log.csv", folder / "log.clf")
+    write_carmen(folder / "log.clf", measurements)
     carmen, csv = (folder / "log.clf").read_bytes(), (folder / "log.csv").read_bytes()
     found = [
         _text("log.clf", carmen),
@@ -87,6 +87,7 @@ def whole_logs(folder: Path) -> list[Whole]:
         _text("log.clf", _robotlaser(measurements)),
         _text("log.csv", csv),
         _text("log.csv", rostopic_rows(measurements)),
+        _text("echo.csv", echo_rows(measurements)),
         _text("log.txt", point_rows(measurements)),
         _text("log.clf.gz", carmen, gzip.compress),
         _text("log.clf.bz2", carmen, bz2.compress),
@@ -113,6 +114,19 @@ def rostopic_rows(measurements: Sequence[Measurement]) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
+def echo_rows(measurements: Sequence[Measurement], *, with_intensities: bool = False) -> bytes:
+    """The scans as `ros2 topic echo --csv` prints them: without names."""
+    lines = []
+    for _, scan in measurements:
+        bearings = scan.geometry.bearings
+        angles = bearings[0], bearings[-1], bearings[1] - bearings[0]
+        bright = np.ones(len(scan)) if with_intensities else ()
+        values = (*angles, 0.0, 0.1, scan.range_min_m, scan.range_max_m, *scan.ranges, *bright)
+        seconds, nanoseconds = divmod(scan.stamp_ns, 10**9)
+        lines.append(f"{seconds},{nanoseconds},laser,{','.join(f'{value:.9g}' for value in values)}")
+    return ("\n".join(lines) + "\n").encode()
+
+
 def point_rows(measurements: Sequence[Measurement]) -> bytes:
     """The scans as rows of a time, an angle in degrees and a distance in mm."""
     lines = ["t,angle_deg,dist_mm"]
@@ -120,14 +134,6 @@ def point_rows(measurements: Sequence[Measurement]) -> bytes:
         for bearing, distance in zip(np.degrees(scan.geometry.bearings), scan.ranges, strict=True):
             lines.append(f"{scan.stamp_ns / 1e9:.3f},{bearing:.6f},{1000 * distance:.3f}")
     return ("\n".join(lines) + "\n").encode()
-
-
-def broken_logs(whole: list[Whole], count: int, seed: int) -> Iterator[tuple[str, str, bytes]]:
-    """Yield what was done, a file's name and its bytes: `count` logs, each format in turn, most with one damage."""
-    for number in range(count):
-        log = whole[number % len(whole)]
-        content, done = log.damaged(np.random.default_rng([seed, number]))
-        yield f"[{seed}, {number}]: {log.name}, {done}", log.name, content
 
 
 def _text(name: str, content: bytes, wrap: Callable[[bytes], bytes] = bytes) -> Whole:

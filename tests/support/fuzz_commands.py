@@ -13,8 +13,6 @@ import numpy as np
 from gridslam.cli.main import main
 from gridslam.errors import InputError
 
-__all__ = ["Prepare", "Read", "run_command"]
-
 Prepare = Callable[[Path, np.random.Generator], None]
 Read = Callable[[Path], object]
 

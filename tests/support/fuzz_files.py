@@ -40,6 +40,8 @@ from gridslam.api.session import Session
 from gridslam.api.session_edits import EditsBefore
 from gridslam.cli.sessions import show_session
 from gridslam.config import Configuration, load, override, preset
+from gridslam.doctor import CheckedLog, diagnose
+from gridslam.doctor.report import document
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
 from gridslam.io.edited_maps import read_edited_map
 from gridslam.io.edits import LAYERS, Edit, Edits, parse_edits, read_edits
@@ -73,8 +75,6 @@ from support.fuzz_images import images
 from support.fuzz_page import page_requests
 from support.fuzz_sessions import sessions
 from support.fuzz_values import values
-
-__all__ = ["Family", "Outcome", "families", "run_cases", "summarize"]
 
 CPU_LIMIT_S = 20  # of CPU time
 _PATIENCE_S = 120  # for what waits; and other processes may be at work
@@ -215,6 +215,9 @@ def families(folder: Path) -> list[Family]:
     return [*of_files, *(Family(*family) for family in others)]
 
 
+FEW = override(preset("default", 2), "loop_closure=false")
+
+
 def _scan(path: Path, *, keep: bool = False) -> None:
     for odometry, scan in open_log(path, LogOptions(keep_truncated=keep)):
         assert len(scan.ranges) == len(scan.geometry.bearings)
@@ -222,7 +225,7 @@ def _scan(path: Path, *, keep: bool = False) -> None:
 
 
 def _logs(folder: Path) -> Iterator[Family]:
-    """CARMEN, CSV and bags of all kinds, also compressed."""
+    """CARMEN, CSV and bags of all kinds, also compressed; what can be read is diagnosed and mapped."""
     (folder / "logs").mkdir(exist_ok=True)
     whole = whole_logs(folder / "logs")
 
@@ -234,6 +237,11 @@ def _logs(folder: Path) -> Iterator[Family]:
         (path,) = where.iterdir()
         _scan(path, keep=True)
         _scan(path)
+        json.dumps(document(diagnose(open_log(path))), allow_nan=False)
+        log = CheckedLog(open_log(path), lambda found: None)
+        poses = map_log(log, configuration=FEW).trajectory.poses
+        assert len(poses) == log.statistics.scan_count > 0
+        assert np.isfinite(poses).all()
 
     yield Family("logs", 0, prepare, read, 6)
 
@@ -266,8 +274,7 @@ def _stamps(folder: Path) -> Iterator[Family]:
 
     def read(where: Path) -> None:
         options = LogOptions(no_odometry=True)
-        configuration = override(preset("default", 2), "loop_closure=false")
-        result = map_log(open_log(where / "log.csv", options), configuration=configuration)
+        result = map_log(open_log(where / "log.csv", options), configuration=FEW)
         assert len(result.trajectory.poses) == len(rows) - 1
         assert np.isfinite(result.trajectory.poses).all()
 
@@ -403,6 +410,8 @@ def _tables(folder: Path) -> Iterator[Family]:
     packed = [(gzip.compress, ".gz"), (bz2.compress, ".bz2")]
     beams = [(scan, angle, 1000 + 10 * angle) for scan in range(3) for angle in range(0, 360, 9)]
     named = [f"{'S ' * (not angle)} theta: {angle:.2f} Dist: {distance:08.2f} Q: 47" for _, angle, distance in beams]
+    echoed = [f"{k},{k},laser,0,1.9,0.1,0,0.1,0.1,12,{','.join(['1.5'] * 20)}" for k in range(9)]
+    numbered = ["scan_id,angle (°),dist_mm", *(f"{scan},{angle},{distance}" for scan, angle, distance in beams)]
     points = ["t; angle [deg]; dist [mm]", *(f"{scan},5; {angle}; {distance}" for scan, angle, distance in beams)]
 
     def read_scans(path: Path) -> None:
@@ -417,6 +426,8 @@ def _tables(folder: Path) -> Iterator[Family]:
         ("a.relations", relations, read_relations),
         ("a.named", named, read_scans),
         ("a.points", points, read_scans),
+        ("a.numbered", numbered, read_scans),
+        ("a.echoed", echoed, read_scans),
         ("a.yaml", [parameters], read_parameter_file),
         ("a.toml", [configuration], load),
     ):

@@ -20,8 +20,6 @@ from gridslam.localization import KnownMap
 from support.fuzz_bombs import MAP_YAML
 from support.fuzz_commands import Prepare, Read
 
-__all__ = ["images"]
-
 _NAMES = ("map.pgm", "map.png", "map.eps", "map.jpg", "map", "map.yaml.png", "map.gif")
 _MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr", "I", "F", "I;16", "HSV", "LAB")
 _SIDES = (0, 1, 2, 255, 65_535, 65_536, 65_537, 10**6, 10**8, 2**31 - 1, 2**32 - 1)

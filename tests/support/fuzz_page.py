@@ -34,8 +34,6 @@ from gridslam.live.replay import Replay
 from gridslam.live.server import PageServer
 from support.broken_logs import OF_BYTES, damage, drive_about
 
-__all__ = ["page_requests"]
-
 _LONGEST_STALL_S = 1.0
 _PATIENCE_S = 0.15  # for an answer; most of what is malformed gets one at once
 _METHODS = "GET", "GET", "GET", "HEAD", "POST", "PUT", "OPTIONS", "DELETE", "TRACE", "CONNECT", "get", "G(T", "A" * 3000

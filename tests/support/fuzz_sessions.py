@@ -32,8 +32,6 @@ from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.graph_edits import GraphEdit
 from support.loops import PROVOKED, loop_drive
 
-__all__ = ["change_session", "sessions"]
-
 _MEMORY_BYTES = 1 << 30
 _INTEGERS = (0, -1, 1, 2, 7, 255, 1000, 10**6, 2**31 - 1, -(2**31), 2**62)
 _FLOATS = (np.nan, np.inf, -np.inf, 1e308, -1e30, 1e15, 1e9, 1e6, 1e-300, 0.0, -1.0)

@@ -23,8 +23,6 @@ from gridslam.ros.ros2.arguments import parse_ros_arguments
 from support.fuzz_bombs import MAP_YAML
 from support.fuzz_commands import Prepare, Read, run_command
 
-__all__ = ["HOSTILE", "values"]
-
 _DIGITS = "9" * 5000
 HOSTILE: tuple[str, ...] = (
     "0x_", "0x", "0b_", "0b", "0o", "0o8", "_", "+", "-", ".", "1_", "1__0", "+.inf", "-.inf", ".nan", "nan", "inf",

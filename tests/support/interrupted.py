@@ -25,8 +25,6 @@ from gridslam.ros.node.live_autosave import LiveAutosave, SessionFiles
 from gridslam.ros.node.mapping_session import Session as NodeSession
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 
-__all__ = ["SCANS", "carry", "make_building", "run_node"]
-
 CONFIG = override(gridslam.Configuration(), "particles=3", "mapper.resolution_m=0.1")
 SCANS = 260
 """Of the second day; the robot is found again after about 70 of them, earlier where its pose is given."""

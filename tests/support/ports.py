@@ -5,8 +5,6 @@ from __future__ import annotations
 import random
 import socket
 
-__all__ = ["free_port"]
-
 _BELOW_EPHEMERAL = range(20_000, 32_000)
 """Where Linux (from 32768) and macOS and Windows (from 49152) take no port for the end of a connection: one of those
 could be given away between the moment it was found free and the moment the server listens on it."""

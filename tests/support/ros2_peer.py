@@ -35,10 +35,16 @@ class Peer:
         rclpy.init(context=self.context, domain_id=domain)
         self.node = rclpy.create_node(name, context=self.context)
         self._executor = SingleThreadedExecutor(context=self.context)
-        self._executor.add_node(self.node)
+        self._nodes: list[Any] = []
+        self.add(self.node)
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
+
+    def add(self, node: Any) -> None:
+        """Let another node of the context spin, too."""
+        self._nodes.append(node)
+        self._executor.add_node(node)
 
     def _spin(self) -> None:
         while not self._closed.is_set():
@@ -48,7 +54,8 @@ class Peer:
         self._closed.set()
         self._thread.join()
         self._executor.shutdown()
-        self.node.destroy_node()
+        for node in self._nodes:
+            node.destroy_node()
         rclpy.try_shutdown(context=self.context)
 
     def hear(self, topic: str, kind: Any, qos: Any = 100) -> list[Any]:

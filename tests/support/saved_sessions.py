@@ -21,8 +21,6 @@ from gridslam.io.csv import write_csv_log
 from gridslam.io.sessions.session_file import SavedSession, write_session
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 
-__all__ = ["make_session"]
-
 
 def make_session() -> SavedSession:
     """Make it; logs are named without a folder."""

@@ -7,9 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gridslam.config import PARAMETERS, PRESETS, Configuration, build, dumps, load, loads, override, preset
-from gridslam.config.tables import names, to_table, value_of
+from gridslam.config.tables import names, value_of
 from gridslam.errors import ConfigurationError
 from gridslam.models import OdometryMotion
+from gridslam.parameters import to_table
 from gridslam.particles import Residual
 from gridslam.slam import GridFastSlam
 from gridslam.slam.loop_closure.loop_closure import LoopClosure

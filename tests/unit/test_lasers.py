@@ -18,9 +18,9 @@ from support.faults import range_limits
 
 
 def test_exact_lasers_get_finer_cells_where_scans_are_matched_by_gauss_newton():
-    fine = apply_laser(preset("accurate"), "hokuyo-utm-30lx")
+    fine = apply_laser(preset("default"), "hokuyo-utm-30lx")
     expected = override(
-        preset("accurate"),
+        preset("default"),
         "resolution_m=0.03",
         "range_min_m=0.1",
         "tracker.matcher.cauchy_m=0.05",

@@ -10,14 +10,13 @@ from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from gridslam.config.tables import Table, nest, read_assignments, replace_parameters, suggest_names, to_table
+from gridslam.config.tables import nest, read_assignments, replace_parameters, suggest_names
 from gridslam.errors import ConfigurationError, InputError
 from gridslam.io.ros_parameters import read_parameter_file
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.models.motion import OdometryMotion
+from gridslam.parameters import Table, to_table
 from gridslam.types import FloatArray
-
-__all__ = ["AMCL_DEFAULTS", "AMCL_NAMES", "AmclParameters", "from_amcl", "override_configuration", "read_amcl"]
 
 _POSE = ("initial_pose_x", "initial_pose_y", "initial_pose_a")
 _TABLE: Final[tuple[tuple[str, str, Any, Any, str], ...]] = (

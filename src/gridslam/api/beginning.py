@@ -26,17 +26,6 @@ from gridslam.tracking.state import SensorTrack, TrackerState, pose_of
 from gridslam.tracking.tracker import Tracker
 from gridslam.types import FloatArray, LaserScan, StepReport, describe_duration
 
-__all__ = [
-    "Beginning",
-    "Place",
-    "PlaceDecision",
-    "begin_new_piece",
-    "decide_place",
-    "locate_in",
-    "restart_at_pose",
-    "restart_at_same_place",
-]
-
 _MAX_GAP_S = 600.0
 """Longest time between two logs of one drive; after a longer one the robot begins a new drive."""
 _MAX_SPEED_M_S = 2.0
@@ -89,7 +78,7 @@ class Beginning:
     failures: FailureRecorder = field(default_factory=FailureRecorder)
 
     def attach(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-        """Let a filter that has just begun look for the robot in the pieces."""
+        """Make a filter that has just started search for the robot in the pieces."""
         self.attach_to(state)
 
     def attach_to(self, state: GridFastSlamState | None) -> GridFastSlamState | None:
@@ -148,7 +137,7 @@ def locate_in(
 def begin_new_piece(
     ended: Beginning, configuration: Configuration, seed: int, on_progress: Callable[[], None] = lambda: None
 ) -> Beginning:
-    """Return the beginning of a carried robot's next drive: its map so far is a piece in which it is searched for.
+    """Return the start of a carried robot's next drive: the robot is searched for in its map so far.
 
     The same as where another log is added to a session; `ended` is what `Beginning.go_on` gives after the last scan.
     """

@@ -13,7 +13,6 @@ import numpy as np
 
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.carmen.writer import to_carmen_form, write_carmen
 from gridslam.io.csv import write_csv_log
 from gridslam.io.log import Log, LogOptions, LogSource, open_if_path
 from gridslam.io.log_statistics import LogStatistics
@@ -22,13 +21,10 @@ from gridslam.io.output import write_atomically
 from gridslam.io.trajectories import write_tum
 from gridslam.types import BeamStatus, Odometry, Trajectory
 
-__all__ = ["Conversion", "OutFormat", "convert_log", "infer_format"]
-
 
 class OutFormat(Enum):
     """Formats that a log can be written in."""
 
-    CARMEN = "carmen"
     CSV = "csv"
     TUM = "tum"
     ROS1 = "ros1"
@@ -37,9 +33,6 @@ class OutFormat(Enum):
 
 
 _BY_SUFFIX = {
-    ".clf": OutFormat.CARMEN,
-    ".log": OutFormat.CARMEN,
-    ".carmen": OutFormat.CARMEN,
     ".csv": OutFormat.CSV,
     ".tum": OutFormat.TUM,
     ".bag": OutFormat.ROS1,
@@ -47,7 +40,7 @@ _BY_SUFFIX = {
     "": OutFormat.ROS2,
     ".mcap": OutFormat.MCAP,
 }
-_NAMES = ".clf, .log, .carmen, .csv (each with .gz or .bz2 if wanted), .tum, .bag, .mcap, .db3, or nothing (a folder)"
+_NAMES = ".csv, .csv.gz, .csv.bz2, .tum, .bag, .mcap, .db3, or nothing (a folder)"
 _PACKED = ".gz", ".bz2"
 
 
@@ -88,7 +81,7 @@ def infer_format(out: str | Path, to: str | None = None) -> OutFormat:
     if to is not None and to not in {form.value for form in OutFormat}:
         raise ArgumentError("to", ", ".join(form.value for form in OutFormat), repr(to))
     form = named if to is None else OutFormat(to)
-    if form in (OutFormat.CARMEN, OutFormat.CSV):
+    if form is OutFormat.CSV:
         return form
     kinds = OutFormat.ROS1, OutFormat.MCAP  # whose writer uses the suffix
     if form is None or packed or (form is not named and (form in kinds or (form is OutFormat.ROS2 and named in kinds))):
@@ -161,9 +154,7 @@ def _write(
     lost: Counter[str],
     counted: Callable[[Iterable[Measurement]], Iterator[Measurement]],
 ) -> None:
-    if form is OutFormat.CARMEN:
-        write_carmen(target, counted(to_carmen_form(_with_beams(log, lost), lost)))
-    elif form is OutFormat.CSV:
+    if form is OutFormat.CSV:
         write_csv_log(target, counted(_with_beams(log, lost)))
     elif form is OutFormat.TUM:
         _write_odometry(target, log.path, counted(_with_odometry(log, lost)))

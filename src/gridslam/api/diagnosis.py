@@ -10,8 +10,6 @@ from gridslam.doctor.report import document, text
 from gridslam.io.log import Log, LogOptions
 from gridslam.io.output import OutputFolder
 
-__all__ = ["check_log", "describe_finding", "write_diagnosis"]
-
 
 def check_log(log: Log, options: LogOptions, warn: Callable[[str], None], *, is_mapped: bool = False) -> CheckedLog:
     """Wrap a log so that faults at its beginning are reported while it is read, one line each.

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gridslam.arguments import require_instance
+from gridslam.doctor.repair import open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.evaluation.self_consistency import measure_self_consistency
 from gridslam.evaluation.trajectory import (
@@ -15,11 +16,9 @@ from gridslam.evaluation.trajectory import (
     relation_errors,
     relative_errors_by_distance,
 )
-from gridslam.io.log import detect_log_format, open_log
+from gridslam.io.log import detect_log_format
 from gridslam.io.trajectories import read_relations, read_trajectory
 from gridslam.types import Trajectory
-
-__all__ = ["EVALUATION_SCHEMA", "evaluate_trajectory", "score_against_reference", "score_against_truth"]
 
 EVALUATION_SCHEMA = "gridslam.evaluation/1"
 
@@ -32,8 +31,9 @@ def evaluate_trajectory(trajectory: str | Path, reference: str | Path, distance_
     trajectory : str or Path
         A file in TUM or EuRoC format.
     reference : str or Path
-        True relations if its name ends in .relations; the log that the trajectory is of, in any format; or else the
-        true trajectory, a file in TUM, EuRoC or KITTI format; one of KITTI has a pose for each of the trajectory.
+        True relations if its name ends in .relations; the log that the trajectory is of, in any format, read with the
+        corrections of `map_log`; or else the true trajectory, a file in TUM, EuRoC or KITTI format; one of KITTI has a
+        pose for each of the trajectory.
     distance_m : float, m, > 0
         Path length between the pairs of poses of the RPE.
 
@@ -62,8 +62,8 @@ def score_against_reference(
         if Path(reference).suffix == ".relations":
             return {"relations": asdict(relation_errors(estimate, read_relations(reference)))}
         if _is_log(reference):
-            agreement = measure_self_consistency(estimate, (scan for _, scan in open_log(reference)))
-            return {"self_consistency": asdict(agreement)}
+            scans = (scan for _, scan in open_repaired(reference, None, "needed"))
+            return {"self_consistency": asdict(measure_self_consistency(estimate, scans))}
         return score_against_truth(estimate, read_trajectory(reference, estimate.stamps_ns), distance_m)
     except ArgumentError as error:
         if error.argument == "distance_m":

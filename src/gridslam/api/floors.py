@@ -11,8 +11,6 @@ from gridslam.errors import InputError
 from gridslam.io.log import Log
 from gridslam.localization.state import LocalizationReport
 
-__all__ = ["choose_floor", "compare_floors"]
-
 _LEAST_SHARE = 0.3
 _CLEAR = 2.0
 """Ratio of the shares of the best floor and of any other one, from which on the floor is reported."""

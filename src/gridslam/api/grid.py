@@ -16,7 +16,6 @@ from gridslam.api.result import Result, describe_input, find_repair
 from gridslam.arguments import require_instance, require_threads
 from gridslam.checked import checked
 from gridslam.config import Configuration, apply_laser, override
-from gridslam.config.tables import to_table
 from gridslam.doctor.repair import Repair, open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.log import Log, LogOptions, LogSource
@@ -28,13 +27,12 @@ from gridslam.io.trajectories import read_trajectory
 from gridslam.kernels import FARTHEST
 from gridslam.mapping.beam_counts import BeamCounts, bayes_map, counting_map
 from gridslam.mapping.known_poses import KnownPoses, NoPoseReason
+from gridslam.parameters import to_table
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, OccupancyGrid, Trajectory
 
 if TYPE_CHECKING:
     from gridslam.viz.notebook import Picture
-
-__all__ = ["GridModel", "GridResult", "map_with_poses"]
 
 _MOST_CELLS = 3e8
 """1.5 gigabytes, as the map is unfolded; 870 m x 870 m in cells of 5 cm."""
@@ -259,7 +257,7 @@ def map_with_poses(
 
 
 def _check_size(given: Trajectory, path: Path | None, config: Configuration) -> None:
-    """Refuse a trajectory whose map no memory or index holds: a pose in it is wrong, or cells are too small."""
+    """Reject a trajectory whose map would be too large: a pose is wrong, or the cells are too small."""
     cell_m = config.mapper.resolution_m
     sides_m = (np.ptp(given.poses[:, :2], axis=0) if len(given) else np.zeros(2)) + 2 * config.range_max_m
     farthest_m = float(np.abs(given.poses[:, :2]).max(initial=0.0))

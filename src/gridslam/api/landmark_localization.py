@@ -31,8 +31,6 @@ from gridslam.types import FloatArray, MotionModel, Trajectory
 if TYPE_CHECKING:
     from gridslam.viz.notebook import Picture
 
-__all__ = ["LandmarkLocalizationResult", "localize_by_landmarks"]
-
 _COMPLETE_MAP_GATES = MaximumLikelihood(match_gate=100.0, new_gate=100.0)
 """In a complete map an observation far off indicates a wrong pose rather than a new landmark.
 

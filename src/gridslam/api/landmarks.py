@@ -58,20 +58,6 @@ from gridslam.types import FloatArray, IntArray, MotionModel, Trajectory
 if TYPE_CHECKING:
     from gridslam.viz.notebook import Picture
 
-__all__ = [
-    "COMMANDS",
-    "METHODS",
-    "MOTION",
-    "PARTICLES",
-    "SENSORS",
-    "LandmarkEstimate",
-    "LandmarkMethod",
-    "LandmarkResult",
-    "ResultByLandmarks",
-    "align_trajectory",
-    "map_landmarks",
-]
-
 LandmarkMethod: TypeAlias = Literal["ekf", "fastslam1", "fastslam2", "graph"]
 
 METHODS: tuple[LandmarkMethod, ...] = "ekf", "fastslam1", "fastslam2", "graph"

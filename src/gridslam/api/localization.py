@@ -16,7 +16,6 @@ from gridslam import __version__
 from gridslam.api.result import Result, describe_input, find_repair, write_trajectory
 from gridslam.arguments import describe, require_instance, require_seed, require_threads
 from gridslam.checked import checked
-from gridslam.config.tables import to_table
 from gridslam.doctor.repair import Repair, open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.edited_maps import read_edited_map
@@ -33,21 +32,13 @@ from gridslam.localization.state import (
     LocalizationSkip,
     MonteCarloState,
 )
+from gridslam.parameters import to_table
 from gridslam.pipeline import FailureRecorder, Stopwatch, run
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Odometry, Trajectory
 
 if TYPE_CHECKING:
     from gridslam.api.mapping import MapResult
     from gridslam.viz.notebook import Picture
-
-__all__ = [
-    "BELIEF_HEADER",
-    "INITIAL_COVARIANCE",
-    "LocalizationInterval",
-    "LocalizationResult",
-    "known_map",
-    "localize",
-]
 
 BELIEF_HEADER = "stamp_s,lost,lost_probability,inlier_ratio,particles,n_eff,injection_ratio"
 """First line of belief.csv: a row for each scan; n_eff is empty where the particles were not updated."""

@@ -21,7 +21,6 @@ from gridslam.arguments import require_instance, require_seed, require_threads
 from gridslam.checked import checked
 from gridslam.config import Configuration, apply_laser, build
 from gridslam.config import preset as preset_of
-from gridslam.config.tables import to_table
 from gridslam.doctor.finding import Finding
 from gridslam.doctor.repair import Repair, open_repaired
 from gridslam.doctor.view_breaks import split_where_carried
@@ -41,6 +40,7 @@ from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import write_tum
 from gridslam.kernels import compiled
 from gridslam.observers import RunStatistics
+from gridslam.parameters import to_table
 from gridslam.pipeline import Observer, Stopwatch, describe_error, run
 from gridslam.slam.full_slam.full_slam import LoopClosureSummary, full_slam
 from gridslam.slam.full_slam.full_trajectory import find_open_directions
@@ -53,8 +53,6 @@ from gridslam.types import FloatArray, IntArray, OccupancyGrid, StepReport, Traj
 
 if TYPE_CHECKING:
     from gridslam.viz.notebook import Picture
-
-__all__ = ["FoundAgain", "MapResult", "describe_log", "finish_mapping", "map_log"]
 
 _OWN_PARTS = "tracker", "motion", "sensor", "proposal", "resampler", "when_to_update", "when_to_resample"
 _MAX_BACKWARD_RATIO = 0.1
@@ -299,7 +297,7 @@ class MapResult(Result):
         self.record.write(out.file("record.npz"), self._find_recorded_revisits())
 
     def _find_recorded_revisits(self) -> IntArray | None:
-        """Tracked revisits within the newest drive, whose key scans alone are recorded, counted from its first one."""
+        """Tracked revisits within the newest drive, the only one that is recorded, as numbers of its key scans."""
         if self.loop_summary is None or not self.drives:
             return None
         revisits = self.loop_summary.tracked_revisits - int(self.drives[-1].scans.keys[0])
@@ -456,7 +454,7 @@ def map_log(
     log : str, Path or Log
         The log, of any format that `open_log` knows.
     preset : str
-        "default", "accurate" or "gmapping".
+        "default" or "gmapping".
     particles : int, optional
         Number of particles; the preset's own if not given.
     laser : str, optional

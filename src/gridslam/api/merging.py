@@ -12,12 +12,12 @@ import numpy as np
 from gridslam import __version__
 from gridslam.api.result import Result, write_trajectory
 from gridslam.api.session import Session
-from gridslam.config.tables import to_table
 from gridslam.errors import ArgumentError
 from gridslam.io.g2o import write_g2o
 from gridslam.io.maps import write_map
 from gridslam.io.output import OutputFolder
 from gridslam.io.trajectories import write_tum
+from gridslam.parameters import to_table
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.full_slam.full_slam import FullSlam
 from gridslam.slam.full_slam.full_trajectory import find_open_directions
@@ -25,8 +25,6 @@ from gridslam.types import FloatArray, Trajectory
 
 if TYPE_CHECKING:
     from gridslam.viz.notebook import Picture
-
-__all__ = ["MergeResult", "merge_sessions"]
 
 
 @final

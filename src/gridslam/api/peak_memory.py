@@ -7,8 +7,6 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["find_peak_memory_bytes", "return_freed_memory", "return_large_blocks"]
-
 _M_MMAP_THRESHOLD = -3  # of mallopt(3)
 _LARGE_BLOCK_BYTES = 1 << 20
 

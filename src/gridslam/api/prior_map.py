@@ -15,8 +15,6 @@ from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.types import FloatArray, OccupancyGrid, StoredScan
 
-__all__ = ["piece_of_map"]
-
 _SPACING_M = 1.0
 _CLEARANCE_M = 0.15
 """Clearance of simulated poses from obstacles, m; a robot's radius would miss structure in narrow gaps."""

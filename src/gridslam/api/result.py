@@ -23,8 +23,6 @@ from gridslam.types import FloatArray, Trajectory
 if TYPE_CHECKING:
     from gridslam.viz.notebook import Picture
 
-__all__ = ["Result", "describe_input", "find_repair", "write_trajectory"]
-
 _COMPRESSION = 3  # of zlib, for pictures: 12 % larger than by 6, in two thirds of the time
 
 

@@ -39,8 +39,6 @@ from gridslam.slam.full_slam.full_trajectory import full_trajectories
 from gridslam.slam.full_slam.merging import merge_pieces
 from gridslam.types import FloatArray, OccupancyGrid, Trajectory
 
-__all__ = ["Session"]
-
 
 @final
 class _Map(NamedTuple):
@@ -189,14 +187,14 @@ class Session:
 
     @property
     def edits(self) -> Edits:
-        """The edits beside the file that was opened, as they lie in the maps; raises InputError where they are none.
+        """The edits beside the opened file, moved to the maps as they are now; raises InputError for a damaged file.
 
         Each names the drive whose scan it follows, and so the map.
         """
         return keep_edits(self._edits, self._list_maps(), self._path or "")
 
     def _list_maps(self) -> list[dict[str, Trajectory]]:
-        """Return where the drives of each map lie."""
+        """Return the trajectories of the drives of each map."""
         return [piece.trajectories for piece in self.pieces]
 
     def add(
@@ -394,7 +392,7 @@ class Session:
         return Beginning(run, pieces, locate_in(pieces, self.configuration, run, pose))
 
     def _note_edits(self, *, keeps_all: bool) -> None:
-        """Note where the scans lie that edits follow, before some are left out as another drive begins."""
+        """Store the poses of the scans that edits follow, before a new drive leaves some of them out."""
         for source in self._edits:
             source.keep(())  # a damaged file is refused before the log is mapped
         maps = [] if keeps_all else self._list_maps()

@@ -16,22 +16,12 @@ from gridslam.io.edits import Edit, Edits, read_edits, write_edits
 from gridslam.io.sessions.session_file import SavedSession, write_session
 from gridslam.types import Trajectory
 
-__all__ = [
-    "EditsBefore",
-    "Trajectories",
-    "find_edits",
-    "keep_edits",
-    "move_session",
-    "set_aside",
-    "write_session_and_edits",
-]
-
 Trajectories: TypeAlias = Mapping[str, Trajectory]
 """Of each drive of a map, by its name."""
 
 
 def find_edits(session: str | Path) -> Path:
-    """Return the file in which the edits of a session lie: ``NAME.edits.geojson`` beside ``NAME.gridslam``."""
+    """Return the path of a session's edits: ``NAME.edits.geojson`` beside ``NAME.gridslam``."""
     return Path(session).with_suffix(".edits.geojson")
 
 
@@ -103,7 +93,7 @@ def _select(before: Trajectory, after: Trajectory) -> Trajectory:
 
 
 def keep_edits(sources: Sequence[EditsBefore], maps: Sequence[Trajectories], session: str | Path) -> Edits:
-    """Return the edits of the sessions that have become one, as they lie in its maps, to be saved beside its file."""
+    """Return the edits of merged sessions, moved to the maps of the result, to be saved beside its file."""
     return Edits(tuple(edit for source in sources for edit in source.keep(maps)), Path(session).name)
 
 
@@ -148,7 +138,7 @@ def write_session_and_edits(
 
 
 def set_aside(session: str | Path, sources: Sequence[EditsBefore]) -> None:
-    """Rename edits that lie beside a session file to be written, unless they are among its sources."""
+    """Rename the edits beside a session file that will be written, unless they are among its sources."""
     path = find_edits(session)
     if not path.exists() or any(source.path.exists() and source.path.samefile(path) for source in sources):
         return

@@ -31,10 +31,15 @@ from gridslam.errors import GridslamError
 from gridslam.io.output import OutputFolder
 from gridslam.io.staging import StagingFolder
 
-__all__ = ["remove_partial", "run_job", "start_row"]
-
 _METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
-_PRELOADED = ["__main__", "gridslam.batch.commands"]
+_PRELOADED = [
+    "__main__",
+    "gridslam.batch.commands",
+    "gridslam.viz.picture",
+    "PIL.PngImagePlugin",
+    "scipy.sparse",
+    "qdldl",
+]
 _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _LOOK_S = 0.2
 _STARTS = 20
@@ -96,7 +101,7 @@ def remove_partial(folder: Path) -> None:
 
 
 def start_row(job: Job) -> dict[str, Any]:
-    """Return the row of a job of whose outcome nothing is known yet."""
+    """Return the row of a job that has not ended yet."""
     return dict.fromkeys(COLUMNS) | job.summary() | {"status": "failed"}
 
 
@@ -259,7 +264,7 @@ def _limit(memory_bytes: int | None) -> None:
 
 
 def _lift_memory_limit() -> None:
-    """Give a process whose memory is short enough to report it."""
+    """Raise the memory limit of a process that must report that its memory is exhausted."""
     with suppress(ImportError, OSError, ValueError):
         import resource
 

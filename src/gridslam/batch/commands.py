@@ -1,6 +1,6 @@
 """The commands that a job of `gridslam batch` runs: map, doctor, localize, evaluate; arguments are a JSON object.
 
-Importing this module imports all that they need, so that children are forked with it.
+Children are forked from a server that has imported this module, and what the commands import only when they run.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import gridslam.viz  # noqa: F401
 from gridslam.api.diagnosis import check_log, describe_finding, write_diagnosis
 from gridslam.api.evaluation import evaluate_trajectory, score_against_reference
 from gridslam.api.localization import LocalizationResult, localize
@@ -27,8 +26,6 @@ from gridslam.io.output import OutputFolder
 from gridslam.io.text import measure_size
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.slam.full_slam import full_slam  # noqa: F401
-
-__all__ = ["run_doctor", "run_evaluate", "run_localize", "run_map"]
 
 
 def run_map(arguments: Mapping[str, Any]) -> dict[str, Any]:

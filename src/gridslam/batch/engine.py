@@ -26,8 +26,6 @@ try:
 except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["MOST_WORKERS", "run_jobs"]
-
 _POLL_S = 0.5
 MOST_WORKERS: Final = 256
 _ENDING_S = 5.0

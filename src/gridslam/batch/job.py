@@ -11,8 +11,6 @@ from typing import Any, final
 from gridslam import __version__
 from gridslam.errors import ArgumentError
 
-__all__ = ["Job", "compute_key"]
-
 
 @final
 @dataclass(frozen=True, slots=True)

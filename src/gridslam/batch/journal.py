@@ -12,8 +12,6 @@ from typing import Any, final
 from gridslam.errors import InputError, OutputError
 from gridslam.io.database import require_tables
 
-__all__ = ["COLUMNS", "JOURNAL", "Journal", "describe_file"]
-
 JOURNAL = "runs.sqlite"
 
 COLUMNS = {

@@ -17,8 +17,6 @@ from gridslam.errors import GridslamError, InputError
 from gridslam.io.remote import is_url, list_files, mask_url
 from gridslam.io.text import read_text
 
-__all__ = ["COLUMNS", "Entry", "find_logs"]
-
 COLUMNS: Final = ("log", "name", "reference")
 """Columns of a manifest beside the options of the command."""
 
@@ -118,7 +116,7 @@ def _expand(pattern: str, trajectories: bool) -> Iterator[Entry]:
 
 
 def _expand_url(pattern: str) -> Iterator[Entry]:
-    """Yield the logs at URLs: those that a pattern matches, or that are below a folder, whose URL ends in a slash."""
+    """Yield the logs at URLs: the matches of a pattern, or the files below a folder (its URL ends in a slash)."""
     wild = "*" in pattern or "[" in pattern
     if not wild and not pattern.endswith("/"):
         yield Entry(mask_url(pattern), pattern)

@@ -15,8 +15,6 @@ from gridslam.batch.runs import Run, read_runs
 from gridslam.errors import InputError
 from gridslam.evaluation.regression import LEAST_PAIRS, Change, find_changes
 
-__all__ = ["ALL_LOGS", "FIGURES", "REGRESSION_SCHEMA", "Regression", "compare_batches"]
-
 REGRESSION_SCHEMA: Final = "gridslam.regression/1"
 
 ALL_LOGS: Final = "all logs"
@@ -183,7 +181,7 @@ def _pair(old: Mapping[str, Run], new: Mapping[str, Run], unpaired: Mapping[str,
 
 
 def _difference(name: str, old: Run, new: Run) -> float:
-    """Return logarithm of the ratio, new to old; of failures the difference. NaN where one of both has no value."""
+    """Return the logarithm of the ratio new / old, or the difference for failures; NaN where a value is missing."""
     if name == "failed":
         return float(old.is_done) - float(new.is_done)
     a, b = (_figure(name, run) for run in (old, new))

@@ -13,8 +13,6 @@ from typing import Any, Final
 from gridslam.batch.runs import Run, read_runs
 from gridslam.io.output import write_atomically
 
-__all__ = ["COLUMNS", "REPORT", "write_report"]
-
 REPORT: Final = "report.html"
 """Name of the page in the output folder of a batch."""
 
@@ -31,7 +29,7 @@ COLUMNS: Final = (
     ("scans", "scans", "count"),
     ("duration_s", "length", "s"),
     ("path_m", "driven", "m"),
-    ("closures", "closures", "count"),
+    ("closures", "recognized closures", "count"),
     ("lost_scans", "lost scans", "count"),
 )
 """Figures that the page can show: name, label and unit; a column without a value is left out."""

@@ -16,8 +16,6 @@ from gridslam.errors import InputError
 from gridslam.io.database import AS_IT_LIES, open_database
 from gridslam.io.text import parse_json, refuse_unreadable
 
-__all__ = ["DONE", "Run", "read_runs"]
-
 DONE: Final = "done"
 """Status of a run that ended well; that of any other run is "failed"."""
 
@@ -82,7 +80,7 @@ class Run:
 
 
 def read_runs(out: str | Path) -> Iterator[Run]:
-    """Yield the runs of a batch in the order in which they were begun first.
+    """Yield the runs of a batch in the order of their first start.
 
     Parameters
     ----------

@@ -19,8 +19,6 @@ from gridslam.plan.source import MapSource, read_source
 from gridslam.plan.surfaces import SurfacePoints
 from gridslam.types import FloatArray
 
-__all__ = ["align_to_folder"]
-
 _NAMES = "align.json", "align.png", "map.yaml", "map.pgm", "map.tif"
 _LEAST_SHARE = 0.3
 """Of a map's surfaces that must lie on the plan: people draw less than a laser sees."""
@@ -62,7 +60,7 @@ def align_to_folder(
 def _align(
     given: MapSource, source: Path, plan: Path, pairs: FloatArray, unit_m: float | None, by_pairs: bool
 ) -> tuple[Alignment, FloatArray, SurfacePoints, float]:
-    """Find how a map lies on a plan, in the plan's metres; how far pairs are apart, the plan's walls, its unit."""
+    """Align a map with a plan, in the plan's metres; return also the pairs' residuals, the walls and the unit."""
     drawn = read_drawn_plan(plan) if plan.suffix.lower() in SUFFIXES else None
     if drawn is None and unit_m is not None:
         raise InputError(plan, "expected no --unit with a map, which is in m")

@@ -20,16 +20,16 @@ from gridslam.batch.manifest import COLUMNS, Entry, find_logs
 from gridslam.batch.report import REPORT, write_report
 from gridslam.cli.localize import read_parameters
 from gridslam.cli.options import MapOptions, evaluate_options, localize_options, log_options, map_options
-from gridslam.cli.output import open_display, warn, write_apart
-from gridslam.config.tables import suggest_names, to_table
+from gridslam.cli.output import counted, open_display, warn, write_apart
+from gridslam.config.tables import suggest_names
 from gridslam.errors import ConfigurationError, GridslamError, InputError, OutputError
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions
 from gridslam.io.maps import read_map_description
 from gridslam.io.remote import describe_remote, is_url, mask_url
 from gridslam.io.text import measure_size
-
-__all__ = ["require_journal", "run_batch"]
+from gridslam.parameters import to_table
+from gridslam.types import describe_duration
 
 _TARGET = "gridslam.batch.commands:run_{}"
 _TRUE = ("1", "true", "yes", "on")
@@ -276,7 +276,7 @@ class _Progress:
         self._resumed += row["resumed"] and row["status"] == "done"
         size = self._sizes[row["folder"]]
         self._left_bytes -= size
-        self._ended_bytes += 0 if row["resumed"] else size
+        self._ended_bytes += size if row["status"] == "done" and not row["resumed"] else 0  # others end at once
         if self._as_json:
             click.echo(json.dumps({name: value for name, value in row.items() if name != "document"}))
         elif row["status"] == "failed":
@@ -285,7 +285,8 @@ class _Progress:
     def describe(self, passed_s: float) -> tuple[float, str]:
         """Return the share of the logs that have ended, and a line about them."""
         ended = self._done + self._failed
-        left = f", {passed_s * self._left_bytes / self._ended_bytes:.0f} s left" if self._ended_bytes else ""
+        left_s = round(passed_s * self._left_bytes / self._ended_bytes) if self._ended_bytes else None
+        left = "" if left_s is None else f", {describe_duration(left_s)} left"
         failed = f", {self._failed} failed" if self._failed else ""
         return ended / self._total, f"{ended} of {self._total} logs{failed}{left}"
 
@@ -295,6 +296,6 @@ class _Progress:
         failed = f", {self._failed} failed" if self._failed else ""
         seconds = time.perf_counter() - self._began
         return [
-            f"{self._total} logs: {self._done} done{earlier}{failed}, in {seconds:.1f} s",
+            f"{counted(self._total, 'log')}: {self._done} done{earlier}{failed}, in {seconds:.1f} s",
             f"rows: {out / 'runs.sqlite'}",
         ]

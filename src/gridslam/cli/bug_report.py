@@ -13,8 +13,6 @@ from importlib import metadata
 from gridslam import __version__
 from gridslam.io.remote import mask_urls
 
-__all__ = ["write_report"]
-
 _LIBRARIES = "click", "numpy", "scipy", "pillow", "pydantic", "rosbags"
 _MOST_LETTERS = 500
 """Maximum length of the quoted message of an exception, which may contain text of the input."""

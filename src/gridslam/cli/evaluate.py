@@ -13,8 +13,6 @@ from gridslam.cli.output import print_result
 from gridslam.evaluation.self_consistency import SelfConsistency
 from gridslam.evaluation.trajectory import PoseErrors, RelationErrors
 
-__all__ = ["evaluate", "format_scores"]
-
 
 def evaluate(trajectory: Path, reference: Path, distance_m: float, as_json: bool) -> None:
     """Score a trajectory against relations, against another trajectory, or against its own scans in a log."""

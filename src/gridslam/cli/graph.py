@@ -22,8 +22,6 @@ from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
 from gridslam.viz import draw_graph
 
-__all__ = ["GRAPH_SCHEMA", "graph_to_folder"]
-
 GRAPH_SCHEMA = "gridslam.graph/1"
 
 _GRAPH = "graph.g2o"

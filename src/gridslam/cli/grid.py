@@ -14,8 +14,6 @@ from gridslam.io.log import LogOptions, open_log
 from gridslam.mapping.known_poses import NoPoseReason
 from gridslam.pipeline import Stopwatch
 
-__all__ = ["grid_to_folder"]
-
 
 def grid_to_folder(
     log: Path,

@@ -16,8 +16,6 @@ from gridslam.errors import InputError
 from gridslam.io.landmark_logs import open_landmark_log
 from gridslam.pipeline import Stopwatch
 
-__all__ = ["landmarks_to_folder"]
-
 _LEFT_OUT = {"robots": "of other robots", "unknown": "of unknown barcodes"}
 
 

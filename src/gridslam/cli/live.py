@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from gridslam.ros.node.messages import Diagnostics
     from gridslam.types import OccupancyGrid
 
-__all__ = ["NOBODY", "Viewers", "node_page", "open_viewers", "serve_page", "view"]
-
 _Page = TypeVar("_Page")
 _MOST_MOMENTS = 512
 _KEYS_BETWEEN_MOMENTS = 8  # at first
@@ -71,7 +69,7 @@ class Viewers(NamedTuple):
             write_history(folder.file(HISTORY_NAME), self.history.history)
 
     def wait(self, timeout_s: float) -> None:
-        """Give someone this time to open the page; if nobody comes, go as fast as can be."""
+        """Wait this long for a viewer of the page; without one run at full speed."""
         if self.page is not None and timeout_s > 0:
             warn(f"open the page to begin; without it the run begins in {timeout_s:.0f} s")
             if not self.page.wait_for_viewer(timeout_s):
@@ -181,7 +179,6 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
     """Serve the page of a node that is not started yet, until it has ended."""
     from gridslam.live.control import NO_COMMANDS, RobotCommands, RobotControl
     from gridslam.live.page import LivePage
-    from gridslam.ros.node.ros_node import save_results
     from gridslam.ros.node.session_services import SessionServices
 
     commands = NO_COMMANDS
@@ -196,7 +193,7 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
 
         commands = RobotCommands(
             reset=core.reset,
-            save=lambda name: save_results(core, folder),
+            save=lambda name: services.answer(services.save),
             serialize=on_session(services.serialize),
             go_on=on_session(services.deserialize),
             merge=on_session(services.merge),
@@ -249,9 +246,9 @@ def view(
     from gridslam.live.replay import Replay
     from gridslam.live.server import PageServer
 
-    report = out / "report.html"  # of gridslam batch
-    if report.is_file():
-        address = report.resolve().as_uri()
+    reports = [report for report in (out / "report.html", out / "report.txt") if report.is_file()]  # batch, doctor
+    if reports:
+        address = reports[0].resolve().as_uri()
         click.echo(f"{out}: open {address}")
         open_page(address, live)
         return

@@ -25,8 +25,6 @@ from gridslam.live.options import LiveOptions
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.pipeline import Stopwatch
 
-__all__ = ["localize_to_folder", "read_parameters"]
-
 _MAX_LINES = 8
 """Intervals in the summary."""
 

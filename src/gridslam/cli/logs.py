@@ -17,17 +17,6 @@ from gridslam.errors import ArgumentError
 from gridslam.io.datasets import DATASETS, fetch_dataset, find_dataset
 from gridslam.io.log import Log, LogOptions, open_log
 
-__all__ = [
-    "CONVERSION_SCHEMA",
-    "DATASETS_SCHEMA",
-    "EXIT_FOUND_ERRORS",
-    "check_log",
-    "convert",
-    "doctor_log",
-    "get_dataset",
-    "list_datasets",
-]
-
 CONVERSION_SCHEMA = "gridslam.conversion/1"
 DATASETS_SCHEMA = "gridslam.datasets/1"
 

@@ -15,8 +15,6 @@ from gridslam.cli.output import handle_signals, is_interrupted, report_backgroun
 from gridslam.cli.streams import close_output, open_streams
 from gridslam.errors import ConfigurationError, GridslamError, InputError
 
-__all__ = ["EXIT_BUG", "main"]
-
 EXIT_BUG = 70
 """Exit status of an exception that nobody foresaw, as EX_SOFTWARE of sysexits.h."""
 
@@ -75,7 +73,7 @@ def _report_failure(error: BaseException) -> int:
 
 
 def _report_bug(error: BaseException) -> None:
-    """Write a file for a report of an exception that nobody foresaw, and print one line that names it."""
+    """Write a report of an unexpected exception to a file, and print one line that names it."""
     from gridslam.cli.bug_report import write_report
 
     _print_error(write_report(error), EXIT_BUG)

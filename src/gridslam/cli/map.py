@@ -20,8 +20,6 @@ from gridslam.io.log import Log, open_log
 from gridslam.live.options import LiveOptions
 from gridslam.pipeline import Stopwatch
 
-__all__ = ["map_to_folder", "map_with_progress", "summarize"]
-
 
 def map_to_folder(
     log: Path,

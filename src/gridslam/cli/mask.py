@@ -22,8 +22,6 @@ from gridslam.plan.masks import Mask, describe_filters, make_keepout_mask, make_
 from gridslam.plan.world import WorldOrigin, format_edits_in_degrees, turn_edits_to_metres
 from gridslam.types import OccupancyGrid
 
-__all__ = ["mask_to_folder"]
-
 _NAMES = (
     "map.yaml", "map.pgm", "keepout_mask.yaml", "keepout_mask.pgm", "speed_mask.yaml", "speed_mask.pgm",
     "nav2_filters.yaml", "edits.geojson", "edits_wgs84.geojson", "mask.json"

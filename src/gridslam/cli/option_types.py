@@ -16,20 +16,6 @@ import click
 from gridslam.cli.output import TARGETS, hold_interrupts
 from gridslam.errors import OutputError
 
-__all__ = [
-    "LOG",
-    "MEMORY",
-    "OUT",
-    "OUTPUT_FILE",
-    "OUTPUT_FOLDER",
-    "PATH",
-    "SECONDS",
-    "SEED",
-    "THREADS",
-    "TIME_LIMIT",
-    "Number",
-]
-
 _MOST_S: Final = 9e9
 """Longest time, s: 285 years, in ns less than 64 bits hold."""
 

@@ -20,30 +20,6 @@ if TYPE_CHECKING:
     from gridslam.io.log import LogOptions
     from gridslam.live.options import LiveOptions
 
-__all__ = [
-    "SETTINGS",
-    "MapOptions",
-    "add_options",
-    "assignment_option",
-    "evaluate_options",
-    "floor_option",
-    "history_option",
-    "host_options",
-    "json_option",
-    "live_options",
-    "localize_options",
-    "log_options",
-    "map_options",
-    "name_option",
-    "out_option",
-    "read_pose",
-    "repair_option",
-    "robot_live_options",
-    "seed_option",
-    "session_options",
-    "threads_option",
-]
-
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
@@ -276,7 +252,7 @@ def evaluate_options(command: _Command) -> _Command:
 
 
 def _read_floor(ctx: click.Context, param: click.Parameter, name: str | None) -> str:
-    """Read the name of a floor, of which files get their names."""
+    """Read the name of a floor, which is used in file names."""
     if not name:
         return ""
     from gridslam.io.sessions.drives import require_floor
@@ -295,7 +271,7 @@ _MAP_OPTIONS = (
     click.option("--particles", type=int, help="Number of particles.  [default: the preset's, 30]"),
     seed_option,
     threads_option,
-    click.option("--preset", default="default", show_default=True, help="Preset: default, accurate or gmapping."),
+    click.option("--preset", default="default", show_default=True, help="Preset: default or gmapping."),
     click.option("--laser", metavar="NAME", help="Laser model; sets its range limits and map resolution (see below)."),
     click.option("--config", type=PATH, help="TOML file with parameters; overrides the preset."),
     assignment_option(help="Set one parameter (see below)."),

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, final
 import click
 
 from gridslam.errors import OutputError
+from gridslam.types import describe_duration
 
 if TYPE_CHECKING:
     from gridslam.io.log_statistics import LogStatistics
@@ -25,28 +26,7 @@ if TYPE_CHECKING:
     from gridslam.slam.grid_fastslam.state import GridFastSlamState
     from gridslam.types import StepReport
 
-__all__ = [
-    "TARGETS",
-    "Display",
-    "Progress",
-    "counted",
-    "elapsed_progress",
-    "end_by_signal",
-    "handle_signals",
-    "is_interrupted",
-    "mapping_progress",
-    "open_display",
-    "open_output",
-    "print_json",
-    "print_result",
-    "reading_progress",
-    "report_background_failures",
-    "stop_if_interrupted",
-    "warn",
-    "write_apart",
-]
-
-Display: TypeAlias = Callable[[Callable[[float], tuple[float, str]]], float]
+Display: TypeAlias = Callable[[Callable[[float], tuple[float | None, str]]], float]
 """Displays the fraction and the text that its argument returns: see `open_display`."""
 
 TARGETS: Final = "gridslam.targets"
@@ -172,7 +152,7 @@ def end_by_signal() -> Iterator[None]:
 
 @contextmanager
 def report_background_failures(report: Callable[[BaseException], object]) -> Iterator[None]:
-    """Report exceptions of other threads and of destructors, of which Python would print the traceback.
+    """Report exceptions of other threads and of destructors instead of printing their tracebacks.
 
     An interrupt that comes in a destructor is not reported: `stop_if_interrupted` repeats it.
     """
@@ -231,10 +211,10 @@ def mapping_progress(statistics: Callable[[], LogStatistics], *, shown: bool = T
 def elapsed_progress(what: str, *, shown: bool = True) -> Iterator[Callable[[], None]]:
     """Return a callback that shows the elapsed time where no progress is known, and stops if interrupted."""
     with open_display(shown) as display:
-        yield _count(display, lambda steps, passed_s: (0.0, f"{what}, {steps} steps in {passed_s:.0f} s"))
+        yield _count(display, lambda steps, passed_s: (None, f"{what}: {counted(steps, 'step')} in {passed_s:.0f} s"))
 
 
-def _count(display: Display, describe: Callable[[int, float], tuple[float, str]]) -> Callable[[], None]:
+def _count(display: Display, describe: Callable[[int, float], tuple[float | None, str]]) -> Callable[[], None]:
     """Return a callback that counts steps and displays the description of their number and the time so far."""
     steps = 0
 
@@ -294,7 +274,7 @@ class Progress:
         height, width = state.maps.tiled(state.best).shape
         side = state.maps.resolution_m
         real = (report.stamp_ns - self._first_ns) * 1e-9 / passed_s
-        left = f"{passed_s * (1 - share) / share:.0f} s left" if share else ""
+        left = f"{describe_duration(round(passed_s * (1 - share) / share))} left" if share else ""
         return (
             share,
             f"{self._scans} scans, {self._scans / passed_s:.0f}/s, {real:.0f} x real time, "
@@ -305,12 +285,12 @@ class Progress:
 
 @contextmanager
 def open_display(shown: bool) -> Iterator[Display]:
-    """Yield a function that displays a fraction and a text when it is time, and stops if interrupted.
+    """Yield a function that displays a fraction, if it is known, and a text when it is time; it stops if interrupted.
 
     Its argument, which is not called before, returns both by the time passed so far, s; so does the function itself.
     """
     with ExitStack() as stack:
-        show: Callable[[float, str], None] = _print_line
+        show: Callable[[float | None, str], None] = _print_line
         every_s = _LINE_EVERY_S if shown else math.inf
         if shown and sys.stderr.isatty():
             show = stack.enter_context(_bar())
@@ -318,7 +298,7 @@ def open_display(shown: bool) -> Iterator[Display]:
         began = time.perf_counter()
         due = began + every_s
 
-        def display(describe: Callable[[float], tuple[float, str]]) -> float:
+        def display(describe: Callable[[float], tuple[float | None, str]]) -> float:
             nonlocal due
             stop_if_interrupted()
             now = time.perf_counter()
@@ -330,19 +310,24 @@ def open_display(shown: bool) -> Iterator[Display]:
         yield display
 
 
-def _print_line(share: float, text: str) -> None:
-    print(f"{share:4.0%}  {text}", file=sys.stderr, flush=True)
+def _print_line(share: float | None, text: str) -> None:
+    print(_begin_line(share) + text, file=sys.stderr, flush=True)
+
+
+def _begin_line(share: float | None) -> str:
+    return "" if share is None else f"{share:4.0%}  "
 
 
 @contextmanager
-def _bar() -> Iterator[Callable[[float, str], None]]:
+def _bar() -> Iterator[Callable[[float | None, str], None]]:
     from rich.console import Console, Group  # only terminals pay for its import
     from rich.live import Live
     from rich.progress_bar import ProgressBar
     from rich.text import Text
 
-    def shown(share: float, text: str) -> Group:
-        return Group(ProgressBar(total=1.0, completed=share, width=60), Text(f"\n{share:.0%}  {text}"))
+    def shown(share: float | None, text: str) -> Group:
+        bar = ProgressBar(total=None if share is None else 1.0, completed=share or 0.0, width=60)
+        return Group(bar, Text("\n" + _begin_line(share).lstrip() + text))
 
     with Live(shown(0.0, ""), console=Console(stderr=True), auto_refresh=False, transient=True) as live:
         yield lambda share, text: live.update(shown(share, text), refresh=True)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gridslam.cli.options import name_option
-from gridslam.cli.output import open_output, print_result, warn
+from gridslam.cli.output import counted, open_output, print_result, warn
 from gridslam.errors import InputError
 from gridslam.plan.alignment import Alignment, align_points
 from gridslam.plan.changes import Changes, find_changes
@@ -22,8 +22,6 @@ from gridslam.plan.rooms import name_rooms
 from gridslam.plan.sheet import write_pdf, write_png, write_svg
 from gridslam.plan.source import read_source
 from gridslam.plan.world import WorldOrigin
-
-__all__ = ["changes_to_folder", "plan_to_folder"]
 
 _NAMES = "plan.svg", "plan.pdf", "plan.png", "plan.dxf", "plan.geojson", "plan.json"
 _CHANGES_NAMES = "changes.png", "changes.geojson", "changes.json"
@@ -89,14 +87,14 @@ def _summarize(plan: FloorPlan, document: dict[str, Any], out: Path) -> Iterator
     thick = sum(wall.thickness_m is not None for wall in plan.walls)
     round_ones = f"{len(plan.arcs)} round, " if plan.arcs else ""
     yield (
-        f"{document['walls']} walls, {document['walls_length_m']:.0f} m, {thick} of them with their thickness, "
-        f"{round_ones}from {document['made_from']}; most run at {document['dominant_deg']:.2f} deg"
+        f"{counted(document['walls'], 'wall')}, {document['walls_length_m']:.0f} m, {thick} of them with their "
+        f"thickness, {round_ones}from {document['made_from']}; most run at {document['dominant_deg']:.2f} deg"
     )
     widths = sorted(opening.width_m for opening in plan.openings)
     yield f"{len(widths)} doors and openings" + (f", {widths[0]:.2f} to {widths[-1]:.2f} m wide" if widths else "")
     looked_into = [room.area_m2 for room in plan.rooms if room.is_entered is False]
     area_m2 = sum(room.area_m2 for room in plan.rooms) - sum(looked_into)
-    yield f"{len(plan.rooms) - len(looked_into)} rooms, {area_m2:.0f} m\u00b2" + (
+    yield f"{counted(len(plan.rooms) - len(looked_into), 'room')}, {area_m2:.0f} m\u00b2" + (
         f"; {len(looked_into)} more that were only looked into, {sum(looked_into):.0f} m\u00b2" if looked_into else ""
     )
     yield f"plan, 1:{document['scale']}: {out / 'plan.png'}, {out / 'plan.svg'}, {out / 'plan.pdf'}"
@@ -143,5 +141,6 @@ def _summarize_changes(changes: Changes, out: Path) -> Iterator[str]:
     )
     for kind in ("gone", "new"):
         own = [change.area_m2 for change in changes.changes if change.kind == kind]
-        yield f"{kind}: {len(own)}" + (f", {', '.join(f'{area:.2f}' for area in own[:8])} m\u00b2" if own else "")
+        areas = ", ".join(f"{area:.2f}" for area in own[:8]) + ", ..." * (len(own) > 8)
+        yield f"{kind}: " + (f"{counted(len(own), 'thing')} of {areas} m\u00b2" if own else "nothing")
     yield f"changes: {out / 'changes.png'}, {out / 'changes.geojson'}"

@@ -7,8 +7,6 @@ from pathlib import Path
 from gridslam.batch.regress import compare_batches
 from gridslam.cli.output import print_result
 
-__all__ = ["EXIT_WORSE", "regress"]
-
 EXIT_WORSE = 1
 """Exit status if something is worse beyond noise."""
 

@@ -17,8 +17,6 @@ from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.session import Localization
 from gridslam.ros.node.transport import RunOptions, ViewerOpener
 
-__all__ = ["make_viewer_opener", "ros1", "ros2"]
-
 
 def _collect_parameters(
     assignments: Sequence[str] = (),
@@ -38,7 +36,7 @@ def _collect_parameters(
     given = {name: str(value) if isinstance(value, Path) else value for name, value in options.items()}
     given["set"] = ";".join(assignments) or None
     given["mode"] = None if options.get("map_file") is None else "localization"
-    return {name: value for name, value in given.items() if value is not None}
+    return {name: value for name, value in given.items() if value not in (None, "")}
 
 
 @end_by_signal()

@@ -20,8 +20,6 @@ from gridslam.io.edited_maps import read_edited_map
 from gridslam.io.log import Log
 from gridslam.io.sessions.drives import find_floor
 
-__all__ = ["SessionOptions"]
-
 _OF_THE_SESSION = ("particles", "seed", "preset", "laser", "config", "assignments", "no_loop_closure")
 """Parameters of `gridslam map` that a session has already."""
 

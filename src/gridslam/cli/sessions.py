@@ -24,8 +24,6 @@ from gridslam.io.sessions.drives import choose_name
 from gridslam.io.sessions.session_file import read_head
 from gridslam.pipeline import Stopwatch
 
-__all__ = ["merge_to_folder", "show_session"]
-
 
 def show_session(file: Path, picture: Path | None, out: Path | None, as_json: bool) -> None:
     """Print the content of a session file; with a folder write its maps and their edits there."""
@@ -98,7 +96,7 @@ def _find_links(edits: Edits, names: list[str], groups: list[list[dict[str, Any]
 
 
 def _write_maps(session: Session, out: Path) -> int:
-    """Write the maps of a session, each with the edits that lie on it; return how many these are."""
+    """Write the maps of a session, each with its edits; return the number of edits."""
     names, edits = session.names, session.edits
     count = 0
     with open_output(out, [f"{name}{suffix}" for name in names for suffix in (".yaml", ".pgm", ".geojson")]) as folder:

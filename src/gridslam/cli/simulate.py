@@ -39,8 +39,6 @@ from gridslam.sim import (
 )
 from gridslam.types import Trajectory
 
-__all__ = ["DEMO_SCHEMA", "SIMULATION_SCHEMA", "demo", "simulate_to_log"]
-
 DEMO_SCHEMA = "gridslam.demo/1"
 SIMULATION_SCHEMA = "gridslam.simulation/1"
 

@@ -8,8 +8,6 @@ import sys
 from contextlib import suppress
 from typing import Any, TextIO, final
 
-__all__ = ["close_output", "open_streams"]
-
 
 def open_streams(*, own_process: bool) -> None:
     """Make standard output and error able to print any text; in a process of its own, also where they are closed.

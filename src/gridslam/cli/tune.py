@@ -17,8 +17,7 @@ from gridslam.batch.job import Job
 from gridslam.batch.manifest import find_logs
 from gridslam.cli.batch import require_journal
 from gridslam.cli.options import MapOptions
-from gridslam.cli.output import open_display, print_result, stop_if_interrupted, write_apart
-from gridslam.errors import InputError
+from gridslam.cli.output import counted, open_display, print_result, stop_if_interrupted, write_apart
 from gridslam.io.limits import max_memory_bytes
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.output import write_atomically
@@ -28,8 +27,6 @@ from gridslam.tuning.search_space import SearchSpace
 from gridslam.tuning.trial import find_reference
 from gridslam.tuning.tune import Settings, TunedLog, Tuner, load_optuna
 
-__all__ = ["TuneOptions", "run_tune"]
-
 
 @dataclass(frozen=True)
 class TuneOptions:
@@ -38,7 +35,6 @@ class TuneOptions:
     trials: int
     reference: str | None
     held_out: tuple[str, ...]
-    split: float | None
     without_reference: bool
     names: tuple[str, ...]
     judging_seeds: int
@@ -49,19 +45,13 @@ class TuneOptions:
         """Describe logs, those of the search first, but for their digests; raises InputError for one of no use."""
         entries = find_logs([*logs, *self.held_out], reference=self.reference)
         searched = len(find_logs(logs))
-        if self.split:
-            searched = max(1, round((1 - self.split) * searched))
         found = []
         for k, entry in enumerate(entries):
-            log = open_log(entry.path, options)
-            for _ in log:
-                stop_if_interrupted()
-            duration_s = log.statistics.duration_s
-            if not duration_s > 0:
-                raise InputError(entry.path, "expected a log of more than one scan")
+            stop_if_interrupted()
+            open_log(entry.path, options)  # which names a file that is no log
             reference = None if self.without_reference else entry.reference or find_reference(entry.path)
             where = None if reference is None else os.fspath(reference)
-            found.append(TunedLog(entry.name, entry.path, "", duration_s, where, held_out=k >= searched))
+            found.append(TunedLog(entry.name, entry.path, "", where, held_out=k >= searched))
         return found
 
 
@@ -100,7 +90,8 @@ def run_tune(logs: Sequence[str], out: Path, given: MapOptions, tune: TuneOption
         write(_write_text, out, to_toml(tuning, chosen))
         write(_write_text, folder / "tune.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
         tried = len({tuple(trial.values.items()) for trial in tuning.trials})
-        lines = [f"{tried} configurations were tried", *describe_verdict(tuning, chosen), f"{out}; details: {folder}"]
+        verdict = describe_verdict(tuning, chosen)
+        lines = [f"tried {counted(tried, 'configuration')}", *verdict, f"{out}; details: {folder}"]
         print_result(document, lines, as_json)
 
 
@@ -120,7 +111,6 @@ def _describe(tuner: Tuner) -> tuple[float, str]:
     done = tuner.trials
     if not done:
         return 0.0, "the configuration that the search begins with"
-    whole = [one.ratio for one in done if one.part == 1.0]
-    best = f", best {min(whole):.3f} times the start's error" if whole else ""
-    share = min(len(done) / tuner.settings.trials, 1.0)
-    return share, f"on {done[-1].part:.0%} of the logs: trial {len(done)}{best}"
+    best = min(one.ratio for one in done)
+    share = len(done) / tuner.settings.trials
+    return share, f"trial {len(done)}, best {best:.3f} times the start's error"

@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Annotated, Final, Literal, NamedTuple, final
 
 from gridslam.checked import checked
-from gridslam.config.tables import nest, parse_toml, read_assignments, replace_parameters, to_table
+from gridslam.config.tables import nest, parse_toml, read_assignments, replace_parameters
 from gridslam.errors import ConfigurationError
-from gridslam.grid.tiles import MOST_BEAM_CELLS
+from gridslam.kernels import MOST_BEAM_CELLS
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.endpoint import CauchyEndPoint, GMappingEndPoint, LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
-from gridslam.parameters import Kind, bounded, parameters
+from gridslam.parameters import Kind, bounded, parameters, to_table
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold, NeverResample
 from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
 from gridslam.scan import Thinning
@@ -25,8 +25,6 @@ from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.tracking.tracker import OdometryTracker, Tracker
 from gridslam.types import Resampler
-
-__all__ = ["PARAMETERS", "Configuration", "Parameter", "Search", "build", "dumps", "load", "loads", "override"]
 
 
 @final

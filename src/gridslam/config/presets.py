@@ -8,22 +8,16 @@ from typing import Final, NamedTuple
 
 from gridslam.checked import checked
 from gridslam.config.configuration import Configuration
-from gridslam.config.tables import Table, replace_parameters, suggest_names
+from gridslam.config.tables import replace_parameters, suggest_names
 from gridslam.errors import ConfigurationError
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.matching.hill_climbing import HillClimbing
 from gridslam.models.endpoint import GMappingEndPoint
 from gridslam.models.motion import GMappingMotion
+from gridslam.parameters import Table
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold
 from gridslam.slam.grid_fastslam.proposals import ScanMatchedProposal
 from gridslam.tracking.tracker import OdometryTracker
-
-__all__ = ["LASERS", "PRESETS", "Laser", "apply_laser", "preset"]
-
-
-def _accurate() -> Configuration:
-    """More particles and key scans: where loops are long and time does not matter."""
-    return Configuration(particles=100, when_to_update=MotionThreshold(0.4, 0.25))
 
 
 def _gmapping() -> Configuration:
@@ -47,7 +41,6 @@ def _gmapping() -> Configuration:
 
 PRESETS: Final[Mapping[str, Callable[[], Configuration]]] = {
     "default": Configuration,
-    "accurate": _accurate,
     "gmapping": _gmapping,
 }
 

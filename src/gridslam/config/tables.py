@@ -25,19 +25,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = [
-    "Table",
-    "describe_error",
-    "names",
-    "nest",
-    "parse_toml",
-    "read_assignments",
-    "replace_parameters",
-    "suggest_names",
-    "to_table",
-    "value_of",
-]
-
 _Part = TypeVar("_Part")
 _MOST_DOTS = 100  # a parser takes time and memory that grow with the square of the parts of a dotted key
 _UNKNOWN = "unexpected_keyword_argument", "extra_forbidden"  # pydantic's types of errors
@@ -201,7 +188,7 @@ def _names(table: Table) -> Iterator[str]:
 
 
 def _without(table: Mapping[str, Any], path: Sequence[Any]) -> Mapping[str, Any]:
-    """Return a table without the parameter at a path, in which there are names of kinds, too."""
+    """Return a table without the parameter at a path; the path includes the names of kinds."""
     key, *below = path
     if key not in table:
         return _without(table, below)

@@ -24,11 +24,10 @@ import numpy as np
 from gridslam.doctor.intervals import Intervals, cumulative_headings, differences, interpolate_odometry, intervals
 from gridslam.doctor.laser_motion import LaserMotion
 from gridslam.doctor.mirrored_odometry import Mirrored, contradicts_its_heading, unmirror_odometry
+from gridslam.doctor.odometry import is_jump
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import adjoint
+from gridslam.geometry.se2 import adjoint, between, compose
 from gridslam.types import FloatArray
-
-__all__ = ["Fit", "MotionCalibration", "ParameterEstimate", "are_degrees", "calibrate", "robust_fit"]
 
 _FEWEST = 8  # intervals
 _VARIANCES = (1e-4, 2e-4)  # of odometry: heading per metre and per radian (rad^2), way per metre and per radian (m^2)
@@ -60,6 +59,9 @@ _FEWEST_TURNS = 12  # from scan to scan, of more than
 _LEAST_TURN_RAD = 0.01  # which is most of a rad if it is read as degrees
 _AGREE = 0.6  # mean cosine of differences of turns
 _HARDLY_AGREE = 0.8
+
+_FEW_JUMPS = 3  # of the odometry, or this share of the scans: where more jump the odometry is wrong throughout
+_FEW_JUMPS_SHARE = 0.003
 
 _CAUCHY = 2.385  # 95 % efficient for normal noise
 _PASSES = 15
@@ -202,8 +204,10 @@ class MotionCalibration:
 def calibrate(motion: LaserMotion) -> MotionCalibration:
     """Compare a laser's motion with its odometry; estimates that the log does not determine are marked.
 
-    Where the odometry's path contradicts its headings, the laser's turns decide which of the two is mirrored.
+    Where the odometry's path contradicts its headings, the laser's turns decide which of the two is mirrored. Where it
+    jumps, as one that is reset, nothing is compared.
     """
+    motion = replace(motion, odometry=_leave_out_jumps(motion))
     turns = _fit_turns(motion)
     mirrored: Mirrored = ""
     if abs(turns.agreement) > _SURE_OF_SIGN and contradicts_its_heading(motion.odometry):
@@ -248,6 +252,22 @@ def calibrate(motion: LaserMotion) -> MotionCalibration:
         are_degrees(*(np.diff(poses[:, 2])[np.diff(motion.tracks) == 0] for poses in (motion.odometry, motion.poses))),
         len(motion) >= 2 and int(motion.tracks[-1]) < max(3, _CONFUSED * len(motion)),
     )
+
+
+def _leave_out_jumps(motion: LaserMotion) -> FloatArray:
+    """Return the odometry (K, 3) as if the robot had stood still in each jump, unless there are many jumps."""
+    steps = between(motion.odometry[:-1], motion.odometry[1:])
+    seconds = np.diff(motion.odometry_stamps_ns) * 1e-9
+    moved = zip(
+        np.hypot(steps[:, 0], steps[:, 1]).tolist(), np.abs(steps[:, 2]).tolist(), seconds.tolist(), strict=True
+    )
+    jumps = [index for index, step in enumerate(moved) if is_jump(*step)]
+    if not jumps or len(jumps) > max(_FEW_JUMPS, _FEW_JUMPS_SHARE * len(motion)):
+        return motion.odometry
+    odometry = motion.odometry.copy()
+    for index in jumps:
+        odometry[index + 1 :] = compose(odometry[index], between(odometry[index + 1], odometry[index + 1 :]))
+    return odometry
 
 
 def are_degrees(odometry: FloatArray, laser: FloatArray) -> bool:

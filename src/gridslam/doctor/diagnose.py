@@ -29,10 +29,9 @@ from gridslam.io.measurement import Measurement
 from gridslam.pipeline import describe_error
 from gridslam.types import FloatArray
 
-__all__ = ["BreakCheck", "CheckedLog", "Diagnosis", "Doctor", "EarlyCheck", "LaserFacts", "diagnose", "quick_check"]
-
 _QUICK_S = 60.0
 _QUICK_SCANS = 300
+_FEWEST_SCANS = 30  # of stamps in ms there is hardly one in a minute
 """How much `quick_check` looks at: 0.1 ms a scan and 30 ms in all, where the shortest map takes a second."""
 
 _RANGE_SCANS = 3000  # after which no motion is waited for: a robot that is parked
@@ -43,6 +42,14 @@ _REPORTED_ELSEWHERE = ("unreadable",)
 _MISMOUNTED = ("tilting_laser", "laser_far_away")
 _MIRRORED = ("odometry_mirrored", "reflected_laser")
 _OF_TWO_CLOCKS = ("odometry_unrelated", "no_odometry")
+_OF_ODOMETRY = ("odometry_scale", "odometry_rotation_bias", "odometry_drift", "odometry_unrelated", "wheel_slip")
+_CONSEQUENCES = {
+    ("random_ranges", Severity.ERROR): ("odometry_frozen",),  # they change while the robot stands
+    ("range_limits", Severity.ERROR): _OF_ODOMETRY,  # false walls move with the robot, and hold the laser's motion back
+    ("odometry_frozen", Severity.ERROR): _OF_ODOMETRY,
+    ("odometry_units", Severity.WARNING): (*_OF_ODOMETRY, "odometry_jumps", "fast_turning"),
+}
+"""Consequences of a fault of this severity, which are not reported beside it."""
 
 
 @final
@@ -217,7 +224,13 @@ class Doctor:
             yield from laser.examiner.findings(sensor)
 
     def findings(self) -> Iterator[Finding]:
-        """Yield the findings so far; a laser that tilts, sees a person or whose ranges are wrong is no reference."""
+        """Yield the findings so far, without those that follow from others."""
+        found = list(self._examine())
+        follow = {code for finding in found for code in _CONSEQUENCES.get((finding.code, finding.severity), ())}
+        yield from (finding for finding in found if finding.code not in follow)
+
+    def _examine(self) -> Iterator[Finding]:
+        """Yield the findings of each check; a laser that tilts, sees a person or has wrong ranges is no reference."""
         for sensor, laser in self._lasers.items():
             yield from laser.stamps.findings(sensor)
         of_beams = [found for sensor, laser in self._lasers.items() for found in laser.beams.findings(sensor)]
@@ -228,8 +241,7 @@ class Doctor:
             yield from laser.ranges.findings(sensor)
         mounted = list(mounting_findings({sensor: laser.mounting for sensor, laser in self._lasers.items()}))
         yield from mounted
-        random = any(finding.code == "random_ranges" for finding in implausible)  # which change while the robot stands
-        yield from (f for f in self._odometry.findings() if not (random and f.code == "odometry_frozen"))
+        yield from self._odometry.findings()
         no_reference = {finding.sensor for finding in mounted if finding.code in _MISMOUNTED}
         no_reference |= {finding.sensor for finding in of_beams if finding.code == "single_object"}
         mixed = [found for sensor, laser in self._lasers.items() for found in laser.mixed.findings(sensor)]
@@ -333,7 +345,8 @@ class EarlyCheck:
             self._first_ns = stamp_ns
         if self._reported is None:
             self._doctor.take(measurement)
-            over = self._scans >= _QUICK_SCANS or stamp_ns - self._first_ns > _QUICK_S * 1e9
+            is_late = self._scans > _FEWEST_SCANS and stamp_ns - self._first_ns > _QUICK_S * 1e9
+            over = self._scans >= _QUICK_SCANS or is_late
             return self._report(self._doctor.findings()) if over else ()
         self._doctor.take_ranges(measurement)
         self.is_complete = self._doctor.is_range_check_complete or self._scans >= _RANGE_SCANS

@@ -10,8 +10,6 @@ import numpy as np
 
 from gridslam.checked import checked
 
-__all__ = ["Finding", "Severity", "percent"]
-
 
 class Severity(Enum):
     """How much a finding matters to the map."""

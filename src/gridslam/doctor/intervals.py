@@ -13,8 +13,6 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import adjoint, between
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Intervals", "cumulative_headings", "differences", "interpolate_odometry", "intervals", "turn_rates"]
-
 _LONGEST_S = 3.0
 _LEAST_SHARE = 0.5
 _MOVED = 0.03  # m, and rad: an interval with less motion holds no information

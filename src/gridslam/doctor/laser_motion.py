@@ -18,8 +18,6 @@ from gridslam.matching.beam_order import MIN_TURN_RAD, BeamOrder
 from gridslam.matching.gauss_newton import MIN_INFORMATION
 from gridslam.types import FloatArray, IntArray, LaserScan, ScanGeometry
 
-__all__ = ["BeamTimes", "LaserMotion", "LaserMotionEstimator", "laser_motion"]
-
 _MOST_BEAMS = 360
 _ORDER_SCANS = 300  # informative scans whose order of beams is tried: more cost time and change nothing
 _RANGES_M = (0.05, 30.0)

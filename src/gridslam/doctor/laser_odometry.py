@@ -19,8 +19,6 @@ from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton
 from gridslam.models.inverse_sensor import InverseSensorModel
 from gridslam.types import FloatArray, Match, StoredScan
 
-__all__ = ["LaserOdometry"]
-
 _ROWS = (np.array([0], np.int32), np.array([1], np.int32))
 _BOTH = np.array([0, 1], np.int32)
 _ORIGIN = np.zeros(2)

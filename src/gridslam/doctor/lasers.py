@@ -15,8 +15,6 @@ from gridslam.doctor.finding import Finding, Severity, percent
 from gridslam.geometry.angles import wrap
 from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan, ScanGeometry
 
-__all__ = ["BeamStatistics", "Mounting", "field_of_view_rad", "mounting_findings", "planar_mounting"]
-
 _MANY_LOST = 0.1  # ratio of beams lost by ones and twos: the pose's spread grows by 5 %; healthy: some thousandths
 _LONGEST_LOSS = 3  # beams: a longer run is a surface, or nothing in reach; beams are lost by chance one by one
 _FEW_HITS = 20  # beams: fewer hardly fix x, y and heading against people and clutter

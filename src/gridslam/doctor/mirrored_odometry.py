@@ -10,8 +10,6 @@ import numpy as np
 from gridslam.geometry.angles import wrap
 from gridslam.types import FloatArray
 
-__all__ = ["Mirrored", "contradicts_its_heading", "unmirror_odometry"]
-
 Mirrored: TypeAlias = Literal["", "heading", "path"]
 """Component of the odometry with the wrong sign: none, the heading, or the y of the position."""
 

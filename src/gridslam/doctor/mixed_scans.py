@@ -14,8 +14,6 @@ from gridslam.doctor.finding import Finding, Severity, percent
 from gridslam.doctor.views import OTHER, SAME, View
 from gridslam.io.measurement import Measurement
 
-__all__ = ["MixedScans"]
-
 _LOOKED_BACK = 4  # scans, among which is one of the same laser: two lasers seldom differ more in their rates
 _FEWEST = 10  # scans that show what was seen before the scan before them
 _OFTEN = 0.1  # of all scans: who passes closely, or a laser that fails for a moment, does so seldom

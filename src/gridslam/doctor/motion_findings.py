@@ -21,8 +21,6 @@ from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
 from gridslam.types import FloatArray, IntArray, ScanGeometry
 
-__all__ = ["MotionExaminer", "Slip", "motion_findings", "name_unit", "wheel_slips"]
-
 _OF_WHEELS = {"odometry_scale", "odometry_rotation_bias", "odometry_drift", "wheel_slip"}
 _SMEAR_RAD = 0.02  # over a scan: 10 cm at 5 m, two cells
 _HALF = 0.25  # of half the sweep, or deviations: how near to it a skew is that the sweep makes
@@ -260,15 +258,15 @@ def _laser_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[F
 
 def _mirrored(motion: LaserMotion, found: MotionCalibration) -> Finding:
     wrong, right, remedy = (
-        ("headings", "path", "Reverse the sign of the yaw where the odometry is computed")
+        ("headings have", "path", "Reverse the sign of the yaw where the odometry is computed")
         if found.mirrored == "heading"
-        else ("path", "headings", "Reverse the sign of y where the odometry is computed")
+        else ("path has", "headings", "Reverse the sign of y where the odometry is computed")
     )
     return Finding(
         "odometry_mirrored",
         Severity.ERROR,
         f"Odometry is mirrored: its path bends the other way than its headings turn, and the laser, which turned by "
-        f"{found.laser_rad:.0f} rad, agrees with its {right}: the {wrong} have the wrong sign.",
+        f"{found.laser_rad:.0f} rad, agrees with its {right}: its {wrong} the wrong sign.",
         1.0,
         "yes or no",
         f"{remedy}; mapping corrects it.",

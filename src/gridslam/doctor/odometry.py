@@ -16,8 +16,6 @@ from gridslam.doctor.stamps import LogHistogram
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, LaserScan
 
-__all__ = ["OdometryExaminer"]
-
 _WINDOW_S = 1.0
 _STILL = 0.01  # m, and rad, in a second: slower than any robot drives, more than encoders flicker
 _CHANGED_M = 0.1  # change of a range above noise, and
@@ -33,6 +31,7 @@ _LEAP_RAD = 1.0
 _LEAP_M_S = 10.0
 _LEAP_RAD_S = 12.0
 _UNITS = {name: of_a_metre for name, of_a_metre in UNITS.items() if of_a_metre > 10}
+_CREEPS_M_S = 0.003  # slower than any robot drives; one that stops for each scan is faster, too
 _SPEEDS_M_S = (0.1, 2.0)  # at which robots are driven while they map
 _FEWEST_MOVES = 20  # between scans, from which on their speeds show the unit
 _LEAST_S = 0.05  # between scans whose stamps jitter, go back or repeat
@@ -46,7 +45,7 @@ _Place: TypeAlias = tuple[float, float, float]  # x m, y m, theta rad
 @final
 @dataclass(slots=True)
 class OdometryExaminer:
-    """Finds no_odometry, odometry_units, odometry_jumps, odometry_frozen, standing_still and fast_turning.
+    """Finds no_odometry, odometry_units, stamp_units, odometry_jumps, odometry_frozen, standing_still, fast_turning.
 
     Counts way and turns, without those of jumps.
     """
@@ -96,7 +95,7 @@ class OdometryExaminer:
         if moved > _STILL:
             self._moves += 1
             self._speeds.add(moved / seconds)
-        if moved > max(_LEAP_M, _LEAP_M_S * seconds) or turned > max(_LEAP_RAD, _LEAP_RAD_S * seconds):
+        if is_jump(moved, turned, seconds):
             self._jumps.append(((stamp_ns - self._first_ns) * 1e-9, moved, turned))
         else:
             self.metres += moved
@@ -141,10 +140,13 @@ class OdometryExaminer:
         """Yield the findings on the odometry, and on how the robot was driven."""
         if self.without:
             yield self._no_odometry()
-        if self._moves >= _FEWEST_MOVES and self._speeds.quantile(0.5) > _LEAP_M_S:
-            yield self._odometry_units(self._speeds.quantile(0.5))
+        speed = self._speeds.quantile(0.5) if self._moves >= _FEWEST_MOVES else math.nan
+        if speed > _LEAP_M_S:
+            yield self._odometry_units(speed)
         elif self._jumps:
             yield self._odometry_jumps()
+        if speed < _CREEPS_M_S:
+            yield self._stamp_units(speed)
         if self._frozen >= _FROZEN_WINDOWS:
             yield self._odometry_frozen()
         if self._watched_s:
@@ -174,6 +176,17 @@ class OdometryExaminer:
             speed,
             "m/s",
             "Convert the positions to metres where the odometry is computed; map with --no-odometry until then.",
+        )
+
+    def _stamp_units(self, speed: float) -> Finding:
+        name, of_a_second = ("milliseconds", 1000) if speed > _CREEPS_M_S / 1000 else ("microseconds", 1_000_000)
+        return Finding(
+            "stamp_units",
+            Severity.WARNING,
+            f"The stamps look like {name}, read as seconds: by them the robot mostly drives at {speed:.2g} m/s.",
+            speed,
+            "m/s",
+            f"Divide the stamps by {of_a_second} where the log is written.",
         )
 
     def _odometry_jumps(self) -> Finding:
@@ -229,6 +242,12 @@ class OdometryExaminer:
                 "Turn more slowly, or let the laser scan faster.",
                 sensor,
             )
+
+
+def is_jump(metres: float, radians: float, seconds: float) -> bool:
+    """Return whether no robot moves so far, or turns so much, between scans of this distance in time."""
+    seconds = max(seconds, _LEAST_S)
+    return metres > max(_LEAP_M, _LEAP_M_S * seconds) or radians > max(_LEAP_RAD, _LEAP_RAD_S * seconds)
 
 
 def _motion(before: _Place, after: _Place) -> tuple[float, float]:

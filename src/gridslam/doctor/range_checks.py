@@ -17,8 +17,6 @@ from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
 from gridslam.types import FloatArray, LaserScan
 
-__all__ = ["RangeExaminer"]
-
 _FROZEN_M = 1.0  # of odometry: from here on the view is a new one, as after a gap
 _FROZEN_RAD = 0.5
 _CHANGES = 0.05  # of the view, that the motion must make: along a bare corridor it makes none

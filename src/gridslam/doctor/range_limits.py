@@ -12,8 +12,6 @@ import numpy as np
 from gridslam.doctor.finding import Finding, Severity, percent
 from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan
 
-__all__ = ["RangeCounts"]
-
 _BIN_M = 0.01
 _BINS = 20_000
 _SECTORS = 16

@@ -19,8 +19,6 @@ from gridslam.doctor.scan_prediction import (
 from gridslam.geometry.se2 import between
 from gridslam.types import BeamStatus, FloatArray, LaserScan
 
-__all__ = ["UNITS", "PairComparison", "RangeSizes", "measured_beams", "polar_scan"]
-
 UNITS: Final = {"feet": 1 / 0.3048, "inches": 1 / 0.0254, "centimetres": 100.0, "millimetres": 1000.0}
 _SCALES: Final = np.array([0.0, 1.0, *UNITS.values()])
 """Ranges per metre of odometry that are compared: of a laser that stands still, in metres, and in other units."""

@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from gridslam.doctor.finding import Finding, Severity, percent
 from gridslam.io.log_statistics import LogStatistics
 
-__all__ = ["reader_findings"]
-
 _LATE = "no reading"  # a link that has readings, but none at the scan's time
 _FEW = 0.02  # share of the scans, as at the begin and the end of a recording: their neighbours show the same walls
 _SHOWN = 40

@@ -25,16 +25,6 @@ from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, FloatArray, ScanGeometry
 
-__all__ = [
-    "Repair",
-    "RepairedLog",
-    "calibrate_early",
-    "describe_disagreement",
-    "find_needed_repair",
-    "open_repaired",
-    "repair_measurements",
-]
-
 _EARLY_SCANS = 1000
 _EARLY = (8.0, 6.0)  # m, rad
 _LOOKS = ((2.0, 1.6), (4.0, 3.2))  # m, rad: a log without faults is recognized sooner
@@ -45,6 +35,7 @@ _TURNED_RAD = 1.2
 _SPOILING_YAW_RAD = 0.35
 _SIGMAS = 6.0
 _GROSS = 0.2  # error of a scale that no wheels have
+_STILL = 0.01  # scale of a robot that hardly moves by its odometry
 
 
 @final
@@ -117,6 +108,8 @@ def describe_disagreement(calibration: MotionCalibration) -> str:
             "angles of the scans are wrong, or the odometry is another robot's"
         )
     scale, turn_scale = calibration.scale, calibration.turn_scale
+    if scale.determined and scale.value < _STILL:
+        return "odometry stands still while the laser moves: it is frozen"
     if scale.differs(1.0, _GROSS):
         unit = name_unit(scale.value) or ": one of both is in another unit"
         return f"odometry moves {scale.value:.3g} times as far as the laser{unit}; the map is in the laser's"

@@ -11,8 +11,6 @@ from gridslam.doctor.diagnose import Diagnosis, LaserFacts
 from gridslam.doctor.finding import Finding, Severity, percent
 from gridslam.io.remote import find_origin
 
-__all__ = ["SCHEMA", "document", "text"]
-
 SCHEMA = "gridslam.doctor/3"
 
 _HEADS = {

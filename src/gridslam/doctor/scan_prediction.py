@@ -17,15 +17,6 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import adjoint
 from gridslam.types import FloatArray, LaserScan
 
-__all__ = [
-    "FEWEST_BEAMS",
-    "PolarScan",
-    "disagreement_as_reported",
-    "disagreements",
-    "log_ratios_as_reported",
-    "move_laser",
-]
-
 FEWEST_BEAMS = 10
 """A scan of fewer ranges predicts nothing."""
 

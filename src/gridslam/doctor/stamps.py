@@ -15,8 +15,6 @@ from gridslam.geometry.angles import wrap
 from gridslam.io.measurement import Measurement
 from gridslam.types import FloatArray, IntArray, describe_duration
 
-__all__ = ["LogHistogram", "StampStatistics"]
-
 _MANY_PERIODS = 5.0  # a pause this many times as long as 9 of 10 others is none that the laser makes by itself
 _BLIND_M = 1.0
 _BLIND_RAD = 0.5

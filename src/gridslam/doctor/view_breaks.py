@@ -19,8 +19,6 @@ from gridslam.geometry.se2 import between
 from gridslam.io.measurement import Measurement
 from gridslam.types import FloatArray
 
-__all__ = ["DriveNumbering", "ViewBreaks", "split_where_carried"]
-
 _Item = TypeVar("_Item")
 
 _SMALL_M = 0.3  # odometry between two scans: after more the view is another one anyway

@@ -13,8 +13,6 @@ from gridslam.doctor.scan_prediction import PolarScan, disagreements, log_ratios
 from gridslam.geometry.se2 import between
 from gridslam.types import BeamStatus, FloatArray, LaserScan
 
-__all__ = ["OTHER", "SAME", "View"]
-
 OTHER: Final = 0.2
 """Disagreement (`View.differs_from`) from which on two scans show different places; on real logs it is a hundredth to a
 tenth."""

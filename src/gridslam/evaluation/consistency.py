@@ -9,8 +9,6 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.types import FloatArray
 
-__all__ = ["nees"]
-
 
 @checked
 def nees(estimates: FloatArray, truths: FloatArray, covariances: FloatArray) -> FloatArray:

@@ -12,13 +12,6 @@ from gridslam.evaluation.trajectory import align
 from gridslam.geometry.se2 import transform_points
 from gridslam.types import FloatArray, IntArray
 
-__all__ = [
-    "LandmarkErrors",
-    "landmark_errors",
-    "pair_by_name",
-    "pair_by_position",
-]
-
 
 @final
 @dataclass(frozen=True, slots=True)

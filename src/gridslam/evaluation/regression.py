@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from gridslam.errors import ArgumentError
 from gridslam.types import FloatArray
 
-__all__ = ["LEAST_PAIRS", "Change", "find_changes"]
-
 LEAST_PAIRS: Final = 5
 """Fewer pairs cannot show a change: by chance alone all signs agree in 1 of 2^pairs cases, and 1/16 is above 5 %."""
 

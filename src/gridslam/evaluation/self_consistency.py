@@ -19,8 +19,6 @@ from gridslam.matching.surfaces import Surfaces
 from gridslam.scan import LaserScan
 from gridslam.types import BeamEnds, FloatArray, Trajectory
 
-__all__ = ["MAX_SCANS", "SelfConsistency", "measure_self_consistency", "sample_evenly", "score_drawn_scans"]
-
 MAX_SCANS: Final = 500
 """So many scans are enough: more of them rank trajectories the same."""
 

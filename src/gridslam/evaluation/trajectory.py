@@ -14,21 +14,6 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
 from gridslam.types import FloatArray, IntArray, Trajectory
 
-__all__ = [
-    "MAX_GAP_NS",
-    "PoseErrors",
-    "RelationErrors",
-    "Relations",
-    "absolute_errors",
-    "align",
-    "associate",
-    "clip_relations",
-    "clip_to_truth",
-    "interpolate",
-    "relation_errors",
-    "relative_errors_by_distance",
-]
-
 MAX_GAP_NS = 1_000_000_000
 """Between poses of a reference that are farther apart in time nothing is interpolated: a robot may turn in it."""
 
@@ -329,20 +314,6 @@ class RelationErrors:
     rot_mean_deg: float
     rot_std_deg: float
     rot_max_deg: float
-
-
-def clip_relations(relations: Relations, trajectory: Trajectory, *, tolerance_ns: int = 1_000_000) -> Relations | None:
-    """Relations both of whose times lie within a trajectory's span; None where there is none."""
-    if not len(trajectory):
-        return None
-    first = trajectory.stamps_ns.min() - tolerance_ns
-    last = trajectory.stamps_ns.max() + tolerance_ns
-    early = np.minimum(relations.from_ns, relations.to_ns)
-    late = np.maximum(relations.from_ns, relations.to_ns)
-    within = (early >= first) & (late <= last)
-    if not within.any():
-        return None
-    return Relations(relations.from_ns[within], relations.to_ns[within], relations.poses[within])
 
 
 @checked

@@ -12,8 +12,6 @@ from gridslam.arguments import describe
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 
-__all__ = ["find_wrong_beam_angles", "wrap"]
-
 FloatArray = NDArray[np.float64]
 
 _ONE_WAY_RAD = 1e-4  # a laser's beams are spread over more

@@ -19,8 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 
-__all__ = ["Rigid", "compose", "from_matrix", "from_quaternion", "interpolate", "inverse", "planar", "to_matrix"]
-
 Rigid: TypeAlias = tuple[float, float, float, float, float, float, float]
 
 _ROTATION_TOLERANCE = 1e-6

@@ -21,20 +21,6 @@ from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 
-__all__ = [
-    "adjoint",
-    "between",
-    "between_jacobians",
-    "compose",
-    "compose_jacobians",
-    "exp",
-    "inverse",
-    "lever_arm_jacobian",
-    "log",
-    "transform_points",
-]
-
-
 FloatArray = NDArray[np.float64]
 _MANY = 100  # angles, for which small products of matrices take longer than sums along them
 _FLOAT64 = np.dtype(np.float64)  # NumPy's one and only, so that it need not be compared

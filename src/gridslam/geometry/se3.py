@@ -16,8 +16,6 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry import rigid
 from gridslam.geometry.angles import wrap
 
-__all__ = ["from_planar", "from_quaternion", "tilt_rad", "to_planar", "to_quaternion"]
-
 FloatArray = NDArray[np.float64]
 
 

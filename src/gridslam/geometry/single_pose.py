@@ -14,20 +14,6 @@ from numpy.typing import NDArray
 
 from gridslam.geometry.angles import wrap
 
-__all__ = [
-    "ORIGIN",
-    "UNKNOWN_POSE",
-    "Information",
-    "Pose",
-    "as_pose",
-    "between",
-    "compose",
-    "exp",
-    "is_known",
-    "log",
-    "motion_of",
-]
-
 Pose: TypeAlias = tuple[float, float, float]
 """One pose (x m, y m, theta rad), or a twist, or the increment between two poses."""
 

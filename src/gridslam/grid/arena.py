@@ -14,8 +14,6 @@ from gridslam.kernels import PAGE, TILE, UNKNOWN
 from gridslam.kernels.reference_update import Int32Array, LogOdds, unknown_of
 from gridslam.types import IntArray
 
-__all__ = ["Int32Array", "TileArena", "renumber"]
-
 _Number = TypeVar("_Number", bound=np.integer[Any])
 
 _MOVED = 1024

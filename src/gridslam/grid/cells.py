@@ -18,8 +18,6 @@ from gridslam.kernels import UNKNOWN
 from gridslam.kernels.reference_update import cells_within
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["LOG_ODDS_UNIT", "Evidence", "cell_centres", "cell_corner", "cells_of"]
-
 
 @checked
 def cells_of(points: FloatArray, resolution_m: float) -> IntArray:

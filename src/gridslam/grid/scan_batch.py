@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from gridslam.types import BeamEnds, FloatArray, IntArray, StoredScan
 
-__all__ = ["ScanBatch", "Weighing"]
-
 
 @final
 class ScanBatch(NamedTuple):

@@ -14,15 +14,13 @@ from gridslam.arguments import Limits, index_of
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.geometry.single_pose import Information, Pose
-from gridslam.grid.arena import Int32Array, TileArena, renumber
+from gridslam.grid.arena import TileArena, renumber
 from gridslam.grid.cells import LOG_ODDS_UNIT, Evidence, cell_corner
 from gridslam.grid.scan_batch import NOT_WEIGHED, ScanBatch, Weighing
 from gridslam.kernels import FARTHEST, MOST_BEAM_CELLS, NO_ROOM, OUTSIDE, PAGE, TILE, UNKNOWN, backend
 from gridslam.kernels.reference_maps import Updated
-from gridslam.kernels.reference_update import unknown_of
+from gridslam.kernels.reference_update import Int32Array, unknown_of
 from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid, Points, Poses, Rows
-
-__all__ = ["MOST_BEAM_CELLS", "MOST_CELLS", "MOST_TILES", "TileMaps", "TiledGrid"]
 
 MOST_CELLS = 2**31
 """Cells of the rectangle that all maps of a table may span, 2.3 km x 2.3 km in cells of 5 cm: an image of 2.1 GB."""
@@ -640,7 +638,7 @@ class TileMaps:
             arena.grow()
 
     def _cover(self, poses: FloatArray, beams: BeamEnds | ScanBatch) -> None:
-        """Lay out the tables so that every cell that the scan can write lies inside; ArgumentError where none can."""
+        """Extend the tables to every cell that the scan can write; raises ArgumentError where that is impossible."""
         reach_m = beams.reach_m
         if not reach_m <= MOST_BEAM_CELLS * self.resolution_m:
             limit = f"ends within {MOST_BEAM_CELLS * self.resolution_m:g} m, {MOST_BEAM_CELLS} cells, of the robot"

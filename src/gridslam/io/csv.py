@@ -23,17 +23,6 @@ from gridslam.io.text import TextSource, read_head
 from gridslam.scan import LONGEST_SCAN_S
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
-__all__ = [
-    "COLUMNS",
-    "LASER",
-    "ODOMETRY",
-    "REQUIRED",
-    "CsvLog",
-    "angles_of_rotation",
-    "rotation_of_angles",
-    "write_csv_log",
-]
-
 ODOMETRY = "odom_x_m", "odom_y_m", "odom_theta_rad"
 """Columns of the odometry; all three are empty where a scan has none."""
 

@@ -15,8 +15,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from urllib.parse import quote
 
-__all__ = ["AS_IT_LIES", "open_database", "require_tables"]
-
 AS_IT_LIES = "mode=ro&immutable=1"
 """How a file is opened beside which nothing may appear."""
 

@@ -15,8 +15,6 @@ from gridslam.errors import ArgumentError, GridslamError
 from gridslam.io.output import OutputFolder
 from gridslam.io.text import compute_digest
 
-__all__ = ["DATASETS", "MIRROR", "PUBLIC", "Dataset", "DatasetError", "fetch_dataset", "find_dataset"]
-
 PUBLIC = "https://raw.githubusercontent.com/MOLAorg/mola_test_datasets/HEAD/datasets/radish"
 """Where the files lie, each by its own name."""
 

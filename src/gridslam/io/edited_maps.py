@@ -18,18 +18,6 @@ from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import read_tum
 from gridslam.types import OccupancyGrid, Trajectory
 
-__all__ = [
-    "SUFFIX",
-    "MapEdits",
-    "anchor_edit",
-    "anchor_edits",
-    "apply_edits",
-    "cells_of",
-    "follow_scan",
-    "read_edited_map",
-    "read_map_of_edits",
-]
-
 _BoolArray: TypeAlias = NDArray[np.bool_]
 SUFFIX = ".geojson"
 _SURE_LOG_ODDS = 4.6  # of probability 0.99, as maps are read

@@ -16,8 +16,6 @@ from gridslam.io.geojson import format_features
 from gridslam.io.output import write_atomically
 from gridslam.io.text import read_json
 
-__all__ = ["LAYERS", "SCHEMA", "Edit", "Edits", "parse_edits", "read_edits", "write_edits"]
-
 _FloatArray: TypeAlias = NDArray[np.float64]
 SCHEMA = "gridslam.edits/1"
 LAYERS: Mapping[str, tuple[str, ...]] = {

@@ -1,4 +1,4 @@
-"""Scans in tables that other programs write: `rostopic echo -p`, and rows of an angle and a distance each.
+"""Scans in tables that other programs write: of ROS's `echo`, and rows of an angle and a distance each.
 
 Both come without odometry and mounting. A table is known by its header, or by the names in each row
 (``theta: 1.5 Dist: 300``, as of the RPLIDAR SDK's example).
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Protocol, final
 
@@ -20,15 +20,18 @@ from gridslam.io.measurement import Measurement
 from gridslam.io.tables import parse_stamp_ns, parse_whole_ns
 from gridslam.types import FloatArray, LaserScan, ScanGeometry
 
-__all__ = ["ForeignRows", "find_foreign_rows", "is_foreign_table"]
-
 _ROSTOPIC = "%time,"
 _STAMP = "header.stamp"
 _NUMBERS = "angle_min", "angle_max", "angle_increment", "time_increment", "range_min", "range_max"
+_ECHO = re.compile(r"\d+,\d{1,9},[^,]*(?:,[-+.\deinfa]+){8,}")  # the first row of `ros2 topic echo --csv`
+_DEGREES = re.compile("â?°|\ufffd")  # in UTF-8 read as Latin-1, or the other way round
+_ECHOED = "sec", "nanosec", "frame_id", *_NUMBERS[:4], "scan_time", *_NUMBERS[4:]
+_OFF_BY_ONE = 1.5  # beams by which drivers state the last angle wrongly
 _KEY = re.compile(r"([A-Za-z]\w*):\s*")
 _SYNC = re.compile(r"^S\s+(?=[A-Za-z]\w*:)")  # of a beam that begins a turn
 _ANGLE = re.compile(r"(?:angle|theta|bearing|azimuth)(?:[ _(\[]*(deg|rad)\w*[)\]]?)?")
 _DISTANCE = re.compile(r"(?:dist|distance|range|radius|r)(?:[ _(\[]*(mm|cm|m|in|ft)[)\]]?)?")
+_SCAN = re.compile(r"(?:scan|sweep|turn|rev|revolution)(?:_?(?:id|no|nr|num|number|index|count))?()")
 _TIME = re.compile(r"(?:t|time|stamp|timestamp)(?:[ _(\[]*(ns|us|ms|s)[)\]]?)?")
 _OF_A_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0, "in": 1 / 0.0254, "ft": 1 / 0.3048}
 _OF_A_SECOND = {"s": 0, "ms": 3, "us": 6, "ns": 9}  # powers of ten
@@ -55,7 +58,7 @@ class ForeignRows(Protocol):
 
 def is_foreign_table(head: str) -> bool:
     """Return whether a text that begins with `head` is such a table."""
-    return _find_header(head) != ""
+    return _find_header(head) != "" or _ECHO.match(head) is not None
 
 
 def find_foreign_rows(head: str, statistics: LogStatistics) -> ForeignRows | None:
@@ -63,6 +66,8 @@ def find_foreign_rows(head: str, statistics: LogStatistics) -> ForeignRows | Non
 
     Raises ValueError where it is one, without the columns of a scan.
     """
+    if _ECHO.match(head):
+        return _EchoRows()
     header = _find_header(head)
     if not header:
         return None
@@ -77,13 +82,17 @@ def _find_header(head: str) -> str:
         text = line.strip().removeprefix("\ufeff")
         if text.startswith(_ROSTOPIC) and "angle_min" in text:
             return text
-        names = " ".join(_KEY.findall(text)).lower() or text.lstrip("# ").lower()
+        names = _lower(" ".join(_KEY.findall(text)) or text.lstrip("# "))
         words = _split(names)
         if _match(_ANGLE, words) and _match(_DISTANCE, words):
             return names
         if text and not text.startswith("#"):
             break
     return ""
+
+
+def _lower(text: str) -> str:
+    return _DEGREES.sub("deg", text.lower())
 
 
 def _split(text: str) -> list[str]:
@@ -130,25 +139,57 @@ class _RostopicRows:
         if len(words) != len(self._names):
             raise ValueError(f"expected {len(self._names)} cells as in the first line, got {len(words)}")
         numbers = {name: _number(words, self._places[name], name) for name in _NUMBERS}
-        start, end, step = (numbers[f"angle_{name}"] for name in ("min", "max", "increment"))
-        if problem := find_wrong_beam_angles(start, step, len(self._ranges), end):
-            raise ValueError(problem)
         stamp_ns = parse_whole_ns(words[self._places[_STAMP]]) or parse_whole_ns(words[0])
-        ranges = [_number(words, place, self._names[place]) for place in self._ranges]
-        scan = LaserScan.from_ros(
-            stamp_ns,
-            ranges,
-            angle_min=start,
-            angle_increment=step,
-            range_min=numbers["range_min"],
-            range_max=numbers["range_max"],
-            time_increment=numbers["time_increment"],
-            geometry=_geometry(start, step, len(ranges)),
-        )
-        return Measurement(None, scan)
+        return _scan(stamp_ns, numbers, [_number(words, place, self._names[place]) for place in self._ranges])
 
     def end(self) -> Measurement | None:
         return None
+
+
+@final
+class _EchoRows:
+    """`ros2 topic echo --csv /scan`: a LaserScan in each row, its fields in their order and without names."""
+
+    def parse(self, line: str) -> Measurement | None:
+        words = line.rstrip("\r").split(",")
+        if not line.strip():
+            return None
+        if "..." in words:
+            raise ValueError("expected whole scans, got some cut off by '...': ros2 topic echo --csv --full-length")
+        if len(words) < len(_ECHOED):
+            raise ValueError(f"expected a LaserScan in each row ({','.join(_ECHOED)},...), got {len(words)} cells")
+        numbers = {name: _number(words, _ECHOED.index(name), name) for name in _NUMBERS}
+        values = [_number(words, place, "ranges, intensities") for place in range(len(_ECHOED), len(words))]
+        sweep = numbers["angle_max"] - numbers["angle_min"]
+        beams = sweep / numbers["angle_increment"] + 1 if numbers["angle_increment"] else math.inf
+        ranges = next((n for n in (len(values), len(values) // 2) if abs(n - beams) < _OFF_BY_ONE), 0)
+        if not ranges or len(values) % ranges:
+            raise ValueError(
+                f"expected {beams:.0f} ranges by the angles, and as many intensities or none, got {len(values)}"
+            )
+        stamp_ns = parse_whole_ns(words[0]) * 10**9 + parse_whole_ns(words[1])
+        return _scan(stamp_ns, numbers, values[:ranges])
+
+    def end(self) -> Measurement | None:
+        return None
+
+
+def _scan(stamp_ns: int, numbers: Mapping[str, float], ranges: list[float]) -> Measurement:
+    """Make a scan of the fields of a LaserScan."""
+    start, end, step = (numbers[f"angle_{name}"] for name in ("min", "max", "increment"))
+    if problem := find_wrong_beam_angles(start, step, len(ranges), end):
+        raise ValueError(problem)
+    scan = LaserScan.from_ros(
+        stamp_ns,
+        ranges,
+        angle_min=start,
+        angle_increment=step,
+        range_min=numbers["range_min"],
+        range_max=numbers["range_max"],
+        time_increment=numbers["time_increment"],
+        geometry=_geometry(start, step, len(ranges)),
+    )
+    return Measurement(None, scan)
 
 
 @lru_cache(maxsize=64)
@@ -158,7 +199,9 @@ def _geometry(start: float, step: float, beams: int) -> ScanGeometry:
 
 @final
 class _PointRows:
-    """A beam in each row: an angle, a distance, and mostly a time. A scan ends where the angle starts over.
+    """A beam in each row: an angle, a distance, and mostly a time.
+
+    A scan ends where the number of the scan changes, or without such a column where the angle starts over.
 
     Units are those that the names state. Without, angles are degrees where one is beyond 7, and distances millimetres
     where their median in the first scan is beyond 100. Angles count counter-clockwise unless `clockwise`.
@@ -169,6 +212,8 @@ class _PointRows:
         self._angle = _match(_ANGLE, names) or (0, "")
         self._distance = _match(_DISTANCE, names) or (0, "")
         self._time = _match(_TIME, names)
+        self._scan = _match(_SCAN, names)
+        self._scan_number = ""
         self._statistics = statistics
         self._direction = -1.0 if clockwise else 1.0
         self._is_header = True
@@ -185,7 +230,7 @@ class _PointRows:
         words = _split(_KEY.sub("", _SYNC.sub("", text)))
         if self._is_header:
             self._is_header = False
-            if [word.lower() for word in words] == self._names:
+            if [_lower(word) for word in words] == self._names:
                 return None
         if len(words) != len(self._names):
             raise ValueError(f"expected {len(self._names)} values ({' '.join(self._names)}), got {len(words)}")
@@ -193,7 +238,7 @@ class _PointRows:
         distance = _number(words, self._distance[0], self._names[self._distance[0]])
         if not math.isfinite(angle):
             raise ValueError(f"column {self._names[self._angle[0]]}: expected a finite angle, got {angle}")
-        finished = self._finish() if self._starts_over(angle) else None
+        finished = self._finish() if self._ends_before(words, angle) else None
         if not self._beams:
             self._stamp_ns = self._stamp(words)
         if len(self._beams) >= _MOST_BEAMS:
@@ -203,6 +248,16 @@ class _PointRows:
 
     def end(self) -> Measurement | None:
         return self._finish() if self._beams else None
+
+    def _ends_before(self, words: Sequence[str], angle: float) -> bool:
+        """Return whether a beam is of another scan than the one before."""
+        if self._scan is None:
+            return self._starts_over(angle)
+        before, self._scan_number = self._scan_number, words[self._scan[0]]
+        if before != self._scan_number and self._scans == 0 and len(self._beams) == 1:
+            self._scan = None  # it counts beams
+            return False
+        return before != self._scan_number and bool(self._beams)
 
     def _starts_over(self, angle: float) -> bool:
         """Return whether a beam goes back against the direction of its scan."""
@@ -230,7 +285,7 @@ class _PointRows:
         self._scans += 1
         if self._units is None:
             self._units = self._find_units(angles, distances)
-        bearings = angles / self._units[0]
+        bearings = angles / self._units[0] if self._scan is None else np.unwrap(angles / self._units[0])
         if problem := find_wrong_beam_angles(bearings[0], np.ptp(bearings) / max(len(bearings) - 1, 1), len(bearings)):
             raise ValueError(problem)
         if not np.array_equal(bearings, self._geometry.bearings):

@@ -22,8 +22,6 @@ from gridslam.slam.pose_graph.linear import find_parts, initial_guess
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["G2oGraph", "read_g2o", "write_g2o"]
-
 _VERTEX = "VERTEX_SE2"
 _EDGE = "EDGE_SE2"
 _FIX = "FIX"

@@ -6,8 +6,6 @@ import json
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-__all__ = ["format_features"]
-
 
 def format_features(head: Mapping[str, Any], features: Iterable[Mapping[str, Any]]) -> str:
     """Return the text of a FeatureCollection, whose other members are in `head`."""

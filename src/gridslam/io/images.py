@@ -15,8 +15,6 @@ from gridslam.io.text import open_for_reading, refuse_unreadable
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = ["FORMATS", "LONGEST_SIDE_PX", "open_image"]
-
 FORMATS = "PNG", "PPM", "BMP", "TIFF", "JPEG", "GIF"
 """Formats of maps and pictures. Pillow detects fifty by the content, of which EPS starts Ghostscript."""
 

@@ -23,16 +23,6 @@ from gridslam.io.text import read_head, read_numbered_lines
 from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, LandmarkStep, ObservationKind
 from gridslam.types import FloatArray, IntArray, Trajectory
 
-__all__ = [
-    "LandmarkLog",
-    "LandmarkLogStatistics",
-    "LandmarkTruth",
-    "MrclamLog",
-    "VictoriaParkLog",
-    "open_landmark_log",
-    "open_landmark_log_if_path",
-]
-
 _HEAD_BYTES = 4096
 _KNOWN = "an odometry file of UTIAS MRCLAM (.._Odometry.dat) or lines ODOMETRY and LANDMARK (Victoria Park)"
 _MRCLAM_NAME = re.compile(r"(?P<set>.*?)(?P<robot>Robot\d+_)(Odometry|Measurement)\.dat(\.gz|\.bz2)?$")

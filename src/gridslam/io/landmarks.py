@@ -9,8 +9,6 @@ import numpy as np
 from gridslam.io.tables import check_rows, read_rows, symmetric_of_upper, upper_of_symmetric
 from gridslam.slam.landmarks.report import LandmarkMap
 
-__all__ = ["LANDMARKS_HEADER", "read_landmarks", "write_landmarks"]
-
 LANDMARKS_HEADER = "landmark,x_m,y_m,cov_xx_m2,cov_xy_m2,cov_yy_m2,observations"
 """First line: the columns with their units."""
 

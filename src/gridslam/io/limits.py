@@ -14,17 +14,6 @@ from typing import final
 
 from gridslam.errors import ArgumentError, InputError
 
-__all__ = [
-    "ALWAYS_ALLOWED_BYTES",
-    "DEFAULT_MEMORY_BYTES",
-    "LARGEST_RATIO",
-    "UnpackingLimit",
-    "describe_bytes",
-    "limit_memory",
-    "max_memory_bytes",
-    "require_memory",
-]
-
 LARGEST_RATIO = 100
 """Logs of scans shrink by a factor of 3 to 20, and one of a single scan, repeated under other stamps, by 50 to 60."""
 

@@ -47,6 +47,7 @@ _OTHER_MAGIC = {
     b"header:": "messages as text (the table of rostopic echo -p -b BAG /scan is read, and so is the bag itself)",
     b"version https://git-lfs": "a pointer of Git LFS (fetch the file itself: git lfs pull)",
 }
+_NUMBER = re.compile(r"[-+.\d]+")
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
 
 
@@ -162,6 +163,8 @@ def _looks_like(head: bytes, line: str) -> str:
         return f"binary data that begins with {head[:8].hex(' ')}"
     if line == CSV_HEADER or _is_tum(line):
         return "poses without scans (a trajectory, or relations)"
+    if line and all(map(_NUMBER.fullmatch, re.split(r"[ ,;\t]+", line.strip("()[]")))):
+        return "numbers without a line of names (such as angle_deg,dist_mm)"
     if line.startswith(("VERTEX", "EDGE")):
         return "a pose graph (gridslam graph solves it)"
     if line.startswith(("<!", "<html", "<?xml")):

@@ -12,8 +12,6 @@ import numpy as np
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, FloatArray, LaserScan
 
-__all__ = ["LogStatistics", "Mounting", "Topic"]
-
 _BY_SCAN = (
     "selection",
     "span_read",

@@ -24,20 +24,6 @@ from gridslam.types import GridRows, OccupancyGrid
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = [
-    "FREE_THRESH",
-    "OCCUPIED_THRESH",
-    "MapDescription",
-    "MapImage",
-    "map_pixels",
-    "occupancy_percent",
-    "read_map",
-    "read_map_description",
-    "read_map_image",
-    "unknown_read_as_free",
-    "write_map",
-]
-
 OCCUPIED_THRESH = 0.65
 FREE_THRESH = 0.196
 
@@ -221,7 +207,7 @@ def read_map(
 
 
 def _remark_on(percent: NDArray[np.int8], on_remark: Callable[[str], None]) -> None:
-    """Remark on a map of which nothing is known, or that looks as if black and white were exchanged."""
+    """Remark on a map without known cells, or with black and white probably exchanged."""
     occupied, free = int((percent > _EVEN).sum()), int(((percent >= 0) & (percent < _EVEN)).sum())
     if not occupied and not free:
         on_remark("no cell is known: all pixels are transparent, or between the thresholds")

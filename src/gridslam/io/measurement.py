@@ -6,8 +6,6 @@ from typing import NamedTuple
 
 from gridslam.types import LaserScan, Odometry
 
-__all__ = ["FARTHEST_LASER_M", "FARTHEST_M", "Measurement"]
-
 FARTHEST_M = 1e9
 """No robot on Earth is farther from where its odometry began: such a number is a damaged one."""
 FARTHEST_LASER_M = 100.0

@@ -17,8 +17,6 @@ from typing import IO, Any, cast, final
 from gridslam.errors import ArgumentError, OutputError
 from gridslam.io.staging import REPLACED, StagingFolder, exchange_folders, remove_abandoned, sync
 
-__all__ = ["OutputFolder", "open_for_writing", "require_writable", "write_atomically"]
-
 
 def require_writable(path: Path, *, is_folder: bool) -> None:
     """Check that a file or a folder of this path can be made or replaced, by making it in a temporary folder.
@@ -178,7 +176,7 @@ class OutputFolder:
         return StagingFolder(self.path, name, self.path)
 
     def _is_exchangeable(self, beside: Path) -> bool:
-        """Whether OUT is an earlier result and no more than that, and nobody stands in it as far as this process knows.
+        """Whether OUT contains only an earlier result, and is not this process's working folder.
 
         A mount point cannot be exchanged.
         """
@@ -209,7 +207,7 @@ class OutputFolder:
         sync(self.path)
 
     def _exchange(self, aside: Path) -> bool:
-        """Exchange the folder with OUT, whose other files are in both; returns False if that is not possible."""
+        """Exchange the folder with OUT; OUT's other files are in both. Return False if that is impossible."""
         out = self.path.resolve()
         if not self._is_exchangeable(aside.parent):
             return False

@@ -18,16 +18,6 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 from gridslam.errors import GridslamError, InputError, MissingDependencyError, OutputError
 from gridslam.io.output import write_atomically
 
-__all__ = [
-    "describe_remote",
-    "fetch",
-    "find_origin",
-    "is_url",
-    "list_files",
-    "mask_url",
-    "mask_urls",
-]
-
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 _STATE = (
     *("ETag", "etag", "LastModified", "Last-Modified", "mtime", "generation", "VersionId"),
@@ -60,7 +50,7 @@ def mask_url(url: str) -> str:
 
 
 def mask_urls(text: str) -> str:
-    """Return a text in which URLs are without their credentials."""
+    """Return a text without the credentials in its URLs."""
     return re.sub(_URL.pattern + r"\S+", lambda found: mask_url(found[0]), text)
 
 

@@ -10,8 +10,6 @@ from gridslam.errors import InputError
 from gridslam.io.text import read_text, refuse_unreadable
 from gridslam.io.yaml import parse_yaml
 
-__all__ = ["read_parameter_file"]
-
 _LARGEST_BYTES = 1 << 18
 
 

@@ -15,8 +15,6 @@ from gridslam.errors import ArgumentError, InputError
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 
-__all__ = ["Log", "LogOptions", "SelectedLog", "select"]
-
 _MOST_S = 9e9  # 285 years: in ns less than 64 bits hold
 _CHOOSING = "scan_topics", "no_odometry", "start_s", "duration_s", "every"
 

@@ -17,8 +17,6 @@ try:
 except ImportError:  # Windows has no such locks: there nothing is removed
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["REPLACED", "StagingFolder", "exchange_folders", "remove_abandoned", "sync"]
-
 REPLACED: Final = ".replaced"
 """Folder within a staging folder for the files that are being replaced; it shows that publishing had begun."""
 
@@ -135,7 +133,7 @@ def _remove_own(path: Path, process: int) -> None:
 
 
 def _remove_unless_locked(left: Path, target: Path | None) -> None:
-    """Remove a staging folder unless its process lives; move its files on if that had begun."""
+    """Remove a staging folder unless its process is alive; complete a move of its files that was interrupted."""
     lock = _lock(left)
     if lock is None:
         return

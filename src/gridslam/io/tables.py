@@ -18,21 +18,6 @@ from gridslam.io.limits import describe_bytes, max_memory_bytes
 from gridslam.io.text import read_numbered_lines
 from gridslam.types import FloatArray, IntArray
 
-__all__ = [
-    "Row",
-    "Table",
-    "check_rows",
-    "format_stamp_ns",
-    "parse_stamp_ns",
-    "parse_tagged",
-    "parse_whole_ns",
-    "read_rows",
-    "read_table",
-    "symmetric_of_upper",
-    "upper_of_symmetric",
-]
-
-
 _CHECKED_ROWS = 1 << 16
 _EXACT = Context(prec=1000)  # digits
 _STAMPS_NS = Decimal(-(2**63)), Decimal(2**63)  # range of 64 bits

@@ -22,21 +22,6 @@ from gridslam.arguments import require_plain
 from gridslam.errors import InputError, describe_failure
 from gridslam.io.limits import UnpackingLimit, describe_bytes
 
-__all__ = [
-    "TextSource",
-    "compute_digest",
-    "measure_size",
-    "open_for_reading",
-    "parse_json",
-    "parse_json_object",
-    "read_head",
-    "read_json",
-    "read_numbered_lines",
-    "read_text",
-    "refuse_unreadable",
-    "stay_below",
-]
-
 _BLOCK_BYTES = 1 << 17  # some hundred scans: large enough to parse in one go, small enough to stream
 _LONGEST_LINE_BYTES = 1 << 20
 _LARGEST_TEXT_BYTES = 1 << 26
@@ -259,7 +244,6 @@ class TextSource:
         self.path = Path(path)
         with open_for_reading(path) as file:
             self.total_bytes = os.fstat(file.fileno()).st_size
-            self._is_compressed = bool(_find_compression(file))
         self.bytes_read = 0
         self.is_truncated = False
         self.unterminated = False

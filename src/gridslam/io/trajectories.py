@@ -28,17 +28,6 @@ from gridslam.types import FloatArray, IntArray, Trajectory
 if TYPE_CHECKING:
     from gridslam.evaluation.trajectory import Relations
 
-__all__ = [
-    "CSV_HEADER",
-    "columns_of_trajectory",
-    "read_relations",
-    "read_trajectory",
-    "read_trajectory_csv",
-    "read_tum",
-    "write_trajectory_csv",
-    "write_tum",
-]
-
 CSV_HEADER = (
     "stamp_s,x_m,y_m,theta_rad,cov_xx_m2,cov_xy_m2,cov_xtheta_m_rad,cov_yy_m2,cov_ytheta_m_rad,cov_thetatheta_rad2"
 )
@@ -208,12 +197,6 @@ def write_trajectory_csv(path: str | Path, trajectory: Trajectory, covariances: 
     with Path(path).open("wb") as file:
         file.write(f"{CSV_HEADER}\n".encode())
         file.write(lines)
-
-
-def columns_of_trajectory(poses: FloatArray, covariances: FloatArray | None = None) -> dict[str, FloatArray]:
-    """Columns (N,) of poses (N, 3), and of their covariances (N, 3, 3) where given, by `CSV_HEADER`'s names."""
-    parts = [poses] if covariances is None else [poses, upper_of_symmetric(covariances)]
-    return dict(zip(CSV_HEADER.split(",")[1:], np.concatenate(parts, axis=1).T, strict=False))
 
 
 def read_trajectory_csv(path: str | Path) -> tuple[Trajectory, FloatArray]:

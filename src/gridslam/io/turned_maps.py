@@ -8,8 +8,6 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["count_turned_cells", "turn_cells"]
-
 _QUARTER_RAD = 1e-3  # from a quarter turn: half a cell of 5 cm in 25 m
 _BAND = 256  # rows at a time
 
@@ -17,7 +15,7 @@ _Value = TypeVar("_Value", bound=np.generic)
 
 
 def count_turned_cells(shape: tuple[int, int], yaw_rad: float) -> int:
-    """How many cells `turn_cells` makes of those of a shape (H, W)."""
+    """Number of cells that `turn_cells` returns for a shape (H, W)."""
     rows, columns = shape if _find_quarters(yaw_rad) is not None else _find_bounds(shape, yaw_rad)[1]
     return rows * columns
 

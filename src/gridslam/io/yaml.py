@@ -8,8 +8,6 @@ from typing import Any
 from gridslam.arguments import require_plain
 from gridslam.errors import ArgumentError, describe_failure
 
-__all__ = ["YamlError", "parse_yaml"]
-
 _MOST_VALUES = 100_000
 
 

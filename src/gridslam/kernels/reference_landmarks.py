@@ -7,15 +7,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "DEPTH_BEARING",
-    "RANGE_BEARING",
-    "RELATIVE_POSITION",
-    "draw_gaussians",
-    "kalman_update",
-    "predict_landmarks",
-]
-
 RANGE_BEARING, DEPTH_BEARING, RELATIVE_POSITION = range(3)
 
 FloatArray = NDArray[np.float64]

@@ -22,8 +22,6 @@ from gridslam.kernels.reference_update import (
     update_log_odds,
 )
 
-__all__ = ["MOST_BEAM_CELLS", "NO_ROOM", "OUTSIDE", "Updated", "begin_update", "end_update", "update"]
-
 MOST_BEAM_CELLS = 21_000
 """Cells from the robot to the end of a beam, 1050 m in cells of 5 cm: with them all around, a scan spans 2^31 cells."""
 

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from gridslam.kernels.reference_update import FloatArray
 
-__all__ = ["format_rows", "parse_numbers"]
-
 _LONGEST = 32
 _NUMBER = re.compile(r"-?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]{1,2})?")
 

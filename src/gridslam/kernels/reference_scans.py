@@ -23,8 +23,6 @@ from gridslam.kernels.reference_update import (
     update_log_odds,
 )
 
-__all__ = ["draw_scans", "match_scans"]
-
 _ROW = np.zeros(1, np.int32)
 
 

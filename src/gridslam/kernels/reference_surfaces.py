@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["fit_surfaces", "match_surfaces", "match_to_surfaces", "project_on_determined", "rank_bearings"]
-
 Numbers = NDArray[np.float64]
 Places = NDArray[np.int64]
 

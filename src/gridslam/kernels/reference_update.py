@@ -8,26 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "FARTHEST",
-    "FREE_CELLS",
-    "OCCUPIED",
-    "PAGE",
-    "TILE",
-    "UNKNOWN",
-    "LogOdds",
-    "cell_addresses",
-    "cells_within",
-    "make_tiles_writable",
-    "ray_cells",
-    "tiles_near_cells",
-    "tiles_on_rays",
-    "transform_to_world",
-    "unknown_of",
-    "update_field",
-    "update_log_odds",
-]
-
 TILE = 32
 """Rows and columns of cells in a tile."""
 

@@ -9,8 +9,6 @@ import numpy as np
 
 from gridslam.kernels.reference_update import FloatArray, Int32Array
 
-__all__ = ["shortest_ways"]
-
 _Pose = tuple[float, float, float]
 _Moments = tuple[float, ...]
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from gridslam.particles.ancestry import Ancestry
 from gridslam.types import IntArray
 
-__all__ = ["NO_POINTS", "NO_TREE", "AncestryTree", "Float32Array", "full_tree", "thin_tree"]
-
 Float32Array: TypeAlias = NDArray[np.float32]
 
 _MAX_NODES = 1500  # of a tree; of larger trees fewer steps are kept

@@ -16,8 +16,6 @@ from gridslam.io.trajectories import read_tum
 from gridslam.live.ancestry_tree import NO_POINTS, Float32Array
 from gridslam.types import OccupancyGrid, Trajectory
 
-__all__ = ["NOTHING", "Beside", "read_beside"]
-
 _TRUTH = "truth.tum"
 
 

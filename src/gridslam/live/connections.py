@@ -11,8 +11,6 @@ from typing import Any, final
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-__all__ = ["LimitedConnection", "LimitedSocket", "drop_stalled", "find_max_connections"]
-
 _MOST_CONNECTIONS = 400
 _STALL_S = 30.0
 _MOST_BYTES_AT_ONCE = 1 << 14  # that are read of a connection before it is the next one's turn

@@ -14,8 +14,6 @@ import numpy as np
 from gridslam.errors import ArgumentError, GridslamError
 from gridslam.types import FloatArray
 
-__all__ = ["LOCATING", "NO_COMMANDS", "Control", "RobotCommands", "RobotControl", "check_particle", "check_speed"]
-
 _POSE_COVARIANCE = np.diag([0.25, 0.25, (math.pi / 12) ** 2])  # of a pose set by hand, as RViz sends it, m^2 and rad^2
 LOCATING = "the robot is being located"
 _SLOW = {  # commands that take long: what is answered at once, and in the end

@@ -23,8 +23,6 @@ from gridslam.io.trajectories import write_tum
 from gridslam.live.limits import FileCache, PacedThread
 from gridslam.types import OccupancyGrid, Trajectory
 
-__all__ = ["DownloadableContent", "is_authorized", "is_foreign", "make_download_routes"]
-
 _BLOCK = 1 << 16
 _REFUSED = "this needs the token of the page"
 

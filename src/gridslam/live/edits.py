@@ -21,8 +21,6 @@ from gridslam.io.text import compute_digest, parse_json_object
 from gridslam.live.downloads import is_authorized, is_foreign
 from gridslam.types import OccupancyGrid
 
-__all__ = ["EDITS_NAME", "EditsFile", "make_edit_route"]
-
 EDITS_NAME = "edits.geojson"
 _MOST_BYTES = 1 << 23
 _CHANGED = "another page, or a run that goes on, has saved edits since: reload, or view it again, to see them"

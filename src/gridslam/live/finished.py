@@ -22,8 +22,6 @@ from gridslam.live.results import MappedRun, Results, StaticView, TrajectoryRun
 from gridslam.live.scene import MOST_MESSAGES
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
 
-__all__ = ["count_key_scans", "read_optional_history", "read_results"]
-
 _BELIEF_HEADER = "stamp_s,lost,lost_probability,inlier_ratio,particles,n_eff,injection_ratio"
 _MOST = 1e12  # of particles
 _WRITERS = "gridslam map, localize, grid, landmarks, graph or merge"

@@ -30,8 +30,6 @@ from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
-__all__ = ["EDITED_GRAPH", "EDITS", "EDITS_SCHEMA", "EditedGraph", "Overlay"]
-
 EDITS: Final = "graph_edits.json"
 """Name of the file of the edits in the folder of a graph without a session."""
 EDITED_GRAPH: Final = "graph_edited.g2o"
@@ -270,18 +268,21 @@ class EditedGraph:
         return edits
 
     def _save(self, solved: _Solved) -> None:
-        """Save the graph, and then the edits that have made it."""
+        """Save the edits and the graph that they have made; neither where one of them cannot be."""
         source = self._source
         if self._session is not None and compute_digest(self._session) != self._digest:
             raise InputError(self._session, "another program has saved this session since: begin the view again")
-        write_g2o(self._folder / EDITED_GRAPH, solved.graph, source.ids, source.order, source.is_landmark)
+        with write_atomically(self._folder / EDITED_GRAPH) as path:
+            write_g2o(path, solved.graph, source.ids, source.order, source.is_landmark)
+            self._save_edits(solved.edits)
+
+    def _save_edits(self, edits: list[GraphEdit]) -> None:
         if self._saved is not None and self._session is not None:
             now = datetime.now(timezone.utc).isoformat(timespec="seconds")
-            saved = replace(self._saved, edits=tuple(solved.edits), written=now, version=__version__)
-            write_session(self._session, saved)
+            write_session(self._session, replace(self._saved, edits=tuple(edits), written=now, version=__version__))
             self._digest = compute_digest(self._session)
             return
-        rejected = [[int(source.ids[key]) for key in edit.pair] for edit in solved.edits]
+        rejected = [[int(self._source.ids[key]) for key in edit.pair] for edit in edits]
         document = {"schema": EDITS_SCHEMA, "version": __version__, "rejected": rejected}
         with write_atomically(self._folder / EDITS) as path:
             path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

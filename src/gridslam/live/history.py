@@ -14,22 +14,6 @@ from gridslam.kernels import TILE
 from gridslam.live.ancestry_tree import NO_POINTS, Float32Array
 from gridslam.types import FloatArray
 
-__all__ = [
-    "NO_CLOUD",
-    "NO_TILES",
-    "SCAN_UNIT_M",
-    "TILE_BYTES",
-    "History",
-    "Moment",
-    "PackedTiles",
-    "PastMaps",
-    "PastReplica",
-    "count_common",
-    "pack_tiles",
-    "round_scan",
-    "unpack_tiles",
-]
-
 PackedTiles: TypeAlias = dict[tuple[int, int], bytes]
 """Levels of tiles by row and column, as `gridslam.live.protocol.pack_tiles` packs them."""
 

@@ -14,8 +14,6 @@ from gridslam.io.sessions.archive_file import name_file
 from gridslam.live.history import TILE_BYTES, History, Moment, unpack_tiles
 from gridslam.serialization import from_arrays, to_arrays
 
-__all__ = ["HISTORY_NAME", "HISTORY_SCHEMA", "read_history", "write_history"]
-
 HISTORY_NAME = "history.npz"
 HISTORY_SCHEMA = "gridslam.history/2"
 _WHAT = "a history of a run"

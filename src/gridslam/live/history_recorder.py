@@ -23,8 +23,6 @@ from gridslam.viz.cloud import select_representatives
 if TYPE_CHECKING:
     from gridslam.localization import LocalizationReport, MonteCarloState
 
-__all__ = ["HistoryRecorder"]
-
 _Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
 _MOST_PARTICLES = 300  # of a moment
 _CLOSEST_M = 0.05

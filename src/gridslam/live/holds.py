@@ -6,8 +6,6 @@ from typing import final
 
 from gridslam.live.control import Control, RobotControl
 
-__all__ = ["Holds"]
-
 
 @final
 class Holds:

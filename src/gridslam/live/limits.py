@@ -10,8 +10,6 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Generic, TypeVar, final
 
-__all__ = ["FileCache", "Pace", "PacedSelector", "PacedThread"]
-
 _LONGEST_SLEEP_S = 0.5
 
 _Source = TypeVar("_Source")

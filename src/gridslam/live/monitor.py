@@ -25,17 +25,6 @@ from gridslam.viz.cloud import select_representatives
 if TYPE_CHECKING:
     from gridslam.localization import LocalizationReport, MonteCarloState
 
-__all__ = [
-    "BEST",
-    "CORRECTED",
-    "LOST",
-    "ClosureCollector",
-    "FilterMonitor",
-    "LocalizationMonitor",
-    "MappingMonitor",
-    "StateView",
-]
-
 BEST = 0
 """The channel that always shows the map of the best particle."""
 LOST = 1

@@ -15,8 +15,6 @@ from gridslam.localization import LocalizationReport
 from gridslam.pipeline import Stopwatch
 from gridslam.types import LaserScan, Odometry, StepReport
 
-__all__ = ["UNVIEWED_PERIOD_S", "VIEWED_PERIOD_S", "LiveObserver", "Snapshot"]
-
 VIEWED_PERIOD_S = 0.1
 """Time between snapshots with viewers, s."""
 UNVIEWED_PERIOD_S = 1.0

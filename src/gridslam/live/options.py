@@ -9,8 +9,6 @@ from typing import final
 
 from gridslam.errors import ArgumentError
 
-__all__ = ["LiveOptions"]
-
 
 @final
 @dataclass(frozen=True, slots=True)

@@ -21,8 +21,6 @@ from gridslam.live.server import PageServer
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Odometry
 
-__all__ = ["LivePage"]
-
 _Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
 _RECONNECT_S = 3.0
 _SHARE = 0.1

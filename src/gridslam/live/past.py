@@ -10,8 +10,6 @@ from gridslam.live.ancestry_tree import Float32Array
 from gridslam.live.history import SCAN_UNIT_M, History, PastMaps, PastReplica
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Past", "PastReader"]
-
 
 @final
 class Past(NamedTuple):

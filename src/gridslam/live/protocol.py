@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 from gridslam.grid.cells import LOG_ODDS_UNIT
 from gridslam.kernels import TILE, UNKNOWN
 
-__all__ = ["STEP_NATS", "encode", "levels", "pack_tiles"]
-
 STEP_NATS = 0.2
 """Log-odds between two levels."""
 

@@ -26,8 +26,6 @@ from gridslam.live.tiles import TileReplica, tile_offset
 from gridslam.messages import Level, Messages
 from gridslam.types import OccupancyGrid, Trajectory
 
-__all__ = ["Replay", "ReplayViewer"]
-
 
 @final
 class Replay:
@@ -227,7 +225,7 @@ class ReplayViewer:
             else:
                 self._replay.edit(lambda graph: graph.reject(command["edit"]))
         except GridslamError as error:
-            self._answer = str(error)
+            self._answer, self._overlay = f"nothing has changed: {error}", overlay
 
     def close(self) -> None:
         """Do nothing: the replay keeps no list of viewers."""

@@ -17,8 +17,6 @@ from gridslam.slam.pose_graph.descent import squared_mahalanobis
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
 
-__all__ = ["AncestryReplay", "MappedRun", "Results", "StaticView", "TrajectoryRun"]
-
 _MOST_RESIDUALS = 1000  # edges
 _SNAPSHOTS = 32  # of the ancestry, evenly over the record: seeking back replays at most one interval
 
@@ -119,14 +117,15 @@ class MappedRun:
         self.grid = grid
         self.particles = record.poses.shape[1]
         self.ancestry = AncestryReplay(record)
+        self._scan_times_s = _elapsed(trajectory.stamps_ns, record.stamps_ns[0])
         self.times_s = _elapsed(record.stamps_ns, record.stamps_ns[0])
+        self.times_s[-1] = max(self.times_s[-1], self._scan_times_s[-1])  # scans follow the last key scan
         self.path: Float32Array = key_poses[:, :2].astype(np.float32)
         columns = (self.times_s, record.n_eff, 1e3 * record.latency_s, record.flags)
         counts = record.counts
         self.series: Float32Array = np.column_stack([*columns, counts]).astype(np.float32)
         self._record = record
         self.trajectory = trajectory
-        self._scan_times_s = _elapsed(trajectory.stamps_ns, record.stamps_ns[0])
         tracked = record.revisits.astype(np.int64)
         self._closure_steps: IntArray = np.sort(np.concatenate([recognized, tracked])[:, 1])  # when each was found
         shown = select_shown_closures(recognized, tracked)

@@ -26,8 +26,6 @@ from gridslam.live.tiles import TileReplica, split_into_tiles
 from gridslam.slam.loop_closure.constraints import select_shown_closures
 from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Trajectory
 
-__all__ = ["LiveRun", "LiveViewer"]
-
 _LIVE_SLAM = "map", "path", "ancestry", "particles", "weights", "scan", "closures", "n_eff", "latency"
 _LIVE_LOCALIZATION = "map", "path", "particles", "scan", "n_eff", "latency", "lost_probability"
 _MAX_CHANNELS = 8

@@ -19,18 +19,6 @@ from gridslam.live.protocol import STEP_NATS, encode, pack_tiles
 from gridslam.live.tiles import TileReplica, tile_offset
 from gridslam.types import FloatArray, OccupancyGrid
 
-__all__ = [
-    "MOST_MESSAGES",
-    "NO_LANDMARKS",
-    "NO_SERIES",
-    "Frame",
-    "RowBuffer",
-    "Scene",
-    "SentState",
-    "finite_or_none",
-    "make_run_info",
-]
-
 _MAX_TILES = 1024
 MOST_MESSAGES = 100
 """Of a run that are shown: the newest ones."""

@@ -31,8 +31,6 @@ from gridslam.live.limits import Pace, PacedSelector, PacedThread
 from gridslam.live.options import LiveOptions
 from gridslam.live.viewing import Viewer, ViewerLine, serve_viewer
 
-__all__ = ["PageContent", "PageServer", "Viewer"]
-
 _BAD_TOKEN = 4401  # close codes of the socket
 _TOO_MANY = 4429
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[\w.-]*)(?::\d{1,5})?", re.ASCII)

@@ -9,22 +9,12 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.grid.arena import Int32Array
 from gridslam.grid.cells import LOG_ODDS_UNIT, cell_corner
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE, UNKNOWN
+from gridslam.kernels.reference_update import Int32Array
 from gridslam.live.protocol import levels
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
-
-__all__ = [
-    "EMPTY_BOX",
-    "Box",
-    "TileChangeDetector",
-    "TileChanges",
-    "TileReplica",
-    "split_into_tiles",
-    "tile_offset",
-]
 
 _UNKNOWN_TILE: NDArray[np.int16] = np.full((TILE, TILE), UNKNOWN, np.int16)
 _MARGIN_M = 2 * TILE * 0.05  # deskewing may move the end point of a beam this far

@@ -15,8 +15,6 @@ from gridslam.errors import ArgumentError
 from gridslam.live.limits import PacedThread
 from gridslam.live.protocol import encode
 
-__all__ = ["Viewer", "ViewerLine", "serve_viewer"]
-
 _PERIOD_S = 0.1  # least time between two messages to a viewer
 _BYTES_PER_S = 1e6  # maximum rate for a viewer; a large message is followed by a longer pause
 _COMMAND_PERIOD_S = 0.05  # least time between two commands of a kind

@@ -15,20 +15,6 @@ from gridslam.localization.known_map import PoseLikelihood
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, IntArray
 
-__all__ = [
-    "CLUSTER_RADIUS_M",
-    "CLUSTER_RADIUS_RAD",
-    "NO_HYPOTHESES",
-    "HypothesisTracker",
-    "PoseEstimate",
-    "PoseHypotheses",
-    "cluster_bins",
-    "estimate_pose",
-    "is_in_cluster",
-    "propagate_covariance",
-]
-
-
 CLUSTER_RADIUS_M = 1.0
 """Poses within this distance of the estimate belong to its cluster, if their headings do."""
 

@@ -20,9 +20,6 @@ from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeB
 from gridslam.models.systematic_errors import NO_ERRORS, SystematicErrors
 from gridslam.types import FloatArray, IntArray, MotionSampler
 
-__all__ = ["EkfLocalization", "EkfLocalizationReport", "KnownLandmarks", "PoseGaussian"]
-
-
 _FORGOTTEN = 5.0
 """Time constants after which the errors of a landmark that is not seen are forgotten: less than 1 % of them is left."""
 

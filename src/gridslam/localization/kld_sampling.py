@@ -11,8 +11,6 @@ from gridslam.parameters import bounded, parameters
 from gridslam.particles.kld_sampling import kld_bound
 from gridslam.types import FloatArray, IntArray, Resampler
 
-__all__ = ["KldSampling"]
-
 
 @final
 @parameters(frozen=True)

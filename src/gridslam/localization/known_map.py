@@ -22,9 +22,6 @@ from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.endpoint import CauchyEndPoint, LikelihoodField
 from gridslam.types import Beams, FloatArray, Match, OccupancyGrid, Points, Poses, SensorModel
 
-__all__ = ["FieldTable", "KnownMap", "PoseLikelihood"]
-
-
 PoseLikelihood = Callable[[FloatArray], FloatArray]
 """A measurement model conditioned on one scan and one map: log likelihoods (K,) of poses (K, 3)."""
 
@@ -34,6 +31,12 @@ _FREE = math.log(0.196 / 0.804)
 _PAGE_CELLS = TILE * PAGE
 _BAND = 64  # rows at a time
 _CLOSE_CELLS = 15.5  # as far as tiles know distances
+_THROUGH_M = 0.5
+"""A beam that ends this far behind the first wall went through it: maps are off by less, and doors are thinner."""
+
+_AGREEING_M = 0.3
+"""A beam that ends this close to any obstacle may just have passed a corner."""
+
 _INLIER_WEIGHT = CauchyEndPoint(scale_m=0.1, tempering=1.0)
 _NONE = Evidence(1.0, -1.0, -1.0, 1.0, 0.0)  # never asked for: nothing is written into a known map
 
@@ -193,6 +196,24 @@ class KnownMap:
         """
         shifted = poses - [*self._corner, 0.0]
         return self._tiles.cast_rays(np.zeros(len(poses), np.int32), shifted, origin, directions, max_m)
+
+    def went_through(self, pose: FloatArray, ends: Points, origin: _Point) -> NDArray[np.bool_]:
+        """Return which beams (B,) went through a wall, from origin (2,) to ends (B, 2) in the base frame at a pose."""
+        beams = ends - origin
+        lengths = np.maximum(np.hypot(*beams.T), 1e-9)
+        row = np.zeros(1, np.int32)
+        walls_m = self.cast_rays(row, pose[None], origin, beams / lengths[:, None], float(lengths.max()))[0]
+        away = self.distances(row, pose[None], ends)[0] > _AGREEING_M
+        return np.asarray((walls_m < lengths - _THROUGH_M) & away)
+
+    def ends_beyond(self, pose: FloatArray, ends: Points, origin: _Point) -> NDArray[np.bool_]:
+        """Return which beams (B,) end where nothing is mapped and went through no wall; arguments as `went_through`."""
+        places = np.pad(transform_points(pose, ends), ((0, 0), (0, 1)))
+        mapped = backend.are_true(self.free | self.occupied, self._origin, 1 / self.resolution_m, places)
+        beyond = ~mapped & (self.distances([0], pose[None], ends)[0] > _INLIER_WEIGHT.scale_m)
+        if beyond.any():
+            beyond[beyond] = ~self.went_through(pose, ends[beyond], origin)
+        return np.asarray(beyond)
 
     def match(self, matcher: GaussNewton, guesses: Poses, priors: FloatArray, beams: Beams) -> Match:
         """Match a scan near guesses (K, 3) as `GaussNewton` does, with one prior information (3, 3) or with K."""

@@ -14,8 +14,6 @@ from gridslam.matching.gauss_newton import GaussNewton, cauchy_weights, degenera
 from gridslam.parameters import bounded, parameters
 from gridslam.types import Beams, FloatArray
 
-__all__ = ["MatchCovariance"]
-
 
 @final
 @parameters(frozen=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gridslam.checked import checked
 from gridslam.geometry.angles import wrap
@@ -52,8 +52,6 @@ from gridslam.types import (
     Resampler,
     require_step,
 )
-
-__all__ = ["MonteCarloConfiguration", "MonteCarloLocalization"]
 
 _UNKNOWN_POSE = PoseEstimate(np.zeros(3), np.diag([1e6, 1e6, math.pi**2]), 0.0)
 _ROUNDING = 1e-6 * np.eye(3)  # a millimetre, for beliefs without any spread
@@ -247,7 +245,7 @@ class MonteCarloLocalization:
         poses = self._motion(moved)(state.poses, rng)  # x_t ~ p(x_t | u_t, x_t-1)
         log_likelihood = self._likelihood(beams)
         log_weights = state.log_weights + log_likelihood(poses)  # w_t = w_t-1 p(z_t | x_t, m)
-        if share := self._injection_ratio(state, poses, beams):  # w_slow, w_fast; max(0, 1 - w_fast / w_slow) of all
+        if share := self._injection_ratio(state, moved, poses, beams):  # max(0, 1 - w_fast / w_slow) of all
             poses, log_weights = self._inject_particles(poses, log_weights, share, beams, log_likelihood, rng)
         state.advance(poses, normalize(log_weights), odometry)
         weights = np.exp(state.log_weights)
@@ -368,16 +366,30 @@ class MonteCarloLocalization:
         log_off_free = math.log(self.configuration.off_free_factor)
         return lambda poses: log_likelihood(poses) + np.where(self.map.is_free(poses), 0.0, log_off_free)
 
-    def _injection_ratio(self, state: MonteCarloState, poses: FloatArray, beams: Beams) -> float:
+    def _injection_ratio(self, state: MonteCarloState, moved: FloatArray, poses: FloatArray, beams: Beams) -> float:
         """Probability that the robot is elsewhere, the weight of injected particles; 1 if the pose is unknown."""
         if not len(state.poses):
             return 1.0
         # Every n-th particle: who descends from one stands together.
         some = slice(None, None, max(1, len(state.poses) // _MAX_EVALUATED))
         weights = np.exp(state.log_weights[some] - state.log_weights[some].max())
-        inlier_ratio = float(weights @ self._inlier_ratio(beams)(poses[some]) / weights.sum())
-        state.averages, share = self.configuration.recovery(state.averages, inlier_ratio)
+        seen = self._see_mapped(state, compose(state.estimate.pose, moved), beams)
+        ratios = self.map.inlier_ratio(beams.ends[seen])(poses[some]) if seen.any() else np.zeros(len(weights))
+        state.averages, share = self.configuration.recovery(
+            state.averages, float(weights @ ratios / weights.sum()), float(seen.mean())
+        )
         return share
+
+    def _see_mapped(self, state: MonteCarloState, pose: FloatArray, beams: Beams) -> NDArray[np.bool_]:
+        """Return which beams (B,) are evidence for or against a place to which the robot has driven.
+
+        A robot that was found and drives where nothing is mapped is not elsewhere: the map does not contradict it, as
+        long as the belief is in one place. What ends there is no reason for a place that was not verified.
+        """
+        inside = state.outside_log_odds is None or state.outside_log_odds < 0
+        if not (state.verified and inside and state.estimate.mass > 1 - self.configuration.lost_above):
+            return np.ones(len(beams), np.bool_)
+        return ~self.map.ends_beyond(pose, beams.ends, beams.origin)
 
     def _inlier_ratio(self, beams: Beams) -> PoseLikelihood:
         """Return share (N,) of the beams that agree with the map at poses (N, 3)."""
@@ -461,8 +473,11 @@ class MonteCarloLocalization:
             )
         if state.verified or self._lost_probability(state) > self.configuration.lost_above:
             return
-        found = verification(
+        found, alike_m = verification(
             self.map, reported, state.recent, lambda guesses: self._match_near(guesses, _CLUSTER, beams), tracker, rng
+        )
+        state.outside_log_odds = verification.bound_outside_log_odds(
+            state.outside_log_odds, state.driven_since_found_m, alike_m
         )
         state.hypotheses = tracker.join(state.hypotheses, found, reported)
         state.verified = self._lost_probability(state) <= self.configuration.lost_above

@@ -15,8 +15,6 @@ from gridslam.tracking.search import OdometrySearch
 from gridslam.tracking.tracker import Tracker, TrackerState
 from gridslam.types import Beams, FloatArray, MotionSampler, Odometry
 
-__all__ = ["OdometryCheck", "TrackedMotion"]
-
 _LOCAL_MAPS = OccupancyGridMapping()
 """Makes the local maps of the tracker."""
 

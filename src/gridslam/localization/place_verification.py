@@ -7,19 +7,18 @@ maps end somewhere, and there is always a place in them that looks most like a c
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from typing import Annotated, NamedTuple, final
 
 import numpy as np
 
 from gridslam.geometry.se2 import between, compose
-from gridslam.localization.belief import HypothesisTracker, PoseHypotheses, cluster_bins
+from gridslam.localization.belief import HypothesisTracker, PoseHypotheses, cluster_bins, is_in_cluster
 from gridslam.localization.known_map import KnownMap
 from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.parameters import bounded, parameters
 from gridslam.types import BeamEnds, FloatArray
-
-__all__ = ["CERTAINLY_INSIDE", "NO_SCANS", "PlaceVerification", "RecentScans"]
 
 _BEAMS = 60
 
@@ -54,24 +53,22 @@ class RecentScans(NamedTuple):
 
 NO_SCANS = RecentScans(np.empty((0, 3)), np.empty((0, _BEAMS, 2)), np.empty((0, 2)))
 
-_THROUGH_M = 0.5
-"""A beam that ends this far behind the first wall went through it: maps are off by less, and doors are thinner."""
-
-_AGREEING_M = 0.3
-"""A beam that ends this close to any obstacle may just have passed a corner."""
-
 _THROUGH_RATIO = 0.02
 """Ratio of beams through walls that is no evidence of being outside the map, nor against it. In simulated half
 buildings 99 % of right places have less than 0.01 over the last scans, and wrong ones 0.06; in a real floor's map of
 another year, in which a tenth of the beams ends at new things, right ones have 0.003."""
+
+_ALIKE, _UNLIKE = 1.0, 3.0
+"""Nats against a place: by less in one scan it looks like the reported one, by more in all scans no longer."""
 
 _OUTSIDE_PRIOR = 2.5
 _OUTSIDE_LOG_ODDS = 35.0
 """Log odds of being outside the map before any scan, and by how much a scan changes them if all beams went through
 walls: six scans without such a beam refute it."""
 
-_OUTSIDE_LIMITS = -12.0, 6.0
-"""Some scans through a door that the map has closed do not reject a place that many have confirmed."""
+_OUTSIDE_LIMITS = -12.0, 12.0
+"""Some scans through a door that the map has closed do not reject a place that many have confirmed, nor do scans of one
+more room that looks like a mapped one confirm a place that many have rejected: 3.5 m without beams through walls do."""
 
 CERTAINLY_INSIDE = _OUTSIDE_LIMITS[0]
 """Log odds of being outside the map where the pose is given."""
@@ -120,8 +117,8 @@ class PlaceVerification:
         match: Callable[[FloatArray], FloatArray],
         tracker: HypothesisTracker,
         rng: np.random.Generator,
-    ) -> PoseHypotheses:
-        """Find the places that the scans do not distinguish from a reported pose (3,).
+    ) -> tuple[PoseHypotheses, float]:
+        """Find the places that the scans do not distinguish from a reported pose (3,), and how soon they refute others.
 
         Parameters
         ----------
@@ -136,12 +133,23 @@ class PlaceVerification:
         -------
         PoseHypotheses
             Places at the newest scan, and their odds relative to the reported one.
+        float, m
+            Mean way after which places that look alike in the newest scan are refuted; 0 if there are none. By the
+            maximum likelihood for exponential survival: all ways together, those of places that are not refuted yet
+            among them, by the number of refuted ones.
         """
         places = match(self._search(known_map, recent.ends[-1], rng))
-        odds = np.zeros(len(places))
-        for _, _, agreement in _follow_back(known_map, np.concatenate([reported[None], places]), recent, tracker, rng):
+        places = places[~is_in_cluster(places, reported)]
+        odds, alike, alike_m, way_m = np.zeros(len(places)), np.ones(len(places), bool), np.zeros(len(places)), 0.0
+        for k, _, agreement in _follow_back(known_map, np.concatenate([reported[None], places]), recent, tracker, rng):
             odds += tracker.evidence(agreement[1:] - agreement[0])
-        return tracker.without_refuted(places, odds)
+            if k + 1 < len(recent.poses):
+                way_m += math.dist(recent.poses[k, :2], recent.poses[k + 1, :2])
+            else:
+                alike = odds > -_ALIKE
+            alike_m[odds > -_UNLIKE] = way_m
+        refuted = int((odds[alike] <= -_UNLIKE).sum())
+        return tracker.without_refuted(places, odds), float(alike_m[alike].sum()) / max(refuted, 1)
 
     def compute_outside_log_odds(
         self,
@@ -158,15 +166,23 @@ class PlaceVerification:
         """
         log_odds = _OUTSIDE_PRIOR
         for k, followed, _ in _follow_back(known_map, reported[None], recent, tracker, rng):
-            log_odds += _outside_evidence(known_map, followed, recent.ends[k], recent.origins[k])
+            log_odds += _outside_evidence(known_map, followed[0], recent.ends[k], recent.origins[k])
         return float(np.clip(log_odds, *_OUTSIDE_LIMITS))
 
     def update_outside_log_odds(
         self, log_odds: float, known_map: KnownMap, reported: FloatArray, recent: RecentScans
     ) -> float:
         """Return these log odds after one more scan, the newest one, at the same place."""
-        added = _outside_evidence(known_map, reported[None], recent.ends[-1], recent.origins[-1])
+        added = _outside_evidence(known_map, reported, recent.ends[-1], recent.origins[-1])
         return float(np.clip(log_odds + added, *_OUTSIDE_LIMITS))
+
+    def bound_outside_log_odds(self, log_odds: float, driven_m: float, alike_m: float) -> float:
+        """Return these log odds, but no less than by for how long places of this map look alike.
+
+        Outside the map there are such places, too, and the scans refute them no sooner. So where those in the map are
+        alike for `alike_m`, a place that agreed for `driven_m` is no more certain than exp(-driven_m / alike_m).
+        """
+        return max(log_odds, _OUTSIDE_PRIOR - driven_m / max(alike_m, 1e-9))
 
     def _search(self, known_map: KnownMap, ends: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return poses (K, 3) where most beams with these ends agree, one of each cluster, the best first."""
@@ -190,10 +206,5 @@ def _follow_back(
 
 
 def _outside_evidence(known_map: KnownMap, pose: FloatArray, ends: FloatArray, origin: FloatArray) -> float:
-    """Return log odds by the ratio of beams with ends (B, 2) that went through a wall, seen from a pose (1, 3)."""
-    row = np.zeros(1, np.int32)
-    beams = ends - origin
-    lengths = np.maximum(np.hypot(*beams.T), 1e-9)
-    walls_m = known_map.cast_rays(row, pose, origin, beams / lengths[:, None], float(lengths.max()))[0]
-    through = (walls_m < lengths - _THROUGH_M) & (known_map.distances(row, pose, ends)[0] > _AGREEING_M)
-    return _OUTSIDE_LOG_ODDS * (float(through.mean()) - _THROUGH_RATIO)
+    """Return log odds by the ratio of beams with ends (B, 2) that went through a wall, seen from a pose (3,)."""
+    return _OUTSIDE_LOG_ODDS * (float(known_map.went_through(pose, ends, origin).mean()) - _THROUGH_RATIO)

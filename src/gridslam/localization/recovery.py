@@ -14,8 +14,6 @@ from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.parameters import bounded, parameters
 from gridslam.types import Beams, FloatArray
 
-__all__ = ["AugmentedRecovery", "InlierRatioAverages", "MeasurementProposal"]
-
 
 class InlierRatioAverages(NamedTuple):
     """Inlier ratio with the map, averaged over the particles and, slowly and fast, over updates."""
@@ -57,10 +55,15 @@ class AugmentedRecovery:
         """Averages before the first scan."""
         return InlierRatioAverages(self.expected, self.expected)
 
-    def __call__(self, averages: InlierRatioAverages, inlier_ratio: float) -> tuple[InlierRatioAverages, float]:
-        """Average the share of agreeing beams in; the share of the belief that is elsewhere, in [0, 1)."""
-        slow = averages.slow + self.alpha_slow * (inlier_ratio - averages.slow)
-        fast = averages.fast + self.alpha_fast * (inlier_ratio - averages.fast)
+    def __call__(
+        self, averages: InlierRatioAverages, inlier_ratio: float, seen: float = 1.0
+    ) -> tuple[InlierRatioAverages, float]:
+        """Average the share of agreeing beams in; the share of the belief that is elsewhere, in [0, 1).
+
+        A scan counts by the ratio of its beams that have `seen` something of the map.
+        """
+        slow = averages.slow + seen * self.alpha_slow * (inlier_ratio - averages.slow)
+        fast = averages.fast + seen * self.alpha_fast * (inlier_ratio - averages.fast)
         return InlierRatioAverages(slow, fast), max(0.0, 1 - fast / slow) if slow > 0 else 0.0
 
 

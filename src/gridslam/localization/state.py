@@ -20,8 +20,6 @@ from gridslam.localization.recovery import InlierRatioAverages
 from gridslam.serialization import NOT_SAVED
 from gridslam.types import FloatArray, IntArray, Odometry, describe_pose, describe_time
 
-__all__ = ["LocalizationObserver", "LocalizationReport", "LocalizationSkip", "MonteCarloState", "validate_poses"]
-
 
 class LocalizationSkip(Enum):
     """Why a scan did not update the particles."""

@@ -15,8 +15,6 @@ from gridslam.kernels import TILE, UNKNOWN
 from gridslam.models.inverse_sensor import InverseSensorModel
 from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid
 
-__all__ = ["BeamCounts", "bayes_map", "counting_map"]
-
 # A map in which a hit is +1, a miss -1 and nothing is occupied: after one scan it holds that scan's counts, because a
 # cell in which a beam of the scan ends is not missed by the others.
 _LIMIT: Final = 16_000  # hits or misses of one cell by one scan; what is beyond does not count

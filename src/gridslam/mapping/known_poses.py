@@ -13,8 +13,6 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, log
 from gridslam.types import Beams, FloatArray, Trajectory
 
-__all__ = ["KnownPoses", "NoPoseReason"]
-
 _EXACT_NS: Final = 1_000_000
 """A pose stamped so near is the scan's own: programs round stamps."""
 

@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.checked import checked
-from gridslam.grid.arena import Int32Array
 from gridslam.grid.cells import Evidence
 from gridslam.grid.tiles import MOST_TILES, TileMaps
+from gridslam.kernels.reference_update import Int32Array
 from gridslam.models.inverse_sensor import InverseSensorModel
 from gridslam.parameters import bounded, parameters
 from gridslam.types import Beams, Poses
-
-__all__ = ["OccupancyGridMapping"]
 
 
 @final
@@ -50,7 +48,7 @@ class OccupancyGridMapping:
     max_tiles: int = bounded(MOST_TILES, ge=1000, le=500_000_000)
 
     def empty(self, rows: int, threads: int = 1) -> TileMaps:
-        """Make `rows` maps in which nothing is known."""
+        """Return `rows` maps without known cells."""
         return TileMaps(rows, threads=threads, **self._form())
 
     def restore(self, arrays: Mapping[str, NDArray[Any]], threads: int = 1) -> TileMaps:

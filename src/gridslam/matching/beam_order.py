@@ -10,8 +10,6 @@ import numpy as np
 
 from gridslam.types import Beams, FloatArray
 
-__all__ = ["MIN_TURN_RAD", "ORDERS", "BeamOrder"]
-
 ORDERS = (1, 0, -1)
 """Beams are measured as reported, all at once, or in the reverse order: factors of their times."""
 

@@ -21,8 +21,6 @@ from gridslam.kernels import MOST_BEAM_CELLS, backend
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, IntArray, Points
 
-__all__ = ["BranchAndBound", "LatticeMatch", "Pyramid", "thin_points"]
-
 _FRAME = 16
 """Cells without a likelihood all around those of a pyramid's map."""
 

@@ -12,24 +12,11 @@ from numpy.typing import NDArray
 
 from gridslam.checked import checked
 from gridslam.geometry.single_pose import Information, Pose
-from gridslam.grid.arena import Int32Array
 from gridslam.grid.scan_batch import ScanBatch
 from gridslam.grid.tiles import TileMaps
+from gridslam.kernels.reference_update import Int32Array
 from gridslam.parameters import bounded, parameters
 from gridslam.types import BeamEnds, FloatArray, Match, Poses, Rows
-
-__all__ = [
-    "EVALUATE_ONLY",
-    "MIN_INFORMATION",
-    "NO_INFORMATION",
-    "NO_PRIOR",
-    "GaussNewton",
-    "PoseMatch",
-    "cauchy_weights",
-    "degenerate_direction",
-    "evaluating",
-    "weigh_known_beams",
-]
 
 MIN_INFORMATION = 0.005
 """Minimum eigenvalue of the position information per inlier beam of a non-degenerate match."""
@@ -120,7 +107,7 @@ class GaussNewton:
         )
 
     def _settings(self, maps: TileMaps) -> tuple[float | bool, ...]:
-        """What the kernels take, in cells of the maps."""
+        """Return the arguments of the kernels, in cells of the maps."""
         cell = maps.resolution_m
         return (
             self.cauchy_m / cell,
@@ -146,7 +133,7 @@ def evaluating(matcher: GaussNewton) -> GaussNewton:
 
 _NOTHING_KNOWN = 1e-9
 NO_PRIOR = _NOTHING_KNOWN * np.eye(3)
-"""Prior information (3, 3) of a guess that means nothing, and keeps what no beam determines."""
+"""Prior information (3, 3) without a guess: directions that no beam determines stay as they are."""
 
 NO_INFORMATION: Information = (_NOTHING_KNOWN, 0.0, 0.0, _NOTHING_KNOWN, 0.0, _NOTHING_KNOWN)
 """The same of one pose, for `match_pose`."""

@@ -13,8 +13,6 @@ from gridslam.matching.gauss_newton import EVALUATE_ONLY
 from gridslam.parameters import bounded, parameters
 from gridslam.types import BeamEnds, FloatArray, Match, Poses, Rows
 
-__all__ = ["HillClimbing"]
-
 _MOVES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float64)
 
 

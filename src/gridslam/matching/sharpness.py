@@ -7,8 +7,6 @@ import numpy as np
 from gridslam.matching.surfaces import Surfaces
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["measure_sharpness"]
-
 _STEP_M = 0.3
 """Way between two scans that are compared with others: where the robot stood counts once."""
 _REACH_M = 5.0

@@ -11,8 +11,6 @@ from gridslam.kernels import backend
 from gridslam.kernels.reference_surfaces import project_on_determined
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["LEAST_INFORMATION", "SurfaceMatches", "Surfaces"]
-
 LEAST_INFORMATION = 0.02
 """Of the position along a direction, for each point: less is left open, as the noise of the normals would determine it
 along a corridor, where nearest points seem to stand still. It is the mean square of the normals' share."""

@@ -14,17 +14,6 @@ from gridslam.models.landmark import LandmarkObservations, offset
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, IntArray
 
-__all__ = [
-    "AMBIGUOUS",
-    "NEW",
-    "Association",
-    "KnownCorrespondence",
-    "LandmarkExistence",
-    "MaximumLikelihood",
-    "signatures",
-]
-
-
 NEW = -1
 """Instead of a landmark index: a new landmark."""
 

@@ -13,8 +13,6 @@ from gridslam.geometry.se2 import transform_points
 from gridslam.parameters import bounded, parameters
 from gridslam.types import Beams, BeamStatus, DistanceMaps, FloatArray, Rows, ScanLikelihood
 
-__all__ = ["BeamRangeFinder"]
-
 _REACH = 6.0  # standard deviations beyond which a Gaussian's tail, 1e-9, counts as nothing
 
 

@@ -13,8 +13,6 @@ from gridslam.checked import checked
 from gridslam.parameters import bounded, parameters
 from gridslam.types import Beams, DistanceMaps, FloatArray, Rows, ScanLikelihood
 
-__all__ = ["CauchyEndPoint", "GMappingEndPoint", "LikelihoodField"]
-
 
 @final
 @checked

@@ -9,8 +9,6 @@ from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.parameters import bounded, parameters
 
-__all__ = ["InverseSensorModel"]
-
 
 def _four_probabilities(hit: float, miss: float) -> tuple[float, float, float, float]:
     """Solve a/c = e^hit and b/d = e^miss with a + b = c + d = 1 for (a, b, c, d)."""

@@ -22,18 +22,6 @@ from gridslam.models.motion import GaussianIncrement
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, IntArray, MotionModel, MotionSampler
 
-__all__ = [
-    "NO_OBSERVATIONS",
-    "DepthBearing",
-    "LandmarkModel",
-    "LandmarkObservations",
-    "LandmarkStep",
-    "ObservationKind",
-    "RangeBearing",
-    "RelativePosition",
-    "offset",
-]
-
 
 class ObservationKind(Enum):
     """Type of the two numbers of an observation."""
@@ -306,7 +294,7 @@ class RelativePosition:
         return measured - predicted
 
     def locate(self, poses: FloatArray, measured: FloatArray) -> FloatArray:
-        """Return the point (..., 2) that lies there in the robot's frame."""
+        """Return the point (..., 2) in the robot's frame."""
         return transform_points(poses, measured)
 
     def noise(self, observations: LandmarkObservations) -> FloatArray:
@@ -354,7 +342,7 @@ def locate_calibrated(
 
 
 def with_durations(steps: Iterable[LandmarkStep]) -> Iterator[LandmarkStep]:
-    """Yield steps whose observations know how much time has passed since the step before, by the stamps."""
+    """Yield the steps with the time since the previous step in their observations, by the stamps."""
     before_ns: int | None = None
     for step in steps:
         passed_s = 0.0 if before_ns is None else max(1e-9 * (step.stamp_ns - before_ns), 0.0)

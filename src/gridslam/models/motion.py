@@ -21,16 +21,6 @@ from gridslam.geometry.se2 import compose, exp, rotate_covariances
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, MotionSampler, Poses
 
-__all__ = [
-    "DiffusionMotion",
-    "GMappingMotion",
-    "GaussianIncrement",
-    "OdometryMotion",
-    "VelocityMotion",
-    "_finite_triple",
-    "add_noise",
-]
-
 _IDENTITY = np.eye(3)
 _IDENTITY.flags.writeable = False
 

@@ -13,8 +13,6 @@ from gridslam.geometry.se2 import between, compose, lever_arm_jacobian
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, MotionSampler
 
-__all__ = ["NO_ERRORS", "SystematicErrors"]
-
 
 @final
 @parameters(frozen=True)
@@ -70,7 +68,7 @@ class SystematicErrors:
         return [str(name) for name in names[self._sought]]
 
     def covariance(self) -> FloatArray:
-        """Return the covariance (B, B) of the errors, of which nothing is known."""
+        """Return the prior covariance (B, B) of the errors."""
         return np.diag(np.square(self._sigmas[self._sought]))
 
     def calibration(self, errors: FloatArray) -> FloatArray:

@@ -15,8 +15,6 @@ from gridslam.errors import ArgumentError
 from gridslam.serialization import read_array
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Ancestry"]
-
 
 class _Level(NamedTuple):
     """The nodes of one step; never written to, so that snapshots may share it."""
@@ -88,7 +86,7 @@ class Ancestry:
         self._coalesce()
 
     def resample(self, parents: ArrayLike) -> None:
-        """Let particle i continue the past of particle parents[i], and forget pasts that nobody continues.
+        """Make particle i a child of particle parents[i], and drop the histories of particles without children.
 
         Parameters
         ----------

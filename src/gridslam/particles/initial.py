@@ -11,8 +11,6 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.types import FloatArray
 
-__all__ = ["repeat_pose", "sample_gaussian"]
-
 _MOST = 1 << 30
 
 

@@ -7,8 +7,6 @@ import numpy as np
 from gridslam.checked import checked
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["kld_bound"]
-
 
 @checked
 def kld_bound(bins: IntArray, error: float, z: float) -> FloatArray:

@@ -8,15 +8,6 @@ from typing import Protocol, final, runtime_checkable
 from gridslam.checked import checked
 from gridslam.parameters import bounded, parameters
 
-__all__ = [
-    "AlwaysResample",
-    "EffectiveSampleSizeBelow",
-    "MotionThreshold",
-    "NeverResample",
-    "ResamplingPolicy",
-    "UpdatePolicy",
-]
-
 
 @runtime_checkable
 class ResamplingPolicy(Protocol):

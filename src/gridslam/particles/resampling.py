@@ -25,19 +25,6 @@ from gridslam.kernels import backend
 from gridslam.parameters import parameters
 from gridslam.types import FloatArray, IntArray
 
-__all__ = [
-    "Multinomial",
-    "ResamplingWheel",
-    "Residual",
-    "Stratified",
-    "Systematic",
-    "effective_sample_size",
-    "entropy",
-    "normalize",
-    "relative_to_greatest",
-    "require_log_weights",
-]
-
 _Weights = Annotated[FloatArray, "N"]
 _Count = Annotated[int, Limits(0, 1 << 30)]
 
@@ -102,7 +89,7 @@ def relative_to_greatest(log_weights: FloatArray) -> FloatArray:
 
 
 def require_log_weights(log_weights: FloatArray) -> None:
-    """Refuse log weights (N,), N >= 1, that are NaN or infinite, or of which none is greater than zero's."""
+    """Reject log weights (N,), N >= 1, that are NaN or infinite, or all of weight zero."""
     greatest = float(log_weights.max())
     if not math.isfinite(greatest):
         raise ArgumentError("log_weights", "no NaN, none +inf and not all -inf", f"a greatest value of {greatest}")
@@ -235,7 +222,7 @@ def _relative(weights: FloatArray, size: int, rng: np.random.Generator) -> Float
 
 
 def _slots(ends: FloatArray, points: FloatArray) -> IntArray:
-    """Return slots in which ascending points lie.
+    """Return the slots that contain ascending points.
 
     Slots [end of the one before, end) are half open, so an empty one (weight 0) holds no point.
     """

@@ -12,8 +12,6 @@ from gridslam.plan.surfaces import SurfacePoints
 from gridslam.plan.untyped import fft
 from gridslam.types import FloatArray
 
-__all__ = ["Alignment", "align_points", "align_walls", "fit_pairs"]
-
 _COARSE_M = 0.2
 _HEADINGS = 8
 """Tried at most: at four of them a building's walls look alike."""
@@ -53,7 +51,7 @@ class Alignment(NamedTuple):
 
 
 def align_points(moved: SurfacePoints, fixed: SurfacePoints, is_drawn: bool = False) -> Alignment:
-    """Find how surfaces lie on others; `is_drawn`: the fixed ones are lines, of which either side may be free.
+    """Align surfaces with fixed ones; `is_drawn`: the fixed ones are lines without a free side.
 
     The headings are those at which the histograms of the normals agree; at each the shift is the peak of the
     cross-correlation of the surfaces; each is refined by matching points to lines, and the one that most points agree

@@ -14,8 +14,6 @@ from gridslam.plan.surfaces import SurfacePoints
 from gridslam.plan.untyped import spatial
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Arc", "find_arcs"]
-
 _FEWEST = 8
 _ROUNDS = 6
 _LEAST_TURN = 0.05

@@ -1,4 +1,4 @@
-"""Changes between two maps of a building: things that have gone, and new ones."""
+"""Changes between two maps of a building: removed and new objects."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from gridslam.plan.alignment import Alignment
 from gridslam.plan.rasters import BoolArray, Raster, make_raster
 from gridslam.plan.untyped import ndimage
 from gridslam.types import FloatArray, OccupancyGrid
-
-__all__ = ["Change", "Changes", "find_changes"]
 
 _NEAR_M = 0.12
 """Obstacles within this distance of earlier ones are the same: walls are drawn two cells thick."""
@@ -119,7 +117,7 @@ def _find_gone(kind: str, here: Raster, there: Raster) -> list[Change]:
 
 
 def _enclose(places: FloatArray, cell_m: float) -> FloatArray:
-    """Rectangle (4, 2) about the cells at places (N, 2), along the sides of which most of them lie."""
+    """Rectangle (4, 2) around cells at places (N, 2), turned so that most of them are along its sides."""
     best, most = np.zeros((4, 2)), -1.0
     for angle in np.deg2rad(np.arange(0.0, 90.0, 3.0)):
         axes = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])

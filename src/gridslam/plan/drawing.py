@@ -12,8 +12,6 @@ from gridslam.plan.sheet import Mark, Sheet
 from gridslam.types import FloatArray
 from gridslam.viz.canvas import Colour, round_length
 
-__all__ = ["draw_plan"]
-
 _INK: Colour = (20, 24, 32)
 _QUIET: Colour = (110, 118, 130)
 _FLOOR: Colour = (247, 244, 236)

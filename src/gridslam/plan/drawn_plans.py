@@ -22,8 +22,6 @@ from gridslam.plan.alignment import Alignment
 from gridslam.plan.surfaces import SurfacePoints, points_of_grid
 from gridslam.types import FloatArray, OccupancyGrid
 
-__all__ = ["SUFFIXES", "DrawnPlan", "draw_aligned", "read_drawn_plan"]
-
 _STEP_M = 0.05
 _LONGEST_M = 200_000.0
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")

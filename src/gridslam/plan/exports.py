@@ -13,8 +13,6 @@ from gridslam.plan.floor_plan import FloorPlan
 from gridslam.plan.world import WorldOrigin
 from gridslam.types import FloatArray
 
-__all__ = ["describe_features", "write_dxf", "write_geojson"]
-
 _SAGITTA_M = 0.005
 """Between a round wall and the lines of GeoJSON, which has no arcs."""
 _LAYERS = {"WALLS": 7, "DOORS": 5, "ROOMS": 3, "UNKNOWN": 30, "FURNITURE": 8}

@@ -13,18 +13,6 @@ from gridslam.plan.rasters import BoolArray
 from gridslam.plan.surfaces import SurfacePoints, label_surfaces
 from gridslam.types import FloatArray, IntArray
 
-__all__ = [
-    "GAP_M",
-    "LEAST_COSINE",
-    "OFFSET_M",
-    "Face",
-    "choose_seed",
-    "dominant_direction",
-    "find_faces",
-    "find_surfaces",
-    "snap_directions",
-]
-
 GAP_M = 0.3
 """Along a face points are no farther apart: less than a door, more than beams are at 15 m."""
 OFFSET_M = 0.05
@@ -161,7 +149,7 @@ def _fit(positions: FloatArray, weights: FloatArray, normal: FloatArray) -> tupl
 
 
 def dominant_direction(faces: list[Face]) -> float:
-    """Direction (rad, [-pi/4, pi/4)) in or across which most of the faces' length lies; 0 without faces."""
+    """Dominant direction of the faces by length, modulo pi/2 (rad, [-pi/4, pi/4)); 0 without faces."""
     if not faces:
         return 0.0
     angles = np.array([face.direction for face in faces])

@@ -18,8 +18,6 @@ from gridslam.plan.untyped import ndimage, require_map_extra
 from gridslam.plan.walls import Wall, close_corners, drop_clutter, find_furniture_faces, hull, join_faces, make_walls
 from gridslam.types import FloatArray, OccupancyGrid
 
-__all__ = ["FloorPlan", "make_plan"]
-
 _SAGITTA_M = 0.01
 _BESIDE_M = 0.25
 _LEAST_BESIDE = 0.2
@@ -182,7 +180,7 @@ def _close_floor(raster: Raster, walls: list[FloatArray], furniture: list[FloatA
 
 
 def _outline_furniture(raster: Raster) -> list[FloatArray]:
-    """Return convex outlines (K, 2) of things that stand alone."""
+    """Return the convex outlines (K, 2) of isolated objects."""
     labels, _ = ndimage.label(raster.furniture, np.ones((3, 3)))
     outlines = []
     for number, part in enumerate(ndimage.find_objects(labels), start=1):

@@ -14,8 +14,6 @@ from gridslam.plan.alignment import fit_pairs
 from gridslam.plan.world import WorldOrigin
 from gridslam.types import FloatArray, OccupancyGrid
 
-__all__ = ["fit_world", "write_geotiff"]
-
 _TRANSFORMATION, _KEYS = 34264, 34735  # tags of GeoTIFF 1.1 (OGC 19-008r4): ModelTransformation, GeoKeyDirectory
 _SHORT, _DOUBLE = 3, 12  # types of TIFF
 _DIRECTORY = (
@@ -28,7 +26,7 @@ _DIRECTORY = (
 
 
 def fit_world(places: FloatArray, degrees: FloatArray) -> tuple[WorldOrigin, FloatArray]:
-    """Find where a map lies on WGS84, without a scale; and the distances (P,), m, that are left.
+    """Fit the georeference of a map on WGS84, without a scale; and the residuals (P,), m.
 
     Parameters
     ----------

@@ -15,8 +15,6 @@ from gridslam.io.edits import Edits
 from gridslam.io.maps import MapDescription
 from gridslam.types import OccupancyGrid
 
-__all__ = ["Mask", "describe_filters", "make_keepout_mask", "make_speed_mask", "write_mask"]
-
 
 @final
 class Mask(NamedTuple):

@@ -14,8 +14,6 @@ from gridslam.plan.surfaces import SurfacePoints
 from gridslam.plan.walls import Wall
 from gridslam.types import FloatArray
 
-__all__ = ["Opening", "find_openings"]
-
 _NARROWEST_M = 0.5
 _WIDEST_M = 2.6
 _WIDEST_DOOR_M = 1.4

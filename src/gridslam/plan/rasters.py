@@ -1,4 +1,4 @@
-"""The cells of a map as the plan needs them: floor, things that stand on it, and free space at given points."""
+"""The cells of a map for the plan: floor, objects on it, and free space at given points."""
 
 from __future__ import annotations
 
@@ -14,8 +14,6 @@ from gridslam.plan.untyped import ndimage
 from gridslam.types import FloatArray, OccupancyGrid
 
 BoolArray: TypeAlias = NDArray[np.bool_]
-
-__all__ = ["BoolArray", "Raster", "dilate", "erode", "fill_polygons", "make_raster"]
 
 _LONGEST_FURNITURE_M = 4.0
 _SHORTEST_WALL_M = 0.9
@@ -82,7 +80,7 @@ class Raster:
 
 
 def make_raster(grid: OccupancyGrid) -> Raster:
-    """Take a map's cells, fewer and larger ones of a large map, and find things that stand alone."""
+    """Convert a map to cells, larger ones for a large map, and find isolated objects."""
     free, occupied = grid.known & (grid.log_odds < 0), grid.known & (grid.log_odds > 0)
     factor = int(np.ceil(np.sqrt(free.size / _MOST_CELLS)))
     cell_m = grid.resolution_m

@@ -16,8 +16,6 @@ from gridslam.plan.segments import Segments
 from gridslam.plan.untyped import ndimage, require_map_extra
 from gridslam.types import FloatArray
 
-__all__ = ["LEAST_AREA_M2", "Room", "find_rooms", "name_rooms"]
-
 LEAST_AREA_M2 = 2.0
 _LEAST_ENCLOSED = 0.2
 _SMALLEST_HOLE_M2 = 0.3
@@ -200,7 +198,7 @@ def _meet(first: _Line, second: _Line) -> FloatArray | None:
 
 
 def _drop_repeated(ring: FloatArray) -> FloatArray:
-    """Without corners that repeat the one before or lie on the line between their neighbours."""
+    """Remove corners that repeat the previous one or are on the line between their neighbours."""
     while len(ring) > 3:
         before, after = np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0)
         first, second = ring - before, after - ring

@@ -1,4 +1,4 @@
-"""Many line segments as arrays: where all of them lie as seen from one of them."""
+"""Many line segments as arrays: positions of all of them relative to one of them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ import numpy as np
 
 from gridslam.plan.untyped import require_map_extra
 from gridslam.types import FloatArray, IntArray
-
-__all__ = ["Segments"]
 
 
 @final

@@ -15,8 +15,6 @@ from PIL import Image, ImageDraw
 from gridslam.types import FloatArray
 from gridslam.viz.canvas import Colour, font
 
-__all__ = ["Mark", "Sheet", "write_pdf", "write_png", "write_svg"]
-
 _POINTS_PER_MM = 72 / 25.4
 _DASH_MM = (1.2, 0.8)
 _PNG_PX_PER_MM = 8.0

@@ -22,8 +22,6 @@ from gridslam.plan.rasters import BoolArray, dilate
 from gridslam.plan.surfaces import SurfacePoints, points_of_grid, points_of_scans
 from gridslam.types import FloatArray, OccupancyGrid
 
-__all__ = ["MapSource", "read_source"]
-
 _NEAREST_M = 0.05
 _FARTHEST_M = 30.0
 

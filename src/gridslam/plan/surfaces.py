@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from gridslam.plan.untyped import connected_components, coo_matrix, spatial
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
-__all__ = ["SurfacePoints", "label_surfaces", "points_of_grid", "points_of_scans"]
-
 _NEAR_M = 0.25
 """Neighbours within this distance determine a normal: two cells in each direction are five, enough for a line."""
 _MOST_PENDING = 200_000

@@ -12,8 +12,6 @@ from scipy.sparse import csgraph as _csgraph
 
 from gridslam.errors import MissingDependencyError
 
-__all__ = ["connected_components", "coo_matrix", "fft", "ndimage", "require_map_extra", "spatial"]
-
 fft: Any = _fft
 ndimage: Any = _ndimage
 spatial: Any = _spatial

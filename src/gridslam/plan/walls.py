@@ -14,8 +14,6 @@ from gridslam.plan.segments import Segments
 from gridslam.plan.untyped import connected_components, coo_matrix, spatial
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Wall", "close_corners", "drop_clutter", "find_furniture_faces", "hull", "join_faces", "make_walls"]
-
 _PARALLEL_RAD = np.deg2rad(3)
 _SAME_LINE_M = 0.05
 _WIDEST_HIDDEN_M = 2.5
@@ -74,7 +72,7 @@ class Wall:
 
 
 def join_faces(faces: Sequence[Face], raster: Raster) -> list[Face]:
-    """Join faces in one line where nothing free lies between them, as behind furniture."""
+    """Join collinear faces without free space between them, as behind furniture."""
     left = sorted(faces, key=lambda face: -face.length_m)
     segments = Segments.of(np.array([face.ends for face in left]))
     is_left = np.ones(len(left), np.bool_)

@@ -1,4 +1,4 @@
-"""Where a map lies on the earth, and its edits in degrees, as programs for maps of the world read and write them."""
+"""Georeference of a map, and its edits in degrees of WGS84, as GIS programs read and write them."""
 
 from __future__ import annotations
 
@@ -13,15 +13,13 @@ from gridslam.io.edits import Edits
 from gridslam.io.geojson import format_features
 from gridslam.types import FloatArray
 
-__all__ = ["WorldOrigin", "format_edits_in_degrees", "turn_edits_to_metres"]
-
 _SEMIMAJOR_M = 6_378_137.0
 _ECCENTRICITY2 = 6.69437999014e-3
 
 
 @final
 class WorldOrigin(NamedTuple):
-    """Where the origin of a map lies on WGS84, degrees, and the bearing of its x axis, degrees clockwise from north."""
+    """Position of a map's origin on WGS84, degrees, and the bearing of its x axis, degrees clockwise from north."""
 
     latitude: float
     longitude: float

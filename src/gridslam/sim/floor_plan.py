@@ -13,8 +13,6 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry import se2
 from gridslam.types import FloatArray
 
-__all__ = ["box", "clearance", "furniture", "join", "near", "pillar", "place", "polyline", "room", "wall"]
-
 WALL_THICKNESS_M = 0.12
 """An inner wall: thick enough that its two faces are two lines of 5 cm cells in a map, as in a real building."""
 

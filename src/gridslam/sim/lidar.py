@@ -13,8 +13,6 @@ from gridslam.parameters import bounded, parameters
 from gridslam.sim.floor_plan import near
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["LidarConfig", "cast_rays", "cast_single_rays", "disc_ranges", "measure"]
-
 _CHUNK = 1 << 17  # pairs of scan and wall at a time: a few MB of intermediate arrays
 _EDGE_RAD = 1e-9  # beams this close to a wall's end still hit it, so that none slips through where two walls meet
 

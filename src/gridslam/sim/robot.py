@@ -12,8 +12,6 @@ from gridslam.geometry.angles import wrap
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Drive", "OdometryNoise", "RobotConfig", "simulate_odometry"]
-
 _STEP_M = 0.01  # speed is planned at this spacing along the path
 _SPOT_TURN_RAD = 2.2  # a sharper corner is turned on the spot
 

@@ -22,8 +22,6 @@ from gridslam.sim.robot import Drive, OdometryNoise, RobotConfig, simulate_odome
 from gridslam.sim.world import World
 from gridslam.types import FloatArray, IntArray, LaserScan, Odometry, ScanGeometry, Trajectory
 
-__all__ = ["PeopleConfig", "SimulatedLog", "SimulatedStream", "simulate", "simulate_stream"]
-
 _TOGETHER = 256  # scans made at a time: 40 m of way at the most, and some MB of arrays
 _Crowd = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray]
 """Robot (N, 3) at times (N,), lasers (N, 1 or B, 3) and bearings (B,) to the ranges (N, B) of the nearest people, m."""

@@ -14,8 +14,6 @@ from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Change", "World", "vary_route", "wander"]
-
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,18 +17,6 @@ from gridslam.sim.floor_plan import box, clearance, furniture, join, pillar, pla
 from gridslam.sim.world import World
 from gridslam.types import FloatArray
 
-__all__ = [
-    "DRAWN_WORLDS",
-    "WORLDS",
-    "corridor",
-    "demo",
-    "hall",
-    "loop",
-    "make_world",
-    "random_building",
-    "rooms",
-]
-
 _ROOM_M = 4.2  # what the width of a room is about
 _LANE_M = 0.5  # furniture stays this far from the robot's way
 _APART_M = 1.7  # between the middles of two pieces

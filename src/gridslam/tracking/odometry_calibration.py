@@ -13,8 +13,6 @@ from gridslam.geometry.single_pose import UNKNOWN_POSE, Pose, between, is_known,
 from gridslam.parameters import bounded, parameters
 from gridslam.types import FloatArray
 
-__all__ = ["MIN_SEGMENTS", "OdometryCalibration", "OdometryErrorModel"]
-
 MIN_SEGMENTS = 20
 """Number of segments after which the errors of the odometry count as known ..."""
 
@@ -174,7 +172,7 @@ class OdometryCalibration:
         errors.trusted = left_m < limit * (moved_m + 2) and left_rad < limit * (turned + 1)
 
     def _fit(self, errors: OdometryErrorModel, moved: Pose, measured: Pose, left: Pose) -> None:
-        """Recursive least squares with forgetting, by Geman-McClure weights of what the present factors leave."""
+        """Recursive least squares with forgetting and Geman-McClure weights of the present residuals."""
         x, y, theta = measured
         mx, my, turned = moved
         position_m2 = 0.5 * (left[0] ** 2 + left[1] ** 2)

@@ -10,15 +10,6 @@ from gridslam.matching.branch_and_bound import BranchAndBound
 from gridslam.parameters import bounded, parameters
 from gridslam.tracking.state import SensorTrack, TrackerState
 
-__all__ = [
-    "MAX_INTERVAL_S",
-    "NEWEST_WEIGHT",
-    "ConstantVelocity",
-    "PoseEstimate",
-    "Prediction",
-    "predict_by_odometry",
-]
-
 MAX_INTERVAL_S = 1.0
 """Longer than this no velocity lasts: a gap in the log counts as this long."""
 

@@ -13,8 +13,6 @@ from gridslam.matching.surfaces import Surfaces
 from gridslam.serialization import NOT_SAVED
 from gridslam.types import BeamEnds, FloatArray, StoredScan
 
-__all__ = ["RecentScan", "RecentScans"]
-
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,8 +17,6 @@ from gridslam.tracking.prediction import MAX_INTERVAL_S, PoseEstimate, Predictio
 from gridslam.tracking.state import Control, TrackerState, is_within
 from gridslam.types import BeamEnds, FloatArray
 
-__all__ = ["OdometrySearch", "calibrated", "local_pyramid"]
-
 _GATES = ((2.0, 0.1), (5.0, 0.1), (12.0, 0.3))
 """Standard deviations of the odometry within which is searched, one gate after the other, and by so much more of the
 beams a place must agree than the best one within the gates before."""
@@ -141,12 +139,15 @@ class OdometrySearch:
                 return None
             return _refine(state, as_pose(place.pose), predicted, beams, matcher)
 
-        for gate, gain in _GATES:
+        is_blind = self.had_blind_gap(state, predicted)
+        for gate, gain in _GATES[:1] if is_blind else _GATES:
             found = find(_WINDOW, gate / _WINDOW.gate_sigmas * np.array([sigma_m, sigma_m, sigma_rad]))
             if found is not None and found.inlier_ratio > best.inlier_ratio + gain:
                 best = found
             if best.inlier_ratio >= _CERTAIN_INLIER_RATIO:
                 return best
+        if is_blind:
+            return best
         reach_m = _GATES[-1][0] * sigma_m
         reach = np.array([reach_m, reach_m, _GLOBAL_WINDOW.window_rad])
         found = find(_GLOBAL_WINDOW, reach / _GLOBAL_WINDOW.gate_sigmas)
@@ -163,7 +164,7 @@ def calibrated(matcher: GaussNewton) -> GaussNewton:
 def _refine(
     state: TrackerState, pose: Pose, predicted: Prediction, beams: BeamEnds, matcher: GaussNewton
 ) -> PoseEstimate:
-    """Match from a place that was found; its inlier ratio is that of the beams that end in what the map knows.
+    """Match from a found place; its inlier ratio is that of the beams that end in known cells.
 
     If the scan is degenerate the odometry constrains it.
     """

@@ -20,8 +20,6 @@ from gridslam.tracking.odometry_calibration import OdometryErrorModel
 from gridslam.tracking.recent_scans import RecentScans
 from gridslam.types import BeamEnds, Beams, FloatArray, Odometry, StoredScan
 
-__all__ = ["Control", "SensorTrack", "TrackedScan", "TrackerState", "UnmatchedMotion", "is_within", "pose_of"]
-
 _BOTH = np.array([0, 1], np.int32)
 _SHORTEST_INTERVAL_S = 0.005
 """No laser, nor two together, measures more often; stamps that are all the same give no interval at all."""
@@ -170,7 +168,7 @@ class TrackerState:
         self.sensors = {**self.sensors, sensor: track}
 
     def merge_lasers(self, beams: Beams, pose: Pose, metres: float, radians: float) -> BeamEnds:
-        """The scan, taken at about `pose`, with what the other lasers saw last from no farther away.
+        """The scan, taken at about `pose`, with the other lasers' last scans from no farther away.
 
         All lasers are one sensor: each alone may see a single wall.
         """

@@ -12,8 +12,6 @@ from gridslam.matching.surfaces import LEAST_INFORMATION, Surfaces
 from gridslam.tracking.prediction import PoseEstimate
 from gridslam.tracking.recent_scans import RecentScans
 
-__all__ = ["SURFACE_SCANS", "match_to_surfaces"]
-
 _GATES_M = np.array([0.15, 0.08])
 """Largest residual of a point, in each step: a match to cells of 5 cm is off by less than the first."""
 _MIN_POINTS = 20

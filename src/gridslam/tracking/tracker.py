@@ -241,7 +241,8 @@ class Tracker:
         needed = self.search_inlier_ratio
         if self.search.is_far_from_last(state, predicted):
             other = self.search(state, predicted, joint, self.matcher)
-            needed = self.min_inlier_ratio if found.lost else needed  # the only place that the odometry allows
+            if found.lost and not self.search.had_blind_gap(state, predicted):
+                needed = self.min_inlier_ratio  # the only place that the odometry allows
         else:  # it may be the odometry that is wrong: a reading came late
             other = self._match_from_velocity(state, self.velocity.predict(state, predicted.seconds), joint)
         return other if other.inlier_ratio >= max(needed, found.inlier_ratio + self.slip_inlier_gain) else found

@@ -20,8 +20,6 @@ from gridslam.geometry.rigid import Rigid
 from gridslam.transforms.link import Chain, Coverage, Link
 from gridslam.types import describe_duration
 
-__all__ = ["MissingTransform", "TransformBuffer"]
-
 FloatArray = NDArray[np.float64]
 
 _MAX_CHAINS = 1000

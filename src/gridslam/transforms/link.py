@@ -12,8 +12,6 @@ from typing import NamedTuple, final
 from gridslam.geometry import rigid
 from gridslam.geometry.rigid import Rigid
 
-__all__ = ["Chain", "Coverage", "Link"]
-
 _IDENTITY: Rigid = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 

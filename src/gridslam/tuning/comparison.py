@@ -13,8 +13,6 @@ import numpy as np
 from gridslam.errors import ArgumentError
 from gridslam.types import FloatArray
 
-__all__ = ["CONFIDENCE", "Comparison", "Pair", "compare"]
-
 CONFIDENCE = 0.95
 
 _LOGS_AS_UNITS = 4

@@ -9,13 +9,12 @@ from typing import Any, Final
 
 from gridslam import __version__
 from gridslam.config import PARAMETERS, Configuration, dumps
-from gridslam.config.tables import to_table, value_of
+from gridslam.config.tables import value_of
+from gridslam.parameters import to_table
 from gridslam.tuning.comparison import CONFIDENCE, Comparison
 from gridslam.tuning.tune import Settings, TunedLog, Tuning
 
-__all__ = ["TUNING_SCHEMA", "describe_verdict", "to_document", "to_toml"]
-
-TUNING_SCHEMA: Final = "gridslam.tuning/2"
+TUNING_SCHEMA: Final = "gridslam.tuning/3"
 
 
 def describe_verdict(tuning: Tuning, logs: Sequence[TunedLog]) -> list[str]:
@@ -29,12 +28,9 @@ def describe_verdict(tuning: Tuning, logs: Sequence[TunedLog]) -> list[str]:
     found = tuning.comparison
     where = "held-out logs" if held_out else "logs of the search, with other seeds"
     runs = f"{found.observations} {where}" if found.units == "logs" else f"{found.observations} runs on {where}"
-    who = "of the default values" if tuning.prefers_default else "of the best"
-    measured = f"the error {who} is {found.ratio:.3f} times that of the start ({_interval(found)}, {runs})"
+    measured = f"the error of the best is {found.ratio:.3f} times that of the start ({_interval(found)}, {runs})"
     noise = f"one seed differs from another by {100 * (found.seed_noise - 1):.1f} %"
     if tuning.gains:
-        if tuning.prefers_default:
-            return [f"gain: {measured}; {noise}", "nothing that was tried is better than the default beyond the noise"]
         changed = ", ".join(f"{name} {_text(value)}" for name, value in tuning.best.values.items())
         return [f"gain: {measured}; {noise}", f"values: {changed}"]
     failed = f"; {found.failed} of its runs failed" if found.failed else ""
@@ -59,7 +55,6 @@ def to_document(tuning: Tuning, settings: Settings, logs: Sequence[TunedLog], tr
                 "name": log.name,
                 "path": log.path,
                 "sha256": log.digest,
-                "duration_s": log.duration_s,
                 "held_out": log.held_out,
                 "score": "self-consistency" if log.reference is None else "reference",
                 "reference": log.reference,
@@ -72,7 +67,6 @@ def to_document(tuning: Tuning, settings: Settings, logs: Sequence[TunedLog], tr
         ],
         "start": _differences(to_table(settings.base), to_table(Configuration())),
         "recommended": tuning.gains,
-        "prefers_default": tuning.prefers_default,
         "verdict": describe_verdict(tuning, logs),
         "comparison": _describe_comparison(tuning.comparison),
         "pairs": [

@@ -10,8 +10,6 @@ from gridslam.config import PARAMETERS, Configuration, Search, override
 from gridslam.config.tables import value_of
 from gridslam.errors import ConfigurationError
 
-__all__ = ["Dimension", "SearchSpace", "Value"]
-
 Value = float | bool
 _DIGITS = 4  # of a value that is tried: finer differences have no effect, and files stay readable
 

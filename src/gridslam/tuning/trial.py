@@ -1,4 +1,4 @@
-"""One trial: a log, or a part of it, is mapped with one configuration and one seed, and the trajectory is scored."""
+"""One trial: a log is mapped with one configuration and one seed, and the trajectory is scored."""
 
 from __future__ import annotations
 
@@ -6,18 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from gridslam.api.evaluation import score_against_reference
 from gridslam.api.mapping import map_log
 from gridslam.config import Configuration
 from gridslam.config.tables import replace_parameters
-from gridslam.errors import ArgumentError, InputError
+from gridslam.doctor.repair import open_repaired
 from gridslam.evaluation.self_consistency import measure_self_consistency
-from gridslam.evaluation.trajectory import absolute_errors, clip_relations, relation_errors
 from gridslam.io.limits import limit_memory
-from gridslam.io.log import LogOptions, open_log
-from gridslam.io.trajectories import read_relations, read_trajectory
-from gridslam.types import Trajectory
-
-__all__ = ["TARGET", "find_reference", "run_trial"]
+from gridslam.io.log import LogOptions
 
 TARGET: Final = f"{__name__}:run_trial"
 """Target of the jobs of a tuning."""
@@ -46,8 +42,7 @@ def run_trial(arguments: Mapping[str, Any]) -> dict[str, Any]:
     -------
     dict
         ``loss``, less is better: with relations the mean error of the translation, with a true trajectory the root mean
-        square after alignment, both in m; else the self-consistency in nats a beam. And ``loop_closures``, the number
-        of places that were recognized.
+        square after alignment, both in m; else the self-consistency in nats a beam.
 
     Raises
     ------
@@ -67,22 +62,9 @@ def run_trial(arguments: Mapping[str, Any]) -> dict[str, Any]:
             keep_particles=False,
         )
         if arguments["reference"] is None:
-            scans = (scan for _, scan in open_log(arguments["log"], options))
+            scans = (scan for _, scan in open_repaired(arguments["log"], options, arguments["repair"]))
             loss = measure_self_consistency(result.trajectory, scans).nats_per_beam
         else:
-            loss = _measure_error(result.trajectory, arguments["log"], Path(arguments["reference"]))
-    recognized = 0 if result.loop_summary is None else len(result.loop_summary.closures)
-    return {"loss": loss, "loop_closures": recognized}
-
-
-def _measure_error(trajectory: Trajectory, log: str, reference: Path) -> float:
-    """Error (m) by the reference, over the part of it that the trajectory covers."""
-    if reference.suffix == ".relations":
-        relations = clip_relations(read_relations(reference), trajectory)
-        if relations is None:
-            raise InputError(reference, f"expected a relation within the time of this part of {log}, got none")
-        return relation_errors(trajectory, relations).trans_mean_m
-    try:
-        return absolute_errors(trajectory, read_trajectory(reference, trajectory.stamps_ns)).trans_rmse_m
-    except ArgumentError as error:
-        raise InputError(reference, f"cannot be compared with {log}: {error}") from None
+            scores = score_against_reference(result.trajectory, arguments["log"], arguments["reference"])
+            loss = scores["relations"]["trans_mean_m"] if "relations" in scores else scores["ate"]["trans_rmse_m"]
+    return {"loss": loss}

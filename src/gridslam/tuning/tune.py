@@ -4,33 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Final, final
 
 import numpy as np
 
 from gridslam.batch.job import Job, compute_key
 from gridslam.config import Configuration
-from gridslam.config.tables import to_table
 from gridslam.errors import ArgumentError, InputError, MissingDependencyError
 from gridslam.io.log import LogOptions
+from gridslam.parameters import to_table
 from gridslam.tuning.comparison import Comparison, Pair, compare
 from gridslam.tuning.search_space import SearchSpace, Value
 from gridslam.tuning.trial import TARGET
 from gridslam.types import FloatArray
 
-__all__ = ["Settings", "Trial", "TunedLog", "Tuner", "Tuning", "load_optuna"]
-
-_HALVED_FROM: Final = 9
-"""Trials from which successive halving saves anything; fewer are all tried on whole logs."""
 _TRIALS_PER_DIMENSION: Final = 3
 """Fewer than these cannot show that there is no gain."""
 
-_PARTS: Final = {1: 1 / 9, 3: 1 / 3, 9: 1.0}
-"""Parts of the logs on which a configuration is tried, by Optuna's steps: the better third advances to the next part.
-
-Less than a ninth of a log closes no loop.
-"""
 _BATCH: Final = 8
 """Configurations that are asked for together, so that workers have something to do."""
 _WORST: Final = 1e6
@@ -44,13 +35,12 @@ Row = dict[str, Any]
 class TunedLog:
     """A log of the search, or one that is held out from it.
 
-    `duration_s` is that of its part which `options` choose; `reference` is None where self-consistency is the score.
+    `reference` is None where self-consistency is the score.
     """
 
     name: str
     path: str
     digest: str
-    duration_s: float
     reference: str | None = None
     reference_digest: str | None = None
     held_out: bool = False
@@ -93,12 +83,11 @@ class Settings:
 @final
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """A configuration that was tried: on which part of the logs, and the loss of each log; infinite where one failed.
+    """A configuration that was tried, and the loss of each log, infinite where one failed.
 
     `ratio` is its loss as a ratio to the start's, geometric mean over the logs.
     """
 
-    part: float
     values: dict[str, Value]
     losses: dict[str, float]
     ratio: float
@@ -112,13 +101,9 @@ class Tuning:
     Attributes
     ----------
     configuration : Configuration
-        The one to use: the best where it is better beyond the noise than the start, and than the default values; else
-        these, where they are better than the start beyond the noise; else the start.
+        The one to use: the best where it is better than the start beyond the noise, else the start.
     comparison : Comparison or None
-        The best, or the default values where these are preferred, against the start; None where nothing that was tried
-        was better.
-    prefers_default : bool
-        Whether the best is not better than the default values beyond the noise, and the search began elsewhere.
+        The best against the start; None where nothing that was tried was better.
     enough : int
         Trials that it takes at least to exclude a gain.
     pairs : tuple of Pair
@@ -134,7 +119,6 @@ class Tuning:
     pairs: tuple[Pair, ...]
     best: Trial
     trials: tuple[Trial, ...]
-    prefers_default: bool = False
     enough: int = 0
 
     @property
@@ -179,28 +163,19 @@ class Tuner:
         """
         settings = self.settings
         space = settings.space
-        losses = self._require_base(1.0, [settings.seed], self._searched)[:, 0]
-        start, default = (space.values_of(one) for one in (settings.base, Configuration()))
-        self._search(start, default)
-        by_log = {log.name: loss for log, loss in zip(self._searched, losses.tolist(), strict=True)}
-        whole = [Trial(1.0, start, by_log, 1.0), *(trial for trial in self.trials if trial.part == 1.0)]
-        best = min(whole, key=lambda trial: trial.ratio)
-        chosen = best.values
-        prefers_default = False
-        pairs = list[Pair]()
-        if best.ratio < 1:
-            prefers_default = default != start and not compare(self._judge(default, best.values)).gains
-            chosen = default if prefers_default else best.values
-            pairs = self._judge(None, chosen)
+        base = self._require_base()
+        start = space.values_of(settings.base)
+        self._search(start, base)
+        best = min([Trial(start, base, 1.0), *self.trials], key=lambda trial: trial.ratio)
+        pairs = self._judge(best.values) if best.ratio < 1 else []
         comparison = compare(pairs) if pairs else None
         gains = comparison is not None and comparison.gains
         return Tuning(
-            space.apply(settings.base, chosen) if gains else settings.base,
+            space.apply(settings.base, best.values) if gains else settings.base,
             comparison,
             tuple(pairs),
             best,
             tuple(self.trials),
-            prefers_default,
             _TRIALS_PER_DIMENSION * len(space.dimensions),
         )
 
@@ -213,86 +188,64 @@ class Tuner:
         """The logs that the best is judged on: those held out, else those of the search."""
         return [log for log in self.logs if log.held_out] or self._searched
 
-    def _search(self, start: dict[str, Value], default: dict[str, Value]) -> None:
+    def _search(self, start: dict[str, Value], base: dict[str, float]) -> None:
         """Try the configurations that Optuna asks for, until all are tried.
 
         The default values are the first. The start is known, and no trial.
         """
         optuna = load_optuna()
         space = self.settings.space
-        study = optuna.create_study(
-            sampler=optuna.samplers.TPESampler(seed=self.settings.seed),
-            pruner=optuna.pruners.SuccessiveHalvingPruner(min_resource=1, reduction_factor=3),
-        )
+        study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=self.settings.seed))
         distributions = {one.name: one.distribution() for one in space.dimensions}
-        parts = _PARTS if self.settings.trials >= _HALVED_FROM else {max(_PARTS): 1.0}
-        known = {"value": 1.0, "intermediate_values": dict.fromkeys(parts, 1.0)}
-        study.add_trial(optuna.trial.create_trial(params=start, distributions=distributions, **known))
+        study.add_trial(optuna.trial.create_trial(params=start, distributions=distributions, value=1.0))
+        default = space.values_of(Configuration())
         if default != start:
             study.enqueue_trial(default)
-        left = self.settings.trials
-        while left:
+        while (left := self.settings.trials - len(self.trials)) > 0:
             asked = [study.ask(distributions) for _ in range(min(_BATCH, left))]
-            left -= len(asked)
-            for step, part in parts.items():
-                ratios = self._try([space.round(trial.params) for trial in asked], part)
-                going_on = []
-                for trial, ratio in zip(asked, ratios, strict=True):
-                    trial.report(min(ratio, _WORST), step)
-                    if part == 1.0:
-                        study.tell(trial, min(ratio, _WORST))
-                    elif trial.should_prune():
-                        study.tell(trial, state=optuna.trial.TrialState.PRUNED)
-                    else:
-                        going_on.append(trial)
-                asked = going_on
+            for trial, ratio in zip(
+                asked, self._try([space.round(trial.params) for trial in asked], base), strict=True
+            ):
+                study.tell(trial, min(ratio, _WORST))
 
-    def _try(self, values: Sequence[dict[str, Value]], part: float) -> list[float]:
-        """Map a part of each log of the search with these values; returns ratios to the start."""
+    def _try(self, values: Sequence[dict[str, Value]], base: dict[str, float]) -> list[float]:
+        """Map each log of the search with these values; returns ratios to the start."""
         settings = self.settings
-        logs = self._searched
-        base = self._require_base(part, [settings.seed], logs)
         configurations = [settings.space.apply(settings.base, one) for one in values]
-        losses = self._evaluate(configurations, part, [settings.seed], logs)[:, :, 0]
-        ratios = np.exp(np.log(losses / base[:, 0]).mean(axis=1))
-        for one, of_logs, ratio in zip(values, losses.tolist(), ratios.tolist(), strict=True):
-            by_log = {log.name: loss for log, loss in zip(logs, of_logs, strict=True)}
-            self.trials.append(Trial(part, one, by_log, ratio))
+        losses = self._evaluate(configurations, [settings.seed], self._searched)[:, :, 0]
+        ratios = np.exp(np.log(losses / [*base.values()]).mean(axis=1)).tolist()
+        for one, of_logs, ratio in zip(values, losses.tolist(), ratios, strict=True):
+            self.trials.append(Trial(one, dict(zip(base, of_logs, strict=True)), ratio))
         return [float(ratio) for ratio in ratios]
 
-    def _judge(self, one: Mapping[str, Value] | None, other: Mapping[str, Value]) -> list[Pair]:
-        """Run two configurations, the start for None, with seeds that the search did not use."""
+    def _judge(self, best: Mapping[str, Value]) -> list[Pair]:
+        """Run the start and the best with seeds that the search did not use."""
         settings = self.settings
         seeds = [settings.seed + 1 + k for k in range(settings.judging_seeds)]
-        both = [settings.base if one is None else settings.space.apply(settings.base, one)]
-        both.append(settings.space.apply(settings.base, other))
-        losses = self._evaluate(both, 1.0, seeds, self.judged)
+        losses = self._evaluate([settings.base, settings.space.apply(settings.base, best)], seeds, self.judged)
         return [
             Pair(log.name, seed, *np.log(losses[:, i, k]).tolist())
             for i, log in enumerate(self.judged)
             for k, seed in enumerate(seeds)
         ]
 
-    def _require_base(self, part: float, seeds: Sequence[int], logs: Sequence[TunedLog]) -> FloatArray:
-        """Losses (logs, seeds) of the start; raises InputError where it fails: nothing could be compared with it."""
-        losses = self._evaluate([self.settings.base], part, seeds, logs)[0]
-        failed = np.argwhere(~np.isfinite(losses))
-        if len(failed):
-            log = logs[int(failed[0, 0])]
-            row = self._rows[self._job(self.settings.base, part, seeds[int(failed[0, 1])], log).key]
-            problem = row["message"] or row["error"]
-            raise InputError(log.path, f"the configuration that the search begins with fails: {problem}")
-        return np.asarray(losses)
+    def _require_base(self) -> dict[str, float]:
+        """Losses of the start by log; raises InputError where it fails: nothing could be compared with it."""
+        settings = self.settings
+        losses = self._evaluate([settings.base], [settings.seed], self._searched)[0, :, 0]
+        for log, loss in zip(self._searched, losses, strict=True):
+            if not math.isfinite(loss):
+                row = self._rows[self._job(settings.base, settings.seed, log).key]
+                problem = row["message"] or row["error"]
+                raise InputError(log.path, f"the configuration that the search begins with fails: {problem}")
+        return {log.name: float(loss) for log, loss in zip(self._searched, losses, strict=True)}
 
     def _evaluate(
-        self, configurations: Sequence[Configuration], part: float, seeds: Sequence[int], logs: Sequence[TunedLog]
+        self, configurations: Sequence[Configuration], seeds: Sequence[int], logs: Sequence[TunedLog]
     ) -> FloatArray:
         """Losses (configurations, logs, seeds) > 0; infinite where a run fails."""
         jobs = [
-            self._job(configuration, part, seed, log)
-            for configuration in configurations
-            for log in logs
-            for seed in seeds
+            self._job(configuration, seed, log) for configuration in configurations for log in logs for seed in seeds
         ]
         new = {job.key: job for job in jobs if job.key not in self._rows}
         if new:
@@ -300,13 +253,12 @@ class Tuner:
         losses: FloatArray = np.array([_loss_of(self._rows[job.key]) for job in jobs])
         return losses.reshape(len(configurations), len(logs), len(seeds))
 
-    def _job(self, configuration: Configuration, part: float, seed: int, log: TunedLog) -> Job:
+    def _job(self, configuration: Configuration, seed: int, log: TunedLog) -> Job:
         settings = self.settings
-        duration_s = settings.options.duration_s if part == 1.0 else round(part * log.duration_s, 3)
         parameters = {
             "configuration": to_table(configuration),
             "seed": seed,
-            "options": replace(settings.options, duration_s=duration_s).to_dict(),
+            "options": settings.options.to_dict(),
             "repair": settings.repair,
         }
         key = compute_key("tune", log.digest, {**parameters, "reference": log.reference_digest})

@@ -16,8 +16,6 @@ from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.scan import FloatArray
 
-__all__ = ["GridRows", "OccupancyGrid", "encode_grey"]
-
 _UNKNOWN = 205
 _MOST_PX = 1000
 

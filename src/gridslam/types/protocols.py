@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from gridslam.scan import Beams, FloatArray, IntArray, Rows
 
-__all__ = ["DistanceMaps", "MotionModel", "MotionSampler", "Resampler", "ScanLikelihood", "SensorModel"]
-
 
 @runtime_checkable
 class DistanceMaps(Protocol):

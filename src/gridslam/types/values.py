@@ -16,19 +16,6 @@ from gridslam.checked import checked
 from gridslam.errors import ArgumentError
 from gridslam.scan import FloatArray, IntArray, LaserScan
 
-__all__ = [
-    "Match",
-    "Odometry",
-    "SkipReason",
-    "StepReport",
-    "Trajectory",
-    "describe_duration",
-    "describe_pose",
-    "describe_time",
-    "require_measurement",
-    "require_step",
-]
-
 
 @checked
 def describe_time(stamp_ns: int) -> str:

@@ -14,40 +14,6 @@ from PIL import Image, ImageDraw, ImageFont
 
 from gridslam.types import FloatArray, Trajectory
 
-__all__ = [
-    "CLOSURE",
-    "FAINT",
-    "FREE",
-    "LOST",
-    "MARGIN",
-    "OCCUPIED",
-    "OPEN",
-    "REJECTED",
-    "RULE",
-    "TEXT_LINE",
-    "TEXT_SIZE",
-    "TIME_ENDS",
-    "TITLE_LINE",
-    "TRUTH",
-    "UNKNOWN",
-    "Colour",
-    "Layout",
-    "disc",
-    "dots",
-    "fit_page",
-    "font",
-    "label_time",
-    "mark_ends",
-    "paint_caption",
-    "paint_footer",
-    "paint_path",
-    "paint_scale",
-    "round_length",
-    "shorten_keys",
-    "stroke",
-    "time_colours",
-]
-
 Colour: TypeAlias = tuple[int, int, int]
 
 # A quiet map in neutral tones, so that the trajectory has the colour to itself.
@@ -77,6 +43,7 @@ _TITLE_SIZE = 30
 _KEY_WIDTH = 280  # of the scale, and of the key to the colours of time
 _KEY_GAP = 60
 _KEY_HEIGHT = 80
+_KEY_BASE = 70  # of the first row of names
 _SAMPLE = 70  # of a key's colour, with the gaps
 _LONGEST_TITLE = 900
 _FEWEST_LETTERS = 6  # to which a name is cut
@@ -274,7 +241,10 @@ def paint_footer(
     title = _cut(title, _TITLE_SIZE, right - margin - taken * unit, unit)
     paint_caption(draw, margin, top, title, caption, unit)
     beside = max((font(TEXT_SIZE, unit).getlength(line) for line in caption), default=0.0)
-    _paint_keys(draw, right, top, shorten_keys(keys, right - margin - beside, unit), unit)
+    lines = (TITLE_LINE if title else 0) + TEXT_LINE * len(caption)
+    rows = arrange_keys(keys, right - margin - beside, max(1, (lines - _KEY_BASE) // TEXT_LINE + 1), unit)
+    for k, row in enumerate(rows):
+        _paint_keys(draw, right, top + (_KEY_BASE + TEXT_LINE * k) * unit, row, unit)
     if ends is not None:
         _paint_time_key(page, right, top, ends, unit)
         right -= round((_KEY_WIDTH + _KEY_GAP) * unit)
@@ -330,29 +300,39 @@ def _cut(text: str, size: int, width: float, u: float) -> str:
     return text
 
 
-def shorten_keys(keys: Sequence[tuple[str, Colour]], width: float, u: float) -> list[tuple[str, Colour]]:
-    """Return keys that fit into a width, px: the longest names are cut, and the last keys left out if need be."""
+def arrange_keys(
+    keys: Sequence[tuple[str, Colour]], width: float, most: int, u: float
+) -> list[list[tuple[str, Colour]]]:
+    """Return keys in as few rows as fit into a width, px, and in `most` at most.
+
+    Where they do not fit even then, the longest names are cut, and the last keys of a row left out if need be.
+    """
     letters = font(TEXT_SIZE, u)
-    names, colours = [name for name, _ in keys], [colour for _, colour in keys]
 
-    def overlap() -> float:
-        return sum(letters.getlength(name) + _SAMPLE * u for name in names) - width
+    def overlap(row: Sequence[tuple[str, Colour]]) -> float:
+        return sum(letters.getlength(name) + _SAMPLE * u for name, _ in row) - width
 
-    while names and overlap() > 0:
-        longest = max(range(len(names)), key=lambda k: len(names[k]))
-        if len(names[longest]) > _FEWEST_LETTERS:
-            names[longest] = f"{names[longest].rstrip('…')[:-1]}…"
-        else:
-            names.pop()
-    return list(zip(names, colours, strict=False))
+    for count in range(1, most + 1):
+        length = max(1, -(-len(keys) // count))
+        rows = [[*keys[k : k + length]] for k in range(0, len(keys), length)]
+        if all(overlap(row) <= 0 for row in rows):
+            return rows
+    for row in rows:
+        while row and overlap(row) > 0:
+            k = max(range(len(row)), key=lambda k: len(row[k][0]))
+            name, colour = row[k]
+            if len(name) > _FEWEST_LETTERS:
+                row[k] = f"{name.rstrip('…')[:-1]}…", colour
+            else:
+                row.pop()
+    return rows
 
 
 def _paint_keys(
-    draw: ImageDraw.ImageDraw, right: float, top: int, keys: Sequence[tuple[str, Colour]], u: float
+    draw: ImageDraw.ImageDraw, right: float, base: float, keys: Sequence[tuple[str, Colour]], u: float
 ) -> None:
-    """Paint a row of the meanings of lines below the other keys, each after a sample of its colour."""
+    """Paint a row of the meanings of lines, each after a sample of its colour."""
     letters = font(TEXT_SIZE, u)
-    base = top + 70 * u
     for name, colour in reversed(keys):
         draw.text((right, base), name, fill=FAINT, font=letters, anchor="rs")
         right -= round(letters.getlength(name)) + 10 * u

@@ -6,8 +6,6 @@ import numpy as np
 
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["MOST_SHOWN", "select_representatives"]
-
 MOST_SHOWN = 1000
 """Particles of a cloud that are shown: an eye sees no more of them, and a line to it need not carry them."""
 

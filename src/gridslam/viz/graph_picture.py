@@ -30,8 +30,6 @@ from gridslam.viz.canvas import (
     time_colours,
 )
 
-__all__ = ["draw_graph"]
-
 _UNIT = 1.5  # factor on all sizes of text and lines, for a page of some 2200 px
 _PAD_PX = 36
 _HEAD_PX = 90

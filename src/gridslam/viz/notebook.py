@@ -7,8 +7,6 @@ from typing import TypeAlias
 
 from PIL import Image
 
-__all__ = ["Picture", "encode_png"]
-
 Picture: TypeAlias = Image.Image
 """Return type of the functions that draw."""
 

@@ -32,17 +32,6 @@ from gridslam.viz.canvas import (
     stroke,
 )
 
-__all__ = [
-    "SIGMAS",
-    "draw_landmarks",
-    "draw_localization",
-    "draw_map",
-    "draw_thumbnail",
-    "ellipse",
-    "known_part",
-    "lay_out",
-]
-
 _MAP_SIDE_PX = (1300, 3200)  # the map's long side; with margins and footer the page is 1400 to 4000
 _MAP_AREA_PX = 7_000_000  # Pillow keeps 4 bytes a pixel: a page of 30 MB
 _CELL_PX = 64  # cells are not enlarged further

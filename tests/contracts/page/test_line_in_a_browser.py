@@ -13,7 +13,7 @@ from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.messages import Level, Messages
 from gridslam.pipeline import run
-from support.browsing import PATIENCE_S, Cable, Mapping, click, shown, text, told, wait, wait_for_all
+from support.browsing import PATIENCE_S, Cable, Mapping, check_by_axe, click, shown, text, told, wait, wait_for_all
 from support.loops import PROVOKED
 
 
@@ -177,3 +177,20 @@ def test_what_was_put_away_stays_so_however_often_it_comes(browser):
         messages("late scans", "by 3 s")
         page.show_messages(messages.to_list())
         wait(lambda: "late scans" in text(browser, "#notice"), "another one is shown")
+        messages("clock differs", "by 5 s")
+        messages("late scans", "by 3 s")
+        page.show_messages(messages.to_list())
+        wait(lambda: "clock differs" in text(browser, "#notice"), "two that last do not alternate")
+
+
+def test_a_long_list_of_messages_is_scrolled_by_keys(browser):
+    messages = Messages(lambda level, text: None)
+    for letter in "abcdefghijklmnopqrstuvwxyz":
+        messages(f"problem {letter}", "a sentence about it")
+    with LivePage("ROS 1", LiveOptions(port=0), robot=RobotControl(lambda: False, lambda paused: None)) as page:
+        page.show_messages(messages.to_list())
+        browser.get(page.url)
+        wait(lambda: shown(browser, "messages"), "the list")
+        click(browser, "messages")
+        wait(lambda: len(browser.find_elements("css selector", "#messages li")) == 26, "all of it")
+        check_by_axe(browser)

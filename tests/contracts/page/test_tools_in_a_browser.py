@@ -97,6 +97,16 @@ def test_arrows_and_ends_move_in_time_and_space_plays(page):
     wait(lambda: view(page)[0] < before[0], "shift moves the map")
 
 
+def test_a_key_right_after_a_click_means_the_page(page):
+    """However soon it comes: a browser gives input before timers."""
+    page.execute_script(
+        "const part = document.querySelector('#fit'); part.focus();"
+        "for (const name of ['pointerdown', 'pointerup']) part.dispatchEvent(new PointerEvent(name, {bubbles: true}));"
+        "part.dispatchEvent(new KeyboardEvent('keydown', {key: ' ', bubbles: true, cancelable: true}));"
+    )
+    wait(lambda: told(page)["stage"] == "running", "space plays")
+
+
 def test_steps_add_up_however_late_the_answers_come(page):
     """An older moment that arrives between two keys moves nothing back, nor does the last wish hold the time line."""
     from selenium.webdriver import ActionChains, Keys

@@ -36,15 +36,15 @@ def cpu_s(process):
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def check(robot, node, sent, record_property):
-    """Check that all scans are mapped, but for one that is older than the first transform."""
-    assert robot.tells("accepted", sent - 1), (values(robot.status[-1]), node.log.read_text())
+def check(robot, node, sent, record_property, spare=0):
+    """Check that all scans are mapped, but for those that are older than the first transform."""
+    mapped = robot.tells("accepted", sent - spare)
     told = values(robot.status[-1])
-    for name in ("accepted", "latency median, ms", "latency 99 of 100, ms", "latency longest, ms"):
+    for name in ("received", "accepted", "latency median, ms", "latency 99 of 100, ms", "latency longest, ms"):
         record_property(name, told[name])
     record_property("CPU, s", cpu_s(node.process))
+    assert mapped, (told, node.log.read_text())
     assert told["dropped"] == "0"
-    assert float(told["latency median, ms"]) < 50  # 5 on a machine that does nothing else
 
 
 @pytest.mark.parametrize("clock_hz", [0, 500])
@@ -92,11 +92,13 @@ def memory_mb(process):
 def load(robot, measurements, seconds, clock_hz, on_scan=lambda sent: None):
     """Send what a robot sends that stands at each place of a drive for 0.2 s; returns the number of scans.
 
+    The wheels begin before the laser, as no scan can be placed that is older than any transform.
+
     Where the machine has paused this process the rest is sent later: no laser makes up for scans that it has missed.
     """
     rates = {"transform": 200.0, "scan": 40.0, **({"clock": float(clock_hz)} if clock_hz else {})}
     begin = time.monotonic()
-    due, sent = dict.fromkeys(rates, begin), 0
+    due, sent = {kind: begin + 0.1 * (kind == "scan") for kind in rates}, 0
     offset_ns = time.time_ns() - int(begin * 1e9)
     made = [(scan(one, 0), odometry_message(one)) for one in measurements]
 
@@ -129,7 +131,7 @@ def test_a_bag_of_a_turtlebot_is_mapped_scan_by_scan(start, domain, data_dir, ra
     node, peer = start("-p", "use_sim_time:=true"), Robot(domain, fixed=False)
     try:
         sent = play(peer, data_dir / "bags" / "turtlebot4_floor", rate)
-        check(peer, node, sent, record_property)
+        check(peer, node, sent, record_property, spare=1)
         assert peer.links_of("map")
     finally:
         peer.close()
@@ -159,9 +161,10 @@ def play(robot, bag, rate):
 
 @pytest.mark.parametrize("times", [pytest.param(20, marks=pytest.mark.long), 4])
 def test_a_node_maps_at_once_though_the_static_transform_is_old(start, transport, robot, drive, times, record_property):
-    """By rclpy what is latched comes late in 3 to 8 of 20 starts, as to any listener of rclpy: of four not in all.
+    """By rclpy what is latched may come late, as to any listener of rclpy: of four not in all.
 
-    The median of three of them would be late in one run of five, the soonest of four in one of a hundred.
+    Fast DDS announces itself before it listens: an answer that is lost comes again within 3 s. That was so in 3 to 8 of
+    20 starts. The median of three would be late in one run of five, the soonest of four in one of a hundred.
     """
     took = []
     for _ in range(times):

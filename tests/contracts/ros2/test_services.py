@@ -46,7 +46,7 @@ def set_one(peer, name, value):
 
 
 def test_parameters_are_listed_read_described_and_set(start, peer):
-    node = start("-p", "resolution:=0.1", "-p", "preset:=accurate")
+    node = start("-p", "resolution:=0.1", "-p", "preset:=default")
     names = peer.ask("/gridslam/list_parameters", ListParameters).result.names
     assert {"particles", "resolution", "preset", "use_sim_time", "save_as"} <= set(names)
     asked = ["particles", "delta", "resolution", "preset", "use_sim_time", "nothing"]
@@ -56,7 +56,7 @@ def test_parameters_are_listed_read_described_and_set(start, peer):
         peer.ask("/gridslam/get_parameter_types", GetParameterTypes, names=asked).types
     )
     assert (got[0].integer_value, got[1].double_value, got[2].double_value) == (4, 0.1, 0.1)
-    assert (got[3].string_value, got[4].bool_value) == ("accurate", False)
+    assert (got[3].string_value, got[4].bool_value) == ("default", False)
     described = peer.ask(
         "/gridslam/describe_parameters", DescribeParameters, names=["particles", "save_as"]
     ).descriptors
@@ -131,8 +131,7 @@ def test_the_lifecycle_is_that_of_rclpy_s_own_nodes(start, domain):
     """nav2's lifecycle_manager starts it; each state in between is told."""
     start("-p", "lifecycle:=true")
     robot = Robot(domain)
-    theirs = LifecycleNode("theirs", context=robot.context)
-    robot._executor.add_node(theirs)
+    robot.add(LifecycleNode("theirs", context=robot.context))
     try:
 
         def graph(node, service):
@@ -172,8 +171,6 @@ def test_the_lifecycle_is_that_of_rclpy_s_own_nodes(start, domain):
         impossible = Transition(id=Transition.TRANSITION_CONFIGURE)
         assert not robot.ask("/gridslam/change_state", ChangeState, transition=impossible).success
     finally:
-        robot._executor.remove_node(theirs)
-        theirs.destroy_node()
         robot.close()
 
 

@@ -31,9 +31,7 @@ def test_a_drive_is_mapped_scan_by_scan_and_who_comes_late_gets_the_map(start, r
     robot.drive(drive[:200])
     assert until(lambda: len(robot.poses) >= 199), (len(robot.poses), node.log.read_text())
     assert robot.tells("accepted", 199), values(robot.status[-1])
-    told = values(robot.status[-1])
-    assert told["dropped"] == "0"
-    assert float(told["latency median, ms"]) < 50  # of a machine that does other things, too
+    assert values(robot.status[-1])["dropped"] == "0"
     grid = last_map(robot)
     assert (grid.header.frame_id, len(grid.data)) == ("map", grid.info.width * grid.info.height)
     assert {-1, 0, 100} == set(grid.data)

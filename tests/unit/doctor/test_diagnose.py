@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from hypothesis import strategies as st
 from gridslam.doctor import CheckedLog, Doctor, Severity, diagnose
 from gridslam.doctor.report import document, text, verdict
 from gridslam.errors import InputError
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import between
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.types import ScanGeometry
@@ -40,6 +43,25 @@ class Memory:
 def rooms():
     rng = np.random.default_rng(0)
     return simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(), rng)
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (lambda poses: [*poses[:150], *between(poses[150], poses[150:])], "odometry_jumps"),
+        (lambda poses: poses * [1000, 1000, 1], "odometry_units"),
+        (lambda poses: np.column_stack([poses[:, :2], wrap(np.degrees(poses[:, 2]))]), "odometry_units"),
+        (lambda poses: np.tile(poses[0], (len(poses), 1)), "odometry_frozen"),
+    ],
+    ids=["reset", "millimetres", "degrees", "frozen"],
+)
+def test_what_follows_from_a_fault_is_no_fault_of_its_own(rooms, change, code):
+    """A jump is left out where laser and odometry are compared; in another unit, or frozen, none of it holds."""
+    measurements = rooms.measurements[:450]
+    poses = change(np.array([m.odometry.pose for m in measurements]))
+    odometry = (replace(m.odometry, pose=pose) for m, pose in zip(measurements, poses, strict=True))
+    diagnosis = diagnose(Memory(m._replace(odometry=o) for m, o in zip(measurements, odometry, strict=True)))
+    assert [finding.code for finding in diagnosis.faults] == [code]
 
 
 def test_a_healthy_log_is_said_to_be_healthy(rooms):

@@ -155,6 +155,7 @@ def test_a_scale_that_is_far_off_is_read_on_for_until_it_is_determined():
             "odometry_scale",
         ),
         (lambda pose: pose * [2, 2, 1], "one of both is in another unit", "odometry_scale"),
+        (lambda pose: pose * 0, "odometry stands still while the laser moves", "odometry_scale"),
         (lambda pose: pose * [1, 1, 0], "headings are wrong", "odometry_rotation_bias"),
     ],
 )

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gridslam.doctor import Severity
+from gridslam.doctor.diagnose import EarlyCheck
 from gridslam.io.measurement import Measurement
 from gridslam.types import Odometry, ScanGeometry
 from support.hand_logs import BEARINGS, drive, findings, seen
@@ -105,6 +106,18 @@ def test_an_odometry_in_another_unit_is_named_by_its_speed(factor, unit):
     assert f"in {unit}, not in metres" in found["odometry_units"].message
     assert "odometry_jumps" not in found
     assert "odometry_units" not in findings(drive(v=1.5))
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds")])
+def test_stamps_in_another_unit_are_named_by_the_speed(factor, unit):
+    slow = [seen(k / 5 * factor, m.scan.ranges, tuple(m.odometry.pose)) for k, m in enumerate(drive())]
+    found = findings(slow)
+    assert found["stamp_units"].size == pytest.approx(0.3 / factor, rel=0.05, abs=1e-6)
+    assert f"look like {unit}" in found["stamp_units"].message
+    check = EarlyCheck()
+    told = [finding.code for m in slow for finding in check.take(m)]
+    assert told == ["stamp_units"], "although the first minute has one scan alone"
+    assert "stamp_units" not in findings(drive(v=0.01))
 
 
 @pytest.mark.parametrize(("away_m", "told"), [(4.0, None), (10.0, Severity.ERROR)])

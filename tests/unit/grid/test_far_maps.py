@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 import gridslam
 from gridslam.errors import ArgumentError
 from gridslam.grid import Evidence, TileMaps
-from gridslam.grid.tiles import MOST_BEAM_CELLS
-from gridslam.kernels import FARTHEST, PAGE, TILE
+from gridslam.kernels import FARTHEST, MOST_BEAM_CELLS, PAGE, TILE
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.types import LaserScan, ScanGeometry

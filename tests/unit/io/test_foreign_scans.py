@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from gridslam.errors import InputError
 from gridslam.io.log import LogFormat, detect_log_format, open_log
 from gridslam.types import BeamStatus
-from support.broken_logs import drive_about, point_rows, rostopic_rows
+from support.broken_logs import drive_about, echo_rows, point_rows, rostopic_rows
 
 SCANS = drive_about(4)
 
@@ -19,7 +21,7 @@ def read(folder, text, name="log.csv"):
     return list(log), log.statistics
 
 
-@pytest.mark.parametrize("rows", [rostopic_rows, point_rows])
+@pytest.mark.parametrize("rows", [rostopic_rows, point_rows, echo_rows, partial(echo_rows, with_intensities=True)])
 def test_a_drive_is_read_back_without_odometry(tmp_path, rows):
     back, statistics = read(tmp_path, rows(SCANS))
     assert detect_log_format(tmp_path / "log.csv") is LogFormat.CSV
@@ -60,6 +62,7 @@ def test_units_that_are_not_stated_are_said(tmp_path):
         ("angle;distance", "0;1\n1;2\n2;3\n", [0, 1, 2], [1, 2, 3], 0),
         ("Time; Angle (rad); Distance (m)", "1,5; 0,5; 1,25\n1,5; 1; 2\n", [0.5, 1], [1.25, 2], 1_500_000_000),
         ("t, angle [deg], range [mm]", "2, 0, 1000\n2, 90, 2000\n", [0, np.pi / 2], [1, 2], 2_000_000_000),
+        ("Angle (°)\tDistance (mm)", "0\t1000\n90\t2000\n", [0, np.pi / 2], [1, 2], 0),
         ("azimuth_deg\tr", "0\t1\n90\t2\n", [0, np.pi / 2], [1, 2], 0),
         ("timestamp_ms theta[deg] dist(cm)", "1500 0 100\n1500 90 200\n", [0, np.pi / 2], [1, 2], 1_500_000_000),
         ("time,angle,dist", "1700000000000000001,180,500\n1700000000000000001,90,500\n", [np.pi, np.pi / 2], [0.5, 0.5],
@@ -78,7 +81,26 @@ def test_units_are_those_of_the_names(tmp_path, header, rows, bearings, ranges, 
     assert scan.stamp_ns == stamp_ns
 
 
+def test_a_scan_ends_where_its_number_does(tmp_path):
+    """It may begin anywhere: where the angle starts over it would consist of halves of two scans."""
+    rows = "".join(f"{scan},{angle},{1 + scan}\n" for scan in (7, 8) for angle in (180, 270, 0, 90))
+    back, _ = read(tmp_path, f"scan_id,angle_deg,distance_m\n{rows}")
+    assert [scan.ranges.tolist() for _, scan in back] == [[8.0] * 4, [9.0] * 4]
+    np.testing.assert_allclose(back[0].scan.geometry.bearings, np.pi * np.array([1, 1.5, 2, 2.5]))
+
+
+def test_numbers_of_beams_are_none_of_scans(tmp_path):
+    ((_, scan),), _ = read(tmp_path, "scan_index,angle_deg,distance_m\n0,1,1\n1,2,1\n2,3,1\n")
+    assert len(scan) == 3
+
+
+def test_a_degree_sign_in_another_encoding_is_one(tmp_path):
+    ((_, scan),), _ = read(tmp_path, "angle [°],dist [m]\n1,1\n2,1\n".encode("latin-1"))
+    np.testing.assert_allclose(np.degrees(scan.geometry.bearings), [1, 2])
+
+
 ROSTOPIC = rostopic_rows(SCANS).decode()
+ECHO = echo_rows(SCANS).decode()
 
 
 @pytest.mark.parametrize(
@@ -93,6 +115,9 @@ ROSTOPIC = rostopic_rows(SCANS).decode()
         ("t,angle_deg,dist_mm\n", None, "expected a row for each scan, got none"),
         (ROSTOPIC.replace("field.angle_increment", "field.angle_step"), 1, "none named angle_increment"),
         (ROSTOPIC.replace(",laser,", ",laser,1,", 1), 2, "cells as in the first line"),
+        (ECHO.replace("\n", ",...\n", 1), 1, "--full-length"),
+        (ECHO + "1,2,laser,1\n", len(SCANS) + 1, "expected a LaserScan in each row"),
+        (ECHO.replace("\n", ",1,1,1\n", 1), 1, f"expected {len(SCANS[0].scan)} ranges"),
         (ROSTOPIC.replace("laser,-", "laser,x", 1), 2, "column angle_min: expected a number"),
     ],
 )

@@ -54,11 +54,12 @@ def test_any_time_can_be_looked_at_in_any_order(replay, record, out):
     places = read_g2o(out / "graph.g2o").graph.poses[:, :2].astype(np.float32)
     pairs = [pair["key_scans"] for pair in json.loads((out / "run.json").read_text())["loop_closure"]["closures"]]
     found = select_shown_closures(np.array(pairs), record.revisits)[:, 1]
+    stamps_ns = np.append(record.stamps_ns[:-1], replay.trajectory(0).stamps_ns[-1])  # the last one ends with the log
     for at in (0, 50, 49, len(record) - 1, 7, 120):
         viewer.command({"do": "seek", "at": at})
         client.catch_up(viewer)
         assert client.status["at"] == at
-        assert client.status["time_s"] == pytest.approx(1e-9 * (record.stamps_ns[at] - record.stamps_ns[0]))
+        assert client.status["time_s"] == pytest.approx(1e-9 * (stamps_ns[at] - stamps_ns[0]))
         assert np.array_equal(client.path, places[: at + 1])
         particles = client.arrays["particles"]
         assert np.array_equal(particles[:, :3], record.poses[at])
@@ -71,6 +72,16 @@ def test_any_time_can_be_looked_at_in_any_order(replay, record, out):
     viewer.command({"do": "seek", "at": 10**6})
     client.catch_up(viewer)
     assert client.status["at"] == len(record) - 1
+
+
+def test_the_end_is_that_of_the_log(replay):
+    """Scans that follow the last key scan are counted, and the robot is where it was last."""
+    _, client = looking(replay)
+    end = replay.trajectory(0)
+    assert client.status["scans"] == len(end)
+    assert client.status["pose"] == end.poses[-1].tolist()
+    assert client.status["total_s"] == pytest.approx((end.stamps_ns[-1] - end.stamps_ns[0]) * 1e-9)
+    assert client.series[-1, 0] == pytest.approx(client.status["total_s"])
 
 
 def test_playing_goes_on_with_the_clock_and_stops_at_the_end(replay, record, monkeypatch):

@@ -147,3 +147,13 @@ def test_rays_end_where_the_map_does(max_m, length, place):
     assert found.shape == (2, 2)
     if place == 1.5 and length == 1.0:
         assert (found < 3).all()
+
+
+def test_beams_that_end_where_nothing_is_mapped_are_told_from_those_through_walls():
+    """The room is open to the left from x = 0.1 to 0.9, where its wall ends; the other walls are closed."""
+    cells = room()
+    cells[1:9, 10] = 0
+    known, pose, origin = KnownMap(grid_of(cells)), np.array([1.0, 2.5, 0.0]), np.zeros(2)
+    ends = np.array([[-1.6, 0.0], [2.0, 0.0], [4.0, 0.0], [0.0, 0.05], [-1.9, 2.0], [0.0, -0.75]])
+    np.testing.assert_array_equal(known.went_through(pose, ends, origin), [0, 0, 1, 0, 1, 0])
+    np.testing.assert_array_equal(known.ends_beyond(pose, ends, origin), [1, 0, 0, 0, 0, 1])

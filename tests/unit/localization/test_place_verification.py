@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 
 from gridslam.geometry.se2 import compose
 from gridslam.localization import KnownMap
@@ -33,10 +34,10 @@ def seen_from(known: KnownMap, pose: np.ndarray) -> np.ndarray:
     return LASER * ranges[:, None]
 
 
-def verify(known: KnownMap, recent: RecentScans, pose: np.ndarray) -> PoseHypotheses:
+def verify(known: KnownMap, recent: RecentScans, pose: np.ndarray) -> tuple[PoseHypotheses, float]:
     rng, tracker = np.random.default_rng(0), HypothesisTracker()
-    found = PlaceVerification()(known, pose, recent, lambda guesses: guesses, tracker, rng)
-    return tracker.join(NO_HYPOTHESES, found, pose)  # without what it found where the robot is
+    found, alike_m = PlaceVerification()(known, pose, recent, lambda guesses: guesses, tracker, rng)
+    return tracker.join(NO_HYPOTHESES, found, pose), alike_m  # without what it found where the robot is
 
 
 def drive(known: KnownMap, start: np.ndarray, steps: int) -> tuple[RecentScans, np.ndarray]:
@@ -51,8 +52,18 @@ def test_a_scan_that_was_taken_earlier_refutes_it():
     """The post is out of sight by now; scans of the way to here saw it."""
     known = two_rooms(with_post=True)
     recent, pose = drive(known, HERE - [1.6, 0.9, 0.0], 14)
-    assert verify(known, RecentScans(recent.poses[-1:], recent.ends[-1:], recent.origins[-1:]), pose).odds > 0.3
-    assert verify(known, recent, pose).odds < 0.05
+    assert verify(known, RecentScans(recent.poses[-1:], recent.ends[-1:], recent.origins[-1:]), pose)[0].odds > 0.3
+    assert verify(known, recent, pose)[0].odds < 0.05
+
+
+def test_how_long_places_of_a_map_look_alike_bounds_how_certain_it_is_that_the_robot_is_inside():
+    """Without the post the other room is not told from this one on all of the way, with it since it was seen."""
+    rooms = two_rooms(with_post=False), two_rooms(with_post=True)
+    alike_m = [verify(known, *drive(known, HERE - [1.6, 0.9, 0.0], 14))[1] for known in rooms]
+    assert alike_m[0] == pytest.approx(2.6), "all of the way"
+    assert 0 < alike_m[1] < 0.6 * alike_m[0]
+    bounds = [PlaceVerification().bound_outside_log_odds(-5.0, 2.6, one) for one in (*alike_m, 0.0)]
+    assert bounds[0] > bounds[1] > bounds[2] == -5
 
 
 def half_hall() -> tuple[KnownMap, KnownMap]:

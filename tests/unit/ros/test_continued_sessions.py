@@ -206,6 +206,15 @@ def test_where_time_jumps_back_the_next_drive_belongs_to_the_same_session(drive,
     assert len([*read_session(path.with_stem("s-1")).drives]) == 2
 
 
+def test_a_reset_before_the_first_scan_forgets_the_session_that_was_to_go_on(drive, first_half, tmp_path):
+    node = RunningNode(**{"continue": str(first_half)}, save=str(tmp_path / "new.gridslam"))
+    node.node.core.reset()
+    assert until(lambda: "starting a new map: reset" in node.transport.outputs.warnings())
+    node.play(drive[200:210])
+    node.stop()
+    assert len([*read_session(tmp_path / "new.gridslam").drives]) == 1
+
+
 def test_a_reset_keeps_the_session_so_far_beside_the_new_one(drive, first_half, tmp_path):
     path = tmp_path / "s.gridslam"
     path.write_bytes(first_half.read_bytes())

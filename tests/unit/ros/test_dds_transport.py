@@ -17,8 +17,9 @@ from gridslam.ros.node.transport import TOPICS
 from gridslam.ros.ros2.arguments import RosArguments
 from gridslam.ros.ros2.parameter_services import ParameterServices
 from gridslam.ros.ros2_dds.dds_transport import DdsTransport
-from gridslam.ros.ros2_dds.participant import DdsParticipant, decode_graph
+from gridslam.ros.ros2_dds.endpoints import Ros2Endpoints, decode_graph
 from gridslam.ros.rtps.endpoints import RemoteEndpoint, Sample
+from gridslam.ros.rtps.participant import Participant
 from gridslam.ros.rtps.qos import Qos
 from gridslam.ros.rtps.sockets import Sockets
 from support.dds_peer import free_domain
@@ -63,49 +64,52 @@ def test_bytes_that_are_no_scan_are_named_and_the_node_lives(capfd):
     assert node.core.failure is None
 
 
+def endpoints(domain, node=("/", "")):
+    return Ros2Endpoints(Participant(domain, ["127.0.0.1"]), node, service_encoder())
+
+
 def test_bytes_arrive_as_they_were_sent():
-    participant, sent, got = DdsParticipant(free_domain(), ["127.0.0.1"]), {}, []
-    other = DdsParticipant(participant._participant._sockets.domain, ["127.0.0.1"])
-    outputs = EncodedOutputs(participant.encoder, sent.__setitem__, lambda: 0, lambda level, text: None, "node")
+    domain, sent, got = free_domain(), {}, []
+    own, other = endpoints(domain), endpoints(domain)
+    outputs = EncodedOutputs(service_encoder(), sent.__setitem__, lambda: 0, lambda level, text: None, "node")
     outputs.map(GridMessage(5, "map", 0.05, (1.0, 2.0), np.arange(-1, 5, dtype=np.int8).reshape(2, 3)))
-    participant.add_writer("rt/map", TOPICS["map"], Qos(latched=True, depth=1))
-    participant.publish("rt/map", sent["map"])
+    writer = own.add_writer("rt/map", TOPICS["map"], Qos(latched=True, depth=1))
+    own._participant.write(writer, sent["map"])
     other.add_reader("rt/map", TOPICS["map"], lambda data, sender: got.append(data), Qos(latched=True, depth=1))
-    participant.start()
-    other.start()
+    for one in (own, other):
+        one._participant.start()
     try:
         assert until(lambda: bool(got))
     finally:
-        participant.close()
-        other.close()
+        for one in (own, other):
+            one._participant.close()
     assert got[0].rstrip(b"\0") == sent["map"].rstrip(b"\0")  # the end may be padded
     assert decoded_cells(got[0]) == list(range(-1, 5))
 
 
 def test_publishers_are_named_by_their_nodes():
-    wheels = DdsParticipant(free_domain(), ["127.0.0.1"], node=("/robot1", "wheels"))
-    other, senders = DdsParticipant(wheels._participant._sockets.domain, ["127.0.0.1"]), []
-    wheels.add_writer("rt/map", TOPICS["map"])
+    domain, senders = free_domain(), []
+    wheels, other = endpoints(domain, ("/robot1", "wheels")), endpoints(domain)
+    writer = wheels.add_writer("rt/map", TOPICS["map"])
     other.add_reader("rt/map", TOPICS["map"], lambda data, sender: senders.append(sender))
-    wheels.start()
-    other.start()
+    for one in (wheels, other):
+        one._participant.start()
 
     def arrives_named():
-        wheels.publish("rt/map", encode_message("std_msgs/Float64", (1.0,)))
+        wheels._participant.write(writer, encode_message("std_msgs/Float64", (1.0,)))
         return "/robot1/wheels" in senders
 
     try:
         assert until(arrives_named)
+        encoder = service_encoder()
         for writer in wheels._graph:  # of both layouts
             (payload,) = (stored.payload for stored in writer._history.values())
-            assert decode_graph(wheels.encoder, payload) == {wheels._guids[1][0]: "/robot1/wheels"}
-            assert [decode_graph(wheels.encoder, payload[:end]) for end in range(len(payload) - 4)] == [{}] * (
-                len(payload) - 4
-            )
-        assert decode_graph(wheels.encoder, b"\0\1\0\0" + b"\xff" * 200) == {}
+            assert decode_graph(encoder, payload) == {wheels._guids[1][0]: "/robot1/wheels"}
+            assert not any(decode_graph(encoder, payload[:end]) for end in range(len(payload) - 4))
+        assert decode_graph(encoder, b"\0\1\0\0" + b"\xff" * 200) == {}
     finally:
-        wheels.close()
-        other.close()
+        for one in (wheels, other):
+            one._participant.close()
 
 
 def test_without_a_network_the_remedy_is_named(monkeypatch):
@@ -119,7 +123,7 @@ def test_without_a_network_the_remedy_is_named(monkeypatch):
 
 def test_the_graph_of_nodes_has_gids_of_24_bytes_for_humble_and_of_16_from_iron_on():
     """Their layouts differ under one name; readers from Iron on state the hash of their type."""
-    node = DdsParticipant(free_domain(), ["127.0.0.1"], node=("/robot1", "gridslam"))
+    node = endpoints(free_domain(), ("/robot1", "gridslam"))
     node.add_writer("rt/map", TOPICS["map"], Qos(latched=True, depth=1))
     node.add_reader("rt/scan", "sensor_msgs/LaserScan", lambda data, sender: None)
     old, new = node._graph
@@ -133,7 +137,7 @@ def test_the_graph_of_nodes_has_gids_of_24_bytes_for_humble_and_of_16_from_iron_
         True,
     ]
     (payload,) = (stored.payload for stored in old._history.values())
-    graph = node.encoder.decode("rmw_dds_common/ParticipantEntitiesInfo", payload)
+    graph = service_encoder().decode("rmw_dds_common/ParticipantEntitiesInfo", payload)
     (listed,) = graph.node_entities_info_seq
     assert (listed.node_namespace, listed.node_name) == ("/robot1", "gridslam")
     assert bytes(graph.gid.data.tolist()) == node._participant.guid + bytes(8)

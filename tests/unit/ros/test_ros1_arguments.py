@@ -12,7 +12,7 @@ from gridslam.ros.ros1.ros1 import check_ros1_arguments
     ("argument", "says"),
     [
         ("particles:=80", "a parameter is given as _particles:=80"),
-        ("preset:=accurate", "a parameter is given as _preset:=accurate"),
+        ("preset:=default", "a parameter is given as _preset:=default"),
         ("--particle", "got '--particle'"),
         ("--particle:=3", "got '--particle:=3'"),
         ("base_scan", "got 'base_scan'"),

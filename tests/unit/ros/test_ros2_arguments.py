@@ -22,7 +22,7 @@ def test_parameters_remappings_and_names():
             "-p",
             "use_sim_time:=True",
             "-p",
-            "preset:=accurate",
+            "preset:=gmapping",
             "-r",
             "scan:=front/scan",
             "-r",
@@ -33,7 +33,7 @@ def test_parameters_remappings_and_names():
             "/tf:=/tf_robot",
         ]
     )
-    assert found.parameters == {"particles": 80, "delta": 0.1, "use_sim_time": True, "preset": "accurate"}
+    assert found.parameters == {"particles": 80, "delta": 0.1, "use_sim_time": True, "preset": "gmapping"}
     assert (found.node, found.namespace) == ("mapper", "/robot1")
     assert found.resolve("scan") == "/robot1/front/scan"
     assert found.resolve("map") == "/robot1/map"

@@ -93,7 +93,7 @@ def decided(best, *, shifted, others=()):
 
 @pytest.mark.parametrize(
     ("likelihood", "squared", "is_accepted"),
-    [(15.1, 0.0, True), (14.9, 0.0, False), (30.0, 3.9, True), (30.0, 4.1, False)],
+    [(10.1, 0.0, True), (9.9, 0.0, False), (30.0, 3.9, True), (30.0, 4.1, False)],
 )
 def test_evidence_and_drift_must_be_enough(likelihood, squared, is_accepted):
     best = Hypothesis(np.zeros((1, 3)), likelihood, squared, 1.0, 0.9)

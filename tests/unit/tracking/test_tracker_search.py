@@ -248,3 +248,16 @@ def test_a_blind_gap_makes_doubt_by_what_the_odometry_may_err(halls):
         doubts.append(state.unmatched.position_m2)
     assert halls[1].unmatched.position_m2 == 0
     assert doubts[:3] == sorted(doubts[:3])
+
+
+def test_after_a_blind_gap_a_place_beyond_twice_the_odometrys_error_is_not_believed(states):
+    """Ten standard deviations off: between scans far apart it is found, after a gap many places look alike."""
+    found = [0, 0]
+    for state, beams, pose in states:
+        predicted = predicted_off(pose, 0.5)._replace(seconds=5.0, moved_m=5.0)
+        for is_blind in (True, False):
+            known = replace(state, period_s=0.1, mean_step=0.1) if is_blind else state
+            place = SEARCH(known, predicted, beams, MATCHER)
+            found[is_blind] += not place.lost and (away(place.pose, pose) < FAR).all()
+    assert found[True] == 0
+    assert found[False] > 0.5 * len(states)

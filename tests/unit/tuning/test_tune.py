@@ -18,8 +18,7 @@ from gridslam.tuning.tune import Settings, TunedLog, Tuner
 
 NAMES = "key_scan_m", "noise_m", "tempering"
 TARGET = {"key_scan_m": 0.3, "noise_m": 0.05, "tempering": 0.01}
-LOGS = [TunedLog("a", "a.clf", "1", 100.0), TunedLog("b", "b.clf", "2", 50.0, held_out=True)]
-LENGTHS = {log.path: log.duration_s for log in LOGS}
+LOGS = [TunedLog("a", "a.clf", "1"), TunedLog("b", "b.clf", "2", held_out=True)]
 SPACE = SearchSpace.of(Configuration(), NAMES)
 SETTINGS = Settings(Configuration(), SPACE, 60)
 
@@ -44,7 +43,6 @@ class Runs:
             "tempering": table["sensor"]["tempering"],
         }
         row = {"status": "failed", "document": None, "message": "out of luck", "error": "InputError"}
-        row["wall_s"] = 0.02 * (job.arguments["options"]["duration_s"] or LENGTHS[job.log])
         if self.fails(values):
             return row
         away = sum(math.log(values[name] / self.target[name]) ** 2 for name in NAMES)
@@ -79,7 +77,7 @@ def test_trials_are_trials_and_too_few_are_reported_as_such():
     start = SPACE.values_of(Configuration())
     runs = Runs(sensitivity=5.0, noise=0.0, target=start)
     tuning = Tuner(replace(SETTINGS, trials=6), LOGS, runs)()
-    assert [trial.part for trial in tuning.trials] == [1.0] * 6, "all on whole logs"
+    assert len(tuning.trials) == 6
     tried = {tuple(trial.values.items()) for trial in tuning.trials}
     assert len(tried) == 6
     assert tuple(start.items()) not in tried, "the start is no trial"

@@ -15,8 +15,8 @@ from gridslam.viz.canvas import (
     TEXT_SIZE,
     TIME_ENDS,
     UNKNOWN,
+    arrange_keys,
     font,
-    shorten_keys,
     time_colours,
 )
 from gridslam.viz.picture import lay_out
@@ -119,11 +119,12 @@ def test_keys_of_long_names_leave_the_caption_free():
     def length(shown):
         return sum(font(TEXT_SIZE, 1.0).getlength(name) + 70 for name, _ in shown)
 
-    assert shorten_keys(keys, 5000.0, 1.0) == keys
-    cut = shorten_keys(keys, 700.0, 1.0)
+    assert arrange_keys(keys, 5000.0, 3, 1.0) == [keys]
+    assert arrange_keys(keys, 700.0, 3, 1.0) == [[key] for key in keys], "rows, before names are cut"
+    (cut,) = arrange_keys(keys, 700.0, 1, 1.0)
     assert length(cut) <= 700.0
     assert [name[:4] for name, _ in cut] == ["mond", "tues", "wedn"]
-    assert length(shorten_keys(keys, 200.0, 1.0)) <= 200.0
+    assert length(arrange_keys(keys, 200.0, 1, 1.0)[0]) <= 200.0
     title = " + ".join(names)
     sizes = {draw_map(_grid((700, 700)), title=text, caption=["a"]).size for text in (title, 5 * title)}
     assert len(sizes) == 1, "a long title is cut"

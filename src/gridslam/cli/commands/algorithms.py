@@ -20,8 +20,6 @@ from gridslam.cli.options import (
     threads_option,
 )
 
-__all__ = ["graph_command", "grid_command", "landmarks_command", "localize_command"]
-
 
 @click.command("landmarks")
 @click.argument("log", type=LOG)

@@ -6,10 +6,8 @@ from typing import Any
 
 import click
 
-from gridslam.cli.option_types import MEMORY, OUTPUT_FILE, OUTPUT_FOLDER, TIME_LIMIT, Number
+from gridslam.cli.option_types import MEMORY, OUTPUT_FILE, OUTPUT_FOLDER, TIME_LIMIT
 from gridslam.cli.options import json_option, map_options
-
-__all__ = ["batch_command", "tune_command"]
 
 
 class _BatchCommand(click.Command):
@@ -98,7 +96,6 @@ def batch_command(**options: Any) -> int:  # noqa: ANN401
     "NAME.relations, NAME.truth.tum or NAME.ref.tum beside it; where there is none its self-consistency is the score]",
 )
 @click.option("--held-out", multiple=True, metavar="LOG", help="Log that judges the best and is not searched on.")
-@click.option("--split", type=Number(0, 0.9), metavar="SHARE", help="Hold out this share of LOGS, from the end.")
 @click.option("--without-reference", is_flag=True, help="Score by self-consistency also where there is a reference.")
 @click.option("--tune", "names", multiple=True, metavar="NAME", help="Parameter to search.  [default: all that are]")
 @click.option(
@@ -118,13 +115,12 @@ def batch_command(**options: Any) -> int:  # noqa: ANN401
 def tune_command(**options: Any) -> None:  # noqa: ANN401
     """Search parameters that suit LOGS better than those given by --preset, --config and --set.
 
-    LOGS are what gridslam batch accepts. Configurations that Optuna proposes are tried on parts of the logs, the
-    better ones on longer parts (successive halving). The best is then compared
-    with the start on held-out logs, or with other seeds. It is written only if it is better beyond the noise of seeds
-    and logs; else the start is, and the exit status is 0 as well.
+    LOGS are what gridslam batch accepts. Configurations that Optuna proposes are tried on them. The best is then
+    compared with the start on held-out logs, or with other seeds. It is written only if it is better beyond the noise
+    of seeds and logs; else the start is, and the exit status is 0 as well.
 
     \b
-      gridslam tune logs/*.clf -o best.toml --trials 30 --split 0.3
+      gridslam tune logs/*.clf -o best.toml --trials 30 --held-out other.clf
       gridslam map log.clf -o out --config best.toml
 
     The same command again continues an interrupted search. Needs the extra: tune.

@@ -10,8 +10,6 @@ import click
 from gridslam.cli.option_types import LOG, OUT, OUTPUT_FILE, OUTPUT_FOLDER, SECONDS, SEED, Number
 from gridslam.cli.options import json_option, log_options
 
-__all__ = ["convert_command", "dataset_command", "doctor_command", "simulate_command"]
-
 
 @click.command("doctor")
 @click.argument("log", type=LOG)
@@ -31,7 +29,7 @@ def doctor_command(**options: Any) -> Any:  # noqa: ANN401
 @click.command("convert")
 @click.argument("log", metavar="IN", type=LOG)
 @click.argument("out", type=OUTPUT_FILE)
-@click.option("--to", type=click.Choice(["carmen", "csv", "tum", "ros1", "ros2", "mcap"]), help="Format of OUT.")
+@click.option("--to", type=click.Choice(["csv", "tum", "ros1", "ros2", "mcap"]), help="Format of OUT.")
 @log_options
 @json_option
 def convert_command(**options: Any) -> None:  # noqa: ANN401
@@ -39,14 +37,12 @@ def convert_command(**options: Any) -> None:  # noqa: ANN401
 
     \b
     The format follows from the suffix of OUT unless --to is given:
-      .clf, .log, .carmen   CARMEN
       .csv                  a row for each scan (columns: docs/logs.md)
       .tum                  the odometry alone
       .bag                  ROS 1
       .mcap, .db3, a name without suffix (a folder)   ROS 2
 
-    CARMEN and CSV are compressed if the name ends in .gz or .bz2. Data that the format of OUT cannot represent is
-    reported.
+    CSV is compressed if the name ends in .gz or .bz2. Data that the format of OUT cannot represent is reported.
     """
     from gridslam.cli.logs import convert
 

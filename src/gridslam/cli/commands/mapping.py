@@ -18,8 +18,6 @@ from gridslam.cli.options import (
     threads_option,
 )
 
-__all__ = ["demo_command", "map_command", "merge_command", "session_command"]
-
 
 class _MapCommand(click.Command):
     """Command that lists the parameters in its help, and imports them only then."""

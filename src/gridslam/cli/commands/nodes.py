@@ -10,11 +10,9 @@ import click
 from gridslam.cli.option_types import OUTPUT_FILE, OUTPUT_FOLDER, PATH, SEED, THREADS, Number
 from gridslam.cli.options import SETTINGS, add_options, assignment_option, floor_option, read_pose, robot_live_options
 
-__all__ = ["ros1_command", "ros2_command"]
-
 _NODE_OPTIONS = (
     click.argument("arguments", nargs=-1, type=click.UNPROCESSED),
-    click.option("--preset", help="Preset: default, accurate or gmapping."),
+    click.option("--preset", help="Preset: default or gmapping."),
     click.option("--particles", type=int, help="Number of particles."),
     click.option("--seed", type=SEED, help="Random seed; equal seeds and scans give equal results."),
     click.option("--threads", type=THREADS, help="Number of threads; does not affect the results."),

@@ -10,8 +10,6 @@ import click
 from gridslam.cli.option_types import PATH, Number
 from gridslam.cli.options import json_option, out_option
 
-__all__ = ["align_command", "changes_command", "mask_command", "plan_command"]
-
 
 def _read_origin(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float, float, float] | None:
     """Read latitude, longitude and, if it is there, bearing; 90, east, if not."""
@@ -75,7 +73,7 @@ def plan_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("--same-frame", is_flag=True, help="Both maps have one frame; do not align them by their walls.")
 @json_option
 def changes_command(**options: Any) -> None:  # noqa: ANN401
-    """Show the differences between two maps of a building: gone and new things.
+    """Show the objects removed from a building and the new ones, by two maps.
 
     FIRST and SECOND are each a map's YAML file, the folder OUT of `gridslam map`, or a session. What either has not
     seen is left open.
@@ -130,7 +128,7 @@ def mask_command(**options: Any) -> None:  # noqa: ANN401
 
 
 def _read_pairs(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) -> Any:  # noqa: ANN401
-    """Read pairs X,Y=U,V (P, 4): none, or two to six of places that are apart."""
+    """Read pairs X,Y=U,V (P, 4): none, or two to six at distinct places."""
     import numpy as np
 
     try:

@@ -9,8 +9,6 @@ import click
 from gridslam.cli.option_types import PATH, Number
 from gridslam.cli.options import evaluate_options, host_options, json_option
 
-__all__ = ["evaluate_command", "regress_command", "view_command"]
-
 
 @click.command("view")
 @click.argument("out", type=PATH)
@@ -34,7 +32,7 @@ def view_command(**options: Any) -> None:  # noqa: ANN401
     """Show the results in OUT, or a map of a session, in the browser.
 
     A run is replayed, of map, localize, landmarks or demo; of grid and merge the map is shown, of graph the poses, the
-    edges and their residuals; batch has written a report, whose address is printed.
+    edges and their residuals; batch and doctor have written a report, whose address is printed.
     """
     from gridslam.cli.live import view
 

@@ -22,8 +22,6 @@ from gridslam.io.text import open_for_reading
 from gridslam.transforms import Coverage
 from gridslam.types import FloatArray, LaserScan, Odometry, ScanGeometry
 
-__all__ = ["BagLog", "BagScanBuilder", "ClockComparison"]
-
 _ALL = LogOptions()
 _LATE_S = 1.0  # transforms on /tf are published at least this often
 _MOST_GEOMETRIES = 64  # cheap lidars turn unevenly, so that each scan has angles of its own

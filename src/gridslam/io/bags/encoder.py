@@ -14,8 +14,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from gridslam.errors import ArgumentError
 from gridslam.io.bags.ros_messages import MessageError
 
-__all__ = ["Field", "MessageEncoder"]
-
 Values: TypeAlias = tuple[Any, ...]
 """Values of a message's fields in their order; those of a nested message are such a tuple, too."""
 

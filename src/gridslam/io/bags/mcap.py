@@ -19,8 +19,6 @@ from zlib import crc32
 from gridslam.io.bags.source import Chunk, DamageError, Message, count_topics, decompress, merge_chunks
 from gridslam.io.limits import UnpackingLimit
 
-__all__ = ["MCAP_MAGIC", "McapFile"]
-
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 """First bytes of a file."""
 

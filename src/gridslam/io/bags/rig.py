@@ -19,8 +19,6 @@ from gridslam.io.measurement import FARTHEST_LASER_M
 from gridslam.transforms import Coverage, MissingTransform, TransformBuffer
 from gridslam.types import Odometry
 
-__all__ = ["MountedLaser", "Rig"]
-
 _KEEP_S = 5.0  # of odometry: no wider gap is interpolated, and a scan may be this much behind the latest reading
 _ODOMETRY = "(odometry)"  # parent frame for an odometry topic, distinct from the same link on /tf
 _IDENTITY: Rigid = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)

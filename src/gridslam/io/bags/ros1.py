@@ -31,8 +31,6 @@ from gridslam.io.limits import UnpackingLimit, require_memory
 from gridslam.io.log_statistics import Topic
 from gridslam.io.text import open_for_reading
 
-__all__ = ["Ros1Bag"]
-
 _MAGIC = b"#ROSBAG V2.0\n"
 _LARGEST_HEADER = 1 << 24
 _FARTHEST = 1 << 62

@@ -30,8 +30,6 @@ from gridslam.io.log_statistics import Topic
 from gridslam.io.text import open_for_reading, read_text
 from gridslam.io.yaml import YamlError, parse_yaml
 
-__all__ = ["Ros2Bag"]
-
 _PART = re.compile(r"(.*_)(\d{1,4})(\..*)")
 _MOST_PARTS = 1000
 _NAMES = ("*.mcap", "*.db3", "*.mcap.zst*", "*.db3.zst*")

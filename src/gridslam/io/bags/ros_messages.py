@@ -19,20 +19,6 @@ from typing import NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "MessageError",
-    "OdometryMessage",
-    "ScanMessage",
-    "StampedTransform",
-    "Wire",
-    "decode_odometry",
-    "decode_scan",
-    "decode_transforms",
-    "kind_of",
-    "wire_of_cdr",
-    "wire_of_ros1",
-]
-
 Values = tuple[float, float, float, float, float, float, float]
 """Position in m and quaternion xyzw, as the message has them: not necessarily finite or of norm 1."""
 

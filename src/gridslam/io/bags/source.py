@@ -17,19 +17,6 @@ from gridslam.errors import InputError
 from gridslam.io.limits import UnpackingLimit, describe_bytes, max_memory_bytes
 from gridslam.io.log_statistics import Topic
 
-__all__ = [
-    "ZSTD_MAGIC",
-    "BagSource",
-    "Chunk",
-    "DamageError",
-    "Message",
-    "count_topics",
-    "decompress",
-    "decompress_file",
-    "merge_chunks",
-    "truncation_error",
-]
-
 Message = tuple[int, str, bytes]
 """Time of its recording in ns, topic, serialized bytes."""
 

@@ -16,8 +16,6 @@ from gridslam.io.bags.source import DamageError, Message, count_topics
 from gridslam.io.database import open_database
 from gridslam.io.limits import require_memory
 
-__all__ = ["SQLITE_MAGIC", "SqliteFile"]
-
 SQLITE_MAGIC = b"SQLite format 3\0"
 """First bytes of a file."""
 

@@ -33,19 +33,6 @@ from gridslam.io.bags.ros_messages import (
 from gridslam.io.bags.source import BagSource
 from gridslam.io.selection import LogOptions
 
-__all__ = [
-    "Choice",
-    "LinkInfo",
-    "Step",
-    "Survey",
-    "TopicInfo",
-    "choose",
-    "decoded_messages",
-    "differs",
-    "find_scan_problem",
-    "survey",
-]
-
 _LOOK_NS = 10_000_000_000  # of the log, at least: transforms are published at 10 Hz and more often, static ones at once
 _SAMPLES = 200
 _MOVED_M = 0.005  # a mounting that has moved by less has not: rounding, a calibration's last digits

@@ -23,8 +23,6 @@ from gridslam.io.bags.encoder import MessageEncoder, Values
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
-__all__ = ["write_bag"]
-
 _FILES = {".bag": "ros1", ".mcap": "mcap", ".db3": "sqlite3"}
 _ROS2_VERSION: Final = 8  # of the metadata: the later 9 is not read by ROS 2 before Jazzy
 _ALWAYS = QosTime(0, 0)

@@ -18,8 +18,6 @@ from gridslam.io.measurement import FARTHEST_LASER_M
 from gridslam.io.text import TextSource
 from gridslam.types import FloatArray, ScanGeometry
 
-__all__ = ["LASER_PARAMETERS", "SICK_NO_RETURN_M", "USED_PARAMETERS", "CarmenLasers"]
-
 SICK_NO_RETURN_M = 81.83
 """Readings from here on are status codes of the SICK LMS (8183 to 8191 cm: overflow, dazzled, ...), never ranges."""
 

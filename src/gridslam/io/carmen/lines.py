@@ -13,8 +13,6 @@ from gridslam.io.measurement import FARTHEST_M
 from gridslam.kernels import backend
 from gridslam.types import FloatArray
 
-__all__ = ["SCAN_TAGS", "BeamLayout", "LineError", "ScanRows", "parse_pose", "parse_rows"]
-
 SCAN_TAGS = {"FLASER": "front", "RLASER": "rear", "REMISSIONFLASER": "front", "ROBOTLASER1": "robotlaser1"}
 """Tags of lines that hold a scan, with the name of the sensor they are from."""
 

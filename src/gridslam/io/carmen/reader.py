@@ -22,8 +22,6 @@ from gridslam.io.tables import parse_stamp_ns
 from gridslam.io.text import TextSource
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry
 
-__all__ = ["CarmenLog"]
-
 _ODOM_WORDS = 10  # ODOM x y theta tv rv accel ipc_timestamp ipc_hostname logger_timestamp
 
 

@@ -1,25 +1,20 @@
-"""Writer of CARMEN logs, and conversion of measurements to values that CARMEN can represent."""
+"""Writer of CARMEN logs, for those that are simulated."""
 
 from __future__ import annotations
 
-import math
-from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from gridslam.errors import ArgumentError
-from gridslam.geometry import se2, se3
+from gridslam.geometry import se2
 from gridslam.io.carmen.lasers import LASER_PARAMETERS, SICK_NO_RETURN_M
 from gridslam.io.measurement import Measurement
 from gridslam.io.output import open_for_writing, write_atomically
 from gridslam.io.tables import format_stamp_ns
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
-
-__all__ = ["to_carmen_form", "write_carmen"]
 
 _SENSORS = "front", "rear"
 _HEADER = """\
@@ -145,88 +140,3 @@ def _ranges(scan: LaserScan) -> str:
     for beam in np.flatnonzero(~hit):
         texts[beam] = _NO_RETURN_TEXT if scan.status[beam] == BeamStatus.NO_RETURN else "0.000"
     return " ".join(texts)
-
-
-def to_carmen_form(measurements: Iterable[Measurement], lost: Counter[str]) -> Iterator[Measurement]:
-    """Change measurements so that `write_carmen` can write them; count the scans with lost data, by its name.
-
-    A laser that is level but upside down, clockwise or not symmetric about its axis becomes one that is upright,
-    counter-clockwise and symmetric, with the very same beams. Scans without odometry after one with odometry are left
-    out; odometry takes the scan's stamp.
-
-    Raises
-    ------
-    ArgumentError
-        For what has no such form: a laser that is tilted, beams not evenly spread, more than two lasers.
-    """
-    names: dict[str, str] = {}
-    posed: bool | None = None
-    odometry_began = False
-    for odometry, scan in measurements:
-        posed = odometry is not None if posed is None else posed
-        if odometry is None and odometry_began:
-            lost["scans without odometry"] += 1
-            continue
-        odometry_began = odometry_began or odometry is not None
-        if odometry is not None and posed:
-            lost["more than 6 decimals of poses"] += _rounds(1e6 * odometry.pose, 1e-3)
-            if odometry.stamp_ns != scan.stamp_ns:
-                lost["the odometry's own stamps"] += 1
-                odometry = Odometry(scan.stamp_ns, odometry.pose)
-        yield Measurement(odometry, _form_scan(scan, _name(scan.sensor, names), lost))
-
-
-def _name(sensor: str, names: dict[str, str]) -> str:
-    """Name of a laser in the log, decided once for each."""
-    if sensor not in names:
-        free = [name for name in _SENSORS if name not in names.values()]
-        if not free:
-            raise ArgumentError("measurements", "two lasers at most (choose with --scan)", [*names, sensor])
-        names[sensor] = sensor if sensor in free else free[0]
-    return names[sensor]
-
-
-def _form_scan(scan: LaserScan, name: str, lost: Counter[str]) -> LaserScan:
-    lost[f"the name of the laser ({scan.sensor} is {name} now)"] += name != scan.sensor
-    lost["times of beams"] += scan.beam_times_s is not None
-    geometry, order = _symmetric(scan.geometry)
-    ranges = scan.ranges[::order]
-    status = scan.status[::order]
-    hit = status == BeamStatus.HIT
-    far = hit & (ranges >= SICK_NO_RETURN_M)
-    if far.any():
-        lost[f"ranges from {SICK_NO_RETURN_M} m on"] += 1
-        status = np.where(far, np.uint8(BeamStatus.NO_RETURN), status)
-    lost["more than 3 decimals of ranges"] += _rounds(1e3 * ranges[hit & ~far], 1e-6)
-    return replace(scan, ranges=ranges, status=status, geometry=geometry, sensor=name, beam_times_s=None)
-
-
-def _rounds(values: FloatArray, tolerance: float) -> bool:
-    return bool((abs(values - np.rint(values)) > tolerance).any())
-
-
-@lru_cache(maxsize=256)
-def _symmetric(geometry: ScanGeometry) -> tuple[ScanGeometry, int]:
-    """A level geometry as an upright, counter-clockwise one that is symmetric about its axis, and its beams' order."""
-    rotation = geometry.base_from_laser[:3, :3]
-    if abs(abs(rotation[2, 2]) - 1) > 1e-6:
-        tilt = se3.tilt_rad(geometry.base_from_laser)
-        got = f"one tilted by {math.degrees(min(tilt, math.pi - tilt)):.1f} degrees"
-        raise ArgumentError("base_from_laser", "a laser mounted level, upright or upside down", got)
-    upright = rotation[2, 2] > 0
-    bearings = geometry.bearings if upright else -geometry.bearings  # seen from above the beams run the other way
-    order = -1 if bearings[-1] < bearings[0] else 1
-    bearings = bearings[::order]
-    if upright and order == 1 and _has_carmen_form(bearings):
-        return geometry, order
-    middle = (bearings[0] + bearings[-1]) / 2
-    yaw = np.arctan2(rotation[1, 0], rotation[0, 0]) + middle
-    return ScanGeometry.planar(bearings - middle, [*geometry.origin, yaw]), order
-
-
-def _has_carmen_form(bearings: FloatArray) -> bool:
-    """Return whether the beams lie about the axis as CARMEN has them: from -fov/2 on, with or without the last edge."""
-    if len(bearings) == 1:
-        return bool(bearings[0] == 0)
-    step, fov = _spread(bearings)
-    return fov > 0 and abs(step * len(bearings) - fov) <= 1.4 * step

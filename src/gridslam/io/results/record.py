@@ -22,8 +22,6 @@ from gridslam.io.text import open_for_reading
 from gridslam.serialization import read_array
 from gridslam.types import FloatArray, IntArray, StepReport
 
-__all__ = ["Record", "RecordFlag", "RecordWriter", "read_arrays", "read_record"]
-
 _SCHEMA = "gridslam.record/1"
 
 

@@ -18,16 +18,6 @@ from gridslam.io.output import write_atomically
 from gridslam.io.results.record import read_arrays
 from gridslam.io.text import open_for_reading
 
-__all__ = [
-    "Arrays",
-    "dump_generator",
-    "load_generator",
-    "name_file",
-    "read_sealed_arrays",
-    "read_text_array",
-    "write_sealed_arrays",
-]
-
 Arrays: TypeAlias = Mapping[str, NDArray[Any]]
 
 _SEAL = b"gridslam sha256 "

@@ -15,8 +15,6 @@ from gridslam.errors import GridslamError
 from gridslam.io.sessions.session_file import SavedSession, write_session
 from gridslam.pipeline import describe_error
 
-__all__ = ["BackgroundWriter", "lower_priority"]
-
 _NICE = 10
 
 

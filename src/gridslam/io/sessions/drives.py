@@ -20,8 +20,6 @@ from gridslam.slam.full_slam.thinning import thin_piece
 from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.types import FloatArray, IntArray, Trajectory
 
-__all__ = ["Drive", "DrivenLog", "SavedPiece", "choose_name", "find_floor", "require_floor"]
-
 
 @final
 @dataclass(frozen=True, slots=True)
@@ -101,7 +99,7 @@ class Drive:
 
 
 def require_floor(name: str) -> str:
-    """Return the name of a floor, of which files get their names, or none; raises ArgumentError for another one."""
+    """Return a valid name of a floor, or none; raises ArgumentError for a name that no file can have."""
     if name and not re.fullmatch(r"\w[\w.-]{0,39}", name):
         raise ArgumentError("floor", "1 to 40 letters, digits, '_', '.' and '-'", repr(name[:60]))
     return name

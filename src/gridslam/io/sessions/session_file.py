@@ -39,8 +39,6 @@ from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.types import IntArray
 
-__all__ = ["SESSION_SCHEMA", "SavedRun", "SavedSession", "SessionHead", "read_head", "read_session", "write_session"]
-
 SESSION_SCHEMA = "gridslam.session/3"
 _WHAT = "a session of gridslam"
 

@@ -18,8 +18,6 @@ from gridslam.errors import ArgumentError
 from gridslam.io.measurement import FARTHEST_M
 from gridslam.kernels import MOST_BEAM_CELLS, PAGE, TILE
 
-__all__ = ["require_near_ends", "require_near_maps", "require_plausible"]
-
 _Arrays = Mapping[str, NDArray[Any]]
 
 _POSE = re.compile(

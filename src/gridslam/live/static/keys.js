@@ -4,11 +4,11 @@ const NAMES = { " ": "space", ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑
 
 const TEXT = "input:not([type=range], [type=checkbox], [type=radio])"; // fields that are typed into
 
-// Whether a key is meant for the part that has the focus. A part that was clicked has lost it (see `Keys`).
+// Whether a key is meant for the part that has the focus. One that was clicked loses it at the next key (see `Keys`).
 function isForPart(part, key) {
   if (part.matches(`select, ${TEXT}`)) return true;
   if (part.matches("input[type='range']")) return key.startsWith("Arrow") || key === "Home" || key === "End";
-  return key === " " && part.matches("button, input");
+  return key === " " && part.matches("button, input, summary");
 }
 
 export class Keys {
@@ -22,9 +22,7 @@ export class Keys {
       if (what) list.append(this.term(keys), Object.assign(document.createElement("dd"), { textContent: what }));
     }
     addEventListener("keydown", (event) => this.pressed(event));
-    addEventListener("pointerup", () => setTimeout(() => { // so that keys mean the page again
-      if (document.activeElement.matches(`button, input:not(${TEXT})`) && !dialog.open) document.activeElement.blur();
-    }));
+    addEventListener("pointerdown", () => { this.isPointed = true; });
   }
 
   term(keys) {
@@ -35,8 +33,10 @@ export class Keys {
 
   pressed(event) {
     if (event.ctrlKey || event.metaKey || event.altKey || this.dialog.open) return;
+    if (event.key === "Tab") this.isPointed = false;
+    else if (this.isPointed && document.activeElement.matches(`button, summary, input:not(${TEXT})`)) document.activeElement.blur();
     const action = this.actions.get(event.key);
-    if (!action || (event.target.matches?.("*") && isForPart(event.target, event.key))) return;
+    if (!action || isForPart(document.activeElement, event.key)) return;
     event.preventDefault();
     action(event);
   }

@@ -44,10 +44,11 @@ export class Messages {
     this.draw();
   }
 
-  // A state stands in the bar already, and is over when the next one comes.
+  // Of those of the worst level the one that began last: two that last do not alternate. A state stands in the bar
+  // already, and is over when the next one comes.
   get worst() {
     const open = this.list.filter((message) => message.level !== "info" && !message.state && !this.away.has(nameOf(message)));
-    return open.find(({ level }) => level === "error") ?? open[0];
+    return open.sort((a, b) => LEVELS.indexOf(b.level) - LEVELS.indexOf(a.level) || b.first_s - a.first_s)[0];
   }
 
   draw() {

@@ -23,8 +23,6 @@ from gridslam.io.measurement import Measurement
 from gridslam.io.tables import format_stamp_ns
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
-__all__ = ["AcceptedScan", "MeasurementBuilder", "ScanRecorder", "find_refusal_reason"]
-
 _MAX_GEOMETRIES = 64  # cheap lidars rotate unevenly, so each scan has its own angles
 _NO_HIT = np.array([0.0, np.inf, np.nan])  # by status, of beams that hit nothing
 _MOUNTING_NOISE_M = 0.005  # and rad: noise of a mounting on /tf

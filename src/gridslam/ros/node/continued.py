@@ -26,8 +26,6 @@ from gridslam.slam.full_slam.earlier_pieces import EarlierPieces
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.types import FloatArray
 
-__all__ = ["Continued", "EarlierDrives", "begin", "describe_drives"]
-
 Log = Callable[[Level, str], None]
 
 

@@ -38,13 +38,14 @@ from gridslam.ros.node.session import InitialPose, Localization, LocalizationSes
 from gridslam.ros.node.state_publisher import StatePublisher
 from gridslam.tracking.tracker import OdometryTracker
 
-__all__ = ["NodeCore", "SourceWrapper"]
-
 SourceWrapper: TypeAlias = Callable[[Iterator[Measurement]], Iterator[Measurement]]
 DiagnosticsCallback: TypeAlias = Callable[[Diagnostics], None]
 
 _DIAGNOSTICS_S = 1.0
-_UNASKED = (SessionEnd.JUMP, SessionEnd.SESSION, SessionEnd.CARRIED)
+_FOUND = (SessionEnd.JUMP, SessionEnd.CARRIED)
+"""Ends that nobody asked for."""
+_SAVED = (*_FOUND, SessionEnd.SESSION)
+"""Ends at which the session is saved."""
 _OTHERS = (SessionEnd.MAP, SessionEnd.SESSION, SessionEnd.SWITCH)
 """Ends after which another session begins even if this one has no scan yet."""
 
@@ -347,13 +348,13 @@ class NodeCore:
     def save(self, folder: str | Path, timeout_s: float = 60.0) -> dict[str, Any]:
         """Write the output files of `gridslam map`; the filter waits only while its state is copied.
 
-        Returns the content of run.json. Raises ArgumentError if nothing is mapped yet, OutputError if the folder
+        Returns the content of run.json. Raises GridslamError if nothing is mapped yet, OutputError if the folder
         cannot be written or the filter does not answer.
         """
         return self.copy_session(timeout_s).save(folder)
 
     def copy_session(self, timeout_s: float = 60.0) -> SessionCopy:
-        """Copy the mapping session; raises ArgumentError if nothing is mapped yet, OutputError as `ask`."""
+        """Copy the mapping session; raises GridslamError if nothing is mapped yet, OutputError as `ask`."""
         return self.ask(self._copy_mapped, timeout_s)
 
     def ask(self, call: Callable[[], _Answer], timeout_s: float = 60.0) -> _Answer:
@@ -420,8 +421,12 @@ class NodeCore:
     def _copy_mapped(self, *, is_last: bool = False) -> SessionCopy:
         mapped = self.mapped_session
         if mapped is None:
-            got = "one that localizes; `gridslam localize` takes its record" if self.localizes else "none yet"
-            raise ArgumentError("save", "a node that maps, and at least one scan", got)
+            why = (
+                "this node localizes; `gridslam localize` takes its record"
+                if self.localizes
+                else "there was no scan yet"
+            )
+            raise GridslamError(f"nothing is mapped: {why}")
         record = None if self._has_switched else self._whole_record()
         return mapped.copy(record, is_last=is_last, messages=self.messages.to_list())
 
@@ -441,7 +446,8 @@ class NodeCore:
         """Give the session away and begin the next one; where it has no scan yet and nothing changes it is the next."""
         end = self._session_end
         is_begun = self._session.state is not None
-        if not is_begun and end not in _OTHERS:
+        forgets = end is SessionEnd.RESET and isinstance(self._session, Session) and self._session.continued is not None
+        if not is_begun and end not in _OTHERS and not forgets:
             return
         if end is SessionEnd.SWITCH:
             self._has_switched = True
@@ -478,9 +484,10 @@ class NodeCore:
         if self._session_end is SessionEnd.CLOSED:
             return False
         if self._session_end is not SessionEnd.SWITCH:  # which is reported by whoever serves the request
-            ends_map = self._session_end is SessionEnd.JUMP and not self.localizes
-            level = Level.ERROR if ends_map else Level.WARN
-            self.messages.report(level, f"{self._session.restart_message}: {self._session_end.value}")
+            end, level = self._session_end, Level.OK  # which was asked for
+            if end in _FOUND:
+                level = Level.ERROR if end is SessionEnd.JUMP and not self.localizes else Level.WARN
+            self.messages.report(level, f"{self._session.restart_message}: {end.value}")
         return True
 
     def _go_on_elsewhere(self) -> None:
@@ -499,10 +506,10 @@ class NodeCore:
             self._continued = Continued(path, saved, Place.ELSEWHERE, is_in_file=is_in_file, edits=mapped.edits)
 
     def _hand_over_session(self) -> None:
-        """Give a copy of a session that was not ended on purpose to whoever saves it, unless the next one holds it."""
+        """Give a copy of a session that ends without a reset to whoever saves it, unless the next one holds it."""
         end = self._session_end
         goes_on = end is SessionEnd.CARRIED and self._continued is not None
-        on_jump = None if goes_on or end not in _UNASKED or self.mapped_session is None else self._on_jump
+        on_jump = None if goes_on or end not in _SAVED or self.mapped_session is None else self._on_jump
         if on_jump is None and not goes_on:
             return
         with self._reporting("session not saved"):

@@ -12,8 +12,6 @@ from typing import Any, Final
 from gridslam.errors import ConfigurationError
 from gridslam.ros.node.session_parameters import find_saved_session
 
-__all__ = ["FOREIGN_NAMES", "flatten", "translate_parameters"]
-
 _MEANINGS: Final[Mapping[str, str]] = {
     "resolution": "delta",
     "max_laser_range": "maxUrange",

@@ -9,10 +9,8 @@ import numpy as np
 
 from gridslam.io.bags.ros_messages import MessageError
 from gridslam.io.turned_maps import count_turned_cells, turn_cells
-from gridslam.ros.node.messages import GridMessage
+from gridslam.ros.node.messages import PLANAR, GridMessage
 from gridslam.types import FloatArray, OccupancyGrid
-
-__all__ = ["grid_of", "make_occupancy_grid", "pose_of"]
 
 _SURE: Final = 0.98  # probability between a cell of 0 and one of 100
 _MAX_CELLS: Final = 1 << 28
@@ -51,6 +49,11 @@ def pose_of(message: Any) -> FloatArray:  # noqa: ANN401
     place, turn = message.position, message.orientation
     yaw = math.atan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y**2 + turn.z**2))
     return np.array([place.x, place.y, yaw])
+
+
+def covariance_of(message: Any) -> FloatArray:  # noqa: ANN401
+    """Return the covariance (3, 3) in the plane of a decoded geometry_msgs/PoseWithCovariance."""
+    return np.asarray(message.covariance, np.float64).reshape(6, 6)[PLANAR]
 
 
 def make_occupancy_grid(message: GridMessage) -> OccupancyGrid:

@@ -17,8 +17,6 @@ from gridslam.ros.node.continued import Continued
 from gridslam.ros.node.mapping_session import Session
 from gridslam.ros.node.messages import Level
 
-__all__ = ["AUTOSAVE", "LiveAutosave", "SessionFiles", "keep_other"]
-
 AUTOSAVE = "autosave.gridslam"
 """Name of the file in the output folder."""
 

@@ -9,8 +9,6 @@ from gridslam.errors import ArgumentError
 from gridslam.io.bags.ros_messages import StampedTransform
 from gridslam.transforms import TransformBuffer
 
-__all__ = ["JumpDetector", "LiveTransforms", "Warn"]
-
 Warn: TypeAlias = Callable[[str, str], None]
 """Called with the kind of a problem, and the problem."""
 

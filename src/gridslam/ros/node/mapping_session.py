@@ -36,8 +36,6 @@ from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, StepReport
 
-__all__ = ["Session", "SessionCopy"]
-
 _PRELOADED: Final = ("scipy.sparse", "qdldl", "gridslam.viz")
 """Modules that filter and `save` import on first use; imported early so that a moving robot does not wait."""
 

@@ -21,8 +21,6 @@ from gridslam.ros.node.parameters import NodeSettings
 from gridslam.transforms import Coverage, MissingTransform
 from gridslam.types import BeamStatus, FloatArray, Odometry, describe_duration
 
-__all__ = ["Counts", "MeasurementQueue", "SessionEnd"]
-
 _CONTINUES_M = 0.5  # and rad: the odometry continues within this distance
 _LATE_S = 0.5
 _IGNORED_S = 10.0
@@ -32,7 +30,6 @@ _MAX_SPEED = 10.0  # m/s and rad/s: faster than any robot
 _MAX_FRAMES = 256  # of lasers
 _QUIET_S = 1.0  # a scan is lost without a warning this close to the first and the last transform
 _MAY_ARRIVE = (Coverage.NOT_YET, Coverage.NOT_CONNECTED)
-
 
 _Key = TypeVar("_Key")
 _Value = TypeVar("_Value")

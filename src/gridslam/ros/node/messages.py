@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from gridslam.messages import Level
 from gridslam.types import FloatArray
 
 __all__ = [
+    "PLANAR",
     "CloudMessage",
     "Diagnostics",
     "GridMessage",
@@ -22,6 +23,10 @@ __all__ = [
     "ScanMessage",
     "StampedTransform",
 ]
+
+
+PLANAR: Final = np.ix_((0, 1, 5), (0, 1, 5))
+"""x, y and yaw of a covariance (6, 6) by x, y, z, roll, pitch and yaw."""
 
 
 class GridMessage(NamedTuple):

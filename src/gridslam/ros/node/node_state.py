@@ -8,8 +8,6 @@ from typing import NamedTuple, final
 
 from gridslam.messages import Level
 
-__all__ = ["NodeFacts", "NodeState", "find_state"]
-
 _SILENT_S = 5.0
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from gridslam.io.bags.encoder import MessageEncoder, Values
 from gridslam.ros.node.messages import (
+    PLANAR,
     CloudMessage,
     Diagnostics,
     GridMessage,
@@ -19,8 +20,6 @@ from gridslam.ros.node.messages import (
     StampedTransform,
 )
 from gridslam.ros.node.transport import ALL_TOPICS, TOPICS
-
-__all__ = ["EncodedOutputs", "grid_values"]
 
 
 @final
@@ -86,7 +85,7 @@ class EncodedOutputs:
         """Publish a pose with its covariance."""
         x, y, theta = message.pose.tolist()
         covariance = np.zeros((6, 6))
-        covariance[np.ix_((0, 1, 5), (0, 1, 5))] = message.covariance
+        covariance[PLANAR] = message.covariance
         turn = (0.0, 0.0, math.sin(0.5 * theta), math.cos(0.5 * theta))
         header = self._encoder.header(topic, message.stamp_ns, message.frame)
         self._send(topic, header, (((x, y, 0.0), turn), covariance.ravel()))

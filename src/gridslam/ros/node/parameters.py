@@ -23,8 +23,6 @@ from gridslam.ros.node.live_autosave import SessionFiles
 from gridslam.ros.node.session import Localization
 from gridslam.ros.node.session_parameters import SESSION_DEFAULTS, read_session_files
 
-__all__ = ["GMAPPING_DEFAULTS", "NODE_DEFAULTS", "NodeParameters", "NodeSettings", "node_parameters"]
-
 _GROWS, _NOT_SAMPLED = "the map grows by itself", "the likelihood around a match is not sampled"
 _GMAPPING: Final[tuple[tuple[str, float | int | str, str, str], ...]] = (
     ("throttle_scans", 1, "throttle_scans", ""),

@@ -17,8 +17,6 @@ from gridslam.ros.node.parameters import NodeSettings
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import OccupancyGrid
 
-__all__ = ["MapRenderer", "make_grid_message", "map_cells"]
-
 _PATIENCE_S = 10.0  # with a subscriber of the map that is slow
 
 
@@ -102,21 +100,18 @@ class MapRenderer:
         self._rendered = self._executor.submit(self._render, arrays, stamp_ns)
         return state.maps.nbytes
 
-    def finish(self) -> None:
-        """Publish the pending map, before another map takes its place."""
-        self._wait()
-
     def reset(self) -> None:
         """Discard the map at the start of a new session."""
-        self._wait()
+        self.finish()
         self.latest = None
 
     def close(self) -> None:
         """Render the pending map and stop the thread."""
-        self._wait()
+        self.finish()
         self._executor.shutdown(wait=False)
 
-    def _wait(self) -> None:
+    def finish(self) -> None:
+        """Wait until the pending map is published, as before another map takes its place."""
         if self._rendered is not None:
             wait([self._rendered], _PATIENCE_S)
 

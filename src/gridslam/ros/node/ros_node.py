@@ -20,7 +20,7 @@ from gridslam.io.bags.ros_messages import MessageError, Wire, decode_scan, decod
 from gridslam.io.output import OutputFolder
 from gridslam.pipeline import describe_error
 from gridslam.ros.node.core import NodeCore
-from gridslam.ros.node.grid_input import grid_of, pose_of
+from gridslam.ros.node.grid_input import covariance_of, grid_of, pose_of
 from gridslam.ros.node.live_autosave import keep_other
 from gridslam.ros.node.mapping_session import SessionCopy
 from gridslam.ros.node.messages import GridMessage, Level
@@ -28,15 +28,11 @@ from gridslam.ros.node.outputs import grid_values
 from gridslam.ros.node.parameters import NodeParameters
 from gridslam.ros.node.session_services import SessionServices
 from gridslam.ros.node.transport import LOCALIZATION_TOPICS, TOPICS, RunOptions, Serve, Transport
-from gridslam.types import FloatArray
-
-__all__ = ["RosNode", "save_results", "set_pose_from_message"]
 
 _POSE = TOPICS["~/pose"]
 _PAUSED = "paused_new_measurements"
 _SAVE_AS = "save_as"
 _SCANS_DEPTH, _TRANSFORMS_DEPTH = 500, 2500  # what a pause of some seconds may hold up
-_PLANAR = np.ix_((0, 1, 5), (0, 1, 5))  # x, y and yaw of x, y, z, roll, pitch, yaw
 _EMPTY_MAP: Final = GridMessage(0, "", 0.0, (0.0, 0.0), np.zeros((0, 0), np.int8))
 
 
@@ -202,7 +198,7 @@ class RosNode:
         def set_map(request: Any) -> tuple[bool]:  # noqa: ANN401
             try:
                 given = request.initial_pose.pose
-                covariance = _covariance_of(given)
+                covariance = covariance_of(given)
                 core.set_map(grid_of(request.map), (pose_of(given.pose), covariance) if covariance.any() else None)
             except (ArgumentError, MessageError) as error:
                 core.refuse_message("request", f"set_map: {error}")
@@ -220,7 +216,6 @@ class RosNode:
         own: dict[str, tuple[str, Serve, bool]] = {
             "~/reset": ("std_srvs/Empty", reset, False),
             "~/pause": ("std_srvs/SetBool", pause, False),
-            "~/save": ("std_srvs/Trigger", lambda request: save_results(core, core.results_folder), True),
             **{name: (kind, serve, True) for name, (kind, serve) in self._services.standard().items()},
         }
         if core.localizes:
@@ -292,15 +287,6 @@ class RosNode:
         self._transport.subscribe(topic, kind, on_message, **qos)
 
 
-def save_results(core: NodeCore, folder: Path) -> tuple[bool, str]:
-    """Save; return whether it succeeded, and a message."""
-    try:
-        document = core.save(folder)
-    except GridslamError as error:
-        return False, str(error)
-    return True, f"{document['scans']['read']} scans: {folder.resolve()}"
-
-
 def set_pose_from_message(core: NodeCore, message: Any) -> None:  # noqa: ANN401
     """Set the pose of the robot from geometry_msgs/PoseWithCovarianceStamped, as RViz sends it on `initialpose`.
 
@@ -310,11 +296,6 @@ def set_pose_from_message(core: NodeCore, message: Any) -> None:  # noqa: ANN401
     if frame != core.settings.map_frame:
         raise MessageError(f"expected a pose in the frame {core.settings.map_frame}, got {frame!r}")
     try:
-        core.set_pose((pose_of(message.pose.pose), _covariance_of(message.pose)))
+        core.set_pose((pose_of(message.pose.pose), covariance_of(message.pose)))
     except ArgumentError as error:
         raise MessageError(str(error)) from None
-
-
-def _covariance_of(message: Any) -> FloatArray:  # noqa: ANN401
-    """Return the covariance (3, 3) in the plane of a decoded geometry_msgs/PoseWithCovariance."""
-    return np.asarray(message.covariance, np.float64).reshape(6, 6)[_PLANAR]

@@ -10,8 +10,6 @@ from typing import Final
 
 from gridslam.io.bags.encoder import MessageEncoder
 
-__all__ = ["BODY", "GRAPH", "GRAPH_FROM_IRON", "service_encoder"]
-
 BODY: Final = "Body"
 """Suffix of the types without the header that rmw_cyclonedds puts before requests and responses."""
 

@@ -19,14 +19,6 @@ from gridslam.localization import (
 from gridslam.pipeline import FailedStep, run
 from gridslam.types import FloatArray, LaserScan, Odometry
 
-__all__ = [
-    "FailureCallback",
-    "InitialPose",
-    "Localization",
-    "LocalizationSession",
-    "WaitingSession",
-]
-
 FailureCallback: TypeAlias = Callable[[FailedStep], None]
 """Called with each step that failed."""
 

@@ -16,8 +16,6 @@ from gridslam.ros.node.continued import Continued
 from gridslam.ros.node.live_autosave import AUTOSAVE, SessionFiles
 from gridslam.types import FloatArray
 
-__all__ = ["SESSION_DEFAULTS", "find_saved_session", "read_session_files"]
-
 SESSION_DEFAULTS: Final[Mapping[str, float | str]] = {
     "save": "",
     "continue": "",
@@ -55,7 +53,10 @@ def read_session_files(values: Mapping[str, Any], out: Path | None, threads: int
         known = ", ".join(place.value for place in Place)
         raise ConfigurationError(f"begin_at: expected one of {known}, got {values['begin_at']!r}") from None
     pose = _read_pose(values["begin_pose"])
-    floor = _read_floor(values["floor"])
+    try:
+        floor = require_floor(str(values["floor"]))
+    except ArgumentError as error:
+        raise ConfigurationError(str(error)) from None
     continued = None
     if values["continue"]:
         continued = Continued.read(str(values["continue"]), threads, place, pose)
@@ -71,13 +72,6 @@ def read_session_files(values: Mapping[str, Any], out: Path | None, threads: int
     save = Path(str(values["save"])) if values["save"] else None
     autosave = save if out is None else out / AUTOSAVE
     return SessionFiles(continued, save, autosave if minutes else None, 60.0 * minutes, floor)
-
-
-def _read_floor(value: Any) -> str:  # noqa: ANN401
-    try:
-        return require_floor(str(value))
-    except ArgumentError as error:
-        raise ConfigurationError(str(error)) from None
 
 
 def _read_pose(value: Any) -> FloatArray | None:  # noqa: ANN401

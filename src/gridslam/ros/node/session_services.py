@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from enum import IntEnum
 from pathlib import Path
@@ -27,8 +28,6 @@ from gridslam.ros.node.grid_input import pose_of
 from gridslam.ros.node.messages import Level
 from gridslam.ros.node.session import InitialPose
 from gridslam.types import FloatArray, OccupancyGrid
-
-__all__ = ["MatchType", "SessionServices"]
 
 Answer: TypeAlias = tuple[bool, str]
 """Whether it succeeded, and a message."""
@@ -81,6 +80,7 @@ class SessionServices:
     def standard(self) -> dict[str, tuple[str, Callable[[Any], Answer]]]:
         """Services of std_srvs by name: their types, and what serves a request."""
         return {
+            "~/save": ("std_srvs/Trigger", lambda request: self.answer(self.save)),
             "~/serialize_map": ("std_srvs/Trigger", lambda request: self.answer(self.serialize, self.save_as)),
             "~/deserialize_map": ("std_srvs/Trigger", lambda request: self.answer(self.deserialize, self.save_as)),
             "~/save_map": ("std_srvs/Trigger", lambda request: self.answer(self.save_map, self.save_as)),
@@ -91,11 +91,8 @@ class SessionServices:
     def of_slam_toolbox(self) -> dict[str, tuple[str, Callable[[Any], Sequence[Any]]]]:
         """Services of slam_toolbox by name: their types, and what serves a request."""
 
-        def serialize(request: Any) -> tuple[int]:  # noqa: ANN401
-            return (0 if self.answer(self.serialize, request.filename)[0] else _FAILED,)
-
-        def save(request: Any) -> tuple[int]:  # noqa: ANN401
-            return (0 if self.answer(self.save_map, request.name.data)[0] else _FAILED,)
+        def write(serve: Callable[[str], str], name: str) -> tuple[int]:
+            return (0 if self.answer(serve, name)[0] else _FAILED,)
 
         def deserialize(request: Any) -> tuple[int]:  # noqa: ANN401
             try:
@@ -117,22 +114,30 @@ class SessionServices:
             return (0,)
 
         return {
-            "slam_toolbox/serialize_map": ("slam_toolbox/SerializePoseGraph", serialize),
+            "slam_toolbox/serialize_map": (
+                "slam_toolbox/SerializePoseGraph",
+                lambda request: write(self.serialize, request.filename),
+            ),
             "slam_toolbox/deserialize_map": ("slam_toolbox/DeserializePoseGraph", deserialize),
-            "slam_toolbox/save_map": ("slam_toolbox/SaveMap", save),
+            "slam_toolbox/save_map": ("slam_toolbox/SaveMap", lambda request: write(self.save_map, request.name.data)),
             "slam_toolbox/pause_new_measurements": ("slam_toolbox/Pause", pause),
             "slam_toolbox/clear_changes": ("slam_toolbox/Clear", lambda request: ()),  # nobody moves nodes by hand
             "slam_toolbox/reset": ("slam_toolbox/Reset", reset),
         }
 
+    def save(self) -> str:
+        """Write what `gridslam map` writes to the folder; returns what was done. Raises GridslamError."""
+        document = self._core.save(self._folder)
+        return f"results of {document['scans']['read']} scans saved: {self._folder.resolve()}"
+
     def serialize(self, name: str = "") -> str:
         """Write the session to NAME.gridslam; returns what was done. Raises GridslamError where it cannot be."""
         path = self._session_path(name)
         copied = self._core.copy_session()
-        _make_folder(path)
-        if path not in self._written:
-            set_aside(path, copied.edits)
-        copied.save_session(path)
+        with _writing(path):
+            if path not in self._written:
+                set_aside(path, copied.edits)
+            copied.save_session(path)
         self._written.add(path)
         return f"session saved: {path.resolve()}"
 
@@ -187,8 +192,8 @@ class SessionServices:
         if other.resolve() in (own.resolve(), joined.resolve()):
             raise ArgumentError("merge", "another name, as this file is written", str(other))
         copied = self._core.copy_session()
-        _make_folder(own)
-        staging = StagingFolder(own.parent, own.name)  # which the next run removes if this one is killed
+        with _writing(own):
+            staging = StagingFolder(own.parent, own.name)  # which the next run removes if this one is killed
         try:
             aside = staging.path / own.name
             copied.save_session(aside)
@@ -212,11 +217,8 @@ class SessionServices:
         path = Path(name).expanduser() if name else self._folder / "map"
         yaml = path.with_name(f"{path.name.removesuffix('.yaml')}.yaml")
         grid = self._copy_map()[0]
-        _make_folder(yaml)
-        try:
+        with _writing(yaml):
             write_map(yaml, grid)
-        except OSError as error:
-            raise ArgumentError("name", "a file that can be written", f"{yaml}: {error.strerror or error}") from None
         return f"map saved: {yaml.resolve()}"
 
     def localize(self, on: bool) -> str:
@@ -269,12 +271,15 @@ class SessionServices:
         return True, done
 
     def _refuse(self, error: Exception) -> None:
-        self._log(Level.WARN, str(error) if isinstance(error, GridslamError) else describe_error(error))
+        problem = str(error) if isinstance(error, GridslamError) else describe_error(error)
+        self._log(Level.WARN, f"request refused: {problem}")
 
 
-def _make_folder(path: Path) -> None:
-    """Make the folder of a file that somebody asks for; raises ArgumentError where it cannot be."""
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Make the folder of a file that somebody asks for; raises ArgumentError where that or the file cannot be."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        yield
     except OSError as error:
         raise ArgumentError("name", "a file that can be written", f"{path}: {error.strerror or error}") from None

@@ -24,8 +24,6 @@ from gridslam.ros.node.rendering import MapRenderer
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, StepReport, describe_duration
 
-__all__ = ["StatePublisher"]
-
 Report: TypeAlias = StepReport | LocalizationReport
 
 _MAX_CLOCK_OFFSET_NS = 5_000_000_000

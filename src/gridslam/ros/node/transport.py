@@ -15,21 +15,6 @@ from gridslam.io.bags.ros_messages import Wire
 from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.messages import Outputs
 
-__all__ = [
-    "ALL_TOPICS",
-    "LATCHED",
-    "LOCALIZATION_TOPICS",
-    "NO_OPTIONS",
-    "POLL_S",
-    "TOPICS",
-    "Handler",
-    "RunOptions",
-    "Serve",
-    "Transport",
-    "ViewerOpener",
-    "import_ros",
-]
-
 TOPICS: Final = {
     "map": "nav_msgs/OccupancyGrid",
     "map_metadata": "nav_msgs/MapMetaData",
@@ -40,7 +25,6 @@ TOPICS: Final = {
     "/diagnostics": "diagnostic_msgs/DiagnosticArray",
 }
 """Published topics and their types; ~ is the node's own name."""
-
 
 LOCALIZATION_TOPICS: Final = {
     "amcl_pose": "geometry_msgs/PoseWithCovarianceStamped",
@@ -99,7 +83,7 @@ def import_ros(ros: str, hint: str, name: str, folder: str = "msg") -> Any:  # n
         module = importlib.import_module(f"{package}.{folder}" if kind else name)
         return getattr(module, kind) if kind else module
     except (ImportError, AttributeError) as error:
-        raise ConfigurationError(f"{ros} is not available ({error}): {hint}") from None
+        raise ConfigurationError(f"{name} of {ros} is not available ({error}): {hint}") from None
 
 
 class Transport(Protocol):

@@ -23,8 +23,6 @@ from gridslam.ros.node.ros_node import RosNode
 from gridslam.ros.node.service_types import BODY, service_encoder
 from gridslam.ros.node.transport import LATCHED, NO_OPTIONS, POLL_S, Handler, RunOptions, Serve, import_ros
 
-__all__ = ["NODE_NAME", "Ros1Transport", "check_ros1_arguments", "run_ros1"]
-
 NODE_NAME = "slam_gmapping"
 
 _MASTER_PERIOD_S = 2.0

@@ -16,8 +16,6 @@ from gridslam.io.ros_parameters import read_parameter_file
 from gridslam.io.yaml import parse_yaml
 from gridslam.ros.rtps.qos import Qos
 
-__all__ = ["RosArguments", "find_foreign_files", "parse_ros_arguments"]
-
 _KINDS: Final[tuple[tuple[str, ...], ...]] = (
     ("-p", "--param"),
     ("-r", "--remap"),

@@ -10,8 +10,6 @@ from typing import Any, Final, final
 
 from gridslam.io.bags.encoder import Values
 
-__all__ = ["LifecycleServices"]
-
 _STATES: Final = {
     0: "unknown",
     1: "unconfigured",

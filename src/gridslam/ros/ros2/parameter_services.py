@@ -10,8 +10,6 @@ from typing import Any, Final, TypeAlias, final
 
 from gridslam.io.bags.encoder import Values
 
-__all__ = ["ParameterServices"]
-
 _NOT_SET, _BOOL, _INTEGER, _DOUBLE, _STRING, _ARRAYS = range(6)
 _FIELDS: Final = ("bool_value", "integer_value", "double_value", "string_value")
 _NOTHING: Final[Values] = (False, 0, 0.0, "", [], [], [], [], [])
@@ -43,7 +41,7 @@ class ParameterServices:
         self,
         values: Mapping[str, Any],
         change: Callable[[str, Any], str],
-        settable: Sequence[str] = (),
+        settable: Sequence[str],
         report: Report = lambda new, changed: None,
     ) -> None:
         self._values = dict(values)

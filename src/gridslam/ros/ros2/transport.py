@@ -19,8 +19,6 @@ from gridslam.ros.ros2.arguments import find_foreign_files
 from gridslam.ros.ros2.lifecycle_services import LifecycleServices
 from gridslam.ros.ros2.parameter_services import ParameterServices
 
-__all__ = ["Ros2Transport"]
-
 _PARAMETER_EVENTS, _TRANSITION_EVENT = "/parameter_events", "~/transition_event"
 _TYPES: Final = {
     _PARAMETER_EVENTS: "rcl_interfaces/ParameterEvent",
@@ -51,6 +49,7 @@ class Ros2Transport(Transport):
         self._name = name
         self._simulated = simulated
         self._parameters: ParameterServices | None = None
+        self._refuse: Callable[[str, str], None] = lambda kind, problem: None
 
     def connect(self, refuse: Callable[[str, str], None], topics: Mapping[str, str]) -> None:
         """Create the publishers; `refuse` is called with kind and problem of what cannot be received."""
@@ -89,6 +88,10 @@ class Ros2Transport(Transport):
         """Set parameters of the node."""
         if self._parameters is not None:
             self._parameters.store(values)
+
+    def _refuse_request(self, service: str, problem: str) -> None:
+        """Report why a request is not answered."""
+        self._refuse("request", f"{self.resolve(service)}: {problem}")
 
     def run(self, arguments: Sequence[str], parameters: NodeParameters, options: RunOptions) -> None:
         """Run the node until it is stopped; a managed one begins unconfigured."""

@@ -7,7 +7,8 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Final, final
 
 from gridslam.errors import ConfigurationError
@@ -17,10 +18,10 @@ from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.transport import NO_OPTIONS, POLL_S, Handler, RunOptions, Serve
 from gridslam.ros.ros2.arguments import RosArguments, parse_ros_arguments
 from gridslam.ros.ros2.transport import Ros2Transport
-from gridslam.ros.ros2_dds.participant import DdsParticipant
+from gridslam.ros.ros2_dds.endpoints import Ros2Endpoints
+from gridslam.ros.rtps.participant import Participant
 from gridslam.ros.rtps.qos import Qos
-
-__all__ = ["DdsTransport", "run_dds"]
+from gridslam.ros.rtps.writer import Writer
 
 _ROSOUT, _LOG, _LOG_DEPTH = "/rosout", "rcl_interfaces/Log", 1000
 _LEVELS: Final = {Level.OK: (20, "INFO"), Level.WARN: (30, "WARN"), Level.ERROR: (40, "ERROR")}
@@ -38,7 +39,7 @@ class DdsTransport(Ros2Transport):
     simulated : bool
         Whether to use the time of /clock.
     domain, interfaces, peers
-        As of `gridslam.ros.rtps.participant.Participant`.
+        As of `Participant`.
     """
 
     def __init__(
@@ -52,12 +53,12 @@ class DdsTransport(Ros2Transport):
     ) -> None:
         node = arguments.namespace, arguments.node
         super().__init__(f"{node[0].rstrip('/')}/{node[1]}", simulated=simulated)
-        self._refuse: Callable[[str, str], None] = lambda kind, problem: None
         self._arguments = arguments
         self._clock_ns = 0
         self._listens_to_clock = False
-        self._participant = DdsParticipant(domain, interfaces, self._on_mismatch, node, peers, self.encoder)
-        self._writers: dict[str, str] = {}
+        self._participant = Participant(domain, interfaces, arguments.node, self._on_mismatch, peers)
+        self._endpoints = Ros2Endpoints(self._participant, node, self.encoder)
+        self._writers: dict[str, Writer] = {}
         self._add_publisher(_ROSOUT, _LOG, latched=True, depth=_LOG_DEPTH)
         if arguments.ignored:
             self._log(Level.WARN, f"arguments that are ignored, as there is no ROS: {', '.join(arguments.ignored)}")
@@ -73,14 +74,12 @@ class DdsTransport(Ros2Transport):
         """Subscribe to the bytes of messages."""
         name = self.resolve(topic)
         qos = self._arguments.override_qos(name, "subscription", Qos(reliable=reliable, latched=latched, depth=depth))
-        self._participant.add_reader(f"rt{name}", kind, handle, qos)
+        self._endpoints.add_reader(f"rt{name}", kind, handle, qos)
 
     def advertise(self, service: str, kind: str, serve: Serve, *, slow: bool = False) -> None:
         """Offer a service; a slow one answers in a thread of its own."""
-        name = self.resolve(service)
-        self._participant.add_service(
-            name, kind, serve, lambda problem: self._refuse("request", f"{name}: {problem}"), slow=slow
-        )
+        refuse = partial(self._refuse_request, service)
+        self._endpoints.add_service(self.resolve(service), kind, serve, refuse, slow=slow)
 
     def spin(self, ended: threading.Event) -> Iterator[str]:
         """Deliver messages until the event is set."""
@@ -95,8 +94,7 @@ class DdsTransport(Ros2Transport):
     def _add_publisher(self, topic: str, kind: str, *, latched: bool, depth: int) -> bool:
         name = self.resolve(topic)
         qos = self._arguments.override_qos(name, "publisher", Qos(latched=latched, depth=depth))
-        self._writers[topic] = f"rt{name}"
-        self._participant.add_writer(self._writers[topic], kind, qos)
+        self._writers[topic] = self._endpoints.add_writer(f"rt{name}", kind, qos)
         return True
 
     def _use_sim_time(self, simulated: bool) -> None:
@@ -107,7 +105,7 @@ class DdsTransport(Ros2Transport):
 
     def _publish(self, topic: str, data: bytes) -> None:
         if topic in self._writers:
-            self._participant.publish(self._writers[topic], data)
+            self._participant.write(self._writers[topic], data)
 
     def _now_ns(self) -> int:
         return self._clock_ns if self._simulated else time.time_ns()

@@ -19,8 +19,6 @@ from gridslam.ros.node.service_types import BODY
 from gridslam.ros.node.transport import NO_OPTIONS, POLL_S, TOPICS, Handler, RunOptions, Serve, import_ros
 from gridslam.ros.ros2.transport import Ros2Transport
 
-__all__ = ["NODE_NAME", "RclpyTransport", "run_rclpy"]
-
 NODE_NAME = "gridslam"
 
 _ROS_S = "use_sim_time", "start_type_description_service"  # parameters that rclpy handles
@@ -76,13 +74,10 @@ class RclpyTransport(Ros2Transport):
                 data = self.encoder.encode(f"{kind}_Response{BODY}", *(serve(request) or (0,)))
                 return self._deserialize(data, service_class.Response)
             except Exception as error:  # the executor goes on, whatever was asked
-                self._refuse("request", f"{service}: {describe_error(error)}")
+                self._refuse_request(service, describe_error(error))
                 return response
 
-        def begin(request: Any, response: Any) -> Any:  # noqa: ANN401
-            return partial(answer, request, response)
-
-        offered = self._node.create_service(service_class, service, begin if slow else answer)
+        offered = self._node.create_service(service_class, service, partial(partial, answer) if slow else answer)
         send = offered.send_response
 
         def start(work: Callable[[], Any], header: Any) -> None:  # noqa: ANN401

@@ -21,19 +21,6 @@ from gridslam.ros.rtps.wire import (
     parse_parameters,
 )
 
-__all__ = [
-    "ENDPOINT_GUID",
-    "LEASE_S",
-    "PARTICIPANT_GUID",
-    "PL_CDR_LE",
-    "decode_list",
-    "encode_endpoint",
-    "encode_gone",
-    "encode_participant",
-    "parse_endpoint",
-    "parse_participant",
-]
-
 LEASE_S: Final = 10
 PL_CDR_LE: Final = b"\0\3\0\0"
 PARTICIPANT_GUID, ENDPOINT_GUID = 0x50, 0x5A
@@ -153,8 +140,7 @@ def _guid(parameters: Parameters, name: int) -> bytes:
 
 
 def _text(value: str) -> bytes:
-    data = value.encode() + b"\0"
-    return struct.pack("<I", len(data)) + data
+    return _octets(value.encode() + b"\0")
 
 
 def _octets(value: bytes) -> bytes:

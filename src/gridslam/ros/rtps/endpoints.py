@@ -9,8 +9,6 @@ from typing import Final, NamedTuple, TypeAlias, final
 from gridslam.ros.rtps.qos import Qos
 from gridslam.ros.rtps.wire import Address
 
-__all__ = ["ANY", "Guid", "RemoteEndpoint", "RemoteParticipant", "Sample", "Send"]
-
 Guid: TypeAlias = bytes
 """Prefix of the participant (12 bytes), then the entity (4 bytes)."""
 

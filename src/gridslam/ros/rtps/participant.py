@@ -37,8 +37,6 @@ from gridslam.ros.rtps.wire import (
 )
 from gridslam.ros.rtps.writer import Writer
 
-__all__ = ["Participant"]
-
 _SPDP_WRITER, _SPDP_READER = b"\0\1\0\xc2", b"\0\1\0\xc7"
 _PUBLICATIONS, _SUBSCRIPTIONS = (b"\0\0\3\xc2", b"\0\0\3\xc7"), (b"\0\0\4\xc2", b"\0\0\4\xc7")
 _HAS_PUBLICATIONS, _HAS_SUBSCRIPTIONS = (4, 8), (16, 32)

@@ -8,8 +8,6 @@ from typing import Final, final
 
 from gridslam.ros.rtps.wire import Parameters
 
-__all__ = ["Qos", "find_mismatch", "parse_qos"]
-
 DURABILITY, DEADLINE, LIVELINESS, RELIABILITY, HISTORY, PARTITION = 0x1D, 0x23, 0x1B, 0x1A, 0x40, 0x29
 _INFINITE: Final = struct.pack("<iI", 0x7FFFFFFF, 0xFFFFFFFF)
 _BLOCKING: Final = struct.pack("<iI", 0, 100_000_000)

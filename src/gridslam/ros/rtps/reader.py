@@ -10,8 +10,6 @@ from gridslam.ros.rtps.endpoints import Guid, RemoteEndpoint, Sample, Send
 from gridslam.ros.rtps.qos import Qos
 from gridslam.ros.rtps.wire import Data, encode_acknack, encode_nack_frag
 
-__all__ = ["Reader"]
-
 RELATED: Final = (0x0083, 0x800F)
 """Identity of a related sample: of DDS-RPC, and of eProsima before."""
 

@@ -13,8 +13,6 @@ from typing import Final, final
 from gridslam.errors import ConfigurationError
 from gridslam.ros.rtps.wire import Address
 
-__all__ = ["MULTICAST", "Sockets", "find_addresses"]
-
 MULTICAST: Final = "239.255.0.1"
 _MAX_PARTICIPANTS: Final = 120
 _BUFFER_BYTES: Final = 1 << 22
@@ -77,8 +75,6 @@ class Sockets:
 
     Attributes
     ----------
-    domain : int
-        As given.
     receivers : list of socket
         To read from.
     discovery, user : list of (str, int)
@@ -93,7 +89,6 @@ class Sockets:
     def __init__(self, domain: int, interfaces: Sequence[str] = (), peers: Sequence[str] = ()) -> None:
         if not 0 <= domain <= 232:
             raise ConfigurationError(f"ROS_DOMAIN_ID: expected a number from 0 to 232, got {domain}")
-        self.domain = domain
         base = 7400 + 250 * domain
         addresses = find_addresses(interfaces)
         is_local = all(address.startswith("127.") for address in addresses)

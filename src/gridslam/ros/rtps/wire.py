@@ -10,37 +10,6 @@ import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final, NamedTuple, TypeAlias, final
 
-__all__ = [
-    "ACKNACK",
-    "DATA",
-    "DATA_FRAG",
-    "GAP",
-    "HEARTBEAT",
-    "INFO_DST",
-    "NACK_FRAG",
-    "SENTINEL",
-    "Address",
-    "Data",
-    "Parameters",
-    "Submessage",
-    "WireError",
-    "encode_acknack",
-    "encode_data",
-    "encode_data_frag",
-    "encode_gap",
-    "encode_heartbeat",
-    "encode_locator",
-    "encode_message",
-    "encode_nack_frag",
-    "encode_parameters",
-    "parse_data",
-    "parse_locator",
-    "parse_message",
-    "parse_parameters",
-    "parse_sequence",
-    "parse_set",
-]
-
 PAD, ACKNACK, HEARTBEAT, GAP, INFO_TS, INFO_SRC, INFO_DST = 0x01, 0x06, 0x07, 0x08, 0x09, 0x0C, 0x0E
 NACK_FRAG, DATA, DATA_FRAG = 0x12, 0x15, 0x16
 SENTINEL: Final = 0x01

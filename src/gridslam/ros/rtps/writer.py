@@ -17,8 +17,6 @@ from gridslam.ros.rtps.wire import (
     encode_heartbeat,
 )
 
-__all__ = ["FRAGMENT_BYTES", "Writer"]
-
 FRAGMENT_BYTES: Final = 32_000
 """Larger samples are sent in fragments: few losses where a network splits datagrams, and few datagrams."""
 

@@ -12,29 +12,19 @@ import numpy as np
 from gridslam.geometry.se2 import between, compose, inverse, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.matching.branch_and_bound import thin_points
+from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton
 from gridslam.slam.full_slam.trajectory_score import log_likelihood, weigh_same_side
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph, anchor_of
 from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.state import LoopClosureState
-from gridslam.slam.loop_closure.submap_matching import SubmapMatching
+from gridslam.slam.loop_closure.submap_matching import COARSE, FINE, MAX_POINTS, Submap, SubmapMatching
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.loop_closure.submap_recognition import drift_distance
 from gridslam.slam.loop_closure.submaps import ROW, build_map
 from gridslam.types import BeamEnds, FloatArray, IntArray, StoredScan
-
-__all__ = [
-    "LENGTH_M",
-    "MIN_CONSTRAINTS",
-    "Alignment",
-    "Hypothesis",
-    "KnownMap",
-    "SearchHit",
-    "align_components",
-    "group_hits",
-]
 
 _CONSISTENT_M = 0.3
 _CONSISTENT_M_PER_KEY_SCAN = 0.01
@@ -47,7 +37,10 @@ _MATCH_VARIANCES = np.square([0.02, 0.01])
 """Of a match, m^2 and rad^2, beside those of the motion."""
 
 _MIN_OVERLAP = 0.4
-"""Ratio of beams that must end in known cells for a key scan to be matched."""
+"""Ratio of beams that must end in cells known from the same side for a key scan to be matched."""
+
+_MIN_AGREEMENT = 0.7
+"""And how well these must agree: from the next room walls are seen from behind, and pull where nothing is."""
 
 _REACH_M = 30.0
 """A key scan farther away sees nothing of the same."""
@@ -73,7 +66,7 @@ _MAX_HYPOTHESES = 12
 """Maximum number of hypotheses for two components, those with most matches first."""
 _TRACKING_GATE_SIGMAS = 2.5
 """A match of a key scan farther than this many standard deviations from the tracked motion is not used."""
-_MIN_LOG_LIKELIHOOD = 15.0
+_MIN_LOG_LIKELIHOOD = 10.0
 """Least log likelihood (nats) of the best hypothesis, in either direction."""
 _AMBIGUITY_RATIO = 0.6
 """Maximum evidence for any other hypothesis, as a fraction of the best."""
@@ -268,24 +261,50 @@ class Alignment:
         return None if is_comparable else best
 
     def track_component(self, group: list[SearchHit]) -> Hypothesis:
-        """Track a component through the map from the best hit to both of its ends, correcting where a scan matches."""
-        graph = self.closure_state.graph
+        """Lay a component on the map from the best hit: as one, or tracked to both of its ends, whichever fits better.
+
+        A short one is rigid, and few of its key scans see enough of the map; a long one has drifted.
+        """
         begin = max(group, key=lambda hit: hit.score)
+        squared_sigmas = min(hit.squared_sigmas for hit in group)
+        as_one = self._match_as_one(begin)
+        start = as_one[int(np.searchsorted(self.keys, begin.key))]
+        found = []
+        for poses in (as_one, self._track(begin.key, start)):
+            likelihood, overlap, agreement = self._score_both(poses, self._draw(poses))
+            found.append(Hypothesis(poses, likelihood, squared_sigmas, overlap, agreement))
+        return max(found, key=lambda hypothesis: hypothesis.log_likelihood)
+
+    def _match_as_one(self, begin: SearchHit) -> FloatArray:
+        """Poses (K, 3) of the component, which keeps its shape, matched from where a hit has it."""
+        graph = self.closure_state.graph
+        shape = np.array(graph.poses)
+        own = between(shape[begin.key], shape[self.keys])
+        component = Submap(begin.key, self.keys, own, self.closure_state.scans, self.mapper)
+        points = StoredScan(thin_points(component.collect_points(), MAX_POINTS), np.zeros(2))
+        pose = begin.pose
+        for matcher in (COARSE, FINE):
+            (pose,) = matcher(self.known.maps, ROW, pose[None], NO_PRIOR[None], points).poses
+        return compose(pose, own)
+
+    def _track(self, begin: int, pose: FloatArray) -> FloatArray:
+        """Poses (K, 3) of the component from that (3,) of key scan `begin` on, corrected where a scan matches."""
+        graph = self.closure_state.graph
         poses = np.empty((len(self.keys), 3))
-        at = int(np.searchsorted(self.keys, begin.key))
+        at = int(np.searchsorted(self.keys, begin))
+        start = pose
         for way in (range(at, len(self.keys)), range(at - 1, -1, -1)):
-            pose = begin.pose
-            last = begin.key
+            pose = start
+            last = begin
             for index in way:
                 key = int(self.keys[index])
-                guess = compose(pose, between(graph.tracked[last], graph.tracked[key]))
+                guess = compose(pose, between(graph.poses[last], graph.poses[key]))
                 steps = np.array(graph.variances[min(key, last) + 1 : max(key, last) + 1]).reshape(-1, 2)
                 variances = steps.sum(axis=0) + _MATCH_VARIANCES
                 pose = self._match_key_scan(self.closure_state.scans.key(key), guess, variances)
                 poses[index] = pose
                 last = key
-        likelihood, overlap, agreement = self._score_both(poses, self._draw(poses))
-        return Hypothesis(poses, likelihood, min(hit.squared_sigmas for hit in group), overlap, agreement)
+        return poses
 
     def _match_key_scan(self, beams: BeamEnds, guess: FloatArray, variances: FloatArray) -> FloatArray:
         """Pose (3,) of a key scan matched near a guess; the guess if it sees little of the map or moves too far."""
@@ -296,7 +315,11 @@ class Alignment:
         match = _MATCHER(self.known.maps, ROW, guess[None], _LOOSE, beams)
         x, y, turn = between(guess, match.poses[0]).tolist()
         squared = (x * x + y * y) / variances[0] + turn * turn / variances[1]
-        return match.poses[0] if squared < _TRACKING_GATE_SIGMAS**2 else guess
+        if squared >= _TRACKING_GATE_SIGMAS**2:
+            return guess
+        weights = weigh_same_side(self.known.maps, match.poses[0], beams)
+        is_match = len(weights) >= _MIN_OVERLAP * len(beams) and weights.mean() >= _MIN_AGREEMENT
+        return match.poses[0] if is_match else guess
 
     def _draw(self, poses: FloatArray) -> TileMaps:
         """Build the map of the component's key scans at poses (K, 3)."""

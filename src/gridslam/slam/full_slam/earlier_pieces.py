@@ -31,8 +31,6 @@ from gridslam.slam.loop_closure.submap_matching import Submap
 from gridslam.slam.loop_closure.submaps import ROW
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["EarlierPieces"]
-
 _NEAR_M = 5.0
 _NEAR_RAD = 0.5
 """So far from a pose that was given the drive may begin."""

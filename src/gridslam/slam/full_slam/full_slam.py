@@ -32,8 +32,6 @@ from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import scale_information
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
-__all__ = ["FullSlam", "LoopClosureSummary", "full_slam", "refine_piece"]
-
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)

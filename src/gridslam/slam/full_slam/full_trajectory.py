@@ -14,16 +14,6 @@ from gridslam.slam.loop_closure.drift_model import DriftModel, compute_moments, 
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = [
-    "TrackedScans",
-    "drift_covariances",
-    "find_open_directions",
-    "full_trajectories",
-    "full_trajectory",
-    "path_fractions",
-    "scan_covariances",
-]
-
 _HALF_LINE_M = 0.4
 """Half the length of a line along an open direction: those of key scans half a metre apart touch."""
 

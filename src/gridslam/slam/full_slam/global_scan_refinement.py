@@ -28,8 +28,6 @@ from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import CauchyEstimator, scale_information
 from gridslam.types import FloatArray
 
-__all__ = ["Candidate", "CandidateSelection", "RefinementResult", "refine_trajectory"]
-
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
@@ -285,6 +283,13 @@ class _Refinement:
                 return
             selection.add(found)
             is_joined = len(np.unique(self.graph.label_rigid_components())) < components
+            recognized = found.recognized_constraints
+            contradicted = self.closure.find_contradicted(recognized, last.graph.poses)
+            if selection.best is last and 2 * contradicted.sum() < len(recognized):
+                agreeing = [
+                    c for c, is_contradicted in zip(recognized, contradicted, strict=True) if not is_contradicted
+                ]
+                found = selection.best = self._keep_trajectory(last.name, last.graph.poses, agreeing)
             if selection.best is not found and not is_joined:
                 return
             last = found
@@ -304,6 +309,8 @@ class _Refinement:
         closure_state.rejected[RejectionReason.INCONSISTENT] += rejected
         pairs = {constraint.pair for constraint in known}
         new = [constraint for constraint in found if constraint.pair not in pairs]
+        # the filter's poses are drawn at random, and off for some key scans after a gap: components have tracked shapes
+        closure_state.correct(SOLVER.solve(self._graph(begin.graph.poses, known)).poses)
         new += align_components(
             closure_state,
             self.mapper,
@@ -323,7 +330,6 @@ class _Refinement:
         if not recognized:
             return None
         recognized += begin.recognized_constraints
-        self.graph.constraints = recognized
         constraints = self._match_key_scans(recognized, solution.poses)
         return self._refine(name, solution.poses, constraints)
 
@@ -331,13 +337,14 @@ class _Refinement:
         """Yield the trajectory of the filter, and then those computed from it and from the online constraints."""
         found = self.graph.constraints
         recognized = [constraint for constraint in found if constraint.source is ConstraintSource.RECOGNIZED]
-        constraints = self._match_key_scans(recognized, trajectory)
-        graph = self._graph(trajectory, constraints, between(trajectory[:-1], trajectory[1:]))
-        yield Candidate("filter", graph, constraints, _ROBUST.weights(graph))
+        filtered = self._keep_trajectory("filter", trajectory, recognized)
+        constraints = filtered.constraints
+        yield filtered
         if not (constraints or found):
             return
         yield self._refine("refined", trajectory, constraints)
-        start = SOLVER.solve(self._graph(trajectory, found)).poses
+        tracked = np.array(self.graph.tracked)
+        start = SOLVER.solve(self._graph(trajectory, found, between(tracked[:-1], tracked[1:]))).poses
         if _max_distance_m(start, trajectory) > _DISTINCT_CANDIDATE_M:
             constraints = self._match_key_scans(recognized, start)
             yield self._refine("constraints", start, constraints)
@@ -348,21 +355,36 @@ class _Refinement:
         solution = GraphSlam(first_guess="given", robust=_ROBUST).solve(graph)
         return Candidate(name, solution.graph, constraints, solution.weights)
 
+    def _keep_trajectory(self, name: str, poses: FloatArray, recognized: list[Constraint]) -> Candidate:
+        """Make a candidate of poses (T, 3) that stay where they are, whatever is matched at them."""
+        constraints = self._match_key_scans(recognized, poses)
+        graph = self._graph(poses, constraints, between(poses[:-1], poses[1:]))
+        return Candidate(name, graph, constraints, _ROBUST.weights(graph))
+
     def _match_key_scans(self, recognized: list[Constraint], poses: FloatArray) -> list[Constraint]:
         """Recognized and known constraints, and those from matching key scans at poses (T, 3) to the submaps about."""
+        self.graph.constraints = [*self.tracked, *recognized]
         matched = match_key_scans(self.closure_state, poses, self.mapper, self.on_progress)
         return [*recognized, *self.known, *filter(self.graph.allows, matched)]
 
     def _graph(
         self, poses: FloatArray, constraints: list[Constraint], increments: FloatArray | None = None
     ) -> PoseGraph:
-        """Pose graph of poses (T, 3) and constraints, which the key graph takes over; increments as tracked if None."""
+        """Pose graph of poses (T, 3) and constraints, which the key graph takes over; increments as tracked if None.
+
+        Across a gap in the laser data tracked motion is odometry alone: where no constraint joins what it separates,
+        components stay where the poses have them, which a filter has matched to its map.
+        """
         self.graph.poses = list(poses)
         self.graph.constraints = constraints
         graph = self.graph.graph(increments)
         information = graph.information.copy()
         information[: len(poses) - 1] = np.linalg.inv(np.array(self.graph.covariances[1:]).reshape(-1, 3, 3))
-        return replace(graph, information=information)
+        measurements = graph.measurements.copy()
+        if increments is None:
+            apart = np.flatnonzero(np.diff(self.graph.label_rigid_components()))
+            measurements[apart] = between(poses[apart], poses[apart + 1])
+        return replace(graph, information=information, measurements=measurements)
 
 
 def _max_distance_m(poses: FloatArray, others: FloatArray) -> float:

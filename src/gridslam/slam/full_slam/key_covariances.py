@@ -9,8 +9,6 @@ from gridslam.slam.pose_graph.marginals import marginal_covariances
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["key_covariances"]
-
 
 def key_covariances(graph: PoseGraph) -> FloatArray:
     """Covariances (T, 3, 3) of key scans, given that the first pose is exact, of a part that is held, too.

@@ -16,13 +16,11 @@ from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submaps import build_map, key_scans_of
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["VISIT_GAP", "match_key_scans"]
-
 _RECENT_SUBMAPS = 3
 """Submaps so near in time that the tracker has matched them already."""
 
 _KEY_SCANS_AT_A_TIME = 32
-"""Compared with the submaps about them in one go: what is near one is near the next."""
+"""Key scans compared with the submaps around them together: neighbours share most submaps."""
 
 VISIT_GAP = 3
 """Key scans farther apart than this in time belong to different visits of a submap."""

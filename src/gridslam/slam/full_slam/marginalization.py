@@ -12,8 +12,6 @@ from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import UNKNOWN_VARIANCES, KeyGraph, submap_of
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["marginalize"]
-
 
 def marginalize(graph: KeyGraph, kept: IntArray) -> KeyGraph:
     """Make the graph of the key scans `kept` (K,), ascending, about the same poses.

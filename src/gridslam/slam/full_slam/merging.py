@@ -17,13 +17,11 @@ from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["MergedPiece", "merge_pieces"]
-
 _WINDOW = 90
 """Key scans that are aligned together, about 40 m: as many as locate a drive while it is driven."""
 _STRIDE = 45
 _ENOUGH = 3
-"""Windows that agree: then two pieces are joined, and the final refinement finds what else they have in common."""
+"""Number of agreeing windows that join two pieces; the final refinement finds further overlaps."""
 _AGREE_M = 1.0
 _AGREE_RAD = 0.1
 """Windows agree if they have one piece's frame in the other this close together; drives bend by less in 40 m."""

@@ -13,8 +13,6 @@ from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["LINE_REACH_M", "adjust_key_scans", "match_scans"]
-
 _GATES_M = 0.4, 0.08, 0.08
 """Largest residual of a point, in each round."""
 _SUCCESSIVE = 3

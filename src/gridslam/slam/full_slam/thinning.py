@@ -20,8 +20,6 @@ from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.slam.loop_closure.submaps import build_map
 from gridslam.types import IntArray
 
-__all__ = ["ThinnedPiece", "thin_piece"]
-
 _DRIVES = 2
 """Number of newest drives kept per cell: one shows the place as it is now, and another one keeps it where the first saw
 it from one side only."""

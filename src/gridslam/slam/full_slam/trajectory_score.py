@@ -25,8 +25,6 @@ from gridslam.types import FloatArray
 _BEFORE_M = 0.3
 """More than the thickness of most walls inside buildings."""
 
-__all__ = ["SCALE_M", "TrajectoryScore", "log_likelihood", "path_lengths", "score_trajectory", "weigh_same_side"]
-
 
 @final
 @dataclass(frozen=True, slots=True)

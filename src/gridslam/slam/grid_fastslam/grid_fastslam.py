@@ -50,8 +50,6 @@ from gridslam.types import (
     require_step,
 )
 
-__all__ = ["GridFastSlam"]
-
 
 @final
 @checked

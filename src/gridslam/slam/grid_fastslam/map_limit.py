@@ -10,8 +10,6 @@ from gridslam.parameters import bounded, parameters
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["MapLimit"]
-
 _EVERY = 16
 """Key scans from one count of the tiles to the next."""
 

@@ -11,8 +11,6 @@ from gridslam.geometry.angles import wrap
 from gridslam.grid.tiles import TileMaps
 from gridslam.types import FloatArray, MotionSampler, ScanLikelihood
 
-__all__ = ["MotionOfAll", "SearchingMotion"]
-
 _DRAWS = 200
 """Draws of a search: as many peaks of a match as half a metre and ten degrees hold."""
 
@@ -64,7 +62,7 @@ class SearchingMotion:
 @final
 @dataclass(frozen=True, slots=True)
 class MotionOfAll:
-    """Motion of all particles: the best one keeps to what is expected of it, the others look elsewhere.
+    """Motion of all particles: the best one takes the expected motion, the others are sampled.
 
     The best one, which is reported and mapped, is no sample: its draw is the mean, which holds its match. The others
     spread as their motion is drawn, and follow their maps: where a loop closes one of them fits better, and is the best

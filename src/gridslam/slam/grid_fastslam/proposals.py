@@ -16,24 +16,12 @@ import numpy as np
 from gridslam.checked import checked
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, rotate_covariances
-from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
+from gridslam.kernels.reference_update import Int32Array
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton
 from gridslam.matching.hill_climbing import HillClimbing
 from gridslam.parameters import Kind, bounded, parameters
 from gridslam.types import BeamEnds, FloatArray, Match, MotionSampler, ScanLikelihood
-
-__all__ = ["ImprovedProposal", "Matcher", "MotionModelProposal", "Proposal", "ProposedPoses", "ScanMatchedProposal"]
-
-
-class Matcher(Protocol):
-    """Finds where a scan fits maps best (see `gridslam.matching`)."""
-
-    def __call__(
-        self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: BeamEnds
-    ) -> Match:
-        """Match the scan to maps `rows` (K,) from `guesses` (K, 3) with prior information (K, 3, 3)."""
-        ...
 
 
 @final

@@ -17,9 +17,6 @@ from gridslam.slam.loop_closure.drift_model import DriftModel, propagate_covaria
 from gridslam.tracking.state import UnmatchedMotion
 from gridslam.types import BeamEnds, FloatArray, IntArray, LaserScan, Match, MotionSampler, SkipReason, StepReport
 
-__all__ = ["DRIFT", "ReportBuilder", "compute_spread"]
-
-
 _MIN_INFORMATION = 1e-2 * np.eye(3)
 """Information (1/m^2, 1/rad^2) assumed at least: nothing is less certain than 10 m and 10 rad."""
 _SIGMA_M = 0.05
@@ -161,7 +158,7 @@ class ReportBuilder:
         return replace(report, computed_covariance=covariance)
 
     def _drift_at(self, pose: FloatArray, moments: FloatArray, first_pose: FloatArray) -> FloatArray:
-        """Covariance (3, 3) of what a pose (3,) has drifted by since the first one, and of the error of the scale."""
+        """Covariance (3, 3) of the drift of a pose (3,) since the first one, and of the error of the scale."""
         drift: FloatArray = propagate_covariances(pose[None], moments[None])[0]
         drift += DRIFT.scale_covariances((pose - first_pose)[None, :2])[0]
         return drift

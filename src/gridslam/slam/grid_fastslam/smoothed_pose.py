@@ -16,8 +16,6 @@ from gridslam.geometry.se2 import compose, compose_jacobians
 from gridslam.geometry.single_pose import Pose
 from gridslam.types import FloatArray, MotionSampler
 
-__all__ = ["SmoothedPose"]
-
 _MATCH = np.diag(np.square([0.08, 0.08, 0.03]))
 """Covariance (m^2, rad^2) of a match beside that of the motion model, whose standard deviations are five times what a
 tracked motion errs by, so that particles find what they are to follow. Only the ratio of both counts."""

@@ -29,8 +29,6 @@ from gridslam.tracking.state import UnmatchedMotion
 from gridslam.tracking.tracker import TrackerState
 from gridslam.types import FloatArray, IntArray, describe_pose
 
-__all__ = ["STATE_SCHEMA", "Estimate", "GridFastSlamState"]
-
 STATE_SCHEMA = "gridslam.state/13"
 
 _DECISIVE = 3.0
@@ -54,7 +52,7 @@ class Estimate(NamedTuple):
 
 @final
 class BeforeStep(NamedTuple):
-    """What a consumed state needs to be revived: counts, and what a key scan takes from the tracker."""
+    """Values that revive a consumed state: counts, and the tracker's values used at a key scan."""
 
     key_scans: int = 0
     scans: int = 0

@@ -29,8 +29,6 @@ from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.robust import CauchyEstimator
 from gridslam.types import FloatArray, IntArray, MotionModel
 
-__all__ = ["BatchAssociation"]
-
 _NONE = -1
 
 
@@ -172,9 +170,9 @@ class BatchAssociation:
 
 _TOGETHER = 0.1  # share of the observations of the rarer of two copies that may come with the other, wrongly
 _SMOOTHED = np.diag([0.05**2, 0.015**2])
-"""What a smoothed pose errs by, in an observation: m and rad."""
+"""Covariance of an observation by the error of a smoothed pose: m and rad."""
 _FILTERED = 4 * _SMOOTHED
-"""What a pose errs by that a filter has found."""
+"""The same of a filter's pose."""
 
 
 def _label(steps: Sequence[LandmarkStep], labels: Sequence[IntArray]) -> list[LandmarkStep]:

@@ -20,8 +20,6 @@ from gridslam.slam.landmarks.particles import LandmarkParticles
 from gridslam.slam.landmarks.small_gaussians import draw, draw_poses, matvec, transform_covariances, transpose
 from gridslam.types import FloatArray, IntArray, MotionSampler
 
-__all__ = ["BiasProposal", "FastSlam2WithCalibration"]
-
 _FAR_M = 10.0  # greatest range for which the scale of ranges matters to the bound of a gate
 _ROUNDING = 1e-12  # of a variance: where less than that is left, its correlations are nonsense
 

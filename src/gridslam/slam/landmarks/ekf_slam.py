@@ -31,8 +31,6 @@ from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import mahalanobis
 from gridslam.types import FloatArray, IntArray, MotionSampler
 
-__all__ = ["EkfSlam", "EkfSlamState"]
-
 
 @final
 @dataclass(frozen=True)
@@ -119,7 +117,7 @@ class EkfSlam:
         return LandmarkMap(state.names[kept], state.positions[kept], covariances, state.observations[kept])
 
     def predict(self, state: EkfSlamState, motion: MotionSampler, passed_s: float = 0.0) -> None:
-        """Tables 10.1 and 10.2, lines 2 to 5, in place: the pose moves, and what errors have a memory fades."""
+        """Tables 10.1 and 10.2, lines 2 to 5, in place: the pose moves, and correlated errors decay."""
         own = slice(state.first)
         P = state.covariance
         (moved,), (F,), (Q,) = self.bias.predict(motion, state.mean[None, own])
@@ -368,7 +366,7 @@ class EkfSlamState:
             setattr(self, name, getattr(self, name)[kept])
 
     def fade(self, kept: float, variances: FloatArray) -> None:
-        """Let the errors of the observations fade to a share `kept` of what they were, towards `variances` (M, 2)."""
+        """Decay the errors of the observations by the factor `kept`, towards `variances` (M, 2)."""
         shares = np.ones(len(self.mean))
         own = shares[self.first :].reshape(-1, self.width)
         own[:, 2:] = kept

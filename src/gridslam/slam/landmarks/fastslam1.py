@@ -22,8 +22,6 @@ from gridslam.slam.landmarks.particles import LandmarkParticles
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.types import MotionSampler, Resampler
 
-__all__ = ["FastSlam1"]
-
 
 @final
 @dataclass(frozen=True)

@@ -28,8 +28,6 @@ from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import draw_poses, transform_covariances
 from gridslam.types import FloatArray, IntArray, MotionSampler, Resampler
 
-__all__ = ["FastSlam2", "PoseProposal"]
-
 
 @dataclass(eq=False)
 class PoseProposal:
@@ -77,13 +75,13 @@ class PoseProposal:
         return shift
 
     def sample(self, rng: np.random.Generator) -> SampledPoses:
-        """x_t ~ N(mu_x, Sigma_x); mean and covariance are then what the state keeps of them."""
+        """x_t ~ N(mu_x, Sigma_x); mean and covariance then have the values that the state stores."""
         self.mean = draw_poses(self.mean, self.covariance, rng)
         self.covariance = np.zeros_like(self.covariance)
         return SampledPoses(self.mean, self.calibration)
 
     def _jacobian(self, seen: Innovation) -> FloatArray:
-        """H_x (R, 2, 3): derivatives of the observation by what the covariance is of."""
+        """H_x (R, 2, 3): derivatives of the observation by the variables of the covariance."""
         return seen.by_pose
 
 

@@ -39,8 +39,6 @@ from gridslam.slam.landmarks.small_gaussians import (
 )
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Innovation", "LandmarkFilters", "PoseBelief", "SampledPoses"]
-
 # Sensors whose predictions a kernel computes; any other one is asked for its own.
 _KINDS: dict[type, int] = {
     RangeBearing: RANGE_BEARING,

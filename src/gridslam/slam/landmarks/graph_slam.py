@@ -21,9 +21,6 @@ from gridslam.slam.pose_graph.marginals import Marginals
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray, MotionModel
 
-__all__ = ["LandmarkGraph", "LandmarkGraphSlam", "LandmarkGraphSolution"]
-
-
 _ALMOST_EXACT = 1e-12  # m^2 and rad^2 added to covariances, since an increment may have no noise
 
 

@@ -22,9 +22,6 @@ from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import transform_covariances
 from gridslam.types import FloatArray, IntArray, MotionSampler
 
-__all__ = ["LandmarkParticles", "smooth_trajectory"]
-
-
 _NO_BIAS = np.empty((0, 0))
 _MORE = 8  # columns that are added where none is free
 
@@ -308,7 +305,7 @@ def smooth_trajectory(
 
 
 def _smooth_bias(poses: FloatArray, rows: FloatArray, count: int) -> FloatArray:
-    """Turn poses (T, 3) by what the odometry's errors (T, B), which it returns, turned out to be at each of them."""
+    """Correct poses (T, 3) by the smoothed errors of the odometry (T, B), which are returned."""
     believed, by_errors, before = np.split(rows, [count, 4 * count], axis=1)
     errors = believed.copy()
     for t in range(len(rows) - 1, 0, -1):

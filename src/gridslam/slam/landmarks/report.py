@@ -7,8 +7,6 @@ from typing import final
 
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["LandmarkMap", "LandmarkReport"]
-
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,17 +10,6 @@ from gridslam.geometry.angles import wrap
 from gridslam.kernels import backend
 from gridslam.types import FloatArray
 
-__all__ = [
-    "draw",
-    "draw_poses",
-    "inverse_2x2",
-    "log_density",
-    "mahalanobis",
-    "matvec",
-    "transform_covariances",
-    "transpose",
-]
-
 
 def transpose(matrices: FloatArray) -> FloatArray:
     """Transposes (N, j, i) of matrices (N, i, j), copied: products of many small matrices are twice as fast so."""

@@ -14,15 +14,6 @@ from gridslam.geometry.se2 import adjoint, between, inverse, rotate_covariances
 from gridslam.matching.gauss_newton import degenerate_direction
 from gridslam.types import FloatArray, IntArray, Match
 
-__all__ = [
-    "Constraint",
-    "ConstraintSource",
-    "constraints_from_matches",
-    "key_scan_pairs",
-    "select_shown_closures",
-    "transform_match",
-]
-
 _MOST_RECOGNIZED = 300  # that are shown; of more every second, third, ...
 _KEY_SCANS_APART = 20  # of the tracked ones that are shown, the later key scans
 _FLOOR = np.diag([1e-2, 1e-2, 1e-2])

@@ -13,8 +13,6 @@ from gridslam.parameters import bounded, parameters
 from gridslam.tracking.state import UnmatchedMotion
 from gridslam.types import FloatArray
 
-__all__ = ["DriftModel", "compute_moments", "compute_step_moments", "diagonal_covariances", "propagate_covariances"]
-
 _STANDSTILL_SIGMA_M = 0.002
 """Standard deviation of the position of an increment without motion."""
 _REJECTED_MATCH_SIGMAS = 1.5

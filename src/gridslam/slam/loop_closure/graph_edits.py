@@ -21,8 +21,6 @@ from gridslam.slam.loop_closure.submaps import build_map
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["GraphEdit", "Placement", "dump_edits", "edit_graph", "load_edits", "match_placed", "score_placed"]
-
 _MATCHER = GaussNewton()
 _NEAR_M = 5.0
 """A scan is put on a place if the robot was this near to it."""
@@ -67,7 +65,7 @@ def edit_graph(graph: KeyGraph, edits: Sequence[GraphEdit]) -> None:
 def match_placed(
     scans: ScanArchive, poses: FloatArray, mapper: OccupancyGridMapping, key: int, placed: FloatArray
 ) -> Placement:
-    """Match a key scan where a person has put it, pose (3,), to what was seen from there at another time.
+    """Match a key scan at a pose (3,) given by a person to the key scans seen there at another time.
 
     Raises ArgumentError where the robot of poses (T, 3) was nowhere near at another time.
     """

@@ -24,19 +24,6 @@ from gridslam.slam.loop_closure.rows import Rows, new_poses
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = [
-    "KEY_SCANS_PER_SUBMAP",
-    "UNKNOWN_VARIANCES",
-    "KeyGraph",
-    "NearbySubmaps",
-    "SubmapDistance",
-    "anchor_of",
-    "first_key_scan",
-    "join_near",
-    "position_sigmas",
-    "submap_of",
-]
-
 KEY_SCANS_PER_SUBMAP = 10
 """Key scans of a submap: about 5 m of driving."""
 
@@ -253,7 +240,7 @@ class KeyGraph:
         covariance: FloatArray | None = None,
         drift_covariance: FloatArray | None = None,
     ) -> None:
-        """Add a key scan: the tracker's pose (3,), the pose (3,) in the map, what the increment is uncertain by.
+        """Add a key scan: the tracker's pose (3,), the pose (3,) in the map, the variances of the increment.
 
         The expected covariance (3, 3) is that of the variances if not given, and that of the drift the same.
         """
@@ -284,7 +271,7 @@ class KeyGraph:
         self.rejected = pair if self.rejected is None else np.concatenate([self.rejected, pair])
 
     def allows(self, constraint: Constraint) -> bool:
-        """Whether no person has rejected what a constraint joins; what a person adds holds all the same."""
+        """Whether a constraint is not rejected by a person, or was added by one."""
         is_by_hand = constraint.source is ConstraintSource.BY_HAND
         return self.rejected is None or is_by_hand or not join_near(self.rejected, constraint.pair).any()
 
@@ -339,11 +326,6 @@ class KeyGraph:
         return np.concatenate(
             [poses, compose(poses[-1], self.tracked_poses_from(last, np.arange(last + 1, len(self))))]
         )
-
-    def tracked_poses_in_map(self, anchors: IntArray, keys: IntArray) -> FloatArray:
-        """Poses (K, 3) of key scans, each as tracked about the pose of the one of `anchors` (K,) near it in the map."""
-        tracked = between(_select_poses(self.tracked, anchors), _select_poses(self.tracked, keys))
-        return compose(_select_poses(self.poses, anchors), tracked)
 
     def tracked_poses_from(self, anchor: int, keys: IntArray) -> FloatArray:
         """Poses (K, 3) of key scans seen from `anchor`, as tracked."""
@@ -444,7 +426,7 @@ class KeyGraph:
         return twin
 
     def _derive(self) -> None:
-        """Extend to the newest key scan what follows from the poses and the variances."""
+        """Extend the values derived from poses and variances to the newest key scan."""
         for key in range(len(self._sums), len(self)):
             x, y, theta = self.poses[key].tolist()
             position, heading = self.variances[key]

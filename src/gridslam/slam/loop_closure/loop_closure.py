@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Protocol, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridslam.checked import checked
 from gridslam.geometry.se2 import between, compose
@@ -29,8 +30,6 @@ from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
 from gridslam.tracking.state import TrackerState, UnmatchedMotion
 from gridslam.types import BeamEnds, FloatArray, StepReport
-
-__all__ = ["SOLVER", "FilterState", "LoopClosure"]
 
 SOLVER = GraphSlam(first_guess="given", robust=GraduatedNonConvexity())
 """How the graph is solved."""
@@ -212,7 +211,7 @@ class LoopClosure:
         closure_state.online_poses.append(state.best_pose)
 
     def _decide(self, closure_state: LoopClosureState, trajectory: FloatArray) -> None:
-        """Add what is recognized to the graph and take back what is no longer; solve it if the filter is elsewhere.
+        """Add recognized closures to the graph and remove withdrawn ones; solve it if the filter disagrees.
 
         Where the filter's trajectory (T, 3) agrees with all that is new, nothing is added: it was no news.
         """
@@ -222,20 +221,20 @@ class LoopClosure:
         known = {constraint.identity for constraint in graph.constraints}
         new = [c for c in accepted if c.identity not in known and graph.allows(c)]
         refuted = known.intersection(constraint.identity for constraint in rejected)
-        if not refuted and not (new and self._contradict_filter(new, trajectory)):
+        if not refuted and not (new and self.find_contradicted(new, trajectory).any()):
             return
         graph.constraints = [constraint for constraint in graph.constraints if constraint.identity not in refuted]
         graph.constraints += new
         closure_state.correct(np.array(graph.poses))
         closure_state.pending_constraints = PendingConstraints(len(graph), len(graph.constraints), len(new))
 
-    def _contradict_filter(self, constraints: list[Constraint], trajectory: FloatArray) -> bool:
-        """Whether the trajectory (T, 3) of the best particle violates the new constraints."""
+    def find_contradicted(self, constraints: list[Constraint], trajectory: FloatArray) -> NDArray[np.bool_]:
+        """Which constraints (C,) a trajectory (T, 3) of the key scans, such as the best particle's, contradicts."""
         from_, to = key_scan_pairs(constraints).T
         has = between(trajectory[from_], trajectory[to])
         missed = between(has, np.array([constraint.measurement for constraint in constraints]))
         far = np.hypot(missed[:, 0], missed[:, 1]) > self.disagree_m
-        return bool((far | (np.abs(missed[:, 2]) > self.disagree_rad)).any())
+        return np.asarray(far | (np.abs(missed[:, 2]) > self.disagree_rad))
 
     def _solve_pending(
         self,
@@ -281,7 +280,7 @@ class LoopClosure:
         correction.inserted = last
 
     def _merge_corrected_map(self, closure_state: LoopClosureState, state: FilterState) -> bool:
-        """Let the filter go on from the corrected map when it is complete, up to the newest key scan."""
+        """Move the filter to the corrected map when that is complete, up to the newest key scan."""
         correction = closure_state.correction
         if correction is None:
             return False

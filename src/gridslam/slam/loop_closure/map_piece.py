@@ -16,8 +16,6 @@ from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.submaps import insert_key_scans
 from gridslam.types import FloatArray
 
-__all__ = ["UNKNOWN_VARIANCES", "MapPiece", "PieceMatch"]
-
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +56,7 @@ class MapPiece:
         return maps
 
     def freeze(self) -> MapPiece:
-        """The same piece, its key scans frozen: whatever is joined with it is aligned with where they are."""
+        """Return the piece with its key scans fixed: other pieces are aligned with them."""
         return self._with_frozen(len(self))
 
     def release(self) -> MapPiece:

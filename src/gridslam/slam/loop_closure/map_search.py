@@ -17,8 +17,6 @@ from gridslam.slam.loop_closure.submap_features import extract_features, match_n
 from gridslam.slam.loop_closure.submap_matching import COARSE, FINE, Submap, poses_of_pairs
 from gridslam.types import FloatArray, StoredScan
 
-__all__ = ["MapPlace", "MapSearch"]
-
 _NEAREST = 5
 """Keypoints of the map that one of a submap is matched with: in a building many look alike."""
 _MOST_COMPARED = 2000

@@ -24,12 +24,10 @@ from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
 from gridslam.slam.loop_closure.submaps import ROW
 from gridslam.types import FloatArray
 
-__all__ = ["PlaceMatching", "squared_sigmas"]
-
 _MATCH_COVARIANCE = np.diag([0.05, 0.05, 0.02]) ** 2
-"""Variances of what two matches of one scan differ by (m^2, m^2, rad^2)."""
+"""Variances of the difference of two matches of one scan (m^2, m^2, rad^2)."""
 _TRACKED_MAX_TURN_RAD = 0.05
-"""The heading is known from tracking: what would turn a key scan farther has been moved since."""
+"""Largest change of heading: tracking knows it better, and larger ones come from moved objects."""
 _TRACKED_KEY_SCANS = 12
 """Number of key scans for which the pose is tracked from the last non-degenerate constraint."""
 _TRACKED_MAX_CORRECTION_M = 0.2

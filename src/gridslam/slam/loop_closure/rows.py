@@ -8,14 +8,12 @@ from typing import Generic, TypeVar, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Rows", "new_poses"]
-
 _Number = TypeVar("_Number", np.float64, np.int32)
 
 
 @final
 class Rows(Generic[_Number]):
-    """Rows of `width` numbers; what is appended costs a row's time, and all of them are one array."""
+    """Rows of `width` numbers: appending takes constant time, and all rows are one array."""
 
     __slots__ = ("_count", "_table")
 

@@ -18,8 +18,6 @@ from gridslam.grid.scan_batch import ScanBatch
 from gridslam.tracking.state import is_within
 from gridslam.types import BeamEnds, FloatArray, IntArray, StoredScan
 
-__all__ = ["ScanArchive"]
-
 _STEPS = 32767
 _NEAR_M = 0.02
 _NEAR_RAD = 0.01

@@ -27,17 +27,6 @@ from gridslam.slam.pose_graph.descent import Computation
 from gridslam.slam.pose_graph.graph_slam import GraphSolution
 from gridslam.types import FloatArray
 
-__all__ = [
-    "Correction",
-    "DriveLocator",
-    "FoundPiece",
-    "LoopClosureState",
-    "PendingConstraints",
-    "RejectionReason",
-    "SubmapPrior",
-    "SubmapSearch",
-]
-
 
 class RejectionReason(Enum):
     """Why a loop-closure candidate was rejected."""
@@ -177,7 +166,7 @@ class FoundPiece(NamedTuple):
 
 
 class DriveLocator(Protocol):
-    """Locates a drive in what earlier ones have left."""
+    """Locates a drive in the maps of earlier ones."""
 
     def locate(self, closure_state: LoopClosureState) -> FoundPiece | None:
         """Called at each key scan: the piece in which the drive so far lies, once that is certain."""

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from gridslam.kernels import backend
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["SubmapFeatures", "extract_features", "match_features", "match_nearest_features"]
-
 _CELL_M = 0.2
 """Cells of the image: coarse enough that drift within a submap and moved chairs change few of them."""
 _MIN_HITS = 2

@@ -21,19 +21,6 @@ from gridslam.slam.loop_closure.submap_features import SubmapFeatures, extract_f
 from gridslam.slam.loop_closure.submaps import ROW, build_map
 from gridslam.types import FloatArray, IntArray, Match, StoredScan
 
-__all__ = [
-    "COARSE",
-    "FINE",
-    "MAX_POINTS",
-    "DrawnSubmap",
-    "Submap",
-    "SubmapMatch",
-    "SubmapMatching",
-    "is_same_place",
-    "poses_of_pairs",
-    "propose_poses",
-]
-
 _REACH_M = 30.0
 """Beams beyond are far apart, and their ends move with the heading."""
 _SAME_M = 0.5

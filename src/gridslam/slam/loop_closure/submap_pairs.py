@@ -20,8 +20,6 @@ from gridslam.slam.loop_closure.submap_matching import (
 )
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["SubmapPairs"]
-
 _FEWEST_KEY_SCANS = 5
 _MOST_DRAWN = 8
 """Drawn submaps that are kept, 1 to 4 MB each."""
@@ -60,7 +58,7 @@ class SubmapPairs:
         step_m: float,
         is_over: bool = False,
     ) -> None:
-        """Cut what is complete of the way into submaps that overlap, none across a gap in the laser data.
+        """Divide the completed part of the trajectory into overlapping submaps, none across a gap in the laser data.
 
         A stretch between gaps ends with a submap of what is left; the last one does so when the drive `is_over`.
         """

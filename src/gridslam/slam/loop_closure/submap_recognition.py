@@ -20,11 +20,9 @@ from gridslam.slam.loop_closure.submap_matching import SubmapMatch, SubmapMatchi
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["SubmapRecognition", "drift_distance", "locate_anchors"]
-
 _MATCH_SIGMA_M = 0.25
 _MATCH_SIGMA_RAD = 0.03
-"""What two matches of overlapping submaps differ by: each is bent by its drift."""
+"""Difference of two matches of overlapping submaps: each is bent by its drift."""
 _CHI2 = 11.34
 """99 % of the chi-squared distribution with three degrees of freedom."""
 _BEND_SHARE = 1 / 3
@@ -36,7 +34,7 @@ _GATE_SIGMAS = 2.5
 """Standard deviations of the drift that a match may need."""
 _MARGIN_M = 2.0
 _MARGIN_RAD = 0.1
-"""What it may need besides."""
+"""Margin added to these, m and rad."""
 _DRIFT_M = 5.0
 _DRIFT_RATIO = 0.08
 _DRIFT_RAD = 0.5
@@ -135,7 +133,7 @@ class SubmapRecognition:
         on_progress: Callable[[], None],
         searched: int = 0,
     ) -> tuple[list[Constraint], int]:
-        """Compare all submaps of a drive that is over: what is accepted, and how many candidates were rejected.
+        """Compare all submaps of a completed drive: accepted closures, and the number of rejected candidates.
 
         How many submaps were not compared with all that the drift model allows for is counted in the state's search.
 

@@ -9,22 +9,13 @@ from typing import final
 
 import numpy as np
 
-from gridslam.grid.arena import Int32Array
 from gridslam.grid.cells import LOG_ODDS_UNIT
 from gridslam.grid.tiles import TileMaps
+from gridslam.kernels.reference_update import Int32Array
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.loop_closure.key_graph import KeyGraph, anchor_of, first_key_scan
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.types import FloatArray, IntArray
-
-__all__ = [
-    "ROW",
-    "SubmapCache",
-    "build_map",
-    "fade",
-    "insert_key_scans",
-    "key_scans_of",
-]
 
 ROW: Int32Array = np.array([0], np.int32)
 """The one row of a submap."""
@@ -36,7 +27,7 @@ _CHANGED = 0.05
 """Share of the cells of a place that change from one drive to the next: furniture and doors, hardly ever walls."""
 _CERTAIN = math.log((1 - _CHANGED) / _CHANGED)
 _LEAST_ABOVE = 0.4
-"""Nats by which an obstacle stays above the threshold, whatever that is: one beam through it."""
+"""Nats by which an obstacle stays above any threshold: one beam through it."""
 
 _SCANS_AT_A_TIME = 128
 """Drawn in one call: as many are in memory as plain numbers."""
@@ -82,7 +73,7 @@ def batches(graph: KeyGraph, keys: range) -> Iterator[tuple[int, int]]:
 
 
 def fade(maps: TileMaps) -> None:
-    """Let what is drawn be no more certain than it is when the next drive begins; see `insert_key_scans`."""
+    """Limit the log-odds of a map to those at the start of the next drive; see `insert_key_scans`."""
     maps.limit(max(_CERTAIN, maps.evidence.occupied_above * LOG_ODDS_UNIT + _LEAST_ABOVE))
 
 

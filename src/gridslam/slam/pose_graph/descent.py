@@ -12,8 +12,6 @@ from gridslam.slam.pose_graph.linear import BlockSystem, linearize
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray
 
-__all__ = ["Computation", "DescentResult", "advance", "descend", "run_to_completion", "squared_mahalanobis"]
-
 T = TypeVar("T")
 
 Computation = Generator[None, None, T]

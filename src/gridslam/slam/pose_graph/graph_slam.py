@@ -19,10 +19,8 @@ from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import CauchyEstimator, GraduatedNonConvexity, scale_information
 from gridslam.types import FloatArray
 
-__all__ = ["GraphSlam", "GraphSolution"]
-
 _RETRY_RATIOS = (0.1, 0.001)
-"""Weights of what is not trusted, for first guesses: which one is fooled less by false measurements varies."""
+"""Weights of untrusted edges for first guesses: the best one depends on the false measurements."""
 
 
 @final

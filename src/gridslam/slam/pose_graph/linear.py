@@ -16,16 +16,6 @@ from gridslam.types import FloatArray, IntArray
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
 
-__all__ = [
-    "BlockSystem",
-    "MatrixBlocks",
-    "find_parts",
-    "initial_guess",
-    "is_connected",
-    "linearize",
-    "require_connected",
-]
-
 _REFINEMENTS = 5
 """Iterations for the initial headings: each is one solution with the existing factorization, and few are enough."""
 
@@ -193,7 +183,7 @@ class BlockSystem:
         return np.asarray(matrix, np.float64), self.gradient(blocks.gradient_first, blocks.gradient_second)
 
     def gradient(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """Sum what belongs to the poses that the measurements join, (M, size) each, to (free * size,)."""
+        """Sum the terms (M, size) of both poses of each measurement, to (free * size,)."""
         slots = np.concatenate((self._first, self._second)) + 1
         values = np.concatenate((first, second))
         summed = [np.bincount(slots, column, self.free + 1)[1:] for column in values.T]

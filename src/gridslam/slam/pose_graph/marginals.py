@@ -14,15 +14,13 @@ from gridslam.slam.pose_graph.linear import BlockSystem, linearize, require_conn
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Marginals", "marginal_covariances"]
-
 _SOLUTIONS_PER_POSE = 0.1
 """Columns of the inverse that cost as much to solve for as all blocks on its diagonal, for each pose."""
 
 
 def marginal_covariances(graph: PoseGraph) -> FloatArray:
     """Covariances (N, 3, 3) in m^2, m rad and rad^2 of all poses, map frame; 0 for what is held. See `Marginals`."""
-    return Marginals(graph).covariances
+    return _covariances(len(graph.poses), Marginals(graph).factors())  # with the factors alone in memory
 
 
 @final
@@ -53,13 +51,11 @@ class Marginals:
     @cached_property
     def covariances(self) -> FloatArray:
         """Covariances (N, 3, 3) of all poses, by the blocks of the inverse that the factor's pattern holds."""
-        blocks = np.zeros((len(self._poses), 3, 3))
-        if len(self._poses) > self._held:
-            lower, pivots, order = self._system.factors()
-            place = np.empty(len(order), np.int64)
-            place[order] = np.arange(len(order))
-            blocks[self._held :] = _selected_inverse(lower, np.asarray(pivots), place.reshape(-1, 3))
-        return blocks
+        return _covariances(len(self._poses), self.factors())
+
+    def factors(self) -> tuple[Any, ...]:
+        """Return the factors of the information (see `BlockSystem.factors`); none where all poses are held."""
+        return self._system.factors() if len(self._poses) > self._held else ()
 
     def covariances_with(self, pose: int) -> FloatArray:
         """Covariances (N, 3, 3) of every pose (rows) with one (columns): three columns of the inverse."""
@@ -120,6 +116,17 @@ class Marginals:
     def _check(self, pose: int) -> None:
         if not 0 <= pose < len(self._poses):
             raise ArgumentError("pose", f"a place in [0, {len(self._poses)})", pose)
+
+
+def _covariances(poses: int, factors: tuple[Any, ...]) -> FloatArray:
+    """Covariances (N, 3, 3) of N poses, of which the first are held and the others have these factors."""
+    blocks = np.zeros((poses, 3, 3))
+    if factors:
+        lower, pivots, order = factors
+        place = np.empty(len(order), np.int64)
+        place[order] = np.arange(len(order))
+        blocks[poses - len(order) // 3 :] = _selected_inverse(lower, np.asarray(pivots), place.reshape(-1, 3))
+    return blocks
 
 
 def _selected_inverse(lower: Any, pivots: FloatArray, wanted: IntArray) -> FloatArray:  # noqa: ANN401 scipy's matrix

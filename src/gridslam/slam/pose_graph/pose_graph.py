@@ -13,8 +13,6 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["PoseGraph"]
-
 
 @final
 @checked

@@ -16,8 +16,6 @@ from gridslam.slam.pose_graph.marginals import Marginals
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["CauchyEstimator", "GraduatedNonConvexity", "RobustEstimate", "scale_information"]
-
 _LEAST_WEIGHT = 1e-8
 """Keeps the linear system regular where poses are only constrained by rejected measurements."""
 
@@ -269,7 +267,7 @@ class _Search:
 
 
 def scale_information(graph: PoseGraph, weights: FloatArray) -> PoseGraph:
-    """Return the graph with information times weights (M,), without what weighs nothing if that joins all poses yet."""
+    """Return the graph with information times weights (M,), without edges of weight 0 if it stays connected."""
     counts = weights > 0.0
     if not is_connected(graph.edges[counts], len(graph.poses)):
         counts, weights = np.ones(len(weights), np.bool_), np.maximum(weights, _LEAST_WEIGHT)

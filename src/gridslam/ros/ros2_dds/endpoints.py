@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Final, final
 
@@ -17,15 +17,13 @@ import numpy as np
 from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.io.bags.ros_messages import MessageError
 from gridslam.pipeline import describe_error
-from gridslam.ros.node.service_types import BODY, GRAPH, GRAPH_FROM_IRON, service_encoder
+from gridslam.ros.node.service_types import BODY, GRAPH, GRAPH_FROM_IRON
 from gridslam.ros.node.transport import Handler, Serve
 from gridslam.ros.rtps.endpoints import RemoteEndpoint, Sample
 from gridslam.ros.rtps.participant import Participant
 from gridslam.ros.rtps.qos import Qos
 from gridslam.ros.rtps.reader import RELATED
 from gridslam.ros.rtps.writer import Writer
-
-__all__ = ["DdsParticipant", "decode_graph"]
 
 _CYCLONE: Final = b"\1\x10"
 """Vendor of Eclipse Cyclone DDS, whose rmw puts a header before requests and replies."""
@@ -42,41 +40,22 @@ _DEFAULT: Final = Qos()
 
 
 @final
-class DdsParticipant:
-    """Writers, readers and services of one participant; one thread calls the handlers in the order of arrival.
+class Ros2Endpoints:
+    """Writers, readers and services of a node; the participant's thread calls the handlers in the order of arrival.
 
     Parameters
     ----------
-    domain, interfaces, on_mismatch, peers
-        As of `Participant`.
+    participant : Participant
+        Whose they are.
     node : (str, str)
         Namespace and name of the node, as others list it; no name: it is not listed.
-    encoder : MessageEncoder, optional
-        Of the messages, requests and replies; a new one if not given.
-
-    Attributes
-    ----------
     encoder : MessageEncoder
-        As given.
-
-    Raises
-    ------
-    ConfigurationError
-        An interface does not exist, or no port is free.
+        Of the messages, requests and replies.
     """
 
-    def __init__(
-        self,
-        domain: int,
-        interfaces: Sequence[str] = (),
-        on_mismatch: Callable[[str, str, str], None] = lambda *unused: None,
-        node: tuple[str, str] = ("/", ""),
-        peers: Sequence[str] = (),
-        encoder: MessageEncoder | None = None,
-    ) -> None:
-        self.encoder = encoder or service_encoder()
-        self._participant = Participant(domain, interfaces, node[1] or "gridslam", on_mismatch, peers)
-        self._writers: dict[str, Writer] = {}
+    def __init__(self, participant: Participant, node: tuple[str, str], encoder: MessageEncoder) -> None:
+        self._participant = participant
+        self._encoder = encoder
         self._node = node
         self._guids: tuple[list[bytes], list[bytes]] = [], []  # of readers and writers
         self._graph: list[Writer] = []
@@ -87,12 +66,12 @@ class DdsParticipant:
             qos = Qos(latched=True, depth=1)
             self._graph = [self._participant.add_writer(*ends, qos, only) for only in (_is_old_ros, _is_new_ros)]
 
-    def add_writer(self, topic: str, message_type: str, qos: Qos = _DEFAULT) -> None:
-        """Add a writer for a DDS topic."""
+    def add_writer(self, topic: str, message_type: str, qos: Qos = _DEFAULT) -> Writer:
+        """Add a writer for a DDS topic, of which the participant writes."""
         writer = self._participant.add_writer(topic, _type_name(message_type), qos, user_data=self._hash(message_type))
-        self._writers[topic] = writer
         self._guids[1].append(writer.guid)
         self._publish_graph()
+        return writer
 
     def add_reader(self, topic: str, message_type: str, handle: Handler, qos: Qos = _DEFAULT) -> None:
         """Add a handler for the bytes of each message on a DDS topic."""
@@ -107,7 +86,7 @@ class DdsParticipant:
         """Note which writers belong to which node, as the participants of ROS state it."""
         participant = sample.writer[:12]
         self._names.pop(participant, None)
-        names = {} if sample.is_gone else decode_graph(self.encoder, sample.payload)  # none, too, of one that ends
+        names = {} if sample.is_gone else decode_graph(self._encoder, sample.payload)  # none, too, of one that ends
         if names and len(self._names) < _MAX_NAMES:
             self._names[participant] = names
 
@@ -146,18 +125,18 @@ class DdsParticipant:
                 return
             self._wait_for(reply, sample)
             if sample.vendor == _CYCLONE:
-                self._participant.write(reply, self.encoder.encode(kind, request.guid, request.sequence, *values))
+                self._participant.write(reply, self._encoder.encode(kind, request.guid, request.sequence, *values))
             else:
                 identity = _identity(sample)
                 parameters = [(parameter, identity) for parameter in RELATED]
-                self._participant.write(reply, self.encoder.encode(kind + BODY, *values), parameters)
+                self._participant.write(reply, self._encoder.encode(kind + BODY, *values), parameters)
 
         def take(sample: Sample) -> None:
             if sample.is_gone:
                 return
             try:
                 body = "" if sample.vendor == _CYCLONE else BODY
-                request = self.encoder.decode(f"{service_type}_Request{body}", sample.payload)
+                request = self._encoder.decode(f"{service_type}_Request{body}", sample.payload)
             except MessageError as error:
                 refuse(str(error))
                 return
@@ -168,18 +147,6 @@ class DdsParticipant:
 
         self._add_reader(f"rq{name}Request", f"{service_type}_Request", qos, take)
 
-    def start(self) -> None:
-        """Start the thread that reads messages."""
-        self._participant.start()
-
-    def publish(self, topic: str, data: bytes) -> None:
-        """Publish bytes on a topic that has a writer."""
-        self._participant.write(self._writers[topic], data)
-
-    def close(self) -> None:
-        """Stop the thread."""
-        self._participant.close()
-
     def _add_reader(
         self, topic: str, message_type: str, qos: Qos, take: Callable[[Sample], None], user_data: bytes = b""
     ) -> None:
@@ -189,7 +156,7 @@ class DdsParticipant:
 
     def _hash(self, message_type: str) -> bytes:
         """Return the user data by which an endpoint states the hash of its type."""
-        return _TYPE_HASH + self.encoder.type_hash(message_type).encode() + b";"
+        return _TYPE_HASH + self._encoder.type_hash(message_type).encode() + b";"
 
     def _publish_graph(self) -> None:
         """State which readers and writers are the node's, by which `ros2 node list` knows it."""
@@ -198,7 +165,7 @@ class DdsParticipant:
                 [(np.frombuffer(guid.ljust(size, b"\0"), np.uint8),) for guid in guids]
                 for guids in ([self._participant.guid], *self._guids)
             )
-            self._participant.write(writer, self.encoder.encode(kind, *own, [(*self._node, *groups)]))
+            self._participant.write(writer, self._encoder.encode(kind, *own, [(*self._node, *groups)]))
 
     @staticmethod
     def _is_matched(reply: Writer, sample: Sample) -> bool:
