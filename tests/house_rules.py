@@ -15,15 +15,15 @@ from support.house import IMPURE_FROM, INNER_RANKS, RANKS, Source, find_cycle, s
 ONLY_IN = {
     "click": {"cli"},
     "rich": {"cli"},
-    "PIL": {"io", "viz", "plan", "batch"},
+    "PIL": {"io", "viz", "plan"},
     "tomli": {"config"},
     "tomli_w": {"config"},
     "pydantic": set(RANKS),
     "pydantic_core": {"parameters", "config"},
     "numpy": set(RANKS),
-    "scipy": {"slam", "localization", "evaluation", "tuning", "plan", "batch"},
+    "scipy": {"slam", "localization", "evaluation", "tuning", "plan"},
     "optuna": {"tuning"},
-    "qdldl": {"slam", "batch"},
+    "qdldl": {"slam"},
     "rosbags": {"io"},
     "lz4": {"io"},
     "ruamel": {"io"},
@@ -35,7 +35,7 @@ ONLY_IN = {
     "shapely": {"plan"},
     "ezdxf": {"plan"},
 }
-"""Who may import which dependency: help must not pay for drawing, nor the filter for a terminal; a batch forks."""
+"""Who may import which dependency: help must not pay for drawing, nor the filter for a terminal."""
 
 OUTSIDE = {
     "argparse",

@@ -139,7 +139,7 @@ def _summarize_loop_closure(loops: dict[str, Any] | Literal[False]) -> Iterator[
     if not loops:
         return
     rejected = loops["rejected"]
-    reasons = ", ".join(f"{reason} {count}" for reason, count in rejected.items())
+    reasons = "; ".join(f"{reason} ({count})" for reason, count in rejected.items())
     corrections = counted(loops["corrections"], "online correction")
     moved = f"the final refinement moved key scans by up to {loops['max_correction_m']:.2f} m"
     tracked = loops["constraints"]["tracked"]

@@ -1,1 +1,1 @@
-"""The node: what it does, whatever carries its messages."""
+"""The node, independent of the transport of its messages."""

@@ -29,7 +29,7 @@ _MOUNTING_NOISE_M = 0.005  # and rad: noise of a mounting on /tf
 
 
 class AcceptedScan(NamedTuple):
-    """A measurement for the filter, and what a record has of its laser.
+    """A measurement for the filter, with its laser's values for the record.
 
     Attributes
     ----------
