@@ -39,19 +39,21 @@ PAIRS = np.array([[0, 1], [1, 2], [0, 3], [2, 3]])
 
 @pytest.mark.parametrize("both", [True, False])
 @pytest.mark.parametrize("seed", range(5))
-def test_twins(seed, both):
+@pytest.mark.parametrize("by_incidence", [True, False])
+def test_twins(by_incidence, seed, both):
     rng = np.random.default_rng(seed)
     surfaces = seen_from(POSES, 0.01)
     poses = POSES + rng.normal(0, 0.03, POSES.shape)
-    arguments = (*surfaces, poses, PAIRS, 0.2, 0.02, both)
+    arguments = (*surfaces, poses, PAIRS, 0.2, 0.02, both, by_incidence)
     found, expected = (kernels.match_surfaces(*arguments) for kernels in (compiled, reference))
     assert (expected[:, 9] > 50).all()
     np.testing.assert_array_equal(found[:, 9], expected[:, 9])
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("reach_m", [0.0, 0.15, 0.4])
 @pytest.mark.parametrize("seed", range(5))
-def test_twins_fit_lines_to_beams_in_any_order(seed):
+def test_twins_fit_lines_to_beams_in_any_order(seed, reach_m):
     rng = np.random.default_rng(seed)
     origins = rng.normal(0, 0.3, (len(POSES), 2))
     scans = [
@@ -61,7 +63,7 @@ def test_twins_fit_lines_to_beams_in_any_order(seed):
         for k, (pose, place) in enumerate(zip(POSES, origins, strict=True))
     ]
     batch = ScanBatch.of([*scans, StoredScan(np.empty((0, 2)), np.zeros(2))])
-    found, expected = (kernels.fit_surfaces(*batch) for kernels in (compiled, reference))
+    found, expected = (kernels.fit_surfaces(*batch, reach_m) for kernels in (compiled, reference))
     assert len(expected[0]) > 50
     np.testing.assert_array_equal(found[3], expected[3])
     for own, other in zip(found[:3], expected[:3], strict=True):
@@ -86,6 +88,23 @@ def test_twins_match_to_surfaces(seed, least_information):
         np.testing.assert_allclose(found[0][:2], guess[:2], rtol=0, atol=1e-12)
 
 
+def test_lines_with_a_reach_end_at_corners_and_take_the_noise_of_points():
+    ends = room_from(np.zeros(3), 0.01)
+    walls = np.array([4.0, 3.0])
+    found = []
+    for reach_m in (0.0, 0.3):
+        surfaces = Surfaces.of(ScanBatch.of([StoredScan(ends, np.zeros(2))]), reach_m)
+        across = np.abs(surfaces.normals).argmax(axis=1)
+        away = np.abs(surfaces.points)[np.arange(len(across)), across] - walls[across]
+        turned = np.abs(surfaces.normals).min(axis=1)
+        at_corner = (walls - np.abs(surfaces.points)).max(axis=1) < 0.2
+        found.append((int(at_corner.sum()), float(np.sqrt(np.square(away).mean())), float(np.sqrt(np.mean(turned**2)))))
+    (few, spread, turn), (many, less_spread, less_turn) = found
+    assert many > few
+    assert less_spread < 0.8 * spread
+    assert less_turn < 0.8 * turn
+
+
 def test_ranks_ascend_with_bearings():
     ways = 7 * np.column_stack(
         [np.cos(np.linspace(-math.pi, math.pi, 999)), np.sin(np.linspace(-math.pi, math.pi, 999))]
@@ -106,7 +125,7 @@ def test_slopes_are_those_of_the_residuals(kernels, both):
     def half_squares(error):
         moved = poses.copy()
         moved[1] = compose(poses[1], error)
-        row = kernels.match_surfaces(*surfaces, moved, pair, 0.5, 1e6, both)[0]
+        row = kernels.match_surfaces(*surfaces, moved, pair, 0.5, 1e6, both, False)[0]
         return row
 
     row = half_squares(np.zeros(3))
@@ -155,16 +174,16 @@ def test_what_does_not_belong_together_is_refused():
     surfaces = seen_from(POSES)
     for wrong in (np.array([[0, 4]]), np.array([[-1, 0]])):
         with pytest.raises(IndexError, match="pairs"):
-            compiled.match_surfaces(*surfaces, POSES, wrong, 0.3, 0.02, True)
+            compiled.match_surfaces(*surfaces, POSES, wrong, 0.3, 0.02, True, False)
     with pytest.raises(IndexError, match="poses"):
-        compiled.match_surfaces(*surfaces, POSES[:2], PAIRS[:1], 0.3, 0.02, True)
+        compiled.match_surfaces(*surfaces, POSES[:2], PAIRS[:1], 0.3, 0.02, True, False)
     own = surfaces.points, surfaces.normals, (0.0, 0.0, 0.0), np.ones(3), np.array([0.1]), 0.02, 0.02
     with pytest.raises(IndexError, match="poses"):
         compiled.match_to_surfaces(*surfaces, POSES[:2], *own)
     with pytest.raises(IndexError, match="own_normals"):
         compiled.match_to_surfaces(*surfaces, POSES, own[0], own[1][:-1], *own[2:])
     with pytest.raises(IndexError, match="starts"):
-        compiled.fit_surfaces(surfaces.points, np.array([0, 9]), np.zeros((2, 2)))
+        compiled.fit_surfaces(surfaces.points, np.array([0, 9]), np.zeros((2, 2)), 0.0)
 
 
 def test_along_a_corridor_nothing_is_determined():

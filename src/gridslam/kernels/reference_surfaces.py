@@ -8,16 +8,24 @@ from numpy.typing import NDArray
 Numbers = NDArray[np.float64]
 Places = NDArray[np.int64]
 
+ALONG_M = 0.2
+"""Longest way along a line from its point, where points weigh by their incidence."""
 BESIDE = 3
 """Points on either side of a bearing among which the nearest is searched."""
 NEAR_M = 0.5
+CORNER = 4.0
+"""A line ends at a point to one side of which the variance is so much less."""
 LEAST_COSINE = 0.9
 """Of the angle between normals of one surface."""
+LEAST_VARIANCE = 0.2
+"""Of a point across its line where a beam grazes it, to that of half of one that hits it head on."""
 LINE_BESIDE = 2
 """Neighbours on either side of a point with which a line is fitted."""
 LONGEST_GAP_M = 0.4
 LONGEST_GAP_RATIO = 0.05
 """Neighbours on one surface are no farther apart, by metres, and by metres for each metre of range."""
+MOST_VARIANCE = 0.002
+"""Of the distances from a longer line, m^2, at most: 4.5 cm."""
 MOST_SPREAD_M = 0.06
 """Root of the summed squares of distances from the line, at most: corners have no normal."""
 REACH_M = 30.0
@@ -31,8 +39,10 @@ def rank_bearings(ways: Numbers) -> Numbers:
     return np.asarray(np.where(x >= 0, rank, np.where(y >= 0, 2.0 - rank, -2.0 - rank)), np.float64)
 
 
-def fit_surfaces(ends: Numbers, starts: Places, origins: Numbers) -> tuple[Numbers, Numbers, Numbers, Places]:
-    """Fit lines to the ends of five neighbouring beams each.
+def fit_surfaces(
+    ends: Numbers, starts: Places, origins: Numbers, reach_m: float
+) -> tuple[Numbers, Numbers, Numbers, Places]:
+    """Fit lines to the ends of neighbouring beams.
 
     Parameters
     ----------
@@ -40,13 +50,16 @@ def fit_surfaces(ends: Numbers, starts: Places, origins: Numbers) -> tuple[Numbe
         Ends of the beams of S scans, base frame; scan s has those from starts[s] to starts[s + 1] - 1.
     starts, origins : (S + 1,) int64, (S, 2) float64
         Where scans begin, and where their lasers are.
+    reach_m : float, m
+        Each line is fitted to the points so near to one, or five at least; near a corner to those on one side of it.
+        0: to five, two on either side.
 
     Returns
     -------
     points, normals : (K, 2) float64
-        Of the beams that end on a line; normals point to the laser.
+        Of the beams that end on a line, with a reach moved onto it; normals point to the laser.
     bearings : (K,) float64
-        Ranks of the bearings of the points from the laser, ascending within a scan.
+        Ranks of the bearings of the beams, ascending within a scan.
     starts : (S + 1,) int64
         Where the points of the scans begin.
     """
@@ -58,6 +71,12 @@ def fit_surfaces(ends: Numbers, starts: Places, origins: Numbers) -> tuple[Numbe
     squares = np.square(ways).sum(axis=1)
     is_near = np.hypot(*np.diff(ways, axis=0).T) < LONGEST_GAP_M + LONGEST_GAP_RATIO * np.sqrt(squares[:-1])
     is_near &= np.diff(scans) == 0
+    if reach_m > 0:
+        is_line, points, normals = _fit_long_lines(ways, is_near, reach_m)
+        is_line &= squares < REACH_M**2
+        own = scans[is_line]
+        bearings = rank_bearings(ways[is_line])
+        return points[is_line] + origins[own], normals[is_line], bearings, _count_up(own, len(origins))
     is_line = (squares < REACH_M**2) & _all_about(is_near, len(ways))
     count = 2 * LINE_BESIDE + 1
     mx, my = _sum_about(x) / count, _sum_about(y) / count
@@ -69,8 +88,54 @@ def fit_surfaces(ends: Numbers, starts: Places, origins: Numbers) -> tuple[Numbe
     ways, own = ways[is_line], scans[is_line]
     normals = np.column_stack([-np.sin(along), np.cos(along)])
     normals[(normals * ways).sum(axis=1) > 0] *= -1
-    firsts = np.concatenate([[0], np.cumsum(np.bincount(own, minlength=len(origins)))]).astype(np.int64)
-    return ways + origins[own], normals, rank_bearings(ways), firsts
+    return ways + origins[own], normals, rank_bearings(ways), _count_up(own, len(origins))
+
+
+def _fit_long_lines(
+    ways: Numbers, is_near: NDArray[np.bool_], reach_m: float
+) -> tuple[NDArray[np.bool_], Numbers, Numbers]:
+    """Whether each point of ways (B, 2) is on a line of those within reach; the place there, and the normal."""
+    fewest = 2 * LINE_BESIDE
+    surfaces = np.concatenate([[0], np.cumsum(~is_near)])[: len(ways)]
+    is_line = np.zeros(len(ways), np.bool_)
+    points, normals = ways.copy(), np.zeros_like(ways)
+    for at, surface in enumerate(surfaces.tolist()):
+        low, high = np.searchsorted(surfaces, [surface, surface + 1]).tolist()
+        if high - low <= fewest:
+            continue
+        is_far = np.square(ways[low:high] - ways[at]).sum(axis=1) >= reach_m**2
+        before, after = np.flatnonzero(is_far[: at - low]), np.flatnonzero(is_far[at - low :])
+        first = low + int(before[-1]) + 1 if len(before) else low
+        last = at + int(after[0]) - 1 if len(after) else high - 1
+        while last - first < fewest:  # the others are farther off
+            if first > low and (last == high - 1 or at - first <= last - at):
+                first -= 1
+            else:
+                last += 1
+        best = _fit_line(ways[first : last + 1])
+        first, last = max(low, min(first, at - fewest)), min(high - 1, max(last, at + fewest))
+        for begin, end in ((first, at), (at, last)):
+            if end - begin >= fewest:
+                line = _fit_line(ways[begin : end + 1])
+                best = line if CORNER * line[2] < best[2] else best
+        mean, along, variance = best
+        normal = np.array([-np.sin(along), np.cos(along)])
+        normals[at] = -normal if normal @ ways[at] > 0 else normal
+        points[at] -= normals[at] * (normals[at] @ (ways[at] - mean))
+        is_line[at] = variance < MOST_VARIANCE
+    return is_line, points, normals
+
+
+def _fit_line(points: Numbers) -> tuple[Numbers, float, float]:
+    """Mean of points (K, 2), the direction of the line through them, and the variance of their distances from it."""
+    mean = points.mean(axis=0)
+    xx, xy, yy = np.cov(points.T, ddof=2)[[0, 0, 1], [0, 1, 1]].tolist()
+    return mean, 0.5 * np.arctan2(2 * xy, xx - yy), 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)
+
+
+def _count_up(scans: Places, count: int) -> Places:
+    """Where the points of each of `count` scans begin, of which the scans (K,) are given."""
+    return np.concatenate([[0], np.cumsum(np.bincount(scans, minlength=count))]).astype(np.int64)
 
 
 def _sum_about(values: Numbers) -> Numbers:
@@ -152,7 +217,9 @@ def match_to_surfaces(
     pose = np.array(guess)
     fewest = count * len(own_points)
     for gate_m in gates_m.tolist():
-        sums = match_surfaces(*whole, np.concatenate([poses, pose[None]]), pairs, gate_m, scale_m, False).sum(axis=0)
+        sums = match_surfaces(*whole, np.concatenate([poses, pose[None]]), pairs, gate_m, scale_m, False, False).sum(
+            axis=0
+        )
         fewest = min(fewest, int(sums[9]))
         information = sums[[[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
         (kept,) = project_on_determined(information[None], sums[9:10], least_information)
@@ -182,6 +249,7 @@ def match_surfaces(
     gate_m: float,
     scale_m: float,
     both: bool,
+    by_incidence: bool,
 ) -> Numbers:
     """Normal equations of the relative poses of pairs of scans, point to line (Chen and Medioni 1992).
 
@@ -205,6 +273,9 @@ def match_surfaces(
         Largest residual, and that of which the weight is a half.
     both : bool
         Whether points of `from` are matched with lines of `to`, too, or only those of `to` with lines of `from`.
+    by_incidence : bool
+        Whether a point weighs by its beam's incidence and its partner's: the noise of a range moves it along a wall
+        that is grazed, and hardly across. It then has no partner farther along the wall than the line was fitted.
 
     Returns
     -------
@@ -237,15 +308,27 @@ def match_surfaces(
             fits = (place > first) & (place < last) & (away.min(axis=1, initial=np.inf) < NEAR_M**2)
             fits &= (normals[line] * (normals[own] @ turned)).sum(axis=1) >= LEAST_COSINE
             fits &= np.abs(residual) <= gate_m
+            variance = np.ones(len(at))
+            if by_incidence:
+                fits &= away.min(axis=1, initial=np.inf) - np.square(residual) <= ALONG_M**2
+                own_squares = _squared_cosines(points[own] - origins[moved], normals[own])
+                squares = _squared_cosines(points[line] - origins[fixed], normals[line])
+                variance = LEAST_VARIANCE + 0.5 * (own_squares + squares)
             slope = -np.column_stack([normals[line], normals[line, 1] * at[:, 0] - normals[line, 0] * at[:, 1]])
             if moved == to:
                 towards = normals[line] @ turned.T
                 lever = towards[:, 1] * points[own, 0] - towards[:, 0] * points[own, 1]
                 slope = np.column_stack([towards, lever])
             slope, residual = slope[fits], residual[fits]
-            weighted = slope / (1 + np.square(residual / scale_m))[:, None]
+            weighted = slope / (variance[fits] + np.square(residual / scale_m))[:, None]
             row[:6] += (weighted.T @ slope)[np.triu_indices(3)]
             row[6:9] += weighted.T @ residual
             row[9] += len(residual)
             row[10] += np.square(residual).sum()
     return out
+
+
+def _squared_cosines(ways: Numbers, normals: Numbers) -> Numbers:
+    """Of the incidence of beams along ways (K, 2) on lines with normals (K, 2)."""
+    squares = np.square(ways).sum(axis=1)
+    return np.asarray(np.square((ways * normals).sum(axis=1)) / np.maximum(squares, 1e-12), np.float64)

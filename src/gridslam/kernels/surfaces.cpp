@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <numeric>
+#include <utility>
 #include <vector>
 
 namespace gridslam {
@@ -62,6 +63,60 @@ bool fit_normal(const double* x, const double* y, int64_t at, double* nx, double
   return true;
 }
 
+constexpr double kMostVariance = 0.002;  // m^2, of the distances of points from a longer line
+constexpr double kCorner = 4.0;          // where the variance is so much less to one side, a line ends
+
+// A line through points: a point of it, its direction, and the variance of the points' distances from it.
+struct Line {
+  double mx, my, along, variance;
+};
+
+Line fit_line(const double* x, const double* y, int64_t first, int64_t last) {
+  double mx = 0, my = 0, xx = 0, yy = 0, xy = 0;
+  const double count = static_cast<double>(last - first + 1);
+  for (int64_t k = first; k <= last; ++k) mx += x[k], my += y[k];
+  mx /= count, my /= count;
+  for (int64_t k = first; k <= last; ++k) {
+    const double dx = x[k] - mx, dy = y[k] - my;
+    xx += dx * dx, yy += dy * dy, xy += dx * dy;
+  }
+  const double half = 0.5 * (xx - yy);
+  return {mx, my, 0.5 * std::atan2(2 * xy, xx - yy),
+          (0.5 * (xx + yy) - std::sqrt(half * half + xy * xy)) / (count - 2)};
+}
+
+// Fits a line to the points within `reach` of point `at`, of those from `low` to `high` that are on its surface; to
+// those on one side of it where there is a corner. Moves the point onto it; false where they are not in line.
+bool fit_long_line(const double* x, const double* y, int64_t at, int64_t low, int64_t high, double reach,
+                   double* point, double* normal) {
+  constexpr int64_t kFewest = 2 * kLineBeside;  // beside the point
+  if (high - low < kFewest || x[at] * x[at] + y[at] * y[at] >= kReach2) return false;
+  const auto is_near = [&](int64_t k) {
+    const double dx = x[k] - x[at], dy = y[k] - y[at];
+    return dx * dx + dy * dy < reach * reach;
+  };
+  int64_t first = at, last = at;
+  while (first > low && is_near(first - 1)) --first;
+  while (last < high && is_near(last + 1)) ++last;
+  while (last - first < kFewest) {  // the others are farther off
+    if (first > low && (last == high || at - first <= last - at)) --first;
+    else ++last;
+  }
+  Line best = fit_line(x, y, first, last);
+  first = std::max(low, std::min(first, at - kFewest)), last = std::min(high, std::max(last, at + kFewest));
+  for (const auto& [begin, end] : {std::pair{first, at}, std::pair{at, last}}) {
+    if (end - begin < kFewest) continue;
+    const Line line = fit_line(x, y, begin, end);
+    if (kCorner * line.variance < best.variance) best = line;
+  }
+  if (best.variance >= kMostVariance) return false;
+  double nx = -std::sin(best.along), ny = std::cos(best.along);
+  if (nx * x[at] + ny * y[at] > 0) nx = -nx, ny = -ny;
+  const double off = nx * (x[at] - best.mx) + ny * (y[at] - best.my);
+  point[0] = x[at] - off * nx, point[1] = y[at] - off * ny, normal[0] = nx, normal[1] = ny;
+  return true;
+}
+
 // Takes the direction of the position that the normal equations (upper triangle, right side, points) leave open out of
 // them.
 void project_on_determined(double least_information, double* sums) {
@@ -88,10 +143,21 @@ std::array<double, 3> solve(const std::array<double, 6>& a, const std::array<dou
           (c02 * b[0] + c12 * b[1] + c22 * b[2]) / whole};
 }
 
+constexpr double kLeastVariance = 0.2;  // of a point across its line, to that of a beam that hits it head on
+constexpr double kAlong2 = 0.04;        // m^2, of the way along a line from its point
+
+// Of the incidence of the beam that ends at point k of a scan: its noise moves the point across its line by the cosine.
+double squared_cosine(const Surfaces& surfaces, int64_t scan, int64_t k) {
+  const double x = surfaces.points[2 * k] - surfaces.origins[2 * scan];
+  const double y = surfaces.points[2 * k + 1] - surfaces.origins[2 * scan + 1];
+  const double across = x * surfaces.normals[2 * k] + y * surfaces.normals[2 * k + 1];
+  return across * across / std::max(x * x + y * y, 1e-12);
+}
+
 // Adds the normal equations of the points of scan `moved`, at a pose seen from scan `fixed`, by the pose of `to`: which
 // is the moved one or the fixed one.
 void add(const Surfaces& of, int64_t fixed, const Surfaces& by, int64_t moved, const Increment& pose, bool moves_to,
-         double gate_m, double scale_m, double* out) {
+         double gate_m, double scale_m, bool by_incidence, double* out) {
   const double c = std::cos(pose.theta), s = std::sin(pose.theta);
   const int64_t low = of.starts[fixed], high = of.starts[fixed + 1];
   int64_t place = low;  // both scans are ordered by bearing, so that the next one is found a step or two farther
@@ -121,7 +187,12 @@ void add(const Surfaces& of, int64_t fixed, const Surfaces& by, int64_t moved, c
     const double residual = (x - of.points[2 * nearest]) * nx + (y - of.points[2 * nearest + 1]) * ny;
     if (std::abs(residual) > gate_m) continue;
     const double scaled = residual / scale_m;
-    const double weight = 1.0 / (1.0 + scaled * scaled);
+    double variance = 1.0;
+    if (by_incidence) {
+      if (nearest2 - residual * residual > kAlong2) continue;
+      variance = kLeastVariance + 0.5 * (squared_cosine(of, fixed, nearest) + squared_cosine(by, moved, k));
+    }
+    const double weight = 1.0 / (variance + scaled * scaled);
     std::array<double, 3> slope{-nx, -ny, nx * y - ny * x};
     if (moves_to) {
       const double gx = c * nx + s * ny, gy = c * ny - s * nx;
@@ -139,8 +210,8 @@ void add(const Surfaces& of, int64_t fixed, const Surfaces& by, int64_t moved, c
 
 }  // namespace
 
-void fit_surfaces(const double* ends, const int64_t* starts, const double* origins, int64_t scans, double* points,
-                  double* normals, double* bearings, int64_t* out_starts) {
+void fit_surfaces(const double* ends, const int64_t* starts, const double* origins, int64_t scans, double reach_m,
+                  double* points, double* normals, double* bearings, int64_t* out_starts) {
   std::vector<double> x, y, rank, ordered_x, ordered_y, ordered_rank;
   std::vector<int64_t> order;
   int64_t found = 0;
@@ -163,14 +234,20 @@ void fit_surfaces(const double* ends, const int64_t* starts, const double* origi
       }
       x.swap(ordered_x), y.swap(ordered_y), rank.swap(ordered_rank);
     }
-    int64_t beside = 0;  // how many points before `end` follow each other on one surface, without a gap
-    for (int64_t end = 1; end < size; ++end) {
-      beside = is_beside(x.data(), y.data(), end) ? beside + 1 : 0;
-      const int64_t k = end - kLineBeside;
-      double nx = 0, ny = 0;
-      if (beside < 2 * kLineBeside || !fit_normal(x.data(), y.data(), k, &nx, &ny)) continue;
-      points[2 * found] = x[k] + origins[2 * scan], points[2 * found + 1] = y[k] + origins[2 * scan + 1];
-      normals[2 * found] = nx, normals[2 * found + 1] = ny;
+    int64_t low = 0, high = -1;  // of points that follow each other on one surface, without a gap
+    for (int64_t k = 0; k < size; ++k) {
+      if (k > high) {
+        low = high = k;
+        while (high + 1 < size && is_beside(x.data(), y.data(), high + 1)) ++high;
+      }
+      double point[2]{x[k], y[k]}, normal[2]{};
+      const bool is_line = reach_m > 0
+                               ? fit_long_line(x.data(), y.data(), k, low, high, reach_m, point, normal)
+                               : k - low >= kLineBeside && high - k >= kLineBeside &&
+                                     fit_normal(x.data(), y.data(), k, normal, normal + 1);
+      if (!is_line) continue;
+      points[2 * found] = point[0] + origins[2 * scan], points[2 * found + 1] = point[1] + origins[2 * scan + 1];
+      normals[2 * found] = normal[0], normals[2 * found + 1] = normal[1];
       bearings[found++] = rank[k];
     }
   }
@@ -186,7 +263,8 @@ int64_t match_to_surfaces(const Surfaces& fixed, const double* poses, int64_t co
   for (int64_t step = 0; step < how.steps; ++step) {
     std::array<double, kSurfaceSums> sums{};
     for (int64_t scan = 0; scan < count; ++scan) {
-      add(fixed, scan, moved, 0, between(poses + 3 * scan, pose), true, how.gates_m[step], how.scale_m, sums.data());
+      add(fixed, scan, moved, 0, between(poses + 3 * scan, pose), true, how.gates_m[step], how.scale_m, false,
+          sums.data());
     }
     fewest = std::min(fewest, static_cast<int64_t>(sums[9]));
     project_on_determined(how.least_information, sums.data());
@@ -207,13 +285,17 @@ int64_t match_to_surfaces(const Surfaces& fixed, const double* poses, int64_t co
 }
 
 void match_surfaces(const Surfaces& surfaces, const double* poses, const int64_t* pairs, int64_t count, double gate_m,
-                    double scale_m, bool both, double* out) {
+                    double scale_m, bool both, bool by_incidence, double* out) {
   for (int64_t p = 0; p < count; ++p) {
     const int64_t from = pairs[2 * p], to = pairs[2 * p + 1];
     double* own = out + kSurfaceSums * p;
     std::fill(own, own + kSurfaceSums, 0.0);
-    add(surfaces, from, surfaces, to, between(poses + 3 * from, poses + 3 * to), true, gate_m, scale_m, own);
-    if (both) add(surfaces, to, surfaces, from, between(poses + 3 * to, poses + 3 * from), false, gate_m, scale_m, own);
+    add(surfaces, from, surfaces, to, between(poses + 3 * from, poses + 3 * to), true, gate_m, scale_m, by_incidence,
+        own);
+    if (both) {
+      add(surfaces, to, surfaces, from, between(poses + 3 * to, poses + 3 * from), false, gate_m, scale_m, by_incidence,
+          own);
+    }
   }
 }
 

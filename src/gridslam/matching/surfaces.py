@@ -61,9 +61,9 @@ class Surfaces(NamedTuple):
     origins: FloatArray
 
     @classmethod
-    def of(cls, batch: ScanBatch) -> Surfaces:
-        """Fit lines to the ends of five neighbouring beams each."""
-        points, normals, bearings, starts = backend.fit_surfaces(*batch)
+    def of(cls, batch: ScanBatch, reach_m: float = 0.0) -> Surfaces:
+        """Fit lines to the ends of beams within `reach_m` of each other; of five neighbouring ones each if it is 0."""
+        points, normals, bearings, starts = backend.fit_surfaces(*batch, reach_m)
         return cls(points, normals, bearings, starts, batch.origins)
 
     def append(self, later: Surfaces) -> Surfaces:
@@ -85,7 +85,14 @@ class Surfaces(NamedTuple):
         )
 
     def match(
-        self, poses: FloatArray, pairs: IntArray, gate_m: float, scale_m: float, *, both: bool = True
+        self,
+        poses: FloatArray,
+        pairs: IntArray,
+        gate_m: float,
+        scale_m: float,
+        *,
+        both: bool = True,
+        by_incidence: bool = False,
     ) -> SurfaceMatches:
         """Match pairs (P, 2) of scans at poses (S, 3), point to line.
 
@@ -95,8 +102,10 @@ class Surfaces(NamedTuple):
             Largest residual, and that at which a point weighs half.
         both : bool
             Whether points of the first are matched with lines of the second, too.
+        by_incidence : bool
+            Whether points that a beam grazes, which its noise moves along their line, weigh more.
         """
-        sums = backend.match_surfaces(*self, poses, pairs, gate_m, scale_m, both)
+        sums = backend.match_surfaces(*self, poses, pairs, gate_m, scale_m, both, by_incidence)
         information = sums[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
         kept = project_on_determined(information, sums[:, 9], LEAST_INFORMATION)
         gradients = np.einsum("pij,pj->pi", kept, sums[:, 6:9])

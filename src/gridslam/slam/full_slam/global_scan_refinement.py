@@ -16,7 +16,7 @@ from gridslam.matching.surfaces import Surfaces
 from gridslam.slam.full_slam.component_alignment import align_components
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
 from gridslam.slam.full_slam.key_scan_matching import match_key_scans
-from gridslam.slam.full_slam.surface_adjustment import adjust_key_scans, match_scans
+from gridslam.slam.full_slam.surface_adjustment import LINE_REACH_M, adjust_key_scans, match_scans
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore, score_trajectory
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import KeyGraph
@@ -137,6 +137,10 @@ _DISTINCT_CANDIDATE_M = 0.3
 """The online constraints form a separate candidate if they move a key scan farther than this."""
 _MAX_SEARCHES = 3
 """Maximum number of whole-log searches for revisited places, each with the trajectory of the one before."""
+_CELLS_LEFT = 0.01
+"""Of the information of a match to cells, beside that of surfaces."""
+_MOST_SQUARED = 25.0
+"""Normalized square of what a tracked increment misses the selected trajectory by; beyond, the tracker was wrong."""
 _ROBUST = CauchyEstimator()
 """Robust estimator of the graph."""
 
@@ -193,9 +197,10 @@ def refine_trajectory(
     )
     selection = refinement.select(trajectory)
     scans = closure_state.scans
-    surfaces = Surfaces.of(scans.batch(scans.keys))
+    batch = scans.batch(scans.keys)
+    surfaces = Surfaces.of(batch, LINE_REACH_M)
     on_progress()
-    adjusted = adjust_key_scans(scale_information(selection.best.graph, selection.best.weights), surfaces)
+    adjusted = adjust_key_scans(refinement.measured(selection.best), surfaces)
     selection.adjust_best(adjusted.poses)
     key_poses = selection.best.graph.poses
     graph.poses = list(key_poses)
@@ -203,7 +208,7 @@ def refine_trajectory(
     first = sum(len(drive.keys) for drive in drives if int(drive.keys[-1]) < graph.frozen)
     keys = np.concatenate([drive.keys for drive in drives])[first:]
     poses[first:] = match_scans(poses[first:], keys, scans, surfaces, key_poses)
-    sharpness_m = measure_sharpness(surfaces, key_poses)
+    sharpness_m = measure_sharpness(Surfaces.of(batch), key_poses)
     return RefinementResult(selection.best, poses, selection.maps, selection.scores, adjusted, sharpness_m)
 
 
@@ -244,6 +249,26 @@ class _Refinement:
             selection.add(candidate)
         self._close_loops(selection)
         return selection
+
+    def measured(self, best: Candidate) -> PoseGraph:
+        """Graph of a candidate whose key scans are to be matched to each other.
+
+        The increments are the tracked ones, also of the filter, whose own are rough; and of matches to cells so much is
+        left as a map needs that nothing else joins, as surfaces of the same scans determine the same more exactly.
+        """
+        tracked = np.array(self.graph.tracked)
+        measurements = best.graph.measurements.copy()
+        count = len(tracked) - 1
+        smooth = measurements.copy()
+        smooth[:count] = between(tracked[:-1], tracked[1:])
+        errors = replace(best.graph, measurements=smooth).errors()[:count]
+        squares = np.einsum("ki,kij,kj->k", errors, best.graph.information[:count], errors)
+        is_followed = squares < _MOST_SQUARED
+        measurements[:count][is_followed] = smooth[:count][is_followed]
+        weights = best.weights.copy()
+        is_of_cells = [c.source in (ConstraintSource.PROXIMITY, ConstraintSource.TRACKED) for c in best.constraints]
+        weights[len(weights) - len(is_of_cells) :][is_of_cells] *= _CELLS_LEFT
+        return scale_information(replace(best.graph, measurements=measurements), weights)
 
     def _close_loops(self, selection: CandidateSelection) -> None:
         """Repeatedly recognize more places, starting from the best candidate.
