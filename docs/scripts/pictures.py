@@ -233,22 +233,30 @@ def tuning() -> None:
         series.append((name, *np.log10(np.array(ratios)).T))
     labels = "log10 of the error as a ratio to the default's", "log10 of the score as a ratio to the default's"
     keep("self_consistency", scatter("30 configurations on each log", labels, series), 760)
-    found = json.loads((RESULTS / "tuning.json").read_text())["from_spoiled"]
-    trials = [(number, part, ratio or math.inf) for number, (_, part, ratio) in enumerate(found["trials"], 1)]
-    whole = [(number, ratio) for number, part, ratio in trials if part == 1.0]
-    parts = [(number, ratio) for number, part, ratio in trials if part < 1.0]
-    drawn = [("on parts of the logs", *zip(*parts, strict=True)), ("on whole logs", *zip(*whole, strict=True))]
-    labels = "trial", "error as a ratio to that of the start"
-    keep("tuning_convergence", scatter("Convergence", labels, drawn, highest=3.0), 760)
+    trials = json.loads((RESULTS / "tuning.json").read_text())["from_spoiled"]["trials"]
+    ratios = whole_log_ratios(trials)
+    labels = "trial on whole logs", "error as a ratio to that of the start"
+    drawn = [("of the search", range(1, len(ratios) + 1), ratios)]
+    keep("tuning_convergence", scatter("Trials", labels, drawn, span=(0.0, 1.1)), 760)
 
 
-def scatter(title: str, labels: tuple[str, str], series: Sequence[Any], highest: float | None = None) -> Image.Image:
-    """Draw points, each series a name, abscissae and ordinates; those above `highest` are left out."""
+def whole_log_ratios(trials: Sequence[Any]) -> list[float]:
+    """Ratios of the trials on whole logs: objects as in tune.json, or lists of stage, part of the log and ratio."""
+    ratios = [
+        one["ratio"] if isinstance(one, dict) else one[2] for one in trials if isinstance(one, dict) or one[1] == 1
+    ]
+    return [math.inf if ratio is None else ratio for ratio in ratios]
+
+
+def scatter(
+    title: str, labels: tuple[str, str], series: Sequence[Any], span: tuple[float, float] | None = None
+) -> Image.Image:
+    """Draw points, each series a name, abscissae and ordinates; those outside `span` are left out."""
     figure = Figure(figsize=(14, 8), layout="constrained")
     axes = figure.subplots()
     for name, x, y in series:
         axes.scatter(x, y, label=name)
-    axes.set(title=title, xlabel=labels[0], ylabel=labels[1], ylim=(None, highest))
+    axes.set(title=title, xlabel=labels[0], ylabel=labels[1], ylim=span)
     axes.legend()
     file = io.BytesIO()
     figure.savefig(file)

@@ -218,8 +218,15 @@ def test_an_interrupt_ends_a_batch_cleanly_and_it_goes_on_later(logs, tmp_path):
 
 def test_the_time_that_is_left_is_estimated_by_logs_that_were_mapped():
     progress = _Progress({"broken": 1, "a": 1000, "b": 3_600_000}, as_json=False)
-    row = {"resumed": False, "log": "", "error": "", "message": ""}
+    row = {"resumed": False, "log": "", "error": "", "message": "", "wall_s": 0.5}
     progress.on_row({**row, "folder": "broken", "status": "failed"})
     assert progress.describe(2.0)[1] == "1 of 3 logs, 1 failed", "nothing is known by a log that broke off"
     progress.on_row({**row, "folder": "a", "status": "done"})
     assert progress.describe(2.0)[1] == "2 of 3 logs, 1 failed, 2 h left"
+
+
+def test_a_log_whose_job_reached_its_timeout_counts_in_the_time_that_is_left():
+    progress = _Progress({"slow": 1000, "b": 3_600_000}, as_json=False)
+    row = {"resumed": False, "log": "", "error": "timeout", "message": "", "wall_s": 10.0}
+    progress.on_row({**row, "folder": "slow", "status": "failed"})
+    assert progress.describe(10.0)[1] == "1 of 2 logs, 1 failed, 10 h left"

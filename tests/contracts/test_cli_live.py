@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 import socket
 import subprocess
@@ -125,8 +126,14 @@ def test_view_of_a_diagnosis_gives_the_address_of_its_report(call, log, tmp_path
     assert (status, out, err) == (0, f"{tmp_path / 'report'}: open {address}\n", "")
 
 
-def test_view_serves_until_interrupted_which_is_a_good_end(mapped):
-    command = [sys.executable, "-u", "-m", "gridslam.cli.main", "view", str(mapped), "--live-port", "0"]
+@pytest.mark.parametrize("has_diagnosis", [False, True])
+def test_view_serves_until_interrupted_which_is_a_good_end(call, log, mapped, tmp_path, has_diagnosis):
+    """Of a folder with a diagnosis, too, it shows the run."""
+    if has_diagnosis:
+        call("doctor", log, "-o", tmp_path / "out")
+    out = shutil.copytree(mapped, tmp_path / "out", dirs_exist_ok=True)
+    assert (out / "report.txt").is_file() == has_diagnosis
+    command = [sys.executable, "-u", "-m", "gridslam.cli.main", "view", str(out), "--live-port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as view:
         line = view.stdout.readline()
         url = line.split("open ")[1].split(" ")[0]

@@ -7,11 +7,14 @@ import re
 import shutil
 import sys
 
+import numpy as np
 import pytest
 
 from gridslam.cli import tune as tune_module
 from gridslam.cli.main import main
 from gridslam.config import Configuration, load, override
+from gridslam.geometry.se2 import between
+from gridslam.io.trajectories import read_trajectory
 
 START = override(Configuration(), "particles=2", "loop_closure=false")
 FEW = "--particles", "2", "--trials", "4", "--judging-seeds", "2", "--no-loop-closure"
@@ -117,6 +120,36 @@ def test_bad_input_is_one_line_and_nothing_is_written(logs, tmp_path, capsys, wo
     error = capsys.readouterr().err
     assert re.search(re.escape(expected), error), error
     assert "small" in expected or list(tmp_path.iterdir()) == []
+
+
+def test_relations_count_within_the_time_that_is_read(tmp_path, capsys):
+    """Of the second one the truth is 1 m off: it counts only where the log is read to its time."""
+    log = tmp_path / "log.clf"
+    assert main(["simulate", "rooms", "-o", str(log), "--seed", "1", "--duration", "8", "--beams", "60"]) == 0
+    truth = read_trajectory(tmp_path / "log.truth.tum")
+    begin, middle, end = np.searchsorted(truth.stamps_ns, truth.stamps_ns[0] + np.array([0, 3, 7]) * 1_000_000_000)
+    lines = []
+    for to, off_m in ((middle, 0.0), (end, 1.0)):
+        x, y, theta = between(truth.poses[begin], truth.poses[to])
+        times = f"{truth.stamps_ns[begin] / 1e9:.9f} {truth.stamps_ns[to] / 1e9:.9f}"
+        lines.append(f"{times} {x + off_m} {y} 0 0 0 {theta}\n")
+    (tmp_path / "log.relations").write_text("".join(lines))
+    arguments = ["tune", str(log), "-o", str(tmp_path / "best.toml"), *FEW[:2], "--trials", "2"]
+    for duration, least, most in (("5", 0.0, 0.2), ("8", 0.4, 0.7)):
+        assert main([*arguments, "--judging-seeds", "2", "--duration", duration]) == 0
+        losses = json.loads((tmp_path / "best.tune" / "tune.json").read_text())["trials"][0]["losses"]
+        assert least < losses["log"] < most
+    assert main([*arguments, "--duration", "2"]) == 2
+    assert "expected a relation within the time that was mapped, got none" in capsys.readouterr().err
+
+
+def test_a_log_is_no_reference(logs, tmp_path, capsys):
+    out = tmp_path / "best.toml"
+    other = str(logs / "log2.clf")
+    assert main(["tune", str(logs / "log1.clf"), "-o", str(out), "--reference", other, *FEW]) == 2
+    error = capsys.readouterr().err
+    assert f"{other}: expected a trajectory or relations, got a log\n" in error
+    assert error.count("\n") == 1
 
 
 def test_a_place_that_cannot_be_written_is_bad_usage(logs, tmp_path, capsys):

@@ -106,11 +106,10 @@ def convert_log(
     log : str, Path or Log
         The log, of any format that `open_log` knows.
     out : str or Path
-        The new log; its suffix determines the format: .clf, .log, .carmen (CARMEN), .csv, .tum (the odometry alone),
-        .bag (ROS 1), .mcap, .db3 or none (the folder of a ROS 2 bag). CARMEN and CSV are compressed where .gz or .bz2
-        follows.
+        The new log; its suffix determines the format: .csv, .tum (the odometry alone), .bag (ROS 1), .mcap, .db3 or
+        none (the folder of a ROS 2 bag). CSV is compressed where .gz or .bz2 follows.
     to : str, optional
-        The format, independent of the name: "carmen", "csv", "tum", "ros1", "ros2" or "mcap".
+        The format where the suffix does not determine it: "csv", "tum", "ros1", "ros2" or "mcap".
     options : LogOptions, optional
         What to read of the log at a path.
     on_progress : callable

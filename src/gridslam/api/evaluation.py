@@ -61,7 +61,7 @@ def score_against_reference(
     try:
         if Path(reference).suffix == ".relations":
             return {"relations": asdict(relation_errors(estimate, read_relations(reference)))}
-        if _is_log(reference):
+        if is_log(reference):
             scans = (scan for _, scan in open_repaired(reference, None, "needed"))
             return {"self_consistency": asdict(measure_self_consistency(estimate, scans))}
         return score_against_truth(estimate, read_trajectory(reference, estimate.stamps_ns), distance_m)
@@ -87,7 +87,7 @@ def score_against_truth(estimate: Trajectory, truth: Trajectory, distance_m: flo
     }
 
 
-def _is_log(path: str | Path) -> bool:
+def is_log(path: str | Path) -> bool:
     """Return whether a reference holds scans; a file that cannot be read is left to the reader of trajectories."""
     try:
         detect_log_format(path)

@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal, final
+from typing import Any, Final, Literal, final
 
 import click
 
@@ -255,6 +255,10 @@ def _describe(path: str, states: Mapping[str, str]) -> str:
     return ""
 
 
+_QUICK_S: Final = 1.0
+"""A job that fails sooner is no measure of the time that a log takes."""
+
+
 @final
 class _Progress:
     """Shows how far a batch is: on standard error a bar and a line for each failure, or JSON on standard output."""
@@ -276,7 +280,8 @@ class _Progress:
         self._resumed += row["resumed"] and row["status"] == "done"
         size = self._sizes[row["folder"]]
         self._left_bytes -= size
-        self._ended_bytes += size if row["status"] == "done" and not row["resumed"] else 0  # others end at once
+        is_measured = row["status"] == "done" or (row["wall_s"] or 0.0) >= _QUICK_S
+        self._ended_bytes += size if is_measured and not row["resumed"] else 0
         if self._as_json:
             click.echo(json.dumps({name: value for name, value in row.items() if name != "document"}))
         elif row["status"] == "failed":

@@ -247,7 +247,7 @@ def view(
     from gridslam.live.server import PageServer
 
     reports = [report for report in (out / "report.html", out / "report.txt") if report.is_file()]  # batch, doctor
-    if reports:
+    if reports and not (out / "run.json").is_file():
         address = reports[0].resolve().as_uri()
         click.echo(f"{out}: open {address}")
         open_page(address, live)

@@ -42,7 +42,10 @@ class TuneOptions:
     timeout_s: float | None
 
     def read_logs(self, logs: Sequence[str], options: LogOptions) -> list[TunedLog]:
-        """Describe logs, those of the search first, but for their digests; raises InputError for one of no use."""
+        """Describe logs, those of the search first, but for their digests; raises InputError for a file that is none.
+
+        Those that cannot be mapped are found by the first runs, before the search.
+        """
         entries = find_logs([*logs, *self.held_out], reference=self.reference)
         searched = len(find_logs(logs))
         found = []

@@ -159,7 +159,7 @@ class Tuner:
         Raises
         ------
         InputError
-            A log cannot be mapped with the configuration that the search begins with.
+            A log, of the search or held out, cannot be mapped with the configuration that the search begins with.
         """
         settings = self.settings
         space = settings.space
@@ -230,15 +230,21 @@ class Tuner:
         ]
 
     def _require_base(self) -> dict[str, float]:
-        """Losses of the start by log; raises InputError where it fails: nothing could be compared with it."""
-        settings = self.settings
-        losses = self._evaluate([settings.base], [settings.seed], self._searched)[0, :, 0]
-        for log, loss in zip(self._searched, losses, strict=True):
-            if not math.isfinite(loss):
-                row = self._rows[self._job(settings.base, settings.seed, log).key]
-                problem = row["message"] or row["error"]
-                raise InputError(log.path, f"the configuration that the search begins with fails: {problem}")
-        return {log.name: float(loss) for log, loss in zip(self._searched, losses, strict=True)}
+        """Losses of the start by log of the search.
+
+        Raises InputError where it fails, also on a log that is held out: nothing could be compared with it.
+        """
+        base, seed = self.settings.base, self.settings.seed
+        held_out = [log for log in self.logs if log.held_out]
+        losses = {}
+        for logs, of_logs in ((self._searched, seed), (held_out, seed + 1)):  # the first of the seeds that judge
+            for log, loss in zip(logs, self._evaluate([base], [of_logs], logs)[0, :, 0].tolist(), strict=True):
+                if not math.isfinite(loss):
+                    row = self._rows[self._job(base, of_logs, log).key]
+                    problem = row["message"] or row["error"]
+                    raise InputError(log.path, f"the configuration that the search begins with fails: {problem}")
+                losses[log.name] = loss
+        return {log.name: losses[log.name] for log in self._searched}
 
     def _evaluate(
         self, configurations: Sequence[Configuration], seeds: Sequence[int], logs: Sequence[TunedLog]

@@ -46,7 +46,7 @@ def set_one(peer, name, value):
 
 
 def test_parameters_are_listed_read_described_and_set(start, peer):
-    node = start("-p", "resolution:=0.1", "-p", "preset:=default")
+    node = start("-p", "resolution:=0.1", "-p", "preset:=gmapping")
     names = peer.ask("/gridslam/list_parameters", ListParameters).result.names
     assert {"particles", "resolution", "preset", "use_sim_time", "save_as"} <= set(names)
     asked = ["particles", "delta", "resolution", "preset", "use_sim_time", "nothing"]
@@ -56,7 +56,7 @@ def test_parameters_are_listed_read_described_and_set(start, peer):
         peer.ask("/gridslam/get_parameter_types", GetParameterTypes, names=asked).types
     )
     assert (got[0].integer_value, got[1].double_value, got[2].double_value) == (4, 0.1, 0.1)
-    assert (got[3].string_value, got[4].bool_value) == ("default", False)
+    assert (got[3].string_value, got[4].bool_value) == ("gmapping", False)
     described = peer.ask(
         "/gridslam/describe_parameters", DescribeParameters, names=["particles", "save_as"]
     ).descriptors

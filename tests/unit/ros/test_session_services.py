@@ -11,6 +11,7 @@ from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.se2 import between
 from gridslam.io.edits import Edit, Edits, read_edits, write_edits
 from gridslam.io.sessions.session_file import read_session
+from gridslam.ros.node.messages import Level
 from gridslam.ros.node.session_services import MatchType
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support.node_faults import RunningNode
@@ -166,6 +167,12 @@ def test_requests_of_slam_toolbox_are_served_by_their_fields(log, drive, tmp_pat
     name = str(tmp_path / "floor")
     assert services["serialize_map"](requests(filename=name)) == (0,)
     assert services["serialize_map"](requests(filename="/proc/none/floor")) == (255,)
+    assert node.transport.outputs.logs[-1][0] is Level.WARN
+    assert node.transport.outputs.logs[-1][1].startswith("request refused: name: expected a file that can be written")
+    (tmp_path / "taken.yaml").mkdir()
+    assert services["save_map"](requests(name=SimpleNamespace(data=str(tmp_path / "taken")))) == (255,)
+    problem = f"request failed: {tmp_path / 'taken.yaml'}: cannot be written: Is a directory"
+    assert (Level.ERROR, problem) in node.transport.outputs.logs
     assert services["save_map"](requests(name=SimpleNamespace(data=name))) == (0,)
     assert (tmp_path / "floor.yaml").exists()
     assert services["pause_new_measurements"](requests()) == (True,)

@@ -110,6 +110,24 @@ def test_failures_rank_last_and_a_start_that_fails_ends_it():
         Tuner(SETTINGS, LOGS[1:], Runs())
 
 
+def test_a_held_out_log_that_cannot_be_mapped_ends_it_before_the_search():
+    runs = Runs()
+    failed = {"status": "failed", "document": None, "message": "too short"}
+
+    def run(jobs):
+        return [failed if job.log == "b.clf" else row for job, row in zip(jobs, runs(jobs), strict=True)]
+
+    with pytest.raises(InputError, match=r"b\.clf: the configuration that the search begins with fails: too short"):
+        Tuner(SETTINGS, LOGS, run)()
+    assert len(runs.jobs) == 2
+
+
+def test_a_held_out_log_is_run_no_more_often_than_it_judges():
+    runs = Runs()
+    assert Tuner(SETTINGS, LOGS, runs)().best.ratio < 1
+    assert sum(job.log == "b.clf" for job in runs.jobs) == 2 * SETTINGS.judging_seeds
+
+
 def test_the_file_is_a_configuration():
     tuning = Tuner(SETTINGS, LOGS, Runs())()
     text = to_toml(tuning, LOGS)

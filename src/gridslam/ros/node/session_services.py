@@ -16,7 +16,7 @@ from gridslam.api.merging import merge_sessions
 from gridslam.api.session import Session as SavedDrives
 from gridslam.api.session_edits import move_session, set_aside
 from gridslam.config import Configuration
-from gridslam.errors import ArgumentError, GridslamError, InputError
+from gridslam.errors import ArgumentError, GridslamError, InputError, OutputError
 from gridslam.io.edited_maps import apply_edits
 from gridslam.io.maps import write_map
 from gridslam.io.staging import StagingFolder
@@ -272,14 +272,23 @@ class SessionServices:
 
     def _refuse(self, error: Exception) -> None:
         problem = str(error) if isinstance(error, GridslamError) else describe_error(error)
-        self._log(Level.WARN, f"request refused: {problem}")
+        if isinstance(error, OutputError):
+            self._log(Level.ERROR, f"request failed: {problem}")
+        else:
+            self._log(Level.WARN, f"request refused: {problem}")
 
 
 @contextmanager
 def _writing(path: Path) -> Iterator[None]:
-    """Make the folder of a file that somebody asks for; raises ArgumentError where that or the file cannot be."""
+    """Make the folder of a file that somebody asks for.
+
+    Raises ArgumentError where the folder cannot be made, OutputError where the file cannot be written.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        yield
     except OSError as error:
         raise ArgumentError("name", "a file that can be written", f"{path}: {error.strerror or error}") from None
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
