@@ -74,6 +74,7 @@ class KnownMap:
             raise ArgumentError("reach_m", "a length above 0 m", reach_m)
         self.grid = grid
         self.occupied = occupied
+        self._mapped = self.free | occupied
         self.reach_m = reach_m
         self.threads = threads
         self.resolution_m = grid.resolution_m
@@ -209,7 +210,7 @@ class KnownMap:
     def ends_beyond(self, pose: FloatArray, ends: Points, origin: _Point) -> NDArray[np.bool_]:
         """Return which beams (B,) end where nothing is mapped and went through no wall; arguments as `went_through`."""
         places = np.pad(transform_points(pose, ends), ((0, 0), (0, 1)))
-        mapped = backend.are_true(self.free | self.occupied, self._origin, 1 / self.resolution_m, places)
+        mapped = backend.are_true(self._mapped, self._origin, 1 / self.resolution_m, places)
         beyond = ~mapped & (self.distances([0], pose[None], ends)[0] > _INLIER_WEIGHT.scale_m)
         if beyond.any():
             beyond[beyond] = ~self.went_through(pose, ends[beyond], origin)

@@ -60,11 +60,12 @@ class AugmentedRecovery:
     ) -> tuple[InlierRatioAverages, float]:
         """Average the share of agreeing beams in; the share of the belief that is elsewhere, in [0, 1).
 
-        A scan counts by the ratio of its beams that have `seen` something of the map.
+        A scan counts by the ratio of its beams that have `seen` something of the map, and the share by the same ratio:
+        where nothing is mapped, there is no reason to look elsewhere.
         """
         slow = averages.slow + seen * self.alpha_slow * (inlier_ratio - averages.slow)
         fast = averages.fast + seen * self.alpha_fast * (inlier_ratio - averages.fast)
-        return InlierRatioAverages(slow, fast), max(0.0, 1 - fast / slow) if slow > 0 else 0.0
+        return InlierRatioAverages(slow, fast), seen * max(0.0, 1 - fast / slow) if slow > 0 else 0.0
 
 
 @final

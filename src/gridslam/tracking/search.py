@@ -73,6 +73,8 @@ class OdometrySearch:
     only the odometry remains, however inaccurate, and its error between two scans exceeds the basin of convergence of a
     matcher.
     The window grows until a place is found: nearer ones are preferred, as the odometry is more often right than wrong.
+    After a gap in the laser data in which the robot drove on, only the first window, of two standard deviations, is
+    searched where scans come often: farther away there may be places that look alike.
 
     Parameters
     ----------

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from gridslam.mapping import OccupancyGridMapping
-from gridslam.slam.full_slam.global_scan_refinement import Candidate, CandidateSelection
+from gridslam.slam.full_slam.global_scan_refinement import Candidate, CandidateSelection, _Refinement
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.loop_closure import LoopClosure
+from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
+from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 
 MAPPER = OccupancyGridMapping()
@@ -87,3 +90,32 @@ def test_accepted_constraints_are_those_of_the_last_weights_and_recognized_ones_
     assert one.recognized_constraints == [constraints[0], constraints[3]]
     assert one.accepted_constraints == [constraints[0], constraints[2]]
     assert candidate("filter", 0.0, weights=[0.0]).accepted_constraints == []
+
+
+@pytest.mark.parametrize(("likelihood", "searches"), [(-6.0, 1), (-4.0, 3)])
+def test_a_search_follows_one_that_was_better(monkeypatch, likelihood, searches):
+    """The best candidate takes over the places that agree with it, which is no reason to search again."""
+    places = [Constraint(0, 1, np.array([x, 0, 0]), np.eye(3), ConstraintSource.RECOGNIZED, True) for x in (1, 1, 50)]
+    likelihoods = [-5.0, *(likelihood + k for k in range(3))]
+    held = CandidateSelection(Judge(likelihoods), candidate("filter", 0.0))
+    names, kept = [], []
+
+    def add_closures(_, name, begin):
+        names.append(name)
+        return candidate(name, 0.0, places)
+
+    def keep_trajectory(_, name, poses, recognized):
+        kept.append(recognized)
+        return candidate(name, 0.0, recognized)
+
+    monkeypatch.setattr(_Refinement, "_add_closures", add_closures)
+    monkeypatch.setattr(_Refinement, "_keep_trajectory", keep_trajectory)
+    state = LoopClosureState()
+    for _ in range(2):
+        state.graph.extend(np.zeros(3), np.zeros(3), (1e-4, 1e-4))
+    pairs = SubmapPairs()
+    refinement = _Refinement(state, MAPPER, LoopClosure(), lambda: None, [], 0, [], pairs, pairs)
+    refinement._close_loops(held)
+    assert len(names) == searches
+    assert kept == ([places[:2]] if searches == 1 else [])
+    assert state.rejected[RejectionReason.IMPLAUSIBLE] == len(kept)

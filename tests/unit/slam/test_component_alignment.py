@@ -10,12 +10,13 @@ import pytest
 from closure_worlds import deceptive
 from gridslam.geometry.se2 import between, compose
 from gridslam.slam.full_slam import component_alignment
-from gridslam.slam.full_slam.component_alignment import Alignment, Hypothesis, KnownMap, align_components
+from gridslam.slam.full_slam.component_alignment import Alignment, Hypothesis, KnownMap, SearchHit, align_components
 from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
+from gridslam.slam.loop_closure.submaps import build_map
 from support import hall
 
 LAP = 95
@@ -109,3 +110,24 @@ def test_the_lesser_of_both_directions_counts(monkeypatch, there_and_back):
     state = LoopClosureState()
     alignment = Alignment(state, None, None, np.zeros(1, int), known)
     assert alignment._score_both(np.zeros((1, 3)), None)[0] == -10.0
+
+
+@pytest.mark.parametrize("key", [LAP + 31, 2 * LAP - 12], ids=["between", "after"])
+def test_of_a_component_some_key_scans_may_be_tracked(seen, monkeypatch, key):
+    """The hit is that of a key scan which is none of them, and its pose is not taken for that of another one."""
+    closure_state = interrupted(seen, LAP + 5)
+    poses = np.array(closure_state.graph.poses)
+    old, few = np.arange(LAP + 5), np.arange(LAP + 5, 2 * LAP - 13, 4)
+    assert key not in few
+    assert few[0] < key
+    known = KnownMap(closure_state.scans, poses, old, build_map(hall.MAPPER, closure_state.scans, old, poses[old]))
+    tried = []
+    score_both = Alignment._score_both
+    monkeypatch.setattr(
+        Alignment, "_score_both", lambda self, at, *rest: tried.append(at) or score_both(self, at, *rest)
+    )
+    alignment = Alignment(closure_state, hall.MAPPER, PlaceMatching(), few, known)
+    alignment.track_component([SearchHit(key, compose(seen.truth[key], [0.1, -0.1, 0.01]), 0.9)])
+    assert len(tried) == 2
+    for at in tried:
+        assert np.hypot(*between(seen.truth[few], at)[:, :2].T).max() < 0.1

@@ -267,16 +267,15 @@ class Alignment:
         """
         begin = max(group, key=lambda hit: hit.score)
         squared_sigmas = min(hit.squared_sigmas for hit in group)
-        as_one = self._match_as_one(begin)
-        start = as_one[int(np.searchsorted(self.keys, begin.key))]
+        start, as_one = self._match_as_one(begin)
         found = []
         for poses in (as_one, self._track(begin.key, start)):
             likelihood, overlap, agreement = self._score_both(poses, self._draw(poses))
             found.append(Hypothesis(poses, likelihood, squared_sigmas, overlap, agreement))
         return max(found, key=lambda hypothesis: hypothesis.log_likelihood)
 
-    def _match_as_one(self, begin: SearchHit) -> FloatArray:
-        """Poses (K, 3) of the component, which keeps its shape, matched from where a hit has it."""
+    def _match_as_one(self, begin: SearchHit) -> tuple[FloatArray, FloatArray]:
+        """Poses (3,) of a hit's key scan and (K, 3) of the component, which keeps its shape, matched from there."""
         graph = self.closure_state.graph
         shape = np.array(graph.poses)
         own = between(shape[begin.key], shape[self.keys])
@@ -285,7 +284,7 @@ class Alignment:
         pose = begin.pose
         for matcher in (COARSE, FINE):
             (pose,) = matcher(self.known.maps, ROW, pose[None], NO_PRIOR[None], points).poses
-        return compose(pose, own)
+        return pose, compose(pose, own)
 
     def _track(self, begin: int, pose: FloatArray) -> FloatArray:
         """Poses (K, 3) of the component from that (3,) of key scan `begin` on, corrected where a scan matches."""

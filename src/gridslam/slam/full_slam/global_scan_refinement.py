@@ -273,7 +273,9 @@ class _Refinement:
     def _close_loops(self, selection: CandidateSelection) -> None:
         """Repeatedly recognize more places, starting from the best candidate.
 
-        As long as the score improves, or components are joined: one that is joined shows where others belong.
+        As long as the score improves, or components are joined: one that is joined shows where others belong. Where it
+        does not improve, the best candidate keeps its trajectory and takes over the places that agree with it, if most
+        of them do; the others are rejected.
         """
         last = selection.best
         for search in range(_MAX_SEARCHES):
@@ -285,12 +287,14 @@ class _Refinement:
             is_joined = len(np.unique(self.graph.label_rigid_components())) < components
             recognized = found.recognized_constraints
             contradicted = self.closure.find_contradicted(recognized, last.graph.poses)
+            is_better = selection.best is found
             if selection.best is last and 2 * contradicted.sum() < len(recognized):
                 agreeing = [
                     c for c, is_contradicted in zip(recognized, contradicted, strict=True) if not is_contradicted
                 ]
+                self.closure_state.rejected[RejectionReason.IMPLAUSIBLE] += len(recognized) - len(agreeing)
                 found = selection.best = self._keep_trajectory(last.name, last.graph.poses, agreeing)
-            if selection.best is not found and not is_joined:
+            if not (is_better or is_joined):
                 return
             last = found
 
