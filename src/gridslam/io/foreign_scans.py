@@ -156,6 +156,8 @@ class _EchoRows:
             return None
         if "..." in words:
             raise ValueError("expected whole scans, got some cut off by '...': ros2 topic echo --csv --full-length")
+        if not words[-1]:
+            words.pop()  # intensities that there are not
         if len(words) < len(_ECHOED):
             raise ValueError(f"expected a LaserScan in each row ({','.join(_ECHOED)},...), got {len(words)} cells")
         numbers = {name: _number(words, _ECHOED.index(name), name) for name in _NUMBERS}

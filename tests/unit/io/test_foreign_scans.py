@@ -117,7 +117,7 @@ ECHO = echo_rows(SCANS).decode()
         (ROSTOPIC.replace(",laser,", ",laser,1,", 1), 2, "cells as in the first line"),
         (ECHO.replace("\n", ",...\n", 1), 1, "--full-length"),
         (ECHO + "1,2,laser,1\n", len(SCANS) + 1, "expected a LaserScan in each row"),
-        (ECHO.replace("\n", ",1,1,1\n", 1), 1, f"expected {len(SCANS[0].scan)} ranges"),
+        (ECHO.replace(",\n", ",1,1,1\n", 1), 1, f"expected {len(SCANS[0].scan)} ranges"),
         (ROSTOPIC.replace("laser,-", "laser,x", 1), 2, "column angle_min: expected a number"),
     ],
 )
