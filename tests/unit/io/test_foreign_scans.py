@@ -94,6 +94,22 @@ def test_numbers_of_beams_are_none_of_scans(tmp_path):
     assert len(scan) == 3
 
 
+def test_a_column_that_never_changes_numbers_no_scans(tmp_path):
+    rows = 5 * "".join(f"0,{angle},1\n" for angle in range(180, 360, 10))
+    back, _ = read(tmp_path, f"sweep,angle_deg,distance_m\n{rows}")
+    assert [len(scan) for _, scan in back] == [18] * 5
+    rows = 5 * "".join(f"0,{angle % 360},1\n" for angle in range(180, 540, 10))
+    back, _ = read(tmp_path, f"sweep,angle_deg,distance_m\n{rows}")
+    assert [len(scan) for _, scan in back] == [36] * 5
+
+
+def test_a_flag_of_the_first_beam_numbers_no_scans(tmp_path):
+    """The log begins within a turn."""
+    rows = [f"{int(angle == 0)},{angle},1\n" for angle in range(0, 360, 10)]
+    back, _ = read(tmp_path, "rev,angle_deg,distance_m\n" + "".join(rows[20:] + 3 * rows))
+    assert [len(scan) for _, scan in back] == [16, 36, 36, 36]
+
+
 def test_a_degree_sign_in_another_encoding_is_one(tmp_path):
     ((_, scan),), _ = read(tmp_path, "angle [°],dist [m]\n1,1\n2,1\n".encode("latin-1"))
     np.testing.assert_allclose(np.degrees(scan.geometry.bearings), [1, 2])
