@@ -301,7 +301,10 @@ class _PointRows:
         self._scans += 1
         if self._units is None:
             self._units = self._find_units(angles, distances)
-        bearings = angles / self._units[0] if self._scan is None else np.unwrap(angles / self._units[0])
+        bearings = angles / self._units[0]
+        steps = np.diff(bearings)
+        if self._scan is not None and (steps < 0).any() and (steps > 0).any():
+            bearings = np.unwrap(bearings)  # a numbered scan may begin anywhere
         if problem := find_wrong_beam_angles(bearings[0], np.ptp(bearings) / max(len(bearings) - 1, 1), len(bearings)):
             raise ValueError(problem)
         if not np.array_equal(bearings, self._geometry.bearings):

@@ -110,6 +110,14 @@ def test_a_flag_of_the_first_beam_numbers_no_scans(tmp_path):
     assert [len(scan) for _, scan in back] == [16, 36, 36, 36]
 
 
+def test_angles_in_order_stay_so_over_a_gap_of_more_than_half_a_turn(tmp_path):
+    angles = [*range(0, 81, 2), *range(280, 359, 2)]
+    rows = "".join(f"{scan},{angle},1\n" for scan in (1, 2) for angle in angles)
+    back, _ = read(tmp_path, f"scan_id,angle_deg,distance_m\n{rows}")
+    for _, scan in back:
+        np.testing.assert_allclose(np.degrees(scan.geometry.bearings), angles)
+
+
 def test_a_degree_sign_in_another_encoding_is_one(tmp_path):
     ((_, scan),), _ = read(tmp_path, "angle [°],dist [m]\n1,1\n2,1\n".encode("latin-1"))
     np.testing.assert_allclose(np.degrees(scan.geometry.bearings), [1, 2])
