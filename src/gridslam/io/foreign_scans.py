@@ -164,8 +164,9 @@ class _EchoRows:
         values = [_number(words, place, "ranges, intensities") for place in range(len(_ECHOED), len(words))]
         sweep = numbers["angle_max"] - numbers["angle_min"]
         beams = sweep / numbers["angle_increment"] + 1 if numbers["angle_increment"] else math.inf
-        ranges = next((n for n in (len(values), len(values) // 2) if abs(n - beams) < _OFF_BY_ONE), 0)
-        if not ranges or len(values) % ranges:
+        counts = (len(values) // parts for parts in (1, 2) if len(values) % parts == 0)
+        ranges = next((n for n in counts if n >= 2 and abs(n - beams) < _OFF_BY_ONE), 0)
+        if not ranges:
             raise ValueError(
                 f"expected {beams:.0f} ranges by the angles, and as many intensities or none, got {len(values)}"
             )

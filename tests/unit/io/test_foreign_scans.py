@@ -142,6 +142,8 @@ ECHO = echo_rows(SCANS).decode()
         (ECHO.replace("\n", ",...\n", 1), 1, "--full-length"),
         (ECHO + "1,2,laser,1\n", len(SCANS) + 1, "expected a LaserScan in each row"),
         (ECHO.replace(",\n", ",1,1,1\n", 1), 1, f"expected {len(SCANS[0].scan)} ranges"),
+        ("1,2,3,4,5,6,7,8,9,10,11,12,13\n" * 50, 1, "ranges by the angles, and as many intensities or none, got 3"),
+        ("1,2,3,4,4,6,7,8,9,10,11,12,13\n" * 50, 1, "expected 1 ranges by the angles"),
         (ROSTOPIC.replace("laser,-", "laser,x", 1), 2, "column angle_min: expected a number"),
     ],
 )
