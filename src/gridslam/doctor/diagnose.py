@@ -327,7 +327,8 @@ def diagnose(
 class EarlyCheck:
     """Checks a log while it is read: its beginning, and its ranges until motion shows the unit.
 
-    The beginning is a minute, though at least 30 scans and at most 300. No scan is matched, and findings that need the whole log, such as that the robot never moves, are left out.
+    The beginning is a minute, though at least 30 scans and at most 300. No scan is matched, and findings that need the
+    whole log, such as that the robot never moves, are left out.
 
     Attributes
     ----------
