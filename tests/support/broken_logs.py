@@ -123,7 +123,8 @@ def echo_rows(measurements: Sequence[Measurement], *, with_intensities: bool = F
         bright = np.ones(len(scan)) if with_intensities else ()
         values = (*angles, 0.0, 0.1, scan.range_min_m, scan.range_max_m, *scan.ranges, *bright)
         seconds, nanoseconds = divmod(scan.stamp_ns, 10**9)
-        lines.append(f"{seconds},{nanoseconds},laser,{','.join(f'{value:.9g}' for value in values)}")
+        end = "" if with_intensities else ","  # an empty array is an empty cell
+        lines.append(f"{seconds},{nanoseconds},laser,{','.join(f'{value:.9g}' for value in values)}{end}")
     return ("\n".join(lines) + "\n").encode()
 
 

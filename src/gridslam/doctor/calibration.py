@@ -205,7 +205,7 @@ def calibrate(motion: LaserMotion) -> MotionCalibration:
     """Compare a laser's motion with its odometry; estimates that the log does not determine are marked.
 
     Where the odometry's path contradicts its headings, the laser's turns decide which of the two is mirrored. Where it
-    jumps, as one that is reset, nothing is compared.
+    jumps, as one that is reset, it counts as standing still.
     """
     motion = replace(motion, odometry=_leave_out_jumps(motion))
     turns = _fit_turns(motion)

@@ -31,8 +31,8 @@ from gridslam.types import FloatArray
 
 _QUICK_S = 60.0
 _QUICK_SCANS = 300
-_FEWEST_SCANS = 30  # of stamps in ms there is hardly one in a minute
 """How much `quick_check` looks at: 0.1 ms a scan and 30 ms in all, where the shortest map takes a second."""
+_FEWEST_SCANS = 30  # that it looks at: of stamps in ms there is hardly one in a minute
 
 _RANGE_SCANS = 3000  # after which no motion is waited for: a robot that is parked
 
@@ -49,7 +49,14 @@ _CONSEQUENCES = {
     ("odometry_frozen", Severity.ERROR): _OF_ODOMETRY,
     ("odometry_units", Severity.WARNING): (*_OF_ODOMETRY, "odometry_jumps", "fast_turning"),
 }
-"""Consequences of a fault of this severity, which are not reported beside it."""
+"""Consequences of a fault of this severity, which are not reported beside it; of a laser's those of another are."""
+
+
+def _follows(finding: Finding, cause: Finding) -> bool:
+    """Return whether a finding is a consequence: of the odometry, or of the same laser."""
+    is_of_all = cause.code.startswith("odometry_") or not finding.sensor
+    is_named = finding.code in _CONSEQUENCES[cause.code, cause.severity]
+    return is_named and (is_of_all or finding.sensor == cause.sensor)
 
 
 @final
@@ -226,8 +233,8 @@ class Doctor:
     def findings(self) -> Iterator[Finding]:
         """Yield the findings so far, without those that follow from others."""
         found = list(self._examine())
-        follow = {code for finding in found for code in _CONSEQUENCES.get((finding.code, finding.severity), ())}
-        yield from (finding for finding in found if finding.code not in follow)
+        causes = [finding for finding in found if (finding.code, finding.severity) in _CONSEQUENCES]
+        yield from (finding for finding in found if not any(_follows(finding, cause) for cause in causes))
 
     def _examine(self) -> Iterator[Finding]:
         """Yield the findings of each check; a laser that tilts, sees a person or has wrong ranges is no reference."""
@@ -237,8 +244,8 @@ class Doctor:
         yield from of_beams
         implausible = list(self.range_findings())
         yield from implausible
-        for sensor, laser in self._lasers.items():
-            yield from laser.ranges.findings(sensor)
+        of_limits = [found for sensor, laser in self._lasers.items() for found in laser.ranges.findings(sensor)]
+        yield from of_limits
         mounted = list(mounting_findings({sensor: laser.mounting for sensor, laser in self._lasers.items()}))
         yield from mounted
         yield from self._odometry.findings()
@@ -247,7 +254,8 @@ class Doctor:
         mixed = [found for sensor, laser in self._lasers.items() for found in laser.mixed.findings(sensor)]
         yield from mixed
         no_reference |= {finding.sensor for finding in [*implausible, *mixed]}
-        matched = [] if self._motion is None else list(self._motion.findings())
+        held_back = {finding.sensor for finding in of_limits if finding.severity is Severity.ERROR}
+        matched = [] if self._motion is None else list(self._motion.findings(no_reference | held_back))
         if not any(finding.code in _MIRRORED for finding in matched):  # then no scan is where odometry predicts it
             for sensor in set(self._lasers) - no_reference:
                 yield from self._lasers[sensor].breaks.findings(sensor)
@@ -317,9 +325,10 @@ def diagnose(
 @final
 @checked
 class EarlyCheck:
-    """Checks a log while it is read: its first minute (at most 300 scans), and its ranges until motion shows the unit.
+    """Checks a log while it is read: its beginning, and its ranges until motion shows the unit.
 
-    No scan is matched, and findings that need the whole log, such as that the robot never moves, are left out.
+    The beginning is a minute, though at least 30 scans and at most 300. No scan is matched, and findings that need the
+    whole log, such as that the robot never moves, are left out.
 
     Attributes
     ----------

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
-from itertools import chain
 from typing import NamedTuple, final
 
 import numpy as np
@@ -142,15 +141,21 @@ class MotionExaminer:
         """Match the next scan to those before it of the same laser."""
         self._lasers[measurement.scan.sensor].take(measurement)
 
-    def findings(self) -> Iterator[Finding]:
-        """Yield the findings of each laser; findings on the wheels once, if all lasers agree."""
-        reported = [found for found in (laser.findings() for laser in self._lasers.values()) if found is not None]
+    def findings(self, no_reference: Collection[str] = ()) -> Iterator[Finding]:
+        """Yield the findings of each laser; those on the wheels once, if all lasers agree but for some."""
+        reported = [
+            (sensor, found) for sensor, laser in self._lasers.items() if (found := laser.findings()) is not None
+        ]
         # A laser that leaves a bare corridor backward may see the robot stand still.
-        agreed = _OF_WHEELS.intersection(*({finding.code for finding in found} for found in reported))
-        for finding in chain.from_iterable(reported):
-            if finding.code in agreed or finding.code not in _OF_WHEELS:
-                yield finding
-                agreed -= {finding.code}
+        heard = [{finding.code for finding in found} for sensor, found in reported if sensor not in no_reference]
+        agreed = _OF_WHEELS.intersection(*heard) if heard else frozenset()
+        for sensor, found in reported:
+            for finding in found:
+                if finding.code not in _OF_WHEELS:
+                    yield finding
+                elif finding.code in agreed and sensor not in no_reference:
+                    yield finding
+                    agreed -= {finding.code}
 
 
 def motion_findings(motion: LaserMotion, calibration: MotionCalibration | None = None) -> list[Finding]:

@@ -156,14 +156,17 @@ class _EchoRows:
             return None
         if "..." in words:
             raise ValueError("expected whole scans, got some cut off by '...': ros2 topic echo --csv --full-length")
+        if not words[-1]:
+            words.pop()  # intensities that there are not
         if len(words) < len(_ECHOED):
             raise ValueError(f"expected a LaserScan in each row ({','.join(_ECHOED)},...), got {len(words)} cells")
         numbers = {name: _number(words, _ECHOED.index(name), name) for name in _NUMBERS}
         values = [_number(words, place, "ranges, intensities") for place in range(len(_ECHOED), len(words))]
         sweep = numbers["angle_max"] - numbers["angle_min"]
         beams = sweep / numbers["angle_increment"] + 1 if numbers["angle_increment"] else math.inf
-        ranges = next((n for n in (len(values), len(values) // 2) if abs(n - beams) < _OFF_BY_ONE), 0)
-        if not ranges or len(values) % ranges:
+        counts = (len(values) // parts for parts in (1, 2) if len(values) % parts == 0)
+        ranges = next((n for n in counts if n >= 2 and abs(n - beams) < _OFF_BY_ONE), 0)
+        if not ranges:
             raise ValueError(
                 f"expected {beams:.0f} ranges by the angles, and as many intensities or none, got {len(values)}"
             )
@@ -201,7 +204,8 @@ def _geometry(start: float, step: float, beams: int) -> ScanGeometry:
 class _PointRows:
     """A beam in each row: an angle, a distance, and mostly a time.
 
-    A scan ends where the number of the scan changes, or without such a column where the angle starts over.
+    A scan ends where the number of the scan changes, or without such a column where the angle starts over. A number
+    that lasts a single beam is none of a scan, but counts beams or marks the first one; one that never changes neither.
 
     Units are those that the names state. Without, angles are degrees where one is beyond 7, and distances millimetres
     where their median in the first scan is beyond 100. Angles count counter-clockwise unless `clockwise`.
@@ -214,6 +218,8 @@ class _PointRows:
         self._time = _match(_TIME, names)
         self._scan = _match(_SCAN, names)
         self._scan_number = ""
+        self._has_changed = False  # the number of the scan
+        self._turning = 0.0  # the sense in which the angle grows, once it has started over in a scan of such a number
         self._statistics = statistics
         self._direction = -1.0 if clockwise else 1.0
         self._is_header = True
@@ -254,10 +260,20 @@ class _PointRows:
         if self._scan is None:
             return self._starts_over(angle)
         before, self._scan_number = self._scan_number, words[self._scan[0]]
-        if before != self._scan_number and self._scans == 0 and len(self._beams) == 1:
-            self._scan = None  # it counts beams
+        if not self._beams:
             return False
-        return before != self._scan_number and bool(self._beams)
+        if before == self._scan_number:
+            return not self._has_changed and self._comes_round(angle)
+        self._has_changed = True
+        if len(self._beams) == 1:
+            self._scan = None
+        return self._scan is not None
+
+    def _comes_round(self, angle: float) -> bool:
+        """Return whether a beam is past the first one of its scan, after the angle has started over."""
+        if not self._turning and self._starts_over(angle):
+            self._turning = math.copysign(1.0, self._beams[-1][0] - self._beams[0][0])
+        return self._turning * (angle - self._beams[0][0]) >= 0 and self._turning != 0
 
     def _starts_over(self, angle: float) -> bool:
         """Return whether a beam goes back against the direction of its scan."""
@@ -282,10 +298,14 @@ class _PointRows:
         """Make a scan of the beams so far."""
         angles, distances = np.array(self._beams).T
         self._beams = []
+        self._turning = 0.0
         self._scans += 1
         if self._units is None:
             self._units = self._find_units(angles, distances)
-        bearings = angles / self._units[0] if self._scan is None else np.unwrap(angles / self._units[0])
+        bearings = angles / self._units[0]
+        steps = np.diff(bearings)
+        if self._scan is not None and (steps < 0).any() and (steps > 0).any():
+            bearings = np.unwrap(bearings)  # a numbered scan may begin anywhere
         if problem := find_wrong_beam_angles(bearings[0], np.ptp(bearings) / max(len(bearings) - 1, 1), len(bearings)):
             raise ValueError(problem)
         if not np.array_equal(bearings, self._geometry.bearings):

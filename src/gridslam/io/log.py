@@ -47,7 +47,7 @@ _OTHER_MAGIC = {
     b"header:": "messages as text (the table of rostopic echo -p -b BAG /scan is read, and so is the bag itself)",
     b"version https://git-lfs": "a pointer of Git LFS (fetch the file itself: git lfs pull)",
 }
-_NUMBER = re.compile(r"[-+.\d]+")
+_NUMBER = re.compile(r"[-+]?(?:[\d.]+(?:e[-+]?\d+)?|inf|nan)", re.IGNORECASE)
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
 
 
@@ -163,7 +163,7 @@ def _looks_like(head: bytes, line: str) -> str:
         return f"binary data that begins with {head[:8].hex(' ')}"
     if line == CSV_HEADER or _is_tum(line):
         return "poses without scans (a trajectory, or relations)"
-    if line and all(map(_NUMBER.fullmatch, re.split(r"[ ,;\t]+", line.strip("()[]")))):
+    if all(map(_NUMBER.fullmatch, re.split(r"[ ,;\t]+", line.strip(" ,;\t").strip("()[]")))):
         return "numbers without a line of names (such as angle_deg,dist_mm)"
     if line.startswith(("VERTEX", "EDGE")):
         return "a pose graph (gridslam graph solves it)"

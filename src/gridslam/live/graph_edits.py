@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam import __version__
-from gridslam.errors import ArgumentError, InputError
+from gridslam.errors import ArgumentError, InputError, OutputError
 from gridslam.geometry.se2 import compose, transform_points
 from gridslam.io.g2o import read_g2o, write_g2o
 from gridslam.io.output import write_atomically
@@ -272,9 +272,16 @@ class EditedGraph:
         source = self._source
         if self._session is not None and compute_digest(self._session) != self._digest:
             raise InputError(self._session, "another program has saved this session since: begin the view again")
-        with write_atomically(self._folder / EDITED_GRAPH) as path:
-            write_g2o(path, solved.graph, source.ids, source.order, source.is_landmark)
-            self._save_edits(solved.edits)
+        is_saved = False
+        try:
+            with write_atomically(self._folder / EDITED_GRAPH) as path:
+                write_g2o(path, solved.graph, source.ids, source.order, source.is_landmark)
+                self._save_edits(solved.edits)
+                is_saved = True
+        except OutputError:
+            if is_saved:
+                self._save_edits(self._now.edits)
+            raise
 
     def _save_edits(self, edits: list[GraphEdit]) -> None:
         if self._saved is not None and self._session is not None:

@@ -184,6 +184,8 @@ def test_what_was_put_away_stays_so_however_often_it_comes(browser):
 
 
 def test_a_long_list_of_messages_is_scrolled_by_keys(browser):
+    from selenium.webdriver import Keys
+
     messages = Messages(lambda level, text: None)
     for letter in "abcdefghijklmnopqrstuvwxyz":
         messages(f"problem {letter}", "a sentence about it")
@@ -193,4 +195,7 @@ def test_a_long_list_of_messages_is_scrolled_by_keys(browser):
         wait(lambda: shown(browser, "messages"), "the list")
         click(browser, "messages")
         wait(lambda: len(browser.find_elements("css selector", "#messages li")) == 26, "all of it")
+        entries = browser.find_element("css selector", "#messages ol")
+        entries.send_keys(Keys.ARROW_DOWN)
+        wait(lambda: browser.execute_script("return arguments[0].scrollTop", entries) > 0, "it is scrolled")
         check_by_axe(browser)

@@ -64,6 +64,18 @@ def test_what_follows_from_a_fault_is_no_fault_of_its_own(rooms, change, code):
     assert [finding.code for finding in diagnosis.faults] == [code]
 
 
+def test_a_fault_of_one_laser_hides_nothing_of_another(rooms):
+    measurements = rooms.measurements[:450]
+    scaled = [m._replace(odometry=replace(m.odometry, pose=m.odometry.pose * [1.2, 1.2, 1])) for m in measurements]
+    wrong = [m._replace(scan=replace(m.scan, ranges=np.minimum(m.scan.ranges, 6.0))) for m in scaled]
+    alone = {finding.code: finding for finding in diagnose(Memory(wrong)).faults}
+    assert alone["range_limits"].severity is Severity.ERROR
+    assert "odometry_scale" not in alone
+    healthy = [m._replace(scan=replace(m.scan, sensor="rear")) for m in scaled]
+    both = diagnose(Memory(m for pair in zip(wrong, healthy, strict=True) for m in pair)).faults
+    assert [finding.sensor for finding in both if finding.code == "odometry_scale"] == ["rear"]
+
+
 def test_a_healthy_log_is_said_to_be_healthy(rooms):
     ticks = []
     diagnosis = diagnose(Memory(rooms.measurements), on_progress=lambda: ticks.append(0))

@@ -94,6 +94,30 @@ def test_numbers_of_beams_are_none_of_scans(tmp_path):
     assert len(scan) == 3
 
 
+def test_a_column_that_never_changes_numbers_no_scans(tmp_path):
+    rows = 5 * "".join(f"0,{angle},1\n" for angle in range(180, 360, 10))
+    back, _ = read(tmp_path, f"sweep,angle_deg,distance_m\n{rows}")
+    assert [len(scan) for _, scan in back] == [18] * 5
+    rows = 5 * "".join(f"0,{angle % 360},1\n" for angle in range(180, 540, 10))
+    back, _ = read(tmp_path, f"sweep,angle_deg,distance_m\n{rows}")
+    assert [len(scan) for _, scan in back] == [36] * 5
+
+
+def test_a_flag_of_the_first_beam_numbers_no_scans(tmp_path):
+    """The log begins within a turn."""
+    rows = [f"{int(angle == 0)},{angle},1\n" for angle in range(0, 360, 10)]
+    back, _ = read(tmp_path, "rev,angle_deg,distance_m\n" + "".join(rows[20:] + 3 * rows))
+    assert [len(scan) for _, scan in back] == [16, 36, 36, 36]
+
+
+def test_angles_in_order_stay_so_over_a_gap_of_more_than_half_a_turn(tmp_path):
+    angles = [*range(0, 81, 2), *range(280, 359, 2)]
+    rows = "".join(f"{scan},{angle},1\n" for scan in (1, 2) for angle in angles)
+    back, _ = read(tmp_path, f"scan_id,angle_deg,distance_m\n{rows}")
+    for _, scan in back:
+        np.testing.assert_allclose(np.degrees(scan.geometry.bearings), angles)
+
+
 def test_a_degree_sign_in_another_encoding_is_one(tmp_path):
     ((_, scan),), _ = read(tmp_path, "angle [°],dist [m]\n1,1\n2,1\n".encode("latin-1"))
     np.testing.assert_allclose(np.degrees(scan.geometry.bearings), [1, 2])
@@ -117,7 +141,9 @@ ECHO = echo_rows(SCANS).decode()
         (ROSTOPIC.replace(",laser,", ",laser,1,", 1), 2, "cells as in the first line"),
         (ECHO.replace("\n", ",...\n", 1), 1, "--full-length"),
         (ECHO + "1,2,laser,1\n", len(SCANS) + 1, "expected a LaserScan in each row"),
-        (ECHO.replace("\n", ",1,1,1\n", 1), 1, f"expected {len(SCANS[0].scan)} ranges"),
+        (ECHO.replace(",\n", ",1,1,1\n", 1), 1, f"expected {len(SCANS[0].scan)} ranges"),
+        ("1,2,3,4,5,6,7,8,9,10,11,12,13\n" * 50, 1, "ranges by the angles, and as many intensities or none, got 3"),
+        ("1,2,3,4,4,6,7,8,9,10,11,12,13\n" * 50, 1, "expected 1 ranges by the angles"),
         (ROSTOPIC.replace("laser,-", "laser,x", 1), 2, "column angle_min: expected a number"),
     ],
 )

@@ -54,6 +54,8 @@ def test_bags(tmp_path, head):
         (b"#ROSRECORD V1.2\n" + bytes(50), "got a ROS 1 bag of the old format V1 (rosbag filter OLD.bag"),
         (b"#ROSLOG V1.1\n" + bytes(50), "got a ROS 1 bag of the old format V1 (rosbag filter OLD.bag"),
         (b"(15, 1.5, 300.0)\n", "numbers without a line of names (such as angle_deg,dist_mm)"),
+        (b"0.000000000000000000e+00 1.5E-01 inf -NaN\n", "numbers without a line of names (such as angle_deg,dist_mm)"),
+        (b"1.5,300,\n", "numbers without a line of names (such as angle_deg,dist_mm)"),
         (b"1.5\t300\n", "numbers without a line of names (such as angle_deg,dist_mm)"),
         (b"header: \n  seq: 7\n", "got messages as text (the table of rostopic echo -p -b BAG /scan is read"),
         (b"# stamp x y\n1.5 0 0 0 0 0 0 1\n", "got poses without scans"),

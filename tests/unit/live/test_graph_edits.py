@@ -112,6 +112,15 @@ def test_an_edit_that_cannot_be_saved_is_none(folder):
     assert edited.results.status(0, 0.0)["rejected"] == [[2, 15]], "once"
 
 
+def test_an_edit_whose_graph_cannot_be_written_is_none(folder):
+    edited = EditedGraph(folder)
+    (folder / EDITED_GRAPH / "full").mkdir(parents=True)
+    with pytest.raises(OutputError, match=EDITED_GRAPH):
+        edited.reject([2, 15])
+    assert edited.results.status(0, 0.0)["rejected"] == []
+    assert EditedGraph(folder).results.status(0, 0.0)["rejected"] == []
+
+
 @pytest.fixture(scope="module")
 def mapped(tmp_path_factory):
     """A loop that is closed, with its session, and the rest of its log."""
@@ -235,6 +244,20 @@ def test_the_page_shows_both_scans_and_their_score(mapped, session, tmp_path):
     client.catch_up(viewer)
     assert client.status["added"] == []
     assert "edit: expected" in client.status["answer"], "nothing is proposed"
+
+
+def test_an_edit_whose_graph_cannot_be_written_is_none_in_a_session(mapped, session, tmp_path):
+    shutil.copytree(mapped / "out", tmp_path / "out")
+    edited = EditedGraph(tmp_path / "out", [session])
+    (tmp_path / "out" / EDITED_GRAPH).unlink(missing_ok=True)
+    (tmp_path / "out" / EDITED_GRAPH).mkdir()
+    pair = edited.results.status(0, 0.0)["residuals"][0][:2]
+    with pytest.raises(OutputError, match=EDITED_GRAPH):
+        edited.reject(pair)
+    assert read_session(session, makes_edits=False).edits == ()
+    (tmp_path / "out" / EDITED_GRAPH).rmdir()
+    edited.reject(pair)
+    assert len(read_session(session, makes_edits=False).edits) == 1
 
 
 def test_the_session_of_a_graph_is_the_first_that_has_its_key_scans(mapped, folder, session):

@@ -8,6 +8,7 @@ const TEXT = "input:not([type=range], [type=checkbox], [type=radio])"; // fields
 function isForPart(part, key) {
   if (part.matches(`select, ${TEXT}`)) return true;
   if (part.matches("input[type='range']")) return key.startsWith("Arrow") || key === "Home" || key === "End";
+  if (part.matches("#messages ol")) return /^(Arrow(Up|Down)|Home|End|Page(Up|Down))$/.test(key);
   return key === " " && part.matches("button, input, summary");
 }
 
