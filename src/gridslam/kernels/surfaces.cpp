@@ -87,8 +87,8 @@ Line fit_line(const double* x, const double* y, int64_t first, int64_t last) {
 
 // Fits a line to the points within `reach` of point `at`, of those from `low` to `high` that are on its surface; to
 // those on one side of it where there is a corner. Moves the point onto it; false where they are not in line.
-bool fit_long_line(const double* x, const double* y, int64_t at, int64_t low, int64_t high, double reach,
-                   double* point, double* normal) {
+bool fit_long_line(const double* x, const double* y, int64_t at, int64_t low, int64_t high, double reach, double* point,
+                   double* normal) {
   constexpr int64_t kFewest = 2 * kLineBeside;  // beside the point
   if (high - low < kFewest || x[at] * x[at] + y[at] * y[at] >= kReach2) return false;
   const auto is_near = [&](int64_t k) {
@@ -99,8 +99,10 @@ bool fit_long_line(const double* x, const double* y, int64_t at, int64_t low, in
   while (first > low && is_near(first - 1)) --first;
   while (last < high && is_near(last + 1)) ++last;
   while (last - first < kFewest) {  // the others are farther off
-    if (first > low && (last == high || at - first <= last - at)) --first;
-    else ++last;
+    if (first > low && (last == high || at - first <= last - at))
+      --first;
+    else
+      ++last;
   }
   Line best = fit_line(x, y, first, last);
   first = std::max(low, std::min(first, at - kFewest)), last = std::min(high, std::max(last, at + kFewest));
@@ -241,10 +243,9 @@ void fit_surfaces(const double* ends, const int64_t* starts, const double* origi
         while (high + 1 < size && is_beside(x.data(), y.data(), high + 1)) ++high;
       }
       double point[2]{x[k], y[k]}, normal[2]{};
-      const bool is_line = reach_m > 0
-                               ? fit_long_line(x.data(), y.data(), k, low, high, reach_m, point, normal)
-                               : k - low >= kLineBeside && high - k >= kLineBeside &&
-                                     fit_normal(x.data(), y.data(), k, normal, normal + 1);
+      const bool is_line = reach_m > 0 ? fit_long_line(x.data(), y.data(), k, low, high, reach_m, point, normal)
+                                       : k - low >= kLineBeside && high - k >= kLineBeside &&
+                                             fit_normal(x.data(), y.data(), k, normal, normal + 1);
       if (!is_line) continue;
       points[2 * found] = point[0] + origins[2 * scan], points[2 * found + 1] = point[1] + origins[2 * scan + 1];
       normals[2 * found] = normal[0], normals[2 * found + 1] = normal[1];
