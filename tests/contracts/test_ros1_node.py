@@ -304,7 +304,7 @@ def test_a_node_registers_again_at_a_master_that_was_restarted(ros, tmp_path):
     assert ros.until(lambda: registered() == before), (before, registered(), ros.log("node"))
     assert "the master was restarted: registering again" in ros.log("node")
     assert ros.until(lambda: "no scans on /scan since" in ros.log("node").partition(dead)[2])
-    assert "scans: " in ros.run("rosservice", "call", f"{NAME}/save")
+    assert "scans saved: " in ros.run("rosservice", "call", f"{NAME}/save")
     ros.play(bag, 3)  # from the beginning: another map
     node.send_signal(signal.SIGINT)
     assert node.wait(60) == 0, ros.log("node")

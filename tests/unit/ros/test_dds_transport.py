@@ -40,7 +40,7 @@ def test_bytes_that_are_no_scan_are_named_and_the_node_lives(capfd):
     transport = DdsTransport(RosArguments(), domain=free_domain(), interfaces=["127.0.0.1"])
     node = RosNode(transport, node_parameters({}, "default"))
     node.start()
-    readers = transport._participant._participant._readers.values()
+    readers = transport._participant._readers.values()
     take = {
         reader.topic: lambda data, handle=reader.handle: handle(Sample(data, WRITER, 1, b"\1\x10"))
         for reader in readers
@@ -147,7 +147,7 @@ def test_the_graph_of_nodes_has_gids_of_24_bytes_for_humble_and_of_16_from_iron_
     assert payload[20:24] == b"\1\0\0\0"
     texts = (4 + len("/robot1\0")) + (4 + len("gridslam\0") + 3)  # length, text, and filled up to four bytes
     assert len(payload) == len(b"\0\1\0\0") + 16 + 4 + texts + (4 + 16) + (4 + 16)
-    node.close()
+    node._participant.close()
 
 
 @pytest.mark.parametrize(
