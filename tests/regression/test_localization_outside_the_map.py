@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
-import pytest
 
 from gridslam.geometry.se2 import between
 from gridslam.localization import KnownMap, MonteCarloLocalization
@@ -14,6 +15,7 @@ SCANS = 900
 WRONG_M = 0.5
 
 
+@cache
 def half_mapped(name: str, seed: int) -> tuple[KnownMap, SimulatedLog]:
     """Half of a building, mapped with true poses on one side of a random line, and another drive all around it."""
     rng = np.random.default_rng(seed)
@@ -50,11 +52,10 @@ def localize_from(known: KnownMap, drive: SimulatedLog, start: int, seed: int) -
     return counts
 
 
-@pytest.mark.parametrize(("name", "seed"), [("demo", 7), ("random", 13)])
-def test_a_robot_outside_what_is_mapped_is_not_found_somewhere_in_it(name, seed):
-    """Where a fix does not ask for the outside, 14 and 76 scans of these drives are localized in wrong places."""
-    known, drive = half_mapped(name, seed)
-    counts = localize_from(known, drive, len(drive.measurements) // 4, seed)
+def test_a_robot_outside_what_is_mapped_is_not_found_somewhere_in_it():
+    """Where a fix does not ask for the outside, 76 scans of this drive are localized in wrong places."""
+    known, drive = half_mapped("random", 13)
+    counts = localize_from(known, drive, len(drive.measurements) // 4, 13)
     assert counts["found_inside"] + counts["found_outside"] > SCANS // 10
     assert counts["wrong"] <= 10, "a place that looks like another one may be told for two seconds"
 
