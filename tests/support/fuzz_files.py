@@ -49,7 +49,6 @@ from gridslam.io.g2o import read_g2o, write_g2o
 from gridslam.io.landmark_logs import open_landmark_log
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.maps import read_map, write_map
-from gridslam.io.results.record import read_record
 from gridslam.io.ros_parameters import read_parameter_file
 from gridslam.io.sessions.archive_file import write_sealed_arrays
 from gridslam.io.sessions.drives import DrivenLog
@@ -57,7 +56,8 @@ from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_sessi
 from gridslam.io.text import read_json
 from gridslam.io.trajectories import read_relations, read_trajectory, read_trajectory_csv, read_tum
 from gridslam.live.graph_edits import EDITS, EDITS_SCHEMA, EditedGraph
-from gridslam.live.history_file import read_history
+from gridslam.live.history_file import HISTORY_NAME, read_history, write_history
+from gridslam.live.history_recorder import HistoryRecorder
 from gridslam.live.replay import Replay
 from gridslam.localization import KnownMap
 from gridslam.messages import Messages
@@ -331,7 +331,7 @@ def _names(folder: Path) -> Iterator[Family]:
 def _streams(folder: Path) -> Iterator[Family]:
     """Pipes, devices and directories in the place of files."""
     readers: list[Callable[[Path], object]] = [
-        open_log, read_tum, read_g2o, read_map, read_session, read_record, read_history, open_landmark_log,
+        open_log, read_tum, read_g2o, read_map, read_session, read_history, open_landmark_log,
         read_relations, read_parameter_file, read_trajectory_csv
     ]  # fmt: skip
 
@@ -372,7 +372,7 @@ _READERS: dict[str, Callable[[Path], object]] = {
     "db3": _scan,
     "zst": _scan,
     "gridslam": read_session,
-    "npz": read_record,
+    "npz": read_history,
     "yaml": lambda path: (read_map if path.name == "map.yaml" else read_parameter_file)(path),
     "tum": read_tum,
     "g2o": read_g2o,
@@ -655,7 +655,7 @@ def _states(folder: Path) -> Iterator[Family]:
     rng, steps = np.random.default_rng(1), iter(measurements)
     begun = SavedRun(rng, name="day", logs=(DrivenLog("day.clf", "", 35, 0, 1, 1.0),))
     slam = gridslam.build(configuration)
-    observers = [begun.trajectory, begun.statistics, lambda report, state, seconds: begun.record.add(report, seconds)]
+    observers = [begun.trajectory, begun.statistics]
     state = gridslam.run(islice(steps, 35), replace(slam, particles=3), rng=rng, observers=observers)
     session = Session.of(SavedSession(configuration, run=replace(begun, state=state)))
     whole = replace(session.saved, pieces=tuple(session.pieces))  # a run, and the same as a piece
@@ -735,30 +735,31 @@ def _change_array(arrays: dict[str, Any], rng: np.random.Generator) -> None:
         arrays[name] = np.array(changed).reshape(values.shape)
 
 
-def map_log_of(measurements: Sequence[Any]) -> Any:
+def map_log_of(measurements: Sequence[Any], **given: Any) -> Any:
     """The result of mapping these."""
     with TemporaryDirectory() as aside:
         from gridslam.io.csv import write_csv_log
 
         write_csv_log(Path(aside) / "log.csv", measurements)
-        return map_log(Path(aside) / "log.csv", configuration=Configuration(particles=3))
+        return map_log(Path(aside) / "log.csv", configuration=Configuration(particles=3), **given)
 
 
 def _results(folder: Path) -> Iterator[Family]:
     """Folders of results, as `gridslam view` reads them."""
-    result = map_log_of(drive_about(40))
+    recorder = HistoryRecorder()
+    result = map_log_of(drive_about(40), observers=[recorder], gate=recorder.follow)
     result.save(folder / "out")
+    write_history(folder / "out" / HISTORY_NAME, recorder.history)
     document = json.loads((folder / "out" / "run.json").read_text())
-    document["loop_closure"] = {"closures": [{"key_scans": [0, 3], "stamps_ns": [0, 1]}]}
     messages = Messages(lambda level, text: None)
     messages("late scans", "by 2 s")
     document["messages"] = messages.to_list()
     (folder / "out" / "run.json").write_text(json.dumps(document))
     (folder / "out" / EDITS).write_text(json.dumps({"schema": EDITS_SCHEMA, "rejected": [[0, 3]]}))
     write_map(folder / "out" / "map.yaml", result.map)
-    names = ("run.json", EDITS, "record.npz", "graph.g2o", "trajectory.tum", "map.yaml", "map.pgm")
+    names = ("run.json", EDITS, HISTORY_NAME, "graph.g2o", "trajectory.tum", "map.yaml", "map.pgm")
     whole = {name: (folder / "out" / name).read_bytes() for name in names}
-    record = dict(np.load(folder / "out" / "record.npz").items())
+    record = dict(np.load(folder / "out" / HISTORY_NAME).items())
 
     def prepare(to: Path, rng: np.random.Generator) -> None:
         chosen = names[rng.integers(len(names))]
@@ -766,7 +767,7 @@ def _results(folder: Path) -> Iterator[Family]:
             (to / name).write_bytes(content)
         if chosen.endswith(".json") and rng.integers(4):
             (to / chosen).write_text(json.dumps(_change_json(json.loads(whole[chosen]), rng)))
-        elif chosen == "record.npz" and rng.integers(4):
+        elif chosen == HISTORY_NAME and rng.integers(4):
             changed = dict(record)
             _change_array(changed, rng)
             with open(to / chosen, "wb") as file:

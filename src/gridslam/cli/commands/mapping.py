@@ -58,7 +58,7 @@ def map_command(**options: Any) -> None:  # noqa: ANN401
 
     Writes to OUT: map.yaml, map.pgm and map.png, trajectory.tum (full SLAM: a pose for every scan), trajectory.csv
     (with covariances), trajectory_online.tum (the online pose estimates), graph.g2o (key scans and constraints),
-    record.npz (the particles at each key scan) and run.json (counts, times, parameters).
+    history.npz (the past of the run) and run.json (counts, times, parameters).
 
     With --save and --continue a map grows over several logs, days and robots: where the robot was not moved in between
     the filter continues as if there had been one log; otherwise the robot is relocalized in the map first. Then

@@ -17,7 +17,6 @@ from gridslam.arguments import require_instance, require_seed
 from gridslam.config import Configuration, dumps
 from gridslam.config.configuration import loads
 from gridslam.errors import ArgumentError
-from gridslam.io.results.record import RecordWriter
 from gridslam.io.sessions.archive_file import (
     Arrays,
     dump_generator,
@@ -58,8 +57,6 @@ class SavedRun:
         The scans so far.
     statistics : StatisticsRecorder
         Counts and latencies so far.
-    record : RecordWriter
-        The particles at each key scan so far.
     name : str
         Of the drive.
     logs : tuple of DrivenLog
@@ -74,7 +71,6 @@ class SavedRun:
     state: GridFastSlamState | None = None
     trajectory: TrajectoryRecorder = field(default_factory=TrajectoryRecorder)
     statistics: StatisticsRecorder = field(default_factory=StatisticsRecorder)
-    record: RecordWriter = field(default_factory=RecordWriter)
     name: str = ""
     logs: tuple[DrivenLog, ...] = ()
     earlier: tuple[Drive, ...] = ()
@@ -84,9 +80,7 @@ class SavedRun:
         """Keep a copy for later."""
         rng, trajectory, statistics = copy.deepcopy((self.rng, self.trajectory, self.statistics))
         state = None if self.state is None else self.state.snapshot()
-        return replace(
-            self, rng=rng, state=state, trajectory=trajectory, statistics=statistics, record=self.record.snapshot()
-        )
+        return replace(self, rng=rng, state=state, trajectory=trajectory, statistics=statistics)
 
     def copy(self) -> SavedRun:
         """Return a copy that another thread may write while the filter continues."""
@@ -164,7 +158,7 @@ class SavedSession:
             run = self.run
             if run.state is not None:
                 arrays |= _prefix("run.state", run.state.to_arrays())
-            for name in ("trajectory", "statistics", "record"):
+            for name in ("trajectory", "statistics"):
                 arrays |= _prefix(f"run.{name}", getattr(run, name).to_arrays())
             arrays |= _dump_drives("run", run.earlier)
         return arrays
@@ -373,7 +367,6 @@ def _load_run(arrays: Arrays, head: dict[str, Any], configuration: Configuration
         load_generator(head["generator"]),
         trajectory=TrajectoryRecorder.from_arrays(select_part(arrays, "trajectory")),
         statistics=StatisticsRecorder.from_arrays(select_part(arrays, "statistics")),
-        record=RecordWriter.from_arrays(select_part(arrays, "record")),
         name=str(head["name"]),
         logs=_load_logs(head["logs"]),
         floor=head.get("floor", ""),

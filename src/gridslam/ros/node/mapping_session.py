@@ -209,7 +209,6 @@ class Session:
 
     def _note(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         self.state = state
-        self._begun.run.record.add(report, seconds)
         joined = self._begun.find_joined(state) if self.found_after_m is None else None
         if joined is not None and state.closure_state is not None:
             self.found_after_m = state.closure_state.driven_before_found_m(len(joined.piece))
