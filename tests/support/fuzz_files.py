@@ -22,7 +22,7 @@ import warnings
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -38,6 +38,8 @@ from gridslam.api.landmarks import map_landmarks
 from gridslam.api.mapping import map_log
 from gridslam.api.session import Session
 from gridslam.api.session_edits import EditsBefore
+from gridslam.cli import map as _map_command  # noqa: F401 imported before processes are forked
+from gridslam.cli.main import main
 from gridslam.cli.sessions import show_session
 from gridslam.config import Configuration, load, override, preset
 from gridslam.doctor import CheckedLog, diagnose
@@ -244,6 +246,30 @@ def _logs(folder: Path) -> Iterator[Family]:
         assert np.isfinite(poses).all()
 
     yield Family("logs", 0, prepare, read, 6)
+
+    def run_commands(where: Path) -> None:
+        (path,) = where.iterdir()
+        converted, out = where / "converted.csv", where / "out"
+        few = ("--particles", "2", "--no-loop-closure", "--no-history")
+        statuses = [_run_command(path, "convert", path, converted), _run_command(path, "map", path, "-o", out, *few)]
+        for status, written in zip(statuses, (converted, out / "run.json"), strict=True):
+            assert written.exists() == (status == 0), f"{written.name} of a command that ended with {status}"
+        if not statuses[0]:
+            _scan(converted)
+        if any(statuses):
+            raise InputError(path, "refused")
+
+    yield Family("commands", 0, prepare, run_commands, 2)
+
+
+def _run_command(log: Path, *words: object) -> int:
+    """Run a command in this process: it succeeds, or ends with status 2 and a line that names the log."""
+    told = io.StringIO()
+    with redirect_stdout(io.StringIO()), redirect_stderr(told):
+        status = main([str(word) for word in words])
+    *_, last = ["", *told.getvalue().splitlines()]
+    assert status == 0 or (status == 2 and str(log) in last), f"status {status}: {last}"
+    return status
 
 
 def _stamps(folder: Path) -> Iterator[Family]:
