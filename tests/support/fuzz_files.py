@@ -697,7 +697,7 @@ def _states(folder: Path) -> Iterator[Family]:
 
     def read_run(where: Path) -> None:
         with redirect_stdout(io.StringIO()):
-            show_session(where / "state.gridslam", None, None, as_json=False)
+            show_session(where / "state.gridslam", None, as_json=False)
         saved = read_session(where / "state.gridslam")
         went_on = saved.run
         recorders = [went_on.trajectory, went_on.statistics]

@@ -190,7 +190,7 @@ def _run_command(where: Path) -> None:
             "--save",
             str(where / "s.gridslam"),
         ],
-        "session": ["session", session, "--picture", str(out / "picture.png")],
+        "session": ["session", session],
         "merge": ["merge", session, str(where / "other.gridslam"), "-o", str(out)],
     }[command]
     with (

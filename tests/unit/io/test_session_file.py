@@ -87,7 +87,7 @@ def test_a_run_cut_anywhere_gives_the_same_bytes(measurements, tmp_path, name):
 def file(measurements, tmp_path_factory):
     path = tmp_path_factory.mktemp("state") / "run.gridslam"
     session = Session.of(go_on(begun(), measurements[:30]))
-    write_session(path, replace(session.saved, pieces=tuple(session.pieces), thumbnail=b"PNG"))
+    write_session(path, replace(session.saved, pieces=tuple(session.pieces)))
     return path
 
 

@@ -91,11 +91,10 @@ def demo_command(**options: Any) -> None:  # noqa: ANN401
 
 @click.command("session")
 @click.argument("file", type=PATH)
-@click.option("--picture", type=OUTPUT_FILE, metavar="PNG", help="Write the map of the newest drive as a picture.")
 @click.option("-o", "--out", type=OUT, help="Write each map and its edits to this folder: NAME.yaml, NAME.geojson.")
 @json_option
 def session_command(**options: Any) -> None:  # noqa: ANN401
-    """Show the content of a session FILE: maps by name, drives, logs, dates, sizes, links of floors, and a picture."""
+    """Show the content of a session FILE: maps by name, drives, logs, dates, sizes, and links of floors."""
     from gridslam.cli.sessions import show_session
 
     show_session(**options)

@@ -112,8 +112,6 @@ class SavedSession:
         The newest drive, which can be continued; None where pieces were merged.
     pieces : tuple of SavedPiece
         Maps of other drives, in unrelated frames.
-    thumbnail : bytes
-        A small picture of the map, PNG; empty if there is none.
     written : str
         Date and time in UTC, ISO 8601.
     version : str
@@ -126,7 +124,6 @@ class SavedSession:
     seed: int = 0
     run: SavedRun | None = None
     pieces: tuple[SavedPiece, ...] = ()
-    thumbnail: bytes = b""
     written: str = ""
     version: str = __version__
     edits: tuple[GraphEdit, ...] = ()
@@ -150,7 +147,6 @@ class SavedSession:
     def dump(self) -> dict[str, Any]:
         """Return plain arrays and texts, with copies of all values that a run may change."""
         arrays: dict[str, Any] = {"schema": np.array(SESSION_SCHEMA), "head": np.array(json.dumps(self._head()))}
-        arrays["thumbnail"] = np.frombuffer(self.thumbnail, np.uint8)
         for number, piece in enumerate(self.pieces):
             arrays |= _prefix(f"pieces.{number}", serialization.to_arrays(piece.piece))
             arrays |= _dump_drives(f"pieces.{number}", piece.drives)
@@ -192,14 +188,11 @@ class SessionHead:
     ----------
     document : dict
         Version, date, seed, configuration, drives and their logs, as in the file.
-    thumbnail : bytes
-        PNG.
     key_scans, constraints : int
         Number of key scans and of constraints, of all pieces.
     """
 
     document: Mapping[str, Any]
-    thumbnail: bytes
     key_scans: int
     constraints: int
 
@@ -252,7 +245,6 @@ def read_session(path: str | Path, threads: int = 1, *, makes_edits: bool = True
             seed=int(head["seed"]),
             run=run,
             pieces=tuple(pieces),
-            thumbnail=arrays["thumbnail"].tobytes(),
             written=str(head["written"]),
             version=str(head["version"]),
         )
@@ -281,7 +273,7 @@ def read_head(path: str | Path) -> SessionHead:
         ends = "graph.poses", "run.state.ancestry.trunk", "run.state.ancestry.counts"
         key_scans = sum(len(values) for name, values in arrays.items() if name.endswith(ends) and "closure" not in name)
         constraints = sum(len(values) for name, values in arrays.items() if name.endswith("graph.constraints.to"))
-        return SessionHead(head, arrays["thumbnail"].tobytes(), key_scans, constraints)
+        return SessionHead(head, key_scans, constraints)
 
 
 def _parse_head(arrays: Arrays) -> dict[str, Any]:
