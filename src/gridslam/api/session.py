@@ -274,7 +274,7 @@ class Session:
 
     def keep(self, result: MapResult) -> None:
         """Continue from the result of a run."""
-        self._saved = replace(result.to_session(), thumbnail=b"")
+        self._saved = result.to_session()
         self._maps = None  # without loop closure there are no pieces
         if result.map_piece is not None:
             newest = _Map(result.map_piece, result.tiled_map, result.poses_by_drive)
@@ -358,7 +358,7 @@ class Session:
         if target is None:
             raise ArgumentError("path", "a path: the session was never saved", None)
         now = datetime.now(timezone.utc).isoformat(timespec="seconds")
-        self._saved = replace(self._saved, written=now, version=__version__, thumbnail=self._thumbnail())
+        self._saved = replace(self._saved, written=now, version=__version__)
         set_aside(target, self._edits)
         write_session_and_edits(target, self._saved, self._edits, self._list_maps)
         self._path = Path(target)
@@ -414,15 +414,6 @@ class Session:
                     raise ArgumentError("session", "one that was mapped with loop closure", "one without")
                 self._maps.insert(0, _Map(SavedPiece(full.piece, drives), full.tiled_map, full.poses))
         return self._maps
-
-    def _thumbnail(self) -> bytes:
-        """Return a small picture of the newest map, PNG; empty without a map."""
-        if not self._maps:
-            return self._saved.thumbnail
-        from gridslam.viz.notebook import encode_png
-        from gridslam.viz.picture import draw_thumbnail
-
-        return encode_png(draw_thumbnail(self._maps[0].tiled_map))
 
 
 def _require_different_logs(sessions: Sequence[Session]) -> None:
