@@ -187,9 +187,7 @@ class _WantedSearch(NamedTuple):
         ]
 
 
-def _select_searches(
-    graph: KeyGraph, submaps: list[Submap], labels: IntArray, aligned: int
-) -> list[_WantedSearch]:
+def _select_searches(graph: KeyGraph, submaps: list[Submap], labels: IntArray, aligned: int) -> list[_WantedSearch]:
     """Select submaps and older components that may lie where they are: the drift allows for it."""
     poses = np.array(graph.poses)
     wanted = []
