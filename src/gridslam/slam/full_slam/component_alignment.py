@@ -295,7 +295,7 @@ class Alignment:
         return self.decide([self.track_component(group) for group in groups])
 
     def _estimate_evidence(self, group: list[SearchHit]) -> float:
-        """Log likelihood (nats) of the component's key scans, laid on the map from the best hit as they were tracked."""
+        """Log likelihood (nats) of the component, laid on the map from the best hit in its tracked shape."""
         begin = max(group, key=lambda hit: hit.score)
         shape = np.array(self.closure_state.graph.poses)
         poses = compose(begin.pose, between(shape[begin.key], shape[self.keys]))
