@@ -152,8 +152,8 @@ class RunStatistics:
     resamplings, lost, degenerate, corrections : int
         Key scans with resampling; scans at which the robot was lost; key scans with a degenerate direction; key scans
         with a correction of the trajectory.
-    n_eff_mean, n_eff_min : float
-        Effective sample size over the key scans.
+    particles_mean, n_eff_mean, n_eff_min : float
+        Number of particles and effective sample size over the key scans.
     latency, key_latency : Latency
         Of all scans, and of the key scans.
     """
@@ -165,6 +165,7 @@ class RunStatistics:
     lost: int
     degenerate: int
     corrections: int
+    particles_mean: float
     n_eff_mean: float
     n_eff_min: float
     latency: Latency
@@ -181,6 +182,7 @@ class StatisticsRecorder:
         "_key_seconds",
         "_lost",
         "_n_eff",
+        "_particles",
         "_resamplings",
         "_seconds",
         "_skipped",
@@ -192,7 +194,7 @@ class StatisticsRecorder:
         self._key_seconds = array("d")
         self._n_eff = array("d")
         self._skipped: Counter[SkipReason] = Counter()
-        self._resamplings = self._lost = self._degenerate = self._corrections = 0
+        self._resamplings = self._lost = self._degenerate = self._corrections = self._particles = 0
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Record one scan."""
@@ -203,6 +205,7 @@ class StatisticsRecorder:
             return
         self._key_seconds.append(seconds)
         self._n_eff.append(report.n_eff)
+        self._particles += 0 if report.poses is None else len(report.poses)
         self._resamplings += report.parents is not None
         self._degenerate += report.degenerate_direction is not None
         self._corrections += report.corrected
@@ -210,13 +213,15 @@ class StatisticsRecorder:
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return plain arrays: `n_eff` and `key_seconds` (K,) of the key scans, `seconds` (S,) of all, `counts` int64.
 
-        The counts are resamplings, lost and undetermined scans, corrections, and scans skipped for each reason.
+        The counts are resamplings, lost and undetermined scans, corrections, and scans skipped for each reason;
+        `particles` is the sum over the key scans.
         """
         skipped = [self._skipped[reason] for reason in SkipReason]
         return {
             "seconds": np.frombuffer(self._seconds.tobytes()),
             "n_eff": np.frombuffer(self._n_eff.tobytes()),
             "key_seconds": np.frombuffer(self._key_seconds.tobytes()),
+            "particles": np.array(self._particles),
             "counts": np.array(
                 [self._resamplings, self._lost, self._degenerate, self._corrections, *skipped], np.int64
             ),
@@ -232,6 +237,7 @@ class StatisticsRecorder:
         self._key_seconds.frombytes(read_array(arrays, "key_seconds", np.float64, ("key scans",), sizes).tobytes())
         counts = read_array(arrays, "counts", np.int64, (4 + len(SkipReason),))
         COUNT.require("counts", counts, {})
+        self._particles = int(read_array({"particles": np.array(0), **arrays}, "particles", np.int64, ()))
         self._resamplings, self._lost, self._degenerate, self._corrections, *skipped = counts.tolist()
         self._skipped = Counter({reason: n for reason, n in zip(SkipReason, skipped, strict=True) if n})
         return self
@@ -247,6 +253,7 @@ class StatisticsRecorder:
             lost=self._lost,
             degenerate=self._degenerate,
             corrections=self._corrections,
+            particles_mean=self._particles / max(len(n_eff), 1),
             n_eff_mean=float(n_eff.mean()) if len(n_eff) else 0.0,
             n_eff_min=float(n_eff.min()) if len(n_eff) else 0.0,
             latency=Latency.of(np.frombuffer(self._seconds.tobytes())),

@@ -23,9 +23,9 @@ from gridslam.geometry.se2 import between
 from gridslam.io.carmen.reader import CarmenLog
 from gridslam.io.g2o import read_g2o
 from gridslam.io.maps import read_map
-from gridslam.io.results.record import read_record
 from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import read_trajectory_csv, read_tum, write_tum
+from gridslam.live.history_file import read_history
 from gridslam.types import Trajectory
 from support.loops import PROVOKED
 from support.refusals import refused
@@ -38,7 +38,6 @@ FILES = {
     "trajectory.csv",
     "trajectory_online.tum",
     "graph.g2o",
-    "record.npz",
     "history.npz",
     "run.json",
 }
@@ -58,7 +57,6 @@ def test_map_writes_what_the_contract_lists_and_nothing_else(mapped, log):
     assert read_map(mapped / "map.yaml").known.any()
     with Image.open(mapped / "map.png") as picture:
         assert min(picture.size) > 500
-    assert read_record(mapped / "record.npz").poses.shape[1:] == (4, 3)
 
 
 def test_run_json_tells_all_of_the_run(mapped, log):
@@ -71,7 +69,7 @@ def test_run_json_tells_all_of_the_run(mapped, log):
     scans = run["scans"]
     assert scans["read"] == 120
     assert scans["used"] + sum(scans["skipped"].values()) == 120
-    assert scans["used"] == len(read_record(mapped / "record.npz"))
+    assert scans["used"] == len(read_history(mapped / "history.npz").stamps_ns)
     assert run["filter"]["particles"] == run["configuration"]["particles"] == 4
     stages = run["time"]["stages"]
     assert {"read", "track", "step", "write", "draw"} <= set(stages)

@@ -22,7 +22,7 @@ import warnings
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -38,6 +38,8 @@ from gridslam.api.landmarks import map_landmarks
 from gridslam.api.mapping import map_log
 from gridslam.api.session import Session
 from gridslam.api.session_edits import EditsBefore
+from gridslam.cli import map as _map_command  # noqa: F401 imported before processes are forked
+from gridslam.cli.main import main
 from gridslam.cli.sessions import show_session
 from gridslam.config import Configuration, load, override, preset
 from gridslam.doctor import CheckedLog, diagnose
@@ -49,7 +51,6 @@ from gridslam.io.g2o import read_g2o, write_g2o
 from gridslam.io.landmark_logs import open_landmark_log
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.maps import read_map, write_map
-from gridslam.io.results.record import read_record
 from gridslam.io.ros_parameters import read_parameter_file
 from gridslam.io.sessions.archive_file import write_sealed_arrays
 from gridslam.io.sessions.drives import DrivenLog
@@ -57,7 +58,8 @@ from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_sessi
 from gridslam.io.text import read_json
 from gridslam.io.trajectories import read_relations, read_trajectory, read_trajectory_csv, read_tum
 from gridslam.live.graph_edits import EDITS, EDITS_SCHEMA, EditedGraph
-from gridslam.live.history_file import read_history
+from gridslam.live.history_file import HISTORY_NAME, read_history, write_history
+from gridslam.live.history_recorder import HistoryRecorder
 from gridslam.live.replay import Replay
 from gridslam.localization import KnownMap
 from gridslam.messages import Messages
@@ -245,6 +247,30 @@ def _logs(folder: Path) -> Iterator[Family]:
 
     yield Family("logs", 0, prepare, read, 6)
 
+    def run_commands(where: Path) -> None:
+        (path,) = where.iterdir()
+        converted, out = where / "converted.csv", where / "out"
+        few = ("--particles", "2", "--no-loop-closure", "--no-history")
+        statuses = [_run_command(path, "convert", path, converted), _run_command(path, "map", path, "-o", out, *few)]
+        for status, written in zip(statuses, (converted, out / "run.json"), strict=True):
+            assert written.exists() == (status == 0), f"{written.name} of a command that ended with {status}"
+        if not statuses[0]:
+            _scan(converted)
+        if any(statuses):
+            raise InputError(path, "refused")
+
+    yield Family("commands", 0, prepare, run_commands, 2)
+
+
+def _run_command(log: Path, *words: object) -> int:
+    """Run a command in this process: it succeeds, or ends with status 2 and a line that names the log."""
+    told = io.StringIO()
+    with redirect_stdout(io.StringIO()), redirect_stderr(told):
+        status = main([str(word) for word in words])
+    *_, last = ["", *told.getvalue().splitlines()]
+    assert status == 0 or (status == 2 and str(log) in last), f"status {status}: {last}"
+    return status
+
 
 def _stamps(folder: Path) -> Iterator[Family]:
     """Healthy scans under stamps that mean nothing: they are mapped by their order, without odometry."""
@@ -331,7 +357,7 @@ def _names(folder: Path) -> Iterator[Family]:
 def _streams(folder: Path) -> Iterator[Family]:
     """Pipes, devices and directories in the place of files."""
     readers: list[Callable[[Path], object]] = [
-        open_log, read_tum, read_g2o, read_map, read_session, read_record, read_history, open_landmark_log,
+        open_log, read_tum, read_g2o, read_map, read_session, read_history, open_landmark_log,
         read_relations, read_parameter_file, read_trajectory_csv
     ]  # fmt: skip
 
@@ -372,7 +398,7 @@ _READERS: dict[str, Callable[[Path], object]] = {
     "db3": _scan,
     "zst": _scan,
     "gridslam": read_session,
-    "npz": read_record,
+    "npz": read_history,
     "yaml": lambda path: (read_map if path.name == "map.yaml" else read_parameter_file)(path),
     "tum": read_tum,
     "g2o": read_g2o,
@@ -655,7 +681,7 @@ def _states(folder: Path) -> Iterator[Family]:
     rng, steps = np.random.default_rng(1), iter(measurements)
     begun = SavedRun(rng, name="day", logs=(DrivenLog("day.clf", "", 35, 0, 1, 1.0),))
     slam = gridslam.build(configuration)
-    observers = [begun.trajectory, begun.statistics, lambda report, state, seconds: begun.record.add(report, seconds)]
+    observers = [begun.trajectory, begun.statistics]
     state = gridslam.run(islice(steps, 35), replace(slam, particles=3), rng=rng, observers=observers)
     session = Session.of(SavedSession(configuration, run=replace(begun, state=state)))
     whole = replace(session.saved, pieces=tuple(session.pieces))  # a run, and the same as a piece
@@ -676,7 +702,7 @@ def _states(folder: Path) -> Iterator[Family]:
 
     def read_run(where: Path) -> None:
         with redirect_stdout(io.StringIO()):
-            show_session(where / "state.gridslam", None, None, as_json=False)
+            show_session(where / "state.gridslam", None, as_json=False)
         saved = read_session(where / "state.gridslam")
         went_on = saved.run
         recorders = [went_on.trajectory, went_on.statistics]
@@ -735,30 +761,31 @@ def _change_array(arrays: dict[str, Any], rng: np.random.Generator) -> None:
         arrays[name] = np.array(changed).reshape(values.shape)
 
 
-def map_log_of(measurements: Sequence[Any]) -> Any:
+def map_log_of(measurements: Sequence[Any], **given: Any) -> Any:
     """The result of mapping these."""
     with TemporaryDirectory() as aside:
         from gridslam.io.csv import write_csv_log
 
         write_csv_log(Path(aside) / "log.csv", measurements)
-        return map_log(Path(aside) / "log.csv", configuration=Configuration(particles=3))
+        return map_log(Path(aside) / "log.csv", configuration=Configuration(particles=3), **given)
 
 
 def _results(folder: Path) -> Iterator[Family]:
     """Folders of results, as `gridslam view` reads them."""
-    result = map_log_of(drive_about(40))
+    recorder = HistoryRecorder()
+    result = map_log_of(drive_about(40), observers=[recorder], gate=recorder.follow)
     result.save(folder / "out")
+    write_history(folder / "out" / HISTORY_NAME, recorder.history)
     document = json.loads((folder / "out" / "run.json").read_text())
-    document["loop_closure"] = {"closures": [{"key_scans": [0, 3], "stamps_ns": [0, 1]}]}
     messages = Messages(lambda level, text: None)
     messages("late scans", "by 2 s")
     document["messages"] = messages.to_list()
     (folder / "out" / "run.json").write_text(json.dumps(document))
     (folder / "out" / EDITS).write_text(json.dumps({"schema": EDITS_SCHEMA, "rejected": [[0, 3]]}))
     write_map(folder / "out" / "map.yaml", result.map)
-    names = ("run.json", EDITS, "record.npz", "graph.g2o", "trajectory.tum", "map.yaml", "map.pgm")
+    names = ("run.json", EDITS, HISTORY_NAME, "graph.g2o", "trajectory.tum", "map.yaml", "map.pgm")
     whole = {name: (folder / "out" / name).read_bytes() for name in names}
-    record = dict(np.load(folder / "out" / "record.npz").items())
+    record = dict(np.load(folder / "out" / HISTORY_NAME).items())
 
     def prepare(to: Path, rng: np.random.Generator) -> None:
         chosen = names[rng.integers(len(names))]
@@ -766,7 +793,7 @@ def _results(folder: Path) -> Iterator[Family]:
             (to / name).write_bytes(content)
         if chosen.endswith(".json") and rng.integers(4):
             (to / chosen).write_text(json.dumps(_change_json(json.loads(whole[chosen]), rng)))
-        elif chosen == "record.npz" and rng.integers(4):
+        elif chosen == HISTORY_NAME and rng.integers(4):
             changed = dict(record)
             _change_array(changed, rng)
             with open(to / chosen, "wb") as file:

@@ -190,7 +190,7 @@ def _run_command(where: Path) -> None:
             "--save",
             str(where / "s.gridslam"),
         ],
-        "session": ["session", session, "--picture", str(out / "picture.png")],
+        "session": ["session", session],
         "merge": ["merge", session, str(where / "other.gridslam"), "-o", str(out)],
     }[command]
     with (
@@ -250,7 +250,7 @@ def _save_while_closing(folder: Path, log: SimulatedLog) -> None:
     slow = override(PROVOKED, "loop_closure.scans_per_step=5", "loop_closure.poses_per_scan=1")
     begun = SavedRun(np.random.default_rng(1), name="day", logs=(DrivenLog("day.csv", "", 1, 0, 1, 1.0),))
     slam, state = gridslam.build(slow), None
-    observers = [begun.trajectory, begun.statistics, lambda report, state, seconds: begun.record.add(report, seconds)]
+    observers = [begun.trajectory, begun.statistics]
     for measurement in log.measurements:
         state = gridslam.run([measurement], replace(slam, particles=4), rng=begun.rng, observers=observers, state=state)
         closure = state.closure_state

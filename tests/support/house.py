@@ -75,7 +75,6 @@ INNER_RANKS = {
         "edits": 1,
         "maps": 2,
         "edited_maps": 3,
-        "results": 1,
         "sessions": 2,
         "ros_parameters": 1,
         "tables": 1,

@@ -115,7 +115,7 @@ def run_node(folder: Path, out: Path, cuts: Sequence[int] = (), *, autosaved: bo
         else:
             node.copy(None).save_session(path)
         continued = Continued.read(path)
-    told = describe_session(replace(read_session(path), thumbnail=b""))
+    told = describe_session(read_session(path))
     del told["session: head"]
     document = node.copy(None, is_last=True).save(out / "out")
     told |= {

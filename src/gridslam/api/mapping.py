@@ -33,7 +33,6 @@ from gridslam.io.maps import write_map
 from gridslam.io.measurement import Measurement
 from gridslam.io.output import OutputFolder
 from gridslam.io.remote import find_origin
-from gridslam.io.results.record import RecordWriter
 from gridslam.io.sessions.drives import Drive, DrivenLog, SavedPiece
 from gridslam.io.sessions.session_file import SavedRun, SavedSession
 from gridslam.io.text import compute_digest
@@ -120,8 +119,6 @@ class MapResult(Result):
         Its SHA-256.
     repair : Repair
         What was taken out of it.
-    record : RecordWriter
-        The particles at each key scan.
     stopwatch : Stopwatch
         Time spent; saving adds to it.
     failures : tuple of str
@@ -148,7 +145,7 @@ class MapResult(Result):
     picture_name: ClassVar = "map.png"
     file_names: ClassVar = (
         *("map.yaml", "map.pgm", "trajectory.tum", "trajectory.csv"),
-        *("trajectory_online.tum", "graph.g2o", "record.npz", "history.npz"),
+        *("trajectory_online.tum", "graph.g2o", "history.npz"),
     )
 
     trajectory: Trajectory
@@ -168,7 +165,6 @@ class MapResult(Result):
     source: Path
     digest: str
     repair: Repair
-    record: RecordWriter
     stopwatch: Stopwatch
     failures: tuple[str, ...] = ()
     truth: Trajectory | None = None
@@ -294,15 +290,6 @@ class MapResult(Result):
             write_map(out.file(f"map_{number}.yaml"), apart.piece.build_map(self.configuration.mapper).tiled(0))
         write_tum(out.file("trajectory_online.tum"), self.online_trajectory)
         write_g2o(out.file("graph.g2o"), self.graph)
-        self.record.write(out.file("record.npz"), self._find_recorded_revisits())
-
-    def _find_recorded_revisits(self) -> IntArray | None:
-        """Tracked revisits within the newest drive, the only one that is recorded, as numbers of its key scans."""
-        if self.loop_summary is None or not self.drives:
-            return None
-        revisits = self.loop_summary.tracked_revisits - int(self.drives[-1].scans.keys[0])
-        own: IntArray = revisits[(revisits >= 0).all(axis=1)]
-        return own
 
     def _describe(self) -> dict[str, Any]:
         statistics = self.statistics
@@ -391,7 +378,7 @@ class MapResult(Result):
         height, width = (side * self.tiled_map.resolution_m for side in self.tiled_map.shape)
         return {
             "particles": self.configuration.particles,
-            "particles_mean": self.record.particles_mean,
+            "particles_mean": statistics.particles_mean,
             "resamplings": statistics.resamplings,
             "n_eff_mean": statistics.n_eff_mean,
             "n_eff_min": statistics.n_eff_min,
@@ -520,7 +507,6 @@ def map_log(
 
     def drive(measurements: Iterable[Measurement], begun: Beginning) -> GridFastSlamState:
         def note(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-            begun.run.record.add(report, seconds)
             on_progress()
 
         so_far = begun.run
@@ -670,7 +656,6 @@ def finish_mapping(
         source=source,
         digest=digest,
         repair=repair,
-        record=run.record,
         stopwatch=stopwatch,
         failures=failures,
         map_piece=SavedPiece(full.piece, drives) if full.piece is not None and keep_particles else None,

@@ -15,17 +15,15 @@ from gridslam.api.session import Session
 from gridslam.api.session_edits import find_edits
 from gridslam.cli.options import name_option
 from gridslam.cli.output import counted, elapsed_progress, open_output, print_json, print_result, warn, write_apart
-from gridslam.errors import InputError
 from gridslam.io.edited_maps import MapEdits
 from gridslam.io.edits import Edits, read_edits, write_edits
 from gridslam.io.maps import write_map
-from gridslam.io.output import write_atomically
 from gridslam.io.sessions.drives import choose_name
 from gridslam.io.sessions.session_file import read_head
 from gridslam.pipeline import Stopwatch
 
 
-def show_session(file: Path, picture: Path | None, out: Path | None, as_json: bool) -> None:
+def show_session(file: Path, out: Path | None, as_json: bool) -> None:
     """Print the content of a session file; with a folder write its maps and their edits there."""
     head = read_head(file)
     document = head.document
@@ -51,11 +49,6 @@ def show_session(file: Path, picture: Path | None, out: Path | None, as_json: bo
         "key_scans": head.key_scans,
         "constraints": head.constraints,
     }
-    if picture is not None:
-        if not head.thumbnail:
-            raise InputError(file, "expected a session with a picture, got one without")
-        with write_atomically(picture) as path:
-            path.write_bytes(head.thumbnail)
     shown = len(known.edits)
     if out is not None:
         shown = _write_maps(Session.open(file), out)

@@ -73,15 +73,3 @@ def _select_steps(counts: IntArray, max_nodes: int) -> list[int]:
     while stride < last and counts[last::-stride].sum() > max_nodes:
         stride *= 2
     return list(range(last, -1, -stride))[::-1]
-
-
-def full_tree(ancestry: Ancestry) -> AncestryTree:
-    """Return all paths as one tree that includes the shared path."""
-    trunk, tree = thin_tree(ancestry)
-    count = len(trunk)
-    stem = np.arange(-1, count - 1, dtype=np.int32)
-    stem[:1] = -2
-    parents = np.where(tree.parents < 0, count - 1 if count else -2, tree.parents + count)
-    leaves = np.where(tree.leaves < 0, count - 1, tree.leaves + count)
-    joined = np.concatenate([stem, parents.astype(np.int32)])
-    return AncestryTree(np.concatenate([trunk, tree.positions]), joined, leaves.astype(np.int32))

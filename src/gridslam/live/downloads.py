@@ -8,10 +8,10 @@ import os
 import secrets
 import tempfile
 import zipfile
-from collections.abc import AsyncIterator, Callable
-from functools import partial
+from collections.abc import AsyncIterator, Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import IO, Protocol
+from typing import IO, Protocol, TypeVar
 
 from starlette.requests import HTTPConnection, Request
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
@@ -20,19 +20,15 @@ from starlette.routing import BaseRoute, Route
 from gridslam.errors import InputError
 from gridslam.io.maps import write_map
 from gridslam.io.trajectories import write_tum
-from gridslam.live.limits import FileCache, PacedThread
 from gridslam.types import OccupancyGrid, Trajectory
 
+_Source = TypeVar("_Source")
 _BLOCK = 1 << 16
 _REFUSED = "this needs the token of the page"
 
 
 class DownloadableContent(Protocol):
     """The downloadable files; used by the thread of the page's content only."""
-
-    def find_channel(self, channel: int) -> int:
-        """Return the channel whose files are given for this one: of all that there are not the same."""
-        ...
 
     def channel_map(self, channel: int) -> OccupancyGrid | None:
         """Return the map of a channel; None if there is none."""
@@ -45,22 +41,22 @@ class DownloadableContent(Protocol):
 
 
 def make_download_routes(
-    content: DownloadableContent, token: str | None, share: float, thread: PacedThread
+    content: DownloadableContent, token: str | None, thread: ThreadPoolExecutor
 ) -> list[BaseRoute]:
-    """Return the routes of the files, for those who have the token; `share` of the time at most makes each of them."""
-    maps = FileCache(partial(thread.call, content.channel_map), _zip_map, share)
-    trajectories = FileCache(partial(thread.call, content.trajectory), _format_trajectory, share)
+    """Return the routes of the files, for those who have the token."""
 
-    def make_endpoint(cache: FileCache, media_type: str, missing: str) -> Callable:  # type: ignore[type-arg]
+    def make_endpoint(
+        find: Callable[[int], _Source | None], make: Callable[[_Source], bytes], media_type: str, missing: str
+    ) -> Callable[[Request], Awaitable[Response]]:
         async def send(request: Request) -> Response:
             if not is_authorized(request, token):
                 return PlainTextResponse(_REFUSED, 403)
             given = request.query_params.get("channel", "0")
             number = int(given) if given.isdecimal() and len(given) < 10 else 0
-            data = await cache.find(await thread.call(content.find_channel, number))
-            if data is None:
+            source = await asyncio.wrap_future(thread.submit(find, number))
+            if source is None:
                 return PlainTextResponse(missing, 404)
-            return StreamingResponse(_split(data), media_type=media_type, headers={"content-length": str(len(data))})
+            return Response(await asyncio.to_thread(make, source), media_type=media_type)
 
         return send
 
@@ -68,7 +64,7 @@ def make_download_routes(
         if not is_authorized(request, token):
             return PlainTextResponse(_REFUSED, 403)
         try:
-            file = await thread.call(content.open_session)
+            file = await asyncio.wrap_future(thread.submit(content.open_session))
         except InputError:
             file = None
         if file is None:
@@ -79,8 +75,11 @@ def make_download_routes(
         return StreamingResponse(blocks, media_type="application/octet-stream", headers=headers)
 
     return [
-        Route("/map.zip", make_endpoint(maps, "application/zip", "there is no map")),
-        Route("/trajectory.tum", make_endpoint(trajectories, "text/plain", "there is no trajectory")),
+        Route("/map.zip", make_endpoint(content.channel_map, _zip_map, "application/zip", "there is no map")),
+        Route(
+            "/trajectory.tum",
+            make_endpoint(content.trajectory, _format_trajectory, "text/plain", "there is no trajectory"),
+        ),
         Route("/session.gridslam", send_session),
     ]
 
@@ -95,12 +94,6 @@ def is_foreign(connection: HTTPConnection) -> bool:
     """Return whether a request comes from another site's page."""
     origin = connection.headers.get("origin")
     return origin is not None and origin.partition("://")[2] != connection.headers.get("host")
-
-
-async def _split(data: bytes) -> AsyncIterator[bytes]:
-    """Yield blocks, each when the one before has been taken: a slow reader holds no copy."""
-    for start in range(0, len(data), _BLOCK):
-        yield data[start : start + _BLOCK]
 
 
 async def _read(file: IO[bytes], size: int) -> AsyncIterator[bytes]:

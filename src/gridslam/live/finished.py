@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +12,13 @@ from gridslam.errors import InputError
 from gridslam.io.g2o import read_g2o
 from gridslam.io.landmarks import read_landmarks
 from gridslam.io.maps import read_map
-from gridslam.io.results.record import read_record
 from gridslam.io.text import read_json, read_text, stay_below
 from gridslam.io.trajectories import read_trajectory_csv, read_tum
 from gridslam.live.history import History
-from gridslam.live.history_file import read_history
+from gridslam.live.history_file import HISTORY_NAME, read_history
 from gridslam.live.results import MappedRun, Results, StaticView, TrajectoryRun
 from gridslam.live.scene import MOST_MESSAGES
-from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
+from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
 _BELIEF_HEADER = "stamp_s,lost,lost_probability,inlier_ratio,particles,n_eff,injection_ratio"
 _MOST = 1e12  # of particles
@@ -46,22 +44,14 @@ def read_results(out: Path) -> tuple[Results, str, list[dict[str, Any]]]:
 
 
 def _read_mapping(out: Path, document: dict[str, Any]) -> Results:
-    record = read_record(out / "record.npz")
+    history = read_optional_history(out)
+    if history is None:
+        return _read_merge(out, document)
     poses = read_g2o(out / "graph.g2o").graph.poses
-    if not document.get("loop_closure"):
-        record = replace(record, revisits=record.revisits[:0])
-    trajectory = read_tum(out / "trajectory.tum")
-    grid = read_map(out / "map.yaml")
-    first = len(poses) - len(record)  # of the newest drive, which alone is recorded; earlier ones are in the map
-    if not len(record) or first < 0:
-        raise InputError(out / "record.npz", f"expected {len(poses)} key scans, got {len(record)}")
-    closures = _read_closures(out / "run.json", document, len(poses)) - first
-    closures = closures[(closures >= 0).all(axis=1)]
-    if first:
-        own = trajectory.stamps_ns >= record.stamps_ns[0]
-        trajectory = Trajectory(trajectory.stamps_ns[own], trajectory.poses[own])
-    online = out / "trajectory_online.tum"
-    return MappedRun(record, trajectory, poses[first:], grid, closures, read_tum(online) if online.is_file() else None)
+    keys = len(history.stamps_ns)
+    if len(poses) < keys:
+        raise InputError(out / HISTORY_NAME, f"expected at most {len(poses)} key scans, got {keys}")
+    return MappedRun(history, read_tum(out / "trajectory.tum"), poses, read_map(out / "map.yaml"))
 
 
 def _read_localization(out: Path, document: dict[str, Any]) -> Results:
@@ -105,8 +95,9 @@ _READERS: dict[str, Callable[[Path, dict[str, Any]], Results]] = {
 }
 
 
-def read_optional_history(path: Path) -> History | None:
+def read_optional_history(out: Path) -> History | None:
     """Return the history of a run; None if the folder has none."""
+    path = out / HISTORY_NAME
     history = read_history(path) if path.is_file() else None
     return history if history is not None and history.moments else None
 
@@ -143,23 +134,6 @@ def _read_document(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise InputError(path, f"no such file; expected the folder that {_WRITERS} wrote")
     return read_json(path)
-
-
-def _read_closures(path: Path, document: dict[str, Any], keys: int) -> IntArray:
-    """Return the key scans (C, 2) of the loop closures, the older one first, without those not in the record."""
-    source = document.get("loop_closure") or {}
-    closures = source.get("closures", []) if isinstance(source, dict) else None
-    if not isinstance(closures, list):
-        raise InputError(path, "loop_closure: expected an object with a list of closures, or false")
-    pairs: list[list[int]] = []
-    for number, closure in enumerate(closures):
-        pair = closure.get("key_scans") if isinstance(closure, dict) else None
-        if not (isinstance(pair, list) and len(pair) == 2 and all(type(key) is int for key in pair)):
-            problem = f"expected two key scans, got {pair!r:.60}"
-            raise InputError(path, f"loop_closure.closures[{number}].key_scans: {problem}")
-        if all(0 <= key < keys for key in pair):
-            pairs.append(pair)
-    return np.array(pairs, np.int64).reshape(-1, 2)
 
 
 def _read_known_map(document: dict[str, Any]) -> tuple[OccupancyGrid | None, str]:

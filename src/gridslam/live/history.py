@@ -1,23 +1,29 @@
-"""The moments of a run: the map as it was, with path, pose, scan and particles, in bounded memory."""
+"""The past of a run: its key scans, and moments of them with map, path, pose, scan and particles as they were."""
 
 from __future__ import annotations
 
+import math
 import zlib
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping
-from typing import Annotated, NamedTuple, TypeAlias, final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any, NamedTuple, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.kernels import TILE
 from gridslam.live.ancestry_tree import NO_POINTS, Float32Array
-from gridslam.types import FloatArray
+from gridslam.slam.loop_closure.constraints import select_shown_closures
+from gridslam.types import FloatArray, IntArray
 
 PackedTiles: TypeAlias = dict[tuple[int, int], bytes]
 """Levels of tiles by row and column, as `gridslam.live.protocol.pack_tiles` packs them."""
 
 TILE_BYTES = TILE * TILE // 2
+LOST = 1
+"""Flag of a key scan: the robot was lost."""
+CORRECTED = 8
+"""Flag of a key scan: a correction of the trajectory followed."""
 SCAN_UNIT_M = 0.01
 """Scans are stored in whole multiples of this length."""
 NO_CLOUD: Float32Array = np.zeros((0, 4), np.float32)
@@ -92,8 +98,39 @@ def pack_tiles(tiles: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 @final
+class RowBuffer:
+    """Append-only rows of numbers; rows already returned never change.
+
+    Parameters
+    ----------
+    width : int
+        Numbers per row.
+    """
+
+    __slots__ = ("_count", "_rows")
+
+    def __init__(self, width: int) -> None:
+        """Start without rows."""
+        self._rows: Float32Array = np.zeros((256, width), np.float32)
+        self._count = 0
+
+    def append(self, rows: FloatArray) -> None:
+        """Add rows (K, width)."""
+        end = self._count + len(rows)
+        if end > len(self._rows):
+            self._rows = np.concatenate([self._rows, np.zeros((end, self._rows.shape[1]), np.float32)])
+        self._rows[self._count : end] = rows
+        self._count = end
+
+    @property
+    def rows(self) -> Float32Array:
+        """All rows so far."""
+        return self._rows[: self._count]
+
+
+@final
 class History:
-    """The moments of a run; written by one thread, read by others.
+    """The past of a run; written by one thread, read by others.
 
     When there are too many moments every second one is joined with the one after, so that memory is bounded and the
     moments stay even over the run. The first one, after the first key scan, is kept.
@@ -111,13 +148,53 @@ class History:
         Appended to, and replaced when moments are joined.
     interval : int
         Key scans between two moments.
+    stamps_ns, scans : list of int
+        Stamp of each key scan, and number of scans by then.
+    closures : (C, 2) int64
+        Key scans of the loop closures so far: the older and the later one.
+    recognized : int
+        How many of them, from the first on, are recognized; the others are tracked.
     """
 
     def __init__(self, most: int = _MOST_MOMENTS, interval: int = 1) -> None:
         """Start without moments."""
         self.moments: list[Moment] = []
         self.interval = interval
+        self.stamps_ns: list[int] = []
+        self.scans: list[int] = []
+        self.closures: IntArray = np.zeros((0, 2), np.int64)
+        self.recognized = 0
+        self._series = RowBuffer(5)
         self._most = most
+
+    @property
+    def series(self) -> Float32Array:
+        """The figures (S, 5) of each key scan, as in a scene."""
+        return self._series.rows
+
+    def note_key_scan(self, stamp_ns: int, scans: int, figures: Sequence[float] | FloatArray) -> None:
+        """Note the next key scan; the first of the figures, its time, is set here."""
+        self.stamps_ns.append(stamp_ns)
+        self.scans.append(scans)
+        self._series.append(np.array([[1e-9 * (stamp_ns - self.stamps_ns[0]), *figures[1:]]]))
+
+    def describe(self, at: int) -> dict[str, Any]:
+        """Return the values of a key scan, counted from 0, for the page."""
+        time_s, n_eff, _, flags, particles = self.series[at].tolist()
+        return {
+            "time_s": time_s,
+            "n_eff": n_eff if math.isfinite(n_eff) else None,
+            "lost": bool(int(flags) & LOST),
+            "particles": int(particles),
+            "keys": at + 1,
+            "scans": self.scans[at],
+            "closures": int((self.closures[:, 1] <= at).sum()),
+        }
+
+    @property
+    def shown_closures(self) -> IntArray:
+        """Key scans (C, 2) of the loop closures that are drawn."""
+        return select_shown_closures(self.closures[: self.recognized], self.closures[self.recognized :])
 
     def is_due(self, keys: int) -> bool:
         """Return whether the key scan of this number, from 1, is to be a moment."""

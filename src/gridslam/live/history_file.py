@@ -1,39 +1,48 @@
-"""history.npz: the moments of a run, for `gridslam view`."""
+"""history.npz: the past of a run, for `gridslam view`."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from gridslam.arguments import COUNT
 from gridslam.errors import ArgumentError
-from gridslam.io.results.record import read_arrays
-from gridslam.io.sessions.archive_file import name_file
+from gridslam.io.sessions.archive_file import name_file, read_arrays
+from gridslam.live.ancestry_tree import Float32Array
 from gridslam.live.history import TILE_BYTES, History, Moment, unpack_tiles
 from gridslam.serialization import from_arrays, to_arrays
+from gridslam.types import IntArray
 
 HISTORY_NAME = "history.npz"
-HISTORY_SCHEMA = "gridslam.history/2"
+HISTORY_SCHEMA = "gridslam.history/3"
 _WHAT = "a history of a run"
 _MOST_BYTES = 1 << 30  # of a moment's tiles
+_MOST = 1e12
 
 
 class _Saved(NamedTuple):
     """The content of a file."""
 
     moments: list[Moment]
+    stamps_ns: Annotated[IntArray, "key scans"]
+    scans: Annotated[IntArray, "key scans"]
+    series: Annotated[Float32Array, "key scans", 5]
+    closures: Annotated[IntArray, None, 2]
+    recognized: Annotated[int, COUNT]
 
 
 def write_history(path: str | Path, history: History) -> None:
-    """Write the moments of a run; the tiles in it are compressed."""
+    """Write the past of a run; the tiles in it are compressed."""
+    stamps_ns, scans = (np.array(values, np.int64) for values in (history.stamps_ns, history.scans))
+    saved = _Saved(history.moments, stamps_ns, scans, history.series, history.closures, history.recognized)
     with Path(path).open("wb") as file:
-        np.savez(file, schema=np.array(HISTORY_SCHEMA), **to_arrays(_Saved(history.moments)))  # type: ignore[arg-type]
+        np.savez(file, schema=np.array(HISTORY_SCHEMA), **to_arrays(saved))  # type: ignore[arg-type]
 
 
 def read_history(path: str | Path) -> History:
-    """Read the moments of a run.
+    """Read the past of a run.
 
     Raises
     ------
@@ -42,17 +51,26 @@ def read_history(path: str | Path) -> History:
     """
     arrays = read_arrays(path, HISTORY_SCHEMA, _WHAT)
     with name_file(path, _WHAT):
-        moments = from_arrays(_Saved, arrays).moments
-        _check(moments)
-    history = History(max(2 * len(moments), 2))
-    history.moments = moments
+        saved = from_arrays(_Saved, arrays)
+        _check(saved)
+        moments = saved.moments
+        history = History(max(2 * len(moments), 2))
+        history.moments = moments
+        history.closures = saved.closures
+        history.recognized = saved.recognized
+        for stamp_ns, scans, row in zip(saved.stamps_ns.tolist(), saved.scans.tolist(), saved.series, strict=True):
+            history.note_key_scan(stamp_ns, scans, row)
     return history
 
 
-def _check(moments: Sequence[Moment]) -> None:
+def _check(saved: _Saved) -> None:
     """Raise ArgumentError or ValueError where moments do not follow one another, or their tiles cannot be unpacked."""
+    if not ((saved.series[:, 2:] >= 0) & (saved.series[:, 2:] < _MOST)).all():
+        raise ArgumentError("series", f"figures from 0 to {_MOST:g}", "others")
+    if (np.diff(saved.closures) < 0).any() or (saved.closures < 0).any():
+        raise ArgumentError("closures", "pairs of key scans, the older one first", "others")
     keys = positions = 0
-    for moment in moments:
+    for moment in saved.moments:
         if moment.keys <= keys:
             raise ArgumentError("moments.keys", "numbers of key scans in ascending order", moment.keys)
         if not 0 <= moment.first <= positions:
@@ -63,3 +81,5 @@ def _check(moments: Sequence[Moment]) -> None:
             raise ArgumentError("moments.at", f"at most {_MOST_BYTES // TILE_BYTES} tiles", len(moment.at))
         unpack_tiles(moment.tiles, len(moment.at))
         keys, positions = moment.keys, moment.first + len(moment.path)
+    if keys > len(saved.stamps_ns):
+        raise ArgumentError("moments.keys", f"at most {len(saved.stamps_ns)} key scans", keys)

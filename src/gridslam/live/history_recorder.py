@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from gridslam.grid.tiles import TileMaps
 from gridslam.live.ancestry_tree import NO_POINTS
-from gridslam.live.history import NO_TILES, History, Moment, pack_tiles, round_scan
+from gridslam.live.history import CORRECTED, LOST, NO_TILES, History, Moment, RowBuffer, pack_tiles, round_scan
 from gridslam.live.monitor import ClosureCollector
 from gridslam.live.protocol import pack_tiles as pack_levels
-from gridslam.live.scene import RowBuffer
 from gridslam.live.tiles import EMPTY_BOX, TileChangeDetector, TileReplica
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.types import FloatArray, IntArray, LaserScan, Odometry, StepReport
+from gridslam.types import FloatArray, LaserScan, Odometry, StepReport
 from gridslam.viz.cloud import select_representatives
 
 if TYPE_CHECKING:
@@ -46,11 +45,7 @@ class HistoryRecorder:
     Attributes
     ----------
     history : History
-        The moments of the current session.
-    closures : (C, 2) int64
-        Key scans of the loop closures so far: the older and the later one.
-    recognized : int
-        How many of them, from the first on, are recognized; the others are tracked.
+        The past of the current session.
     """
 
     def __init__(
@@ -71,9 +66,7 @@ class HistoryRecorder:
     def reset(self) -> None:
         """Start before the first scan of a new session."""
         self.history = History(self._most, self._interval)
-        self.closures: IntArray = np.zeros((0, 2), np.int64)
-        self.recognized = 0
-        self._keys = 0
+        self._scans = 0
         self._scan: LaserScan | None = None
         self._path: FloatArray = np.zeros((0, 2))
         self._poses = RowBuffer(2)
@@ -92,16 +85,19 @@ class HistoryRecorder:
 
     def __call__(self, report: Any, state: Any, seconds: float) -> None:  # noqa: ANN401
         """Record a step, if it is a key scan and due."""
+        self._scans += 1
         if self._maps and report.closures:
             self._collector.add(report.closures)
         if report.skipped is not None:
             return
         if self._maps and report.corrected:
             self._shown.forget()
-        self._keys += 1
+        flags = LOST * report.lost | CORRECTED * (self._maps and report.corrected)
+        count = 0 if report.poses is None else len(report.poses)
+        self.history.note_key_scan(report.stamp_ns, self._scans, (0.0, report.n_eff, 1e3 * seconds, flags, count))
         if not self._maps:
             self._poses.append(np.full((1, 2), np.nan) if report.lost else report.pose[None, :2])
-        if self.history.is_due(self._keys):
+        if self.history.is_due(len(self.history.stamps_ns)):
             self.history.add(self._make_moment(report, state))
 
     def _make_moment(
@@ -110,7 +106,7 @@ class HistoryRecorder:
         at, tiles = _NOWHERE, NO_TILES
         if isinstance(state, GridFastSlamState):
             at, tiles = self._shown.find_changes(state.maps, state.best)
-            self.closures, self.recognized = self._collector.find(state)
+            self.history.closures, self.history.recognized = self._collector.find(state)
             first, newest = state.ancestry.newest_positions(state.best, self._path)
             self._path = np.concatenate([self._path[:first], newest])
         else:
@@ -121,9 +117,8 @@ class HistoryRecorder:
         cloud = np.column_stack([state.poses[chosen], ratios]).astype(np.float32)
         ends = NO_POINTS if self._scan is None else self._scan.beams(_CLOSEST_M, self._range_max_m).ends
         pose = np.array(report.pose)
-        return Moment(
-            self._keys, report.stamp_ns, pose, first, newest.astype(np.float32), at, tiles, round_scan(ends), cloud
-        )
+        keys, path, scan = len(self.history.stamps_ns), newest.astype(np.float32), round_scan(ends)
+        return Moment(keys, report.stamp_ns, pose, first, path, at, tiles, scan, cloud)
 
 
 _NOWHERE: NDArray[np.int32] = np.zeros((0, 2), np.int32)

@@ -15,7 +15,8 @@ import numpy as np
 from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.live.ancestry_tree import thin_tree
-from gridslam.live.scene import Frame, RowBuffer
+from gridslam.live.history import RowBuffer
+from gridslam.live.scene import Frame
 from gridslam.live.tiles import EMPTY_BOX, Box, TileChangeDetector, TileChanges
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.constraints import ConstraintSource, select_shown_closures
@@ -27,10 +28,6 @@ if TYPE_CHECKING:
 
 BEST = 0
 """The channel that always shows the map of the best particle."""
-LOST = 1
-"""Flag of a key scan: the robot was lost (as in a record)."""
-CORRECTED = 8
-"""Flag of a key scan: a correction of the trajectory followed."""
 
 _DIED_OUT = -1
 _MAX_RESAMPLINGS = 256
@@ -116,11 +113,11 @@ class MappingMonitor:
         self._lines: dict[int, IntArray] = {}  # of each channel the descendants of the selected particle
         self._was_searched = False  # the robot, in what earlier drives have left
 
-    def record(self, report: StepReport, scan: LaserScan | None) -> int:
-        """Record a scan; return `CORRECTED` if the trajectory was corrected."""
+    def record(self, report: StepReport, scan: LaserScan | None) -> None:
+        """Record a scan."""
         self._collector.add(report.closures)
         if report.skipped is not None:
-            return 0
+            return
         self._keys += 1
         self._all_changed |= report.corrected
         if report.poses is not None:
@@ -128,7 +125,6 @@ class MappingMonitor:
         if report.parents is not None:
             self._resamplings.append((self._keys, report.parents))
             self._lines = {channel: _find_children(line, report.parents) for channel, line in self._lines.items()}
-        return CORRECTED * report.corrected
 
     def show_particle(self, channel: int, particle: int, keys: int) -> None:
         """Show the map of a particle and its descendants as a channel; -1 closes the channel."""
@@ -236,11 +232,10 @@ class LocalizationMonitor:
         """Start before the first scan."""
         self._poses = RowBuffer(3)
 
-    def record(self, report: LocalizationReport, scan: LaserScan | None) -> int:
+    def record(self, report: LocalizationReport, scan: LaserScan | None) -> None:
         """Record the pose at a scan, NaN if the robot is lost."""
         if report.skipped is None:
             self._poses.append(np.full((1, 3), np.nan) if report.lost else report.pose[None])
-        return 0
 
     def show_particle(self, channel: int, particle: int, keys: int) -> None:
         """Do nothing: all particles share one map."""

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from typing import Any, TypeVar, final
 
 from gridslam.live.control import Control
+from gridslam.live.history import History
 from gridslam.live.history_recorder import HistoryRecorder
-from gridslam.live.monitor import LOST, FilterMonitor, LocalizationMonitor, StateView
+from gridslam.live.monitor import FilterMonitor, LocalizationMonitor, StateView
 from gridslam.localization import LocalizationReport
 from gridslam.pipeline import Stopwatch
 from gridslam.types import LaserScan, Odometry, StepReport
@@ -39,13 +40,8 @@ class Snapshot:
         The scan, if it passed through `LiveObserver.pace`.
     scans, keys : int
         Number of scans and key scans.
-    series : list of (float, float, float, int, int)
-        Stamp, s, effective sample size, latency, s, flags and number of particles of each key scan since the last
-        snapshot.
-    stamps_ns : list of int, ns
-        Their stamps.
-    scans_at_keys : list of int
-        Number of scans by then, each.
+    history : History
+        The past until then, at least.
     progress : float
         Ratio of the log that is read, in [0, 1]; NaN if unknown.
     taken_s : float
@@ -57,9 +53,7 @@ class Snapshot:
     scan: LaserScan | None
     scans: int
     keys: int
-    series: list[tuple[float, float, float, int, int]]
-    stamps_ns: list[int]
-    scans_at_keys: list[int]
+    history: History
     progress: float
     taken_s: float
 
@@ -111,13 +105,10 @@ class LiveObserver:
 
     def reset(self) -> None:
         """Start before the first scan of a new session."""
-        self._scans = self._keys = 0
+        self._scans = 0
         self._is_new = False
         self._scan: LaserScan | None = None
         self._latest: tuple[Any, Any] | None = None  # report and state
-        self._series: list[tuple[float, float, float, int, int]] = []
-        self._stamps_ns: list[int] = []
-        self._scans_at_keys: list[int] = []
         self._requests: dict[int, tuple[int, int]] = {}  # of each channel the newest
         self._monitor.reset()
         self.history.reset()
@@ -148,13 +139,8 @@ class LiveObserver:
         self._latest = (report, state)
         self._is_new = True
         self.history(report, state, seconds)
-        flags = LOST * report.lost | self._monitor.record(report, self._scan)
+        self._monitor.record(report, self._scan)
         if report.skipped is None:
-            self._keys += 1
-            count = 0 if report.poses is None else len(report.poses)
-            self._series.append((report.stamp_ns * 1e-9, report.n_eff, seconds, flags, count))
-            self._stamps_ns.append(report.stamp_ns)
-            self._scans_at_keys.append(self._scans)
             self._control.on_key_scan()
         if not self._busy and (now := time.perf_counter()) >= self._due:
             self._take_snapshot(now)
@@ -193,20 +179,6 @@ class LiveObserver:
                 break
         report, state = self._latest
         view = self._monitor.view(report, state)
-        series, self._series = self._series, []
-        stamps_ns, self._stamps_ns = self._stamps_ns, []
-        scans_at_keys, self._scans_at_keys = self._scans_at_keys, []
-        self._post(
-            Snapshot(
-                report,
-                view,
-                self._scan,
-                self._scans,
-                self._keys,
-                series,
-                stamps_ns,
-                scans_at_keys,
-                self.progress(),
-                now,
-            )
-        )
+        history = self.history.history
+        keys = len(history.stamps_ns)
+        self._post(Snapshot(report, view, self._scan, self._scans, keys, history, self.progress(), now))

@@ -23,8 +23,6 @@ from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Odometry
 
 _Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
 _RECONNECT_S = 3.0
-_SHARE = 0.1
-"""Share of one processor's time for all viewers of a run together: with one viewer it takes a few per cent."""
 
 
 @final
@@ -68,7 +66,7 @@ class LivePage:
         options = options or LiveOptions()
         self.control = Control(options.speed)
         self._run = LiveRun(title, robot or self.control, range_max_m, known)
-        self._server = PageServer(self._run, options, _SHARE)
+        self._server = PageServer(self._run, options)
         self._last_stage = "final refinement" if known is None else "writing"
         monitor: FilterMonitor = MappingMonitor(range_max_m) if known is None else LocalizationMonitor(known)
         history = HistoryRecorder(range_max_m, is_localization=known is not None)
@@ -152,7 +150,6 @@ class LivePage:
         if folder is not None:
             with suppress(InputError):  # something else has changed the folder
                 self._server.call(self._run.begin_replay, Replay(folder))
-            self._server.set_share(1.0)  # no filter needs the processor any more
         alone_since = -math.inf if not self.viewers else time.perf_counter()
         while time.perf_counter() - alone_since < _RECONNECT_S:
             time.sleep(0.1)

@@ -8,7 +8,8 @@ import numpy as np
 
 from gridslam.live.ancestry_tree import Float32Array
 from gridslam.live.history import SCAN_UNIT_M, History, PastMaps, PastReplica
-from gridslam.types import FloatArray, IntArray
+from gridslam.live.scene import Frame
+from gridslam.types import FloatArray
 
 
 @final
@@ -23,25 +24,18 @@ class Past(NamedTuple):
         Stamp of the last of them.
     pose : (3,) float64
         Estimated pose, x m, y m, theta rad.
-    path : (T, 2) float32, m
-        Positions of the best particle at the key scans, NaN where the robot was lost.
     scan : (K, 2) float32, m
         End points of the scan in the robot frame.
-    particles : (N, 4) float32
-        x m, y m, theta rad and weight, each for a share of the belief.
+    frame : Frame
+        Path of the best particle at the key scans, NaN where the robot was lost; particles, each for a share of the
+        belief; and the loop closures that had been found, where the path was then.
     """
 
     keys: int
     stamp_ns: int
     pose: FloatArray
-    path: Float32Array
     scan: Float32Array
-    particles: Float32Array
-
-    def closure_ends(self, pairs: IntArray) -> Float32Array:
-        """Return the ends (C, 4), m, of the loop closures (C, 2) that had been found, where the path was then."""
-        ends: Float32Array = self.path[pairs[pairs[:, 1] < len(self.path)]].reshape(-1, 4)
-        return ends
+    frame: Frame
 
 
 @final
@@ -74,4 +68,7 @@ class PastReader:
             self.replica.show(self._maps.at(index))
         scan = moment.scan.astype(np.float32) * np.float32(SCAN_UNIT_M)
         path = self._history.path(index)
-        return Past(moment.keys, moment.stamp_ns, moment.pose, path, scan, moment.particles)
+        pairs = self._history.shown_closures
+        ends = path[pairs[pairs[:, 1] < len(path)]].reshape(-1, 4)
+        frame = Frame(path, particles=moment.particles, closures=ends)
+        return Past(moment.keys, moment.stamp_ns, moment.pose, scan, frame)

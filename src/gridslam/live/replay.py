@@ -14,11 +14,10 @@ from gridslam.errors import ArgumentError, GridslamError
 from gridslam.io.text import open_for_reading, stay_below
 from gridslam.live.ancestry_tree import NO_POINTS
 from gridslam.live.beside import read_beside
-from gridslam.live.control import check_particle, check_speed
+from gridslam.live.control import check_speed
 from gridslam.live.finished import count_key_scans, read_optional_history, read_results
 from gridslam.live.graph_edits import EditedGraph, Overlay
 from gridslam.live.history import History, PastMaps, PastReplica
-from gridslam.live.history_file import HISTORY_NAME
 from gridslam.live.past import Past, PastReader
 from gridslam.live.results import MappedRun, StaticView
 from gridslam.live.scene import Scene, SentState, make_run_info
@@ -68,7 +67,7 @@ class Replay:
         self._out = out = Path(folder)
         with stay_below(out):
             results, title, self.messages = read_results(out) if shown is None else (shown, out.name, [])
-            self.history = read_optional_history(out / HISTORY_NAME)
+            self.history = read_optional_history(out) if shown is None else None
         sessions = _find_sessions(out) if shown is None else []
         self.editor = EditedGraph(out, [out / name for name in sessions]) if edits_graph else None
         if self.editor is not None:
@@ -126,10 +125,6 @@ class Replay:
             raise ArgumentError("do", "something else, as this graph may not be edited (view --edit-graph)", "an edit")
         return self.editor
 
-    def find_channel(self, channel: int) -> int:
-        """Return 0, as all channels are one."""
-        return 0
-
     def channel_map(self, channel: int) -> OccupancyGrid | None:
         """Return the map, which all channels share."""
         return self.results.grid
@@ -169,8 +164,6 @@ class ReplayViewer:
         self._speed = replay.speed
         self._played_until = 0.0
         self._playing = False
-        self._selected: int | None = None
-        self._selected_path = NO_POINTS
         self._reader = None if replay.history is None else PastReader(replay.history, replay.past_maps)
         self._past: Past | None = None
         self._answer = ""
@@ -200,12 +193,12 @@ class ReplayViewer:
                 self._seek(min(max(int(command["at"]), 0), self._last))
             case "speed":
                 self._speed = check_speed(command["factor"]) or self._speed
-            case "select":
-                self._select(command["particle"])
+            case "select" if command["particle"] is None:
+                pass  # of who has chosen a particle before the run has finished
             case "look" | "grab" | "put" | "edit":
                 self._edit(self._replay.require_editor(), command)
             case what:
-                raise ArgumentError("do", "pause, resume, step, seek, speed, select, look, grab, put or edit", what)
+                raise ArgumentError("do", "pause, resume, step, seek, speed, look, grab, put or edit", what)
 
     def _edit(self, editor: EditedGraph, command: Mapping[str, Any]) -> None:
         """Look at an edge, put a scan on another place, or edit the graph; a failure is answered."""
@@ -247,12 +240,8 @@ class ReplayViewer:
     def _move_to(self, at: int) -> None:
         if at == self._at:
             return
-        ancestry = self._results.ancestry
-        if self._selected is not None and ancestry is not None:
-            self._selected = ancestry.find_relative(self._selected, self._at, at)
         self._at = at
         self._look()
-        self._find_selected_path()
 
     def _look(self) -> None:
         """Build the scene of a moment; of a map the final form at the end."""
@@ -265,21 +254,7 @@ class ReplayViewer:
         self._past = past = self._reader.read(int(self._replay.keys[at]), has_maps=is_map)
         if past is None:
             return
-        if isinstance(self._results, MappedRun):
-            ends = past.closure_ends(self._results.shown_closures)
-            self._frame = self._frame._replace(path=past.path, closures=ends)
-        else:
-            self._frame = self._frame._replace(particles=past.particles)
-
-    def _select(self, particle: int | None) -> None:
-        self._selected = None if particle is None else check_particle(particle, self._results.particles)
-        self._find_selected_path()
-
-    def _find_selected_path(self) -> None:
-        particle = self._selected
-        self._selected_path = NO_POINTS
-        if isinstance(self._results, MappedRun) and particle is not None and particle >= 0:
-            self._selected_path = self._results.particle_path(self._at, particle)
+        self._frame = past.frame if is_map else self._frame._replace(particles=past.frame.particles)
 
     def _scene(self) -> Scene:
         results = self._results
@@ -293,7 +268,7 @@ class ReplayViewer:
             "time_s": self._time_s,
             "total_s": float(results.times_s[-1]),
             "speed": self._speed,
-            "selected_particle": self._selected,
+            "selected_particle": None,
             "answer": self._answer,
         }
         if self._playing:
@@ -306,8 +281,7 @@ class ReplayViewer:
             status["scan_pose"] = past.pose.tolist()
             if isinstance(results, MappedRun):
                 replica = self._reader.replica
-                pose = results.online_pose(self._time_s)
-                status |= {"past": True, "pose": (past.pose if pose is None else pose).tolist()}
+                status |= {"past": True, "pose": past.pose.tolist()}
         overlay = self._overlay
         if overlay is not None:
             status |= {"overlay": overlay.describe(), "scan_pose": overlay.pose.tolist()}
@@ -320,7 +294,6 @@ class ReplayViewer:
             overlay.newer if overlay is not None else NO_POINTS if past is None else past.scan,
             plan=results.path,
             landmarks=results.landmarks,
-            selected=self._selected_path,
             truth=self._replay.beside.path,
             other=self._replay.other,
             messages=self._replay.messages,

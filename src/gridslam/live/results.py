@@ -7,169 +7,60 @@ from typing import Any, TypeAlias, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.io.results.record import Record, RecordFlag
-from gridslam.live.ancestry_tree import Float32Array, full_tree
-from gridslam.live.monitor import LOST
+from gridslam.live.ancestry_tree import Float32Array
+from gridslam.live.history import LOST, History
 from gridslam.live.scene import NO_LANDMARKS, NO_SERIES, Frame, finite_or_none
-from gridslam.particles.ancestry import Ancestry
-from gridslam.slam.loop_closure.constraints import select_shown_closures
 from gridslam.slam.pose_graph.descent import squared_mahalanobis
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
 
 _MOST_RESIDUALS = 1000  # edges
-_SNAPSHOTS = 32  # of the ancestry, evenly over the record: seeking back replays at most one interval
-
-
-@final
-class AncestryReplay:
-    """Replays the ancestry of a record, forwards step by step and backwards from the previous snapshot.
-
-    Parameters
-    ----------
-    record : Record
-        At least one key scan.
-    """
-
-    def __init__(self, record: Record) -> None:
-        """Start at the first key scan."""
-        self._record = record
-        self._interval = max(len(record) // _SNAPSHOTS, 1)
-        self._at = 0
-        self._ancestry = Ancestry.start(record.poses[0])
-        self._snapshots = {0: self._ancestry.snapshot()}
-
-    def at(self, key: int) -> Ancestry:
-        """Return the ancestry at a key scan, before its resampling; valid until the next call."""
-        near = max(kept for kept in self._snapshots if kept <= key)
-        if not near <= self._at <= key:
-            self._at = near
-            self._ancestry = self._snapshots[near].snapshot()
-        while self._at < key:
-            self._advance()
-        return self._ancestry
-
-    def find_relative(self, particle: int, before: int, after: int) -> int:
-        """Return the descendant or ancestor at key scan `after` of a particle at `before`; -1 if there is none.
-
-        Of several descendants it is the first.
-        """
-        parents = self._record.parents
-        if particle < 0:
-            return -1
-        for key in range(before - 1, after - 1, -1):
-            particle = int(parents[key, particle])
-        if after <= before:
-            return particle
-        ancestors = np.arange(parents.shape[1])
-        for key in range(after - 1, before - 1, -1):
-            ancestors = parents[key, ancestors]
-        descendants = np.flatnonzero(ancestors == particle)
-        return int(descendants[0]) if len(descendants) else -1
-
-    def _advance(self) -> None:
-        record = self._record
-        at = self._at
-        if record.flags[at] & RecordFlag.RESAMPLED:
-            self._ancestry.resample(record.parents[at])
-        self._ancestry.extend(record.poses[at + 1])
-        self._at = at + 1
-        if self._at % self._interval == 0 and self._at not in self._snapshots:
-            self._snapshots[self._at] = self._ancestry.snapshot()
 
 
 @final
 class MappedRun:
-    """Results of `gridslam map`: the steps are the key scans.
+    """Results of `gridslam map`: the steps are the key scans of the newest drive.
 
     Parameters
     ----------
-    record : Record
-        The particles at each key scan; at least one key scan.
+    history : History
+        The past of the run; at least one key scan.
     trajectory : Trajectory
         The full SLAM trajectory: a pose for each scan.
-    key_poses : (T, 3) float64
-        The poses of the key scans in it.
+    key_poses : (K, 3) float64
+        The poses of the key scans in it, of earlier drives first.
     grid : OccupancyGrid
         The map.
-    recognized : (C, 2) int64
-        Key scans of the recognized loop closures, the older one first; the record has the tracked ones.
-    online : Trajectory, optional
-        The poses as they were estimated online, a pose for each scan.
     """
 
-    layers = ("map", "path", "ancestry", "particles", "weights", "closures", "n_eff", "latency")
     step = "key scan"
     missing = ""
+    layers = ("map", "path", "closures", "n_eff", "latency")
     landmarks = NO_LANDMARKS
 
-    def __init__(
-        self,
-        record: Record,
-        trajectory: Trajectory,
-        key_poses: FloatArray,
-        grid: OccupancyGrid,
-        recognized: IntArray,
-        online: Trajectory | None = None,
-    ) -> None:
+    def __init__(self, history: History, trajectory: Trajectory, key_poses: FloatArray, grid: OccupancyGrid) -> None:
         """Prepare the data of all times."""
-        self.online = online
+        stamps_ns = np.array(history.stamps_ns)
+        own = trajectory.stamps_ns >= stamps_ns[0]
         self.grid = grid
-        self.particles = record.poses.shape[1]
-        self.ancestry = AncestryReplay(record)
-        self._scan_times_s = _elapsed(trajectory.stamps_ns, record.stamps_ns[0])
-        self.times_s = _elapsed(record.stamps_ns, record.stamps_ns[0])
+        self.trajectory = Trajectory(trajectory.stamps_ns[own], trajectory.poses[own])
+        self._scan_times_s = _elapsed(self.trajectory.stamps_ns, stamps_ns[0])
+        self.times_s = _elapsed(stamps_ns, stamps_ns[0])
         self.times_s[-1] = max(self.times_s[-1], self._scan_times_s[-1])  # scans follow the last key scan
-        self.path: Float32Array = key_poses[:, :2].astype(np.float32)
-        columns = (self.times_s, record.n_eff, 1e3 * record.latency_s, record.flags)
-        counts = record.counts
-        self.series: Float32Array = np.column_stack([*columns, counts]).astype(np.float32)
-        self._record = record
-        self.trajectory = trajectory
-        tracked = record.revisits.astype(np.int64)
-        self._closure_steps: IntArray = np.sort(np.concatenate([recognized, tracked])[:, 1])  # when each was found
-        shown = select_shown_closures(recognized, tracked)
-        shown = shown[np.argsort(shown[:, 1], kind="stable")]
-        self.shown_closures: IntArray = shown
-        self._closure_ends = key_poses[shown, :2].reshape(-1, 4).astype(np.float32)
+        self.path: Float32Array = key_poses[-len(stamps_ns) :, :2].astype(np.float32)
+        self.series: Float32Array = np.column_stack([self.times_s, history.series[:, 1:]]).astype(np.float32)
+        self._history = history
+        pairs = history.shown_closures
+        self._closure_ends = key_poses[pairs[pairs[:, 1] < len(key_poses)], :2].reshape(-1, 4).astype(np.float32)
 
     def frame(self, at: int) -> Frame:
-        """Return the frame at a key scan."""
-        record = self._record
-        particles = np.column_stack([record.poses[at], np.exp(record.log_weights[at])]).astype(np.float32)
-        closures = self._closure_ends[: int(np.searchsorted(self.shown_closures[:, 1], at, "right"))]
-        return Frame(self.path[: at + 1], full_tree(self.ancestry.at(at)), particles, closures)
-
-    def particle_path(self, at: int, particle: int) -> Float32Array:
-        """Return the online path (at + 1, 2) of a particle at a key scan, m."""
-        path: Float32Array = self.ancestry.at(at).trajectory(particle)[:, :2].astype(np.float32)
-        return path
-
-    def online_pose(self, time_s: float) -> FloatArray | None:
-        """Return the pose (3,) as it was estimated at a time; None if it is unknown."""
-        known = self.online is not None and len(self.online) == len(self.trajectory)
-        return self.online.poses[self._find_scan(time_s)] if known and self.online is not None else None
-
-    def _find_scan(self, time_s: float) -> int:
-        return max(int(np.searchsorted(self._scan_times_s, time_s, "right")) - 1, 0)
+        """Return the final trajectory up to a key scan, and all loop closures."""
+        return Frame(self.path[: at + 1], closures=self._closure_ends)
 
     def status(self, at: int, time_s: float) -> dict[str, Any]:
         """Return values at a time at or after a key scan."""
-        record = self._record
-        scan = self._find_scan(time_s)
-        return {
-            "keys": at + 1,
-            "scans": scan + 1,
-            "pose": self.trajectory.poses[scan].tolist(),
-            "n_eff": finite_or_none(float(record.n_eff[at])),
-            "lost": bool(record.flags[at] & RecordFlag.LOST),
-            "best": int(record.parents[at, record.best[at]]),
-            "closures": self._count_closures(at),
-            "particles": int(record.counts[at]),
-        }
-
-    def _count_closures(self, at: int) -> int:
-        return int(np.searchsorted(self._closure_steps, at, "right"))
+        scan = max(int(np.searchsorted(self._scan_times_s, time_s, "right")) - 1, 0)
+        return {**self._history.describe(at), "scans": scan + 1, "pose": self.trajectory.poses[scan].tolist()}
 
 
 @final
@@ -194,9 +85,6 @@ class TrajectoryRun:
     is_global : bool
         Whether the pose was unknown at first.
     """
-
-    particles = 0
-    ancestry = None
 
     def __init__(
         self,
@@ -278,8 +166,6 @@ class StaticView:
 
     step = "key scan"
     missing = ""
-    particles = 0
-    ancestry = None
     series = NO_SERIES
 
     def __init__(
@@ -353,10 +239,6 @@ missing : str
     A message about missing files; empty if nothing is missing.
 grid : OccupancyGrid or None
     The map; None if there is none.
-particles : int
-    Number of selectable particles.
-ancestry : AncestryReplay or None
-    Their ancestry; None if there are none.
 times_s : (T,) float64
     Times of the steps since the first one, never going back.
 trajectory : Trajectory or None

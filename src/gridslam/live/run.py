@@ -13,17 +13,16 @@ import numpy as np
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.io.text import open_for_reading
-from gridslam.live.ancestry_tree import NO_POINTS
+from gridslam.live.ancestry_tree import NO_POINTS, Float32Array
 from gridslam.live.control import LOCATING, Control, RobotControl, check_particle, check_speed
 from gridslam.live.history import History, PastMaps
 from gridslam.live.holds import Holds
-from gridslam.live.monitor import BEST, LOST
+from gridslam.live.monitor import BEST
 from gridslam.live.observer import UNVIEWED_PERIOD_S, VIEWED_PERIOD_S, LiveObserver, Snapshot
 from gridslam.live.past import PastReader
 from gridslam.live.replay import Replay, ReplayViewer
-from gridslam.live.scene import MOST_MESSAGES, Frame, RowBuffer, Scene, SentState, finite_or_none, make_run_info
+from gridslam.live.scene import MOST_MESSAGES, Frame, Scene, SentState, finite_or_none, make_run_info
 from gridslam.live.tiles import TileReplica, split_into_tiles
-from gridslam.slam.loop_closure.constraints import select_shown_closures
 from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Trajectory
 
 _LIVE_SLAM = "map", "path", "ancestry", "particles", "weights", "scan", "closures", "n_eff", "latency"
@@ -90,11 +89,8 @@ class LiveRun:
         self._status: dict[str, Any] = {"keys": 0, "scans": 0, "particles": 0}
         self._frame = Frame()
         self._scan = NO_POINTS
-        self._series = RowBuffer(5)
-        self._stamps_ns: list[int] = []
-        self._scans: list[int] = []  # so far, at each key scan
+        self._history = History()
         self._final_poses: FloatArray | None = None
-        self._first_s: float | None = None
         self._rate_window: deque[tuple[float, int, float]] = deque(maxlen=_RATE_SNAPSHOTS)
         self._last_scan: LaserScan | None = None
         for viewer in self._viewers:
@@ -111,12 +107,7 @@ class LiveRun:
             if channel in self._replicas:
                 self._replicas[channel].apply(changes)
         self._rows = view.rows
-        if snapshot.series:
-            if self._first_s is None:
-                self._first_s = snapshot.series[0][0]
-            self._series.append(np.array(snapshot.series) * (1, 1, 1e3, 1, 1) - (self._first_s, 0, 0, 0, 0))
-        self._stamps_ns += snapshot.stamps_ns
-        self._scans += snapshot.scans_at_keys
+        self._history = snapshot.history
         self._frame = view.make_frame()
         if snapshot.scan is not None and snapshot.scan is not self._last_scan:
             self._last_scan = snapshot.scan
@@ -176,23 +167,19 @@ class LiveRun:
         self.replay = replay
         self.notify_viewers()
 
-    def find_channel(self, channel: int) -> int:
-        """Return the channel, or the best particle's if there is no such channel."""
-        return channel if channel in self._replicas else BEST
-
     def channel_map(self, channel: int) -> OccupancyGrid:
         """Return the map of a channel."""
         if self._known is not None:
             return self._known
         resolution_m = self._run_info["resolution_m"] or 1.0
-        return self._replicas[self.find_channel(channel)].grid(resolution_m)
+        return self._replicas.get(channel, self._replicas[BEST]).grid(resolution_m)
 
     def trajectory(self, channel: int) -> Trajectory | None:
         """Return the poses at the key scans of the particle that a channel shows, where the robot was not lost."""
         poses = self._final_poses
         if poses is None:
             poses = self._frame.poses.get(self._rows.get(channel, self._rows[BEST]), np.zeros((0, 3)))
-        stamps_ns = np.array(self._stamps_ns[: len(poses)], np.int64)
+        stamps_ns = np.array(self._history.stamps_ns[: len(poses)], np.int64)
         known = np.isfinite(poses[: len(stamps_ns), 0])
         return Trajectory(stamps_ns[known], poses[: len(stamps_ns)][known]) if known.any() else None
 
@@ -263,7 +250,7 @@ class LiveRun:
             status,
             replica,
             self._frame,
-            self._series.rows,
+            self._series,
             self._scan,
             selected=selected,
             messages=self._messages,
@@ -283,25 +270,14 @@ class LiveRun:
 
     def make_past_scene(self, reader: PastReader, at: int) -> Scene | None:
         """Return the scene as it was after a key scan, counted from 0; None if nothing is known of it."""
-        recorder = self.observer.history
         past = reader.read(at + 1, has_maps=self._known is None)
         if past is None:
             return None
-        closures = recorder.closures
-        shown = select_shown_closures(closures[: recorder.recognized], closures[recorder.recognized :])
-        frame = Frame(past.path, particles=past.particles, closures=past.closure_ends(shown))
-        time_s, n_eff, _, flags, particles = self._series.rows[at].tolist()
         status = {
             **self.make_scene(BEST).status,
+            **self._history.describe(at),
             "past": True,
             "at": at,
-            "time_s": time_s,
-            "n_eff": finite_or_none(n_eff),
-            "lost": bool(int(flags) & LOST),
-            "particles": int(particles),
-            "keys": at + 1,
-            "scans": self._scans[at],
-            "closures": int((closures[:, 1] <= at).sum()),
             "pose": past.pose.tolist(),
             "scan_pose": past.pose.tolist(),
             "covariance": None,
@@ -312,11 +288,11 @@ class LiveRun:
             "bytes": None,
         }
         replica = self._replicas[BEST] if self._known is not None else reader.replica
-        return Scene(self._run_info, status, replica, frame, self._series.rows, past.scan, messages=self._messages)
+        return Scene(self._run_info, status, replica, past.frame, self._series, past.scan, messages=self._messages)
 
     def find_reader(self, reader: PastReader | None) -> PastReader:
         """Return a viewer's reader of the current session's past: its own, if that is still of this session."""
-        history = self.observer.history.history
+        history = self._history
         if reader is not None and reader.reads(history):
             return reader
         if self._past is None or self._past[0] is not history:
@@ -326,7 +302,12 @@ class LiveRun:
     @property
     def keys(self) -> int:
         """Number of key scans that viewers can go back to."""
-        return len(self._series.rows)
+        return int(self._status["keys"])
+
+    @property
+    def _series(self) -> Float32Array:
+        """Figures of each key scan, as in a scene."""
+        return self._history.series[: self.keys]
 
     def notify_viewers(self) -> None:
         """Notify all viewers of a change."""
@@ -354,11 +335,11 @@ class LiveRun:
     def _update_status(self, snapshot: Snapshot) -> None:
         report = snapshot.report
         stamp_s = report.stamp_ns * 1e-9
-        first_s = stamp_s if self._first_s is None else self._first_s
+        first_s = 1e-9 * self._history.stamps_ns[0] if snapshot.keys else stamp_s
         self._rate_window.append((snapshot.taken_s, snapshot.scans, stamp_s))
         wall_s, scans, log_s = (b - a for a, b in zip(self._rate_window[0], self._rate_window[-1], strict=True))
         rates = {"scans_per_s": scans / wall_s, "real_time_factor": log_s / wall_s} if wall_s > 0 and scans else {}
-        n_eff = finite_or_none(float(self._series.rows[-1, 1])) if snapshot.keys else None
+        n_eff = finite_or_none(float(self._history.series[snapshot.keys - 1, 1])) if snapshot.keys else None
         self._status = {
             "scans": snapshot.scans,
             "keys": snapshot.keys,

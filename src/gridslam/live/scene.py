@@ -29,37 +29,6 @@ NO_SERIES: Float32Array = np.zeros((0, 5), np.float32)
 
 
 @final
-class RowBuffer:
-    """Append-only rows of numbers; rows already returned never change.
-
-    Parameters
-    ----------
-    width : int
-        Numbers per row.
-    """
-
-    __slots__ = ("_count", "_rows")
-
-    def __init__(self, width: int) -> None:
-        """Start without rows."""
-        self._rows: Float32Array = np.zeros((256, width), np.float32)
-        self._count = 0
-
-    def append(self, rows: FloatArray) -> None:
-        """Add rows (K, width)."""
-        end = self._count + len(rows)
-        if end > len(self._rows):
-            self._rows = np.concatenate([self._rows, np.zeros((end, self._rows.shape[1]), np.float32)])
-        self._rows[self._count : end] = rows
-        self._count = end
-
-    @property
-    def rows(self) -> Float32Array:
-        """All rows so far."""
-        return self._rows[: self._count]
-
-
-@final
 class Frame(NamedTuple):
     """A run at one time.
 

@@ -10,7 +10,7 @@ import secrets
 import socket
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Protocol, final
 
@@ -24,10 +24,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from gridslam.errors import OutputError
-from gridslam.live.connections import LimitedConnection, LimitedSocket, drop_stalled
 from gridslam.live.downloads import DownloadableContent, is_authorized, is_foreign, make_download_routes
 from gridslam.live.edits import EditsFile, make_edit_route
-from gridslam.live.limits import Pace, PacedSelector, PacedThread
 from gridslam.live.options import LiveOptions
 from gridslam.live.viewing import Viewer, ViewerLine, serve_viewer
 
@@ -45,7 +43,8 @@ _HEADERS = {
 _TOKEN = "GRIDSLAM_LIVE_TOKEN"
 """Environment variable with a token that remains valid after a restart."""
 _STOP_WITHIN_S = 5.0
-_BACKLOG = 32  # connections that are accepted at once
+_MOST_VIEWERS = 20
+_MOST_CONNECTIONS = 100
 
 
 class PageContent(DownloadableContent, Protocol):
@@ -66,8 +65,6 @@ class PageServer:
         Content of the page; from now on only this server's thread for it may use it, see `call`.
     options : LiveOptions
         Address of the page.
-    share : float, (0, 1]
-        Share of one processor's time that the server takes at most, on average: what is left is the filter's.
     edits : EditsFile, optional
         Edits of the map, that pages may change.
 
@@ -77,22 +74,19 @@ class PageServer:
         On entering: the port is in use, or the address is not one of this machine.
     """
 
-    def __init__(
-        self, content: PageContent, options: LiveOptions, share: float = 1.0, edits: EditsFile | None = None
-    ) -> None:
+    def __init__(self, content: PageContent, options: LiveOptions, edits: EditsFile | None = None) -> None:
         """Create the server without listening."""
-        self._pace = Pace(share)
-        self._content_thread = PacedThread("gridslam-live-content", self._pace)
+        self._content_thread = ThreadPoolExecutor(1, "gridslam-live-content")
         self._options = options
         self._token = None if options.is_local else os.environ.get(_TOKEN) or secrets.token_urlsafe(12)
-        routes = make_download_routes(content, self._token, share, self._content_thread)
+        routes = make_download_routes(content, self._token, self._content_thread)
         if edits is not None:
             routes.append(make_edit_route(edits, self._token))
         config = uvicorn.Config(
             _make_application(content, options.host, self._token, self._content_thread, routes),
-            http=LimitedConnection,
-            ws=LimitedSocket,
-            backlog=_BACKLOG,
+            http="h11",
+            ws="websockets-sansio",
+            limit_concurrency=_MOST_CONNECTIONS,
             loop="none",
             log_config=None,
             log_level="critical",
@@ -119,7 +113,7 @@ class PageServer:
         """Close all connections."""
         self._server.should_exit = True
         self._thread.join(_STOP_WITHIN_S)
-        self._content_thread.stop()
+        self._content_thread.shutdown(wait=False, cancel_futures=True)
 
     @property
     def url(self) -> str:
@@ -131,10 +125,6 @@ class PageServer:
             name = socket.gethostname()
         address = f"[{name}]" if ":" in name else name
         return f"http://{address}:{port}/" + ("" if self._token is None else f"?token={self._token}")
-
-    def set_share(self, share: float) -> None:
-        """Take at most another share of one processor's time from now on."""
-        self._pace.share = share
 
     def call(self, function: Callable[..., None], *arguments: object) -> bool:
         """Schedule a call in the content's thread; thread-safe. Returns False if the server has stopped."""
@@ -158,30 +148,16 @@ class PageServer:
             raise OutputError(f"cannot listen at {host}, port {port}: {error.strerror or error}") from None
 
     def _serve(self) -> None:
-        loop = asyncio.SelectorEventLoop(PacedSelector(self._pace))
-        loop.set_exception_handler(_ignore_connections)
-
         async def serve() -> None:
-            self._loop = loop
+            self._loop = asyncio.get_running_loop()
+            self._loop.set_exception_handler(_ignore_connections)
             self._running.set()
-            dropping = asyncio.create_task(drop_stalled(self._server.server_state.connections))
             await self._server.serve([self._socket] if self._socket else None)
-            dropping.cancel()
 
         try:
-            loop.run_until_complete(serve())
-            loop.run_until_complete(_cancel_tasks())
-            loop.run_until_complete(loop.shutdown_default_executor())
+            asyncio.run(serve())
         finally:
             self._running.set()
-            loop.close()
-
-
-async def _cancel_tasks() -> None:
-    tasks = asyncio.all_tasks() - {asyncio.current_task()}
-    for task in tasks:
-        task.cancel()
-    await asyncio.gather(*tasks, return_exceptions=True)
 
 
 def _ignore_connections(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
@@ -197,11 +173,11 @@ def _raise_again(call: Future[None]) -> None:
 
 
 def _make_application(
-    content: PageContent, host: str, token: str | None, thread: PacedThread, files: list[BaseRoute]
+    content: PageContent, host: str, token: str | None, thread: ThreadPoolExecutor, files: list[BaseRoute]
 ) -> ASGIApp:
     """Return the page of a show, for everyone who has the token; without one for requests to this very host alone."""
     joining = asyncio.Lock()
-    viewers = asyncio.BoundedSemaphore(max(LimitedConnection.most // 2, 1))
+    viewers = asyncio.BoundedSemaphore(_MOST_VIEWERS)
 
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()

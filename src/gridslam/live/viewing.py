@@ -5,14 +5,13 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Callable, Coroutine, Hashable, Iterable, Mapping
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any, Protocol, final
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gridslam.errors import ArgumentError
-from gridslam.live.limits import PacedThread
 from gridslam.live.protocol import encode
 
 _PERIOD_S = 0.1  # least time between two messages to a viewer
@@ -78,7 +77,7 @@ class ViewerLine:
         Its connection.
     add_viewer : callable
         Adds the viewer to the page's content, in that one's thread.
-    thread : PacedThread
+    thread : ThreadPoolExecutor
         The thread of the page's content.
     joining : asyncio.Lock
         Shared by all lines: whoever comes is sent everything, one after the other, while those who are there go on.
@@ -88,7 +87,7 @@ class ViewerLine:
         self,
         websocket: WebSocket,
         add_viewer: Callable[[Callable[[], None]], Viewer],
-        thread: PacedThread,
+        thread: ThreadPoolExecutor,
         joining: asyncio.Lock,
     ) -> None:
         self.websocket = websocket
@@ -131,7 +130,7 @@ class ViewerLine:
             await self._asked.wait()
             self._asked.clear()
             commands, self._commands = self._commands, {}
-            await self._thread.call(self._execute, commands.values())
+            await asyncio.wrap_future(self._thread.submit(self._execute, commands.values()))
             self._changed.set()
             await asyncio.sleep(_COMMAND_PERIOD_S)
 
@@ -155,7 +154,7 @@ class ViewerLine:
             self._added = self._thread.submit(self._add_viewer, self._notify)
             await asyncio.wrap_future(self._added)
             self._has_joined.set()
-            message = await self._thread.call(self._viewer.next_message)
+            message = await asyncio.wrap_future(self._thread.submit(self._viewer.next_message))
         return await self._next_message() if message is None else message
 
     async def send(self) -> None:
@@ -175,7 +174,7 @@ class ViewerLine:
         due = clock() + _HEARTBEAT_S
         while True:
             self._changed.clear()
-            message = await self._thread.call(self._viewer.next_message)
+            message = await asyncio.wrap_future(self._thread.submit(self._viewer.next_message))
             if message is not None:
                 return message
             if not await _comes_within(due - clock(), self._changed.wait()):

@@ -149,15 +149,6 @@ def _paint_drives(
         yield f"and {len(coloured) - _MOST_KEYS} more", FAINT
 
 
-def draw_thumbnail(grid: GridRows, side_px: int = 256) -> Image.Image:
-    """Draw the known part of a map alone, its long side `side_px`."""
-    rows, columns = known_part(grid)
-    cells = np.array([columns.stop - columns.start, rows.stop - rows.start])
-    width, height = np.maximum(1, np.rint(cells * side_px / cells.max())).astype(int).tolist()
-    px_per_m = side_px / (float(cells.max()) * grid.resolution_m)
-    return _paint_cells(grid, Layout((width, height), (0, 0, width, height), px_per_m, 0.0, 0.0, 1.0))
-
-
 def draw_localization(
     grid: OccupancyGrid,
     trajectory: Trajectory,

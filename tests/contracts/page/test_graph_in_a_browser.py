@@ -83,7 +83,7 @@ def test_an_edge_is_chosen_on_the_map(page):
 
 
 def test_without_a_session_nothing_is_added(browser, mapped, tmp_path):
-    for name in ("graph.g2o", "run.json", "record.npz", "trajectory.tum", "map.yaml", "map.pgm"):
+    for name in ("graph.g2o", "run.json", "trajectory.tum", "map.yaml", "map.pgm"):
         (tmp_path / name).write_bytes((mapped / name).read_bytes())
     with PageServer(Replay(tmp_path, edits_graph=True), LiveOptions(port=0)) as server:
         browser.get(server.url)

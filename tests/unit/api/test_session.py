@@ -170,6 +170,13 @@ def test_sessions_are_merged_in_any_order(first, second, one_day, tmp_path):
     assert result.found_again.drives == ("monday", "tuesday")
 
 
+def test_a_session_is_not_merged_with_one_that_continues_it(second, one_day, tmp_path):
+    session = gridslam.Session.open(one_day[0])
+    session.add(write(tmp_path, "tuesday", moved(second.measurements[:100])))
+    with pytest.raises(ArgumentError, match=r"without a log in common.*monday"):
+        session.merge(gridslam.Session.open(one_day[0]))
+
+
 def test_a_given_map_is_gone_on_from(building, tmp_path):
     """The robot is found in the map, and what it sees beyond is added to it."""
     before, later = drive(building, 1, 200, 400), drive(building, 2, 320, 600)
@@ -339,7 +346,9 @@ def test_maps_of_other_floors_are_not_joined(first, one_day, tmp_path):
     assert result.found_again.drives == ("monday",)
     assert again.names == ["ground", "first"]
     merged = gridslam.Session.open(tmp_path / "both.gridslam")
-    merged.merge(gridslam.Session.open(tmp_path / "ground.gridslam"))
+    other = gridslam.Session(CONFIG)
+    other.add(write(tmp_path, "thursday", moved(first.measurements[:250], later_s=300_000)), floor="ground")
+    merged.merge(other)
     assert sorted(piece.floor for piece in merged.pieces) == ["first", "ground"]
     with pytest.raises(ArgumentError, match="first or ground"):
         gridslam.Session.open(tmp_path / "both.gridslam").find_map("cellar")

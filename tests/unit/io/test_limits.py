@@ -23,7 +23,7 @@ from gridslam.io.limits import (
 )
 from gridslam.io.log import open_log
 from gridslam.io.maps import read_map
-from gridslam.io.results.record import read_arrays
+from gridslam.io.sessions.archive_file import read_arrays
 from gridslam.io.text import open_for_reading, read_text
 from gridslam.io.trajectories import read_tum
 

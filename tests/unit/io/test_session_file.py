@@ -48,7 +48,7 @@ def begun(name="default"):
 def go_on(saved, measurements, threads=1):
     slam = build(saved.configuration, threads)
     begun = saved.run
-    observers = [begun.trajectory, begun.statistics, lambda report, state, seconds: begun.record.add(report, 0.1)]
+    observers = [begun.trajectory, begun.statistics]
     state = run(measurements, replace(slam, particles=5), rng=begun.rng, observers=observers, state=begun.state)
     return replace(saved, run=replace(begun, state=state))
 
@@ -58,9 +58,8 @@ def answer(session):
     grid = saved.state.maps.occupancy(saved.state.best)
     full, online = saved.trajectory.best_trajectory(saved.state), saved.trajectory.online_trajectory()
     arrays = full.stamps_ns, full.poses, online.poses, saved.state.log_weights, grid.log_odds, grid.known
-    record = [values.tobytes() for values in saved.record.to_arrays().values()]
     return (
-        record,
+        saved.statistics.summary().particles_mean,
         grid.origin,
         grid.log_odds.shape,
         [array.tobytes() for array in arrays],
@@ -88,7 +87,7 @@ def test_a_run_cut_anywhere_gives_the_same_bytes(measurements, tmp_path, name):
 def file(measurements, tmp_path_factory):
     path = tmp_path_factory.mktemp("state") / "run.gridslam"
     session = Session.of(go_on(begun(), measurements[:30]))
-    write_session(path, replace(session.saved, pieces=tuple(session.pieces), thumbnail=b"PNG"))
+    write_session(path, replace(session.saved, pieces=tuple(session.pieces)))
     return path
 
 
@@ -117,7 +116,6 @@ def file(measurements, tmp_path_factory):
         ("run.state.maps.pages", None, "the arrays roots"),
         ("run.trajectory.keys", np.zeros(2), "keys: expected int64"),
         ("run.statistics.counts", None, "an array named counts"),
-        ("run.record.best", None, "an array named best"),
         ("run.state.poses", np.full((5, 3), np.nan), "state.poses: expected numbers from -1e+09 to 1e+09, got nan"),
         ("run.state.poses", np.full((5, 3), 2e6), "state.poses: expected poses on the map"),
         ("run.state.tracker.matched_map", np.array(2), "tracker.matched_map: expected numbers from 0 to 1, got 2"),
@@ -132,7 +130,6 @@ def file(measurements, tmp_path_factory):
         ("run.state.closure_state.graph.frozen", np.array(10_000), "frozen: expected numbers from 0 to"),
         ("run.state.closure_state.search.first_key", np.array(10_000), "first_key: expected numbers"),
         ("run.state.ancestry.leaves", np.zeros(5, np.int64) - 1, "ancestry.parents, leaves: expected"),
-        ("run.record.parents", np.full((1, 5), 9, np.int32), "expected"),
         ("run.state.maps.roots", np.zeros((5, 0, 0), np.int32), "maps.roots: expected at least one map"),
         ("pieces.0.drives.0.key_from_base", np.full((30, 3), np.nan), "key_from_base: expected numbers"),
         ("pieces.0.drives.0.keys", np.zeros(30, np.int64), "drives: expected scans of"),

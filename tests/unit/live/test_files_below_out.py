@@ -22,8 +22,8 @@ from gridslam.live.server import PageServer
 from support.loops import PROVOKED, loop_drive
 
 SECRET = b"the content of another file"
-READ = "run.json", "record.npz", "graph.g2o", "trajectory.tum", "map.yaml", "map.pgm"
-OPTIONAL = "history.npz", "trajectory_online.tum", "truth.tum"
+READ = "run.json", "graph.g2o", "trajectory.tum", "map.yaml", "map.pgm"
+OPTIONAL = "history.npz", "truth.tum"
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +35,7 @@ def healthy(tmp_path_factory):
     history = History()
     nothing = np.zeros((0, 2))
     path, at, scan = (nothing.astype(kind) for kind in (np.float32, np.int32, np.int16))
+    history.note_key_scan(1, 1, np.zeros(5))
     history.add(Moment(1, 1, np.zeros(3), 0, path, at, np.zeros(0, np.uint8), scan))
     write_history(folder / "out" / "history.npz", history)
     return folder / "out"

@@ -15,7 +15,7 @@ from gridslam.geometry.se2 import between
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.g2o import read_g2o, write_g2o
 from gridslam.io.maps import read_map, write_map
-from gridslam.live.monitor import LOST
+from gridslam.live.history import LOST
 from gridslam.live.replay import Replay
 from gridslam.messages import Messages
 from gridslam.sim import OdometryNoise

@@ -81,7 +81,8 @@ def test_every_moment_is_as_it_was(recorded, most):
         assert len(moment.scan) > 20
         assert history.find(moment.keys) == index
         assert history.find(moment.keys - 1) == index - 1
-    assert len(recorder.closures) >= recorder.recognized > 0
+    assert len(history.closures) >= history.recognized > 0
+    assert len(history.series) == len(seen)
 
 
 def test_a_file_gives_the_same_moments(drive, tmp_path):
@@ -93,6 +94,9 @@ def test_a_file_gives_the_same_moments(drive, tmp_path):
         for a, b in zip(one, other, strict=True):
             assert np.array_equal(a, b)
         assert one.unpack() == other.unpack()
+    assert (read.stamps_ns, read.scans) == (history.stamps_ns, history.scans)
+    assert np.array_equal(read.series, history.series)
+    assert read.describe(20) == history.describe(20)
     assert (tmp_path / "history.npz").stat().st_size < 400_000
     write_history(tmp_path / "none.npz", History())
     assert not read_history(tmp_path / "none.npz").moments
@@ -109,9 +113,12 @@ def written(drive, tmp_path_factory):
 @pytest.mark.parametrize(
     ("name", "change", "says"),
     [
-        ("schema", lambda array: np.array("gridslam.record/1"), "expected schema gridslam.history/2"),
+        ("schema", lambda array: np.array("gridslam.history/2"), "expected schema gridslam.history/3"),
         ("moments.keys", lambda array: array[::-1], "moments.keys: expected numbers of key scans in ascending order"),
         ("moments.keys", lambda array: array[:-1], "moments.stamp_ns: expected"),
+        ("series", lambda array: -array, "series: expected figures from 0"),
+        ("scans", lambda array: array[:-1], "scans: expected|series: expected"),
+        ("closures", lambda array: np.array([[2, 1]]), "closures: expected pairs of key scans"),
         ("moments.pose", lambda array: array * np.nan, "moments.pose, .*: expected finite"),
         ("moments.first", lambda array: array + 1, "moments.first: expected"),
         ("moments.scan.counts", lambda array: -array, "moments.scan.counts: expected numbers >= 0"),

@@ -11,7 +11,8 @@ from gridslam.api.localization import localize
 from gridslam.errors import ArgumentError
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.live.control import Control
-from gridslam.live.monitor import LOST, LocalizationMonitor
+from gridslam.live.history import LOST
+from gridslam.live.monitor import LocalizationMonitor
 from gridslam.live.observer import LiveObserver
 from gridslam.live.run import LiveRun
 from gridslam.sim import OdometryNoise

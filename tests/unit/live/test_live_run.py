@@ -10,7 +10,8 @@ import pytest
 from gridslam.config import build, override
 from gridslam.errors import ArgumentError
 from gridslam.live.control import Control
-from gridslam.live.monitor import CORRECTED, MappingMonitor
+from gridslam.live.history import CORRECTED
+from gridslam.live.monitor import MappingMonitor
 from gridslam.live.observer import LiveObserver
 from gridslam.live.run import LiveRun
 from gridslam.pipeline import run

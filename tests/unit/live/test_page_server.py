@@ -17,6 +17,7 @@ from websockets.sync.client import connect
 
 from gridslam.config import build
 from gridslam.errors import OutputError
+from gridslam.live import server as server_module
 from gridslam.live import viewing as viewing_module
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
@@ -237,3 +238,12 @@ def test_a_port_that_is_taken_is_told_with_the_remedy():
 def test_an_address_of_another_machine_is_refused():
     with pytest.raises(OutputError, match=r"cannot listen at 192\.0\.2\.1"):
         LivePage("one", LiveOptions(host="192.0.2.1", port=0)).__enter__()
+
+
+def test_who_comes_when_too_many_look_is_told_so(monkeypatch):
+    monkeypatch.setattr(server_module, "_MOST_VIEWERS", 1)
+    with LivePage("loop", FREE) as page, viewing(page.url) as (socket, client):
+        receive(socket, client)
+        with viewing(page.url) as (other, _), pytest.raises(ConnectionClosed) as closed:
+            drain(other)
+        assert closed.value.rcvd.code == 4429

@@ -58,7 +58,7 @@ def map_command(**options: Any) -> None:  # noqa: ANN401
 
     Writes to OUT: map.yaml, map.pgm and map.png, trajectory.tum (full SLAM: a pose for every scan), trajectory.csv
     (with covariances), trajectory_online.tum (the online pose estimates), graph.g2o (key scans and constraints),
-    record.npz (the particles at each key scan) and run.json (counts, times, parameters).
+    history.npz (the past of the run) and run.json (counts, times, parameters).
 
     With --save and --continue a map grows over several logs, days and robots: where the robot was not moved in between
     the filter continues as if there had been one log; otherwise the robot is relocalized in the map first. Then
@@ -91,11 +91,10 @@ def demo_command(**options: Any) -> None:  # noqa: ANN401
 
 @click.command("session")
 @click.argument("file", type=PATH)
-@click.option("--picture", type=OUTPUT_FILE, metavar="PNG", help="Write the map of the newest drive as a picture.")
 @click.option("-o", "--out", type=OUT, help="Write each map and its edits to this folder: NAME.yaml, NAME.geojson.")
 @json_option
 def session_command(**options: Any) -> None:  # noqa: ANN401
-    """Show the content of a session FILE: maps by name, drives, logs, dates, sizes, links of floors, and a picture."""
+    """Show the content of a session FILE: maps by name, drives, logs, dates, sizes, and links of floors."""
     from gridslam.cli.sessions import show_session
 
     show_session(**options)

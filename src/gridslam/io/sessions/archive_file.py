@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -14,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError, ConfigurationError, InputError, describe_failure
+from gridslam.io.limits import UnpackingLimit, require_memory
 from gridslam.io.output import write_atomically
-from gridslam.io.results.record import read_arrays
 from gridslam.io.text import open_for_reading
 
 Arrays: TypeAlias = Mapping[str, NDArray[Any]]
@@ -77,6 +78,61 @@ def read_sealed_arrays(path: str | Path, schema: str, what: str) -> dict[str, ND
     if size < _SEAL_BYTES or not seal.startswith(_SEAL):
         raise InputError(path, f"expected {what}, got one that is damaged: its end, with its SHA-256, is missing")
     return arrays
+
+
+def read_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[Any]]:
+    """Return all arrays of an .npz without pickles.
+
+    Raises InputError where the file is not `what`, is of another schema, or unpacks to more than
+    is allowed.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    with open_for_reading(path) as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                _require_small(path, archive)
+                for member in archive.infolist():
+                    name = member.filename.removesuffix(".npy")
+                    arrays[name] = _read_member(archive, member)
+        except InputError:
+            raise
+        except Exception as error:  # whatever zip, zlib and NumPy come across in a damaged archive
+            raise InputError(path, f"expected {what}, got: {error or type(error).__name__}") from None
+    found = arrays.get("schema")
+    got = "none" if found is None else str(found) if found.size == 1 else f"{found.dtype} of shape {found.shape}"
+    if got != schema:
+        raise InputError(path, f"expected schema {schema}, got {got:.100}")
+    return arrays
+
+
+def _require_small(path: str | Path, archive: zipfile.ZipFile) -> None:
+    """Refuse an archive that claims to hold more than is allowed; no more than it claims is unpacked."""
+    limit = UnpackingLimit(Path(path).stat().st_size)
+    size = sum(member.file_size for member in archive.infolist())
+    require_memory(path, "its content", size)
+    if not limit.take(size):
+        raise InputError(path, limit.problem)
+
+
+def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+    """Read an array; raises ValueError where its header does not fit its bytes."""
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{member.filename} is compressed in a way that is not known")
+    with archive.open(member) as stream:
+        version = np.lib.format.read_magic(stream)
+        if version not in _HEADERS:
+            raise ValueError(f"{member.filename} is of version {version}")
+        shape, is_fortran, dtype = _HEADERS[version](stream)
+        if dtype.hasobject:
+            raise ValueError(f"{member.filename} holds objects")
+        size = math.prod(shape) * dtype.itemsize
+        content = stream.read()
+    if len(content) != size:
+        raise ValueError(f"{member.filename} is {dtype} of shape {shape}, of which {len(content)} bytes are there")
+    return np.ndarray(shape, dtype, content, order="F" if is_fortran else "C")
+
+
+_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
 def _digest(file: IO[bytes], size: int) -> bytes:

@@ -17,7 +17,6 @@ from gridslam.arguments import require_instance, require_seed
 from gridslam.config import Configuration, dumps
 from gridslam.config.configuration import loads
 from gridslam.errors import ArgumentError
-from gridslam.io.results.record import RecordWriter
 from gridslam.io.sessions.archive_file import (
     Arrays,
     dump_generator,
@@ -58,8 +57,6 @@ class SavedRun:
         The scans so far.
     statistics : StatisticsRecorder
         Counts and latencies so far.
-    record : RecordWriter
-        The particles at each key scan so far.
     name : str
         Of the drive.
     logs : tuple of DrivenLog
@@ -74,7 +71,6 @@ class SavedRun:
     state: GridFastSlamState | None = None
     trajectory: TrajectoryRecorder = field(default_factory=TrajectoryRecorder)
     statistics: StatisticsRecorder = field(default_factory=StatisticsRecorder)
-    record: RecordWriter = field(default_factory=RecordWriter)
     name: str = ""
     logs: tuple[DrivenLog, ...] = ()
     earlier: tuple[Drive, ...] = ()
@@ -84,9 +80,7 @@ class SavedRun:
         """Keep a copy for later."""
         rng, trajectory, statistics = copy.deepcopy((self.rng, self.trajectory, self.statistics))
         state = None if self.state is None else self.state.snapshot()
-        return replace(
-            self, rng=rng, state=state, trajectory=trajectory, statistics=statistics, record=self.record.snapshot()
-        )
+        return replace(self, rng=rng, state=state, trajectory=trajectory, statistics=statistics)
 
     def copy(self) -> SavedRun:
         """Return a copy that another thread may write while the filter continues."""
@@ -118,8 +112,6 @@ class SavedSession:
         The newest drive, which can be continued; None where pieces were merged.
     pieces : tuple of SavedPiece
         Maps of other drives, in unrelated frames.
-    thumbnail : bytes
-        A small picture of the map, PNG; empty if there is none.
     written : str
         Date and time in UTC, ISO 8601.
     version : str
@@ -132,7 +124,6 @@ class SavedSession:
     seed: int = 0
     run: SavedRun | None = None
     pieces: tuple[SavedPiece, ...] = ()
-    thumbnail: bytes = b""
     written: str = ""
     version: str = __version__
     edits: tuple[GraphEdit, ...] = ()
@@ -156,7 +147,6 @@ class SavedSession:
     def dump(self) -> dict[str, Any]:
         """Return plain arrays and texts, with copies of all values that a run may change."""
         arrays: dict[str, Any] = {"schema": np.array(SESSION_SCHEMA), "head": np.array(json.dumps(self._head()))}
-        arrays["thumbnail"] = np.frombuffer(self.thumbnail, np.uint8)
         for number, piece in enumerate(self.pieces):
             arrays |= _prefix(f"pieces.{number}", serialization.to_arrays(piece.piece))
             arrays |= _dump_drives(f"pieces.{number}", piece.drives)
@@ -164,7 +154,7 @@ class SavedSession:
             run = self.run
             if run.state is not None:
                 arrays |= _prefix("run.state", run.state.to_arrays())
-            for name in ("trajectory", "statistics", "record"):
+            for name in ("trajectory", "statistics"):
                 arrays |= _prefix(f"run.{name}", getattr(run, name).to_arrays())
             arrays |= _dump_drives("run", run.earlier)
         return arrays
@@ -198,14 +188,11 @@ class SessionHead:
     ----------
     document : dict
         Version, date, seed, configuration, drives and their logs, as in the file.
-    thumbnail : bytes
-        PNG.
     key_scans, constraints : int
         Number of key scans and of constraints, of all pieces.
     """
 
     document: Mapping[str, Any]
-    thumbnail: bytes
     key_scans: int
     constraints: int
 
@@ -258,7 +245,6 @@ def read_session(path: str | Path, threads: int = 1, *, makes_edits: bool = True
             seed=int(head["seed"]),
             run=run,
             pieces=tuple(pieces),
-            thumbnail=arrays["thumbnail"].tobytes(),
             written=str(head["written"]),
             version=str(head["version"]),
         )
@@ -287,7 +273,7 @@ def read_head(path: str | Path) -> SessionHead:
         ends = "graph.poses", "run.state.ancestry.trunk", "run.state.ancestry.counts"
         key_scans = sum(len(values) for name, values in arrays.items() if name.endswith(ends) and "closure" not in name)
         constraints = sum(len(values) for name, values in arrays.items() if name.endswith("graph.constraints.to"))
-        return SessionHead(head, arrays["thumbnail"].tobytes(), key_scans, constraints)
+        return SessionHead(head, key_scans, constraints)
 
 
 def _parse_head(arrays: Arrays) -> dict[str, Any]:
@@ -373,7 +359,6 @@ def _load_run(arrays: Arrays, head: dict[str, Any], configuration: Configuration
         load_generator(head["generator"]),
         trajectory=TrajectoryRecorder.from_arrays(select_part(arrays, "trajectory")),
         statistics=StatisticsRecorder.from_arrays(select_part(arrays, "statistics")),
-        record=RecordWriter.from_arrays(select_part(arrays, "record")),
         name=str(head["name"]),
         logs=_load_logs(head["logs"]),
         floor=head.get("floor", ""),

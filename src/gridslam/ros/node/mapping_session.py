@@ -209,7 +209,6 @@ class Session:
 
     def _note(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         self.state = state
-        self._begun.run.record.add(report, seconds)
         joined = self._begun.find_joined(state) if self.found_after_m is None else None
         if joined is not None and state.closure_state is not None:
             self.found_after_m = state.closure_state.driven_before_found_m(len(joined.piece))
@@ -270,7 +269,7 @@ class SessionCopy:
         state = begun.run.state
         assert state is not None
         session = _make_session(self.configuration, self.seed, begun, state, self.log, self.record)
-        write_session_and_edits(path, replace(session, thumbnail=_draw(state)), begun.edits)
+        write_session_and_edits(path, session, begun.edits)
 
     def _whole(self) -> Beginning:
         """What the session has begun with, and what earlier drives have left, which may take time."""
@@ -328,11 +327,3 @@ def _describe_log(log: LogStatistics, record: Path | None) -> DrivenLog:
     """Describe the scans of a session as a file remembers them."""
     source = ", ".join(log.scans) if record is None else str(record)
     return DrivenLog.of(source, "", log)
-
-
-def _draw(state: GridFastSlamState) -> bytes:
-    """A small picture of the best particle's map, PNG."""
-    from gridslam.viz.notebook import encode_png
-    from gridslam.viz.picture import draw_thumbnail
-
-    return encode_png(draw_thumbnail(state.maps.tiled(state.best)))

@@ -1,1 +1,0 @@
-"""Files of a run: states and records."""
