@@ -8,7 +8,6 @@ import pytest
 from gridslam.geometry.se2 import between, compose
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.key_graph import KeyGraph, position_sigmas
-from gridslam.slam.loop_closure.submap_recognition import locate_anchors
 
 STEP_M = 1.0
 
@@ -34,7 +33,7 @@ def loop_errors(claimed, seed):
         older = np.flatnonzero(way[key] - way > 40.0)
         older = older[np.hypot(*(poses[older] - poses[key])[:, :2].T) < 8.0]
         if len(older):
-            expected, covariances = locate_anchors(graph, older, key)
+            expected, covariances = graph.locate(key, older)
             true = between(poses[older], poses[key])
             turned = compose(drifted[older], true) - compose(drifted[older], expected)
             position = np.hypot(turned[:, 0], turned[:, 1]) / position_sigmas(covariances)
