@@ -336,16 +336,9 @@ class KeyGraph:
         frame = self.tracked if abs(anchor - key) <= 3 * KEY_SCANS_PER_SUBMAP else self.poses
         return between(frame[anchor], frame[key])
 
-    def find_nearby_submaps(self, key: int, limit_m: float, most: int) -> NearbySubmaps:
-        """Submaps in the order of their uncertainty as seen from a key scan, nearest first.
-
-        The search ends at a standard deviation of the position of `limit_m`, or after `most` submaps.
-        """
-        return self._search_ways(key, limit_m, most)
-
     def find_distance_to(self, submap: int, key: int, limit_m: float, most: int) -> SubmapDistance | None:
         """Give the one of `find_nearby_submaps` that is a submap; None if it is not among them."""
-        found = self._search_ways(key, limit_m, most, submap)
+        found = self.find_nearby_submaps(key, limit_m, most, submap)
         return found[-1] if found.submaps[-1] == submap else None
 
     def locate(self, key: int, anchors: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -353,7 +346,7 @@ class KeyGraph:
 
         Covariances are in the map frame, and those of the drift model's bounds, a gap within a submap included.
         """
-        nearby = self._search_ways(key, math.inf, len(self))
+        nearby = self.find_nearby_submaps(key, math.inf, len(self))
         place = np.empty(submap_of(len(self)) + 1, np.int64)
         place[nearby.submaps] = np.arange(len(nearby))
         submaps = submap_of(anchors)
@@ -367,8 +360,11 @@ class KeyGraph:
         )
         return poses, nearby.covariances[ways] + propagate_covariances(self.poses[key], within)
 
-    def _search_ways(self, key: int, limit_m: float, most: int, last: int = -1) -> NearbySubmaps:
-        """Search for the most certain ways to submaps, up to submap `last`."""
+    def find_nearby_submaps(self, key: int, limit_m: float, most: int, last: int = -1) -> NearbySubmaps:
+        """Find submaps by the most certain ways to them, in the order of their uncertainty as seen from a key scan.
+
+        The search ends at a standard deviation of the position of `limit_m`, after `most` submaps, or at submap `last`.
+        """
         here = submap_of(key)
         x, y, _ = self.poses[key].tolist()
         submaps, moments, ends = backend.shortest_ways(
