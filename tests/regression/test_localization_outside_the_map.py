@@ -7,7 +7,6 @@ from functools import cache
 import half_mapped as benchmark
 from half_mapped import SCANS, localize_from
 
-
 half_mapped = cache(benchmark.half_mapped)
 
 
