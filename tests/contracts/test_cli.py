@@ -145,6 +145,7 @@ def test_interrupt_during_final_refinement_leaves_nothing(call, log, tmp_path, m
 
 def test_progress_of_what_takes_unknown_time_has_no_percentage(monkeypatch, capsys):
     monkeypatch.setattr(output_module, "_LINE_EVERY_S", 0.0)
+    monkeypatch.setattr(output_module, "_interrupted", False)  # tests before may have left it
     with output_module.elapsed_progress("merging") as on_progress:
         on_progress()
     assert capsys.readouterr().err == "merging: 1 step in 0 s\n"
