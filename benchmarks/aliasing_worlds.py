@@ -2,7 +2,7 @@
 
 Symmetric buildings, bare corridors and rows of equal rooms; in some drives of each kind the robot revisits places, in
 others it never does, and any loop closure is false. And rooms in which things have moved when the robot comes back.
-Beside them three large worlds.
+Beside them two large worlds.
 """
 
 from __future__ import annotations
@@ -541,56 +541,12 @@ def _corridor(
     return spaces, cabinets
 
 
-def fleet(rng: np.random.Generator, length_m: float = 10_000.0) -> World:
-    """Draw a warehouse of 100 m x 60 m with nine rows of racks, and stores along its north wall.
-
-    The robot drives about in it for `length_m`, each lap by another way. Best simulated as a stream.
-    """
-    aisles = np.concatenate([[3.0], 8.0 + 5.5 * np.arange(9) + 2.75]).tolist()
-    stores = [10.0 + 16.0 * k + rng.uniform(0, 6) for k in range(5)]
-    spaces: list[_Space] = [(0.0, 0.0, 100.0, 60.0)]
-    for x in stores:
-        spaces += [(x - 0.8, 60.0, x + 0.8, 60.2), (x - 4.0, 60.2, x + 4.0, 60.2 + rng.uniform(5, 8))]
-    loads = [load for row in range(9) for load in _rack(8.0 + 5.5 * row, rng)]
-    route, _ = wander(tour(*_warehouse_net(aisles, [3.0, 50.0, 97.0], stores), length_m, rng), rng, aside_m=0.25)
-    return World.of("fleet", join(carve(spaces), *loads), route)
-
-
-def _rack(y: float, rng: np.random.Generator) -> list[FloatArray]:
-    """Two racks in a row along the x axis, loaded with pallets of unequal sizes; a few places are empty."""
-    loads = []
-    for x in [*np.arange(6.0, 46.0, 2.7), *np.arange(53.5, 93.0, 2.7)]:
-        if rng.random() < 0.88:
-            wide, deep, aside = rng.uniform((1.2, 1.0, -0.15), (2.4, 2.0, 0.15)).tolist()
-            loads.append(furniture(x + 1.2, y + aside, wide, deep, rng.uniform(-0.05, 0.05)))
-    return loads
-
-
-def _warehouse_net(
-    aisles: list[float], crossings: list[float], stores: list[float]
-) -> tuple[FloatArray, list[tuple[int, int]]]:
-    """Junctions of aisles and crossings; on the last aisle also those of the ways into the stores."""
-    junctions = [(x, y) for y in aisles[:-1] for x in crossings]
-    across = len(crossings)
-    passages = [(k, k + 1) for k in range(len(junctions)) if k % across < across - 1]
-    passages += [(k, k + across) for k in range(len(junctions) - across)]
-    top = len(junctions)
-    last = aisles[-1] + 0.5
-    along = sorted([*crossings, *stores])
-    junctions += [(x, last) for x in along] + [(x, 62.5) for x in stores]
-    passages += [(top + k, top + k + 1) for k in range(len(along) - 1)]
-    passages += [(top - across + k, top + along.index(x)) for k, x in enumerate(crossings)]
-    passages += [(top + along.index(x), top + len(along) + k) for k, x in enumerate(stores)]
-    return np.array(junctions), passages
-
-
 ALIASED: Mapping[str, Callable[[np.random.Generator], World]] = {
     "equal_rooms": equal_rooms,
     "symmetric": symmetric,
     "bare_corridors": bare_corridors,
     "moved_furniture": moved_furniture,
     "campus": campus,
-    "fleet": fleet,
     "grounds": grounds,
 }
 """Kinds of worlds of which each seed draws another, by name."""

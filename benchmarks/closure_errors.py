@@ -7,8 +7,6 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridslam.checked import checked
-from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.types import FloatArray
@@ -24,44 +22,19 @@ OPEN_M = 1.0
 """A direction with a greater standard deviation is degenerate: errors of half a metre are not evaluated there."""
 
 
-@checked
 def closure_errors(
     truth: ArrayLike, edges: ArrayLike, measurements: ArrayLike, information: ArrayLike | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Return how far measured relative poses of pairs of scans are from the true ones.
 
-    Parameters
-    ----------
-    truth : (N, 3) array_like
-        True poses [m, m, rad] of the scans, in any one frame.
-    edges : (M, 2) array_like of int
-        For each closure its two scans, as places in `truth`: from, to.
-    measurements : (M, 3) array_like
-        The pose `to` seen from the pose `from`, as in a `PoseGraph`.
-    information : (M, 3, 3) array_like, optional
-        As in a `PoseGraph`. If given, errors along degenerate directions are ignored: along a bare corridor a match has
-        no information.
-
-    Returns
-    -------
-    metres : (M,) float64, m
-        Distance of the measured place of `to` from the true one, in the directions that count.
-    radians : (M,) float64, rad, [0, pi]
-        Difference of the heading.
-
-    Raises
-    ------
-    ArgumentError
-        For wrong shapes, or a scan that is not in `truth`.
+    `truth` (N, 3) are true poses in any one frame, `edges` (M, 2) each closure's two scans, `measurements` (M, 3) the
+    second seen from the first, `information` (M, 3, 3) as in a `PoseGraph`: if given, errors along degenerate
+    directions are ignored, as along a bare corridor, where a match has no information. Metres (M,) are in the
+    directions that count, radians (M,) in [0, pi].
     """
     poses = np.asarray(truth, np.float64)
     pairs = np.asarray(edges, np.int64).reshape(-1, 2)
     measured = np.asarray(measurements, np.float64).reshape(-1, 3)
-    if poses.ndim != 2 or poses.shape[1] != 3 or len(pairs) != len(measured):
-        shapes = (poses.shape, pairs.shape, measured.shape)
-        raise ArgumentError("closures", "truth (N, 3), edges (M, 2), measurements (M, 3)", shapes)
-    if len(pairs) and (pairs.min() < 0 or pairs.max() >= len(poses)):
-        raise ArgumentError("edges", f"places in [0, {len(poses)})", [int(pairs.min()), int(pairs.max())])
     away = measured - between(poses[pairs[:, 0]], poses[pairs[:, 1]])
     metres = np.hypot(away[:, 0], away[:, 1])
     if information is not None:
@@ -79,7 +52,6 @@ def _determined_m(away: FloatArray, measured: FloatArray, information: FloatArra
     return np.asarray(np.sqrt((np.square(along) * (known >= OPEN_M**-2)).sum(axis=1)))
 
 
-@checked
 def false_closures(
     truth: ArrayLike,
     edges: ArrayLike,
@@ -89,9 +61,6 @@ def false_closures(
     tolerance_m: float = FALSE_CLOSURE_M,
     tolerance_rad: float = FALSE_CLOSURE_RAD,
 ) -> NDArray[np.bool_]:
-    """Which closures (M,) are false: farther from the truth than `tolerance_m`, or turned more than `tolerance_rad`.
-
-    Arguments and errors are those of `closure_errors`.
-    """
+    """Which closures (M,) are false: farther from the truth than `tolerance_m`, or turned more than `tolerance_rad`."""
     metres, radians = closure_errors(truth, edges, measurements, information)
     return np.asarray((metres > tolerance_m) | (radians > tolerance_rad))

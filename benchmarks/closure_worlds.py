@@ -1,4 +1,4 @@
-"""Simulated drives that judge loop closure: some made to deceive, campuses of 2 km, grounds, a fleet's log of 10 km."""
+"""Simulated drives that judge loop closure: some made to deceive, campuses of 2 km, and grounds."""
 
 from __future__ import annotations
 
@@ -76,14 +76,6 @@ def grounds(seed: int) -> Drive:
     odometry = _drifting(rng, math.radians(rng.uniform(20, 60)) / 1000, alpha2=1e-4)
     lidar = LidarConfig(range_max_m=80.0, sigma_range_m=0.02, no_return_probability=0.02, rate_hz=0.8)
     return Drive(f"grounds {seed}", world, _FAST, odometry, lidar, seed)
-
-
-def fleet(seed: int) -> Drive:
-    """10 km in a warehouse; to be streamed."""
-    rng = np.random.default_rng(seed)
-    world = make_world("fleet", rng)
-    odometry = _drifting(rng, math.radians(rng.uniform(40, 80)) / 1000, alpha2=1e-4)
-    return Drive(f"fleet {seed}", world, _FAST, odometry, LidarConfig(), seed)
 
 
 def _drifting(rng: np.random.Generator, bias_rad_per_m: float, alpha2: float) -> OdometryNoise:

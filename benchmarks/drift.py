@@ -22,7 +22,6 @@ from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.slam.full_slam.full_slam import full_slam
 from gridslam.slam.loop_closure.key_graph import KeyGraph, position_sigmas
-from gridslam.slam.loop_closure.submap_recognition import locate_anchors
 from gridslam.types import FloatArray
 from measure import write_document
 from report import table
@@ -55,7 +54,7 @@ def judge(graph: KeyGraph, truth: FloatArray) -> Drift:
         older = older[np.hypot(*(truth[older] - truth[key])[:, :2].T) < _NEAR_M]
         if not len(older):
             continue
-        expected, covariances = locate_anchors(alone, older, key)
+        expected, covariances = alone.locate(key, older)
         missed = between(expected, between(truth[older], truth[key]))
         turned = compose(tracked[older], between(truth[older], truth[key])) - compose(tracked[older], expected)
         position = np.hypot(turned[:, 0], turned[:, 1]) / position_sigmas(covariances)

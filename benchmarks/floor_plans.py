@@ -22,7 +22,7 @@ from gridslam.config import Configuration
 from gridslam.evaluation.trajectory import align
 from gridslam.geometry import se2
 from gridslam.plan import FloorPlan, SurfacePoints, make_plan, points_of_scans
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, World, make_world, simulate
 from gridslam.types import FloatArray, OccupancyGrid
 from measure import write_document
 from simulated import map_drive
@@ -70,11 +70,16 @@ class Building:
 
 
 def map_building(world: str, seed: int) -> Building:
-    """Simulate a drive and map it."""
+    """Simulate a drive about a building of that name, and map it."""
     rng = np.random.default_rng(seed)
-    log = simulate(make_world(world, rng), RobotConfig(), OdometryNoise(), LidarConfig(), rng)
+    return drive(make_world(world, rng), seed, rng)
+
+
+def drive(world: World, seed: int, rng: np.random.Generator) -> Building:
+    """Simulate a drive, and map it."""
+    log = simulate(world, RobotConfig(), OdometryNoise(), LidarConfig(), rng)
     _, full = map_drive(log.measurements, Configuration(), seed)
-    return Building(f"{world}:{seed}", log, full.poses, full.tiled_map.whole())
+    return Building(f"{world.name}:{seed}", log, full.poses, full.tiled_map.whole())
 
 
 def plan_building(building: Building, points: str = "scans", worse: str = "") -> FloorPlan:

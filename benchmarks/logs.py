@@ -1,64 +1,16 @@
-"""Logs to run: those found in a folder, and simulated ones."""
+"""Buildings of any size, of which a robot sees the same at a time."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from pathlib import Path
-from typing import final
 
 import numpy as np
 
-from aliasing_worlds import make_world
-from gridslam import Trajectory
-from gridslam.io.carmen.writer import write_carmen
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
+from gridslam.sim import World
 from gridslam.sim.floor_plan import box, join, place
 from gridslam.types import FloatArray
 
 _CORRIDOR_M = 2.4
-
-
-@final
-@dataclass(frozen=True)
-class Log:
-    """A log, and what is known to be true of it: a file of relations, or the true trajectory."""
-
-    name: str
-    path: Path
-    relations: Path | None = None
-    truth: Trajectory | None = None
-
-
-def find(folder: Path) -> list[Log]:
-    """CARMEN logs in a folder, those with relations first; none where there is no such folder."""
-    paths = sorted(path for path in folder.glob("*.clf*") if path.is_file())
-    logs = [Log(path.name.partition(".")[0], path, _beside(path)) for path in paths]
-    return sorted(logs, key=lambda log: (log.relations is None, log.name != "intel", log.name))
-
-
-def _beside(path: Path) -> Path | None:
-    relations = path.with_name(path.name.partition(".")[0] + ".relations")
-    return relations if relations.is_file() else None
-
-
-def simulated(
-    world: str | World,
-    folder: Path,
-    *,
-    seed: int = 0,
-    beams: int = 180,
-    fov_deg: float = 180.0,
-    v_max_m_s: float = 0.6,
-) -> Log:
-    """Simulate a world, given by name or built, and write its log."""
-    rng = np.random.default_rng(seed)
-    lidar = LidarConfig(beams=beams, field_of_view_rad=math.radians(fov_deg))
-    built = make_world(world, rng) if isinstance(world, str) else world
-    run = simulate(built, RobotConfig(v_max_m_s=v_max_m_s), OdometryNoise(), lidar, rng)
-    path = folder / f"{built.name}-{beams}-{seed}.clf"
-    write_carmen(path, run.measurements)
-    return Log(f"{built.name} (simulated)", path, truth=run.truth)
 
 
 def ring(side_m: float, rng: np.random.Generator) -> World:

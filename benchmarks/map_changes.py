@@ -19,18 +19,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from floor_plan_truth import CELL_M, look, read_truth
-from floor_plans import Building
-from gridslam.config import Configuration
+from floor_plans import Building, drive
 from gridslam.evaluation.trajectory import align
 from gridslam.geometry import se2
 from gridslam.plan import points_of_scans
 from gridslam.plan.alignment import align_points
 from gridslam.plan.changes import Changes, find_changes
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
+from gridslam.sim import World, make_world
 from gridslam.sim.floor_plan import clearance
 from gridslam.types import FloatArray
 from measure import write_document
-from simulated import map_drive
 
 SEEDS = tuple(range(8))
 LANE_M = 0.6
@@ -69,14 +67,6 @@ def move_furniture(world: World, rng: np.random.Generator) -> tuple[World, Float
             break
     before, after = (np.array(outlines) for outlines in zip(*moved, strict=True))
     return replace(world, walls=walls), before, after
-
-
-def drive(world: World, seed: int) -> Building:
-    """Simulate a day, and map it."""
-    rng = np.random.default_rng(seed)
-    log = simulate(world, RobotConfig(), OdometryNoise(), LidarConfig(), rng)
-    _, full = map_drive(log.measurements, Configuration(), seed)
-    return Building(str(seed), log, full.poses, full.tiled_map.whole())
 
 
 def compare(days: Sequence[Building], worse: str = "") -> Changes:
@@ -126,7 +116,8 @@ def make_days(seed: int) -> tuple[list[Building], list[FloatArray]]:
     world = make_world("random", np.random.default_rng(seed))
     later, before, after = move_furniture(world, rng)
     later = replace(later, route=later.route[::-1].copy())
-    return [drive(world, seed), drive(later, seed + 500)], [before, after]
+    days = [drive(day, number, np.random.default_rng(number)) for day, number in ((world, seed), (later, seed + 500))]
+    return days, [before, after]
 
 
 def summarize(rows: Sequence[dict[str, Any]]) -> dict[str, float]:

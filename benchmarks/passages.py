@@ -17,10 +17,7 @@ def carve(spaces: ArrayLike) -> FloatArray:
     Corridors, rooms, doorways through the thickness of a wall and niches are all rectangles; where they overlap or
     touch, one opens into the other. No wall is there twice, and those in one line are one.
 
-    Parameters
-    ----------
-    spaces : (R, 4) array_like, m
-        Two opposite corners of each rectangle; taken to the micrometre, so that adjacent edges touch.
+    Of each rectangle (R, 4) two opposite corners, taken to the micrometre, so that adjacent edges touch.
     """
     corners = np.array(spaces, dtype=np.float64)
     corners = np.sort(np.round(corners, 6).reshape(-1, 2, 2), axis=1)
@@ -53,18 +50,7 @@ def tour(
     At each junction the robot takes the passage that it took the fewest times, by chance among equals, and turns back
     only in a dead end. So it sees everything early, and then everything again, by other ways.
 
-    Parameters
-    ----------
-    junctions : (J, 2) float64, m
-        The tour begins at the first.
-    passages : sequence of (int, int)
-        Which junctions are joined by a straight passage; the first is taken first.
-    length_m : float, m
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    (K, 2) float64, m
+    Some pairs of the junctions (J, 2) are joined by a straight passage; the tour begins at the first of the first.
     """
     taken = np.zeros(len(passages))
     here = passages[0][0]

@@ -77,7 +77,7 @@ def scoreboard() -> str:
 def _describe_machine(suite: Mapping[str, Any]) -> str:
     seeds = sorted({cell["seeds"] for variants in suite["cells"].values() for cell in variants.values()})
     machine = suite["machine"]
-    load = machine["load, yardstick"].partition(",")[0]
+    load = next(value for name, value in machine.items() if name.startswith("load")).partition(",")[0]
     count = " to ".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))
     return f"Commit {suite['commit'][:7]}, {count} seeds; {machine['machine']}, at a load of {load}."
 

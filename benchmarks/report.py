@@ -1,4 +1,4 @@
-"""The report: tables in Markdown, and the figures that have a target."""
+"""The report: tables in Markdown."""
 
 from __future__ import annotations
 
@@ -20,41 +20,12 @@ def _text(cell: object) -> str:
 
 
 @final
-@dataclass(frozen=True)
-class Target:
-    """A figure beside the greatest value it may have and what others reach."""
-
-    name: str
-    value: float
-    limit: float
-    peer: str = ""
-    gmapping: str = ""
-    unit: str = ""
-
-    @property
-    def met(self) -> bool:
-        return self.value <= self.limit
-
-    def row(self) -> list[str]:
-        value, limit = (f"{_text(number)} {self.unit}".strip() for number in (self.value, self.limit))
-        return [self.name, value, f"<= {limit}", "yes" if self.met else "**NO**", self.peer, self.gmapping]
-
-
-@final
 @dataclass
 class Report:
-    """Collects sections, printed as they come, and targets."""
+    """Collects sections, printed as they come."""
 
     sections: list[str] = field(default_factory=list)
-    targets: list[Target] = field(default_factory=list)
 
     def add(self, title: str, *paragraphs: str) -> None:
         self.sections.append("\n\n".join([f"## {title}", *paragraphs]))
         print(f"\n{self.sections[-1]}", flush=True)
-
-    def summary(self) -> str:
-        """What the targets say, all in one table."""
-        if not self.targets:
-            return "No figure with a target was measured."
-        head = ["figure", "measured", "target", "met", "best peer", "GMapping"]
-        return table(head, [target.row() for target in self.targets])

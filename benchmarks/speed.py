@@ -20,6 +20,8 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple, final
 
+from closure_worlds import campus
+from gridslam.io.carmen.writer import write_carmen
 from measure import RESULTS, write_document
 from report import table
 
@@ -95,6 +97,12 @@ def rows(log: Path) -> dict[str, Row]:
 
         return measure
 
+    def campus_peak(side: Side) -> dict[str, float]:
+        with tempfile.TemporaryDirectory() as folder:
+            log = Path(folder) / "campus.clf"
+            write_carmen(log, campus(0).stream().measurements)
+            return {"peak_mb": side.map(log)["peak_mb"]}
+
     def start(side: Side) -> dict[str, float]:
         empty = side.run("-c", "pass")["wall_s"]
         command = "from gridslam.cli.main import main; main()"
@@ -122,7 +130,7 @@ def rows(log: Path) -> dict[str, Row]:
             lambda side: side.part("dense"), {"p99_ms": 0.74, "longest_ms": 0.2}, {"p99_ms": 10, "longest_ms": 40}
         ),
         "map-size": Row(lambda side: side.part("map_size"), {}, {"ratio": 1.1}, 1),
-        "2-km": Row(lambda side: side.part("campus"), {}, {"peak_mb": 250}, 1),
+        "2-km": Row(campus_peak, {}, {"peak_mb": 250}, 1),
         "mcl": Row(lambda side: side.part("mcl"), {"ms": 1 / 3}, {}),
         "fastslam2": Row(lambda side: side.part("fastslam2"), {"ms": 1 / 4}, {}),
         "start": Row(start, {}, {"import_s": 0.03, "help_s": 0.10, "first_scan_s": 0.30}),

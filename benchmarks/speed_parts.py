@@ -8,10 +8,8 @@ from __future__ import annotations
 import json
 import math
 import sys
-import tempfile
 import time
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 
@@ -102,32 +100,22 @@ def kernels(particles: int = 300, scans: int = 120) -> dict[str, float]:
 def map_size(last: int = 300) -> dict[str, float]:
     """CPU of a scan at the end of a drive about a building of 1 km over that about one of 50 m."""
     import gridslam
-    from logs import ring, simulated
+    from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, simulate
+    from logs import ring
 
     means = []
-    with tempfile.TemporaryDirectory() as folder:
-        for side in (50.0, 1000.0):
-            log = simulated(ring(side, np.random.default_rng(0)), Path(folder), v_max_m_s=1.2)
-            clock = [time.process_time()]
-            observe = lambda report, state, seconds: clock.append(time.process_time())  # noqa: B023, E731
-            gridslam.map_log(log.path, observers=[observe])
-            means.append(float(np.diff(clock)[-last:].mean()))
+    for side in (50.0, 1000.0):
+        world, rng = ring(side, np.random.default_rng(0)), np.random.default_rng(0)
+        drive = simulate(world, RobotConfig(v_max_m_s=1.2), OdometryNoise(), LidarConfig(), rng)
+        slam, rng, state, clock = gridslam.build(gridslam.Configuration()), np.random.default_rng(0), None, []
+        for odometry, scan in drive.measurements:
+            state, _ = slam.step(state, odometry, scan, rng) if state else slam.init(odometry, scan)
+            clock.append(time.process_time())
+        means.append(float(np.diff(clock)[-last:].mean()))
     return {"ratio": means[1] / means[0]}
 
 
-def campus() -> dict[str, float]:
-    """Peak memory (MB) of `gridslam map` on a simulated drive of 2 km."""
-    import closure_worlds
-    import logs
-    import measure
-
-    with tempfile.TemporaryDirectory() as folder:
-        log = Path(folder) / "campus.clf"
-        vars(logs)["write_carmen"](log, closure_worlds.campus(0).stream().measurements)  # wherever that commit has it
-        return {"peak_mb": measure.map_timed(log).peak_mb}
-
-
-PARTS = {part.__name__: part for part in (mcl, fastslam2, dense, kernels, map_size, campus)}
+PARTS = {part.__name__: part for part in (mcl, fastslam2, dense, kernels, map_size)}
 
 if __name__ == "__main__":
     sys.path.insert(0, sys.argv[2])

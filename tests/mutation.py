@@ -17,7 +17,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -26,15 +25,14 @@ from gridslam.kernels import backend
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("slam", "tracking", "grid", "localization", "io")
-PYTEST = (sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--tb=no", "-rfE")
 TIMEOUT_S = 1200
 
-EXCHANGED = {
-    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult, ast.Mod: ast.Mult,
-    ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd, ast.LShift: ast.RShift, ast.RShift: ast.LShift, ast.USub: ast.UAdd,
-    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
-    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.And: ast.Or, ast.Or: ast.And,
-}  # fmt: skip
+_PAIRS = [
+    (ast.Add, ast.Sub), (ast.BitAnd, ast.BitOr), (ast.LShift, ast.RShift), (ast.Lt, ast.LtE), (ast.Gt, ast.GtE),
+    (ast.Eq, ast.NotEq), (ast.Is, ast.IsNot), (ast.In, ast.NotIn), (ast.And, ast.Or), (ast.Mult, ast.Div),
+]  # fmt: skip
+EXCHANGED = {ast.FloorDiv: ast.Mult, ast.Mod: ast.Mult, ast.USub: ast.UAdd, **dict(_PAIRS)}
+EXCHANGED |= {second: first for first, second in _PAIRS}
 
 # Runs in each process before gridslam is imported: the copy takes the place of an editable install, and `reached` notes
 # the test file that is running.
@@ -59,6 +57,30 @@ class Change(NamedTuple):
     line: int
     kind: str
     place: int
+
+    def worse(self) -> str:
+        """The module's text with the change."""
+        tree = ast.parse((ROOT / self.path).read_text(encoding="utf-8"))
+        node = list(ast.walk(tree))[self.place]
+        if self.kind == "comparison":
+            node.ops[0] = EXCHANGED[type(node.ops[0])]()
+        elif self.kind == "operator":
+            node.op = EXCHANGED[type(node.op)]()
+        elif self.kind == "constant":
+            node.value = not node.value if isinstance(node.value, bool) else node.value * 2 + 1
+        elif self.kind == "condition":
+            node.test = ast.UnaryOp(ast.Not(), node.test)
+        else:
+            body, k = find_statement(tree, node)
+            body[k] = ast.Pass()
+        return ast.unparse(ast.fix_missing_locations(tree))
+
+
+def find_statement(tree: ast.Module, node: ast.AST) -> tuple[list[ast.stmt], int]:
+    """Return the innermost statement that holds a node, as a list of statements and an index."""
+    bodies = (getattr(outer, name, None) for outer in ast.walk(tree) for name in ("body", "orelse", "finalbody"))
+    lists = [body for body in bodies if isinstance(body, list)]
+    return [(body, k) for body in lists for k, part in enumerate(body) if node in ast.walk(part)][-1]
 
 
 def find_changes(path: Path) -> Iterator[Change]:
@@ -90,91 +112,35 @@ def classify(node: ast.AST) -> str | None:
     return "statement" if is_kept or (isinstance(node, ast.Expr) and isinstance(node.value, ast.Call)) else None
 
 
-def make_worse(tree: ast.Module, change: Change) -> None:
-    """Apply a change to the tree of its module."""
-    node = list(ast.walk(tree))[change.place]
-    if change.kind == "comparison":
-        node.ops[0] = EXCHANGED[type(node.ops[0])]()
-    elif change.kind == "operator":
-        node.op = EXCHANGED[type(node.op)]()
-    elif change.kind == "constant":
-        node.value = not node.value if isinstance(node.value, bool) else node.value * 2 + 1
-    elif change.kind == "condition":
-        node.test = ast.UnaryOp(ast.Not(), node.test)
-    else:
-        body, k = statement_of(tree, node)
-        body[k] = ast.Pass()
+def note_reached(drawn: Sequence[Change], path: str) -> str:
+    """The text of a module that notes each of the changed statements where it runs."""
+    tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
+    nodes = list(ast.walk(tree))
+    for number, change in enumerate(drawn):
+        if change.path == path:
+            body, k = find_statement(tree, nodes[change.place])
+            body.insert(k, ast.parse(f"reached({number})").body[0])
+    return ast.unparse(ast.fix_missing_locations(tree))
 
 
-def statement_of(tree: ast.Module, node: ast.AST) -> tuple[list[ast.stmt], int]:
-    """Return the innermost statement that holds a node, as a list of statements and an index."""
-    bodies = (getattr(outer, name, None) for outer in ast.walk(tree) for name in ("body", "orelse", "finalbody"))
-    lists = [body for body in bodies if isinstance(body, list)]
-    return [(body, k) for body in lists for k, part in enumerate(body) if node in ast.walk(part)][-1]
-
-
-class Copy:
-    """A copy of the package, in which modules are changed and on which tests run."""
-
-    def __init__(self, folder: Path, reached: Path, options: Sequence[str]) -> None:
-        self.folder, self.reached, self.options = folder, reached, options
-        shutil.copytree(ROOT / "src" / "gridslam", folder / "gridslam")
-        shutil.copy(backend.__file__, folder / "gridslam" / "kernels")
-        (folder / "sitecustomize.py").write_text(SITE, encoding="utf-8")
-
-    def write(self, path: str, tree: ast.Module | None = None) -> None:
-        """Write a module from its tree, or as it was."""
-        text = ast.unparse(ast.fix_missing_locations(tree)) if tree else (ROOT / path).read_text(encoding="utf-8")
-        (self.folder / Path(path).relative_to("src")).write_text(text, encoding="utf-8")
-
-    def run_tests(self, *arguments: str) -> str:
-        """Run pytest on the copy and return what has failed, or an empty text."""
-        environment = {"PYTHONPATH": str(self.folder), "PYTHONDONTWRITEBYTECODE": "1"}
-        environment |= {
-            "MUTATION_REACHED": str(self.reached),
-            "HYPOTHESIS_STORAGE_DIRECTORY": f"{self.folder}/examples",
-        }
-        command = [*PYTEST, *self.options, *arguments]
-        environment = os.environ | environment
-        try:
-            done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            return "no end"
-        lines = [line.split() for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-        return " ".join(line[1] for line in lines) or (done.stdout[-200:] if done.returncode else "")
-
-    def note_reached(self, drawn: Sequence[Change]) -> None:
-        """Note which test files run the statements of the changes, by one run of the default tests."""
-        for path in {change.path for change in drawn}:
-            tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
-            nodes = list(ast.walk(tree))
-            for number, change in enumerate(drawn):
-                if change.path == path:
-                    body, k = statement_of(tree, nodes[change.place])
-                    body.insert(k, ast.parse(f"reached({number})").body[0])
-            self.write(path, tree)
-        if failed := self.run_tests():
-            sys.exit(f"the tests fail without a change: {failed}")
-        for path in {change.path for change in drawn}:
-            self.write(path)
-
-    def find_failing(self, change: Change, files: set[str]) -> str:
-        """Return the test that catches a change, among the files that reach it (all for "", at import)."""
-        if not files:
-            return ""
-        tree = ast.parse((ROOT / change.path).read_text(encoding="utf-8"))
-        make_worse(tree, change)
-        self.write(change.path, tree)
-        failed = self.run_tests("-x", *([] if "" in files else nearest_first(files, Path(change.path))))
-        self.write(change.path)
-        return failed
-
-
-def nearest_first(files: set[str], module: Path) -> list[str]:
-    """Sort test files: those named like the module, those of its folder, the unit tests, all others."""
-    return sorted(
-        files, key=lambda file: (module.stem not in file, module.parts[2] not in file, "unit" not in file, file)
-    )
+def run_tests(copy: Path, reached: Path, texts: dict[str, str], arguments: Sequence[str]) -> str:
+    """Run pytest on the copy with other texts of some modules, and return what has failed, or an empty text."""
+    environment = {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1", "MUTATION_REACHED": str(reached)}
+    environment["HYPOTHESIS_STORAGE_DIRECTORY"] = f"{copy}/examples"
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--tb=no", "-rfE", *arguments]
+    for path, text in texts.items():
+        (copy / Path(path).relative_to("src")).write_text(text, encoding="utf-8")
+    try:
+        done = subprocess.run(
+            command, cwd=ROOT, env=os.environ | environment, capture_output=True, text=True, timeout=TIMEOUT_S
+        )
+    except subprocess.TimeoutExpired:
+        return "no end"
+    finally:
+        for path in texts:
+            shutil.copy(ROOT / path, copy / Path(path).relative_to("src"))
+    lines = [line.split() for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return " ".join(line[1] for line in lines) or (done.stdout[-200:] if done.returncode else "")
 
 
 def main() -> None:
@@ -190,20 +156,24 @@ def main() -> None:
     drawn = random.Random(arguments.seed).sample(found, arguments.count)
     numbers = range(len(drawn)) if arguments.only is None else arguments.only
     with tempfile.TemporaryDirectory() as folder:
-        copy = Copy(Path(folder), (arguments.reached or Path(folder) / "reached").resolve(), options)
-        if not copy.reached.exists():
-            copy.note_reached(drawn)
-        files = defaultdict(set)
-        for line in copy.reached.read_text(encoding="utf-8").splitlines():
-            number, _, file = line.partition(" ")
-            if (ROOT / file).exists():
-                files[int(number)].add(file)
+        copy = Path(folder)
+        shutil.copytree(ROOT / "src" / "gridslam", copy / "gridslam")
+        shutil.copy(backend.__file__, copy / "gridslam" / "kernels")
+        (copy / "sitecustomize.py").write_text(SITE, encoding="utf-8")
+        reached = (arguments.reached or copy / "reached").resolve()
+        texts = {change.path: note_reached(drawn, change.path) for change in drawn}
+        if not reached.exists() and (failed := run_tests(copy, reached, texts, options)):
+            sys.exit(f"the tests fail without a change: {failed}")
+        lines = [line.partition(" ") for line in reached.read_text(encoding="utf-8").splitlines()]
         caught = 0
         for number in numbers:
-            change = drawn[number]
-            failed = copy.find_failing(change, files[number])
+            path = drawn[number].path
+            files = {file for own, _, file in lines if int(own) == number and (ROOT / file).exists()}
+            near = lambda file: (Path(path).stem not in file, path.split("/")[2] not in file, "unit" not in file, file)  # noqa: B023, E731
+            chosen = [] if "" in files else sorted(files, key=near)  # reached at import: all tests
+            failed = files and run_tests(copy, reached, {path: drawn[number].worse()}, ["-x", *options, *chosen])
             caught += bool(failed)
-            print(number, f"{change.path}:{change.line}", change.kind, failed or "survives", flush=True)
+            print(number, f"{path}:{drawn[number].line}", drawn[number].kind, failed or "survives", flush=True)
         print(f"{caught} of {len(numbers)} caught")
 
 

@@ -98,13 +98,13 @@ def test_without_a_plan_the_map_is_laid_on_the_earth(call, drawn, tmp_path):
         (["--pair", "0,0=91,1", "--pair", "1,1=2,2"], "expected X,Y=LAT,LON"),
         ([], "expected a PLAN"),
         (["plan.png", "--unit", "0.4"], "of its walls agree with it"),
-        (["empty.dxf", "--unit", "1"], "expected a plan with lines"),
+        (["empty.svg", "--unit", "1"], "expected a plan with lines"),
     ],
 )
 def test_what_cannot_be_aligned_is_one_line(call, drawn, tmp_path, arguments, problem):
     folder, _, _ = drawn
-    (folder / "empty.dxf").write_text("0\nSECTION\n2\nENTITIES\n0\nENDSEC\n0\nEOF\n")
-    given = [folder / word if word.endswith(("png", "dxf", "yaml")) else word for word in arguments]
+    (folder / "empty.svg").write_text("<svg/>")
+    given = [folder / word if word.endswith(("png", "svg", "yaml")) else word for word in arguments]
     status, out, err = call(folder / "map.yaml", *given, "-o", tmp_path / "out")
     assert (status, out, err.count("\n")) == (2, "", 1)
     assert problem in err

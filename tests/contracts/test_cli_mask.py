@@ -107,7 +107,7 @@ def test_an_erased_wall_joins_two_rooms(call, drawn):
 def test_a_run_is_planned_by_its_end_points_and_its_edits(call, tmp_path):
     log, out = tmp_path / "rooms.clf.gz", tmp_path / "out"
     assert call("simulate", "rooms", "-o", log, "--beams", "90")[0] == 0
-    assert call("map", log, "-o", out, "--no-history", "--save", tmp_path / "s.gridslam")[0] == 0
+    assert call("map", log, "-o", out, "--no-history", "--particles", "5")[0] == 0
     assert call("plan", out, "-o", tmp_path / "plan", "--json")[0] == 0
     whole = json.loads((tmp_path / "plan" / "plan.json").read_text())
     room = next(

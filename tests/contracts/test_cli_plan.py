@@ -32,7 +32,16 @@ def run(tmp_path_factory):
     """The rooms world, its log, and the map, the folder and the session of it."""
     folder = tmp_path_factory.mktemp("run")
     assert main(["simulate", "rooms", "-o", str(folder / "rooms.clf.gz"), "--beams", "90"]) == 0
-    arguments = ["map", folder / "rooms.clf.gz", "-o", folder / "out", "--save", folder / "rooms.gridslam", "--json"]
+    arguments = [
+        "map",
+        folder / "rooms.clf.gz",
+        "-o",
+        folder / "out",
+        "--save",
+        folder / "rooms.gridslam",
+        "--particles",
+        "5",
+    ]
     assert main([*map(str, arguments), "--no-history"]) == 0
     return folder
 

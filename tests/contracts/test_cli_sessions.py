@@ -298,7 +298,7 @@ def test_edits_without_a_scan_lie_on_the_map_of_their_drive(call, floors, tmp_pa
 def test_a_merge_names_which_maps_were_not_compared(call, logs, monday, tmp_path):
     upper = tmp_path / "upper.gridslam"
     given = "--save", upper, "--floor", "upper", *FEW
-    assert call("map", logs / "monday.clf", "-o", tmp_path / "out", *given)[0] == 0
+    assert call("map", logs / "tuesday.clf", "-o", tmp_path / "out", *given)[0] == 0
     status, _, err = call("merge", monday, upper, "-o", tmp_path / "merged")
     assert status == 1
     assert "nothing was joined: maps are compared within a floor" in err

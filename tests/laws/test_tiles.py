@@ -203,18 +203,6 @@ def test_restored_maps_go_on_to_the_same_bytes(seed):
     assert_counts([maps] if keep is None else [maps, keep])
 
 
-def test_a_restored_row_is_written_alone():
-    rng = np.random.default_rng(5)
-    maps = TileMaps(3, **SETTINGS)
-    random_scan(rng, maps)
-    maps.select(np.zeros(3, int))
-    restored = TileMaps.from_arrays(maps.to_arrays(), **SETTINGS)
-    before = as_model(restored, 0)
-    restored.update(np.array([1], np.int32), np.zeros((1, 3)), beams_to([(3.0, 2.0), (-4.0, 1.0)]))
-    assert as_model(restored, 0) == as_model(restored, 2) == before != as_model(restored, 1)
-    assert as_model(maps, 1) == before
-
-
 def test_the_empty_page_and_tile_come_first_even_where_every_entry_is_used():
     """One map whose only page is used: the table itself holds no 0."""
     maps = TileMaps(1, **SETTINGS)
@@ -264,10 +252,3 @@ def test_arrays_that_could_corrupt_memory_are_refused(name, change):
     random_scan(np.random.default_rng(1), maps)
     with pytest.raises(ArgumentError, match=name):
         TileMaps.from_arrays(broken(maps.to_arrays(), name, change), **SETTINGS)
-
-
-def test_a_missing_array_is_named():
-    arrays = TileMaps(2, **SETTINGS).to_arrays()
-    del arrays["field"]
-    with pytest.raises(ArgumentError, match="field"):
-        TileMaps.from_arrays(arrays, **SETTINGS)

@@ -2,40 +2,34 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import gridslam
 from gridslam.evaluation import RelationErrors, relation_errors
-from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between
 from gridslam.io.trajectories import read_relations, read_tum
 
 
 @dataclass(frozen=True)
 class Band:
-    """What each seed must keep, and what the mean over the seeds must; relations' errors in m and deg."""
+    """A log and the errors by its relations, in m and deg, that each seed must keep, the filter alone, too."""
 
     log: str
     relations: str
     scans: int
     mean_m: float
-    seed_m: float
     mean_deg: float
-    worst_m: float = 0.5
+    worst_m: float
+    filter_m: float
 
 
-INTEL = Band("intel.clf.bz2", "intel.relations", 13631, mean_m=0.0175, seed_m=0.020, mean_deg=0.30)
-ACES = Band("aces.clf.bz2", "aces.relations", 7374, mean_m=0.0375, seed_m=0.045, mean_deg=0.40)
-CSAIL, CSAIL_SCANS = "mit-csail.clf.bz2", 1988
+INTEL = Band("intel.clf.bz2", "intel.relations", 13631, 0.0140, 0.23, 0.13, filter_m=0.0175)
+ACES = Band("aces.clf.bz2", "aces.relations", 7374, 0.0360, 0.33, 0.45, filter_m=0.0390)
+CSAIL = Band("mit-csail.clf.bz2", "mit-csail.relations", 1988, 0.0285, 0.35, 0.35, filter_m=0.0305)
+"""Of ten seeds each errs within 0.2 to 1 % of their mean, by the filter alone within 4 %."""
 
-CSAIL_END = (-0.531, -0.076, 1.300)
-"""Pose of the last scan in the frame of the first: the robot comes back to the room where it started.
-
-Found without the filter's help over the way between: a window search of the last scan in a map of the first 200 scans,
-in which 321 of its 354 beams agree, from wherever in the room the search begins.
-"""
+SPARSE = {"acapulco": 0.16, "belgioioso": 0.15, "seattle": 0.065, "freiburg-101": 0.065}
+"""Logs of key scans, and how far (m, rms) any seed may be from GMapping's path; ecac047: 14.6, 0.35, 1.8, 0.05 m."""
 
 
 def errors_of(
@@ -54,25 +48,8 @@ def errors_of(
 
 
 def check_seed(errors: RelationErrors, band: Band) -> None:
-    """What every seed keeps."""
+    """Check what every seed keeps."""
     assert errors.exact == 1  # every relation's times are scans' own
-    assert errors.trans_mean_m <= band.seed_m
+    assert errors.trans_mean_m <= band.mean_m
+    assert errors.rot_mean_deg <= band.mean_deg
     assert errors.trans_max_m < band.worst_m
-
-
-def csail_end_error(data: Path, seed: int) -> tuple[float, float]:
-    """Map CSAIL and tell by how much its end is missed, m and rad.
-
-    It has no relations, but who meets its end has closed the loops, and doubled no wall.
-    """
-    result = gridslam.map_log(data / CSAIL, particles=30, seed=seed)
-    assert len(result.trajectory) == CSAIL_SCANS
-    assert result.statistics.lost == 0
-    x, y, theta = between(result.trajectory.poses[0], result.trajectory.poses[-1]) - CSAIL_END
-    return math.hypot(x, y), abs(float(wrap(theta)))
-
-
-def check_csail(missed_m: float, missed_rad: float) -> None:
-    """What every seed keeps."""
-    assert missed_m < 0.1  # two cells: the walls of the room coincide
-    assert missed_rad < 0.05

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
 
@@ -84,35 +82,19 @@ def arrays_of(state):
     return {name: array.tobytes() for name, array in state.to_arrays().items()}
 
 
-def map_all(source, failures=None, recorder=None, seed=3):
+def map_all(source, failures=None, recorder=None):
     recorder = recorder or TrajectoryRecorder()
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(3)
     on_failure = None if failures is None else failures.append
     state = run(source, SLAM, rng=rng, observers=[recorder], on_failure=on_failure)
     return arrays_of(state), arrays_of(recorder), rng.bit_generator.state
 
 
 @pytest.fixture(scope="module")
-def healthy_m(log, measurements):
-    """How far from the truth a log without some scans is mapped at most, by the worst of three seeds."""
-
-    @cache
-    def error_m(left_out):
-        found = []
-        for seed in (3, 4, 5):
-            recorder = TrajectoryRecorder()
-            map_all([m for k, m in enumerate(measurements) if k not in left_out], recorder=recorder, seed=seed)
-            found.append(farthest_m(recorder.online_trajectory(), log))
-        return max(found)
-
-    return error_m
-
-
-@pytest.fixture(scope="module")
 def begun(measurements):
-    """The poses of the first 150 scans where nothing fails."""
+    """The poses of the first 100 scans where nothing fails."""
     recorder = TrajectoryRecorder()
-    state = run(measurements[:150], SLAM, rng=np.random.default_rng(0), observers=[recorder])
+    state = run(measurements[:100], SLAM, rng=np.random.default_rng(0), observers=[recorder])
     return recorder.best_trajectory(state).poses
 
 
@@ -124,10 +106,10 @@ def farthest_m(trajectory, log):
 
 
 @pytest.mark.parametrize(("owner", "name"), PARTS, ids=[f"{owner.__name__}.{name}" for owner, name in PARTS])
-def test_a_step_that_fails_anywhere_is_left_out(log, measurements, healthy_m, monkeypatch, owner, name):
+def test_a_step_that_fails_anywhere_is_left_out(log, measurements, monkeypatch, owner, name):
     """All other scans have poses, as exact as those of a log without the failed scans, and two runs give the same.
 
-    As exact as that log is by one of three seeds, by half: seeds differ by as much, 0.12 to 0.19 m.
+    That log is mapped to 0.12 to 0.19 m by three seeds, which differ by as much: half of it is added.
     """
     found = []
     for _ in range(2):
@@ -141,9 +123,9 @@ def test_a_step_that_fails_anywhere_is_left_out(log, measurements, healthy_m, mo
         assert all("RuntimeError: injected (test_failed_steps.py, line" in str(failure) for failure in failures)
     assert found[0] == found[1]
     trajectory = recorder.online_trajectory()
-    left = [m for k, m in enumerate(measurements) if k not in faults.hit]
-    assert trajectory.stamps_ns.tolist() == [m.scan.stamp_ns for m in left]
-    assert farthest_m(trajectory, log) < 1.5 * healthy_m(frozenset(faults.hit))
+    left = [m.scan.stamp_ns for k, m in enumerate(measurements) if k not in faults.hit]
+    assert trajectory.stamps_ns.tolist() == left
+    assert farthest_m(trajectory, log) < 0.28
 
 
 def test_a_measurement_that_is_refused_leaves_the_state_as_it_is(measurements):
@@ -225,8 +207,8 @@ def test_where_steps_fail_in_a_row_mapping_goes_on_after_them(measurements, begu
 
     def watch():
         nonlocal is_broken
-        for k, measurement in enumerate(measurements):
-            is_broken = 150 <= k < 200
+        for k, measurement in enumerate(measurements[:200]):
+            is_broken = 100 <= k < 140
             yield measurement
 
     failures = []
@@ -234,13 +216,13 @@ def test_where_steps_fail_in_a_row_mapping_goes_on_after_them(measurements, begu
     state = run(watch(), SLAM, rng=np.random.default_rng(0), observers=[recorder], on_failure=failures.append)
     assert failures
     stamps = recorder.online_trajectory().stamps_ns
-    assert set(stamps) == {m.scan.stamp_ns for m in measurements} - {failed.scan.stamp_ns for failed in failures}
+    assert set(stamps) == {m.scan.stamp_ns for m in measurements[:200]} - {failed.scan.stamp_ns for failed in failures}
     assert len(state.best_trajectory()) == recorder.keys[-1] + 1
     archive = state.closure_state.scans
     assert len(archive) == len(stamps)
     assert archive.keys == [0, *(np.flatnonzero(np.diff(recorder.keys)) + 1)]
     assert all(len(archive.key(key)) for key in range(len(archive.keys)))
-    poses = recorder.best_trajectory(state).poses[:150]  # before the fault, as if it had never come
+    poses = recorder.best_trajectory(state).poses[:100]  # before the fault, as if it had never come
     assert np.abs(between(poses, begun)).max() < 0.5
     restored = type(state).from_arrays(state.to_arrays(), SLAM.mapper)
     assert arrays_of(restored) == arrays_of(state)

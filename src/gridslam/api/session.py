@@ -32,7 +32,7 @@ from gridslam.io.edited_maps import MapEdits
 from gridslam.io.edits import Edits
 from gridslam.io.log import LogOptions, LogSource
 from gridslam.io.measurement import Measurement
-from gridslam.io.sessions.drives import Drive, SavedPiece, choose_name, find_floor
+from gridslam.io.sessions.drives import Drive, DrivenLog, SavedPiece, choose_name, find_floor
 from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session
 from gridslam.slam.full_slam.full_slam import FullSlam, full_slam, refine_piece
 from gridslam.slam.full_slam.full_trajectory import full_trajectories
@@ -305,7 +305,8 @@ class Session:
         Raises
         ------
         ArgumentError
-            A session is of another configuration, or without loop closure, or all are empty.
+            A session is of another configuration, or without loop closure, or all are empty, or two hold the same log:
+            a session that continues another holds its drives.
         """
         sessions = [self, *others]
         for other in others:
@@ -314,6 +315,7 @@ class Session:
         closure = self.configuration.loop_closure
         if closure is None:
             raise ArgumentError("sessions", "ones with loop closure, to recognize places", "ones without")
+        _require_different_logs(sessions)
         owned = sorted(((piece, own) for own in sessions for piece in own.pieces), key=lambda pair: _order(pair[0]))
         if not owned:
             raise ArgumentError("sessions", "one with a drive at least", "empty ones")
@@ -412,6 +414,16 @@ class Session:
                     raise ArgumentError("session", "one that was mapped with loop closure", "one without")
                 self._maps.insert(0, _Map(SavedPiece(full.piece, drives), full.tiled_map, full.poses))
         return self._maps
+
+
+def _require_different_logs(sessions: Sequence[Session]) -> None:
+    """Check that no two sessions hold the same log, wherever it lay: its drive would be in the map twice."""
+    seen = set[DrivenLog]()
+    for own in sessions:
+        logs = {replace(log, path=""): log for drive in own._saved.drives for log in drive.logs}
+        if common := seen & logs.keys():
+            raise ArgumentError("others", "sessions without a log in common", logs[common.pop()].path)
+        seen |= logs.keys()
 
 
 def _order(piece: SavedPiece) -> tuple[Any, ...]:

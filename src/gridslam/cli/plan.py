@@ -19,7 +19,7 @@ from gridslam.plan.drawing import draw_plan
 from gridslam.plan.exports import write_dxf, write_geojson
 from gridslam.plan.floor_plan import FloorPlan, make_plan
 from gridslam.plan.rooms import name_rooms
-from gridslam.plan.sheet import write_pictures, write_svg
+from gridslam.plan.sheet import write_pdf, write_png, write_svg
 from gridslam.plan.source import read_source
 from gridslam.plan.world import WorldOrigin
 
@@ -49,7 +49,8 @@ def plan_to_folder(
         shown = plan.straighten() if straighten else plan
         sheet = draw_plan(shown, given.name, scale)
         write_svg(folder.file("plan.svg"), sheet)
-        write_pictures(sheet, folder.file("plan.png"), folder.file("plan.pdf"))
+        write_pdf(folder.file("plan.pdf"), sheet)
+        write_png(folder.file("plan.png"), sheet)
         write_dxf(folder.file("plan.dxf"), shown)
         world = None if origin is None else WorldOrigin(*origin)
         write_geojson(folder.file("plan.geojson"), shown if world is None else plan, given.name, world)
@@ -68,8 +69,9 @@ def _describe(source: Path, plan: FloorPlan, scale: int, made_from: str) -> dict
         "bounds_m": [low, high],
         "dominant_deg": float(np.rad2deg(plan.dominant_rad)),
         "turned_deg": float(np.rad2deg(plan.turned_rad)),
-        "walls": len(plan.walls),
-        "walls_length_m": sum(wall.length_m for wall in plan.walls),
+        "walls": len(plan.walls) + len(plan.arcs),
+        "walls_length_m": sum(wall.length_m for wall in plan.walls) + sum(arc.length_m for arc in plan.arcs),
+        "arcs": len(plan.arcs),
         "doors": [
             {"kind": o.kind, "width_m": o.width_m, "middle_m": o.ends.mean(axis=0).tolist()} for o in plan.openings
         ],
@@ -83,9 +85,10 @@ def _describe(source: Path, plan: FloorPlan, scale: int, made_from: str) -> dict
 
 def _summarize(plan: FloorPlan, document: dict[str, Any], out: Path) -> Iterator[str]:
     thick = sum(wall.thickness_m is not None for wall in plan.walls)
+    round_ones = f"{len(plan.arcs)} round, " if plan.arcs else ""
     yield (
         f"{counted(document['walls'], 'wall')}, {document['walls_length_m']:.0f} m, {thick} of them with their "
-        f"thickness, from {document['made_from']}; most run at {document['dominant_deg']:.2f} deg"
+        f"thickness, {round_ones}from {document['made_from']}; most run at {document['dominant_deg']:.2f} deg"
     )
     widths = sorted(opening.width_m for opening in plan.openings)
     yield f"{len(widths)} doors and openings" + (f", {widths[0]:.2f} to {widths[-1]:.2f} m wide" if widths else "")

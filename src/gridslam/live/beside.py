@@ -11,6 +11,7 @@ from gridslam.errors import InputError
 from gridslam.evaluation.trajectory import align, associate
 from gridslam.geometry.se2 import compose
 from gridslam.io.maps import read_map
+from gridslam.io.text import stay_below
 from gridslam.io.trajectories import read_tum
 from gridslam.live.ancestry_tree import NO_POINTS, Float32Array
 from gridslam.types import OccupancyGrid, Trajectory
@@ -62,11 +63,13 @@ def read_beside(out: Path, other: Path | None, trajectory: Trajectory | None) ->
     if other is None:
         truth = out / _TRUTH
         is_known = truth.is_file() and trajectory is not None
-        return Beside("truth", _align(truth, trajectory), None) if is_known else NOTHING
+        with stay_below(out):
+            return Beside("truth", _align(truth, trajectory), None) if is_known else NOTHING
     if other.is_dir():
         driven = other / "trajectory.tum"
-        path = read_tum(driven).poses[:, :2].astype(np.float32) if driven.is_file() else NO_POINTS
-        return Beside(other.resolve().name, path, read_map(other / "map.yaml"))
+        with stay_below(other):
+            path = read_tum(driven).poses[:, :2].astype(np.float32) if driven.is_file() else NO_POINTS
+            return Beside(other.resolve().name, path, read_map(other / "map.yaml"))
     if other.suffix in (".yaml", ".yml"):
         return Beside(other.stem, NO_POINTS, read_map(other))
     return Beside(other.stem, _align(other, trajectory), None)

@@ -12,7 +12,7 @@ from gridslam.errors import InputError
 from gridslam.io.g2o import read_g2o
 from gridslam.io.landmarks import read_landmarks
 from gridslam.io.maps import read_map
-from gridslam.io.text import read_json, read_text
+from gridslam.io.text import read_json, read_text, stay_below
 from gridslam.io.trajectories import read_trajectory_csv, read_tum
 from gridslam.live.history import History
 from gridslam.live.history_file import HISTORY_NAME, read_history
@@ -141,7 +141,8 @@ def _read_known_map(document: dict[str, Any]) -> tuple[OccupancyGrid | None, str
     source = document.get("input")
     path = Path(str(source.get("map") or "")) if isinstance(source, dict) else Path()
     try:
-        return read_map(path), ""
+        with stay_below(None):  # it lies elsewhere, as a rule
+            return read_map(path), ""
     except InputError as error:
         return None, f"without the map: {error}"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import IO, Any, final
 import numpy as np
 
 from gridslam.errors import ArgumentError, GridslamError
-from gridslam.io.text import open_for_reading
+from gridslam.io.text import open_for_reading, stay_below
 from gridslam.live.ancestry_tree import NO_POINTS
 from gridslam.live.beside import read_beside
 from gridslam.live.control import check_speed
@@ -48,7 +49,8 @@ class Replay:
     Raises
     ------
     InputError
-        A file is missing or malformed, the files are not of one run, or another command wrote the folder.
+        A file is missing or malformed, the files are not of one run, or another command wrote the folder; a file is a
+        link, or lies elsewhere: only those in the folder are read and served.
     """
 
     def __init__(
@@ -62,12 +64,12 @@ class Replay:
         shown: StaticView | None = None,
     ) -> None:
         """Read the folder."""
-        out = Path(folder)
-        results, title, self.messages = read_results(out) if shown is None else (shown, out.name, [])
-        self.history = read_optional_history(out) if shown is None else None
-        newest_first = sorted(out.glob("*.gridslam"), key=lambda path: -path.stat().st_mtime_ns)
-        sessions = [path for path in newest_first if path.is_file() and not path.is_symlink()]
-        self.editor = EditedGraph(out, sessions) if edits_graph else None
+        self._out = out = Path(folder)
+        with stay_below(out):
+            results, title, self.messages = read_results(out) if shown is None else (shown, out.name, [])
+            self.history = read_optional_history(out) if shown is None else None
+        sessions = _find_sessions(out) if shown is None else []
+        self.editor = EditedGraph(out, [out / name for name in sessions]) if edits_graph else None
         if self.editor is not None:
             results = self.editor.results
             self.history = None
@@ -135,7 +137,16 @@ class Replay:
         """Open the newest session file of the folder; return None without one."""
         if self._session is None:
             return None
-        return open_for_reading(self._session)
+        with stay_below(self._out):
+            return open_for_reading(self._out / self._session)
+
+
+def _find_sessions(folder: Path) -> list[str]:
+    """Return the names of the sessions in a folder, the newest first, without those that are links."""
+    with os.scandir(folder) as entries:
+        found = [(entry.stat(follow_symlinks=False).st_mtime, entry.name) for entry in entries if
+                 entry.name.endswith(".gridslam") and entry.is_file(follow_symlinks=False)]  # fmt: skip
+    return [name for _, name in sorted(found, reverse=True)]
 
 
 @final

@@ -16,6 +16,7 @@ from gridslam.io.text import open_for_reading
 from gridslam.live.ancestry_tree import NO_POINTS, Float32Array
 from gridslam.live.control import LOCATING, Control, RobotControl, check_particle, check_speed
 from gridslam.live.history import History, PastMaps
+from gridslam.live.holds import Holds
 from gridslam.live.monitor import BEST
 from gridslam.live.observer import UNVIEWED_PERIOD_S, VIEWED_PERIOD_S, LiveObserver, Snapshot
 from gridslam.live.past import PastReader
@@ -60,7 +61,7 @@ class LiveRun:
         self._range_max_m = range_max_m
         self._known = known
         self._viewers: dict[LiveViewer, Callable[[], None]] = {}
-        self._initial_speed = control.speed
+        self.holds = Holds(control)
         self._channels = 0
         self._messages: Sequence[Mapping[str, Any]] = ()
         self._answer = ""
@@ -111,6 +112,7 @@ class LiveRun:
         if snapshot.scan is not None and snapshot.scan is not self._last_scan:
             self._last_scan = snapshot.scan
             self._scan = snapshot.scan.beams(0.05, self._range_max_m).ends.astype(np.float32)
+        self.holds.update()
         self._update_status(snapshot)
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
@@ -150,11 +152,9 @@ class LiveRun:
         return viewer
 
     def remove_viewer(self, viewer: LiveViewer) -> None:
-        """Remove a viewer; a log's pause and speed end with the last one."""
+        """Remove a viewer; its pause and its speed end with it."""
         self._viewers.pop(viewer, None)
-        if not self._viewers and isinstance(self.control, Control):
-            self.control.resume()
-            self.control.set_speed(self._initial_speed)
+        self.holds.release(viewer)
         self._count_viewers()
 
     @property
@@ -388,13 +388,13 @@ class LiveViewer:
         run = self._run
         match command["do"]:
             case "pause":
-                run.control.pause()
+                run.holds.pause(self)
             case "resume":
-                run.control.resume()
+                run.holds.resume()
             case "step":
-                run.control.step(to_key_scan=bool(command.get("to_key_scan", True)))
+                run.holds.step(self, to_key_scan=bool(command.get("to_key_scan", True)))
             case "speed":
-                run.control.set_speed(check_speed(command["factor"]))
+                run.holds.set_speed(self, check_speed(command["factor"]))
             case "select":
                 self._select(command["particle"])
             case "seek":

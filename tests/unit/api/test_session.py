@@ -166,8 +166,15 @@ def test_sessions_are_merged_in_any_order(first, second, one_day, tmp_path):
     assert answers[0] == answers[1]
     expected = between(first.truth[0], second.truth)
     assert np.hypot(*(full.poses[len(first.measurements) :] - expected)[:, :2].T).mean() < 0.12
-    result = sessions[0].add(write(tmp_path, "wednesday", moved(second.measurements[:250], later_s=200_000)))
+    result = sessions[0].add(write(tmp_path, "wednesday", moved(second.measurements[:170], later_s=200_000)))
     assert result.found_again.drives == ("monday", "tuesday")
+
+
+def test_a_session_is_not_merged_with_one_that_continues_it(second, one_day, tmp_path):
+    session = gridslam.Session.open(one_day[0])
+    session.add(write(tmp_path, "tuesday", moved(second.measurements[:100])))
+    with pytest.raises(ArgumentError, match=r"without a log in common.*monday"):
+        session.merge(gridslam.Session.open(one_day[0]))
 
 
 def test_a_given_map_is_gone_on_from(building, tmp_path):
@@ -326,20 +333,22 @@ def test_damaged_edits_are_refused_before_the_log_is_mapped_and_never_cost_a_ses
 def test_maps_of_other_floors_are_not_joined(first, one_day, tmp_path):
     """The same rooms again, which would be found: they are another floor's."""
     ground = gridslam.Session(CONFIG)
-    ground.add(write(tmp_path, "monday", first.measurements[:250]), floor="ground")
+    ground.add(write(tmp_path, "monday", first.measurements[:170]), floor="ground")
     ground.save(tmp_path / "ground.gridslam")
     both = gridslam.Session.open(tmp_path / "ground.gridslam")
-    both.add(write(tmp_path, "tuesday", moved(first.measurements[:250])), floor="first")
+    both.add(write(tmp_path, "tuesday", moved(first.measurements[:100])), floor="first")
     assert not both.is_same_place
     assert both.names == ["first", "ground"]
     both.save(tmp_path / "both.gridslam")
     again = gridslam.Session.open(tmp_path / "both.gridslam")
     assert again.names == ["first", "ground"]
-    result = again.add(write(tmp_path, "wednesday", moved(first.measurements[:250], later_s=200_000)), floor="ground")
+    result = again.add(write(tmp_path, "wednesday", moved(first.measurements[:170], later_s=200_000)), floor="ground")
     assert result.found_again.drives == ("monday",)
     assert again.names == ["ground", "first"]
     merged = gridslam.Session.open(tmp_path / "both.gridslam")
-    merged.merge(gridslam.Session.open(tmp_path / "ground.gridslam"))
+    other = gridslam.Session(CONFIG)
+    other.add(write(tmp_path, "thursday", moved(first.measurements[:250], later_s=300_000)), floor="ground")
+    merged.merge(other)
     assert sorted(piece.floor for piece in merged.pieces) == ["first", "ground"]
     with pytest.raises(ArgumentError, match="first or ground"):
         gridslam.Session.open(tmp_path / "both.gridslam").find_map("cellar")

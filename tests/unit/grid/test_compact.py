@@ -37,22 +37,3 @@ def test_the_others_memory_is_given_back():
     assert maps.tiles_used == tiles
     assert maps.nbytes < 0.5 * before
     np.testing.assert_array_equal(maps.occupancy(0).log_odds, cells.log_odds)
-
-
-def test_maps_and_their_snapshots_go_on_as_if_nothing_had_been():
-    rng = np.random.default_rng(1)
-    maps = diverged(rng)
-    kept, loose = maps.snapshot(), diverged(np.random.default_rng(1))
-    maps.select(np.array([1, 3]))
-    loose.select(np.array([1, 3]))
-    maps.compact()
-    for _ in range(3):
-        poses, beams = rng.uniform(-20, 20, (2, 3)), seen(rng)
-        maps.update(ROWS[:2], poses, beams)
-        loose.update(ROWS[:2], poses, beams)
-    there, here = maps.to_arrays(), loose.to_arrays()
-    assert {name: array.tobytes() for name, array in there.items()} == {n: a.tobytes() for n, a in here.items()}
-    again = diverged(np.random.default_rng(1)).to_arrays()
-    assert {name: array.tobytes() for name, array in kept.to_arrays().items()} == {
-        n: a.tobytes() for n, a in again.items()
-    }

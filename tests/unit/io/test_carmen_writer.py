@@ -25,7 +25,7 @@ def measurement(stamp_ns=1_000_000, n=181, fov=math.pi, ranges=None, seed=0, mou
 @pytest.mark.parametrize(("n", "fov"), [(180, math.pi), (181, math.pi), (360, 2 * math.pi), (541, 1.5 * math.pi)])
 def test_round_trip(tmp_path, suffix, n, fov):
     path = tmp_path / f"sim{suffix}"
-    stamps = [976052857337530000, 976052857337531000, 976052857337529000]
+    stamps = [976052857337530000, 976052857337531891, 976052857337529000]
     written = [
         measurement(t, n, fov, seed=i, mounting=(0.12, -0.03, 0.2), range_max_m=30.0) for i, t in enumerate(stamps)
     ]
@@ -41,12 +41,6 @@ def test_round_trip(tmp_path, suffix, n, fov):
         np.testing.assert_allclose(back.geometry.origin, scan.geometry.origin, rtol=0, atol=1e-12)
         assert back.range_max_m == 30.0
     assert log.statistics.odometry_lines == 3
-
-
-def test_nanoseconds_survive(tmp_path):
-    path = tmp_path / "sim.log"
-    write_carmen(path, [measurement(1_234_567_891)])
-    assert [m.scan.stamp_ns for m in CarmenLog(path)] == [1_234_567_891]
 
 
 def test_rear_laser(tmp_path):

@@ -151,12 +151,6 @@ def test_what_is_wrong_is_told_with_line_and_column(tmp_path, text, line, proble
     assert problem in str(caught.value)
 
 
-def test_cut_off_is_read_on_request(tmp_path):
-    measured, statistics = read(tmp_path, HEADER + ROW + "2.5,-1.5,1.5,1 2 3", keep_truncated=True)
-    assert len(measured) == 1
-    assert statistics.truncated
-
-
 @pytest.mark.parametrize(
     "scan",
     [

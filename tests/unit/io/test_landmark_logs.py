@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import math
 
 import numpy as np
@@ -99,15 +98,6 @@ def test_bad_files_of_mrclam(mrclam, name, text, said):
     path = mrclam(**{name: text})
     with pytest.raises(InputError, match=said):
         list(open_landmark_log(path))
-
-
-def test_a_compressed_file_that_ends_in_the_middle(mrclam, tmp_path):
-    path = mrclam()
-    rows = "".join(f"{10 + k / 100:.2f} {0.1 * (k % 7):.3f} 0.{k}\n" for k in range(2000))
-    path.unlink()
-    (tmp_path / "set_Robot2_Odometry.dat.gz").write_bytes(gzip.compress(rows.encode())[:-200])
-    with pytest.raises(InputError, match=r"Odometry.dat.gz, line \d+: the compressed file ends in the middle"):
-        list(open_landmark_log(tmp_path / "set_Robot2_Odometry.dat.gz"))
 
 
 def test_steps_of_victoria_park(park):

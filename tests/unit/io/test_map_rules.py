@@ -90,13 +90,6 @@ def test_colours_are_refused(tmp_path):
         read_map(path)
 
 
-def test_an_image_too_large_for_anything_is_refused(tmp_path, monkeypatch):
-    path = saved(tmp_path, Image.fromarray(np.zeros((30, 30), np.uint8)))
-    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
-    with pytest.raises(InputError, match="expected an image"):
-        read_map(path)
-
-
 def test_whatever_happens_to_the_files_it_is_told_in_one_line(tmp_path):
     """Bytes changed, cut out and put in: a map, or one line that names the file."""
     rng, good = np.random.default_rng(0), saved(tmp_path, Image.fromarray(np.full((9, 9), 205, np.uint8)))

@@ -117,19 +117,6 @@ def test_bad_yaml(tmp_path, yaml, line, problem):
     assert caught.value.line == line
 
 
-def test_bad_images(tmp_path):
-    yaml = write(tmp_path, [[0, 0]])
-    (tmp_path / "map.pgm").write_bytes(b"P5\n200 200\n255\n123")
-    with pytest.raises(InputError, match=r"map\.pgm"):
-        read_map(yaml)
-    (tmp_path / "map.pgm").write_bytes(b"no image")
-    with pytest.raises(InputError, match="expected an image"):
-        read_map(yaml)
-    (tmp_path / "map.pgm").unlink()
-    with pytest.raises(InputError, match="no such file"):
-        read_map(yaml)
-
-
 def test_an_empty_grid_is_refused(tmp_path):
     grid = OccupancyGrid(np.zeros((0, 3), np.float32), np.zeros((0, 3), bool), 0.05, (0.0, 0.0))
     with pytest.raises(ArgumentError, match="at least one cell"):

@@ -149,13 +149,3 @@ def test_json_that_is_nested_without_end_and_an_origin_beyond_all_cells_are_refu
     (tmp_path / "out" / "map.yaml").write_text("\n".join(far))
     with pytest.raises(InputError, match=r"map.yaml, line \d: expected an origin within .* got \[1e\+12, 0\]"):
         Replay(tmp_path / "out")
-
-
-def test_no_link_is_served_as_a_session(out, tmp_path):
-    shutil.copytree(out, tmp_path / "out")
-    (tmp_path / "secret").write_bytes(b"the content of another file")
-    (tmp_path / "out" / "zz.gridslam").symlink_to(tmp_path / "secret")
-    assert Replay(tmp_path / "out").open_session() is None
-    (tmp_path / "out" / "a.gridslam").write_bytes(b"a session")
-    with Replay(tmp_path / "out").open_session() as session:
-        assert session.read() == b"a session"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -24,12 +22,6 @@ def test_the_bound_is_the_chi_square_quantile(bins):
 
 def test_one_bin_asks_for_nothing():
     assert KldSampling().bound(np.array([0, 1])).tolist() == [0, 0]
-
-
-def test_the_formula_of_the_table():
-    k, eps, z = 37, 0.05, 2.33
-    table = (k - 1) / (2 * eps) * (1 - 2 / (9 * (k - 1)) + math.sqrt(2 / (9 * (k - 1))) * z) ** 3
-    assert KldSampling(error=eps, z=z).bound(np.array(k)) == math.ceil(table)
 
 
 def one_by_one(kld: KldSampling, poses: np.ndarray, weights: np.ndarray, rng: np.random.Generator) -> int:

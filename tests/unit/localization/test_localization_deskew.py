@@ -57,7 +57,7 @@ def heading_rmse(known, log, order, margin):
         np.random.default_rng(0),
     )
     state, off = mcl.init_gaussian(log.truth.poses[0], np.diag([0.04, 0.04, 0.01]), rng), []
-    for (odometry, scan), truth in zip(log.measurements, log.truth.poses, strict=True):
+    for (odometry, scan), truth in zip(log.measurements[:150], log.truth.poses, strict=False):
         told = replace(scan, beam_times_s=order * scan.beam_times_s)
         state, report = mcl.step(state, odometry, told, rng)
         off.append(report.pose[2] - truth[2])

@@ -33,13 +33,6 @@ def test_log_odds_are_bayes_rule_on_one_cell(true_occupied, false_occupied, prio
     assert math.isclose(1 / (1 + math.exp(-log_odds)), belief, rel_tol=1e-9)
 
 
-# By hand: p(occ|occ) = 0.8, p(occ|free) = 0.1 from prior 0.5: one hit 8/9, then one miss (0.2/0.9) 16/25.
-def test_lecture_numbers():
-    model = InverseSensorModel(0.8, 0.2, 0.1, 0.9)
-    assert math.isclose(1 / (1 + math.exp(-model.log_odds_hit)), 8 / 9)
-    assert math.isclose(1 / (1 + math.exp(-model.log_odds_hit - model.log_odds_miss)), 16 / 25)
-
-
 @pytest.mark.parametrize(
     "wrong",
     [

@@ -66,8 +66,3 @@ def test_a_translation_just_short_of_still_keeps_its_mean():
     for length in (0.0099, 0.0101):
         means, _ = model(np.array([0.0, length, 0.0])).moments(np.zeros((1, 3)))
         np.testing.assert_allclose(means[0], [0.0, length, 0.0], atol=1e-15)
-
-
-def test_standing_still_diffuses_by_the_floor_alone():
-    _, covariances = DiffusionMotion(floor_xy_m=0.001, floor_theta_rad=0.002)(np.zeros(3)).moments(np.zeros((1, 3)))
-    np.testing.assert_allclose(np.diag(covariances[0]), [1e-6, 1e-6, 4e-6], rtol=1e-12)

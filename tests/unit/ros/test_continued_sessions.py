@@ -27,7 +27,7 @@ from support.ros_node import LocalTransport, until
 @pytest.fixture(scope="module")
 def drive():
     rng = np.random.default_rng(1)
-    log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=180), rng)
+    log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=90), rng)
     return list(log.measurements)
 
 

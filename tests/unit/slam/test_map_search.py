@@ -99,7 +99,7 @@ def test_a_drive_is_found_where_it_is(seen, make, first):
 
 def test_another_building_is_not_found(seen):
     other = hall.key_scans(hall.drive(3))
-    later = drive(other, 0, len(other.truth), ELSEWHERE)
+    later = drive(other, 0, LAP, ELSEWHERE)
     earlier = locator([lap(seen), given(lap(seen))])
     assert found_after(earlier, later) is None
     assert earlier.locate_whole(later) is None

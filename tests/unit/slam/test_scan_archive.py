@@ -127,15 +127,6 @@ def test_where_there_is_no_memory_for_a_scan_none_is_lost(archive, monkeypatch):
     np.testing.assert_allclose(archive.key(-1).ends, scans()[2].ends, atol=0.01)
 
 
-def test_arrays_go_on_as_the_archive_does(archive):
-    read = ScanArchive.from_arrays(archive.to_arrays())
-    assert contents(read) == contents(archive)
-    for one in (read, archive):
-        one.append(scans()[3], np.zeros(3), is_key=False)
-    assert contents(read) == contents(archive)
-    assert contents(ScanArchive.from_arrays(ScanArchive().to_arrays())) == contents(ScanArchive())
-
-
 @pytest.mark.parametrize("name", ["ends", "steps_m", "origins", "ends.counts"])
 def test_arrays_that_do_not_fit_are_refused(archive, name):
     arrays = archive.to_arrays()

@@ -69,11 +69,3 @@ def test_what_only_a_dead_state_used_is_given_back(drive, play, middle):
     gc.collect()
     assert later.maps.tiles_used == copy.tiles_used == alone
     assert alone < together < alone + tiles + 1
-
-
-def test_particles_share_what_they_have_in_common(drive, play):
-    """Thirty particles cost their own tiles; thirty that continue one of them cost that one's, until they write."""
-    state = play(SLAM, drive.measurements, particles=30)[0]
-    different = state.maps.tiles_used
-    state.resample(np.zeros(30, np.int64))
-    assert 0 < state.maps.tiles_used < different / 20

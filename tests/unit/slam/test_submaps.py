@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import compose
-from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, anchor_of
 from gridslam.slam.loop_closure.state import LoopClosureState
-from gridslam.slam.loop_closure.submaps import SubmapCache, key_scans_of
+from gridslam.slam.loop_closure.submaps import SubmapCache
 from support import hall
 
 COUNT = 65
@@ -24,14 +23,6 @@ def closure_state():
 
 def contents(maps):
     return {name: array.tobytes() for name, array in maps.to_arrays().items()}
-
-
-def test_blocks_and_anchors_partition_the_key_scans(closure_state):
-    assert np.concatenate([key_scans_of(submap, closure_state.graph) for submap in range(6)]).tolist() == list(
-        range(6 * KEY_SCANS_PER_SUBMAP)
-    )
-    for submap in range(6):
-        assert anchor_of(submap) in key_scans_of(submap, closure_state.graph)[1:-1]  # in its midst: all of it is near
 
 
 def test_what_is_kept_changes_nothing(closure_state):

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gridslam.geometry.se2 import compose
-from gridslam.serialization import from_arrays, to_arrays
 from gridslam.tracking.odometry_calibration import OdometryCalibration, OdometryErrorModel
 
 LEARN = OdometryCalibration()
@@ -98,19 +97,6 @@ def test_odometry_that_helps_nothing_is_not_trusted_until_it_does(times):
     taught(true, true, errors=errors)
     assert errors.trusted
     assert np.abs(errors.factors - [1, 0, 0, 0, 1, 0]).max() < 0.02
-
-
-def test_a_copy_goes_on_to_the_same_bytes():
-    told = drive(600, np.random.default_rng(10))
-    true = true_of(told, FACTORS)
-    errors = taught(true[:310], told[:310])
-    twin, kept = from_arrays(OdometryErrorModel, to_arrays(errors)), errors.snapshot()
-    before = {name: array.tobytes() for name, array in to_arrays(kept).items()}
-    for one in (errors, twin):
-        taught(true, told, errors=one)
-    ends = [{name: array.tobytes() for name, array in to_arrays(one).items()} for one in (errors, twin)]
-    assert ends[0] == ends[1]
-    assert {name: array.tobytes() for name, array in to_arrays(kept).items()} == before != ends[0]
 
 
 def test_the_variance_along_an_open_way_is_that_of_its_pieces():

@@ -9,7 +9,6 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping import OccupancyGridMapping
-from gridslam.serialization import to_arrays
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import furniture, join, room
 from gridslam.slam import Tracker
@@ -151,15 +150,6 @@ def test_odometry_that_helps_nothing_is_noticed_and_done_without(perfect, times)
     poses, _, state = track(Tracker(), perfect, log)
     assert not state.odometry_errors.trusted
     assert (missed(poses, perfect).max(axis=0) < BAND).all()
-
-
-def test_a_snapshot_is_apart(perfect):
-    _, _, state = track(Tracker(), perfect, perfect.measurements[:40])
-    kept = state.snapshot()
-    before = {name: array.tobytes() for name, array in to_arrays(kept).items()}
-    for odometry, scan in perfect.measurements[40:90]:
-        Tracker().step(state, odometry, scan.stamp_ns, scan.beams(0.05, 30.0))
-    assert {name: array.tobytes() for name, array in to_arrays(kept).items()} == before
 
 
 def mixed(log, at, ahead, share):

@@ -9,22 +9,23 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.geometry.se2 import between, compose, inverse, transform_points
+from gridslam.geometry.se2 import between, compose, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import thin_points
-from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton
-from gridslam.slam.full_slam.trajectory_score import log_likelihood, weigh_same_side
-from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
-from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph, anchor_of
+from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, weigh_known_beams
+from gridslam.slam.full_slam.trajectory_score import SCALE_M, log_likelihood, weigh_same_side
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, transform_match
+from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph, anchor_of, position_sigmas
+from gridslam.slam.loop_closure.map_search import MapSearch
 from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.state import LoopClosureState
-from gridslam.slam.loop_closure.submap_matching import COARSE, FINE, MAX_POINTS, Submap, SubmapMatching
+from gridslam.slam.loop_closure.submap_matching import COARSE, FINE, MAX_POINTS, Submap
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.loop_closure.submap_recognition import drift_distance
 from gridslam.slam.loop_closure.submaps import ROW, build_map
-from gridslam.types import BeamEnds, FloatArray, IntArray, StoredScan
+from gridslam.types import BeamEnds, FloatArray, IntArray, Match, StoredScan
 
 _CONSISTENT_M = 0.3
 _CONSISTENT_M_PER_KEY_SCAN = 0.01
@@ -56,14 +57,23 @@ _SHIFTS = np.column_stack([np.cos(np.arange(8) * math.pi / 4), np.sin(np.arange(
 LENGTH_M = 15.0
 _STEP_M = 5.0
 """Way of a submap, and way from one to the next."""
-_MAX_COMPARISONS = 4000
-_MAX_MATCHES = 200
-"""Pairs of submaps that are compared in one call at most, spread evenly, and proposed poses that are refined, those on
-which most keypoints agree."""
+_MOST_SEARCHES = 400
+"""Searches of submaps in the maps of components in one call at most, 10 ms each, spread evenly."""
+_SEARCH_SIGMAS = 2.5
+_MARGIN_M = 1.0
+_MARGIN_RAD = 0.1
+"""Standard deviations of the drift within which a submap is searched for, and what is added, as it is bent itself."""
+_MOST_EXPECTED = 50
+"""Key scans of a component, spread evenly, of which the one determines where a submap is expected to which the way is
+most certain."""
+_MOST_HITS = 4
+"""Places of a submap, best first."""
 _GATE_SIGMAS = 2.0
 """Standard deviations of the drift that an alignment may need."""
+_MAX_GROUPS = 100
 _MAX_HYPOTHESES = 12
-"""Maximum number of hypotheses for two components, those with most matches first."""
+"""Maximum number of places for two components, those with most matches first, and of these of hypotheses that are
+tracked, those where the component's scans fit best."""
 _TRACKING_GATE_SIGMAS = 2.5
 """A match of a key scan farther than this many standard deviations from the tracked motion is not used."""
 _MIN_LOG_LIKELIHOOD = 10.0
@@ -76,12 +86,12 @@ _SHIFT_M = 0.5
 """The best one, shifted so far in any direction, is another: along bare corridors it fits as well."""
 _INLIER_RATIO = 0.5
 """Minimum inlier ratio of a key scan that gives a constraint."""
+_BEAM_SIGMA_M = 0.3
+"""Standard deviation of one point in a constraint of all of a component, as in one of a key scan."""
 _CONSTRAINT_INTERVAL = 3
 """Key scans from one constraint to the next."""
 MIN_CONSTRAINTS = 3
 """Minimum number of constraints of an alignment; across a gap determined ones."""
-_MATCHING = SubmapMatching(min_keypoints=3, max_poses=6, min_points=100, min_information=0.0)
-"""How submaps are matched: loosely, as the evidence of all key scans decides."""
 _MATCHER = GaussNewton()
 """How a component is tracked through the map."""
 
@@ -89,7 +99,7 @@ _MATCHER = GaussNewton()
 def align_components(
     closure_state: LoopClosureState,
     mapper: OccupancyGridMapping,
-    pairs: SubmapPairs,
+    stretches: SubmapPairs,
     places: PlaceMatching,
     on_progress: Callable[[], None],
     aligned: int = 0,
@@ -125,54 +135,92 @@ def align_components(
     labels = graph.label_rigid_components()
     if not labels.any():
         return []
-    pairs.cut(graph, closure_state.scans, mapper, LENGTH_M, _STEP_M, is_over=True)
+    stretches.cut(graph, closure_state.scans, mapper, LENGTH_M, _STEP_M, is_over=True)
     poses = np.array(graph.poses)
-    found: list[Constraint] = []
-    for (old, new), hits in _search(graph, pairs, labels, aligned).items():
-        on_progress()
+    wanted = _select_searches(graph, stretches.submaps, labels, aligned)
+    aligned_pairs: list[tuple[float, int, int, list[Constraint]]] = []
+    for old in np.unique([search.old for search in wanted]).tolist():
         keys = np.flatnonzero(labels == old)
         known = KnownMap(closure_state.scans, poses, keys, build_map(mapper, closure_state.scans, keys, poses[keys]))
-        alignment = Alignment(closure_state, mapper, places, np.flatnonzero(labels == new), known)
-        best = alignment.select_hypothesis(hits)
-        if best is not None:
-            determined = [each for each in alignment.match_constraints(best) if each.determined]
-            found += determined if len(determined) >= MIN_CONSTRAINTS else []
+        search = MapSearch(known.maps)
+        hits: dict[int, list[SearchHit]] = {}
+        for of_old in [each for each in wanted if each.old == old]:
+            hits.setdefault(int(labels[of_old.submap.anchor]), []).extend(of_old.run(graph, search))
+        for new, of_new in sorted(hits.items()):
+            on_progress()
+            alignment = Alignment(closure_state, mapper, places, np.flatnonzero(labels == new), known)
+            best = alignment.select_hypothesis(of_new)
+            if best is not None:
+                determined = [each for each in alignment.match_constraints(best) if each.determined]
+                if len(determined) < MIN_CONSTRAINTS:
+                    determined = alignment.constrain_as_one(best)
+                aligned_pairs.append((-best.evidence, old, new, determined))
+    found: list[Constraint] = []
+    taken: set[int] = set()
+    for _, old, new, constraints in sorted(aligned_pairs, key=lambda pair: pair[:3]):
+        if not taken.intersection((old, new)):
+            found += constraints
+            taken |= {old, new}
     return found
 
 
-def _search(
-    graph: KeyGraph, pairs: SubmapPairs, labels: IntArray, aligned: int
-) -> dict[tuple[int, int], list[SearchHit]]:
-    """Match submaps of different components; the hits by the labels of the older and the newer one."""
-    anchors = pairs.anchors
-    of_submaps = labels[anchors]
-    last = np.array([np.flatnonzero(labels == label)[-1] for label in of_submaps])
-    first, second = np.triu_indices(len(anchors), 1)
-    is_wanted = of_submaps[first] != of_submaps[second]
-    is_wanted &= np.where(of_submaps[first] < of_submaps[second], last[second], last[first]) >= aligned
-    first, second = first[is_wanted], second[is_wanted]
-    stride = max(1, -(-len(first) // _MAX_COMPARISONS))
-    compared = list(zip(first[::stride].tolist(), second[::stride].tolist(), strict=True))
-    proposed = [
-        (-keypoints, pair, number)
-        for pair in compared
-        for number, (_, keypoints) in enumerate(pairs.propose(_MATCHING, *pair))
-    ]
-    matched: dict[tuple[int, int], list[int]] = {}
-    for _, pair, number in sorted(proposed)[:_MAX_MATCHES]:
-        matched.setdefault(pair, []).append(number)
-    hits: dict[tuple[int, int], list[SearchHit]] = {}
-    for a, b in sorted(matched):
-        is_forward = of_submaps[a] < of_submaps[b]
-        old, new = (a, b) if is_forward else (b, a)
-        key = int(anchors[new])
-        for match in pairs.verify(_MATCHING, a, b, matched[a, b]):
-            seen = match.pose if is_forward else inverse(match.pose)
-            pose = compose(graph.poses[int(anchors[old])], seen)
-            distance = drift_distance(graph, int(anchors[old]), key, seen)
-            hit = SearchHit(key, pose, match.inlier_ratio, distance)
-            hits.setdefault((int(of_submaps[old]), int(of_submaps[new])), []).append(hit)
-    return dict(sorted(hits.items(), key=lambda item: item[0][::-1]))
+@final
+class _WantedSearch(NamedTuple):
+    """A submap to be searched for in component `old`, where it is expected from that one's key scan `seen_from`."""
+
+    submap: Submap
+    old: int
+    seen_from: int
+    expected: FloatArray
+    reach_m: float
+    reach_rad: float
+
+    def run(self, graph: KeyGraph, search: MapSearch) -> list[SearchHit]:
+        """Search the map of the component, within the drift."""
+        frame = graph.poses[self.seen_from]
+        hits = match_submap(search, self.submap, compose(frame, self.expected), self.reach_m, self.reach_rad)
+        return [
+            hit._replace(
+                squared_sigmas=drift_distance(graph, self.seen_from, hit.key, between(frame, hit.pose)),
+            )
+            for hit in hits
+        ]
+
+
+def _select_searches(graph: KeyGraph, submaps: list[Submap], labels: IntArray, aligned: int) -> list[_WantedSearch]:
+    """Select submaps and older components that may lie where they are: the drift allows for it."""
+    poses = np.array(graph.poses)
+    wanted = []
+    for submap in submaps:
+        new = labels[submap.anchor]
+        newest = np.flatnonzero(labels == new)[-1]
+        for old in range(new):
+            keys = np.flatnonzero(labels == old)
+            if not len(keys) or max(newest, keys[-1]) < aligned:
+                continue
+            few = keys[:: -(-len(keys) // _MOST_EXPECTED)]
+            expected, covariances = graph.locate(submap.anchor, few)
+            sigmas_m = position_sigmas(covariances)
+            best = int(sigmas_m.argmin())
+            reach_m = float(_SEARCH_SIGMAS * sigmas_m[best]) + _MARGIN_M
+            reach_rad = _SEARCH_SIGMAS * math.sqrt(covariances[best, 2, 2]) + _MARGIN_RAD
+            x, y, _ = compose(poses[few[best]], expected[best]).tolist()
+            if np.hypot(poses[keys, 0] - x, poses[keys, 1] - y).min() < reach_m + submap.radius_m:
+                wanted.append(_WantedSearch(submap, old, int(few[best]), expected[best], reach_m, reach_rad))
+    return wanted[:: max(1, -(-len(wanted) // _MOST_SEARCHES))]
+
+
+def match_submap(
+    search: MapSearch, submap: Submap, near: FloatArray | None, near_m: float, near_rad: float
+) -> list[SearchHit]:
+    """Search a map for a submap, near a pose (3,) if it is given; the places that its points speak for, best first."""
+    hits = []
+    for pose, points in search(submap, near, near_m, near_rad):
+        weights = weigh_known_beams(search.maps, ROW, pose, points.ends, SCALE_M)
+        score = log_likelihood(float(weights.sum(dtype=np.float64)), len(weights))
+        if score > 0:
+            hits.append(SearchHit(submap.anchor, pose, score))
+    return sorted(hits, key=lambda hit: -hit.score)[:_MOST_HITS]
 
 
 @final
@@ -241,8 +289,18 @@ class Alignment:
 
     def select_hypothesis(self, hits: list[SearchHit]) -> Hypothesis | None:
         """Return the best hypothesis that the hits lead to, if it is accepted."""
-        groups = group_hits(self.closure_state.graph, hits)[:_MAX_HYPOTHESES]
+        groups = group_hits(self.closure_state.graph, hits)[:_MAX_GROUPS]
+        if len(groups) > _MAX_HYPOTHESES:
+            groups = sorted(groups, key=self._estimate_evidence, reverse=True)[:_MAX_HYPOTHESES]
         return self.decide([self.track_component(group) for group in groups])
+
+    def _estimate_evidence(self, group: list[SearchHit]) -> float:
+        """Log likelihood (nats) of the component, laid on the map from the best hit in its tracked shape."""
+        begin = max(group, key=lambda hit: hit.score)
+        shape = np.array(self.closure_state.graph.poses)
+        poses = compose(begin.pose, between(shape[begin.key], shape[self.keys]))
+        likelihood, _, _ = self._score(self.known.maps, poses, self.closure_state.scans, self.keys)
+        return likelihood - begin.squared_sigmas
 
     def decide(self, hypotheses: list[Hypothesis]) -> Hypothesis | None:
         """Return the best hypothesis if there is enough evidence for it and no other hypothesis is comparable."""
@@ -276,15 +334,17 @@ class Alignment:
 
     def _match_as_one(self, begin: SearchHit) -> tuple[FloatArray, FloatArray]:
         """Poses (3,) of a hit's key scan and (K, 3) of the component, which keeps its shape, matched from there."""
-        graph = self.closure_state.graph
-        shape = np.array(graph.poses)
+        shape = np.array(self.closure_state.graph.poses)
         own = between(shape[begin.key], shape[self.keys])
-        component = Submap(begin.key, self.keys, own, self.closure_state.scans, self.mapper)
-        points = StoredScan(thin_points(component.collect_points(), MAX_POINTS), np.zeros(2))
-        pose = begin.pose
-        for matcher in (COARSE, FINE):
-            (pose,) = matcher(self.known.maps, ROW, pose[None], NO_PRIOR[None], points).poses
+        (pose,) = self._match_points(begin.key, own, begin.pose).poses
         return pose, compose(pose, own)
+
+    def _match_points(self, key: int, own: FloatArray, pose: FloatArray) -> Match:
+        """Match the points of all key scans, at `own` (K, 3) seen from one, from a pose (3,) of that one."""
+        component = Submap(key, self.keys, own, self.closure_state.scans, self.mapper)
+        points = StoredScan(thin_points(component.collect_points(), MAX_POINTS), np.zeros(2))
+        match = COARSE(self.known.maps, ROW, pose[None], NO_PRIOR[None], points)
+        return FINE(self.known.maps, ROW, match.poses, NO_PRIOR[None], points)
 
     def _track(self, begin: int, pose: FloatArray) -> FloatArray:
         """Poses (K, 3) of the component from that (3,) of key scan `begin` on, corrected where a scan matches."""
@@ -397,6 +457,27 @@ class Alignment:
             if isinstance(constraint, Constraint):
                 found.append(constraint)
         return found
+
+    def constrain_as_one(self, best: Hypothesis) -> list[Constraint]:
+        """Constraint of the middle key scan, by the points of all: they leave no direction open, as a few scans do.
+
+        None if the match moves away from the hypothesis.
+        """
+        middle = len(self.keys) // 2
+        pose = best.poses[middle]
+        match = self._match_points(int(self.keys[middle]), between(pose, best.poses), pose)
+        x, y, _ = between(pose, match.poses[0]).tolist()
+        if math.hypot(x, y) > _MERGE_M:
+            return []
+        _, old_poses, old, _ = self.known
+        from_ = int(old[np.hypot(*(old_poses[old, :2] - pose[:2]).T).argmin()])
+        seen = transform_match(old_poses[from_], match)
+        guess = between(old_poses[from_], pose)
+        return [
+            Constraint.from_match(
+                from_, int(self.keys[middle]), guess, seen, _BEAM_SIGMA_M, 0.0, ConstraintSource.RECOGNIZED
+            )
+        ]
 
 
 def group_hits(graph: KeyGraph, hits: list[SearchHit]) -> list[list[SearchHit]]:

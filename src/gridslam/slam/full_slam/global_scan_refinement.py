@@ -136,7 +136,8 @@ class RefinementResult:
 _DISTINCT_CANDIDATE_M = 0.3
 """The online constraints form a separate candidate if they move a key scan farther than this."""
 _MAX_SEARCHES = 3
-"""Maximum number of whole-log searches for revisited places, each with the trajectory of the one before."""
+"""Maximum number of whole-log searches for revisited places, each with the trajectory of the one before, besides those
+that join components."""
 _CELLS_LEFT = 0.01
 """Of the information of a match to cells, beside that of surfaces."""
 _MOST_SQUARED = 25.0
@@ -253,8 +254,9 @@ class _Refinement:
     def measured(self, best: Candidate) -> PoseGraph:
         """Graph of a candidate whose key scans are to be matched to each other.
 
-        The increments are the tracked ones, also of the filter, whose own are rough; and of matches to cells so much is
-        left as a map needs that nothing else joins, as surfaces of the same scans determine the same more exactly.
+        The increments are the tracked ones, also of the filter, whose own are rough; but across a gap in the laser data
+        these are odometry alone, and the candidate's say where it was selected for. Of matches to cells so much is left
+        as a map needs that nothing else joins, as surfaces of the same scans determine the same more exactly.
         """
         tracked = np.array(self.graph.tracked)
         measurements = best.graph.measurements.copy()
@@ -263,7 +265,7 @@ class _Refinement:
         smooth[:count] = between(tracked[:-1], tracked[1:])
         errors = replace(best.graph, measurements=smooth).errors()[:count]
         squares = np.einsum("ki,kij,kj->k", errors, best.graph.information[:count], errors)
-        is_followed = squares < _MOST_SQUARED
+        is_followed = (squares < _MOST_SQUARED) & (np.diff(self.graph.label_gaps()) == 0)
         measurements[:count][is_followed] = smooth[:count][is_followed]
         weights = best.weights.copy()
         is_of_cells = [c.source in (ConstraintSource.PROXIMITY, ConstraintSource.TRACKED) for c in best.constraints]
@@ -278,13 +280,16 @@ class _Refinement:
         of them do; the others are rejected.
         """
         last = selection.best
-        for search in range(_MAX_SEARCHES):
+        search = joining = 0
+        while search - joining < _MAX_SEARCHES:
             components = len(np.unique(self.graph.label_rigid_components()))
-            found = self._add_closures(f"closed {search + 1}", last)
+            search += 1
+            found = self._add_closures(f"closed {search}", last)
             if found is None:
                 return
             selection.add(found)
             is_joined = len(np.unique(self.graph.label_rigid_components())) < components
+            joining += is_joined
             recognized = found.recognized_constraints
             contradicted = self.closure.find_contradicted(recognized, last.graph.poses)
             is_better = selection.best is found

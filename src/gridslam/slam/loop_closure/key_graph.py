@@ -348,6 +348,25 @@ class KeyGraph:
         found = self._search_ways(key, limit_m, most, submap)
         return found[-1] if found.submaps[-1] == submap else None
 
+    def locate(self, key: int, anchors: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return poses (A, 3) of a key scan seen from others (A,), by the least uncertain ways, and their covariances.
+
+        Covariances are in the map frame, and those of the drift model's bounds, a gap within a submap included.
+        """
+        nearby = self._search_ways(key, math.inf, len(self))
+        place = np.empty(submap_of(len(self)) + 1, np.int64)
+        place[nearby.submaps] = np.arange(len(nearby))
+        submaps = submap_of(anchors)
+        ways = place[submaps]
+        firsts = first_key_scan(submaps)
+        poses = compose(
+            between(_select_poses(self.tracked, anchors), _select_poses(self.tracked, firsts)), nearby.poses[ways]
+        )
+        within = np.array(
+            [self._sums[a] - self._sums[b] for a, b in zip(anchors.tolist(), firsts.tolist(), strict=True)]
+        )
+        return poses, nearby.covariances[ways] + propagate_covariances(self.poses[key], within)
+
     def _search_ways(self, key: int, limit_m: float, most: int, last: int = -1) -> NearbySubmaps:
         """Search for the most certain ways to submaps, up to submap `last`."""
         here = submap_of(key)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import final
 
@@ -13,12 +12,12 @@ from gridslam.geometry.se2 import between, compose, rotate_covariances
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.parameters import bounded, parameters
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
-from gridslam.slam.loop_closure.key_graph import KeyGraph, first_key_scan, position_sigmas, submap_of
+from gridslam.slam.loop_closure.key_graph import KeyGraph, position_sigmas
 from gridslam.slam.loop_closure.place_matching import squared_sigmas
 from gridslam.slam.loop_closure.state import LoopClosureState, SubmapPrior
 from gridslam.slam.loop_closure.submap_matching import SubmapMatch, SubmapMatching
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import FloatArray
 
 _MATCH_SIGMA_M = 0.25
 _MATCH_SIGMA_RAD = 0.03
@@ -178,7 +177,7 @@ class SubmapRecognition:
         way = graph.driven_m()
         labels = graph.label_rigid_components()
         radii = np.array([submap.radius_m for submap in pairs.submaps[: newer + 1]])
-        poses, covariances = locate_anchors(graph, anchors, key)
+        poses, covariances = graph.locate(key, anchors)
         sigmas_m, sigmas_rad = position_sigmas(covariances), np.sqrt(covariances[:, 2, 2])
         driven = way[key] - way[anchors]
         is_rigid = labels[anchors] == labels[key]
@@ -259,24 +258,9 @@ class SubmapRecognition:
         return Constraint(from_, to, found.pose, weight, ConstraintSource.RECOGNIZED, True)
 
 
-def locate_anchors(graph: KeyGraph, anchors: IntArray, key: int) -> tuple[FloatArray, FloatArray]:
-    """Return poses (A, 3) of a key scan seen from others (A,), by the least uncertain ways, and covariances (A, 3, 3).
-
-    Covariances are in the map frame, and those of the drift model's bounds.
-    """
-    nearby = graph.find_nearby_submaps(key, math.inf, len(graph))
-    place = np.empty(submap_of(len(graph)) + 1, np.int64)
-    place[nearby.submaps] = np.arange(len(nearby))
-    submaps = submap_of(anchors)
-    ways = place[submaps]
-    firsts = np.array([graph.tracked[key] for key in first_key_scan(submaps).tolist()])
-    tracked = np.array([graph.tracked[key] for key in anchors.tolist()])
-    return compose(between(tracked, firsts), nearby.poses[ways]), nearby.covariances[ways]
-
-
 def drift_distance(graph: KeyGraph, older: int, key: int, pose: FloatArray) -> float:
     """Squared Mahalanobis distance of a key scan's pose (3,), seen from an older one, from where it is expected."""
-    (expected,), (covariance,) = locate_anchors(graph, np.array([older]), key)
+    (expected,), (covariance,) = graph.locate(key, np.array([older]))
     frame = graph.poses[older]
     guess = compose(frame, expected)
     found = compose(frame, pose)

@@ -1,0 +1,94 @@
+"""`view OUT` reads and serves what lies in OUT: no link leads out of it, and nothing that waits is opened."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import urllib.error
+import urllib.request
+
+import numpy as np
+import pytest
+
+from gridslam.api.mapping import map_log
+from gridslam.config import override
+from gridslam.errors import InputError
+from gridslam.io.carmen.writer import write_carmen
+from gridslam.live.history import History, Moment
+from gridslam.live.history_file import write_history
+from gridslam.live.options import LiveOptions
+from gridslam.live.replay import Replay
+from gridslam.live.server import PageServer
+from support.loops import PROVOKED, loop_drive
+
+SECRET = b"the content of another file"
+READ = "run.json", "graph.g2o", "trajectory.tum", "map.yaml", "map.pgm"
+OPTIONAL = "history.npz", "truth.tum"
+
+
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("mapped")
+    write_carmen(folder / "loop.clf", loop_drive().measurements[:40])
+    map_log(folder / "loop.clf", configuration=override(PROVOKED, "particles=3"), repair="none").save(folder / "out")
+    shutil.copy(folder / "out" / "trajectory.tum", folder / "out" / "truth.tum")
+    history = History()
+    nothing = np.zeros((0, 2))
+    path, at, scan = (nothing.astype(kind) for kind in (np.float32, np.int32, np.int16))
+    history.note_key_scan(1, 1, np.zeros(5))
+    history.add(Moment(1, 1, np.zeros(3), 0, path, at, np.zeros(0, np.uint8), scan))
+    write_history(folder / "out" / "history.npz", history)
+    return folder / "out"
+
+
+@pytest.fixture
+def out(healthy, tmp_path):
+    return shutil.copytree(healthy, tmp_path / "out")
+
+
+def served(out):
+    """Status and content of the session, as a visitor gets them."""
+    with PageServer(Replay(out), LiveOptions(port=0)) as page:
+        try:
+            with urllib.request.urlopen(page.url + "session.gridslam", timeout=10) as answer:
+                return answer.status, answer.read()
+        except urllib.error.HTTPError as error:
+            return error.code, b""
+
+
+def test_no_link_is_served_as_a_session(out, tmp_path):
+    (tmp_path / "secret").write_bytes(SECRET)
+    (out / "zz.gridslam").symlink_to(tmp_path / "secret")
+    assert served(out) == (404, b"")
+    (out / "a.gridslam").write_bytes(b"a session")
+    os.utime(out / "a.gridslam", (1, 1))
+    assert served(out) == (200, b"a session")
+
+
+@pytest.mark.parametrize("name", [*READ, *OPTIONAL])
+def test_whatever_is_read_must_be_no_link(out, tmp_path, name):
+    shutil.move(out / name, tmp_path / name)
+    (out / name).symlink_to(tmp_path / name)
+    with pytest.raises(InputError, match=rf"{name}: expected a file in .*, got a link"):
+        Replay(out)
+
+
+@pytest.mark.parametrize("image", ["../map.pgm", "{}/map.pgm", "maps/map.pgm"])
+def test_the_image_of_the_map_must_lie_in_the_folder(out, tmp_path, image):
+    shutil.copy(out / "map.pgm", tmp_path)
+    (out / "maps").symlink_to(tmp_path)
+    text = (out / "map.yaml").read_text().replace("map.pgm", image.format(tmp_path))
+    (out / "map.yaml").write_text(text)
+    with pytest.raises(InputError, match=r"expected a file in .*, got one elsewhere|Not a directory"):
+        Replay(out)
+
+
+@pytest.mark.parametrize("name", [*READ, *OPTIONAL, "zz.gridslam"])
+def test_a_pipe_in_the_folder_does_not_block(out, name):
+    (out / name).unlink(missing_ok=True)
+    os.mkfifo(out / name)
+    if name in READ:
+        with pytest.raises(InputError, match=name):
+            Replay(out)
+    else:
+        assert served(out)[0] == 404
