@@ -332,7 +332,7 @@ class Alignment:
         return self._score_both(poses, self._draw(poses), walls=True)[0]
 
     def _estimate_evidence(self, group: list[SearchHit]) -> float:
-        """Log likelihood (nats) of the component's scans in the shape that was tracked, laid on the map at the best hit."""
+        """Log likelihood (nats) of the component, laid on the map from the best hit in its tracked shape."""
         begin = max(group, key=lambda hit: hit.score)
         shape = np.array(self.closure_state.graph.poses)
         poses = compose(begin.pose, between(shape[begin.key], shape[self.keys]))
