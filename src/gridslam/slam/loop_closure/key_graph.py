@@ -342,23 +342,19 @@ class KeyGraph:
         return found[-1] if found.submaps[-1] == submap else None
 
     def locate(self, key: int, anchors: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return poses (A, 3) of a key scan seen from others (A,), by the least uncertain ways, and their covariances.
+        """Return poses (A, 3) of a key scan seen from others (A,), and covariances (A, 3, 3), by the most certain ways.
 
         Covariances are in the map frame, and those of the drift model's bounds, a gap within a submap included.
         """
         nearby = self.find_nearby_submaps(key, math.inf, len(self))
         place = np.empty(submap_of(len(self)) + 1, np.int64)
         place[nearby.submaps] = np.arange(len(nearby))
-        submaps = submap_of(anchors)
-        ways = place[submaps]
-        firsts = first_key_scan(submaps)
-        poses = compose(
-            between(_select_poses(self.tracked, anchors), _select_poses(self.tracked, firsts)), nearby.poses[ways]
-        )
-        within = np.array(
-            [self._sums[a] - self._sums[b] for a, b in zip(anchors.tolist(), firsts.tolist(), strict=True)]
-        )
-        return poses, nearby.covariances[ways] + propagate_covariances(self.poses[key], within)
+        firsts = first_key_scan(submap_of(anchors))
+        ways = place[submap_of(anchors)]
+        own = between(_select_poses(self.tracked, anchors), _select_poses(self.tracked, firsts))
+        sums = [self._sums[key] for key in firsts.tolist()], [self._sums[key] for key in anchors.tolist()]
+        within = propagate_covariances(self.poses[key], np.subtract(sums[1], sums[0]))
+        return compose(own, nearby.poses[ways]), nearby.covariances[ways] + within
 
     def find_nearby_submaps(self, key: int, limit_m: float, most: int, last: int = -1) -> NearbySubmaps:
         """Find submaps by the most certain ways to them, in the order of their uncertainty as seen from a key scan.
