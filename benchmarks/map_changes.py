@@ -12,13 +12,14 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from floor_plan_truth import CELL_M, look, read_truth
+from floor_plan_truth import CELL_M, Seen, look, read_truth
 from floor_plans import Building, drive
 from gridslam.evaluation.trajectory import align
 from gridslam.geometry import se2
@@ -80,7 +81,7 @@ def compare(days: Sequence[Building], worse: str = "") -> Changes:
 
 def score(days: Sequence[Building], outlines: Sequence[FloatArray], changes: Changes) -> dict[str, Any]:
     """Areas, m2: due and found of them; found and right of them."""
-    seen = [look(read_truth(day.log.walls), *_beams(day)) for day in days]
+    seen = [_see(day) for day in days]
     raster = seen[0].raster
     pose = align(days[0].poses[:, :2], days[0].log.truth.poses[:, :2])
     figures = {"pieces": len(outlines[0]), "due_m2": 0.0, "found_of_due_m2": 0.0, "found_m2": 0.0, "right_m2": 0.0}
@@ -105,9 +106,11 @@ def _walk(outline: FloatArray) -> FloatArray:
     return np.concatenate([np.linspace(a, b, n, endpoint=False) for a, b, n in zip(outline, ends, steps, strict=True)])
 
 
-def _beams(day: Building) -> tuple[FloatArray, list[FloatArray]]:
+@cache
+def _see(day: Building) -> Seen:
+    """What was seen of the truth that day."""
     origins, ends = zip(*day.scans(day.log.truth.poses), strict=True)
-    return np.array(origins), list(ends)
+    return look(read_truth(day.log.walls), np.array(origins), list(ends))
 
 
 def make_days(seed: int) -> tuple[list[Building], list[FloatArray]]:

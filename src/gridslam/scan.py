@@ -22,6 +22,7 @@ from gridslam.parameters import bounded, parameters
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Int32Array = NDArray[np.int32]
 Rows = NDArray[np.integer[Any]]
 """Which map of a table of maps: one row for each pose."""
 Poses = Annotated[FloatArray, "K", 3]

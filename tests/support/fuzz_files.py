@@ -45,6 +45,7 @@ from gridslam.config import Configuration, load, override, preset
 from gridslam.doctor import CheckedLog, diagnose
 from gridslam.doctor.report import document
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
+from gridslam.io.csv import write_csv_log
 from gridslam.io.edited_maps import read_edited_map
 from gridslam.io.edits import LAYERS, Edit, Edits, parse_edits, read_edits
 from gridslam.io.g2o import read_g2o, write_g2o
@@ -58,8 +59,7 @@ from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_sessi
 from gridslam.io.text import read_json
 from gridslam.io.trajectories import read_relations, read_trajectory, read_trajectory_csv, read_tum
 from gridslam.live.graph_edits import EDITS, EDITS_SCHEMA, EditedGraph
-from gridslam.live.history_file import HISTORY_NAME, read_history, write_history
-from gridslam.live.history_recorder import HistoryRecorder
+from gridslam.live.history_file import HISTORY_NAME, read_history
 from gridslam.live.replay import Replay
 from gridslam.localization import KnownMap
 from gridslam.messages import Messages
@@ -77,6 +77,7 @@ from support.fuzz_images import images
 from support.fuzz_page import page_requests
 from support.fuzz_sessions import sessions
 from support.fuzz_values import values
+from support.recorded import map_with_history
 
 CPU_LIMIT_S = 20  # of CPU time
 _PATIENCE_S = 120  # for what waits; and other processes may be at work
@@ -761,21 +762,10 @@ def _change_array(arrays: dict[str, Any], rng: np.random.Generator) -> None:
         arrays[name] = np.array(changed).reshape(values.shape)
 
 
-def map_log_of(measurements: Sequence[Any], **given: Any) -> Any:
-    """The result of mapping these."""
-    with TemporaryDirectory() as aside:
-        from gridslam.io.csv import write_csv_log
-
-        write_csv_log(Path(aside) / "log.csv", measurements)
-        return map_log(Path(aside) / "log.csv", configuration=Configuration(particles=3), **given)
-
-
 def _results(folder: Path) -> Iterator[Family]:
     """Folders of results, as `gridslam view` reads them."""
-    recorder = HistoryRecorder()
-    result = map_log_of(drive_about(40), observers=[recorder], gate=recorder.follow)
-    result.save(folder / "out")
-    write_history(folder / "out" / HISTORY_NAME, recorder.history)
+    write_csv_log(folder / "drive.csv", drive_about(40))
+    result = map_with_history(folder / "drive.csv", folder / "out", configuration=Configuration(particles=3))
     document = json.loads((folder / "out" / "run.json").read_text())
     messages = Messages(lambda level, text: None)
     messages("late scans", "by 2 s")

@@ -43,15 +43,3 @@ class MeetingRooms(NamedTuple):
         placed = points.copy()
         placed[:, :2] = (points[:, :2] / side + 0.5) * (last - first) * cell + first * cell
         return placed
-
-    def ends(self, poses: np.ndarray, depth_m: float = 0.0) -> np.ndarray:
-        """Ends (N, 2) of every tenth beam from these poses, so far inside the walls."""
-        found = []
-        for (_, scan), (x, y, theta) in zip(self.measurements, poses, strict=True):
-            beams = scan.beams(0.05, 5.55)
-            away = beams.ends[::10] - beams.origin
-            away *= 1 + depth_m / np.hypot(*away.T)[:, None]
-            px, py = (beams.origin + away).T
-            c, s = np.cos(theta), np.sin(theta)
-            found.append(np.column_stack([x + c * px - s * py, y + s * px + c * py]))
-        return np.concatenate(found)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from gridslam.arguments import require_array
 from gridslam.errors import ArgumentError
 from gridslam.kernels import PAGE, TILE, UNKNOWN
-from gridslam.kernels.reference_update import Int32Array, LogOdds, unknown_of
-from gridslam.types import IntArray
+from gridslam.kernels.reference_update import LogOdds, unknown_of
+from gridslam.types import Int32Array, IntArray
 
 _Number = TypeVar("_Number", bound=np.integer[Any])
 

@@ -19,8 +19,8 @@ from gridslam.grid.cells import LOG_ODDS_UNIT, Evidence, cell_corner
 from gridslam.grid.scan_batch import NOT_WEIGHED, ScanBatch, Weighing
 from gridslam.kernels import FARTHEST, MOST_BEAM_CELLS, NO_ROOM, OUTSIDE, PAGE, TILE, UNKNOWN, backend
 from gridslam.kernels.reference_maps import Updated
-from gridslam.kernels.reference_update import Int32Array, unknown_of
-from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid, Points, Poses, Rows
+from gridslam.kernels.reference_update import unknown_of
+from gridslam.types import BeamEnds, FloatArray, Int32Array, IntArray, OccupancyGrid, Points, Poses, Rows
 
 MOST_CELLS = 2**31
 """Cells of the rectangle that all maps of a table may span, 2.3 km x 2.3 km in cells of 5 cm: an image of 2.1 GB."""

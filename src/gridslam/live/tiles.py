@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from gridslam.grid.cells import LOG_ODDS_UNIT, cell_corner
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE, UNKNOWN
-from gridslam.kernels.reference_update import Int32Array
 from gridslam.live.protocol import levels
-from gridslam.types import FloatArray, IntArray, OccupancyGrid
+from gridslam.types import FloatArray, Int32Array, IntArray, OccupancyGrid
 
 _UNKNOWN_TILE: NDArray[np.int16] = np.full((TILE, TILE), UNKNOWN, np.int16)
 _MARGIN_M = 2 * TILE * 0.05  # deskewing may move the end point of a beam this far

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from gridslam.checked import checked
 from gridslam.grid.cells import Evidence
 from gridslam.grid.tiles import MOST_TILES, TileMaps
-from gridslam.kernels.reference_update import Int32Array
 from gridslam.models.inverse_sensor import InverseSensorModel
 from gridslam.parameters import bounded, parameters
-from gridslam.types import Beams, Poses
+from gridslam.types import Beams, Int32Array, Poses
 
 
 @final

@@ -10,7 +10,6 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from gridslam.api.mapping import map_log
 from gridslam.config import override
 from gridslam.errors import InputError
 from gridslam.io.carmen.writer import write_carmen
@@ -21,13 +20,15 @@ from gridslam.live.replay import Replay
 from gridslam.live.server import PageServer
 from support.browsing import click, shown, told, view, wait
 from support.loops import PROVOKED
+from support.recorded import map_with_history
 
 
 @pytest.fixture(scope="module")
 def mapped(drive, tmp_path_factory):
     folder = tmp_path_factory.mktemp("edits")
     write_carmen(folder / "loop.clf.gz", drive[:200])
-    map_log(folder / "loop.clf.gz", configuration=override(PROVOKED, "particles=4"), repair="none").save(folder / "out")
+    configuration = override(PROVOKED, "particles=4")
+    map_with_history(folder / "loop.clf.gz", folder / "out", configuration=configuration, repair="none")
     return folder / "out"
 
 

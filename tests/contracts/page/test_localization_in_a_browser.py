@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from gridslam.api.localization import localize
-from gridslam.api.mapping import map_log
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.landmarks import write_landmarks
 from gridslam.io.maps import write_map
@@ -25,6 +24,7 @@ from support.landmark_world import ring
 from support.localization_world import drive as flat_drive
 from support.localization_world import flat_map
 from support.loops import PROVOKED
+from support.recorded import map_with_history
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def test_landmarks_are_seen_with_the_way(browser, place, tmp_path, screenshot):
 
 def test_a_mapped_run_has_a_time_line(browser, drive, tmp_path, screenshot):
     write_carmen(tmp_path / "loop.clf.gz", drive[:200])
-    map_log(tmp_path / "loop.clf.gz", configuration=PROVOKED, repair="none").save(tmp_path / "out")
+    map_with_history(tmp_path / "loop.clf.gz", tmp_path / "out", configuration=PROVOKED, repair="none")
     with PageServer(Replay(tmp_path / "out"), LiveOptions(port=0)) as page:
         browser.get(page.url)
         wait(lambda: told(browser).get("tiles", "0") != "0", "the map")

@@ -6,7 +6,6 @@ import zipfile
 
 import pytest
 
-from gridslam.api.mapping import map_log
 from gridslam.config import override
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.trajectories import read_tum
@@ -15,13 +14,15 @@ from gridslam.live.replay import Replay
 from gridslam.live.server import PageServer
 from support.browsing import check_by_axe, click, emulated, on_screen, pixels_of, shown, text, told, view, wait
 from support.loops import PROVOKED
+from support.recorded import map_with_history
 
 
 @pytest.fixture(scope="module")
 def out(drive, tmp_path_factory):
     folder = tmp_path_factory.mktemp("tools")
     write_carmen(folder / "loop.clf.gz", drive[:200])
-    map_log(folder / "loop.clf.gz", configuration=override(PROVOKED, "particles=4"), repair="none").save(folder / "out")
+    configuration = override(PROVOKED, "particles=4")
+    map_with_history(folder / "loop.clf.gz", folder / "out", configuration=configuration, repair="none")
     (folder / "out" / "session.gridslam").write_bytes(b"all there is")
     return folder / "out"
 

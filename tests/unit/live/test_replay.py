@@ -9,17 +9,16 @@ import time
 import numpy as np
 import pytest
 
-from gridslam.api.mapping import map_log
 from gridslam.config import override
 from gridslam.errors import InputError
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.g2o import read_g2o
 from gridslam.io.maps import read_map
-from gridslam.live.history_file import read_history, write_history
-from gridslam.live.history_recorder import HistoryRecorder
+from gridslam.live.history_file import read_history
 from gridslam.live.replay import Replay
 from support.loops import PROVOKED, loop_drive
 from support.page_client import PageClient
+from support.recorded import map_with_history
 
 
 @pytest.fixture(scope="module")
@@ -27,11 +26,7 @@ def out(tmp_path_factory):
     folder = tmp_path_factory.mktemp("replay")
     write_carmen(folder / "loop.clf.gz", loop_drive().measurements[:330])
     configuration = override(PROVOKED, "when_to_resample.fraction=0.9", "particles=5")
-    recorder = HistoryRecorder()
-    given = {"configuration": configuration, "observers": [recorder], "gate": recorder.follow}
-    result = map_log(folder / "loop.clf.gz", **given, repair="none")
-    result.save(folder / "out")
-    write_history(folder / "out" / "history.npz", recorder.history)
+    result = map_with_history(folder / "loop.clf.gz", folder / "out", configuration=configuration, repair="none")
     assert len(result.loop_summary.closures), "the drive was to close its loop"
     return folder / "out"
 

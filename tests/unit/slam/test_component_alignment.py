@@ -105,7 +105,7 @@ def test_evidence_and_drift_must_be_enough(likelihood, squared, is_accepted):
 def test_the_lesser_of_both_directions_counts(monkeypatch, there_and_back):
     """A component that lies where the other one saw free space, or that sees free space where the other one lies."""
     scores = iter(there_and_back)
-    monkeypatch.setattr(Alignment, "_score", lambda *_: (next(scores), 1.0, 0.9))
+    monkeypatch.setattr(Alignment, "_score", lambda *_, **__: (next(scores), 1.0, 0.9))
     known = KnownMap(None, np.zeros((1, 3)), np.zeros(1, int), None)
     state = LoopClosureState()
     alignment = Alignment(state, None, None, np.zeros(1, int), known)

@@ -15,8 +15,10 @@ import pytest
 from gridslam.geometry.se2 import between, compose
 from gridslam.slam import GridFastSlam
 from gridslam.slam.grid_fastslam.proposals import MotionModelProposal
-from gridslam.slam.loop_closure.constraints import ConstraintSource
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
+from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submaps import build_map
 from gridslam.tracking.tracker import OdometryTracker
 from gridslam.types import Odometry, StepReport
@@ -147,6 +149,54 @@ def test_a_filter_that_agrees_is_left_alone(logs):
     assert [told(one) for one in reports] == [told(other) for other in others]
     for one, other in zip(poses, other_poses, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+LAP = 100
+CIRCLE = np.array([[16 * math.cos(k / 16), 16 * math.sin(k / 16), k / 16 + math.pi / 2] for k in range(2 * LAP)])
+
+
+def turned(poses, first, last, rad):
+    """Poses (T, 3) with an increment more of `rad` at each key scan from `first` to `last`."""
+    steps = between(poses[:-1], poses[1:])
+    steps[first:last, 2] += rad
+    turned = [poses[0]]
+    for step in steps:
+        turned.append(compose(turned[-1], step))
+    return np.array(turned)
+
+
+def corrected(tracked, trajectory):
+    """Correct a filter's trajectory by three closures about the end of the second lap, given the tracked motion."""
+    state = LoopClosureState()
+    for pose, in_map in zip(tracked, trajectory, strict=True):
+        state.graph.extend(pose, in_map, DriftModel().variances(1.0, 1 / 16))
+    information = np.diag([25.0, 25.0, 1000.0])
+    state.search.candidates = [
+        Constraint(k - LAP, k, between(CIRCLE[k - LAP], CIRCLE[k]), information, ConstraintSource.RECOGNIZED, True)
+        for k in (180, 190, 199)
+    ]
+    LoopClosure()._decide(state, trajectory)
+    found = []
+    while state.pending_constraints is not None:
+        found = LoopClosure()._solve_pending(state, state.pending_constraints, SLAM.mapper, 1)
+    assert len(found) == 3
+    return state.correction.poses
+
+
+def test_a_correction_leaves_what_the_filter_knows_besides():
+    """It has closed the loop before by its map alone, and the graph, whose motion drifts, knows nothing of it."""
+    tracked, trajectory = turned(CIRCLE, 0, 2 * LAP, 0.002), turned(CIRCLE, 150, 160, 0.005)
+    assert off(tracked) > 2 > off(trajectory) > 1
+    assert off(corrected(tracked, trajectory)) < 0.5
+
+
+def test_what_a_map_has_attracted_to_a_wrong_place_is_corrected_by_the_tracked_motion():
+    trajectory = CIRCLE + np.where(np.arange(2 * LAP) < 150, 0.0, 5.0)[:, None] * [1.0, 0.0, 0.0]
+    assert off(corrected(turned(CIRCLE, 0, 2 * LAP, 0.0002), trajectory)) < 0.5
+
+
+def off(poses):
+    return np.hypot(*(poses - CIRCLE)[:, :2].T).max()
 
 
 @pytest.mark.parametrize("during", ["pending_constraints", "correction"])

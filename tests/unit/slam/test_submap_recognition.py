@@ -12,6 +12,7 @@ from gridslam.geometry.se2 import between, transform_points
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submap_features import extract_features, match_features
 from gridslam.slam.loop_closure.submap_matching import propose_poses
 from gridslam.slam.loop_closure.submap_recognition import SubmapRecognition
@@ -78,3 +79,13 @@ OTHER = [(100, 205, 12.0), (110, 215, 12.0), (120, 225, 12.1)]
 def test_sets_of_consistent_matches_that_no_other_contradicts_are_accepted(matches, expected):
     accepted = SubmapRecognition().accept(line(500), candidates(matches))
     assert accepted.tolist() == expected
+
+
+def test_none_is_rejected_for_want_of_what_supports_it_but_is_older():
+    """What was accepted stays where a match comes so much later that only part of its set is looked at."""
+    state = LoopClosureState(graph=line(500))
+    state.search.candidates = candidates(SET)
+    assert SubmapRecognition().decide(state) == (state.search.candidates, [])
+    state.search.candidates = candidates([*SET, (400, 335, 7.0)])
+    _, rejected = SubmapRecognition().decide(state)
+    assert [it.pair for it in rejected] == [(400, 335)]

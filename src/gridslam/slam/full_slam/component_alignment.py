@@ -14,6 +14,7 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import thin_points
 from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, weigh_known_beams
+from gridslam.matching.lines import line_lengths
 from gridslam.slam.full_slam.trajectory_score import SCALE_M, log_likelihood, weigh_same_side
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, transform_match
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph, anchor_of, position_sigmas
@@ -54,6 +55,13 @@ _MOST_SCORED = 20
 
 _SHIFTS = np.column_stack([np.cos(np.arange(8) * math.pi / 4), np.sin(np.arange(8) * math.pi / 4), np.zeros(8)])
 """Directions (8, 3) in which the best hypothesis is shifted."""
+_MOVED_M = 0.75
+"""And by which it is where furniture was moved by as much, all of it alike."""
+_WALL_M = 2.0
+"""Lines longer than furniture and doors are walls."""
+_WALLS_RATIO = 0.9
+_LEAST_WALLS = 1.0
+"""Most evidence of walls for a place beside, as a fraction of that for the best, and nats that are none."""
 LENGTH_M = 15.0
 _STEP_M = 5.0
 """Way of a submap, and way from one to the next."""
@@ -106,15 +114,17 @@ def align_components(
 ) -> list[Constraint]:
     """Align each rigid component with the older ones, by all its key scans; return constraints that are accepted.
 
-    Within a component the robot was tracked, so that one pose aligns all of it. Short submaps of both are matched with
-    each other over the full turn. Matches that are consistent with the tracked motion form one hypothesis, which is
-    tracked through all key scans of the component. It is judged by the score by which trajectories are compared (see
-    `score_trajectory`), in both directions: the component's scans given the map of the other one, and the scans of that
-    one given the component's map; the lesser counts. A submap is often ambiguous, a whole component rarely.
+    Within a component the robot was tracked, so that one pose aligns all of it. Short submaps of it are searched for in
+    the map of the other one, as far as the drift allows. Places that are consistent with the tracked motion form one
+    hypothesis, which is tracked through all key scans of the component. It is judged by the score by which trajectories
+    are compared (see `score_trajectory`), in both directions: the component's scans given the map of the other one, and
+    the scans of that one given the component's map; the lesser counts. A submap is often ambiguous, a whole component
+    rarely.
 
     What the drift makes improbable counts less, by the squared distance in its standard deviations. The best hypothesis
-    is accepted if there is enough evidence for it, it lies within the drift, and no other place, found or half a metre
-    beside, has a comparable one.
+    is accepted if there is enough evidence for it, it lies within the drift, no other place, found or half a metre
+    beside, has a comparable one, and walls alone leave no place beside it. Of several that a component takes part in,
+    the one of most evidence is accepted: the others are judged again with what is then known.
 
     Parameters
     ----------
@@ -122,8 +132,8 @@ def align_components(
         Key scans, and the graph whose components are aligned.
     mapper
         How maps of components are built.
-    pairs
-        Short submaps, and their matches so far; modified.
+    stretches
+        Short submaps, cut so far; modified.
     places
         How key scans are matched.
     on_progress
@@ -292,7 +302,34 @@ class Alignment:
         groups = group_hits(self.closure_state.graph, hits)[:_MAX_GROUPS]
         if len(groups) > _MAX_HYPOTHESES:
             groups = sorted(groups, key=self._estimate_evidence, reverse=True)[:_MAX_HYPOTHESES]
-        return self.decide([self.track_component(group) for group in groups])
+        hypotheses = [self.track_component(group) for group in groups]
+        best = self.decide(hypotheses)
+        return None if best is None or self._is_refuted_by_walls(best, hypotheses) else best
+
+    def _is_refuted_by_walls(self, best: Hypothesis, hypotheses: list[Hypothesis]) -> bool:
+        """Whether long lines fit beside as well: furniture would decide alone, and it is moved, as walls are not.
+
+        Scans that see hardly anything else fit it where it stands now, all the more where all of it was moved alike.
+        """
+        pose = best.poses[len(self.keys) // 2]
+        own = between(pose, best.poses)
+        ends = [self._collect_walls(key) for key in self.keys.tolist()]
+        points = np.concatenate([transform_points(seen, of_key) for seen, of_key in zip(own, ends, strict=True)])
+        beside = [self._match_points(points, pose + shift).poses[0] for shift in _MOVED_M * _SHIFTS]
+        rivals = [compose(place, own) for place in beside] + [other.poses for other in hypotheses]
+        away = [best.distance_m(best._replace(poses=rival)) for rival in rivals]
+        rivals = [rival for rival, far in zip(rivals, away, strict=True) if _MERGE_M <= far < 2 * _MOVED_M]
+        limit = max(_WALLS_RATIO * self._weigh_walls(best.poses), _LEAST_WALLS)
+        return any(self._weigh_walls(rival) > limit for rival in rivals)
+
+    def _collect_walls(self, key: int) -> FloatArray:
+        """Ends (B, 2) of a key scan's beams that end on long lines."""
+        scan = self.closure_state.scans.key(key)
+        return scan.ends[line_lengths(scan.ends, scan.origin) >= _WALL_M]
+
+    def _weigh_walls(self, poses: FloatArray) -> float:
+        """Log likelihood (nats) at poses (K, 3) of beams that end on long lines, of both directions."""
+        return self._score_both(poses, self._draw(poses), walls=True)[0]
 
     def _estimate_evidence(self, group: list[SearchHit]) -> float:
         """Log likelihood (nats) of the component, laid on the map from the best hit in its tracked shape."""
@@ -336,15 +373,18 @@ class Alignment:
         """Poses (3,) of a hit's key scan and (K, 3) of the component, which keeps its shape, matched from there."""
         shape = np.array(self.closure_state.graph.poses)
         own = between(shape[begin.key], shape[self.keys])
-        (pose,) = self._match_points(begin.key, own, begin.pose).poses
+        (pose,) = self._match_points(self._collect_points(begin.key, own), begin.pose).poses
         return pose, compose(pose, own)
 
-    def _match_points(self, key: int, own: FloatArray, pose: FloatArray) -> Match:
-        """Match the points of all key scans, at `own` (K, 3) seen from one, from a pose (3,) of that one."""
-        component = Submap(key, self.keys, own, self.closure_state.scans, self.mapper)
-        points = StoredScan(thin_points(component.collect_points(), MAX_POINTS), np.zeros(2))
-        match = COARSE(self.known.maps, ROW, pose[None], NO_PRIOR[None], points)
-        return FINE(self.known.maps, ROW, match.poses, NO_PRIOR[None], points)
+    def _collect_points(self, key: int, own: FloatArray) -> FloatArray:
+        """Points (B, 2) of all key scans, at `own` (K, 3) seen from one of them."""
+        return Submap(key, self.keys, own, self.closure_state.scans, self.mapper).collect_points()
+
+    def _match_points(self, points: FloatArray, pose: FloatArray) -> Match:
+        """Match points (B, 2) from a pose (3,) of their frame on."""
+        few = StoredScan(thin_points(points, MAX_POINTS), np.zeros(2))
+        match = COARSE(self.known.maps, ROW, pose[None], NO_PRIOR[None], few)
+        return FINE(self.known.maps, ROW, match.poses, NO_PRIOR[None], few)
 
     def _track(self, begin: int, pose: FloatArray) -> FloatArray:
         """Poses (K, 3) of the component from that (3,) of key scan `begin` on, corrected where a scan matches."""
@@ -385,36 +425,50 @@ class Alignment:
         return build_map(self.mapper, self.closure_state.scans, self.keys, poses)
 
     def _score_both(
-        self, poses: FloatArray, own: TileMaps, shift: FloatArray | float = 0.0, least: float = -math.inf
+        self,
+        poses: FloatArray,
+        own: TileMaps,
+        shift: FloatArray | float = 0.0,
+        least: float = -math.inf,
+        *,
+        walls: bool = False,
     ) -> tuple[float, float, float]:
         """Log likelihood at poses (K, 3), the lesser of both directions; overlap and agreement of the component.
 
         `own` is the component's map, in the frame of the other one but for a `shift` (3,). What is not above `least`
-        in one direction is not scored in the other.
+        in one direction is not scored in the other. With `walls` it is the sum over beams on long lines.
         """
         scans, old_poses, old, maps = self.known
-        likelihood, overlap, agreement = self._score(maps, poses, self.closure_state.scans, self.keys)
+        likelihood, overlap, agreement = self._score(maps, poses, self.closure_state.scans, self.keys, walls=walls)
         if likelihood <= least:
             return likelihood, overlap, agreement
         way = poses[:: KEY_SCANS_PER_SUBMAP // 2, :2]
         away = np.min([np.hypot(*(old_poses[old, :2] - place).T) for place in way], axis=0)
         near = old[away < _REACH_M]
         moved = old_poses[near] - shift
-        back, _, _ = self._score(own, moved, scans, near, way - np.atleast_1d(shift)[:2])
-        return min(likelihood, back), overlap, agreement
+        back, _, _ = self._score(own, moved, scans, near, way - np.atleast_1d(shift)[:2], walls=walls)
+        return likelihood + back if walls else min(likelihood, back), overlap, agreement
 
     def _score(
-        self, maps: TileMaps, poses: FloatArray, scans: ScanArchive, keys: IntArray, way: FloatArray | None = None
+        self,
+        maps: TileMaps,
+        poses: FloatArray,
+        scans: ScanArchive,
+        keys: IntArray,
+        way: FloatArray | None = None,
+        *,
+        walls: bool = False,
     ) -> tuple[float, float, float]:
         """Log likelihood of key scans (K,) at poses (K, 3) given a map, and their overlap and agreement with it.
 
         Beams that end farther than some metres from a `way` (P, 2) are left out: beams there are far apart in its map.
+        With `walls` all that end on no long line, too.
         """
         stride = max(1, -(-len(keys) // _MOST_SCORED))
         agreeing, known, beams = 0.0, 0, 0
         for key, pose in zip(keys[::stride].tolist(), poses[::stride], strict=True):
             scan = scans.key(key)
-            ends = scan.ends
+            ends = scan.ends[line_lengths(scan.ends, scan.origin) >= _WALL_M] if walls else scan.ends
             if way is not None and len(ends):
                 away = transform_points(pose, ends)[:, None] - way
                 ends = ends[(np.square(away).sum(axis=2) < _DENSE_M**2).any(axis=1)]
@@ -465,7 +519,7 @@ class Alignment:
         """
         middle = len(self.keys) // 2
         pose = best.poses[middle]
-        match = self._match_points(int(self.keys[middle]), between(pose, best.poses), pose)
+        match = self._match_points(self._collect_points(int(self.keys[middle]), between(pose, best.poses)), pose)
         x, y, _ = between(pose, match.poses[0]).tolist()
         if math.hypot(x, y) > _MERGE_M:
             return []

@@ -10,7 +10,6 @@ import numpy as np
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.gauss_newton import weigh_known_beams
 from gridslam.slam.full_slam.component_alignment import (
     LENGTH_M,
     MIN_CONSTRAINTS,
@@ -19,8 +18,8 @@ from gridslam.slam.full_slam.component_alignment import (
     KnownMap,
     SearchHit,
     group_hits,
+    match_submap,
 )
-from gridslam.slam.full_slam.trajectory_score import SCALE_M, log_likelihood
 from gridslam.slam.loop_closure.constraints import Constraint
 from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.map_piece import MapPiece, PieceMatch
@@ -28,7 +27,6 @@ from gridslam.slam.loop_closure.map_search import MapSearch
 from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.loop_closure.state import FoundPiece, LoopClosureState
 from gridslam.slam.loop_closure.submap_matching import Submap
-from gridslam.slam.loop_closure.submaps import ROW
 from gridslam.types import FloatArray, IntArray
 
 _NEAR_M = 5.0
@@ -198,17 +196,10 @@ class EarlierPieces:
         return self._hits[known]
 
     def _match(self, graph: KeyGraph, number: int, submap: Submap) -> list[SearchHit]:
-        search = self._searches[number]
-        hits = []
         near = None
         if self._begin is not None:
             near = compose(self._begin, between(graph.tracked[0], graph.tracked[submap.anchor]))
-        for pose, points in search(submap, near, _NEAR_M, _NEAR_RAD):
-            weights = weigh_known_beams(search.maps, ROW, pose, points.ends, SCALE_M)
-            score = log_likelihood(float(weights.sum(dtype=np.float64)), len(weights))
-            if score > 0:
-                hits.append(SearchHit(submap.anchor, pose, score))
-        return sorted(hits, key=lambda hit: -hit.score)[:_TRACKED]
+        return match_submap(self._searches[number], submap, near, _NEAR_M, _NEAR_RAD)[:_TRACKED]
 
 
 @final

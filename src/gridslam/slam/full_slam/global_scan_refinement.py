@@ -255,8 +255,8 @@ class _Refinement:
         """Graph of a candidate whose key scans are to be matched to each other.
 
         The increments are the tracked ones, also of the filter, whose own are rough; but across a gap in the laser data
-        these are odometry alone, and the candidate's say where it was selected for. Of matches to cells so much is left
-        as a map needs that nothing else joins, as surfaces of the same scans determine the same more exactly.
+        these are odometry alone, and the candidate's stay. Of matches to cells so much is left as a map needs that
+        nothing else joins, as surfaces of the same scans determine the same more exactly.
         """
         tracked = np.array(self.graph.tracked)
         measurements = best.graph.measurements.copy()

@@ -336,39 +336,31 @@ class KeyGraph:
         frame = self.tracked if abs(anchor - key) <= 3 * KEY_SCANS_PER_SUBMAP else self.poses
         return between(frame[anchor], frame[key])
 
-    def find_nearby_submaps(self, key: int, limit_m: float, most: int) -> NearbySubmaps:
-        """Submaps in the order of their uncertainty as seen from a key scan, nearest first.
-
-        The search ends at a standard deviation of the position of `limit_m`, or after `most` submaps.
-        """
-        return self._search_ways(key, limit_m, most)
-
     def find_distance_to(self, submap: int, key: int, limit_m: float, most: int) -> SubmapDistance | None:
         """Give the one of `find_nearby_submaps` that is a submap; None if it is not among them."""
-        found = self._search_ways(key, limit_m, most, submap)
+        found = self.find_nearby_submaps(key, limit_m, most, submap)
         return found[-1] if found.submaps[-1] == submap else None
 
     def locate(self, key: int, anchors: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return poses (A, 3) of a key scan seen from others (A,), by the least uncertain ways, and their covariances.
+        """Return poses (A, 3) of a key scan seen from others (A,), and covariances (A, 3, 3), by the most certain ways.
 
         Covariances are in the map frame, and those of the drift model's bounds, a gap within a submap included.
         """
-        nearby = self._search_ways(key, math.inf, len(self))
+        nearby = self.find_nearby_submaps(key, math.inf, len(self))
         place = np.empty(submap_of(len(self)) + 1, np.int64)
         place[nearby.submaps] = np.arange(len(nearby))
-        submaps = submap_of(anchors)
-        ways = place[submaps]
-        firsts = first_key_scan(submaps)
-        poses = compose(
-            between(_select_poses(self.tracked, anchors), _select_poses(self.tracked, firsts)), nearby.poses[ways]
-        )
-        within = np.array(
-            [self._sums[a] - self._sums[b] for a, b in zip(anchors.tolist(), firsts.tolist(), strict=True)]
-        )
-        return poses, nearby.covariances[ways] + propagate_covariances(self.poses[key], within)
+        firsts = first_key_scan(submap_of(anchors))
+        ways = place[submap_of(anchors)]
+        own = between(_select_poses(self.tracked, anchors), _select_poses(self.tracked, firsts))
+        sums = [self._sums[key] for key in firsts.tolist()], [self._sums[key] for key in anchors.tolist()]
+        within = propagate_covariances(self.poses[key], np.subtract(sums[1], sums[0]))
+        return compose(own, nearby.poses[ways]), nearby.covariances[ways] + within
 
-    def _search_ways(self, key: int, limit_m: float, most: int, last: int = -1) -> NearbySubmaps:
-        """Search for the most certain ways to submaps, up to submap `last`."""
+    def find_nearby_submaps(self, key: int, limit_m: float, most: int, last: int = -1) -> NearbySubmaps:
+        """Find submaps by the most certain ways to them, in the order of their uncertainty as seen from a key scan.
+
+        The search ends at a standard deviation of the position of `limit_m`, after `most` submaps, or at submap `last`.
+        """
         here = submap_of(key)
         x, y, _ = self.poses[key].tolist()
         submaps, moments, ends = backend.shortest_ways(

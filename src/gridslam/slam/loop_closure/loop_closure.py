@@ -225,8 +225,11 @@ class LoopClosure:
             return
         graph.constraints = [constraint for constraint in graph.constraints if constraint.identity not in refuted]
         graph.constraints += new
-        closure_state.correct(np.array(graph.poses))
-        closure_state.pending_constraints = PendingConstraints(len(graph), len(graph.constraints), len(new))
+        poses = np.array(graph.poses)
+        closure_state.correct(poses)
+        is_tracked = bool(refuted)  # the filter was corrected by what is refuted now
+        begin = poses if is_tracked else trajectory
+        closure_state.pending_constraints = PendingConstraints(begin, len(graph.constraints), len(new), is_tracked)
 
     def find_contradicted(self, constraints: list[Constraint], trajectory: FloatArray) -> NDArray[np.bool_]:
         """Which constraints (C,) a trajectory (T, 3) of the key scans, such as the best particle's, contradicts."""
@@ -245,13 +248,18 @@ class LoopClosure:
     ) -> list[Constraint]:
         """Advance the graph solver; when it has finished, start the correction and return the accepted constraints.
 
+        The filter has closed loops by its maps of which the graph knows nothing: its motion is corrected. If that
+        rejects the constraints, the tracked motion decides; a map may have attracted the filter to the wrong place.
+
         Returns none before the solver has finished, and none if it rejects them.
         """
         graph = closure_state.graph
         if pending.computation is None:
-            pending.computation = SOLVER.solve_in_steps(graph.graph(keys=pending.keys, constraints=pending.constraints))
+            moved = None if pending.is_tracked else between(pending.poses[:-1], pending.poses[1:])
+            solved = graph.graph(moved, len(pending), pending.constraints).with_poses(pending.poses)
+            pending.computation = SOLVER.solve_in_steps(solved)
             advance(pending.computation, pending.steps)
-        steps = max(1, min(8, self.poses_per_scan // pending.keys))
+        steps = max(1, min(8, self.poses_per_scan // len(pending)))
         pending.steps += steps
         solution = advance(pending.computation, steps)
         if solution is None:
@@ -262,6 +270,12 @@ class LoopClosure:
         weights = solution.weights[len(solution.weights) - pending.new :].tolist()
         constraints = [c for c, weight in zip(graph.constraints[new], weights, strict=True) if weight >= 0.5]
         if pending.new and 2 * len(constraints) <= pending.new:  # most of the new constraints were rejected
+            if not pending.is_tracked:
+                begin = np.array(graph.poses[: len(pending)])
+                closure_state.pending_constraints = replace(
+                    pending, poses=begin, is_tracked=True, steps=0, computation=None
+                )
+                return []
             constraints = []
         closure_state.reject(graph.constraints[new], constraints)
         graph.constraints[new] = constraints

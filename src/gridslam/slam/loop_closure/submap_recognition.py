@@ -113,16 +113,19 @@ class SubmapRecognition:
                 return
 
     def decide(self, closure_state: LoopClosureState) -> tuple[list[Constraint], list[Constraint]]:
-        """Accept and reject candidates about the newest part of the way: those of either kind."""
+        """Accept and reject candidates about the newest part of the way: those of either kind.
+
+        None is rejected for want of those that support it but are older than that part.
+        """
         graph = closure_state.graph
         candidates = closure_state.search.candidates
         way = graph.driven_m()
-        recent = [c for c in candidates if way[c.to] > way[candidates[-1].to] - 2 * _REACH_M]
-        accepted = self.accept(graph, recent).tolist()
-        of_kind: tuple[list[Constraint], list[Constraint]] = [], []
-        for candidate, is_accepted in zip(recent, accepted, strict=True):
-            of_kind[not is_accepted].append(candidate)
-        return of_kind
+        newest_m = way[candidates[-1].to]
+        recent = [c for c in candidates if way[c.to] > newest_m - 2 * _REACH_M]
+        are_accepted = self.accept(graph, recent).tolist()
+        accepted = [c for c, is_accepted in zip(recent, are_accepted, strict=True) if is_accepted]
+        others = [c for c, is_accepted in zip(recent, are_accepted, strict=True) if not is_accepted]
+        return accepted, [c for c in others if way[c.to] > newest_m - _REACH_M]
 
     def search_all(
         self,

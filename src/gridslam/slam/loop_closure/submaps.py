@@ -11,11 +11,10 @@ import numpy as np
 
 from gridslam.grid.cells import LOG_ODDS_UNIT
 from gridslam.grid.tiles import TileMaps
-from gridslam.kernels.reference_update import Int32Array
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.loop_closure.key_graph import KeyGraph, anchor_of, first_key_scan
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import FloatArray, Int32Array, IntArray
 
 ROW: Int32Array = np.array([0], np.int32)
 """The one row of a submap."""
