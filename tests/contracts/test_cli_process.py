@@ -159,3 +159,12 @@ sys.exit(main())
     assert done.returncode == 0
     (report,) = tmp_path.iterdir()
     assert done.stderr == f"gridslam: this is a bug, please report it with the file {report}: ValueError: injected\n"
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self/task"), reason="the system does not list threads")
+def test_the_command_starts_no_threads_of_linear_algebra():
+    names = "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"
+    plain = {name: value for name, value in os.environ.items() if name not in names}
+    code = "import os, gridslam.cli.main, numpy; print(len(os.listdir('/proc/self/task')))"
+    done = subprocess.run([sys.executable, "-c", code], env=plain, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "1"

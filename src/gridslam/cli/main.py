@@ -1,9 +1,8 @@
-"""Entry of the command line: environment, signals, exit status. Nothing heavy is imported before a command runs."""
+"""Entry of the command line: signals, exit status."""
 
 from __future__ import annotations
 
 import gc
-import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
@@ -18,12 +17,6 @@ from gridslam.errors import ConfigurationError, GridslamError, InputError
 EXIT_BUG = 70
 """Exit status of an exception that nobody foresaw, as EX_SOFTWARE of sysexits.h."""
 
-_ENVIRONMENT = {
-    "OPENBLAS_NUM_THREADS": "1",  # matrices are 3 x 3 here, its threads would only wait
-    "OMP_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "PYDANTIC_DISABLE_PLUGINS": "__all__",  # else all installed packages are searched for some
-}
 _GARBAGE_OBJECTS = 20_000
 """New ones before cycles are searched for: of the 0.18 s that the searches take of `map` on the Intel log, 0.04 s are
 left. They find 600 objects in cycles, whether the log is mapped for 300 s or to its end."""
@@ -34,8 +27,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns the exit status: 0 done, 1 failed, 2 bad usage or input, 70 a bug of gridslam, 130 interrupted.
     """
-    for name, value in _ENVIRONMENT.items():  # before NumPy and pydantic are imported
-        os.environ.setdefault(name, value)
     gc.set_threshold(_GARBAGE_OBJECTS, *gc.get_threshold()[1:])
     open_streams(own_process=arguments is None)
     with handle_signals(until_exit=arguments is None), report_background_failures(_report_bug):
