@@ -353,7 +353,7 @@ class KeyGraph:
 
         Covariances are in the map frame, and those of the drift model's bounds, a gap within a submap included.
         """
-        nearby = self._search_ways(key, math.inf, len(self))
+        nearby = self.find_nearby_submaps(key, math.inf, len(self))
         place = np.empty(submap_of(len(self)) + 1, np.int64)
         place[nearby.submaps] = np.arange(len(nearby))
         firsts = first_key_scan(submap_of(anchors))
