@@ -14,7 +14,7 @@ from gridslam.serialization import from_arrays, to_arrays
 from gridslam.slam.full_slam.marginalization import marginalize
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel, propagate_covariances
-from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, UNKNOWN_VARIANCES, KeyGraph
+from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, UNKNOWN_VARIANCES, KeyGraph, position_sigmas
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.tracking.state import UnmatchedMotion
 
@@ -298,3 +298,15 @@ def test_a_measurement_seen_from_the_other_end_is_the_same():
     poses[4] = compose(poses[9], constraint.measurement + 1e-4 * rng.normal(size=3))
     chi2 = [PoseGraph.of(poses, [c.pair], c.measurement, c.information).chi2() for c in (constraint, turned)]
     assert chi2[0] == pytest.approx(chi2[1], rel=1e-3)
+
+
+def test_a_gap_within_a_submap_makes_what_lies_behind_it_uncertain():
+    """Between the first key scan of the submap and the one that is asked for."""
+    graph = KeyGraph()
+    for key in range(30):
+        pose = np.array([0.5 * key, 0.0, 0.0])
+        graph.extend(pose, pose, (4.0, 0.2) if key == 5 else (1e-4, 1e-6))
+    _, covariances = graph.locate(2, np.array([1, 8]))
+    near, behind = position_sigmas(covariances)
+    assert near < 0.1
+    assert behind >= 2.0

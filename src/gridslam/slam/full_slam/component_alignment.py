@@ -14,7 +14,6 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import thin_points
 from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, weigh_known_beams
-from gridslam.matching.lines import line_lengths
 from gridslam.slam.full_slam.trajectory_score import SCALE_M, log_likelihood, weigh_same_side
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, transform_match
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph, anchor_of, position_sigmas
@@ -26,6 +25,7 @@ from gridslam.slam.loop_closure.submap_matching import COARSE, FINE, MAX_POINTS,
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.loop_closure.submap_recognition import drift_distance
 from gridslam.slam.loop_closure.submaps import ROW, build_map
+from gridslam.slam.loop_closure.walls import leave_open
 from gridslam.types import BeamEnds, FloatArray, IntArray, Match, StoredScan
 
 _CONSISTENT_M = 0.3
@@ -55,13 +55,6 @@ _MOST_SCORED = 20
 
 _SHIFTS = np.column_stack([np.cos(np.arange(8) * math.pi / 4), np.sin(np.arange(8) * math.pi / 4), np.zeros(8)])
 """Directions (8, 3) in which the best hypothesis is shifted."""
-_MOVED_M = 0.75
-"""And by which it is where furniture was moved by as much, all of it alike."""
-_WALL_M = 2.0
-"""Lines longer than furniture and doors are walls."""
-_WALLS_RATIO = 0.9
-_LEAST_WALLS = 1.0
-"""Most evidence of walls for a place beside, as a fraction of that for the best, and nats that are none."""
 LENGTH_M = 15.0
 _STEP_M = 5.0
 """Way of a submap, and way from one to the next."""
@@ -96,6 +89,11 @@ _INLIER_RATIO = 0.5
 """Minimum inlier ratio of a key scan that gives a constraint."""
 _BEAM_SIGMA_M = 0.3
 """Standard deviation of one point in a constraint of all of a component, as in one of a key scan."""
+_DEFERRED_RATIO = 0.4
+"""Evidence for an alignment as a fraction of that for another one of either component, at least: what is much weaker
+waits until the other one is known."""
+_WIDE = np.diag(1 / np.square([1.5, 1.5, 0.05]))
+"""Information (1/m^2, 1/rad^2) of a place that furniture alone distinguishes from those beside."""
 _CONSTRAINT_INTERVAL = 3
 """Key scans from one constraint to the next."""
 MIN_CONSTRAINTS = 3
@@ -123,8 +121,8 @@ def align_components(
 
     What the drift makes improbable counts less, by the squared distance in its standard deviations. The best hypothesis
     is accepted if there is enough evidence for it, it lies within the drift, no other place, found or half a metre
-    beside, has a comparable one, and walls alone leave no place beside it. Of several that a component takes part in,
-    the one of most evidence is accepted: the others are judged again with what is then known.
+    beside, has a comparable one, and walls alone leave no place beside it. Much weaker ones of the same component are
+    judged again with what is then known.
 
     Parameters
     ----------
@@ -148,6 +146,7 @@ def align_components(
     stretches.cut(graph, closure_state.scans, mapper, LENGTH_M, _STEP_M, is_over=True)
     poses = np.array(graph.poses)
     wanted = _select_searches(graph, stretches.submaps, labels, aligned)
+    found: list[Constraint] = []
     aligned_pairs: list[tuple[float, int, int, list[Constraint]]] = []
     for old in np.unique([search.old for search in wanted]).tolist():
         keys = np.flatnonzero(labels == old)
@@ -160,17 +159,18 @@ def align_components(
             on_progress()
             alignment = Alignment(closure_state, mapper, places, np.flatnonzero(labels == new), known)
             best = alignment.select_hypothesis(of_new)
-            if best is not None:
+            if best is not None and alignment.is_left_open(best):
+                found += alignment.constrain_as_one(best, is_certain=False)
+            elif best is not None:
                 determined = [each for each in alignment.match_constraints(best) if each.determined]
                 if len(determined) < MIN_CONSTRAINTS:
                     determined = alignment.constrain_as_one(best)
                 aligned_pairs.append((-best.evidence, old, new, determined))
-    found: list[Constraint] = []
-    taken: set[int] = set()
-    for _, old, new, constraints in sorted(aligned_pairs, key=lambda pair: pair[:3]):
-        if not taken.intersection((old, new)):
+    taken: dict[int, float] = {}
+    for less, old, new, constraints in sorted(aligned_pairs, key=lambda pair: pair[:3]):
+        if -less >= _DEFERRED_RATIO * max(taken.get(old, 0.0), taken.get(new, 0.0)):
             found += constraints
-            taken |= {old, new}
+            taken = {old: -less, new: -less} | taken
     return found
 
 
@@ -302,37 +302,16 @@ class Alignment:
         groups = group_hits(self.closure_state.graph, hits)[:_MAX_GROUPS]
         if len(groups) > _MAX_HYPOTHESES:
             groups = sorted(groups, key=self._estimate_evidence, reverse=True)[:_MAX_HYPOTHESES]
-        hypotheses = [self.track_component(group) for group in groups]
-        best = self.decide(hypotheses)
-        return None if best is None or self._is_refuted_by_walls(best, hypotheses) else best
+        return self.decide([self.track_component(group) for group in groups])
 
-    def _is_refuted_by_walls(self, best: Hypothesis, hypotheses: list[Hypothesis]) -> bool:
-        """Whether long lines fit beside as well: furniture would decide alone, and it is moved, as walls are not.
-
-        Scans that see hardly anything else fit it where it stands now, all the more where all of it was moved alike.
-        """
-        pose = best.poses[len(self.keys) // 2]
-        own = between(pose, best.poses)
-        ends = [self._collect_walls(key) for key in self.keys.tolist()]
-        points = np.concatenate([transform_points(seen, of_key) for seen, of_key in zip(own, ends, strict=True)])
-        beside = [self._match_points(points, pose + shift).poses[0] for shift in _MOVED_M * _SHIFTS]
-        rivals = [compose(place, own) for place in beside] + [other.poses for other in hypotheses]
-        away = [best.distance_m(best._replace(poses=rival)) for rival in rivals]
-        rivals = [rival for rival, far in zip(rivals, away, strict=True) if _MERGE_M <= far < 2 * _MOVED_M]
-        limit = max(_WALLS_RATIO * self._weigh_walls(best.poses), _LEAST_WALLS)
-        return any(self._weigh_walls(rival) > limit for rival in rivals)
-
-    def _collect_walls(self, key: int) -> FloatArray:
-        """Ends (B, 2) of a key scan's beams that end on long lines."""
-        scan = self.closure_state.scans.key(key)
-        return scan.ends[line_lengths(scan.ends, scan.origin) >= _WALL_M]
-
-    def _weigh_walls(self, poses: FloatArray) -> float:
-        """Log likelihood (nats) at poses (K, 3) of beams that end on long lines, of both directions."""
-        return self._score_both(poses, self._draw(poses), walls=True)[0]
+    def is_left_open(self, best: Hypothesis) -> bool:
+        """Whether walls fit beside a hypothesis as well: furniture alone decides, see `leave_open`."""
+        middle = len(self.keys) // 2
+        component = self._as_submap(int(self.keys[middle]), between(best.poses[middle], best.poses))
+        return leave_open(self.known.maps, component.walls, best.poses[middle])
 
     def _estimate_evidence(self, group: list[SearchHit]) -> float:
-        """Log likelihood (nats) of the component, laid on the map from the best hit in its tracked shape."""
+        """Log likelihood (nats) of the scans in the shape that was tracked, laid on the map by the best hit."""
         begin = max(group, key=lambda hit: hit.score)
         shape = np.array(self.closure_state.graph.poses)
         poses = compose(begin.pose, between(shape[begin.key], shape[self.keys]))
@@ -373,16 +352,16 @@ class Alignment:
         """Poses (3,) of a hit's key scan and (K, 3) of the component, which keeps its shape, matched from there."""
         shape = np.array(self.closure_state.graph.poses)
         own = between(shape[begin.key], shape[self.keys])
-        (pose,) = self._match_points(self._collect_points(begin.key, own), begin.pose).poses
+        (pose,) = self._match_points(self._as_submap(begin.key, own), begin.pose).poses
         return pose, compose(pose, own)
 
-    def _collect_points(self, key: int, own: FloatArray) -> FloatArray:
-        """Points (B, 2) of all key scans, at `own` (K, 3) seen from one of them."""
-        return Submap(key, self.keys, own, self.closure_state.scans, self.mapper).collect_points()
+    def _as_submap(self, key: int, own: FloatArray) -> Submap:
+        """Return all key scans, at `own` (K, 3) seen from one of them."""
+        return Submap(key, self.keys, own, self.closure_state.scans, self.mapper)
 
-    def _match_points(self, points: FloatArray, pose: FloatArray) -> Match:
-        """Match points (B, 2) from a pose (3,) of their frame on."""
-        few = StoredScan(thin_points(points, MAX_POINTS), np.zeros(2))
+    def _match_points(self, component: Submap, pose: FloatArray) -> Match:
+        """Match the points of a component from a pose (3,) of its frame on."""
+        few = StoredScan(thin_points(component.collect_points(), MAX_POINTS), np.zeros(2))
         match = COARSE(self.known.maps, ROW, pose[None], NO_PRIOR[None], few)
         return FINE(self.known.maps, ROW, match.poses, NO_PRIOR[None], few)
 
@@ -425,50 +404,36 @@ class Alignment:
         return build_map(self.mapper, self.closure_state.scans, self.keys, poses)
 
     def _score_both(
-        self,
-        poses: FloatArray,
-        own: TileMaps,
-        shift: FloatArray | float = 0.0,
-        least: float = -math.inf,
-        *,
-        walls: bool = False,
+        self, poses: FloatArray, own: TileMaps, shift: FloatArray | float = 0.0, least: float = -math.inf
     ) -> tuple[float, float, float]:
         """Log likelihood at poses (K, 3), the lesser of both directions; overlap and agreement of the component.
 
         `own` is the component's map, in the frame of the other one but for a `shift` (3,). What is not above `least`
-        in one direction is not scored in the other. With `walls` it is the sum over beams on long lines.
+        in one direction is not scored in the other.
         """
         scans, old_poses, old, maps = self.known
-        likelihood, overlap, agreement = self._score(maps, poses, self.closure_state.scans, self.keys, walls=walls)
+        likelihood, overlap, agreement = self._score(maps, poses, self.closure_state.scans, self.keys)
         if likelihood <= least:
             return likelihood, overlap, agreement
         way = poses[:: KEY_SCANS_PER_SUBMAP // 2, :2]
         away = np.min([np.hypot(*(old_poses[old, :2] - place).T) for place in way], axis=0)
         near = old[away < _REACH_M]
         moved = old_poses[near] - shift
-        back, _, _ = self._score(own, moved, scans, near, way - np.atleast_1d(shift)[:2], walls=walls)
-        return likelihood + back if walls else min(likelihood, back), overlap, agreement
+        back, _, _ = self._score(own, moved, scans, near, way - np.atleast_1d(shift)[:2])
+        return min(likelihood, back), overlap, agreement
 
     def _score(
-        self,
-        maps: TileMaps,
-        poses: FloatArray,
-        scans: ScanArchive,
-        keys: IntArray,
-        way: FloatArray | None = None,
-        *,
-        walls: bool = False,
+        self, maps: TileMaps, poses: FloatArray, scans: ScanArchive, keys: IntArray, way: FloatArray | None = None
     ) -> tuple[float, float, float]:
         """Log likelihood of key scans (K,) at poses (K, 3) given a map, and their overlap and agreement with it.
 
         Beams that end farther than some metres from a `way` (P, 2) are left out: beams there are far apart in its map.
-        With `walls` all that end on no long line, too.
         """
         stride = max(1, -(-len(keys) // _MOST_SCORED))
         agreeing, known, beams = 0.0, 0, 0
         for key, pose in zip(keys[::stride].tolist(), poses[::stride], strict=True):
             scan = scans.key(key)
-            ends = scan.ends[line_lengths(scan.ends, scan.origin) >= _WALL_M] if walls else scan.ends
+            ends = scan.ends
             if way is not None and len(ends):
                 away = transform_points(pose, ends)[:, None] - way
                 ends = ends[(np.square(away).sum(axis=2) < _DENSE_M**2).any(axis=1)]
@@ -512,14 +477,15 @@ class Alignment:
                 found.append(constraint)
         return found
 
-    def constrain_as_one(self, best: Hypothesis) -> list[Constraint]:
+    def constrain_as_one(self, best: Hypothesis, *, is_certain: bool = True) -> list[Constraint]:
         """Constraint of the middle key scan, by the points of all: they leave no direction open, as a few scans do.
 
-        None if the match moves away from the hypothesis.
+        None if the match moves away from the hypothesis. If it is not certain the place is within a metre or so, which
+        determines nothing of other key scans.
         """
         middle = len(self.keys) // 2
-        pose = best.poses[middle]
-        match = self._match_points(self._collect_points(int(self.keys[middle]), between(pose, best.poses)), pose)
+        key, pose = int(self.keys[middle]), best.poses[middle]
+        match = self._match_points(self._as_submap(key, between(pose, best.poses)), pose)
         x, y, _ = between(pose, match.poses[0]).tolist()
         if math.hypot(x, y) > _MERGE_M:
             return []
@@ -527,11 +493,8 @@ class Alignment:
         from_ = int(old[np.hypot(*(old_poses[old, :2] - pose[:2]).T).argmin()])
         seen = transform_match(old_poses[from_], match)
         guess = between(old_poses[from_], pose)
-        return [
-            Constraint.from_match(
-                from_, int(self.keys[middle]), guess, seen, _BEAM_SIGMA_M, 0.0, ConstraintSource.RECOGNIZED
-            )
-        ]
+        constraint = Constraint.from_match(from_, key, guess, seen, _BEAM_SIGMA_M, 0.0, ConstraintSource.RECOGNIZED)
+        return [constraint if is_certain else constraint._replace(information=_WIDE, determined=False)]
 
 
 def group_hits(graph: KeyGraph, hits: list[SearchHit]) -> list[list[SearchHit]]:

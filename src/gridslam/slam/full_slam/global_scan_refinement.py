@@ -328,7 +328,7 @@ class _Refinement:
             self.on_progress,
             self.searched,
         )
-        new = [constraint for constraint in new if self.graph.allows(constraint)]
+        new = [c for c in new if self.graph.allows(c) and (c.determined or c.pair not in pairs)]
         if not new:
             return None
         solver = replace(SOLVER, first_guess="either")  # a wide loop is not reached from where poses are

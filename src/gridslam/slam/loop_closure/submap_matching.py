@@ -19,6 +19,7 @@ from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.submap_features import SubmapFeatures, extract_features, match_features
 from gridslam.slam.loop_closure.submaps import ROW, build_map
+from gridslam.slam.loop_closure.walls import find_walls
 from gridslam.types import FloatArray, IntArray, Match, StoredScan
 
 _REACH_M = 30.0
@@ -75,6 +76,13 @@ class Submap:
         is_near = np.hypot(*(batch.ends - np.repeat(batch.origins, beams, axis=0)).T) < _REACH_M
         poses = np.repeat(self.poses, beams, axis=0)
         return transform_points(poses[is_near], batch.ends[is_near])
+
+    @cached_property
+    def walls(self) -> FloatArray:
+        """Ends (B, 2) of the beams that end on walls."""
+        scans = [self.scans.key(key) for key in self.keys.tolist()]
+        ends = [find_walls(scan) for scan in scans]
+        return np.concatenate([transform_points(pose, own) for pose, own in zip(self.poses, ends, strict=True)])
 
     @cached_property
     def features(self) -> SubmapFeatures:

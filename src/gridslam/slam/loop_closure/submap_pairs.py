@@ -18,6 +18,7 @@ from gridslam.slam.loop_closure.submap_matching import (
     SubmapMatching,
     is_same_place,
 )
+from gridslam.slam.loop_closure.walls import leave_open
 from gridslam.types import FloatArray, IntArray
 
 _FEWEST_KEY_SCANS = 5
@@ -99,6 +100,10 @@ class SubmapPairs:
             if match is not None and not any(is_same_place(match.pose, other) for other in found):
                 found.append(match.pose)
                 yield match
+
+    def leave_open(self, older: int, newer: int, pose: FloatArray) -> bool:
+        """Whether the walls of a submap fit beside a pose (3,) in an older one, too."""
+        return leave_open(self._draw(older).maps, self.submaps[newer].walls, pose)
 
     def count_within(self, key_scans: int) -> int:
         """Count the submaps of the first key scans."""

@@ -203,7 +203,10 @@ class SubmapRecognition:
     def _verify(
         self, graph: KeyGraph, pairs: SubmapPairs, prior: SubmapPrior, newer: int, allowed: list[int]
     ) -> list[Constraint]:
-        """Verify proposed poses; across a gap in the laser data the shape of the drift must explain them, too."""
+        """Verify proposed poses.
+
+        Across a gap in the laser data the shape of the drift must explain them, too, and walls leave no place beside.
+        """
         found = [
             self._make_constraint(graph, pairs, prior.older, newer, match)
             for match in pairs.verify(_MATCHING, prior.older, newer, allowed)
@@ -214,7 +217,12 @@ class SubmapRecognition:
         from_, to = found[0].pair
         if labels[from_] == labels[to]:
             return found
-        return [it for it in found if drift_distance(graph, from_, to, it.measurement) < _GATE_SIGMAS**2]
+        return [
+            it
+            for it in found
+            if drift_distance(graph, from_, to, it.measurement) < _GATE_SIGMAS**2
+            and not pairs.leave_open(prior.older, newer, it.measurement)
+        ]
 
     def accept(self, graph: KeyGraph, candidates: Sequence[Constraint]) -> NDArray[np.bool_]:
         """Accept candidates (C,) that belong to a large set of consistent ones without a runner-up."""
