@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -285,47 +287,94 @@ def match_surfaces(
         sum of r^2.
     """
     out = np.zeros((len(pairs), 11))
+    whole = points, normals, bearings, starts, origins
     for row, (from_, to) in zip(out, pairs.tolist(), strict=True):
         for fixed, moved in ((from_, to), (to, from_))[: 1 + both]:
-            x, y, turn = (poses[moved] - poses[fixed]).tolist()
-            c, s = np.cos(poses[fixed, 2]), np.sin(poses[fixed, 2])
-            x, y = c * x + s * y, c * y - s * x
-            c, s = np.cos(turn), np.sin(turn)
-            turned = np.array([[c, s], [-s, c]])
-            own = slice(starts[moved], starts[moved + 1])
-            first, last = int(starts[fixed]), int(starts[fixed + 1])
-            if first == last:
-                continue
-            at = points[own] @ turned + [x, y]
-            place = first + np.searchsorted(bearings[first:last], rank_bearings(at - origins[fixed]))
-            near = place[:, None] + np.arange(-BESIDE, BESIDE)
-            is_there = (near >= first) & (near < last)
-            away = np.square(at[:, None] - points[np.clip(near, first, last - 1)]).sum(axis=2)
-            away[~is_there] = np.inf
-            best = away.argmin(axis=1)
-            line = np.clip(near[np.arange(len(near)), best], first, last - 1)
-            residual = ((at - points[line]) * normals[line]).sum(axis=1)
-            fits = (place > first) & (place < last) & (away.min(axis=1, initial=np.inf) < NEAR_M**2)
-            fits &= (normals[line] * (normals[own] @ turned)).sum(axis=1) >= LEAST_COSINE
-            fits &= np.abs(residual) <= gate_m
-            variance = np.ones(len(at))
-            if by_incidence:
-                fits &= away.min(axis=1, initial=np.inf) - np.square(residual) <= ALONG_M**2
-                own_squares = _squared_cosines(points[own] - origins[moved], normals[own])
-                squares = _squared_cosines(points[line] - origins[fixed], normals[line])
-                variance = LEAST_VARIANCE + 0.5 * (own_squares + squares)
-            slope = -np.column_stack([normals[line], normals[line, 1] * at[:, 0] - normals[line, 0] * at[:, 1]])
-            if moved == to:
-                towards = normals[line] @ turned.T
-                lever = towards[:, 1] * points[own, 0] - towards[:, 0] * points[own, 1]
-                slope = np.column_stack([towards, lever])
-            slope, residual = slope[fits], residual[fits]
-            weighted = slope / (variance[fits] + np.square(residual / scale_m))[:, None]
+            found = match_points(whole, poses, fixed, moved, gate_m, by_incidence)
+            slope = found.slopes if moved == to else found.slopes_of_fixed
+            weighted = slope / (found.variances + np.square(found.residuals / scale_m))[:, None]
             row[:6] += (weighted.T @ slope)[np.triu_indices(3)]
-            row[6:9] += weighted.T @ residual
-            row[9] += len(residual)
-            row[10] += np.square(residual).sum()
+            row[6:9] += weighted.T @ found.residuals
+            row[9] += len(found.residuals)
+            row[10] += np.square(found.residuals).sum()
     return out
+
+
+class MatchedPoints(NamedTuple):
+    """Points of one scan on lines of another.
+
+    Attributes
+    ----------
+    points, lines : (K,) int64
+        Which ones.
+    normals : (K, 2) float64
+        Of the lines, in the frame of the scan to which the lines belong.
+    turn : (2, 2) float64
+        From that frame to the one of the points.
+    residuals : (K,) float64, m
+        Distances from the lines.
+    slopes, slopes_of_fixed : (K, 3) float64
+        Their derivatives by the error of the pose of the scan with the points, in its frame; and of that with the
+        lines.
+    variances : (K,) float64
+        What they weigh by, see `match_surfaces`.
+    """
+
+    points: Places
+    lines: Places
+    normals: Numbers
+    turn: Numbers
+    residuals: Numbers
+    slopes: Numbers
+    slopes_of_fixed: Numbers
+    variances: Numbers
+
+
+def match_points(
+    surfaces: tuple[Numbers, Numbers, Numbers, Places, Numbers],
+    poses: Numbers,
+    fixed: int,
+    moved: int,
+    gate_m: float,
+    by_incidence: bool,
+) -> MatchedPoints:
+    """Match points of the scan `moved` with lines of `fixed`; the arguments are those of `match_surfaces`."""
+    points, normals, bearings, starts, origins = surfaces
+    x, y, turn = (poses[moved] - poses[fixed]).tolist()
+    c, s = np.cos(poses[fixed, 2]), np.sin(poses[fixed, 2])
+    x, y = c * x + s * y, c * y - s * x
+    c, s = np.cos(turn), np.sin(turn)
+    turned = np.array([[c, s], [-s, c]])
+    own = slice(starts[moved], starts[moved + 1])
+    first, last = int(starts[fixed]), int(starts[fixed + 1])
+    if first == last:
+        own = slice(0, 0)
+    at = points[own] @ turned + [x, y]
+    place = first + np.searchsorted(bearings[first:last], rank_bearings(at - origins[fixed]))
+    near = place[:, None] + np.arange(-BESIDE, BESIDE)
+    is_there = (near >= first) & (near < last)
+    away = np.square(at[:, None] - points[np.clip(near, first, last - 1)]).sum(axis=2)
+    away[~is_there] = np.inf
+    best = away.argmin(axis=1)
+    line = np.clip(near[np.arange(len(near)), best], first, last - 1)
+    residual = ((at - points[line]) * normals[line]).sum(axis=1)
+    fits = (place > first) & (place < last) & (away.min(axis=1, initial=np.inf) < NEAR_M**2)
+    fits &= (normals[line] * (normals[own] @ turned)).sum(axis=1) >= LEAST_COSINE
+    fits &= np.abs(residual) <= gate_m
+    variance = np.ones(len(at))
+    if by_incidence:
+        fits &= away.min(axis=1, initial=np.inf) - np.square(residual) <= ALONG_M**2
+        own_squares = _squared_cosines(points[own] - origins[moved], normals[own])
+        squares = _squared_cosines(points[line] - origins[fixed], normals[line])
+        variance = LEAST_VARIANCE + 0.5 * (own_squares + squares)
+    of_fixed = -np.column_stack([normals[line], normals[line, 1] * at[:, 0] - normals[line, 0] * at[:, 1]])
+    towards = normals[line] @ turned.T
+    lever = towards[:, 1] * points[own, 0] - towards[:, 0] * points[own, 1]
+    slope = np.column_stack([towards, lever])
+    which = own.start + np.flatnonzero(fits)
+    return MatchedPoints(
+        which, line[fits], normals[line[fits]], turned.T, residual[fits], slope[fits], of_fixed[fits], variance[fits]
+    )
 
 
 def _squared_cosines(ways: Numbers, normals: Numbers) -> Numbers:

@@ -16,6 +16,7 @@ from gridslam.matching.surfaces import Surfaces
 from gridslam.slam.full_slam.component_alignment import align_components
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
 from gridslam.slam.full_slam.key_scan_matching import match_key_scans
+from gridslam.slam.full_slam.laser_errors import LaserErrors, estimate_laser_errors
 from gridslam.slam.full_slam.surface_adjustment import LINE_REACH_M, adjust_key_scans, match_scans
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore, score_trajectory
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
@@ -123,6 +124,8 @@ class RefinementResult:
         robust estimate and the surfaces.
     sharpness_m : float or None, m
         See `measure_sharpness`.
+    laser_errors : LaserErrors or None
+        See `estimate_laser_errors`.
     """
 
     best: Candidate
@@ -131,6 +134,7 @@ class RefinementResult:
     scores: dict[str, TrajectoryScore]
     measured: PoseGraph
     sharpness_m: float | None
+    laser_errors: LaserErrors | None
 
 
 _DISTINCT_CANDIDATE_M = 0.3
@@ -201,7 +205,9 @@ def refine_trajectory(
     batch = scans.batch(scans.keys)
     surfaces = Surfaces.of(batch, LINE_REACH_M)
     on_progress()
-    adjusted = adjust_key_scans(refinement.measured(selection.best), surfaces)
+    measured = refinement.measured(selection.best)
+    adjusted = adjust_key_scans(measured, surfaces)
+    laser_errors = estimate_laser_errors(surfaces, adjusted.poses, adjusted.edges[len(measured.edges) :])
     selection.adjust_best(adjusted.poses)
     key_poses = selection.best.graph.poses
     graph.poses = list(key_poses)
@@ -210,7 +216,8 @@ def refine_trajectory(
     keys = np.concatenate([drive.keys for drive in drives])[first:]
     poses[first:] = match_scans(poses[first:], keys, scans, surfaces, key_poses)
     sharpness_m = measure_sharpness(Surfaces.of(batch), key_poses)
-    return RefinementResult(selection.best, poses, selection.maps, selection.scores, adjusted, sharpness_m)
+    best, maps, scores = selection.best, selection.maps, selection.scores
+    return RefinementResult(best, poses, maps, scores, adjusted, sharpness_m, laser_errors)
 
 
 @final

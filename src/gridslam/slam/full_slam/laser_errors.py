@@ -1,0 +1,115 @@
+"""Systematic errors of a laser, by how well the surfaces of key scans fit each other where they were adjusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from gridslam.kernels.reference_surfaces import match_points
+from gridslam.matching.surfaces import Surfaces
+from gridslam.types import FloatArray, IntArray
+
+_GATE_M = 0.08
+"""Largest residual of a point."""
+_SIGMA_M = 0.02
+"""Standard deviation of a point; where the residual is as large, it weighs half."""
+_MOST_PAIRS = 200
+"""Of key scans, spread over the log, which determine a range to some millimetres."""
+_BLOCKS = 25
+"""Of consecutive pairs, whose errors are taken to be independent."""
+_ROUNDS = 2
+"""One finds seven eighths of an error, as poses were adjusted with it."""
+_LEAST = 1e-6
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class LaserErrors:
+    """What a laser's scans are off by, each with its standard deviation.
+
+    Attributes
+    ----------
+    range_offset_m, range_offset_sigma_m : float, m
+        What every range is too long by.
+    bearing_scale, bearing_scale_sigma : float
+        Share by which the angles between beams are too large: 0.0056 if 180 beams of 1 degree are spread over 181.
+    """
+
+    range_offset_m: float
+    range_offset_sigma_m: float
+    bearing_scale: float
+    bearing_scale_sigma: float
+
+
+def estimate_laser_errors(surfaces: Surfaces, poses: FloatArray, pairs: IntArray) -> LaserErrors | None:
+    """Estimate the errors of the laser that has taken all scans.
+
+    A range that is too long moves a wall away in proportion to the cosine of the beam's incidence, and an angle that is
+    too large bends it: two scans from different places then cannot fit, wherever they are put. The errors are the least
+    squares solution over pairs of scans, each pair put where it fits best. A wrong scale of ranges changes nothing but
+    the scale of the map, and a wrong direction of the laser nothing at all: these the odometry shows.
+
+    Parameters
+    ----------
+    surfaces, poses : Surfaces, (T, 3) float64
+        Of the key scans, adjusted.
+    pairs : (P, 2) int64
+        Key scans that see the same surfaces.
+
+    Returns
+    -------
+    LaserErrors or None
+        None if there are few pairs, several lasers, or nothing that determines the errors.
+
+    References
+    ----------
+    Huber and Ronchetti, Robust Statistics (2009), for the standard deviations (sandwich, by blocks of pairs).
+    """
+    if len(pairs) < _BLOCKS or np.ptp(surfaces.origins, axis=0).max() > 0:
+        return None
+    pairs = pairs[:: -(-len(pairs) // _MOST_PAIRS)]
+    by_errors = _derivatives(surfaces)
+    errors = np.zeros(2)
+    for _ in range(_ROUNDS):
+        corrected = surfaces._replace(points=surfaces.points - by_errors @ errors)
+        sums = [_sum(corrected, by_errors, poses, pair) for pair in pairs.tolist()]
+        normals, pulls = (np.array(each) for each in zip(*sums, strict=True))
+        whole = normals.sum(axis=0)
+        if np.linalg.eigvalsh(whole)[0] < _LEAST:
+            return None
+        step = np.linalg.solve(whole, pulls.sum(axis=0))
+        errors += step
+    left = pulls - normals @ step
+    begins = np.linspace(0, len(pairs), _BLOCKS, endpoint=False).astype(np.int64)
+    shares = np.linalg.solve(whole, np.add.reduceat(left, begins).T)
+    (offset, scale), (offset_sigma, scale_sigma) = errors.tolist(), np.sqrt(np.square(shares).sum(axis=1)).tolist()
+    return LaserErrors(offset, offset_sigma, scale, scale_sigma)
+
+
+def _derivatives(surfaces: Surfaces) -> FloatArray:
+    """Derivatives (B, 2, 2) of points by the errors."""
+    x, y = (surfaces.points - np.repeat(surfaces.origins, np.diff(surfaces.starts), axis=0)).T
+    bearings = np.arctan2(y, x)
+    ranges = np.maximum(np.hypot(x, y), _LEAST)
+    return np.stack([x / ranges, -bearings * y, y / ranges, bearings * x], axis=1).reshape(-1, 2, 2)
+
+
+def _sum(
+    surfaces: Surfaces, by_errors: FloatArray, poses: FloatArray, pair: list[int]
+) -> tuple[FloatArray, FloatArray]:
+    """Normal equations (2, 2), (2,) of the errors by a pair of scans, whose relative pose is free."""
+    whole = surfaces.points, surfaces.normals, surfaces.bearings, surfaces.starts, surfaces.origins
+    equations = np.zeros((5, 6))
+    for fixed, moved in (pair, pair[::-1]):
+        found = match_points(whole, poses, fixed, moved, _GATE_M, by_incidence=True)
+        pose = found.slopes if moved == pair[1] else found.slopes_of_fixed
+        towards = (found.normals @ found.turn)[:, None]
+        errors = (towards @ by_errors[found.points] - found.normals[:, None] @ by_errors[found.lines])[:, 0]
+        rows = np.column_stack([pose, errors, found.residuals])
+        weights = 1 / (found.variances + np.square(found.residuals / _SIGMA_M))
+        equations += (rows[:, :5] * weights[:, None]).T @ rows
+    free = np.linalg.solve(equations[:3, :3] + _LEAST * np.eye(3), equations[:3, 3:])
+    kept = equations[3:, 3:] - equations[3:, :3] @ free
+    return kept[:, :2], kept[:, 2]
