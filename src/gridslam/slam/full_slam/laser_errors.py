@@ -71,7 +71,7 @@ def estimate_laser_errors(surfaces: Surfaces, poses: FloatArray, pairs: IntArray
         return None
     pairs = pairs[:: -(-len(pairs) // _MOST_PAIRS)]
     by_errors = _derivatives(surfaces)
-    errors = np.zeros(2)
+    errors, whole, left = np.zeros(2), np.empty((2, 2)), np.empty((0, 2))
     for _ in range(_ROUNDS):
         corrected = surfaces._replace(points=surfaces.points - by_errors @ errors)
         sums = [_sum(corrected, by_errors, poses, pair) for pair in pairs.tolist()]
@@ -81,7 +81,7 @@ def estimate_laser_errors(surfaces: Surfaces, poses: FloatArray, pairs: IntArray
             return None
         step = np.linalg.solve(whole, pulls.sum(axis=0))
         errors += step
-    left = pulls - normals @ step
+        left = pulls - normals @ step
     begins = np.linspace(0, len(pairs), _BLOCKS, endpoint=False).astype(np.int64)
     shares = np.linalg.solve(whole, np.add.reduceat(left, begins).T)
     (offset, scale), (offset_sigma, scale_sigma) = errors.tolist(), np.sqrt(np.square(shares).sum(axis=1)).tolist()
