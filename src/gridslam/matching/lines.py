@@ -13,8 +13,8 @@ _GAP_M = 0.5
 _GAP_RATIO = 0.15
 
 
-def line_lengths(ends: FloatArray, origin: FloatArray) -> FloatArray:
-    """Length (B,) of the line that each beam ends on, m: split and merge without the merging.
+def measure_line_lengths(ends: FloatArray, origin: FloatArray) -> FloatArray:
+    """Return the length (B,) of the line that each beam ends on, m: split and merge without the merging.
 
     Parameters
     ----------

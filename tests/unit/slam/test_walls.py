@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.matching.lines import line_lengths
+from gridslam.matching.lines import measure_line_lengths
 from gridslam.slam.loop_closure.walls import find_walls
 from gridslam.types import StoredScan
 
@@ -21,7 +21,7 @@ def test_each_beam_has_the_length_of_its_line():
     wall, box = line(-3, 2, 3, 2), line(-0.4, -1.5, 0.4, -1.5)
     ends = np.concatenate([wall, box])
     scan = StoredScan(ends[np.argsort(np.arctan2(ends[:, 1], ends[:, 0]))], ORIGIN)
-    lengths = line_lengths(scan.ends, ORIGIN)
+    lengths = measure_line_lengths(scan.ends, ORIGIN)
     assert lengths[scan.ends[:, 1] > 0] == pytest.approx(6.0)
     assert lengths[scan.ends[:, 1] < 0] == pytest.approx(0.8)
     assert len(find_walls(scan)) == len(wall)

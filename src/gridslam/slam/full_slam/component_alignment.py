@@ -13,7 +13,7 @@ from gridslam.geometry.se2 import between, compose, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import thin_points
-from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, weigh_known_beams
+from gridslam.matching.gauss_newton import GaussNewton, weigh_known_beams
 from gridslam.slam.full_slam.trajectory_score import SCALE_M, log_likelihood, weigh_same_side
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, transform_match
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph, anchor_of, position_sigmas
@@ -21,10 +21,10 @@ from gridslam.slam.loop_closure.map_search import MapSearch
 from gridslam.slam.loop_closure.place_matching import PlaceMatching
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.state import LoopClosureState
-from gridslam.slam.loop_closure.submap_matching import COARSE, FINE, MAX_POINTS, Submap
+from gridslam.slam.loop_closure.submap_matching import MAX_POINTS, Submap
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.loop_closure.submap_recognition import drift_distance
-from gridslam.slam.loop_closure.submaps import ROW, build_map
+from gridslam.slam.loop_closure.submaps import DIRECTIONS, ROW, build_map, match_points
 from gridslam.slam.loop_closure.walls import leave_open
 from gridslam.types import BeamEnds, FloatArray, IntArray, Match, StoredScan
 
@@ -53,8 +53,6 @@ _DENSE_M = 5.0
 _MOST_SCORED = 20
 """Key scans by which a hypothesis is scored, spread evenly, in either direction."""
 
-_SHIFTS = np.column_stack([np.cos(np.arange(8) * math.pi / 4), np.sin(np.arange(8) * math.pi / 4), np.zeros(8)])
-"""Directions (8, 3) in which the best hypothesis is shifted."""
 LENGTH_M = 15.0
 _STEP_M = 5.0
 """Way of a submap, and way from one to the next."""
@@ -190,9 +188,7 @@ class _WantedSearch(NamedTuple):
         frame = graph.poses[self.seen_from]
         hits = match_submap(search, self.submap, compose(frame, self.expected), self.reach_m, self.reach_rad)
         return [
-            hit._replace(
-                squared_sigmas=drift_distance(graph, self.seen_from, hit.key, between(frame, hit.pose)),
-            )
+            hit._replace(squared_sigmas=drift_distance(graph, self.seen_from, hit.key, between(frame, hit.pose)))
             for hit in hits
         ]
 
@@ -226,7 +222,7 @@ def match_submap(
     """Search a map for a submap, near a pose (3,) if it is given; the places that its points speak for, best first."""
     hits = []
     for pose, points in search(submap, near, near_m, near_rad):
-        weights = weigh_known_beams(search.maps, ROW, pose, points.ends, SCALE_M)
+        weights = weigh_known_beams(search.maps, ROW, pose, points, SCALE_M)
         score = log_likelihood(float(weights.sum(dtype=np.float64)), len(weights))
         if score > 0:
             hits.append(SearchHit(submap.anchor, pose, score))
@@ -330,7 +326,7 @@ class Alignment:
             return None
         own = self._draw(best.poses)
         limit += best.squared_sigmas
-        shifts = _SHIFT_M * _SHIFTS
+        shifts = _SHIFT_M * DIRECTIONS
         is_comparable = any(self._score_both(best.poses + shift, own, shift, limit)[0] > limit for shift in shifts)
         return None if is_comparable else best
 
@@ -361,9 +357,7 @@ class Alignment:
 
     def _match_points(self, component: Submap, pose: FloatArray) -> Match:
         """Match the points of a component from a pose (3,) of its frame on."""
-        few = StoredScan(thin_points(component.collect_points(), MAX_POINTS), np.zeros(2))
-        match = COARSE(self.known.maps, ROW, pose[None], NO_PRIOR[None], few)
-        return FINE(self.known.maps, ROW, match.poses, NO_PRIOR[None], few)
+        return match_points(self.known.maps, pose[None], thin_points(component.collect_points(), MAX_POINTS))
 
     def _track(self, begin: int, pose: FloatArray) -> FloatArray:
         """Poses (K, 3) of the component from that (3,) of key scan `begin` on, corrected where a scan matches."""

@@ -199,7 +199,7 @@ class EarlierPieces:
         near = None
         if self._begin is not None:
             near = compose(self._begin, between(graph.tracked[0], graph.tracked[submap.anchor]))
-        return match_submap(self._searches[number], submap, near, _NEAR_M, _NEAR_RAD)[:_TRACKED]
+        return match_submap(self._searches[number], submap, near, _NEAR_M, _NEAR_RAD)
 
 
 @final

@@ -12,10 +12,11 @@ from gridslam.geometry.angles import wrap
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE
 from gridslam.matching.branch_and_bound import thin_points
-from gridslam.matching.gauss_newton import NO_PRIOR, cauchy_weights
+from gridslam.matching.gauss_newton import cauchy_weights
 from gridslam.slam.loop_closure.submap_features import extract_features, match_nearest_features
-from gridslam.slam.loop_closure.submap_matching import COARSE, FINE, Submap, poses_of_pairs
-from gridslam.types import FloatArray, StoredScan
+from gridslam.slam.loop_closure.submap_matching import Submap, poses_of_pairs
+from gridslam.slam.loop_closure.submaps import match_points
+from gridslam.types import FloatArray
 
 _NEAREST = 5
 """Keypoints of the map that one of a submap is matched with: in a building many look alike."""
@@ -38,12 +39,12 @@ class MapPlace(NamedTuple):
     ----------
     pose : (3,) float64
         Of the submap's frame in the map.
-    points : StoredScan
+    points : (B, 2) float64
         Of the submap, by which the place was refined.
     """
 
     pose: FloatArray
-    points: StoredScan
+    points: FloatArray
 
 
 @final
@@ -79,12 +80,8 @@ class MapSearch:
         rows = np.zeros(len(poses), np.int32)
         away_m = self.maps.distances(rows, poses, thin_points(points, _RANKED_POINTS))
         poses = _select_distinct(poses, cauchy_weights(away_m, _RANK_M).mean(axis=1))
-        few = StoredScan(thin_points(points, _REFINED_POINTS), np.zeros(2))
-        rows = rows[: len(poses)]
-        priors = np.broadcast_to(NO_PRIOR, (len(poses), 3, 3)).copy()
-        for matcher in (COARSE, FINE):
-            poses = matcher(self.maps, rows, poses, priors, few).poses
-        return [MapPlace(pose, few) for pose in poses]
+        few = thin_points(points, _REFINED_POINTS)
+        return [MapPlace(pose, few) for pose in match_points(self.maps, poses, few).poses]
 
 
 def _occupied_points(maps: TileMaps) -> FloatArray:

@@ -14,13 +14,13 @@ from gridslam.geometry.se2 import between, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import thin_points
-from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, cauchy_weights, degenerate_direction
+from gridslam.matching.gauss_newton import cauchy_weights, degenerate_direction
 from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.submap_features import SubmapFeatures, extract_features, match_features
-from gridslam.slam.loop_closure.submaps import ROW, build_map
+from gridslam.slam.loop_closure.submaps import ROW, build_map, match_points
 from gridslam.slam.loop_closure.walls import find_walls
-from gridslam.types import FloatArray, IntArray, Match, StoredScan
+from gridslam.types import FloatArray, IntArray, Match
 
 _REACH_M = 30.0
 """Beams beyond are far apart, and their ends move with the heading."""
@@ -148,9 +148,6 @@ _INLIER_M = 0.2
 """Distance to the other's obstacles at which a point counts half."""
 _MAX_CONTRADICTED = 0.2
 """Largest share of these that lie where the other saw free space."""
-COARSE = GaussNewton(cauchy_m=0.3, max_iterations=20, point_to_line=False)
-FINE = GaussNewton(cauchy_m=0.15)
-"""How a pose is refined, first from keypoints and then from there."""
 
 
 @final
@@ -182,9 +179,7 @@ class SubmapMatching:
 
     def verify(self, old: DrawnSubmap, new: DrawnSubmap, pose: FloatArray, keypoints: int) -> SubmapMatch | None:
         """Refine a proposed pose (3,), and verify it in both directions; None where it does not fit."""
-        beams = StoredScan(new.points, np.zeros(2))
-        match = COARSE(old.maps, ROW, pose[None], NO_PRIOR[None], beams)
-        match = FINE(old.maps, ROW, match.poses, NO_PRIOR[None], beams)
+        match = match_points(old.maps, pose[None], new.points)
         (refined,) = match.poses
         if degenerate_direction(match.information[0], float(match.score[0]), self.min_information) is not None:
             return None

@@ -12,12 +12,18 @@ import numpy as np
 from gridslam.grid.cells import LOG_ODDS_UNIT
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton
 from gridslam.slam.loop_closure.key_graph import KeyGraph, anchor_of, first_key_scan
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
-from gridslam.types import FloatArray, Int32Array, IntArray
+from gridslam.types import FloatArray, Int32Array, IntArray, Match, StoredScan
 
 ROW: Int32Array = np.array([0], np.int32)
 """The one row of a submap."""
+
+_COARSE = GaussNewton(cauchy_m=0.3, max_iterations=20, point_to_line=False)
+_FINE = GaussNewton(cauchy_m=0.15)
+DIRECTIONS = np.column_stack([np.cos(np.arange(8) * math.pi / 4), np.sin(np.arange(8) * math.pi / 4), np.zeros(8)])
+"""Directions (8, 3) in which places lie beside one."""
 
 _MOST_BYTES = 32_000_000
 """Of submaps that are kept: all indoors, and few where a laser sees 80 m of open ground."""
@@ -35,6 +41,15 @@ _SCANS_AT_A_TIME = 128
 def key_scans_of(submap: int, graph: KeyGraph) -> IntArray:
     """Key scans of a submap that no gap in the laser data separates from its anchor."""
     return graph.select_without_gap(np.arange(first_key_scan(submap), first_key_scan(submap + 1)), anchor_of(submap))
+
+
+def match_points(maps: TileMaps, poses: FloatArray, points: FloatArray) -> Match:
+    """Match points (B, 2) to the one map of `maps` from each of some poses (K, 3): coarsely, then finely from there."""
+    scan = StoredScan(points, np.zeros(2))
+    rows = np.zeros(len(poses), np.int32)
+    priors = np.broadcast_to(NO_PRIOR, (len(poses), 3, 3)).copy()
+    match = _COARSE(maps, rows, poses, priors, scan)
+    return _FINE(maps, rows, match.poses, priors, scan)
 
 
 def insert_key_scans(

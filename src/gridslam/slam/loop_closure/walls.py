@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from gridslam.geometry.se2 import between
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.branch_and_bound import thin_points
-from gridslam.matching.gauss_newton import NO_PRIOR, GaussNewton, weigh_known_beams
-from gridslam.matching.lines import line_lengths
-from gridslam.types import BeamEnds, FloatArray, StoredScan
+from gridslam.matching.gauss_newton import weigh_known_beams
+from gridslam.matching.lines import measure_line_lengths
+from gridslam.slam.loop_closure.submaps import DIRECTIONS, ROW, match_points
+from gridslam.types import BeamEnds, FloatArray
 
 _WALL_M = 2.0
 """Lines longer than furniture and doors are walls."""
@@ -26,19 +25,15 @@ _NEUTRAL = 0.7
 """Agreement that is no evidence, as in `score_trajectory`."""
 _AGREES_M = 0.1
 _MOST_POINTS = 1000
-_COARSE = GaussNewton(cauchy_m=0.3, max_iterations=20, point_to_line=False)
-_FINE = GaussNewton(cauchy_m=0.15)
-_ANGLES = np.arange(8) * math.pi / 4
-_STARTS = _BESIDE_M * np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(8)])
 
 
 def find_walls(scan: BeamEnds) -> FloatArray:
     """Return the ends (B, 2) of the beams that end on long lines."""
-    return scan.ends[line_lengths(scan.ends, np.asarray(scan.origin)) >= _WALL_M]
+    return scan.ends[measure_line_lengths(scan.ends, np.asarray(scan.origin)) >= _WALL_M]
 
 
 def leave_open(maps: TileMaps, walls: FloatArray, pose: FloatArray) -> bool:
-    """Whether walls fit the one map beside a pose as well as there: furniture alone decides then.
+    """Return whether walls fit the one map beside a pose as well as there: furniture alone decides then.
 
     Scans that see hardly anything else fit it where it stands now, all the more where all of it was moved alike.
 
@@ -51,18 +46,14 @@ def leave_open(maps: TileMaps, walls: FloatArray, pose: FloatArray) -> bool:
     pose : (3,) float64
         Where their frame is in the map.
     """
-    few = StoredScan(thin_points(walls, _MOST_POINTS), np.zeros(2))
-    places = pose + _STARTS
-    rows = np.zeros(len(places), np.int32)
-    priors = np.broadcast_to(NO_PRIOR, (len(places), 3, 3)).copy()
-    for matcher in (_COARSE, _FINE):
-        places = matcher(maps, rows, places, priors, few).poses
+    few = thin_points(walls, _MOST_POINTS)
+    places = match_points(maps, pose + _BESIDE_M * DIRECTIONS, few).poses
     away = np.hypot(*between(pose, places)[:, :2].T)
-    limit = _RATIO * _weigh(maps, few.ends, pose)
+    limit = _RATIO * _weigh(maps, few, pose)
     beside = places[(away >= _SAME_M) & (away < _MOST_BESIDE_M)]
-    return any(_weigh(maps, few.ends, place) > max(limit, 0.0) for place in beside)
+    return any(_weigh(maps, few, place) > max(limit, 0.0) for place in beside)
 
 
 def _weigh(maps: TileMaps, points: FloatArray, pose: FloatArray) -> float:
-    weights = weigh_known_beams(maps, np.zeros(1, np.int32), pose, points, _AGREES_M)
+    weights = weigh_known_beams(maps, ROW, pose, points, _AGREES_M)
     return float(weights.sum(dtype=np.float64)) - _NEUTRAL * len(weights)
