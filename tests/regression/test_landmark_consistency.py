@@ -11,17 +11,17 @@ from gridslam.slam.landmarks.ekf_slam import EkfSlam
 from support.consistency import Consistency, check_consistency
 from support.landmark_world import INCREMENT, MOTION, drive, ring
 
-RUNS, STEPS = 50, 100
+RUNS, STEPS = 100, 100
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
 WRONG = SystematicErrors(sigma_per_m=0.06, sigma_per_rad=0.0, memory_m=1e9)
 
 
 def test_nees_of_ekf_slam_lies_in_its_band():
-    """Average NEES of 50 runs at each of 100 steps, three quarters around a ring of 12 landmarks.
+    """Average NEES of 100 runs at each of 100 steps, three quarters around a ring of 12 landmarks.
 
-    Each average is chi-square with 150 degrees of freedom over 50, within [2.36, 3.72] with 95 %. The averages of one
+    Each average is chi-square with 300 degrees of freedom over 100, within [2.54, 3.50] with 95 %. The averages of one
     step and the next are correlated, so the share within has a wide spread: 0.90 instead of 0.95 is asked of it. The
-    mean over all steps has an expectation of 3, and a spread well below that of a single step, 0.35.
+    mean over all steps has an expectation of 3, and a spread well below that of a single step, 0.25.
     """
     average, band = _average_nees(NO_ERRORS, NO_ERRORS)
     assert ((average >= band.lower) & (average <= band.upper)).mean() >= 0.9
