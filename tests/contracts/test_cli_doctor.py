@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from gridslam import __version__
-from gridslam.cli.logs import check_log
+from gridslam.api.diagnosis import check_log
+from gridslam.cli.output import warn
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.csv import write_csv_log
 from gridslam.io.log import LogOptions, open_log
@@ -118,7 +119,7 @@ def test_what_is_no_log_is_refused_in_one_line(call, tmp_path, content):
 def test_a_checked_log_tells_on_stderr_what_is_wrong_at_its_begin(simulated, tmp_path, capsys):
     path = tmp_path / "a.clf"
     write_carmen(path, (Measurement(None, scan) for _, scan in simulated.measurements[:60]))
-    assert len(list(check_log(open_log(path), LogOptions()))) == 60
+    assert len(list(check_log(open_log(path), LogOptions(), warn))) == 60
     out, err = capsys.readouterr()
     assert out == ""
     (line,) = err.splitlines()

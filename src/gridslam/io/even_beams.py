@@ -27,7 +27,7 @@ def find_time_increment(times_s: FloatArray, tolerance_s: float) -> float:
 
 
 def require_hits_within_limits(scan: LaserScan) -> None:
-    """Raise ArgumentError where a hit lies outside the range limits, by which readers decide what is one."""
+    """Check that all hits lie within the range limits; raises ArgumentError for others."""
     hits = scan.ranges[scan.status == BeamStatus.HIT]
     if not ((hits > 0) & (hits >= scan.range_min_m) & (hits < scan.range_max_m)).all():
         limits = f"hits from {scan.range_min_m:g} m on and below {scan.range_max_m:g} m"

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import secrets
-import shutil
 import sqlite3
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -22,6 +20,7 @@ from gridslam.geometry import se2, se3
 from gridslam.io.bags.encoder import MessageEncoder, Values
 from gridslam.io.even_beams import find_step, find_time_increment, require_hits_within_limits
 from gridslam.io.measurement import Measurement
+from gridslam.io.output import write_atomically
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry
 
 _FILES = {".bag": "ros1", ".mcap": "mcap", ".db3": "sqlite3"}
@@ -86,18 +85,16 @@ def write_bag(path: str | Path, measurements: Iterable[Measurement]) -> None:
     kind = _FILES.get(target.suffix, "sqlite3")
     if kind == "sqlite3" and set("?#%") & set(str(target)):
         raise OutputError(f"{path}: a path with ?, # or % cannot hold a sqlite3 bag: write .mcap, or elsewhere")
-    aside = target.with_name(f".{target.name}.{secrets.token_hex(4)}.partial")
     try:
-        aside.mkdir()
-        written = aside / (target.stem if target.suffix in _FILES else target.name)
-        _write(written, kind, measurements)
-        if kind != "ros1" and target.suffix in _FILES:
-            written /= written.name + target.suffix
-        os.replace(written, target)
-    except (OSError, sqlite3.Error) as error:
-        raise OutputError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
+        with write_atomically(target) as aside:
+            if kind == "ros1" or target.suffix not in _FILES:
+                _write(aside, kind, measurements)
+            else:
+                folder = aside.with_suffix("")
+                _write(folder, kind, measurements)
+                os.replace(folder / aside.name, aside)
+    except sqlite3.Error as error:
+        raise OutputError(f"{path}: cannot be written: {error}") from None
 
 
 def _write(path: Path, kind: str, measurements: Iterable[Measurement]) -> None:
