@@ -6,7 +6,7 @@ import io
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -17,8 +17,10 @@ from PIL import Image
 from gridslam.errors import ArgumentError
 from gridslam.io.maps import read_map
 from gridslam.localization import KnownMap
-from support.fuzz_bombs import MAP_YAML
-from support.fuzz_commands import Prepare, Read
+
+MAP_YAML = (
+    "image: map.pgm\nresolution: 0.05\norigin: [-1.0, -2.0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+)
 
 _NAMES = ("map.pgm", "map.png", "map.eps", "map.jpg", "map", "map.yaml.png", "map.gif")
 _MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr", "I", "F", "I;16", "HSV", "LAB")
@@ -29,7 +31,7 @@ _EPS = (
 )
 
 
-def images(folder: Path) -> Iterator[tuple[str, int, Prepare, Read, float]]:
+def images(folder: Path) -> Iterator[tuple[str, int, Callable[..., None], Callable[[Path], object], float]]:
     """Name, point of the report, the two functions and the weight of the family."""
     cells = np.random.default_rng(0).choice([0, 205, 254], (60, 70)).astype(np.uint8)
     Image.init()
