@@ -15,6 +15,7 @@ from gridslam.matching.sharpness import measure_sharpness
 from gridslam.matching.surfaces import Surfaces
 from gridslam.slam.full_slam.component_alignment import align_components
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
+from gridslam.slam.full_slam.key_motion import weigh_odometry
 from gridslam.slam.full_slam.key_scan_matching import match_key_scans
 from gridslam.slam.full_slam.laser_errors import LaserErrors, estimate_laser_errors
 from gridslam.slam.full_slam.surface_adjustment import LINE_REACH_M, adjust_key_scans, match_scans
@@ -261,9 +262,10 @@ class _Refinement:
     def measured(self, best: Candidate) -> PoseGraph:
         """Graph of a candidate whose key scans are to be matched to each other.
 
-        The increments are the tracked ones, also of the filter, whose own are rough; but across a gap in the laser data
-        these are odometry alone, and the candidate's stay. Of matches to cells so much is left as a map needs that
-        nothing else joins, as surfaces of the same scans determine the same more exactly.
+        The increments are the tracked ones, also of the filter, whose own are rough, and those of the odometry (see
+        `weigh_odometry`); but across a gap in the laser data these are odometry alone, and the candidate's stay. Of
+        matches to cells so much is left as a map needs that nothing else joins, as surfaces of the same scans determine
+        the same more exactly.
         """
         tracked = np.array(self.graph.tracked)
         measurements = best.graph.measurements.copy()
@@ -272,12 +274,14 @@ class _Refinement:
         smooth[:count] = between(tracked[:-1], tracked[1:])
         errors = replace(best.graph, measurements=smooth).errors()[:count]
         squares = np.einsum("ki,kij,kj->k", errors, best.graph.information[:count], errors)
-        is_followed = (squares < _MOST_SQUARED) & (np.diff(self.graph.label_gaps()) == 0)
+        is_seen = np.diff(self.graph.label_gaps()) == 0
+        is_followed = is_seen & (squares < _MOST_SQUARED)
         measurements[:count][is_followed] = smooth[:count][is_followed]
+        graph = weigh_odometry(replace(best.graph, measurements=measurements), self.graph, is_seen)
         weights = best.weights.copy()
         is_of_cells = [c.source in (ConstraintSource.PROXIMITY, ConstraintSource.TRACKED) for c in best.constraints]
         weights[len(weights) - len(is_of_cells) :][is_of_cells] *= _CELLS_LEFT
-        return scale_information(replace(best.graph, measurements=measurements), weights)
+        return scale_information(graph, weights)
 
     def _close_loops(self, selection: CandidateSelection) -> None:
         """Repeatedly recognize more places, starting from the best candidate.
