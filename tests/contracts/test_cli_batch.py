@@ -204,7 +204,7 @@ def test_an_interrupt_ends_a_batch_cleanly_and_it_goes_on_later(logs, tmp_path):
     command = [
         sys.executable,
         "-m",
-        "gridslam.cli.main",
+        "gridslam",
         "batch",
         str(logs),
         "-o",

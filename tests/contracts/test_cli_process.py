@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-GRIDSLAM = sys.executable, "-m", "gridslam.cli.main"
+GRIDSLAM = sys.executable, "-m", "gridslam"
 
 
 def start(*arguments, **options):
