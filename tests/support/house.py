@@ -73,6 +73,7 @@ INNER_RANKS = {
         "log_statistics": 1,
         "geojson": 0,
         "edits": 1,
+        "even_beams": 0,
         "maps": 2,
         "edited_maps": 3,
         "sessions": 2,

@@ -12,14 +12,14 @@ from dataclasses import replace
 import pytest
 
 from gridslam.batch.engine import run_jobs
-from gridslam.batch.journal import JOURNAL, Journal
+from gridslam.batch.journal import JOURNAL
+from gridslam.batch.runs import read_runs
 from gridslam.errors import ArgumentError, OutputError
 from support.batch_jobs import make_job
 
 
 def read_rows(out):
-    with Journal(out) as journal:
-        return list(journal.rows())
+    return sorted((run.row for run in read_runs(out)), key=lambda row: row["folder"])
 
 
 def run(jobs, out, workers=2, **options):
