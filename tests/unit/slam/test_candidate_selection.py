@@ -1,7 +1,5 @@
 """Candidates are compared by one score, and what is told of the best belongs together."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

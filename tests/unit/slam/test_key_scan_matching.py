@@ -1,7 +1,5 @@
 """Which key scans the final refinement matches to which submaps."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
