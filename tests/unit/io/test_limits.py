@@ -1,7 +1,5 @@
 """What a file may unpack to, and what readers may hold in memory: one rule for all formats."""
 
-from __future__ import annotations
-
 import bz2
 import gzip
 import os
