@@ -1,7 +1,5 @@
 """How the package is shipped: workflows only call scripts, and recipes ask for what the package asks for."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """What `gridslam graph` writes, prints and returns."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

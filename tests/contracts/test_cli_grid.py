@@ -1,7 +1,5 @@
 """What `gridslam grid` and `map_with_poses` write, say and return."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import partial

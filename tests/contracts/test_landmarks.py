@@ -1,7 +1,5 @@
 """What mapping landmarks writes and says, by every method."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -3,8 +3,6 @@
 Of the kernels in use; `test_twins` shows that maps are updated alike by their twins.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import checks

@@ -1,7 +1,5 @@
 """Every compiled kernel agrees with its NumPy twin: the integer ones to the last bit, the others to rounding."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace

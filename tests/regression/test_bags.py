@@ -1,7 +1,5 @@
 """The real bags do what is known of them, and no damage to a bag is anything but a log or a named error."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """EKF localization: its covariances tell the truth where its noise is the true one, and it tracks real robots."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Each stage is as exact as the page on scan matching states, against exact truth and beside the bound of the beams."""
 
-from __future__ import annotations
-
 import pytest
 
 from error_budget import judge

@@ -1,7 +1,5 @@
 """The map is edited on the page: drawn, selected, moved, undone, and saved beside the map as it is seen."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import shutil

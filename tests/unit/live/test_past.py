@@ -1,7 +1,5 @@
 """A running filter is shown as it was at any time before."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from test_live_run import ObservedRun

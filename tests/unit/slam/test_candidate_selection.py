@@ -1,7 +1,5 @@
 """A trajectory that recognized places change is compared with what they make of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """How uncertain tracked motion is: one step as many, and directions left open."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
