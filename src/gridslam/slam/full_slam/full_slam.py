@@ -55,7 +55,7 @@ class LoopClosureSummary:
     constraints : Counter of ConstraintSource
         Key scans matched to submaps of another time while the robot drove, by how their place was known.
     refinement_constraints : int
-        Pairs of key scans whose surfaces the final refinement matched.
+        Pairs of key scans of different visits whose surfaces the final refinement matched.
     chi2 : float
         Of the graph after the final refinement.
     max_correction_m : float

@@ -19,7 +19,7 @@ from gridslam.slam.full_slam.laser_errors import LaserErrors, estimate_laser_err
 from gridslam.slam.full_slam.surface_adjustment import LINE_REACH_M, adjust_key_scans, match_scans
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore, score_trajectory
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
-from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
 from gridslam.slam.loop_closure.loop_closure import SOLVER, LoopClosure
 from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
@@ -105,8 +105,8 @@ class RefinementResult:
     measured : PoseGraph
         All that determines the best trajectory, by which its poses are uncertain (see `Adjusted`).
     graph : PoseGraph
-        The same without pairs across a gap in the laser data that nothing else joins, which are no evidence, and
-        without those that the answer contradicts.
+        The same without pairs of one visit, which the tracked motion joins, pairs across a gap in the laser data that
+        nothing else joins, which are no evidence, and those that the answer contradicts.
     pairs : int
         Number of pairs in `graph`, its last measurements.
     sharpness_m : float or None, m
@@ -133,6 +133,11 @@ _CELLS_LEFT = 0.01
 """Of the information of a match to cells, beside that of surfaces."""
 _MOST_SQUARED = 25.0
 """Normalized square of what a tracked increment misses the selected trajectory by; beyond, the tracker was wrong."""
+_AGREE_M, _AGREE_RAD = 0.3, 0.05
+"""Trajectories are the same if no key scan is farther from where the other has it; a pair that is farther from the
+answer is an outlier."""
+_SAME_VISIT = 3 * KEY_SCANS_PER_SUBMAP
+"""Key scans that are not farther apart belong to one visit."""
 _ROBUST = CauchyEstimator()
 """Robust estimator of the graph."""
 
@@ -195,7 +200,8 @@ def refine_trajectory(
     count = len(measured.edges) - len(matched)
     errors = np.abs(measured.errors()[count:])
     is_shown = np.diff(graph.label_rigid_components()[matched])[:, 0] == 0
-    is_shown &= (np.hypot(errors[:, 0], errors[:, 1]) < closure.disagree_m) & (errors[:, 2] < closure.disagree_rad)
+    is_shown &= np.diff(matched)[:, 0] > _SAME_VISIT
+    is_shown &= (np.hypot(errors[:, 0], errors[:, 1]) < _AGREE_M) & (errors[:, 2] < _AGREE_RAD)
     shown = measured.select(np.append(np.ones(count, np.bool_), is_shown))
     laser_errors = estimate_laser_errors(surfaces, key_poses, matched)
     graph.poses = list(key_poses)
@@ -258,7 +264,7 @@ class _Refinement:
             recognized = found.recognized_constraints
             contradicted = self.closure.find_contradicted(recognized, last.graph.poses)
             moved_m = np.hypot(*(found.graph.poses - last.graph.poses)[:, :2].T).max()
-            agrees = best is last and not contradicted.any() and moved_m <= self.closure.disagree_m
+            agrees = best is last and not contradicted.any() and moved_m <= _AGREE_M
             is_better = not agrees and self._log_likelihood(found) > self._log_likelihood(best)
             if agrees or is_better:
                 best = found
@@ -276,7 +282,7 @@ class _Refinement:
         """Move the key scans of a candidate until their surfaces fit; the same again where that was done before."""
         if candidate.name not in self.adjusted:
             measured = self._measured(candidate)
-            graph = adjust_key_scans(measured, self.surfaces)
+            graph = adjust_key_scans(measured, self.surfaces, self.graph.rejected)
             scans = self.closure_state.scans
             score, maps = score_trajectory(self.graph, scans, graph.poses, self.mapper, self.on_progress)
             self.adjusted[candidate.name] = Adjusted(graph, graph.edges[len(measured.edges) :], score, maps)

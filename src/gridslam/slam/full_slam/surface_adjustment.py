@@ -8,6 +8,7 @@ import numpy as np
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.matching.surfaces import Surfaces
+from gridslam.slam.loop_closure.key_graph import join_near
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -49,7 +50,7 @@ _PRIOR_SIGMA_RAD = 0.01
 """How well the motion from the key scans about it determines such a scan."""
 
 
-def adjust_key_scans(graph: PoseGraph, surfaces: Surfaces) -> PoseGraph:
+def adjust_key_scans(graph: PoseGraph, surfaces: Surfaces, rejected: IntArray | None = None) -> PoseGraph:
     """Move the key scans of a graph; the graph there, with the measurements of all pairs.
 
     The distances between the surfaces of key scans that are near each other are minimized, together with the graph's
@@ -57,9 +58,12 @@ def adjust_key_scans(graph: PoseGraph, surfaces: Surfaces) -> PoseGraph:
     pair, the relative pose that fits best, with the information of its points.
 
     A scan takes part in several pairs: while poses are sought it counts fully in each, and in the graph that is
-    returned they share the information of its points, so that covariances follow from it.
+    returned they share the information of its points, so that covariances follow from it. Pairs near `rejected` ones
+    (R, 2), which a person has taken away, are left out.
     """
     pairs = _select_pairs(graph.poses)
+    for pair in [] if rejected is None else rejected.tolist():
+        pairs = pairs[~join_near(pairs, pair)]
     poses = graph.poses
     for gate_m in _GATES_M:
         whole = _measure(graph.with_poses(poses), surfaces, pairs, gate_m)
