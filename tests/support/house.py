@@ -46,6 +46,7 @@ RANKS = {
     "batch": 14,
     "tuning": 15,
     "cli": 16,
+    "__main__": 17,
 }
 """Rank of each folder and of each single module of the package: it imports lower ranks and itself, nothing else."""
 
