@@ -1,7 +1,5 @@
 """`gridslam batch`: many logs by one command, what it prints, its exit status and bad input."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

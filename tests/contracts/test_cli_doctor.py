@@ -106,16 +106,6 @@ def test_the_report_is_what_is_printed(call, reflected, tmp_path):
     assert printed.startswith((tmp_path / "report.txt").read_text())
 
 
-@pytest.mark.parametrize("content", [b"", b"\x00\x01\x02 no log", b"PARAM robot_front_laser_max 81.9 x x 0\n"])
-def test_what_is_no_log_is_refused_in_one_line(call, tmp_path, content):
-    path = tmp_path / "what"
-    path.write_bytes(content)
-    status, out, err = call("doctor", path, "-o", tmp_path / "out")
-    assert (status, out) == (2, "")
-    assert len(err.splitlines()) == 1
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_checked_log_tells_on_stderr_what_is_wrong_at_its_begin(simulated, tmp_path, capsys):
     path = tmp_path / "a.clf"
     write_carmen(path, (Measurement(None, scan) for _, scan in simulated.measurements[:60]))

@@ -1,7 +1,5 @@
 """What landmarks, evaluate and simulate say of what they cannot use: by the option's own name, and nothing is lost."""
 
-from __future__ import annotations
-
 import pytest
 
 

@@ -1,7 +1,5 @@
 """--live and view: what they accept, that results are the same, and that others do not pay for them."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """What only a process of its own shows: start, signals, pipes."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """The same log, configuration and seed give the same bytes, whatever the machine does in parallel."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

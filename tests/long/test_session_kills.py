@@ -1,7 +1,5 @@
 """Nodes that go on from one another, and merges that are killed, at fifty moments: identical files each time."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

@@ -1,7 +1,5 @@
 """Logs of real robots: what is jitter, codes and habit there is no fault, and a laser that tilts is one."""
 
-from __future__ import annotations
-
 from itertools import islice
 
 import pytest

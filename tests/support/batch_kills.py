@@ -1,7 +1,5 @@
 """A batch that is killed again and again, and started again each time."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -446,7 +446,7 @@ class CheckedLog:
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start."""
         for count, measurement in enumerate(self._log, 1):
-            if count > self._checked:
+            if count > self._checked and not (self._breaks is None and self._check.is_complete):
                 self._checked = count
                 self._report(partial(self._take, measurement))
             yield measurement

@@ -52,7 +52,8 @@ def _find_nodes(tree: Any, above: str) -> Iterator[tuple[str, Any]]:  # noqa: AN
 def flatten_parameters(table: Mapping[str, Any], *, keeps_qos: bool = False) -> dict[str, Any]:
     """Return parameters by dotted names: `initial_pose: {x: 1}` is the parameter `initial_pose.x`."""
     found: dict[str, Any] = {}
-    for name, value in table.items():
+    for key, value in table.items():
+        name = str(key)  # YAML has keys of other kinds
         if name.partition(".")[0] == "qos_overrides" and not keeps_qos:
             continue
         if isinstance(value, Mapping):

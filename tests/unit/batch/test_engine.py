@@ -1,7 +1,5 @@
 """Laws of a batch: each job has exactly one row, and what is done is not done again."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Ranges in other units, of a frozen laser and at random are named; rest, corridors, round rooms and crowds are not."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import islice

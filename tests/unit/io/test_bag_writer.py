@@ -1,7 +1,5 @@
 """What the writer writes rosbags reads: topics, types, stamps, values, and the order of the log."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Where AMCL was before: its topics, its services, maps that come as messages, and a managed node."""
 
-from __future__ import annotations
-
 import struct
 from types import SimpleNamespace
 

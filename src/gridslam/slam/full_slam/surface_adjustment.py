@@ -8,6 +8,7 @@ import numpy as np
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.matching.surfaces import Surfaces
+from gridslam.slam.loop_closure.key_graph import join_near
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -24,6 +25,8 @@ _INDEPENDENT_PAIRS = 4
 are then 0.4 to 2.4, where 3 is expected."""
 _HELD = np.eye(3)
 """Information (1/m^2, 1/rad^2) that holds a match where its surfaces leave a direction open."""
+_LOOSE = 0.01
+"""Of that, in the end: such a direction is off by 10 m."""
 LINE_REACH_M = 0.15
 """Lines are fitted to the points so near to one: at a metre five neighbouring beams give a normal that is noisy by 9
 degrees."""
@@ -47,7 +50,7 @@ _PRIOR_SIGMA_RAD = 0.01
 """How well the motion from the key scans about it determines such a scan."""
 
 
-def adjust_key_scans(graph: PoseGraph, surfaces: Surfaces) -> PoseGraph:
+def adjust_key_scans(graph: PoseGraph, surfaces: Surfaces, rejected: IntArray | None = None) -> PoseGraph:
     """Move the key scans of a graph; the graph there, with the measurements of all pairs.
 
     The distances between the surfaces of key scans that are near each other are minimized, together with the graph's
@@ -55,9 +58,12 @@ def adjust_key_scans(graph: PoseGraph, surfaces: Surfaces) -> PoseGraph:
     pair, the relative pose that fits best, with the information of its points.
 
     A scan takes part in several pairs: while poses are sought it counts fully in each, and in the graph that is
-    returned they share the information of its points, so that covariances follow from it.
+    returned they share the information of its points, so that covariances follow from it. Pairs near `rejected` ones
+    (R, 2), which a person has taken away, are left out.
     """
     pairs = _select_pairs(graph.poses)
+    for pair in [] if rejected is None else rejected.tolist():
+        pairs = pairs[~join_near(pairs, pair)]
     poses = graph.poses
     for gate_m in _GATES_M:
         whole = _measure(graph.with_poses(poses), surfaces, pairs, gate_m)
@@ -78,7 +84,7 @@ def _measure(
     weights = np.full(len(own), 1 / (2 * _SIGMA_M**2))
     if shared:
         weights *= _INDEPENDENT_PAIRS / np.bincount(own.ravel(), minlength=len(graph.poses))[own].mean(axis=1)
-    information = weights[:, None, None] * found.information[is_matched] + (0.0 if shared else _HELD)
+    information = weights[:, None, None] * found.information[is_matched] + (_LOOSE if shared else 1.0) * _HELD
     steps = -np.linalg.solve(information + _HELD, (weights[:, None] * found.gradients[is_matched])[..., None])
     measurements = compose(between(graph.poses[own[:, 0]], graph.poses[own[:, 1]]), steps[..., 0])
     return replace(
