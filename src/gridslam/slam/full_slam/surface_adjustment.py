@@ -72,7 +72,7 @@ def adjust_key_scans(
     surfaces, fives : Surfaces
         Of the key scans: of longer lines, which are matched, and of five beams, whose points are as they were measured.
     """
-    pairs = _select_pairs(graph.poses)
+    pairs = select_pairs(graph.poses)
     for pair in [] if rejected is None else rejected.tolist():
         pairs = pairs[~join_near(pairs, pair)]
     poses = graph.poses
@@ -189,7 +189,7 @@ def match_scans(
     return matched, known
 
 
-def _select_pairs(poses: FloatArray) -> IntArray:
+def select_pairs(poses: FloatArray) -> IntArray:
     """Select pairs (P, 2) of key scans at poses (T, 3) to be matched: the last ones, and some of the others."""
     pairs: list[tuple[int, int]] = []
     for to in range(1, len(poses)):
