@@ -193,7 +193,7 @@ def _refine(
     changed = closure_state.snapshot()
     refined = refine_trajectory(changed, trajectory, drives, mapper, closure, on_progress, searched)
     of_keys = key_covariances(refined.measured)
-    covariances = scan_covariances(refined.graph, of_keys, refined.poses, drives, closure.drift)
+    covariances = scan_covariances(refined.graph, of_keys, refined.poses, drives, closure.drift, refined.information)
     loops = _summarize(closure_state, changed, refined, trajectory)
     piece = _make_piece(closure_state, refined)
     return FullSlam(refined.poses, covariances, refined.graph, refined.maps.tiled(0), loops, piece)

@@ -75,6 +75,8 @@ class Adjusted(NamedTuple):
         matched surfaces of pairs of key scans.
     pairs : (P, 2) int64
         Which key scans these are.
+    variance : float, m^2
+        Of a point that is hit head on.
     score : TrajectoryScore
         How probable the poses are. Before they were adjusted, the filter's would be favoured: they are fitted to cells.
     maps : TileMaps
@@ -83,6 +85,7 @@ class Adjusted(NamedTuple):
 
     graph: PoseGraph
     pairs: IntArray
+    variance: float
     score: TrajectoryScore
     maps: TileMaps
 
@@ -98,6 +101,8 @@ class RefinementResult:
         The selected trajectory of the key scans with its graph.
     poses : (N, 3) float64
         A pose for every scan.
+    information : (N, 3, 3) float64
+        Of those that are not key scans, given these: what was matched besides the motion; see `match_scans`.
     maps : TileMaps
         One map, drawn from the key scans.
     scores : dict of str to TrajectoryScore
@@ -117,6 +122,7 @@ class RefinementResult:
 
     best: Candidate
     poses: FloatArray
+    information: FloatArray
     maps: TileMaps
     scores: dict[str, TrajectoryScore]
     measured: PoseGraph
@@ -180,11 +186,12 @@ def refine_trajectory(
     known += [c for c in frozen if c.source is ConstraintSource.PROXIMITY]
     scans = closure_state.scans
     batch = scans.batch(scans.keys)
-    surfaces = Surfaces.of(batch, LINE_REACH_M)
+    surfaces, fives = Surfaces.of(batch, LINE_REACH_M), Surfaces.of(batch)
     on_progress()
     refinement = _Refinement(
         closure_state,
         surfaces,
+        fives,
         mapper,
         closure,
         on_progress,
@@ -194,7 +201,7 @@ def refine_trajectory(
         SubmapPairs(),
     )
     best = refinement.select(trajectory)
-    measured, matched, _, maps = refinement.adjust(best)
+    measured, matched, variance, _, maps = refinement.adjust(best)
     key_poses = measured.poses
     graph.constraints = best.constraints
     count = len(measured.edges) - len(matched)
@@ -208,12 +215,13 @@ def refine_trajectory(
     poses = full_trajectories(key_poses, drives)
     first = sum(len(drive.keys) for drive in drives if int(drive.keys[-1]) < graph.frozen)
     keys = np.concatenate([drive.keys for drive in drives])[first:]
-    poses[first:] = match_scans(poses[first:], keys, scans, surfaces, key_poses)
-    sharpness_m = measure_sharpness(Surfaces.of(batch), key_poses)
+    information = np.zeros((len(poses), 3, 3))
+    poses[first:], information[first:] = match_scans(poses[first:], keys, scans, surfaces, key_poses, variance)
+    sharpness_m = measure_sharpness(fives, key_poses)
     best = replace(best, graph=best.graph.with_poses(key_poses))
     scores = {name: adjusted.score for name, adjusted in refinement.adjusted.items()}
     pairs = int(is_shown.sum())
-    return RefinementResult(best, poses, maps, scores, measured, shown, pairs, sharpness_m, laser_errors)
+    return RefinementResult(best, poses, information, maps, scores, measured, shown, pairs, sharpness_m, laser_errors)
 
 
 @final
@@ -221,14 +229,15 @@ def refine_trajectory(
 class _Refinement:
     """One run of the refinement; it goes from candidate to candidate in the key graph of its state.
 
-    `surfaces` are those of the key scans; `known` are revisits that the robot knew of while it drove, those that a
-    person added, and matches of frozen key scans; the first `searched` key scans are not searched for again; `pairs`
-    are submaps of all of the way, `stretches` short ones, of stretches without a gap in the laser data; `adjusted` are
-    the candidates that were compared.
+    `surfaces` and `fives` are those of the key scans, of longer lines and of five beams; `known` are revisits that the
+    robot knew of while it drove, those that a person added, and matches of frozen key scans; the first `searched` key
+    scans are not searched for again; `pairs` are submaps of all of the way, `stretches` short ones, of stretches
+    without a gap in the laser data; `adjusted` are the candidates that were compared.
     """
 
     closure_state: LoopClosureState
     surfaces: Surfaces
+    fives: Surfaces
     mapper: OccupancyGridMapping
     closure: LoopClosure
     on_progress: Callable[[], None]
@@ -282,10 +291,10 @@ class _Refinement:
         """Move the key scans of a candidate until their surfaces fit; the same again where that was done before."""
         if candidate.name not in self.adjusted:
             measured = self._measured(candidate)
-            graph = adjust_key_scans(measured, self.surfaces, self.graph.rejected)
+            graph, variance = adjust_key_scans(measured, self.surfaces, self.fives, self.graph.rejected)
             scans = self.closure_state.scans
             score, maps = score_trajectory(self.graph, scans, graph.poses, self.mapper, self.on_progress)
-            self.adjusted[candidate.name] = Adjusted(graph, graph.edges[len(measured.edges) :], score, maps)
+            self.adjusted[candidate.name] = Adjusted(graph, graph.edges[len(measured.edges) :], variance, score, maps)
         return self.adjusted[candidate.name]
 
     def _log_likelihood(self, candidate: Candidate) -> float:
