@@ -17,7 +17,7 @@ from gridslam.slam.loop_closure.submaps import build_map, key_scans_of
 from gridslam.types import FloatArray, IntArray
 
 _RECENT_SUBMAPS = 3
-"""Submaps so near in time that the tracker has matched them already."""
+"""Submaps so near in time that the tracker has matched them already, if no gap in the laser data lies between."""
 
 _KEY_SCANS_AT_A_TIME = 32
 """Key scans compared with the submaps around them together: neighbours share most submaps."""
@@ -119,11 +119,15 @@ def _distances(
     Infinite where no match is wanted.
     """
     members = first_key_scan(1) * submaps[:, None] + np.arange(KEY_SCANS_PER_SUBMAP)
+    stretches = graph.label_gaps()
+    own = stretches[anchor_of(0) + first_key_scan(1) * submaps]
     dx, dy, turn = np.moveaxis(poses[members] - poses[here, None, None, :], -1, 0)  # (H, S, K) each
     metres = np.hypot(dx, dy)
     is_wanted = (metres <= _MAX_DISTANCE_M) & (components[members] == components[here, None, None])
+    is_wanted &= stretches[members] == own[:, None]
     away: FloatArray = np.where(is_wanted, metres + 0.5 * np.abs(wrap(turn)), np.inf).min(axis=2, initial=np.inf)
     is_left_out = np.abs(submaps - here[:, None] // KEY_SCANS_PER_SUBMAP) <= _RECENT_SUBMAPS
+    is_left_out &= own == stretches[here, None]
     is_left_out |= (here[:, None] < graph.frozen) & (anchor_of(0) + first_key_scan(1) * submaps < graph.frozen)
     away[is_left_out] = np.inf
     return away
