@@ -14,7 +14,6 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedStrea
 from gridslam.types import FloatArray
 
 DECEPTIVE = ("equal_rooms", "symmetric", "bare_corridors", "moved_furniture")
-SEEDS = 10
 
 _FAST = RobotConfig(v_max_m_s=0.8, turning_radius_m=0.7)
 _VARIANTS = {"equal_rooms": EQUAL_ROOMS, "symmetric": SYMMETRIC, "bare_corridors": BARE_CORRIDORS}

@@ -33,7 +33,6 @@ from gridslam.io.log import open_log
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, simulate
 from gridslam.slam.full_slam.full_slam import FullSlam
-from gridslam.slam.full_slam.key_scan_matching import VISIT_GAP
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.marginals import Marginals
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -138,7 +137,7 @@ def left_out(full: FullSlam) -> dict[str, float]:
 
 
 def group_by_visits(full: FullSlam) -> list[list[int]]:
-    """Places of the constraints in the graph, those that share the information of one visit (`match_key_scans`) joined.
+    """Places of the constraints in the graph, those of a key scan that share the information of its points joined.
 
     Recognized places share none.
     """
@@ -147,9 +146,7 @@ def group_by_visits(full: FullSlam) -> list[list[int]]:
     matched = len(edges) - full.loop_summary.refinement_constraints
     visits = [[edge] for edge in range(len(full.graph.poses) - 1, matched)]
     for edge in range(matched, len(edges)):
-        last = edges[edge - 1]
-        anchor, key = edges[edge]
-        if edge > matched and last[0] == anchor and key <= last[1] + VISIT_GAP:
+        if edge > matched and edges[edge][1] == edges[edge - 1][1]:
             visits[-1].append(edge)
         else:
             visits.append([edge])

@@ -1,7 +1,5 @@
 """The linter of the house sees what breaks its rules; what it checks file by file, `house_rules.py` itself runs."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

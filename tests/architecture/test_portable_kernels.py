@@ -1,7 +1,5 @@
 """The kernels are standard C++20; what a compiler has beyond it stands in one file, behind a test for that compiler."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """The trunk fits on one screen."""
 
-from __future__ import annotations
-
 import inspect
 
 from gridslam.slam import GridFastSlam

@@ -1,7 +1,5 @@
 """The version stands in the package; whoever else tells it tells the same."""
 
-from __future__ import annotations
-
 import re
 from importlib.metadata import version
 

@@ -1,7 +1,5 @@
 """What the commands write, print and return."""
 
-from __future__ import annotations
-
 import errno
 import itertools
 import json

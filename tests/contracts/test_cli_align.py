@@ -1,7 +1,5 @@
 """What `gridslam align` writes and reports, from pairs and from walls, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 

@@ -1,7 +1,5 @@
 """`gridslam batch`: many logs by one command, what it prints, its exit status and bad input."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -204,7 +202,7 @@ def test_an_interrupt_ends_a_batch_cleanly_and_it_goes_on_later(logs, tmp_path):
     command = [
         sys.executable,
         "-m",
-        "gridslam.cli.main",
+        "gridslam",
         "batch",
         str(logs),
         "-o",

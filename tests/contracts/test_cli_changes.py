@@ -1,7 +1,5 @@
 """What `gridslam changes` finds between two maps, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 

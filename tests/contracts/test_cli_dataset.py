@@ -1,7 +1,5 @@
 """gridslam dataset: what is got is what it should be, or nothing is left; from a mirror of our own."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import socket

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from gridslam import __version__
-from gridslam.cli.logs import check_log
+from gridslam.api.diagnosis import check_log
+from gridslam.cli.output import warn
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.csv import write_csv_log
 from gridslam.io.log import LogOptions, open_log
@@ -105,20 +106,10 @@ def test_the_report_is_what_is_printed(call, reflected, tmp_path):
     assert printed.startswith((tmp_path / "report.txt").read_text())
 
 
-@pytest.mark.parametrize("content", [b"", b"\x00\x01\x02 no log", b"PARAM robot_front_laser_max 81.9 x x 0\n"])
-def test_what_is_no_log_is_refused_in_one_line(call, tmp_path, content):
-    path = tmp_path / "what"
-    path.write_bytes(content)
-    status, out, err = call("doctor", path, "-o", tmp_path / "out")
-    assert (status, out) == (2, "")
-    assert len(err.splitlines()) == 1
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_checked_log_tells_on_stderr_what_is_wrong_at_its_begin(simulated, tmp_path, capsys):
     path = tmp_path / "a.clf"
     write_carmen(path, (Measurement(None, scan) for _, scan in simulated.measurements[:60]))
-    assert len(list(check_log(open_log(path), LogOptions()))) == 60
+    assert len(list(check_log(open_log(path), LogOptions(), warn))) == 60
     out, err = capsys.readouterr()
     assert out == ""
     (line,) = err.splitlines()

@@ -1,7 +1,5 @@
 """What `gridslam graph` writes, prints and returns."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
@@ -143,16 +141,6 @@ def test_unknown_tags(call, graph, tmp_path):
     assert "skipped lines: 2 VERTEX_CAM, 1 PARAMS" in text
     document = json.loads((tmp_path / "out" / "graph.json").read_text())
     assert document["input"]["skipped"] == {"VERTEX_CAM": 2, "PARAMS": 1}
-
-
-@pytest.mark.parametrize("text", ["VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 0 0 0\n", "no graph\n", ""])
-def test_bad_files_leave_nothing(call, tmp_path, text):
-    (tmp_path / "bad.g2o").write_text(text)
-    status, out, err = call(tmp_path / "bad.g2o", "-o", tmp_path / "new" / "out", "--json")
-    assert (status, out) == (2, "")
-    assert err.startswith(f"gridslam: {tmp_path / 'bad.g2o'}")
-    assert err.count("\n") == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["bad.g2o"]
 
 
 def test_the_three_lines_run(graph, tmp_path, monkeypatch):

@@ -1,7 +1,5 @@
 """--live and view: what they accept, that results are the same, and that others do not pay for them."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal
@@ -133,7 +131,7 @@ def test_view_serves_until_interrupted_which_is_a_good_end(call, log, mapped, tm
         call("doctor", log, "-o", tmp_path / "out")
     out = shutil.copytree(mapped, tmp_path / "out", dirs_exist_ok=True)
     assert (out / "report.txt").is_file() == has_diagnosis
-    command = [sys.executable, "-u", "-m", "gridslam.cli.main", "view", str(out), "--live-port", "0"]
+    command = [sys.executable, "-u", "-m", "gridslam", "view", str(out), "--live-port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as view:
         line = view.stdout.readline()
         url = line.split("open ")[1].split(" ")[0]

@@ -1,7 +1,5 @@
 """What is read of a log: its time, its scans, its topics, with or without odometry; and what run.json says of it."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What `gridslam mask` writes, how plans and localization honour edits, and what is refused."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What `gridslam plan` writes and reports, from a map, a run and a session, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 import sys
 from functools import partial

@@ -1,7 +1,5 @@
 """What only a process of its own shows: start, signals, pipes."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -10,7 +8,7 @@ import time
 
 import pytest
 
-GRIDSLAM = sys.executable, "-m", "gridslam.cli.main"
+GRIDSLAM = sys.executable, "-m", "gridslam"
 
 
 def start(*arguments, **options):

@@ -1,7 +1,5 @@
 """What `map --save` and `--continue`, `session` and `merge` write, print and return."""
 
-from __future__ import annotations
-
 import json
 import math
 import shutil

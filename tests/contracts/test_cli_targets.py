@@ -1,7 +1,5 @@
 """What commands write: checked before the work begins, and where one of it fails in the end the others are written."""
 
-from __future__ import annotations
-
 import errno
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """gridslam tune: what it writes, that it goes on where it was, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The same log, configuration and seed give the same bytes, whatever the machine does in parallel."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -38,7 +36,7 @@ def test_same_bytes_for_any_number_of_threads(log, tmp_path, alone, threads):
 def test_same_bytes_with_two_blas_threads(log, tmp_path, alone):
     names = "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"
     environment = os.environ | dict.fromkeys(names, "2")
-    command = [sys.executable, "-m", "gridslam.cli.main", "map", log, "-o", tmp_path, "--particles=12", "--seed=3"]
+    command = [sys.executable, "-m", "gridslam", "map", log, "-o", tmp_path, "--particles=12", "--seed=3"]
     subprocess.run(command, check=True, env=environment, capture_output=True)
     assert read(tmp_path) == alone
 

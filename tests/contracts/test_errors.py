@@ -1,4 +1,7 @@
-"""Bad calls raise the project's own errors, which name the argument, what was expected and what came."""
+"""Bad calls raise the project's own errors, which name the argument, what was expected and what came.
+
+What annotations say is checked for all public functions alike (`tests/unit/test_checked.py`); here is the rest.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,7 @@ import pytest
 
 import gridslam
 from gridslam.localization import MonteCarloLocalization
-from gridslam.particles import Multinomial, ResamplingWheel, Residual, Stratified, Systematic, sample_gaussian
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
-from gridslam.slam.landmarks.fastslam1 import FastSlam1
-from gridslam.slam.landmarks.fastslam2 import FastSlam2
+from gridslam.particles import Systematic
 from gridslam.types import LaserScan, OccupancyGrid, Odometry, ScanGeometry, Trajectory
 
 GEOMETRY = ScanGeometry(np.linspace(-1.0, 1.0, 5))
@@ -31,35 +31,18 @@ def room() -> OccupancyGrid:
 MCL = MonteCarloLocalization(gridslam.KnownMap(room()))
 
 
-def seeded(rng):
-    """Every public call that wants a generator, by name."""
-    still = gridslam.GridFastSlam().motion(np.zeros(3))
-    return {
-        "run": lambda: gridslam.run([(ODOMETRY, SCAN)], SLAM, rng=rng),
-        "GridFastSlam.step": lambda: SLAM.step(SLAM.init(ODOMETRY, SCAN)[0], ODOMETRY, SCAN, rng),
-        "MonteCarloLocalization.step": lambda: MCL.step(MCL.init(), ODOMETRY, SCAN, rng),
-        "MonteCarloLocalization.init_gaussian": lambda: MCL.init_gaussian(np.zeros(3), np.eye(3), rng),
-        "FastSlam1.step": lambda: FastSlam1().step(FastSlam1().init(2), still, None, rng),
-        "FastSlam2.step": lambda: FastSlam2().step(FastSlam2().init(2), still, None, rng),
-        "sample_gaussian": lambda: sample_gaussian(3, np.zeros(3), np.eye(3), rng),
-        "make_world": lambda: make_world("demo", rng),
-        "simulate": lambda: simulate(world(), RobotConfig(), OdometryNoise(), LidarConfig(), rng),
-    } | {
-        resampler.__name__: lambda resampler=resampler: resampler()(WEIGHTS, 4, rng)
-        for resampler in (Systematic, Stratified, Residual, Multinomial, ResamplingWheel)
-    }
-
-
-def world():
-    return make_world("demo", np.random.default_rng(0))
-
-
-@pytest.mark.parametrize("name", seeded(None))
 @pytest.mark.parametrize("seed", [0, None, "rng"])
-def test_a_seed_is_no_generator(name, seed):
-    with pytest.raises(gridslam.ArgumentError, match=r"rng: expected a numpy\.random\.Generator, .*, got ") as reported:
-        seeded(seed)[name]()
-    assert f"got {seed!r}" in str(reported.value)
+def test_a_seed_is_no_generator(seed):
+    for call in (
+        lambda: gridslam.run([(ODOMETRY, SCAN)], SLAM, rng=seed),
+        lambda: SLAM.step(SLAM.init(ODOMETRY, SCAN)[0], ODOMETRY, SCAN, seed),
+        lambda: MCL.step(MCL.init(), ODOMETRY, SCAN, seed),
+        lambda: Systematic()(WEIGHTS, 4, seed),
+    ):
+        with pytest.raises(
+            gridslam.ArgumentError, match=rf"rng: expected a numpy\.random\.Generator, .*, got {seed!r}"
+        ):
+            call()
 
 
 def test_a_refused_call_does_not_consume_the_state():
@@ -79,25 +62,13 @@ def test_a_refused_call_does_not_consume_the_state():
         (lambda: SLAM.init(ODOMETRY, SCAN, 2.5), "particles: expected a number, or finite poses of shape"),
         (lambda: SLAM.init(ODOMETRY, SCAN, (0.0, 0.0, 0.0), 30), "particles: expected a number, or finite poses"),
         (lambda: SLAM.init(ODOMETRY, SCAN, 2, "here"), "pose: expected"),
-        (lambda: FastSlam1().init("many"), "count: expected int"),
-        (lambda: sample_gaussian(2.5, np.zeros(3), np.eye(3), RNG), "count: expected int"),
-        (lambda: sample_gaussian(2, np.zeros(3), "wide", RNG), "covariance: expected numbers of shape"),
         (lambda: SLAM.step(SCAN, ODOMETRY, SCAN, RNG), "state: expected GridFastSlamState, got a LaserScan"),
         (lambda: SLAM.step(SLAM.init(None, SCAN), ODOMETRY, SCAN, RNG), "state: expected GridFastSlamState, got a tu"),
         (lambda: MCL.step(MCL.init(), SCAN, ODOMETRY, RNG), "odometry: expected Odometry or None, got a LaserScan"),
         (lambda: gridslam.run("intel.clf.bz2", SLAM, rng=RNG), r"source: expected measurements.*got 'intel.clf.bz2'"),
         (lambda: gridslam.run(7, SLAM, rng=RNG), r"source: expected measurements.*got 7"),
         (lambda: gridslam.run([SCAN], SLAM, rng=RNG), r"source: expected measurements.*got a LaserScan"),
-        (lambda: gridslam.map_log("a.clf", seed=1.5), "seed: expected int"),
-        (lambda: gridslam.map_log("a.clf", threads="two"), "threads: expected int"),
-        (lambda: gridslam.map_log("a.clf", configuration="fast"), "configuration: expected Configuration or None"),
         (lambda: gridslam.map_log("a.clf", repair="some"), "repair: expected needed or none, got some"),
-        (lambda: gridslam.localize("a.clf", room(), seed=None), "seed: expected int"),
-        (
-            lambda: gridslam.localize("a.clf", 7),
-            "map: expected str or Path or OccupancyGrid or KnownMap or MapResult, got 7",
-        ),
-        (lambda: gridslam.map_with_poses("a.clf", 7), "trajectory: expected str or Path or Trajectory, got 7"),
     ],
 )
 def test_arguments_of_other_kinds_are_told(call, message):
@@ -114,30 +85,18 @@ RNG = np.random.default_rng(0)
         (lambda: LaserScan(0, RANGES[:4], STATUS, GEOMETRY), r"ranges: expected shape \(5,\), got \(4,\)"),
         (lambda: LaserScan(0, RANGES, STATUS[:4], GEOMETRY), r"status: expected shape \(5,\), got \(4,\)"),
         (lambda: LaserScan(0, RANGES, np.full(5, 3, np.uint8), GEOMETRY), "status: expected values of BeamStatus"),
-        (lambda: LaserScan(0, RANGES.tolist(), STATUS, GEOMETRY), "ranges: expected an array of float64, got"),
-        (lambda: LaserScan(0, RANGES.astype(np.float32), STATUS, GEOMETRY), "ranges: expected an array of float64"),
-        (
-            lambda: LaserScan(0, RANGES, STATUS, GEOMETRY.bearings),
-            "geometry: expected ScanGeometry, got one of float64",
-        ),
-        (lambda: LaserScan("now", RANGES, STATUS, GEOMETRY), "stamp_ns: expected int"),
         (lambda: LaserScan(0, RANGES, STATUS, GEOMETRY, -1.0), "range_min_m: expected a finite number >= 0, got -1"),
         (lambda: LaserScan(0, RANGES, STATUS, GEOMETRY, np.nan), "range_min_m: expected a finite number >= 0, got nan"),
         (lambda: LaserScan(0, RANGES, STATUS, GEOMETRY, 1.0, -2.0), "range_max_m: expected a number > range_min_m, 1,"),
         (lambda: LaserScan(0, RANGES, STATUS, GEOMETRY, 0.0, np.nan), "range_max_m: expected a number > range_min_m"),
         (lambda: LaserScan(0, RANGES, STATUS, GEOMETRY, beam_times_s=RANGES[:1]), "beam_times_s: expected shape"),
         (lambda: LaserScan.from_ranges(0, RANGES, GEOMETRY, range_min_m=-0.1), "range_min_m: expected a finite"),
-        (lambda: LaserScan.from_ranges(0, "far", GEOMETRY), "ranges: expected numbers of shape"),
-        (lambda: LaserScan.from_ranges(0, GEOMETRY, RANGES), "geometry: expected ScanGeometry"),
         (lambda: LaserScan.from_ranges(0, [[1.0]], GEOMETRY), r"ranges: expected shape \(5,\)"),
         (lambda: ScanGeometry([0.0, np.nan]), "bearings: expected finite angles in rad"),
         (lambda: ScanGeometry([0.0], np.full((4, 4), np.nan)), "base_from_laser: expected finite numbers"),
         (lambda: ScanGeometry([0.0], np.diag([1.0, 1.0, 1.0, np.nan])), "base_from_laser: expected finite numbers"),
         (lambda: ScanGeometry.planar([0.0], (0.0, 0.0)), r"base_from_laser: expected shape \(3,\)"),
-        (lambda: Odometry(0, (0.0, 0.0, 0.0)), "pose: expected an array of float64"),
         (lambda: Odometry(0, np.array([0.0, np.inf, 0.0])), "pose: expected finite x, y, theta"),
-        (lambda: Odometry.at("now", (0.0, 0.0, 0.0)), "stamp_ns: expected int"),
-        (lambda: Trajectory([0], [[0.0, 0.0, 0.0]]), "stamps_ns: expected an array of int64"),
         (lambda: Trajectory(np.array([0]), np.zeros((1, 2))), r"poses: expected shape \(1, 3\)"),
         (lambda: OccupancyGrid(np.zeros((2, 2)), np.ones((2, 3), bool), 0.1, (0, 0)), "known: expected shape"),
         (lambda: OccupancyGrid(np.zeros((2, 2)), np.ones((2, 2), bool), 0.0, (0, 0)), "resolution_m: expected a fini"),

@@ -1,7 +1,5 @@
 """What localization by landmarks writes and says."""
 
-from __future__ import annotations
-
 import json
 
 import click

@@ -1,7 +1,5 @@
 """What mapping landmarks writes and says, by every method."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -9,9 +7,8 @@ import pytest
 from PIL import Image
 
 from gridslam import __version__
-from gridslam.api.landmarks import METHODS, map_landmarks
+from gridslam.api.landmarks import METHODS
 from gridslam.cli.landmarks import landmarks_to_folder
-from gridslam.cli.main import main
 from gridslam.io.landmarks import read_landmarks
 from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import read_trajectory_csv, read_tum
@@ -44,32 +41,3 @@ def test_files_and_figures(park, tmp_path, capsys, method):
     assert np.hypot(*(trajectory.poses[-1] - truth[-1])[:2]) < 2.5
     with Image.open(tmp_path / "out" / "landmarks.png") as picture:
         assert min(picture.size) > 800
-
-
-def test_the_same_seed_gives_the_same_bytes(park, tmp_path):
-    for name in ("a", "b"):
-        map_landmarks(park[0], "fastslam1", seed=5, particles=10).save(tmp_path / name)
-    for file in ("trajectory.csv", "landmarks.csv"):
-        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
-
-
-@pytest.mark.parametrize(
-    ("text", "options", "said"),
-    [
-        ("ODOMETRY 0 1 1 0 0 1 0 0 1\n", [], "bad.txt, line 1: expected 'ODOMETRY from to x_m"),
-        ("ODOMETRY 0 1 1 0 x 1 0 0 1 0 1\n", [], "bad.txt, line 1: expected 'ODOMETRY from to x_m"),
-        ("nothing of the kind\n", [], "got a line that begins with 'nothing'"),
-        (None, [], "bad.txt"),
-        ("ODOMETRY 0 1 1 0 0 1 0 0 1 0 1\n", ["--method", "magic"], "'magic' is not one of"),
-    ],
-)
-def test_bad_input_is_one_line_and_status_2(tmp_path, capsys, text, options, said):
-    log = tmp_path / "bad.txt"
-    if text is not None:
-        log.write_text(text)
-    status = main(["landmarks", str(log), "-o", str(tmp_path / "out"), *options])
-    stdout, stderr = capsys.readouterr()
-    assert (status, stdout) == (2, "")
-    assert said in stderr.splitlines()[-1]
-    assert "Traceback" not in stderr
-    assert not (tmp_path / "out").exists()

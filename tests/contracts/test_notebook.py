@@ -1,7 +1,5 @@
 """What a session in Python or a notebook shows of results: one line each, a picture of each map, and tables."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

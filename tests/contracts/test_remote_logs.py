@@ -1,7 +1,5 @@
 """Logs at URLs: in an object store with the interface of S3, and on a web server."""
 
-from __future__ import annotations
-
 import functools
 import http.server
 import json

@@ -1,7 +1,5 @@
 """Every number of the configuration at its extremes: named refusal, or a run that ends within seconds and 2 GB."""
 
-from __future__ import annotations
-
 import math
 import random
 

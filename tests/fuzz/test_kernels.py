@@ -3,8 +3,6 @@
 Nothing crashes, hangs or writes beside its arrays; the last is what `tests/asan.sh` sees.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from dataclasses import replace

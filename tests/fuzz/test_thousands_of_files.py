@@ -1,7 +1,5 @@
 """Four thousand damaged and hostile files of every format, other ones than the quick tests see."""
 
-from __future__ import annotations
-
 from support.fuzz_files import families, run_cases, summarize
 
 

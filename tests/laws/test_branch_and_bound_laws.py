@@ -1,7 +1,5 @@
 """The pyramid holds the maxima, and the search finds what trying every pose of the lattice finds."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

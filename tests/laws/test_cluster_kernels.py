@@ -1,7 +1,5 @@
 """The kernels for many particles: their NumPy twins, and closed forms."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

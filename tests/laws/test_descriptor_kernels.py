@@ -1,7 +1,5 @@
 """Distances of binary descriptors: bits counted one by one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The distance field is the truncated distance transform of the occupied cells, whatever happened before."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

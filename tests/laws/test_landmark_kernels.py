@@ -1,7 +1,5 @@
 """The kernels of landmark filters: their NumPy twins, and the sensors' own Jacobians."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

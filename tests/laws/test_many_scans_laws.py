@@ -1,7 +1,5 @@
 """Many scans in one call give what one call for each gives, and so do the NumPy twins."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Numbers in text are what Python reads and writes, to the last bit, in the kernel and in its twin."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

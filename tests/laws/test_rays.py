@@ -1,18 +1,16 @@
-"""The cells that a ray frees: connected, nearest to the straight line, and the same in both directions."""
+"""The cells that a ray frees: connected, nearest to the straight line, and the same in both directions.
 
-from __future__ import annotations
+Of the kernels in use; `test_twins` shows that maps are updated alike by their twins.
+"""
 
 from dataclasses import replace
 
 import checks
 import numpy as np
-import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-import gridslam.grid.tiles as tiles_module
 from gridslam.grid import Evidence, TileMaps, cells_of
-from gridslam.kernels import backend, reference
 from gridslam.kernels.reference_update import ray_cells
 from gridslam.types import LaserScan, ScanGeometry
 
@@ -22,13 +20,6 @@ EVIDENCE = Evidence(1.0, -1.0, -5.0, 5.0, 0.0)
 # Up to two tiles away and over the corner of four pages, which lies at the origin.
 cell = st.tuples(st.integers(-70, 70), st.integers(-70, 70))
 laws = settings(max_examples=150, deadline=None, derandomize=True)
-
-
-@pytest.fixture(params=[backend, reference], ids=["installed", "reference"], autouse=True, scope="module")
-def _kernels(request):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tiles_module, "backend", request.param)
-        yield
 
 
 def seen(start, end):

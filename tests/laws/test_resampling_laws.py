@@ -108,13 +108,6 @@ def test_only_ratios_of_weights_matter(resampler, weights: np.ndarray, size: int
         np.testing.assert_array_equal(resampler(weights * scale, size, np.random.default_rng(seed)), drawn)
 
 
-@every_resampler
-@given(weights=st.integers(1, 30).map(lambda n: np.full(n, 0.1)), seed=seeds)
-def test_the_same_seed_draws_the_same(resampler, weights: np.ndarray, seed: int) -> None:
-    first = resampler(weights, len(weights), np.random.default_rng(seed))
-    np.testing.assert_array_equal(resampler(weights, len(weights), np.random.default_rng(seed)), first)
-
-
 @given(weights_of_any_size, sizes, seeds)
 def test_counts_stay_near_their_expectation(weights: np.ndarray, size: int, seed: int) -> None:
     # 1e-9 lets a point fall to either side of a slot's end where it differs by rounding only.
@@ -132,12 +125,6 @@ def test_counts_stay_near_their_expectation(weights: np.ndarray, size: int, seed
 def test_equal_weights_keep_every_particle(resampler, count: int, weight: float, seed: int) -> None:
     drawn = resampler(np.full(count, weight), count, np.random.default_rng(seed))
     np.testing.assert_array_equal(drawn, np.arange(count))
-
-
-@every_resampler
-@given(size=sizes, weight=st.floats(5e-324, 1e308), seed=seeds)
-def test_one_particle_is_always_drawn(resampler, size: int, weight: float, seed: int) -> None:
-    np.testing.assert_array_equal(resampler(np.array([weight]), size, np.random.default_rng(seed)), np.zeros(size))
 
 
 class ExtremeGenerator(np.random.Generator):

@@ -1,7 +1,5 @@
 """The least uncertain ways over a graph of submaps: the kernel finds those of its twin, and these are the least."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

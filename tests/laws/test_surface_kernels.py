@@ -1,7 +1,5 @@
 """Normal equations of two scans' surfaces: twins, the slopes of the residuals, and what a step of them does."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

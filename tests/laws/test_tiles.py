@@ -1,7 +1,5 @@
 """Copy-on-write maps behave as if each particle had a map of its own, and count their tiles right."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ Links are 10 m long and the trees 12 frames, so a chain adds up to 110 m; roundi
 stays below 1e-12 of that.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Every compiled kernel agrees with its NumPy twin: the integer ones to the last bit, the others to rounding."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -240,7 +238,7 @@ def test_updates(seed):
         del keep
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_updates_where_ids_are_scarce(seed, monkeypatch):
     """Whichever tile the ids suffice to: the maps are those of an arena in which there are enough."""
     rng = np.random.default_rng(seed)

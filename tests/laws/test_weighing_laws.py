@@ -1,7 +1,5 @@
 """The kernel that weighs many poses in one field: its NumPy twin, closed forms, and what lies beyond the field."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The kernels touch no memory but their own: their tests once more, under AddressSanitizer and UBSan."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import platform

@@ -1,7 +1,5 @@
 """Batches of full size: 100 logs with faults, and 20 kills."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from gridslam.batch.engine import run_jobs

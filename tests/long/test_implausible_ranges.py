@@ -1,7 +1,5 @@
 """No ranges of 200 simulated worlds are implausible, and those of rooms and halls are named in other units."""
 
-from __future__ import annotations
-
 from support.implausible_ranges import VARIANTS, check, draw
 
 NAMED = 0.85

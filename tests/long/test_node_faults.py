@@ -1,7 +1,5 @@
 """Faults in a node's session: what was mapped before is saved each time, and mapping goes on after those that pass."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Drives in other buildings stay apart, those in one building are joined: cases in which weaker rules were wrong."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

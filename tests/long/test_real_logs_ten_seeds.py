@@ -1,7 +1,5 @@
 """Ten seeds of each real log keep the bands."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Nodes that go on from one another, and merges that are killed, at fifty moments: identical files each time."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time
@@ -39,7 +37,7 @@ def test_a_merge_that_was_killed_leaves_nothing_and_gives_the_same_bytes(buildin
     session.save(days[1])
 
     def command(out):
-        merge = [sys.executable, "-m", "gridslam.cli.main", "merge", *days, "-o", out / "out"]
+        merge = [sys.executable, "-m", "gridslam", "merge", *days, "-o", out / "out"]
         return [*map(str, merge), "--save", str(out / "all.gridslam")]
 
     def read(out):

@@ -3,8 +3,6 @@
 Checks that a test of an algorithm calls itself are not repeated here.
 """
 
-from __future__ import annotations
-
 import json
 import math
 

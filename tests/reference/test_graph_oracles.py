@@ -1,7 +1,5 @@
 """GraphSLAM against g2o and GTSAM on random graphs, with and without false closures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

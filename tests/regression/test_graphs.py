@@ -1,7 +1,5 @@
 """The four real graphs: the least chi2 that is known, from any guess, and in spite of false closures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

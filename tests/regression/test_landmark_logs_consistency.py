@@ -1,7 +1,5 @@
 """Landmark methods on MRCLAM: consistent covariances, and unknown correspondences."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Large places are recognized: the robot comes back after hundreds of metres, and believes to be metres away."""
 
-from __future__ import annotations
-
 import gzip
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Monte Carlo localization on real logs and maps: found from nothing, followed, missed and found again."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

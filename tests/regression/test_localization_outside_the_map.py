@@ -1,7 +1,5 @@
 """Global localization in buildings of which half is mapped."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import half_mapped as benchmark

@@ -1,7 +1,5 @@
 """Furniture that was moved between two days is found, in maps of their own; maps that lie wrong have other changes."""
 
-from __future__ import annotations
-
 import pytest
 
 from map_changes import TARGETS, compare, make_days, score, summarize

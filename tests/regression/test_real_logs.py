@@ -1,7 +1,5 @@
 """Maps of real logs keep their bands: one seed of each log here, ten in tests/long."""
 
-from __future__ import annotations
-
 import pytest
 
 from support.real_logs import ACES, CSAIL, INTEL, check_seed, errors_of

@@ -1,7 +1,5 @@
 """Inputs as users have reported them, imitated from one simulated drive, and logs of robots that follow a person."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

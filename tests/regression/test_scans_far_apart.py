@@ -10,10 +10,10 @@ import pytest
 
 import gridslam
 from far_apart import every_half_metre, gmapping_path, off_from
-from gridslam.evaluation import relation_errors
+from gridslam.evaluation import measure_self_consistency, relation_errors
 from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.log import open_log
 from gridslam.io.trajectories import read_relations
-from support.doubled_walls import Walls, judge_folder
 from support.real_logs import SPARSE
 
 THINNED = {("aces", 10): 0.10, ("mit-csail", 5): 0.08, ("mit-csail", 10): 0.20}
@@ -75,9 +75,11 @@ def test_logs_thinned_by_way(data_dir, tmp_path, name, most_m):
     assert full < max(1.05 * alone, 0.05)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_corridor_seen_again_at_the_end_has_single_walls(data_dir, tmp_path, seed):
-    """DP-SLAM's own example, whose laser reports 8.18 m for beams that hit nothing; ecac047 doubles its walls."""
+def test_a_corridor_seen_again_at_the_end_has_single_walls(data_dir):
+    """DP-SLAM's own example, whose laser reports 8.18 m for beams that hit nothing; it has no truth.
+
+    Surfaces of visits that are apart lie within 0.021 m; 0.044 to 0.29 m where the end is moved by 0.3 m.
+    """
     log = data_dir / "loops" / "dpslam_loop5.clf.gz"
-    gridslam.map_log(log, seed=seed).save(tmp_path / "out")
-    assert judge_folder(tmp_path / "out").walls is Walls.SINGLE
+    scans = [scan for _, scan in open_log(log)]
+    assert measure_self_consistency(gridslam.map_log(log).trajectory, scans).sharpness_m < 0.03

@@ -3,8 +3,6 @@
 Each child imports this module: what only the tests need is imported where it is used.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import random

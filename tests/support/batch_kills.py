@@ -1,7 +1,5 @@
 """A batch that is killed again and again, and started again each time."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -20,7 +18,7 @@ def kill_and_repeat(logs, out, kills, rng, most_s):
 
     Checks that what was done is not done again and that in the end all is; gives how many were done at each kill.
     """
-    command = [sys.executable, "-m", "gridslam.cli.main", "batch", str(logs), "-o", str(out), *OPTIONS]
+    command = [sys.executable, "-m", "gridslam", "batch", str(logs), "-o", str(out), *OPTIONS]
     done = {}
     counts = []
     for kill in range(kills + 1):

@@ -202,7 +202,7 @@ class Node:
         others = "ROS", "CYCLONE", "FASTRTPS", "PYTHON"
         environment = {name: value for name, value in os.environ.items() if not name.startswith(others)}
         environment["ROS_DOMAIN_ID"] = str(domain)
-        command = [sys.executable, "-m", "gridslam.cli.main", "ros2", "--transport", transport]
+        command = [sys.executable, "-m", "gridslam", "ros2", "--transport", transport]
         if transport == "rclpy":
             environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
         elif interface:

@@ -16,16 +16,14 @@ import json
 import math
 import os
 import resource
-import shutil
 import signal
 import warnings
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
-from dataclasses import dataclass, replace
+from contextlib import redirect_stderr, redirect_stdout, suppress
+from dataclasses import dataclass
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -33,14 +31,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image
 
-import gridslam
 from gridslam.api.landmarks import map_landmarks
 from gridslam.api.mapping import map_log
-from gridslam.api.session import Session
 from gridslam.api.session_edits import EditsBefore
 from gridslam.cli import map as _map_command  # noqa: F401 imported before processes are forked
 from gridslam.cli.main import main
-from gridslam.cli.sessions import show_session
 from gridslam.config import Configuration, load, override, preset
 from gridslam.doctor import CheckedLog, diagnose
 from gridslam.doctor.report import document
@@ -53,9 +48,7 @@ from gridslam.io.landmark_logs import open_landmark_log
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.maps import read_map, write_map
 from gridslam.io.ros_parameters import read_parameter_file
-from gridslam.io.sessions.archive_file import write_sealed_arrays
-from gridslam.io.sessions.drives import DrivenLog
-from gridslam.io.sessions.session_file import SavedRun, SavedSession, read_session, write_session
+from gridslam.io.sessions.session_file import read_session
 from gridslam.io.text import read_json
 from gridslam.io.trajectories import read_relations, read_trajectory, read_trajectory_csv, read_tum
 from gridslam.live.graph_edits import EDITS, EDITS_SCHEMA, EditedGraph
@@ -66,17 +59,14 @@ from gridslam.messages import Messages
 from gridslam.plan.drawn_plans import read_drawn_plan
 from gridslam.plan.masks import make_keepout_mask, make_speed_mask
 from gridslam.plan.world import WorldOrigin, format_edits_in_degrees, turn_edits_to_metres
-from gridslam.slam.full_slam.full_trajectory import full_trajectories
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import Trajectory
 from support import ros_bags
 from support.broken_logs import OF_BYTES, OF_TEXT, damage, drive_about, whole_logs
-from support.fuzz_bombs import BOMBS, MAP_YAML
-from support.fuzz_images import images
+from support.fuzz_images import MAP_YAML, images
 from support.fuzz_page import page_requests
 from support.fuzz_sessions import sessions
-from support.fuzz_values import values
 from support.recorded import map_with_history
 
 CPU_LIMIT_S = 20  # of CPU time
@@ -198,19 +188,16 @@ def families(folder: Path) -> list[Family]:
         _stamps,
         _names,
         _streams,
-        _growth,
         _tables,
         _graphs,
         _landmark_logs,
         _maps,
         _edits,
         _plans,
-        _states,
         _results,
     )
     of_files = [family for maker in makers for family in maker(folder)]
     others = (
-        *values(folder),
         *images(folder),
         *sessions(folder),
         *page_requests(folder),
@@ -375,37 +362,6 @@ def _streams(folder: Path) -> Iterator[Family]:
         raise AssertionError("a stream was accepted")
 
     yield Family("streams", 9, prepare, read)
-
-
-def _growth(folder: Path) -> Iterator[Family]:
-    """Small files that unpack to much, or never end."""
-    drive = ros_bags.write(folder / "names", "db3", ros_bags.drive(1.0), name="growth")
-    shutil.copy(next(drive.glob("*.db3")), folder / "logs" / "log.db3")
-
-    def prepare(to: Path, rng: np.random.Generator, bomb: Callable[[Path, int, Path], None]) -> None:
-        bomb(to, int(rng.choice([60, 200, 3000]) + rng.integers(6)) << 20, folder / "logs")
-
-    def read(where: Path) -> None:
-        (path,) = (path for path in where.iterdir() if path.name != "map.png")
-        _READERS[path.name.rpartition(".")[2]](path)
-
-    for bomb in BOMBS:
-        yield Family(f"growth: {bomb.__name__}", 10, partial(prepare, bomb=bomb), read, 0.2)
-
-
-_READERS: dict[str, Callable[[Path], object]] = {
-    "clf": _scan,
-    "bag": _scan,
-    "db3": _scan,
-    "zst": _scan,
-    "gridslam": read_session,
-    "npz": read_history,
-    "yaml": lambda path: (read_map if path.name == "map.yaml" else read_parameter_file)(path),
-    "tum": read_tum,
-    "g2o": read_g2o,
-    "json": lambda path: Replay(path.parent),
-    "toml": load,
-}
 
 
 def _tables(folder: Path) -> Iterator[Family]:
@@ -673,62 +629,6 @@ def _plans(folder: Path) -> Iterator[Family]:
         read_drawn_plan(path).surfaces(0.02)
 
     yield Family("plans", 0, prepare, read, 2)
-
-
-def _states(folder: Path) -> Iterator[Family]:
-    """Saved runs and localizations: bytes, and arrays, are changed; what is read goes on for some scans."""
-    measurements = drive_about(40)
-    configuration = Configuration(particles=3)
-    rng, steps = np.random.default_rng(1), iter(measurements)
-    begun = SavedRun(rng, name="day", logs=(DrivenLog("day.clf", "", 35, 0, 1, 1.0),))
-    slam = gridslam.build(configuration)
-    observers = [begun.trajectory, begun.statistics]
-    state = gridslam.run(islice(steps, 35), replace(slam, particles=3), rng=rng, observers=observers)
-    session = Session.of(SavedSession(configuration, run=replace(begun, state=state)))
-    whole = replace(session.saved, pieces=tuple(session.pieces))  # a run, and the same as a piece
-    write_session(folder / "state.gridslam", whole)
-    arrays = {"state.gridslam": dict(np.load(folder / "state.gridslam").items())}
-    rest = measurements[35:]
-
-    def prepare(to: Path, rng: np.random.Generator, name: str) -> None:
-        if rng.integers(4) == 0:
-            (to / name).write_bytes(damage((folder / name).read_bytes(), OF_BYTES, rng)[0])
-            return
-        changed = dict(arrays[name])
-        if "head" in changed and rng.integers(3) == 0:
-            changed["head"] = np.array(json.dumps(_change_json(json.loads(str(changed["head"])), rng)))
-        for _ in range(rng.choice([0, 1, 1, 2])):
-            _change_array(changed, rng)
-        write_sealed_arrays(to / name, changed)
-
-    def read_run(where: Path) -> None:
-        with redirect_stdout(io.StringIO()):
-            show_session(where / "state.gridslam", None, as_json=False)
-        saved = read_session(where / "state.gridslam")
-        went_on = saved.run
-        recorders = [went_on.trajectory, went_on.statistics]
-        slam = gridslam.build(saved.configuration)
-        with _refused_by_maps(where / "state.gridslam"):
-            gridslam.run(rest, slam, rng=went_on.rng, state=went_on.state, observers=recorders)
-        went_on.trajectory.online_trajectory()
-        went_on.statistics.summary()
-        for piece in saved.pieces:
-            with _refused_by_maps(where / "state.gridslam"):
-                piece.piece.build_map(saved.configuration.mapper)
-            full_trajectories(piece.piece.poses, piece.tracked_scans)
-
-    yield Family("saved runs", 13, lambda to, rng: prepare(to, rng, "state.gridslam"), read_run, 3)
-
-
-@contextmanager
-def _refused_by_maps(path: Path) -> Iterator[None]:
-    """Places that are possible one by one, and too far from each other for one map, are refused where it grows."""
-    try:
-        yield
-    except ArgumentError as error:
-        if error.argument not in ("poses", "beams"):
-            raise
-        raise InputError(path, str(error)) from None
 
 
 def _change_array(arrays: dict[str, Any], rng: np.random.Generator) -> None:

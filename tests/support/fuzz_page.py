@@ -101,9 +101,7 @@ def _make_request(rng: np.random.Generator) -> tuple[bytes, bytes]:
     for _ in range(int(_choose(rng, (1, 1, 1, 3)))):
         method = "GET" if rng.integers(2) else _choose(rng, _METHODS)
         target = _choose(rng, _PATHS) + _choose(rng, _QUERIES)
-        version = (
-            "HTTP/1.1" if rng.integers(8) else _choose(rng, ("HTTP/1.0", "HTTP/2.0", "HTTP/0.9", "HTTP/1.1 x", ""))
-        )
+        version = "HTTP/1.1" if rng.integers(8) else _choose(rng, _VERSIONS)
         headers = [("Host", "127.0.0.1" if rng.integers(2) else _choose(rng, _HOSTS))]
         headers += [(_choose(rng, _NAMES), _choose(rng, _VALUES)) for _ in range(rng.integers(4))]
         if rng.integers(20) == 0:
@@ -159,9 +157,7 @@ def _make_frames(rng: np.random.Generator) -> bytes:
         return _frame(9, bytes(int(_choose(rng, (0, 125, 126, 5000))))) * int(rng.integers(1, 200))
     if what == 8:
         return _frame(int(rng.integers(16)), rng.bytes(int(rng.integers(200))), fin=bool(rng.integers(2)))
-    payload = _choose(
-        rng, (b"\xff\xfe", b"x" * 70_000, b"[" * 60_000, b"9" * 60_000, b"", b"null", b'{"do"', rng.bytes(50))
-    )
+    payload = _choose(rng, (*_PAYLOADS, rng.bytes(50)))
     return _frame(int(_choose(rng, (1, 2, 8))), payload, masked=bool(rng.integers(5)))
 
 

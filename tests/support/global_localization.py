@@ -19,7 +19,6 @@ from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, simulate
 from support.faults import with_fault
 
-ORDINARY = ("demo", "rooms", "hall", "corridor", "loop", "random", "moved_furniture")
 DECEPTIVE = ("equal_rooms", "symmetric", "bare_corridors")
 """Buildings in which places look alike, some of them wherever the robot goes."""
 

@@ -46,6 +46,7 @@ RANKS = {
     "batch": 14,
     "tuning": 15,
     "cli": 16,
+    "__main__": 17,
 }
 """Rank of each folder and of each single module of the package: it imports lower ranks and itself, nothing else."""
 
@@ -73,6 +74,7 @@ INNER_RANKS = {
         "log_statistics": 1,
         "geojson": 0,
         "edits": 1,
+        "even_beams": 0,
         "maps": 2,
         "edited_maps": 3,
         "sessions": 2,

@@ -219,18 +219,22 @@ VARIANTS: Mapping[str, tuple[str, Change]] = {
 """By name: the finding that is due, and what is done to a healthy log."""
 
 
-def check(log: Iterable[Measurement]) -> tuple[str, ...]:
-    """Check a log as `gridslam map` does; the findings of `CODES`, units by their number in a metre."""
+def found_early(log: Iterable[Measurement]) -> list[Finding]:
+    """Check the beginning of a log as `gridslam map` does."""
     early = EarlyCheck()
     findings: list[Finding] = []
     for measurement in log:
         findings += early.take(measurement)
         if early.is_complete:
             break
-    findings += early.end()
+    return [*findings, *early.end()]
+
+
+def check(log: Iterable[Measurement]) -> tuple[str, ...]:
+    """Name the early findings of `CODES`, units by their number in a metre."""
     return tuple(
         f"{f.code} {f.size:.4g}" if f.code == "range_units" and f.size is not None else f.code
-        for f in findings
+        for f in found_early(log)
         if f.code in CODES
     )
 

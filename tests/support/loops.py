@@ -15,8 +15,7 @@ PROVOKED = override(
     "loop_closure.recognition.length_m=15",
     "loop_closure.recognition.step_m=5",
     "loop_closure.recognition.min_matches=2",
-    "loop_closure.disagree_m=0.001",
-    "loop_closure.disagree_rad=0.001",  # what is recognized is corrected
+    "loop_closure.disagree_sigmas=0.01",  # what is recognized is corrected
 )
 
 

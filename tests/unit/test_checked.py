@@ -68,10 +68,6 @@ class Table:
         """One row."""
         return self.rows[number]
 
-    def rows_of(self, numbers: Sequence[int]) -> list[FloatArray]:
-        """Several, by `row`, unchecked."""
-        return [self.row(number) for number in numbers]
-
     @classmethod
     def of(cls, count: int) -> Table:
         """A table of zeros."""

@@ -1,7 +1,5 @@
 """Closures are judged by the true relative pose, wherever the map lies and however it is turned."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

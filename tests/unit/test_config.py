@@ -1,7 +1,5 @@
 """Configurations: presets, TOML, single parameters, and what each mistake is told."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

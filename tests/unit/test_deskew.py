@@ -1,7 +1,5 @@
 """Motion during a scan, undone: beams against the exact motion of the base, each at its own time."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

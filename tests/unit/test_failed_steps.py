@@ -1,7 +1,5 @@
 """A step that raises is skipped, and the run goes on with the state before it, but for maps and tracker."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """`localize` takes the result of `map_log` or a grid in the place of a file."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The one loop and its observers."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What is recorded for the README."""
 
-from __future__ import annotations
-
 import json
 import math
 

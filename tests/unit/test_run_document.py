@@ -1,7 +1,5 @@
 """What run.json says of the tracker: what it learned of the odometry and of the beams' times."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, final
+from typing import Any, ClassVar, Literal, TypeAlias, final
 
 import numpy as np
 
@@ -30,9 +30,8 @@ from gridslam.mapping.known_poses import KnownPoses, NoPoseReason
 from gridslam.parameters import to_table
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, OccupancyGrid, Trajectory
-
-if TYPE_CHECKING:
-    from gridslam.viz.notebook import Picture
+from gridslam.viz import draw_map
+from gridslam.viz.notebook import Picture
 
 _MOST_CELLS = 3e8
 """1.5 gigabytes, as the map is unfolded; 870 m x 870 m in cells of 5 cm."""
@@ -110,8 +109,6 @@ class GridResult(Result):
 
     def picture(self) -> Picture:
         """Draw the map with the trajectory."""
-        from gridslam.viz import draw_map  # only drawing pays for the import of Pillow
-
         return draw_map(self.map, self.trajectory, title=self.source.name, caption=self.caption())
 
     def _write_files(self, out: OutputFolder) -> None:

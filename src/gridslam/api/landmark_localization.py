@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,9 +27,8 @@ from gridslam.models.landmark import LandmarkModel, LandmarkStep, with_durations
 from gridslam.models.systematic_errors import SystematicErrors
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, MotionModel, Trajectory
-
-if TYPE_CHECKING:
-    from gridslam.viz.notebook import Picture
+from gridslam.viz import draw_landmarks
+from gridslam.viz.notebook import Picture
 
 _COMPLETE_MAP_GATES = MaximumLikelihood(match_gate=100.0, new_gate=100.0)
 """In a complete map an observation far off indicates a wrong pose rather than a new landmark.
@@ -101,8 +100,6 @@ class LandmarkLocalizationResult(ResultByLandmarks):
 
     def picture(self) -> Picture:
         """Draw the trajectory and the landmarks, and the truth where it is known."""
-        from gridslam.viz import draw_landmarks  # only drawing pays for the import of Pillow
-
         compared = self.compare()
         truth = None if compared is None else compared[1]
         if compared is not None and truth is not None and not self.in_true_frame:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple, TypeAlias, final
+from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeAlias, final
 
 import numpy as np
 
@@ -54,9 +54,8 @@ from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.robust import CauchyEstimator
 from gridslam.types import FloatArray, IntArray, MotionModel, Trajectory
-
-if TYPE_CHECKING:
-    from gridslam.viz.notebook import Picture
+from gridslam.viz import draw_landmarks
+from gridslam.viz.notebook import Picture
 
 LandmarkMethod: TypeAlias = Literal["ekf", "fastslam1", "fastslam2", "graph"]
 
@@ -270,8 +269,6 @@ class LandmarkResult(ResultByLandmarks):
 
     def picture(self) -> Picture:
         """Draw the trajectory and the landmarks, and the truth where it is known."""
-        from gridslam.viz import draw_landmarks  # only drawing pays for the import of Pillow
-
         way = points = None
         compared = self.compare()
         known = self.log.truth

@@ -35,10 +35,11 @@ from gridslam.localization.state import (
 from gridslam.parameters import to_table
 from gridslam.pipeline import FailureRecorder, Stopwatch, run
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Odometry, Trajectory
+from gridslam.viz import draw_localization
+from gridslam.viz.notebook import Picture
 
 if TYPE_CHECKING:
     from gridslam.api.mapping import MapResult
-    from gridslam.viz.notebook import Picture
 
 BELIEF_HEADER = "stamp_s,lost,lost_probability,inlier_ratio,particles,n_eff,injection_ratio"
 """First line of belief.csv: a row for each scan; n_eff is empty where the particles were not updated."""
@@ -185,8 +186,6 @@ class LocalizationResult(Result):
 
     def picture(self) -> Picture:
         """Draw the map with the trajectory, and where the robot was lost."""
-        from gridslam.viz import draw_localization  # only drawing pays for the import of Pillow
-
         return draw_localization(self.map, self.trajectory, self.lost, title=self.source.name, caption=self.caption())
 
     def _write_files(self, out: OutputFolder) -> None:

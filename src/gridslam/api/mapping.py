@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, final
+from typing import Any, ClassVar, Literal, final
 
 import numpy as np
 
@@ -49,9 +49,8 @@ from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.tracking.tracker import Tracker, TrackerState
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, StepReport, Trajectory
-
-if TYPE_CHECKING:
-    from gridslam.viz.notebook import Picture
+from gridslam.viz import draw_map
+from gridslam.viz.notebook import Picture
 
 _OWN_PARTS = "tracker", "motion", "sensor", "proposal", "resampler", "when_to_update", "when_to_resample"
 _MAX_BACKWARD_RATIO = 0.1
@@ -265,8 +264,6 @@ class MapResult(Result):
 
     def picture(self) -> Picture:
         """Draw the map with the trajectory, its closures, and the true trajectory where it is known."""
-        from gridslam.viz import draw_map  # only drawing pays for the import of Pillow
-
         return draw_map(
             self.tiled_map,
             self.trajectories if len(self.trajectories) > 1 else self.trajectory,

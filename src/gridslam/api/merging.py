@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 
@@ -22,9 +22,8 @@ from gridslam.pipeline import Stopwatch
 from gridslam.slam.full_slam.full_slam import FullSlam
 from gridslam.slam.full_slam.full_trajectory import find_open_directions
 from gridslam.types import FloatArray, Trajectory
-
-if TYPE_CHECKING:
-    from gridslam.viz.notebook import Picture
+from gridslam.viz import draw_map
+from gridslam.viz.notebook import Picture
 
 
 @final
@@ -91,8 +90,6 @@ class MergeResult(Result):
 
     def picture(self) -> Picture:
         """Picture of the map, with the trajectory of each drive in a colour of its own."""
-        from gridslam.viz import draw_map  # only drawing pays for the import of Pillow
-
         return draw_map(
             self.full.tiled_map,
             self.trajectories,

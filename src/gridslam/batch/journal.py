@@ -81,12 +81,6 @@ class Journal:
         with self._translate_errors():
             self._database.close()
 
-    def rows(self) -> Iterator[dict[str, Any]]:
-        """Yield all rows, by the name of the folder; ``document`` is an object, or None."""
-        with self._translate_errors():
-            for values in self._database.execute(f"SELECT {', '.join(COLUMNS)} FROM runs ORDER BY folder"):
-                yield self._to_row(values)
-
     def find(self, folder: str) -> dict[str, Any] | None:
         """Return the row of a folder, if there is one."""
         with self._translate_errors():
@@ -94,7 +88,10 @@ class Journal:
                 f"SELECT {', '.join(COLUMNS)} FROM runs WHERE folder = ?", (_to_text(folder),)
             )
             values = found.fetchone()
-        return None if values is None else self._to_row(values)
+        if values is None:
+            return None
+        row = dict(zip(COLUMNS, values, strict=True))
+        return row | {"document": None if row["document"] is None else json.loads(row["document"])}
 
     def write(self, row: Mapping[str, Any]) -> None:
         """Write a row; it replaces that of the same folder."""
@@ -123,12 +120,6 @@ class Journal:
         found = [row[1] for row in self._database.execute("PRAGMA table_info(runs)")]
         if found != list(COLUMNS):
             raise InputError(self.path, f"expected a table runs with the columns {', '.join(COLUMNS)}, got another one")
-
-    @staticmethod
-    def _to_row(values: tuple[Any, ...]) -> dict[str, Any]:
-        row = dict(zip(COLUMNS, values, strict=True))
-        row["document"] = None if row["document"] is None else json.loads(row["document"])
-        return row
 
     @contextmanager
     def _translate_errors(self) -> Iterator[None]:

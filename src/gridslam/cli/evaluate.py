@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import click
-
 from gridslam.api.evaluation import evaluate_trajectory
 from gridslam.cli.options import name_option
 from gridslam.cli.output import print_result
@@ -16,8 +14,6 @@ from gridslam.evaluation.trajectory import PoseErrors, RelationErrors
 
 def evaluate(trajectory: Path, reference: Path, distance_m: float, as_json: bool) -> None:
     """Score a trajectory against relations, against another trajectory, or against its own scans in a log."""
-    if not distance_m > 0:
-        raise click.ClickException(f"--distance: expected a length above 0 m, got {distance_m:g}")
     with name_option(distance_m="--distance"):
         document = evaluate_trajectory(trajectory, reference, distance_m)
     print_result(document, format_scores(document), as_json)

@@ -18,7 +18,6 @@ from gridslam.io.text import compute_digest
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.pose_graph.descent import squared_mahalanobis
 from gridslam.slam.pose_graph.graph_slam import GraphSlam, GraphSolution
-from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
 from gridslam.viz import draw_graph
 
@@ -45,8 +44,6 @@ def graph_to_folder(
     source = read_g2o(file, skip_unknown=skip_unknown)
     watch.lap("read")
     with open_output(out) as folder:
-        _import_algebra()
-        watch.lap("start")
         try:
             solution = solver.solve(source.graph)
         except ArgumentError as error:
@@ -58,11 +55,6 @@ def graph_to_folder(
     if not solution.converged:
         warn(f"{file}: no convergence within --max-iterations {max_iterations}")
     print_result(document, _summarize(document, out), as_json)
-
-
-def _import_algebra() -> None:
-    """Solve a graph of two poses to import SciPy, so that the measured time excludes the import."""
-    GraphSlam().solve(PoseGraph.of(np.zeros((2, 3)), [[0, 1]], [[1.0, 0.0, 0.0]], [np.eye(3)]))
 
 
 def _document(

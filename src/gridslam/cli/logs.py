@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
-import click
-
-from gridslam.api.conversion import Conversion, convert_log, infer_format
-from gridslam.api.diagnosis import check_log as check_and_warn
+from gridslam.api.conversion import Conversion, convert_log
 from gridslam.api.diagnosis import write_diagnosis
+from gridslam.cli.options import name_option
 from gridslam.cli.output import open_output, print_result, reading_progress, warn
-from gridslam.doctor import CheckedLog, Diagnosis, Severity, diagnose
+from gridslam.doctor import Diagnosis, Severity, diagnose
 from gridslam.doctor.report import document, text
-from gridslam.errors import ArgumentError
 from gridslam.io.datasets import DATASETS, fetch_dataset, find_dataset
 from gridslam.io.log import Log, LogOptions, open_log
 
@@ -38,11 +35,6 @@ def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) 
     return EXIT_FOUND_ERRORS if diagnosis.worst is Severity.ERROR else 0
 
 
-def check_log(log: Log, options: LogOptions) -> CheckedLog:
-    """Wrap a log so that faults at its beginning are reported on stderr, one line each, while it is read."""
-    return check_and_warn(log, options, warn)
-
-
 def _diagnose_with_progress(source: Log, shown: bool) -> Diagnosis:
     with reading_progress(lambda: source.statistics, shown=shown) as on_progress:
         return diagnose(source, on_progress=on_progress)
@@ -50,13 +42,9 @@ def _diagnose_with_progress(source: Log, shown: bool) -> Diagnosis:
 
 def convert(log: Path, out: Path, options: LogOptions, to: str | None, as_json: bool) -> None:
     """Convert a log and report the data that the target format cannot represent."""
-    _check_target(log, out, to)
     source = open_log(log, options)
-    with (
-        open_output(out.parent) as folder,
-        reading_progress(lambda: source.statistics, shown=not as_json) as on_progress,
-    ):
-        conversion = replace(convert_log(source, folder.file(out.name), to=to, on_progress=on_progress), out=out)
+    with name_option(out=str(out)), reading_progress(lambda: source.statistics, shown=not as_json) as on_progress:
+        conversion = convert_log(source, out, to=to, on_progress=on_progress)
     form = conversion.format.value
     read = conversion.log
     warn(*(f"{log}: {remark}" for remark in read.remarks))
@@ -82,16 +70,6 @@ def convert(log: Path, out: Path, options: LogOptions, to: str | None, as_json: 
     print_result(content, summary, as_json)
 
 
-def _check_target(log: Path, out: Path, to: str | None) -> None:
-    """Refuse an OUT that is no name for a new log."""
-    if out.exists() and log.exists() and out.samefile(log):
-        raise click.ClickException(f"{out}: expected a name other than the input log")
-    try:
-        infer_format(out, to)
-    except ArgumentError as error:
-        raise click.ClickException(f"{error}; or set the format with --to") from None
-
-
 def _describe_lost(conversion: Conversion) -> str:
     """Describe the lost data, with the number of scans unless it was lost in all."""
     read = conversion.log.scan_count
@@ -113,10 +91,8 @@ def list_datasets(as_json: bool) -> None:
 
 def get_dataset(name: str, out: Path, url: str | None, as_json: bool) -> None:
     """Download a dataset, and print its credit."""
-    try:
+    with name_option(name="NAME"):
         dataset = find_dataset(name)
-    except ArgumentError as error:
-        raise click.ClickException(str(error).replace("name", "NAME", 1)) from None
     file = fetch_dataset(name, out, url=url)
     summary = [f"{file}: {dataset.about}", f"credit: {dataset.credit}", f"licence: {dataset.licence}"]
     print_result({"schema": DATASETS_SCHEMA, "datasets": [asdict(dataset)], "path": str(file)}, summary, as_json)

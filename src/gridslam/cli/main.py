@@ -74,7 +74,3 @@ def _print_error(problem: str, status: int) -> int:
     with suppress(OSError):  # the terminal may be gone
         print("gridslam:", " ".join(problem.split()), file=sys.stderr)
     return status
-
-
-if __name__ == "__main__":
-    sys.exit(main())

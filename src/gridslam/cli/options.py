@@ -339,7 +339,7 @@ _EVALUATE_OPTIONS = (
     click.option(
         "--distance",
         "distance_m",
-        type=Number(),
+        type=Number(0, above=True),
         default=1.0,
         show_default=True,
         metavar="M",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import signal
@@ -62,13 +63,6 @@ def open_output(path: Path, names: Sequence[str] = ()) -> Iterator[OutputFolder]
         yield out
 
 
-def print_json(document: Mapping[str, Any]) -> None:
-    """Print the one object that --json promises."""
-    import json  # only who asks for it pays for its import
-
-    click.echo(json.dumps(document, indent=2, allow_nan=False))
-
-
 def counted(count: int, noun: str) -> str:
     """Return a count with its noun, in the plural unless it is one."""
     return f"{count} {noun}{'s' * (count != 1)}"
@@ -78,7 +72,7 @@ def print_result(document: Mapping[str, Any], summary: Iterable[str], as_json: b
     """Print the document of a run with --json, otherwise the lines of its summary; print failures on stderr."""
     warn(*document.get("failures", ()))
     if as_json:
-        print_json(document)
+        click.echo(json.dumps(document, indent=2, allow_nan=False))
     else:
         click.echo("\n".join(summary))
 

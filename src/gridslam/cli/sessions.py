@@ -14,7 +14,7 @@ from gridslam.api.merging import MergeResult, merge_sessions
 from gridslam.api.session import Session
 from gridslam.api.session_edits import find_edits
 from gridslam.cli.options import name_option
-from gridslam.cli.output import counted, elapsed_progress, open_output, print_json, print_result, warn, write_apart
+from gridslam.cli.output import counted, elapsed_progress, open_output, print_result, warn, write_apart
 from gridslam.io.edited_maps import MapEdits
 from gridslam.io.edits import Edits, read_edits, write_edits
 from gridslam.io.maps import write_map
@@ -58,10 +58,7 @@ def show_session(file: Path, out: Path | None, as_json: bool) -> None:
     placeless = sum(edit.anchor is None and not edit.drive for edit in known.edits)
     if placeless and len(names) > 1:
         warn(f"{find_edits(file)}: {counted(placeless, 'edit')} without a drive, taken for {names[0]}, the newest map")
-    if as_json:
-        print_json(content)
-        return
-    click.echo("\n".join(_describe(content)))
+    print_result(content, _describe(content), as_json)
 
 
 def _of_run(run: dict[str, Any]) -> list[dict[str, Any]]:

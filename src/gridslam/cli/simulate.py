@@ -67,8 +67,6 @@ def simulate_to_log(
     """Write a simulated log and its true trajectory."""
     truth_path = out.with_name(_truth_name(out))
     lidar = _lidar(beams, fov_deg, range_max_m, rate_hz)
-    if duration_s is not None and duration_s < 0:
-        raise click.ClickException(f"--duration: expected 0 s or more, got {duration_s:g}")
     scans = None if duration_s is None else math.floor(min(duration_s, _DAY_S) * rate_hz) + 1
     rng = np.random.default_rng(seed)
     crowd = PeopleConfig(count=people)

@@ -8,7 +8,6 @@ from gridslam.doctor.diagnose import (
     EarlyCheck,
     LaserFacts,
     diagnose,
-    quick_check,
 )
 from gridslam.doctor.finding import Finding, Severity
 from gridslam.doctor.repair import Repair, RepairedLog
@@ -25,5 +24,4 @@ __all__ = [
     "RepairedLog",
     "Severity",
     "diagnose",
-    "quick_check",
 ]

@@ -31,7 +31,7 @@ from gridslam.types import FloatArray
 
 _QUICK_S = 60.0
 _QUICK_SCANS = 300
-"""How much `quick_check` looks at: 0.1 ms a scan and 30 ms in all, where the shortest map takes a second."""
+"""How much `EarlyCheck` looks at: 0.1 ms a scan and 30 ms in all, where the shortest map takes a second."""
 _FEWEST_SCANS = 30  # that it looks at: of stamps in ms there is hardly one in a minute
 
 _RANGE_SCANS = 3000  # after which no motion is waited for: a robot that is parked
@@ -446,7 +446,7 @@ class CheckedLog:
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start."""
         for count, measurement in enumerate(self._log, 1):
-            if count > self._checked:
+            if count > self._checked and not (self._breaks is None and self._check.is_complete):
                 self._checked = count
                 self._report(partial(self._take, measurement))
             yield measurement
@@ -478,15 +478,3 @@ class CheckedLog:
         if found:
             self._faults |= {f"{f.code} ({f.sensor})" if f.sensor else f.code: f.message for f in found}
             self._on_findings(found)
-
-
-@checked
-def quick_check(log: LogSource) -> tuple[Finding, ...]:
-    """Return the warnings and errors of the beginning of a log; see `EarlyCheck`."""
-    check = EarlyCheck()
-    found: list[Finding] = []
-    for measurement in open_if_path(log):
-        found += check.take(measurement)
-        if check.is_complete:
-            break
-    return (*found, *check.end())

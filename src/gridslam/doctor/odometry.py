@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -12,7 +13,6 @@ import numpy as np
 
 from gridslam.doctor.finding import Finding, Severity, percent
 from gridslam.doctor.range_units import UNITS
-from gridslam.doctor.stamps import LogHistogram
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, LaserScan
 
@@ -61,8 +61,7 @@ class OdometryExaminer:
     _first_ns: int | None = None
     _last: tuple[int, _Place] | None = None
     _jumps: list[tuple[float, float, float]] = field(default_factory=list)  # s, m, rad
-    _moves: int = 0
-    _speeds: LogHistogram = field(default_factory=LogHistogram)
+    _speeds: array[float] = field(default_factory=lambda: array("d"))
     _window: tuple[_Place, LaserScan] | None = None
     _frozen: int = 0
     _watched_s: float = 0.0
@@ -93,8 +92,7 @@ class OdometryExaminer:
         moved, turned = _motion(before, place)
         seconds = max((stamp_ns - last_ns) * 1e-9, _LEAST_S)
         if moved > _STILL:
-            self._moves += 1
-            self._speeds.add(moved / seconds)
+            self._speeds.append(moved / seconds)
         if is_jump(moved, turned, seconds):
             self._jumps.append(((stamp_ns - self._first_ns) * 1e-9, moved, turned))
         else:
@@ -140,7 +138,7 @@ class OdometryExaminer:
         """Yield the findings on the odometry, and on how the robot was driven."""
         if self.without:
             yield self._no_odometry()
-        speed = self._speeds.quantile(0.5) if self._moves >= _FEWEST_MOVES else math.nan
+        speed = float(np.median(self._speeds)) if len(self._speeds) >= _FEWEST_MOVES else math.nan
         if speed > _LEAP_M_S:
             yield self._odometry_units(speed)
         elif self._jumps:

@@ -15,7 +15,6 @@ from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan
 _BIN_M = 0.01
 _BINS = 20_000
 _SECTORS = 16
-_BLOCK = 1 << 16  # readings that are counted together
 _USED_M = 30.0  # the configuration's range_max_m: farther readings are neither matched nor mapped
 
 _LEAST = 100  # readings: fewer at one value may be chance
@@ -49,9 +48,6 @@ class RangeCounts:
     readings: int = 0
     _hits: IntArray = field(default_factory=lambda: np.zeros((_BINS + 1, _SECTORS), np.int64))
     _beyond: IntArray = field(default_factory=lambda: np.zeros(_BINS + 1, np.int64))
-    _waiting: list[tuple[FloatArray, IntArray]] = field(default_factory=list)
-    _waiting_beyond: list[FloatArray] = field(default_factory=list)
-    _pending: int = 0
 
     def take(self, scan: LaserScan) -> None:
         """Take the ranges of the next scan."""
@@ -59,27 +55,9 @@ class RangeCounts:
         self.range_max_m = scan.range_max_m
         self.readings += len(scan)
         hits = (scan.status == BeamStatus.HIT).nonzero()[0]
-        self._waiting.append((scan.ranges[hits], hits * _SECTORS // max(len(scan), 1)))
-        if len(hits) < len(scan):
-            beyond = scan.ranges[scan.status == BeamStatus.NO_RETURN]
-            self._waiting_beyond.append(beyond[np.isfinite(beyond)])
-        self._pending += len(scan)
-        if self._pending >= _BLOCK:
-            self.count()
-
-    def count(self) -> None:
-        """Count the pending beams."""
-        if self._waiting:
-            bins = np.concatenate([_bins(ranges) for ranges, _ in self._waiting])
-            sectors = np.concatenate([sectors for _, sectors in self._waiting])
-            places, counts = np.unique(bins * _SECTORS + sectors, return_counts=True)  # few: most of it stays untouched
-            self._hits.reshape(-1)[places] += counts
-        if self._waiting_beyond:
-            places, counts = np.unique(_bins(np.concatenate(self._waiting_beyond)), return_counts=True)
-            self._beyond[places] += counts
-        self._waiting.clear()
-        self._waiting_beyond.clear()
-        self._pending = 0
+        np.add.at(self._hits, (_bins(scan.ranges[hits]), hits * _SECTORS // max(len(scan), 1)), 1)
+        beyond = scan.ranges[scan.status == BeamStatus.NO_RETURN]
+        np.add.at(self._beyond, _bins(beyond[np.isfinite(beyond)]), 1)
 
     def find_peak(self) -> _RangePeak | None:
         """Return the value near the far end at which hits pile up as walls never do, if there is one."""
@@ -100,7 +78,6 @@ class RangeCounts:
 
     def false_hits_m(self) -> float | None:
         """Range from which on hits are beams without return, if there are so many that the map becomes unusable."""
-        self.count()
         peak = self.find_peak()
         if peak is None or peak.value_m >= _USED_M or peak.share <= _SPOILING:
             return None
@@ -118,7 +95,6 @@ class RangeCounts:
 
     def findings(self, sensor: str) -> Iterator[Finding]:
         """Report where the true limits of the laser of that name differ from the declared ones."""
-        self.count()
         peak = self.find_peak()
         if peak is not None:
             yield self._range_peak(sensor, peak)

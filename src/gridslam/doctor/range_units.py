@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final, final
 
 import numpy as np
@@ -91,21 +92,17 @@ def polar_scan(scan: LaserScan) -> PolarScan | None:
 
 
 @final
-@dataclass(slots=True)
+@dataclass
 class _Placed:
-    """A scan, with the pose (3,) of the odometry."""
+    """A scan, and the odometry where it was taken."""
 
     pose: FloatArray
     scan: LaserScan
-    _view: PolarScan | None = None
-    _is_viewed: bool = False
 
+    @cached_property
     def view(self) -> PolarScan | None:
-        """Return the scan by its bearings; None if it has too few ranges."""
-        if not self._is_viewed:
-            self._is_viewed = True
-            self._view = polar_scan(self.scan)
-        return self._view
+        """The scan by its bearings; None if it has too few ranges."""
+        return polar_scan(self.scan)
 
 
 @final
@@ -151,8 +148,8 @@ class PairComparison:
     def _compare(self, k: int, first: _Placed, second: _Placed, *, has_length: bool) -> None:
         """Compare two scans for each unit, and whether the motion shows; a turn has no length, and so no unit."""
         self._trials[k] += has_length
-        before = first.view()
-        after = second.view()
+        before = first.view
+        after = second.view
         if before is None or after is None:
             return
         motion = move_laser(before, after, between(first.pose, second.pose))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import heapq
 import math
+from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple, final
@@ -13,7 +13,7 @@ import numpy as np
 from gridslam.doctor.finding import Finding, Severity, percent
 from gridslam.geometry.angles import wrap
 from gridslam.io.measurement import Measurement
-from gridslam.types import FloatArray, IntArray, describe_duration
+from gridslam.types import FloatArray, describe_duration
 
 _MANY_PERIODS = 5.0  # a pause this many times as long as 9 of 10 others is none that the laser makes by itself
 _BLIND_M = 1.0
@@ -24,7 +24,6 @@ _DISORDER = 0.1  # share of backward steps: jitter of a busy recorder makes some
 _DEEP_S = 2.0  # a stamp so wrong puts a robot at walking pace a metre off
 _RESTART_S = 10.0  # no recorder holds scans back for so long: the clock was set back, or two logs were joined
 _REPEATED = 0.05  # share of stamps that repeat: each such pair has no time between, hence no speed
-_KEPT = 64
 
 
 class _Pause(NamedTuple):
@@ -34,33 +33,6 @@ class _Pause(NamedTuple):
     began_s: float
     metres: float
     radians: float
-
-
-@final
-class LogHistogram:
-    """Counts of positive numbers in bins 5 % wide, from 1e-6 to 1e6: quantiles within 2.5 % in 4 kB.
-
-    Numbers outside are counted in the first and the last bin.
-    """
-
-    _WIDTH = float(np.log(1.05))
-    _LOW = float(np.log(1e-6))
-    _BINS = 567
-
-    def __init__(self) -> None:
-        """Begin with nothing counted."""
-        self._counts: IntArray = np.zeros(self._BINS, np.int64)
-
-    def add(self, value: float) -> None:
-        """Count one number > 0."""
-        place = int((np.log(value) - self._LOW) / self._WIDTH) if value > 0 else 0
-        self._counts[min(max(place, 0), self._BINS - 1)] += 1
-
-    def quantile(self, share: float) -> float:
-        """Return number below which so large a share of the numbers lies; NaN where there are none."""
-        total = self._counts.sum()
-        place = int(np.searchsorted(np.cumsum(self._counts), share * total))
-        return float(np.exp(self._LOW + self._WIDTH * (place + 0.5))) if total else math.nan
 
 
 @final
@@ -77,8 +49,8 @@ class StampStatistics:
     _last_ns: int = 0
     _latest_ns: int = 0
     _pose: FloatArray | None = None
-    _periods: LogHistogram = field(default_factory=LogHistogram)
-    _pauses: list[_Pause] = field(default_factory=list)
+    _pauses: array[float] = field(default_factory=lambda: array("d"))
+    """The values of a `_Pause` for each scan that is later than the one before."""
 
     @property
     def rate_hz(self) -> float:
@@ -109,16 +81,16 @@ class StampStatistics:
         if seconds <= 0:
             return
         at = (stamp_ns - self.first_ns) * 1e-9
-        self._periods.add(seconds)
-        if len(self._pauses) < _KEPT or seconds > self._pauses[0].seconds:
-            x, y, theta = (math.nan,) * 3 if pose is None or self._pose is None else (pose - self._pose).tolist()
-            keep = heapq.heappush if len(self._pauses) < _KEPT else heapq.heapreplace
-            keep(self._pauses, _Pause(seconds, at - seconds, math.hypot(x, y), abs(float(wrap(theta)))))
+        x, y, theta = (math.nan,) * 3 if pose is None or self._pose is None else (pose - self._pose).tolist()
+        self._pauses.extend(_Pause(seconds, at - seconds, math.hypot(x, y), abs(float(wrap(theta)))))
 
     def gaps(self) -> list[_Pause]:
         """Return the longest gaps, longest first."""
-        limit = max(_MANY_PERIODS * self._periods.quantile(0.9), 0.5)
-        return sorted((pause for pause in self._pauses if pause.seconds > limit), reverse=True)
+        pauses = np.array(self._pauses).reshape(-1, len(_Pause._fields))
+        if not len(pauses):
+            return []
+        limit = max(_MANY_PERIODS * float(np.quantile(pauses[:, 0], 0.9)), 0.5)
+        return sorted(map(_Pause._make, pauses[pauses[:, 0] > limit].tolist()), reverse=True)
 
     def findings(self, sensor: str) -> Iterator[Finding]:
         """Yield the findings on the stamps of the laser of that name."""
@@ -172,10 +144,8 @@ class StampStatistics:
 def _gaps(sensor: str, gaps: list[_Pause]) -> Finding:
     blind = [gap for gap in gaps if _is_blind(gap)]
     worst = max(blind, key=lambda gap: gap.seconds) if blind else gaps[0]
-    count = f"{len(gaps)} gaps" if len(gaps) < _KEPT else f"{_KEPT} gaps or more"
-    message = (
-        f"{'1 gap' if len(gaps) == 1 else count} in the scans; the longest lasts {describe_duration(gaps[0].seconds)}"
-    )
+    count = f"{len(gaps)} gap{'s' * (len(gaps) != 1)}"
+    message = f"{count} in the scans; the longest lasts {describe_duration(gaps[0].seconds)}"
     if math.isnan(worst.metres):
         message += ", without odometry of the motion in it"
     else:

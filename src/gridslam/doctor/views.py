@@ -42,12 +42,13 @@ class View:
         self.pose = pose
         self.scan = scan
         self.sampled = self.sample(0, len(scan))
-        self.seen = int(np.count_nonzero(self.sampled > _COVER_M))
+        self.seen = sum([range_m > _COVER_M for range_m in self.sampled])
 
-    def sample(self, first: int, end: int) -> FloatArray:
-        """Some of the ranges of the beams from `first` on, 0 where nothing was hit."""
+    def sample(self, first: int, end: int) -> list[float]:
+        """Some of the ranges of the beams from `first` on, 0 where nothing was hit; for so few, arrays are slower."""
         some = slice(first, end, max(len(self.scan) // _SAMPLES, 1))
-        return np.where(self.scan.status[some] == _HIT, self.scan.ranges[some], 0.0)
+        measured = zip(self.scan.ranges[some].tolist(), self.scan.status[some].tolist(), strict=True)
+        return [range_m if status == _HIT else 0.0 for range_m, status in measured]
 
     @cached_property
     def polar(self) -> PolarScan | None:
@@ -94,6 +95,6 @@ class View:
         return bool(low < -_SIDE and high > _SIDE)
 
 
-def _is_changed(was: FloatArray, now: FloatArray) -> bool:
-    changed = np.count_nonzero(np.abs(now - was) > _CHANGED_M + _CHANGED * was)
-    return bool(changed > _MOST_CHANGED * len(now))
+def _is_changed(was: list[float], now: list[float]) -> bool:
+    changed = sum([abs(new - old) > _CHANGED_M + _CHANGED * old for old, new in zip(was, now, strict=True)])
+    return changed > _MOST_CHANGED * len(now)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.angles import find_wrong_beam_angles, wrap
+from gridslam.io.even_beams import find_step, find_time_increment, require_hits_within_limits
 from gridslam.io.foreign_scans import ForeignRows, find_foreign_rows
 from gridslam.io.log_statistics import LogStatistics, Mounting
 from gridslam.io.measurement import FARTHEST_LASER_M, FARTHEST_M, Measurement
@@ -60,6 +61,7 @@ _OF_LASER = (
 )
 """Columns whose values are the same in all scans of one laser."""
 
+_EVEN = 1e-9  # rad and s: beams that differ by less are evenly spread
 _HEAD_BYTES = 1 << 16
 _DEFAULTS = {"sensor": "laser", "frame": "laser", "range_max_m": "inf"} | dict.fromkeys((*LASER, "range_min_m"), "0")
 _Cells: TypeAlias = Mapping[str, str]
@@ -352,18 +354,19 @@ def write_csv_log(path: str | Path, measurements: Iterable[Measurement]) -> None
 def _cells(odometry: Odometry | None, scan: LaserScan) -> Iterator[str]:
     """Yield the cells of a row."""
     yield format_stamp_ns(scan.stamp_ns)
-    yield _name(scan.sensor)
-    yield _name(scan.frame)
+    yield quote_name(scan.sensor)
+    yield quote_name(scan.frame)
     yield from map(repr, odometry.pose.tolist()) if odometry else ("", "", "")
     yield format_stamp_ns(odometry.stamp_ns) if odometry and odometry.stamp_ns != scan.stamp_ns else ""
     yield _geometry(scan.geometry)
-    yield "" if scan.beam_times_s is None else repr(_time_increment_s(scan.beam_times_s))
+    yield "" if scan.beam_times_s is None else repr(find_time_increment(scan.beam_times_s, _EVEN))
     yield repr(float(scan.range_min_m))
     yield repr(float(scan.range_max_m))
     yield _format_ranges(scan)
 
 
-def _name(text: str) -> str:
+def quote_name(text: str) -> str:
+    """Return a name as a cell, quoted where it holds a comma or a quotation mark."""
     if "\n" in text or "\r" in text:
         raise ArgumentError("sensor, frame", "a name in one line", repr(text))
     return '"' + text.replace('"', '""') + '"' if "," in text or '"' in text else text
@@ -373,34 +376,16 @@ def _name(text: str) -> str:
 def _geometry(geometry: ScanGeometry) -> str:
     """Return the cells of a mounting and of bearings."""
     transform = geometry.base_from_laser
-    values = [*transform[:3, 3].tolist(), *angles_of_rotation(transform[:3, :3]), *_even("bearings", geometry.bearings)]
+    if not len(geometry.bearings):
+        raise ArgumentError("bearings", "at least one beam", "none")
+    bearings = find_step("bearings", geometry.bearings, _EVEN)
+    values = [*transform[:3, 3].tolist(), *angles_of_rotation(transform[:3, :3]), *bearings]
     return ",".join(repr(value + 0.0) for value in values)  # no -0.0
-
-
-def _even(name: str, values: FloatArray) -> tuple[float, float]:
-    """Return first value and step of evenly spread ones."""
-    if not len(values):
-        raise ArgumentError(name, "at least one beam", "none")
-    steps = max(len(values) - 1, 1)
-    step = float(values[-1] - values[0]) / steps
-    if not (abs(values - values[0] - step * np.arange(len(values))) <= 1e-9).all():
-        raise ArgumentError(name, "evenly spread beams", values)
-    return float(values[0]), step
-
-
-def _time_increment_s(times: FloatArray) -> float:
-    first, step = _even("beam_times_s", times)
-    if abs(first) > 1e-9:
-        raise ArgumentError("beam_times_s", "a first beam at the scan's stamp", first)
-    return step
 
 
 def _format_ranges(scan: LaserScan) -> str:
     """Format ranges with blanks between them; `CsvLog` derives each beam's status from them."""
+    require_hits_within_limits(scan)
     hit = scan.status == BeamStatus.HIT
-    hits = scan.ranges[hit]
-    if not ((hits > 0) & (hits >= scan.range_min_m) & (hits < scan.range_max_m)).all():
-        limits = f"hits from {scan.range_min_m:g} m on and below {scan.range_max_m:g} m"
-        raise ArgumentError("ranges", limits, (float(hits.min()), float(hits.max())))
     nothing = np.where(scan.status == BeamStatus.NO_RETURN, np.inf, np.nan)
     return " ".join(map(repr, np.where(hit, scan.ranges, nothing).tolist()))

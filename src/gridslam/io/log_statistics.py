@@ -7,8 +7,6 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import Any, final
 
-import numpy as np
-
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, FloatArray, LaserScan
 
@@ -177,7 +175,7 @@ class LogStatistics:
         status = scan.status.tobytes()  # counted several times as fast as the array
         self.invalid_beams += status.count(BeamStatus.INVALID)
         self.no_return_beams += status.count(BeamStatus.NO_RETURN)
-        self.count_stamp(scan)
+        self._count_stamp(scan)
         if odometry is None:
             self.without_odometry += 1
             return
@@ -185,8 +183,7 @@ class LogStatistics:
         self.odometry_length_m += 0.0 if self._last_place is None else math.dist(self._last_place, place)
         self._last_place = place
 
-    def count_stamp(self, scan: LaserScan) -> None:
-        """Take the next scan's stamp into account."""
+    def _count_stamp(self, scan: LaserScan) -> None:
         if self.last_stamp_ns is None:
             self.first_stamp_ns = scan.stamp_ns
         elif scan.stamp_ns < self.last_stamp_ns:
@@ -195,12 +192,3 @@ class LogStatistics:
             self.duplicate_stamps += 1
         self.last_stamp_ns = scan.stamp_ns
         self._last_sensor = scan.sensor
-
-    def count_path(self, poses: FloatArray) -> None:
-        """Take the odometry poses (N, 3) of the next scans into account."""
-        if len(poses) == 0:
-            return
-        places = poses[:, :2] if self._last_place is None else np.vstack([self._last_place, poses[:, :2]])
-        steps = np.diff(places, axis=0)
-        self.odometry_length_m += float(np.hypot(steps[:, 0], steps[:, 1]).sum())
-        self._last_place = places[-1].tolist()

@@ -193,10 +193,8 @@ def read_map(
         what = f"the map of {percent.shape[1]} x {percent.shape[0]} cells, turned by {description.yaw_rad:g} rad,"
         require_memory(yaml_path, what, cells * _BYTES_PER_PIXEL)
         percent, origin = turn_cells(percent, description.resolution_m, origin, description.yaw_rad, -1)
-    probability = (1 - _SURE) / 2 + _SURE * np.arange(101) / 100.0
-    log_odds = np.append(np.log(probability / (1 - probability)), 0.0).astype(np.float32)  # the last: of -1, unknown
     _remark_on(percent, on_remark)
-    grid = OccupancyGrid(log_odds[percent], percent >= 0, description.resolution_m, origin)
+    grid = grid_of_percent(percent, description.resolution_m, origin)
     spared = 0 if strict_thresholds else int(unknown_read_as_free(image, description).sum())
     if spared:
         on_remark(
@@ -204,6 +202,13 @@ def read_map(
             f"its {spared} cells are taken as unknown (--strict-thresholds reads literally)"
         )
     return grid
+
+
+def grid_of_percent(percent: NDArray[np.int8], resolution_m: float, origin: tuple[float, float]) -> OccupancyGrid:
+    """Return the map of occupancies 0 to 100 %, probabilities of 0.01 to 0.99; -1 is unknown."""
+    probability = (1 - _SURE) / 2 + _SURE * np.arange(101) / 100.0
+    log_odds = np.append(np.log(probability / (1 - probability)), 0.0).astype(np.float32)  # the last: of -1, unknown
+    return OccupancyGrid(log_odds[percent], percent >= 0, resolution_m, origin)
 
 
 def _remark_on(percent: NDArray[np.int8], on_remark: Callable[[str], None]) -> None:

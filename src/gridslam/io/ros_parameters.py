@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,7 @@ def read_parameter_file(path: str | Path, *, keeps_qos: bool = False) -> list[tu
     for name, parameters in nodes:
         if not isinstance(parameters, dict):
             raise InputError(path, f"expected parameters below ros__parameters of {name}, got {parameters!r}")
-    return [(name, dict(_flatten(parameters, "", keeps_qos=keeps_qos))) for name, parameters in nodes]
+    return [(name, flatten_parameters(parameters, keeps_qos=keeps_qos)) for name, parameters in nodes]
 
 
 def _find_nodes(tree: Any, above: str) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
@@ -49,11 +49,15 @@ def _find_nodes(tree: Any, above: str) -> Iterator[tuple[str, Any]]:  # noqa: AN
             yield from _find_nodes(below, f"{above}/{str(name).strip('/')}")
 
 
-def _flatten(table: dict[Any, Any], above: str, *, keeps_qos: bool) -> Iterator[tuple[str, Any]]:
-    for name, value in table.items():
-        if str(name).partition(".")[0] == "qos_overrides" and not keeps_qos:
+def flatten_parameters(table: Mapping[str, Any], *, keeps_qos: bool = False) -> dict[str, Any]:
+    """Return parameters by dotted names: `initial_pose: {x: 1}` is the parameter `initial_pose.x`."""
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        name = str(key)  # YAML has keys of other kinds
+        if name.partition(".")[0] == "qos_overrides" and not keeps_qos:
             continue
-        if isinstance(value, dict):
-            yield from _flatten(value, f"{above}{name}.", keeps_qos=keeps_qos)
+        if isinstance(value, Mapping):
+            found |= {f"{name}.{below}": own for below, own in flatten_parameters(value, keeps_qos=keeps_qos).items()}
         else:
-            yield f"{above}{name}", value
+            found[name] = value
+    return found

@@ -16,6 +16,7 @@ from gridslam.live.protocol import levels
 from gridslam.types import FloatArray, Int32Array, IntArray, OccupancyGrid
 
 _UNKNOWN_TILE: NDArray[np.int16] = np.full((TILE, TILE), UNKNOWN, np.int16)
+_UNKNOWN_LEVELS: NDArray[np.uint8] = np.zeros((TILE, TILE), np.uint8)
 _MARGIN_M = 2 * TILE * 0.05  # deskewing may move the end point of a beam this far
 
 
@@ -111,11 +112,12 @@ def _align(*tables: tuple[Int32Array, tuple[int, int]]) -> tuple[Int32Array, Int
 class TileReplica:
     """A copy of one map, built from its changes; each visible change of a tile gets the next sequence number."""
 
-    __slots__ = ("_numbers", "_tiles", "sequence")
+    __slots__ = ("_levels", "_numbers", "_tiles", "sequence")
 
     def __init__(self) -> None:
         """Start with an empty map."""
         self._tiles: dict[tuple[int, int], NDArray[np.int16]] = {}  # by row and column
+        self._levels: dict[tuple[int, int], NDArray[np.uint8]] = {}  # of those that are visible
         self._numbers: dict[tuple[int, int], int] = {}  # in ascending order
         self.sequence = 0
 
@@ -128,14 +130,14 @@ class TileReplica:
 
     def apply(self, changes: TileChanges) -> None:
         """Apply changed tiles; those without a visible change get no new number."""
-        for (row, column), cells in zip(changes.at.tolist(), changes.log_odds, strict=True):
-            before = self._tiles.get((row, column), _UNKNOWN_TILE)
-            if not np.array_equal(cells, before):
-                self._tiles[row, column] = cells.copy()
-                if not np.array_equal(levels(cells), levels(before)):
-                    self.sequence += 1
-                    self._numbers.pop((row, column), None)
-                    self._numbers[row, column] = self.sequence
+        looks = levels(changes.log_odds)
+        for (row, column), cells, look in zip(changes.at.tolist(), changes.log_odds, looks, strict=True):
+            self._tiles[row, column] = cells.copy()
+            if not np.array_equal(look, self._levels.get((row, column), _UNKNOWN_LEVELS)):
+                self._levels[row, column] = look.copy()
+                self.sequence += 1
+                self._numbers.pop((row, column), None)
+                self._numbers[row, column] = self.sequence
 
     def replace(self, changes: TileChanges) -> None:
         """Replace the whole map by these tiles."""
@@ -152,8 +154,8 @@ class TileReplica:
         newer = [*takewhile(lambda item: item[1] > number, reversed(self._numbers.items()))][::-1]
         last = newer[most - 1][1] if len(newer) > most else self.sequence
         at = [at for at, _ in newer[:most]]
-        cells = np.array([self._tiles[one] for one in at], np.int16).reshape(-1, TILE, TILE)
-        return np.array(at, np.int32).reshape(-1, 2), levels(cells), last
+        looks = np.array([self._levels[one] for one in at], np.uint8).reshape(-1, TILE, TILE)
+        return np.array(at, np.int32).reshape(-1, 2), looks, last
 
     def grid(self, resolution_m: float) -> OccupancyGrid:
         """Return the map as a rectangle around its known tiles; a single unknown cell if there are none."""

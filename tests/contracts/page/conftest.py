@@ -4,8 +4,6 @@ Needs Chromium, its driver and the package selenium; tests are skipped with the 
 where GRIDSLAM_REQUIRE_BROWSER=1. Screenshots go to the folder GRIDSLAM_SCREENSHOTS, if that is set.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The map is edited on the page: drawn, selected, moved, undone, and saved beside the map as it is seen."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import shutil
@@ -194,31 +192,6 @@ def test_a_polygon_that_crosses_itself_is_not_saved_and_can_be_undone(page, out)
     page.get_log("browser")  # of the status 409
     _keys(page, (Keys.CONTROL, "z"))
     _saved(page, out, 0)
-
-
-def test_edits_are_drawn_at_sixty_frames_a_second(page):
-    """A thousand of them, by the least time that drawing takes, as other processes take turns."""
-    spent_ms = page.execute_async_script("""
-        const done = arguments[0];
-        Promise.all([import("./edit.js"), import("./camera.js")]).then(([{ Editor }, { Camera }]) => {
-          const canvas = document.createElement("canvas");
-          [canvas.width, canvas.height] = [1400, 900];
-          const editor = new Editor({}, () => {}), camera = new Camera(canvas), features = [];
-          for (let k = 0; k < 1000; k++) {
-            const [x, y] = [k % 40, Math.floor(k / 40)], ring = [[x, y], [x + 1, y], [x + 1, y + 1], [x, y]];
-            features.push({ properties: { layer: "keep_out" }, geometry: { type: "Polygon", coordinates: [ring] } });
-          }
-          Object.assign(editor, { section: document.body, tool: "select" });
-          editor.history.put(features);
-          const context = canvas.getContext("2d"), spent = [];
-          for (let k = 0; k < 20; k++) {
-            const began = performance.now();
-            editor.draw(context, camera, { bad: "#f00" });
-            spent.push(performance.now() - began);
-          }
-          done(Math.min(...spent));
-        });""")
-    assert spent_ms < 16.7
 
 
 def test_a_map_without_a_run_has_the_tools_as_well(browser, out, tmp_path):

@@ -1,7 +1,5 @@
 """A pose graph is edited on the page: both scans of an edge are seen, it is rejected, and a scan is put elsewhere."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

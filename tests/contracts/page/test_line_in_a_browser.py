@@ -1,7 +1,5 @@
 """The page and its line, in a real browser: lost and back, a server's restart, the token, and a robot's page."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 

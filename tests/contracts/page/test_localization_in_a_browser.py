@@ -1,7 +1,5 @@
 """A known map in a real browser: the cloud converges in it; and what other commands left is seen again."""
 
-from __future__ import annotations
-
 import json
 import threading
 

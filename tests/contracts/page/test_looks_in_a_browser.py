@@ -1,7 +1,5 @@
 """What all need to see and to touch: contrast, size, landmarks, notices, and a view of the map without strays."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 

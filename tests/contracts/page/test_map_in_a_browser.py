@@ -1,7 +1,5 @@
 """A map that grows, in a real browser: paused, stepped, moved by hands, saved, and seen by several."""
 
-from __future__ import annotations
-
 import threading
 import time
 import zipfile

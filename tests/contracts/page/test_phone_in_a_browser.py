@@ -1,7 +1,5 @@
 """A phone in the dark, 375 x 667, under fingers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

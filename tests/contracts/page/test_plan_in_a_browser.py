@@ -1,7 +1,5 @@
 """A browser shows the SVG of a floor plan as large as it is, and in it what the plan has, arcs too."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

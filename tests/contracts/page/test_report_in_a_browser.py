@@ -1,7 +1,5 @@
 """The page of a batch in Chromium: 10,000 rows, sorted, filtered, looked at on a phone, and by axe."""
 
-from __future__ import annotations
-
 import time
 
 import pytest

@@ -1,7 +1,5 @@
 """The console of a robot, and the past of a run that goes on, in a real browser."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

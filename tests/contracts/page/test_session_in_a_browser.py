@@ -1,7 +1,5 @@
 """Which session goes on, and where the robot was found again, in a real browser."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from gridslam.cli.live import node_page

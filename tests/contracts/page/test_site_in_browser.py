@@ -1,7 +1,5 @@
 """The site of docs in a browser: no column is cut off at any width of the window."""
 
-from __future__ import annotations
-
 import pytest
 
 RIGHT_EDGES = """return [".sidebar-drawer", ".content", ".toc-drawer"].map(

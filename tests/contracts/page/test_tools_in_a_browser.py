@@ -1,7 +1,5 @@
 """What helps to look at a finished run: keys, measuring, the grid, turning, comparing, charts, and what is saved."""
 
-from __future__ import annotations
-
 import zipfile
 
 import pytest

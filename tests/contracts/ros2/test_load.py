@@ -1,7 +1,5 @@
 """Much at once, for long, and from the first moment on: no scan is lost, and none comes late."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import signal

@@ -1,7 +1,5 @@
 """Parameters, services, the lifecycle and the log, as the verbs of `ros2` ask for them."""
 
-from __future__ import annotations
-
 import pytest
 from lifecycle_msgs.msg import Transition, TransitionEvent
 from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState

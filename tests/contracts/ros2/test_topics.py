@@ -1,7 +1,5 @@
 """Maps, transforms and scans between the node and programs of ROS 2."""
 
-from __future__ import annotations
-
 import itertools
 import signal
 import time

@@ -1,7 +1,5 @@
 """On which floor a robot is said to be."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

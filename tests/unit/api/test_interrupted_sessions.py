@@ -1,7 +1,5 @@
 """A node that continues earlier drives, ended before and after it is found: the same to the last bit."""
 
-from __future__ import annotations
-
 import pytest
 
 from support.interrupted import make_building, run_node

@@ -1,7 +1,5 @@
 """The greatest memory of a process, told by each system in its own way."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

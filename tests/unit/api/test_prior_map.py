@@ -1,7 +1,5 @@
 """A given map becomes a piece of a session: drawn from its key scans it is the same map."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

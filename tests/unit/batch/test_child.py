@@ -1,7 +1,5 @@
 """A job in a child process: whatever becomes of it is a row with a name."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What children of a batch are forked with."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Laws of a batch: each job has exactly one row, and what is done is not done again."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil
@@ -12,14 +10,14 @@ from dataclasses import replace
 import pytest
 
 from gridslam.batch.engine import run_jobs
-from gridslam.batch.journal import JOURNAL, Journal
+from gridslam.batch.journal import JOURNAL
+from gridslam.batch.runs import read_runs
 from gridslam.errors import ArgumentError, OutputError
 from support.batch_jobs import make_job
 
 
 def read_rows(out):
-    with Journal(out) as journal:
-        return list(journal.rows())
+    return sorted((run.row for run in read_runs(out)), key=lambda row: row["folder"])
 
 
 def run(jobs, out, workers=2, **options):

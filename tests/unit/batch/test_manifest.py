@@ -1,7 +1,5 @@
 """Which logs a batch has, and their names."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

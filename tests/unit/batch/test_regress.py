@@ -1,7 +1,5 @@
 """gridslam regress: two journals beside each other."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page of a batch, as a file; tests/contracts/page opens it in a browser."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """Rows of a batch: what is read of a journal, and written as a table."""
 
-from __future__ import annotations
-
 import json
 import math
 import sqlite3

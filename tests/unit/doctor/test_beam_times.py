@@ -1,7 +1,5 @@
 """When beams are measured: as reported, or presumed from the period, in the order that is certain."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The whole diagnosis: what is healthy, what only matching tells, what breaks off, and the report of it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

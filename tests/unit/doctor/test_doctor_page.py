@@ -1,7 +1,5 @@
 """docs/doctor.md tells of every finding there is, and of no other."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

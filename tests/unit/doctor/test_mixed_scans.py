@@ -1,7 +1,5 @@
 """Scans of two lasers by one name are named; lasers with their own mountings, doors and bad scans are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

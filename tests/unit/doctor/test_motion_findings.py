@@ -1,7 +1,5 @@
 """Single faults are named with their size, and nothing else is; what no motion tells is not said."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

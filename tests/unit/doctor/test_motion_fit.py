@@ -1,7 +1,5 @@
 """Laws of the robust fit and of the calibration, on drives whose laser is perfect."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

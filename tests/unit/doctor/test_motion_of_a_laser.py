@@ -1,7 +1,5 @@
 """Scan matching alone finds how a laser moved, whatever the lidar, and its cost is bounded."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A repaired log is the log without its fault, and what needs no repair is left alone."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Odometry, turning and mountings: each finding in a log that has it, and in none that has not."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Ranges in other units, of a frozen laser and at random are named; rest, corridors, round rooms and crowds are not."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import islice
@@ -9,14 +7,14 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from gridslam.doctor import CheckedLog, Doctor, Severity, quick_check
+from gridslam.doctor import CheckedLog, Doctor, Severity
 from gridslam.doctor.range_units import UNITS
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.sim.floor_plan import box
 from gridslam.types import Odometry
 from support.hand_logs import MadeLog, seen
-from support.implausible_ranges import CODES, VARIANTS
+from support.implausible_ranges import CODES, VARIANTS, found_early
 
 pytestmark = pytest.mark.filterwarnings("ignore:ranges have a median")  # as made here, and found by the doctor
 
@@ -45,7 +43,7 @@ def named(measurements):
     for measurement in measurements:
         doctor.take(measurement)
     found = [f for f in doctor.findings() if f.code in CODES]
-    early = [f for f in quick_check(MadeLog(measurements)) if f.code in CODES]
+    early = [f for f in found_early(MadeLog(measurements)) if f.code in CODES]
     assert [f.code for f in early] == [f.code for f in found]
     return found
 

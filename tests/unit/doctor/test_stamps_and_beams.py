@@ -1,7 +1,5 @@
 """Stamps, beams and ranges: each finding in a log that has it, and in none that has not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A robot that was carried is named with time and place; what only looks like it is not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pairs of landmarks and their errors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """The test for changes beyond noise: exact where it can be counted, false alarms within the level, and its power."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

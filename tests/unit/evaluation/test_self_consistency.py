@@ -1,7 +1,5 @@
 """The self-consistency score: whatever is wrong with a trajectory raises it, and nothing cheap lowers it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One pose as a tuple: the same numbers as the arrays of se2, bit for bit."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Giving memory back: what is left goes on as before, in as many tiles as it uses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

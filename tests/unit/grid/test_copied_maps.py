@@ -1,7 +1,5 @@
 """Maps that another thread reads: as they were, whatever their owner does meanwhile."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 

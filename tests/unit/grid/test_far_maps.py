@@ -1,7 +1,5 @@
 """Maps far from the world's origin, far beams, many beams: the same cells, or a refusal that changes nothing."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The distance field as a rectangle: what the maps hold tile by tile, at its place in the world."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Limited log-odds: what is known stays known, obstacles stay, and other owners of the tiles notice nothing."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The occupancy grid as a binary Bayes filter, and its export as a rectangle."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import checks

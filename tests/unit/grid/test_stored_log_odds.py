@@ -1,7 +1,5 @@
 """Log-odds in a byte, where one holds all that a cell can, are those that two bytes hold."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What a map knows cell by cell, and other owners of some of its rows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A map told a few rows at a time: the same cells, and never the whole rectangle in memory."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A session is written while the filter goes on: as the run was when the writing began."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A bag as a log: odometry at the scans' stamps, mountings in space, statuses, and what is counted."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

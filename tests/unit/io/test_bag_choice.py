@@ -1,7 +1,5 @@
 """Which topics and frames of a bag are taken, and when the user must say it."""
 
-from __future__ import annotations
-
 import pytest
 
 from gridslam.errors import InputError

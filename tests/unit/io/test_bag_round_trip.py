@@ -1,7 +1,5 @@
 """A log that was written as a bag is read as it was, by the reader of bags."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bags give the messages that rosbags finds in them, in the order of their recording, whatever form they have."""
 
-from __future__ import annotations
-
 import bz2
 import importlib
 import itertools

@@ -1,7 +1,5 @@
 """A file is known by its bytes, a folder by its files and their names."""
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Edits of a map are read as they were written, refused where they are none, and drawn where they lie."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Scans in tables of other programs: `rostopic echo -p`, and rows of an angle and a distance."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -1,7 +1,5 @@
 """g2o files: what is read, what is written, and what is said of bad ones."""
 
-from __future__ import annotations
-
 import gzip
 
 import numpy as np

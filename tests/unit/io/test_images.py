@@ -12,7 +12,7 @@ from PIL import Image
 from gridslam.errors import InputError
 from gridslam.io.images import LONGEST_SIDE_PX, open_image
 from gridslam.io.maps import read_map
-from support.fuzz_bombs import MAP_YAML
+from support.fuzz_images import MAP_YAML
 from support.house import PACKAGE
 
 EPS = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 50 50\n%%EndComments\nnewpath\nshowpage\n%%EOF\n"

@@ -1,7 +1,5 @@
 """Logs of landmarks: the real ones, small ones whose steps are known, and what is said of bad ones."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

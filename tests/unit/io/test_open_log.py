@@ -1,7 +1,5 @@
 """The format of a log is told by its content, and what is none is told from what it looks like."""
 
-from __future__ import annotations
-
 import bz2
 import gzip
 

@@ -1,7 +1,5 @@
 """Our decoding of messages is that of rosbags, in all three ways in which they are written."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

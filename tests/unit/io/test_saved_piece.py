@@ -1,7 +1,5 @@
 """Saved pieces: thinned with their drives and stamps, and frozen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A run written between two scans and read back goes on to the same bytes."""
 
-from __future__ import annotations
-
 import json
 import math
 import operator

@@ -1,7 +1,5 @@
 """Trajectories in CSV, with the covariance of each pose."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings

@@ -1,7 +1,5 @@
 """Maps whose origin has a yaw: each cell is where map_server has it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where the compiled kernels are missing or not wanted, the NumPy twins run everything; missing ones are said once."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The number of threads never changes a byte."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

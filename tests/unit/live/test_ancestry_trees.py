@@ -1,7 +1,5 @@
 """Pasts, told as a path and a tree, are those of the ancestry, thinned and rooted."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`view OUT` reads and serves what lies in OUT: no link leads out of it, and nothing that waits is opened."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import urllib.error

@@ -1,7 +1,5 @@
 """What other commands than `map` left is shown as their files tell it."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

@@ -1,7 +1,5 @@
 """A pose graph that is edited on the page: edges are rejected and added, it is solved again, and the edits stay."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The map as it was, at any moment, in any order, in bounded memory."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

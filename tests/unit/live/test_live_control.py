@@ -1,7 +1,5 @@
 """A log is held back, let go scan by scan, and timed; a filter that nobody holds never waits."""
 
-from __future__ import annotations
-
 import threading
 import time
 

@@ -1,7 +1,5 @@
 """The page of a robot in a known map shows the belief as it is, and the filter does not notice."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

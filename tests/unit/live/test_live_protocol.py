@@ -1,7 +1,5 @@
 """Messages come out as they went in, and levels tell a map as it looks."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

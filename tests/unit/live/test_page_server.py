@@ -1,7 +1,5 @@
 """The server: several viewers, a lost connection that comes back, a restart, and who is let in."""
 
-from __future__ import annotations
-
 import json
 import threading
 import time

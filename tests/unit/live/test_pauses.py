@@ -1,7 +1,5 @@
 """A viewer holds a run up no longer than it looks on: its pause, its steps and its speed end with it."""
 
-from __future__ import annotations
-
 import json
 import threading
 import time

@@ -1,7 +1,5 @@
 """A finished run is shown at any time of it as its files tell."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import time

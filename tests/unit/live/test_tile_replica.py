@@ -1,7 +1,5 @@
 """Changes of a map, put together, give the map exactly: whatever is written, resampled, looked at or left out."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """AMCL's parameters: every one is known, what it means here, and what is refused."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Monte Carlo localization in a simulated flat: tracking, finding, kidnapping, and what holds at every step."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

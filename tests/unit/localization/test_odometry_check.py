@@ -1,7 +1,5 @@
 """Odometry that cannot be true is replaced by the motion from scan to scan; all other is used as it is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

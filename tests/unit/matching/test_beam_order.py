@@ -1,7 +1,5 @@
 """The order of beams, found from the scans of a turning robot that are deskewed in each."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

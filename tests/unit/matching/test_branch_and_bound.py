@@ -1,7 +1,5 @@
 """The search in large windows: places found from afar, others told apart from them, and none where there is none."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

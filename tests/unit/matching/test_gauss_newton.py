@@ -1,7 +1,5 @@
 """Gauss-Newton on the distance field: finds displacements, says what it knows, and what it does not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import checks

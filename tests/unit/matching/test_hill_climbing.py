@@ -1,7 +1,5 @@
 """GMapping's matcher: small moves that score better, and a refusal where nothing scores."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A landmark sensor with systematic errors: its Jacobians, and what is located is measured so."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Models of landmarks: Jacobians against finite differences, and the inverse against the model itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

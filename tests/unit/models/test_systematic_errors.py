@@ -1,7 +1,5 @@
 """Systematic errors of odometry as unknowns: the derivatives, the Gauss-Markov process, and what is not sought."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """The newest part of a past, by an earlier answer."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """How many particles a belief needs, by KLD-sampling."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import chi2, norm

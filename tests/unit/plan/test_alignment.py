@@ -1,7 +1,5 @@
 """Maps are aligned with plans by pairs or by walls, plans are read as they are drawn, and places on the earth fit."""
 
-from __future__ import annotations
-
 import struct
 
 import ezdxf

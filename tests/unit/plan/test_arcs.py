@@ -1,7 +1,5 @@
 """Round walls of a plan are arcs, straight ones are none; and files have them as arcs."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """The files of a plan are what their formats ask for, and have its measures."""
 
-from __future__ import annotations
-
 import json
 import re
 import zlib

@@ -1,7 +1,5 @@
 """Masks of nav2's filters have the values that its table of values asks for, in both modes of map_server."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from PIL import Image

@@ -1,7 +1,5 @@
 """A floor plan has the walls, doors, rooms and furniture of a map, wherever and however it lies."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Segments near others are found as by comparing all, and surface points do not depend on what is taken at a time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

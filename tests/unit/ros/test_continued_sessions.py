@@ -1,7 +1,5 @@
 """A node's session goes on: at the same place, found again elsewhere, after a kill, and with its own configuration."""
 
-from __future__ import annotations
-
 import json
 import time
 

@@ -1,7 +1,5 @@
 """The node by RTPS in this process: what comes as bytes is a scan, or is named; nothing ends it."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parameter files of slam_toolbox, nav2 and AMCL do here what they do there, or are named with the reason."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Where AMCL was before: its topics, its services, maps that come as messages, and a managed node."""
 
-from __future__ import annotations
-
 import struct
 from types import SimpleNamespace
 
@@ -11,8 +9,8 @@ import pytest
 from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.io.bags.ros_messages import MessageError
-from gridslam.io.maps import read_map, write_map
-from gridslam.ros.node.grid_input import grid_of, make_occupancy_grid
+from gridslam.io.maps import grid_of_percent, read_map, write_map
+from gridslam.ros.node.grid_input import grid_of
 from gridslam.ros.node.messages import CloudMessage
 from gridslam.ros.node.outputs import EncodedOutputs, grid_values
 from gridslam.ros.node.parameters import NodeSettings, node_parameters
@@ -193,7 +191,7 @@ def test_maps_are_decoded_from_their_bytes(ros, map_file):
     found = grid_of(encoder.decode("nav_msgs/OccupancyGrid", data))
     assert (found.frame, found.origin) == ("map", sent.origin)
     np.testing.assert_array_equal(found.cells, sent.cells)
-    grid, of_file = make_occupancy_grid(found), read_map(map_file)
+    grid, of_file = grid_of_percent(found.cells, found.resolution_m, found.origin), read_map(map_file)
     np.testing.assert_array_equal(grid.known, of_file.known)
     np.testing.assert_allclose(grid.log_odds[grid.known], of_file.log_odds[of_file.known], atol=1e-5)
     for wrong in (data[:60], data[:-5]):

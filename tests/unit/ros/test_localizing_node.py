@@ -1,7 +1,5 @@
 """The node in a known map: where the robot is, told as AMCL tells it, and placed by people."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The node without transport: what it says of a drive, its services, and what it survives."""
 
-from __future__ import annotations
-
 import threading
 import time
 

@@ -1,7 +1,5 @@
 """slam_gmapping's parameters by their own names."""
 
-from __future__ import annotations
-
 import pytest
 
 from gridslam.config.tables import value_of

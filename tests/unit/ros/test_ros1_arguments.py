@@ -1,7 +1,5 @@
 """What rospy would leave alone without a word is named."""
 
-from __future__ import annotations
-
 import pytest
 
 from gridslam.errors import ConfigurationError

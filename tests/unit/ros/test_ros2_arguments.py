@@ -1,7 +1,5 @@
 """Arguments as ROS 2 takes them."""
 
-from __future__ import annotations
-
 import importlib.util
 
 import pytest

@@ -1,7 +1,5 @@
 """The packages for ROS: what their files start, set and show is understood by the node."""
 
-from __future__ import annotations
-
 import json
 import re
 import runpy

@@ -1,7 +1,5 @@
 """The wire protocol: samples arrive in order and once whatever is lost, late readers get what is latched."""
 
-from __future__ import annotations
-
 import random
 import struct
 import time

@@ -1,7 +1,5 @@
 """A running node saves and loads sessions, and switches between mapping and localizing."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a node leaves: of each session, whatever ends it, and of those of the node before."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """A node ends well by every signal, at any time, and its log is whole lines."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The published transforms: of one stamp tf2 keeps the first and warns of the others, so no two may share one."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scans from the fields of a ROS message: one constructor for readers, nodes and users."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

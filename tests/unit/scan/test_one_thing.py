@@ -1,7 +1,5 @@
 """A scan that shows one thing of a person's size says nothing about the robot's motion."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

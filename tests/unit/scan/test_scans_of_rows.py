@@ -1,7 +1,5 @@
 """Many scans and readings built at once are those that are built one by one, and refused where one is."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Walls, doors and distances to them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Ray casting against distances worked out by hand and against all pairs of beam and wall; the sensor's noise."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The driven path obeys the robot's limits; odometry errs as configured."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tours take every passage about equally often; a robot that wanders stays close to its way."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Whole simulated logs: what is recorded fits the truth, and the same seed gives the same bytes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

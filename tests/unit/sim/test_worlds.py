@@ -1,7 +1,5 @@
 """Every world can be driven, closes its loops, and is always the same."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

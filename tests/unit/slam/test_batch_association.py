@@ -1,7 +1,5 @@
 """Correspondences of a whole log are found, and of copies of a landmark one is dropped."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A run that closes a loop, cut anywhere: also between a closure and the correction that is drawn for it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A piece of the drive after a blind stretch is laid where all of it fits, and nowhere if that is not certain."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Ties made of matches: what they weigh, what they leave open, and that they survive as arrays."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,9 +1,5 @@
 """How uncertain tracked motion is: one step as many, and directions left open."""
 
-from __future__ import annotations
-
-import math
-
 import numpy as np
 import pytest
 
@@ -21,16 +17,6 @@ def test_moments_of_one_step_are_those_of_many(seed):
     covariance[2, 2] = rng.uniform(0.1, 1)
     many = compute_moments(np.array([pose]), covariance[None])[0]
     np.testing.assert_allclose(compute_step_moments(pose, covariance), many, rtol=0, atol=1e-14 * np.abs(many).max())
-
-
-@pytest.mark.parametrize("heading", [-2.0, 0.7])
-def test_what_a_match_left_open_is_turned_into_the_frame_of_the_increment(heading):
-    along = np.array([0.6, 0.8])
-    unmatched = UnmatchedMotion(open_covariance=0.3 * np.outer(along, along))
-    closed = DriftModel().covariance((0.5, 0.0, 0.1))
-    left_open = DriftModel().covariance((0.5, 0.0, 0.1), unmatched, heading)[:2, :2] - closed[:2, :2]
-    turned = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]]) @ along
-    np.testing.assert_allclose(left_open, 0.3 * np.outer(turned, turned), atol=1e-15)
 
 
 def test_a_direction_left_open_leaves_the_heading_of_searches_as_uncertain_as_it_is_expected():

@@ -1,7 +1,5 @@
 """EKF SLAM: the Kalman filter where all is linear, what it does with landmarks, and what it refuses."""
 
-from __future__ import annotations
-
 import checks
 import numpy as np
 import pytest

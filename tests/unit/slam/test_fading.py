@@ -1,7 +1,5 @@
 """What has gone fades, and what is new appears, from one drive to the next and not within one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

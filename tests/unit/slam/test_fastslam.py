@@ -1,7 +1,5 @@
 """FastSLAM 1.0 and 2.0: EKF mapping where the path is certain, the proposal against sampling, and the state."""
 
-from __future__ import annotations
-
 import checks
 import numpy as np
 import pytest

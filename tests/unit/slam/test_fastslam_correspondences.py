@@ -1,7 +1,5 @@
 """FastSLAM where nothing tells the correspondences: what is drawn, what it weighs, and in which order."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A frozen piece: a later drive is aligned with it, online and at the end, and nothing of it moves by a bit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

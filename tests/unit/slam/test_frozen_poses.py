@@ -1,7 +1,5 @@
 """Poses of a graph that are held: they stay to the last bit, and the others are what they are given these."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The full answer: the final refinement's with loop closure, the best particle's past without."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

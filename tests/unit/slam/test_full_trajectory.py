@@ -1,7 +1,5 @@
 """A pose for every scan: exact at key scans, and between them bent in proportion to the motion."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

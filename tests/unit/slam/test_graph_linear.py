@@ -1,7 +1,5 @@
 """The normal equations: Jacobians against finite differences, sparse systems against dense ones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

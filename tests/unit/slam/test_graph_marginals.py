@@ -1,7 +1,5 @@
 """Marginal covariances: against dense inversion, closed forms and the errors made."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

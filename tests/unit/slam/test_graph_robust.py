@@ -1,7 +1,5 @@
 """False closures are found out, true ones are kept, odometry is never doubted."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """GraphSLAM by least squares: minima, where the search begins, and what comes back."""
 
-from __future__ import annotations
-
 import checks
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The trunk: one owner for each state, the same bytes for the same seed, and ordinary things taken as ordinary."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import checks

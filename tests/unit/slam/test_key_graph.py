@@ -1,7 +1,5 @@
 """The graph of key scans: how uncertain one is as seen from another, by which way, and what corrections leave of it."""
 
-from __future__ import annotations
-
 import copy
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Landmarks as a pose graph: the same least squares as written out by hand, and what drives make of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

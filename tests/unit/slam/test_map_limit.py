@@ -1,7 +1,5 @@
 """What the particles' maps may take together."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Pieces of a map: how two are joined, and how a filter goes on in a map that an earlier drive has left."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A submap is found in a whole map, at any heading, however that map came about."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Key scans are left out of a graph: poses stay, loops stay closed, and nothing is known better than before."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Covariances of all poses: the closed form of drift against the graph's marginals, and what lies between key scans."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Proposals: new poses, and the weights that make up for where they were drawn."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

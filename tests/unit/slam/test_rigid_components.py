@@ -1,7 +1,5 @@
 """Rigid pieces of a trajectory: a blind stretch of way divides it, and a tie that is known joins it again."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

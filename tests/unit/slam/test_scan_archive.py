@@ -1,7 +1,5 @@
 """The archive of scans: what goes in comes out, to the 65,000th part of the farthest end, also by way of arrays."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

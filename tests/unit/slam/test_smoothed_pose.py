@@ -1,7 +1,5 @@
 """The pose that is reported errs by less than the matches it follows, does not drift from them, and jumps with them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The state as plain arrays, and what it costs to keep one."""
 
-from __future__ import annotations
-
 import gc
 import io
 

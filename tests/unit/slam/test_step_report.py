@@ -1,7 +1,5 @@
 """What the filter tells of each scan: reasons, weights, parents, covariance, where it is lost, what it cannot see."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import takewhile

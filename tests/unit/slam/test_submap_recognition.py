@@ -1,7 +1,5 @@
 """Places are recognized by submaps of the way, in sets that no other contradicts."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Submaps are drawn from what was tracked, whatever the map's poses are, and keeping some changes none of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

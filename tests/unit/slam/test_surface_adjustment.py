@@ -1,7 +1,5 @@
 """Scans are adjusted to within what their beams allow, from where they are a few centimetres off."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A piece forgets what newer drives have seen, and nothing else."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

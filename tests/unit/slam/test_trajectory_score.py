@@ -1,7 +1,5 @@
 """The score by which trajectories are compared: true ones are better, wherever the map has its origin."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Walls are the long lines that beams end on; furniture is not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

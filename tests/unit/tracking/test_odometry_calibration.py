@@ -1,7 +1,5 @@
 """What is learned of the odometry: its factors, its noise, and whether it helps."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

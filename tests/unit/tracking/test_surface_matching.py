@@ -1,7 +1,5 @@
 """Matching to the surfaces of the newest scans: exacter than cells, and only where surfaces say so."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The tracker: smooth, nearly exact odometry out of any odometry."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

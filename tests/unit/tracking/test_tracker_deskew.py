@@ -1,7 +1,5 @@
 """Scans that a turning robot takes its time for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scans far apart are searched for around the odometry, and after a blind gap nobody is dragged back."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

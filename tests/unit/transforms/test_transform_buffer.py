@@ -1,7 +1,5 @@
 """The transform buffer: known chains, what it refuses to tell and in which words, and what it notices."""
 
-from __future__ import annotations
-
 import math
 from contextlib import suppress
 

@@ -1,7 +1,5 @@
 """What is within the noise is not recommended, and what is beyond it is."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

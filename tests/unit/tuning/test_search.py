@@ -1,7 +1,5 @@
 """The space that a tuning searches."""
 
-from __future__ import annotations
-
 import pytest
 
 from gridslam.config import PARAMETERS, Configuration, preset

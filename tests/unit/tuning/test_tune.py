@@ -1,7 +1,5 @@
 """The search as a whole, over runs whose losses are a known function of the parameters."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """Few particles stand for many: fairly, without chance, and all of them where they are few."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

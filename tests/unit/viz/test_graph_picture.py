@@ -1,7 +1,5 @@
 """The picture of a graph shows what it was and what it is, to scale."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from gridslam.slam.pose_graph.pose_graph import PoseGraph

@@ -1,7 +1,5 @@
 """The picture of landmarks: ellipses where they belong, and everything in the frame."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from gridslam.types import Trajectory

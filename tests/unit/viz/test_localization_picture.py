@@ -1,7 +1,5 @@
 """The picture of a localization: the way where the robot was found, dots where it was lost."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from gridslam.types import Trajectory

@@ -1,7 +1,5 @@
 """The picture shows the right colours in the right places, at a size fit for people."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from PIL import ImageDraw

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from gridslam.cli.option_types import LOG, OUT, OUTPUT_FILE, OUTPUT_FOLDER, SECONDS, SEED, Number
+from gridslam.cli.option_types import LOG, OUT, OUTPUT_FILE, OUTPUT_FOLDER, SEED, TIME_LIMIT, Number
 from gridslam.cli.options import json_option, log_options
 
 
@@ -111,7 +111,7 @@ def dataset_get_command(**options: Any) -> None:  # noqa: ANN401
     help="Scan rate, Hz.",
 )
 @click.option("--people", type=click.IntRange(min=0), default=0, show_default=True, help="Number of walking people.")
-@click.option("--duration", "duration_s", type=SECONDS, metavar="S", help="Duration of the log, s.")
+@click.option("--duration", "duration_s", type=TIME_LIMIT, metavar="S", help="Duration of the log, s.")
 @json_option
 def simulate_command(**options: Any) -> None:  # noqa: ANN401
     """Simulate a robot in WORLD and write the log.

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import secrets
-import shutil
 import sqlite3
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -20,8 +18,10 @@ from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLi
 from gridslam.errors import ArgumentError, OutputError
 from gridslam.geometry import se2, se3
 from gridslam.io.bags.encoder import MessageEncoder, Values
+from gridslam.io.even_beams import find_step, find_time_increment, require_hits_within_limits
 from gridslam.io.measurement import Measurement
-from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
+from gridslam.io.output import write_atomically
+from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry
 
 _FILES = {".bag": "ros1", ".mcap": "mcap", ".db3": "sqlite3"}
 _ROS2_VERSION: Final = 8  # of the metadata: the later 9 is not read by ROS 2 before Jazzy
@@ -46,7 +46,6 @@ _ODOM = "odom"
 _BASE = "base_link"
 _EVEN_RAD = 1e-5
 _EVEN_S = 1e-6
-_MOST_GEOMETRIES = 256
 _UNKNOWN = np.zeros(36)
 _NOTHING = np.array([0.0, np.inf, np.nan], dtype=np.float32)  # by status
 _TINY = np.finfo(np.float32).tiny
@@ -86,18 +85,16 @@ def write_bag(path: str | Path, measurements: Iterable[Measurement]) -> None:
     kind = _FILES.get(target.suffix, "sqlite3")
     if kind == "sqlite3" and set("?#%") & set(str(target)):
         raise OutputError(f"{path}: a path with ?, # or % cannot hold a sqlite3 bag: write .mcap, or elsewhere")
-    aside = target.with_name(f".{target.name}.{secrets.token_hex(4)}.partial")
     try:
-        aside.mkdir()
-        written = aside / (target.stem if target.suffix in _FILES else target.name)
-        _write(written, kind, measurements)
-        if kind != "ros1" and target.suffix in _FILES:
-            written /= written.name + target.suffix
-        os.replace(written, target)
-    except (OSError, sqlite3.Error) as error:
-        raise OutputError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
+        with write_atomically(target) as aside:
+            if kind == "ros1" or target.suffix not in _FILES:
+                _write(aside, kind, measurements)
+            else:
+                folder = aside.with_suffix("")
+                _write(folder, kind, measurements)
+                os.replace(folder / aside.name, aside)
+    except sqlite3.Error as error:
+        raise OutputError(f"{path}: cannot be written: {error}") from None
 
 
 def _write(path: Path, kind: str, measurements: Iterable[Measurement]) -> None:
@@ -154,8 +151,6 @@ class _Messages:
         self._header = encoder.header
         self._odometry: Odometry | None = None
         self._sensors: dict[str, _Sensor] = {}
-        self._times: tuple[FloatArray | None, float] = None, 0.0
-        self._geometries: dict[int, tuple[ScanGeometry, float, float]] = {}
 
     def of(self, measurement: Measurement) -> Iterator[_Message]:
         """Yield messages of one measurement, in the order in which a robot would send them."""
@@ -199,26 +194,18 @@ class _Messages:
         return _Sensor(topic, frame, mounting)
 
     def _scan(self, scan: LaserScan, sensor: _Sensor) -> Values:
-        angle_min, step = self._angles(scan, sensor)
-        if scan.beam_times_s is not self._times[0]:  # scans of a laser often share them
-            self._times = scan.beam_times_s, _time_increment_s(scan.beam_times_s)
+        mounting = scan.geometry.base_from_laser
+        if mounting is not sensor.mounting and not np.allclose(mounting, sensor.mounting, rtol=0, atol=1e-6):
+            expected = f"one mounting for all scans of '{scan.sensor}'"
+            raise ArgumentError("base_from_laser", expected, mounting.tolist())
+        angle_min, step = find_step("bearings", scan.geometry.bearings, _EVEN_RAD)
+        increment_s = 0.0 if scan.beam_times_s is None else find_time_increment(scan.beam_times_s, _EVEN_S)
+        if increment_s < 0:
+            raise ArgumentError("beam_times_s", "times that grow from 0 at the first beam", scan.beam_times_s)
         header = self._header(sensor.topic, scan.stamp_ns, sensor.frame)
         angles = angle_min, angle_min + step * max(len(scan) - 1, 0), step
-        times = self._times[1], self._times[1] * len(scan)
+        times = increment_s, increment_s * len(scan)
         return header, *angles, *times, scan.range_min_m, scan.range_max_m, _ranges(scan), ()
-
-    def _angles(self, scan: LaserScan, sensor: _Sensor) -> tuple[float, float]:
-        """Return first bearing and step of a scan, looked at once for each geometry."""
-        geometry = scan.geometry
-        known = self._geometries.get(id(geometry))
-        if known is None:
-            if not np.allclose(geometry.base_from_laser, sensor.mounting, rtol=0, atol=1e-6):
-                got = geometry.base_from_laser.tolist()
-                raise ArgumentError("base_from_laser", f"one mounting for all scans of '{scan.sensor}'", got)
-            if len(self._geometries) >= _MOST_GEOMETRIES:
-                self._geometries.clear()
-            known = self._geometries[id(geometry)] = geometry, *_even("bearings", geometry.bearings, _EVEN_RAD)
-        return known[1], known[2]
 
 
 def _same(a: Odometry, b: Odometry | None) -> bool:
@@ -240,35 +227,12 @@ def _twist(before: Odometry | None, now: Odometry) -> Values:
     return (vx, vy, 0.0), (0.0, 0.0, omega)
 
 
-def _even(name: str, values: FloatArray, tolerance: float) -> tuple[float, float]:
-    """Return first value and step of evenly spread ones."""
-    if len(values) < 2:
-        return float(values.sum()), 0.0
-    step = float(values[-1] - values[0]) / (len(values) - 1)
-    if not (np.abs(values - values[0] - step * np.arange(len(values))) <= tolerance).all():
-        raise ArgumentError(name, "evenly spread beams, which is all that a message can represent", values)
-    return float(values[0]), step
-
-
-def _time_increment_s(times: FloatArray | None) -> float:
-    if times is None:
-        return 0.0
-    first, step = _even("beam_times_s", times, _EVEN_S)
-    if abs(first) > _EVEN_S or step < 0:
-        raise ArgumentError("beam_times_s", "times that grow from 0 at the first beam", times)
-    return step
-
-
 def _ranges(scan: LaserScan) -> NDArray[np.float32]:
     """Return ranges as a message has them: NO_RETURN is infinite, INVALID is NaN."""
+    require_hits_within_limits(scan)
     hit = scan.status == BeamStatus.HIT
-    hits = scan.ranges[hit]
-    nearest, farthest = hits.min(initial=np.inf), hits.max(initial=0.0)
-    if hits.size and not (nearest > 0 and scan.range_min_m <= nearest and farthest < scan.range_max_m):
-        limits = f"hits from {scan.range_min_m:g} m on and below {scan.range_max_m:g} m"
-        raise ArgumentError("ranges", limits, (float(nearest), float(farthest)))
     ranges = _NOTHING[scan.status]
     # Rounding to single precision must not turn a hit into "no return" or "invalid".
     below = np.nextafter(np.float32(scan.range_max_m), np.float32(0))
-    ranges[hit] = hits.astype(np.float32).clip(_TINY, below)
+    ranges[hit] = scan.ranges[hit].astype(np.float32).clip(_TINY, below)
     return ranges

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridslam.checked import checked
 from gridslam.errors import ArgumentError, InputError
@@ -178,16 +177,11 @@ class _Parser:
             except (LineError, ArgumentError) as error:  # ArgumentError: no scan has such beams
                 row = error.row if isinstance(error, LineError) else 0
                 raise InputError(self._path, str(error), lines[row].number) from None
-            self.statistics.scans[tag] += len(lines)
         self._waiting.clear()
         scans.sort(key=itemgetter(0))
-        measurements = [measurement for _, measurement in scans]
-        poses = [odometry.pose for odometry, _ in measurements if odometry is not None]
-        self.statistics.without_odometry += len(measurements) - len(poses)
-        self.statistics.count_path(np.array(poses).reshape(-1, 3))
-        for _, scan in measurements:
-            self.statistics.count_stamp(scan)
-        yield from measurements
+        for _, measurement in scans:
+            self.statistics.count(measurement)
+            yield measurement
 
     def _check_poses(self, tag: str, rows: ScanRows, number: int) -> None:
         """Refuse a line with another number of poses than those before: some of its readings are missing."""
@@ -204,7 +198,7 @@ class _Parser:
         self.statistics.mountings[sensor] = self._lasers.mountings[sensor]
         limit = self._lasers.range_max_m(sensor, rows.layout)
         ranges = rows.ranges
-        status = self._status(ranges, limit)
+        status = (ranges >= limit) * np.uint8(BeamStatus.NO_RETURN) + ~(ranges > 0) * np.uint8(BeamStatus.INVALID)
         poses = None if rows.robot_poses is None else _normalised(rows.robot_poses)
         for array in (ranges, status, poses):
             if array is not None:
@@ -218,17 +212,6 @@ class _Parser:
         else:
             readings = Odometry.from_rows(stamps_ns, poses)
         return zip([line.number for line in lines], map(Measurement, readings, scans), strict=True)
-
-    def _status(self, ranges: FloatArray, limit: float) -> NDArray[np.uint8]:
-        """Decide each beam's status (K, B) and count."""
-        no_return = ranges >= limit
-        invalid = ~(ranges > 0)
-        status = no_return * np.uint8(BeamStatus.NO_RETURN) + invalid * np.uint8(BeamStatus.INVALID)
-        statistics = self.statistics
-        statistics.beam_counts[ranges.shape[1]] += len(ranges)
-        statistics.no_return_beams += int(np.count_nonzero(no_return))
-        statistics.invalid_beams += int(np.count_nonzero(invalid))
-        return status
 
     def _odometry(self, source: tuple[str, int] | None) -> Odometry | None:
         """Return odometry of an ODOM line."""

@@ -11,6 +11,7 @@ import numpy as np
 from gridslam.errors import ArgumentError
 from gridslam.geometry import se2
 from gridslam.io.carmen.lasers import LASER_PARAMETERS, SICK_NO_RETURN_M
+from gridslam.io.even_beams import find_step
 from gridslam.io.measurement import Measurement
 from gridslam.io.output import open_for_writing, write_atomically
 from gridslam.io.tables import format_stamp_ns
@@ -97,12 +98,13 @@ def _parameters(sensor: str, geometry: ScanGeometry, range_max_m: float) -> list
     bearings = geometry.bearings
     n = len(bearings)
     if n > 1:
-        step, fov = _spread(bearings)
-        if not np.allclose(bearings, bearings[0] + step * np.arange(n), rtol=0, atol=1e-6) or not step > 0:
-            raise ArgumentError("bearings", "evenly spread, counter-clockwise", bearings)
-        if not (fov > 0 and abs(step * n - fov) <= 1.5 * step):
+        first, step = find_step("bearings", bearings, 1e-6)
+        fov = -2 * first
+        if not (step > 0 and fov > 0 and abs(step * n - fov) <= 1.5 * step):
             got = (float(bearings[0]), float(bearings[-1]))
-            raise ArgumentError("bearings", "from -fov/2 to fov/2, with or without the last edge", got)
+            raise ArgumentError(
+                "bearings", "counter-clockwise from -fov/2 to fov/2, with or without the last edge", got
+            )
         values |= {"fov": float(np.rad2deg(fov)), "step": float(np.rad2deg(step))}
     values["max"] = min(range_max_m, SICK_NO_RETURN_M)
     return [f"PARAM {LASER_PARAMETERS[sensor][what]} {value!r} nohost 0\n" for what, value in values.items()]
@@ -114,11 +116,6 @@ def _mounting(geometry: ScanGeometry) -> tuple[float, float, float]:
     if not np.allclose(mounting[2, :3], (0, 0, 1), atol=1e-9):
         raise ArgumentError("base_from_laser", "a laser mounted level", mounting.tolist())
     return float(mounting[0, 3]), float(mounting[1, 3]), float(np.arctan2(mounting[1, 0], mounting[0, 0]))
-
-
-def _spread(bearings: FloatArray) -> tuple[float, float]:
-    """Step of two beams or more, and their field of view if it lies about the axis, rad."""
-    return float(bearings[-1] - bearings[0]) / (len(bearings) - 1), -2 * float(bearings[0])
 
 
 def _tail(stamp_ns: int, start_ns: int) -> str:

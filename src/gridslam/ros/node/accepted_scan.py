@@ -18,7 +18,7 @@ import numpy as np
 from gridslam.errors import OutputError
 from gridslam.geometry.angles import find_wrong_beam_angles
 from gridslam.io.bags.ros_messages import ScanMessage
-from gridslam.io.csv import COLUMNS, angles_of_rotation, rotation_of_angles
+from gridslam.io.csv import COLUMNS, angles_of_rotation, quote_name, rotation_of_angles
 from gridslam.io.measurement import Measurement
 from gridslam.io.tables import format_stamp_ns
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
@@ -167,8 +167,8 @@ class ScanRecorder:
         time_increment = "" if accepted.time_increment_s is None else repr(accepted.time_increment_s)
         cells = (
             format_stamp_ns(scan.stamp_ns),
-            _quote(scan.sensor),
-            _quote(scan.frame),
+            quote_name(scan.sensor),
+            quote_name(scan.frame),
             *pose,
             "",
             *laser,
@@ -210,7 +210,3 @@ def _create(given: Path) -> tuple[Path, IO[bytes]]:
         with suppress(FileExistsError):
             return path, path.open("xb", buffering=0)
     raise AssertionError
-
-
-def _quote(name: str) -> str:
-    return '"' + name.replace('"', '""') + '"' if "," in name or '"' in name else name

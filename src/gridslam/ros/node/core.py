@@ -20,6 +20,7 @@ from gridslam.config import Configuration
 from gridslam.doctor import BreakCheck, EarlyCheck, Finding
 from gridslam.doctor.view_breaks import DriveNumbering
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, OutputError
+from gridslam.io.maps import grid_of_percent
 from gridslam.io.measurement import Measurement
 from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.messages import Level, Messages
@@ -27,7 +28,6 @@ from gridslam.particles import sample_gaussian
 from gridslam.pipeline import FailedStep, Observer, describe_error, isolate
 from gridslam.ros.node.accepted_scan import AcceptedScan, ScanRecorder
 from gridslam.ros.node.continued import Continued
-from gridslam.ros.node.grid_input import make_occupancy_grid
 from gridslam.ros.node.live_autosave import LiveAutosave, SessionFiles
 from gridslam.ros.node.mapping_session import Session, SessionCopy
 from gridslam.ros.node.measurement_queue import MeasurementQueue, SessionEnd
@@ -293,7 +293,7 @@ class NodeCore:
                 if only_first or same:
                     return
             configuration = before.configuration
-            grid = make_occupancy_grid(message)
+            grid = grid_of_percent(message.cells, message.resolution_m, message.origin)
             known = KnownMap(grid, reach_m=configuration.reach_m, threads=self.settings.threads)
             start = before.initial_pose if before.known is None and pose is None else pose
             if start is not None:

@@ -6,7 +6,7 @@ Source: slam_toolbox's README and the parameter files in its folder config, http
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, Final
 
 from gridslam.errors import ConfigurationError
@@ -58,21 +58,6 @@ _START: Final = ("map_file_name", "map_start_pose", "map_start_at_dock")
 
 FOREIGN_NAMES: Final = (*_MEANINGS, "min_laser_range", "do_loop_closing")
 """Names of slam_toolbox and map_server that change something here."""
-
-
-def flatten(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return parameters by dotted names: `initial_pose: {x: 1}` is the parameter `initial_pose.x`."""
-    return dict(_flat(given.items(), ""))
-
-
-def _flat(items: Iterable[tuple[Any, Any]], above: str) -> Iterator[tuple[str, Any]]:
-    for name, value in items:
-        if name == "qos_overrides":
-            continue
-        if isinstance(value, Mapping):
-            yield from _flat(value.items(), f"{above}{name}.")
-        else:
-            yield f"{above}{name}", value
 
 
 def _translate_session(given: Mapping[str, Any], names: dict[str, str]) -> Mapping[str, Any]:

@@ -10,9 +10,8 @@ import numpy as np
 from gridslam.io.bags.ros_messages import MessageError
 from gridslam.io.turned_maps import count_turned_cells, turn_cells
 from gridslam.ros.node.messages import PLANAR, GridMessage
-from gridslam.types import FloatArray, OccupancyGrid
+from gridslam.types import FloatArray
 
-_SURE: Final = 0.98  # probability between a cell of 0 and one of 100
 _MAX_CELLS: Final = 1 << 28
 _ALMOST_ZERO: Final = 1e-6
 
@@ -54,10 +53,3 @@ def pose_of(message: Any) -> FloatArray:  # noqa: ANN401
 def covariance_of(message: Any) -> FloatArray:  # noqa: ANN401
     """Return the covariance (3, 3) in the plane of a decoded geometry_msgs/PoseWithCovariance."""
     return np.asarray(message.covariance, np.float64).reshape(6, 6)[PLANAR]
-
-
-def make_occupancy_grid(message: GridMessage) -> OccupancyGrid:
-    """Return the map of a message: 0 to 100 in per cent become probabilities from 0.01 to 0.99."""
-    probability = (1 - _SURE) / 2 + _SURE * np.arange(101) / 100.0
-    log_odds = np.append(np.log(probability / (1 - probability)), 0.0).astype(np.float32)  # the last: of -1, unknown
-    return OccupancyGrid(log_odds[message.cells], message.cells >= 0, message.resolution_m, message.origin)

@@ -18,7 +18,8 @@ from gridslam.api.localization import known_map
 from gridslam.config import Configuration, load, override, preset
 from gridslam.config.tables import describe_error, names, nest, replace_parameters, suggest_names, value_of
 from gridslam.errors import ArgumentError, ConfigurationError
-from gridslam.ros.node.foreign_parameters import FOREIGN_NAMES, flatten, translate_parameters
+from gridslam.io.ros_parameters import flatten_parameters
+from gridslam.ros.node.foreign_parameters import FOREIGN_NAMES, translate_parameters
 from gridslam.ros.node.live_autosave import SessionFiles
 from gridslam.ros.node.session import Localization
 from gridslam.ros.node.session_parameters import SESSION_DEFAULTS, read_session_files
@@ -263,7 +264,7 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
     InputError
         The file of the map or of the configuration cannot be read.
     """
-    original = flatten(given)
+    original = flatten_parameters(given)
     given, spelled, foreign = translate_parameters(original)
     try:
         found = _node_parameters(given, foreign, preset_name)

@@ -30,7 +30,6 @@ from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.map_piece import MapPiece
 from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
-from gridslam.slam.pose_graph.robust import scale_information
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
 
@@ -56,7 +55,7 @@ class LoopClosureSummary:
     constraints : Counter of ConstraintSource
         Key scans matched to submaps of another time while the robot drove, by how their place was known.
     refinement_constraints : int
-        Constraints that the final refinement added, besides the recognized ones.
+        Pairs of key scans whose surfaces the final refinement matched.
     chi2 : float
         Of the graph after the final refinement.
     max_correction_m : float
@@ -193,11 +192,11 @@ def _refine(
     """Refine the trajectory (T, 3) of the key scans; the state is not modified."""
     changed = closure_state.snapshot()
     refined = refine_trajectory(changed, trajectory, drives, mapper, closure, on_progress, searched)
-    graph = scale_information(refined.best.graph, refined.best.weights)
-    covariances = scan_covariances(graph, key_covariances(refined.measured), refined.poses, drives, closure.drift)
+    of_keys = key_covariances(refined.measured)
+    covariances = scan_covariances(refined.graph, of_keys, refined.poses, drives, closure.drift)
     loops = _summarize(closure_state, changed, refined, trajectory)
     piece = _make_piece(closure_state, refined)
-    return FullSlam(refined.poses, covariances, graph, refined.maps.tiled(0), loops, piece)
+    return FullSlam(refined.poses, covariances, refined.graph, refined.maps.tiled(0), loops, piece)
 
 
 def _make_piece(driven: LoopClosureState, refined: RefinementResult) -> MapPiece:
@@ -235,16 +234,15 @@ def _summarize(
     accepted = [c for c in best.accepted_constraints if c.source is ConstraintSource.RECOGNIZED]
     by_hand = [c for c in best.constraints if c.source is ConstraintSource.BY_HAND]
     online = driven.graph.constraints
-    recognized = len(best.recognized_constraints)
     return LoopClosureSummary(
         closures=key_scan_pairs(accepted + by_hand),
         tracked_revisits=key_scan_pairs(c for c in online if c.source is ConstraintSource.TRACKED),
-        removed=recognized - len(accepted),
+        removed=len(best.recognized_constraints) - len(accepted),
         rejected=closure_state.rejected,
         unsearched=closure_state.search.unsearched,
         constraints=Counter(constraint.source for constraint in online),
-        refinement_constraints=len(best.constraints) - recognized - len(by_hand),
-        chi2=scale_information(best.graph, best.weights).chi2(),
+        refinement_constraints=refined.pairs,
+        chi2=refined.graph.chi2(),
         max_correction_m=float(np.hypot(*(best.graph.poses - trajectory)[:, :2].T).max()),
         candidates=refined.scores,
         selected=best.name,

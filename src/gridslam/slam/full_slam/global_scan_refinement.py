@@ -1,10 +1,10 @@
-"""Global scan refinement: scan matching, graph optimization, and selection of the best trajectory."""
+"""Global scan refinement: selection of the best trajectory, whose scans are then matched to each other."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import final
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from gridslam.matching.sharpness import measure_sharpness
 from gridslam.matching.surfaces import Surfaces
 from gridslam.slam.full_slam.component_alignment import align_components
 from gridslam.slam.full_slam.full_trajectory import TrackedScans, full_trajectories
-from gridslam.slam.full_slam.key_scan_matching import match_key_scans
 from gridslam.slam.full_slam.laser_errors import LaserErrors, estimate_laser_errors
 from gridslam.slam.full_slam.surface_adjustment import LINE_REACH_M, adjust_key_scans, match_scans
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore, score_trajectory
@@ -27,7 +26,7 @@ from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import CauchyEstimator, scale_information
-from gridslam.types import FloatArray
+from gridslam.types import FloatArray, IntArray
 
 
 @final
@@ -38,13 +37,12 @@ class Candidate:
     Attributes
     ----------
     name : str
-        Where it comes from: "filter", the best particle's past; "refined", that past matched jointly; "constraints",
-        what the constraints found while the robot drove make of the tracked motion; "closed 1", "closed 2", ..., with
+        Where it comes from: "filter", the best particle's past; "closed 1", "closed 2", ..., the tracked motion with
         places that were found in a search of the whole log.
     graph : PoseGraph
         Key scans and what was measured between them; its poses (T, 3) are the trajectory.
     constraints : list of Constraint
-        The last measurements in the graph: matches of key scans to submaps of another time.
+        The last measurements in the graph: places that were recognized, and what was known of others.
     weights : (M,) float64
         Weight of each measurement in the robust estimate.
     """
@@ -67,40 +65,26 @@ class Candidate:
 
 
 @final
-class CandidateSelection:
-    """The best of the candidates so far, its map, and the scores of all by name.
+class Adjusted(NamedTuple):
+    """A candidate whose key scans were moved until their surfaces fit each other.
 
-    Parameters
+    Attributes
     ----------
-    score : callable
-        Gets poses (T, 3), gives their score and the map drawn from them.
-    first : Candidate
-        The first candidate.
+    graph : PoseGraph
+        All that determines the poses: the candidate's graph, with the weights of the robust estimate, and then the
+        matched surfaces of pairs of key scans.
+    pairs : (P, 2) int64
+        Which key scans these are.
+    score : TrajectoryScore
+        How probable the poses are. Before they were adjusted, the filter's would be favoured: they are fitted to cells.
+    maps : TileMaps
+        One map, drawn from them.
     """
 
-    def __init__(self, score: Callable[[FloatArray], tuple[TrajectoryScore, TileMaps]], first: Candidate) -> None:
-        self._score = score
-        self.best = first
-        first_score, self.maps = score(first.graph.poses)
-        self.scores = {first.name: first_score}
-
-    def add(self, candidate: Candidate) -> float:
-        """Compare a candidate with the best so far, which remains the best where both are equal; log likelihood."""
-        score, maps = self._score(candidate.graph.poses)
-        if score.log_likelihood > self.scores[self.best.name].log_likelihood:
-            self.best = candidate
-            self.maps = maps
-        self.scores[candidate.name] = score
-        return score.log_likelihood
-
-    def adjust_best(self, poses: FloatArray) -> None:
-        """Move the best candidate to poses (T, 3), whose score is that of "adjusted".
-
-        It decides nothing: the cells of the score are coarser than the adjustment, and the filter has fitted its poses
-        to them. Agreement is up to 0.02 less where poses are better by two thirds.
-        """
-        self.scores["adjusted"], self.maps = self._score(poses)
-        self.best = replace(self.best, graph=self.best.graph.with_poses(poses))
+    graph: PoseGraph
+    pairs: IntArray
+    score: TrajectoryScore
+    maps: TileMaps
 
 
 @final
@@ -117,11 +101,14 @@ class RefinementResult:
     maps : TileMaps
         One map, drawn from the key scans.
     scores : dict of str to TrajectoryScore
-        Of all candidates, by name, of which the first of the greatest log likelihood is the best; and of that one as it
-        was moved, "adjusted".
+        Of the best candidate and of those that contradict it, by name; its log likelihood is the greatest.
     measured : PoseGraph
-        All that determines the best trajectory, by which its poses are uncertain: its graph, with the weights of the
-        robust estimate and the surfaces.
+        All that determines the best trajectory, by which its poses are uncertain (see `Adjusted`).
+    graph : PoseGraph
+        The same without pairs across a gap in the laser data that nothing else joins, which are no evidence, and
+        without those that the answer contradicts.
+    pairs : int
+        Number of pairs in `graph`, its last measurements.
     sharpness_m : float or None, m
         See `measure_sharpness`.
     laser_errors : LaserErrors or None
@@ -133,12 +120,12 @@ class RefinementResult:
     maps: TileMaps
     scores: dict[str, TrajectoryScore]
     measured: PoseGraph
+    graph: PoseGraph
+    pairs: int
     sharpness_m: float | None
     laser_errors: LaserErrors | None
 
 
-_DISTINCT_CANDIDATE_M = 0.3
-"""The online constraints form a separate candidate if they move a key scan farther than this."""
 _MAX_SEARCHES = 3
 """Maximum number of whole-log searches for revisited places, each with the trajectory of the one before, besides those
 that join components."""
@@ -161,11 +148,9 @@ def refine_trajectory(
 ) -> RefinementResult:
     """Refine the trajectory (T, 3) of the key scans and give every scan a pose.
 
-    Key scans are matched to the overlapping older and later submaps, rebuilt from the trajectory, and the graph is
-    solved. Submaps of the same visit are excluded: they only repeat the tracker's result. The refinement starts from
-    the trajectory of the best particle, whose closures are evidence like recognized places; and, if it differs, from
-    the tracked motion optimized with the online constraints. The candidate with the best score is selected; one of them
-    is the trajectory of the best particle. Then its key scans are moved until their surfaces fit each other, and every
+    The whole log is searched for places, beginning with the trajectory of the best particle. Those that agree with it
+    become constraints; where some contradict it, what they make of the tracked motion is another candidate. The key
+    scans of each are moved until their surfaces fit each other, and the one with the best score is selected. Every
     other scan is matched to the surfaces about it.
 
     Parameters
@@ -186,38 +171,43 @@ def refine_trajectory(
     """
     graph = closure_state.graph
     frozen = [c for c in graph.constraints if max(c.pair) < graph.frozen]
-    by_hand = [c for c in graph.constraints if c.source is ConstraintSource.BY_HAND]
-    matched = (ConstraintSource.PROXIMITY, ConstraintSource.TRACKED)
-    known = [c for c in frozen if c.source in matched] + by_hand
+    known = [c for c in graph.constraints if c.source in (ConstraintSource.TRACKED, ConstraintSource.BY_HAND)]
+    known += [c for c in frozen if c.source is ConstraintSource.PROXIMITY]
+    scans = closure_state.scans
+    batch = scans.batch(scans.keys)
+    surfaces = Surfaces.of(batch, LINE_REACH_M)
+    on_progress()
     refinement = _Refinement(
         closure_state,
+        surfaces,
         mapper,
         closure,
         on_progress,
         known,
         max(searched, graph.frozen),
-        [c for c in graph.constraints if c.source is ConstraintSource.TRACKED] + by_hand,
         closure_state.pairs.copy(),
         SubmapPairs(),
     )
-    selection = refinement.select(trajectory)
-    scans = closure_state.scans
-    batch = scans.batch(scans.keys)
-    surfaces = Surfaces.of(batch, LINE_REACH_M)
-    on_progress()
-    measured = refinement.measured(selection.best)
-    adjusted = adjust_key_scans(measured, surfaces)
-    laser_errors = estimate_laser_errors(surfaces, adjusted.poses, adjusted.edges[len(measured.edges) :])
-    selection.adjust_best(adjusted.poses)
-    key_poses = selection.best.graph.poses
+    best = refinement.select(trajectory)
+    measured, matched, _, maps = refinement.adjust(best)
+    key_poses = measured.poses
+    graph.constraints = best.constraints
+    count = len(measured.edges) - len(matched)
+    errors = np.abs(measured.errors()[count:])
+    is_shown = np.diff(graph.label_rigid_components()[matched])[:, 0] == 0
+    is_shown &= (np.hypot(errors[:, 0], errors[:, 1]) < closure.disagree_m) & (errors[:, 2] < closure.disagree_rad)
+    shown = measured.select(np.append(np.ones(count, np.bool_), is_shown))
+    laser_errors = estimate_laser_errors(surfaces, key_poses, matched)
     graph.poses = list(key_poses)
     poses = full_trajectories(key_poses, drives)
     first = sum(len(drive.keys) for drive in drives if int(drive.keys[-1]) < graph.frozen)
     keys = np.concatenate([drive.keys for drive in drives])[first:]
     poses[first:] = match_scans(poses[first:], keys, scans, surfaces, key_poses)
     sharpness_m = measure_sharpness(Surfaces.of(batch), key_poses)
-    best, maps, scores = selection.best, selection.maps, selection.scores
-    return RefinementResult(best, poses, maps, scores, adjusted, sharpness_m, laser_errors)
+    best = replace(best, graph=best.graph.with_poses(key_poses))
+    scores = {name: adjusted.score for name, adjusted in refinement.adjusted.items()}
+    pairs = int(is_shown.sum())
+    return RefinementResult(best, poses, maps, scores, measured, shown, pairs, sharpness_m, laser_errors)
 
 
 @final
@@ -225,40 +215,77 @@ def refine_trajectory(
 class _Refinement:
     """One run of the refinement; it goes from candidate to candidate in the key graph of its state.
 
-    `known` are constraints between frozen key scans, which are not matched again, and those that a person added; the
-    first `searched` key scans are not searched for again; `tracked` are revisits that the robot knew of while it drove,
-    and those of the person, too; `pairs` are submaps of all of
-    the way, `stretches` short ones, of stretches without a gap in the laser data.
+    `surfaces` are those of the key scans; `known` are revisits that the robot knew of while it drove, those that a
+    person added, and matches of frozen key scans; the first `searched` key scans are not searched for again; `pairs`
+    are submaps of all of the way, `stretches` short ones, of stretches without a gap in the laser data; `adjusted` are
+    the candidates that were compared.
     """
 
     closure_state: LoopClosureState
+    surfaces: Surfaces
     mapper: OccupancyGridMapping
     closure: LoopClosure
     on_progress: Callable[[], None]
     known: list[Constraint]
     searched: int
-    tracked: list[Constraint]
     pairs: SubmapPairs
     stretches: SubmapPairs
+    adjusted: dict[str, Adjusted] = field(default_factory=dict)
 
     @property
     def graph(self) -> KeyGraph:
         """The key graph."""
         return self.closure_state.graph
 
-    def select(self, trajectory: FloatArray) -> CandidateSelection:
-        """Compare the candidates, beginning with the trajectory (T, 3) of the filter."""
-        first, *others = self._candidates(trajectory)
-        selection = CandidateSelection(
-            lambda poses: score_trajectory(self.graph, self.closure_state.scans, poses, self.mapper, self.on_progress),
-            first,
-        )
-        for candidate in others:
-            selection.add(candidate)
-        self._close_loops(selection)
-        return selection
+    def select(self, trajectory: FloatArray) -> Candidate:
+        """Select the best candidate, beginning with the trajectory (T, 3) of the filter.
 
-    def measured(self, best: Candidate) -> PoseGraph:
+        More places are recognized as long as they are better than a trajectory that they change, or join components:
+        one that is joined shows where others belong. A trajectory that is better than what changes it takes over the
+        places that agree with it, if most of them do; the others are rejected.
+        """
+        recognized = [c for c in self.graph.constraints if c.source is ConstraintSource.RECOGNIZED]
+        last = best = self._keep_trajectory("filter", trajectory, recognized)
+        search = joining = 0
+        while search - joining < _MAX_SEARCHES:
+            components = len(np.unique(self.graph.label_rigid_components()))
+            search += 1
+            found = self._add_closures(f"closed {search}", last)
+            if found is None:
+                break
+            is_joined = len(np.unique(self.graph.label_rigid_components())) < components
+            joining += is_joined
+            recognized = found.recognized_constraints
+            contradicted = self.closure.find_contradicted(recognized, last.graph.poses)
+            moved_m = np.hypot(*(found.graph.poses - last.graph.poses)[:, :2].T).max()
+            agrees = best is last and not contradicted.any() and moved_m <= self.closure.disagree_m
+            is_better = not agrees and self._log_likelihood(found) > self._log_likelihood(best)
+            if agrees or is_better:
+                best = found
+            elif best is last and 2 * contradicted.sum() < len(recognized):
+                agreeing = [c for c, is_not in zip(recognized, contradicted, strict=True) if not is_not]
+                self.closure_state.rejected[RejectionReason.IMPLAUSIBLE] += len(recognized) - len(agreeing)
+                found = best = self._keep_trajectory(last.name, last.graph.poses, agreeing)
+                del self.adjusted[best.name]  # which was without these places
+            if not (is_better or is_joined):
+                break
+            last = found
+        return best
+
+    def adjust(self, candidate: Candidate) -> Adjusted:
+        """Move the key scans of a candidate until their surfaces fit; the same again where that was done before."""
+        if candidate.name not in self.adjusted:
+            measured = self._measured(candidate)
+            graph = adjust_key_scans(measured, self.surfaces)
+            scans = self.closure_state.scans
+            score, maps = score_trajectory(self.graph, scans, graph.poses, self.mapper, self.on_progress)
+            self.adjusted[candidate.name] = Adjusted(graph, graph.edges[len(measured.edges) :], score, maps)
+        return self.adjusted[candidate.name]
+
+    def _log_likelihood(self, candidate: Candidate) -> float:
+        return self.adjust(candidate).score.log_likelihood
+
+    def _measured(self, best: Candidate) -> PoseGraph:
         """Graph of a candidate whose key scans are to be matched to each other.
 
         The increments are the tracked ones, also of the filter, whose own are rough; but across a gap in the laser data
@@ -279,44 +306,13 @@ class _Refinement:
         weights[len(weights) - len(is_of_cells) :][is_of_cells] *= _CELLS_LEFT
         return scale_information(replace(best.graph, measurements=measurements), weights)
 
-    def _close_loops(self, selection: CandidateSelection) -> None:
-        """Repeatedly recognize more places, starting from the best candidate.
-
-        As long as the score improves, or components are joined: one that is joined shows where others belong. Where it
-        does not improve, the best candidate keeps its trajectory and takes over the places that agree with it, if most
-        of them do; the others are rejected.
-        """
-        last = selection.best
-        search = joining = 0
-        while search - joining < _MAX_SEARCHES:
-            components = len(np.unique(self.graph.label_rigid_components()))
-            search += 1
-            found = self._add_closures(f"closed {search}", last)
-            if found is None:
-                return
-            selection.add(found)
-            is_joined = len(np.unique(self.graph.label_rigid_components())) < components
-            joining += is_joined
-            recognized = found.recognized_constraints
-            contradicted = self.closure.find_contradicted(recognized, last.graph.poses)
-            is_better = selection.best is found
-            if selection.best is last and 2 * contradicted.sum() < len(recognized):
-                agreeing = [
-                    c for c, is_contradicted in zip(recognized, contradicted, strict=True) if not is_contradicted
-                ]
-                self.closure_state.rejected[RejectionReason.IMPLAUSIBLE] += len(recognized) - len(agreeing)
-                found = selection.best = self._keep_trajectory(last.name, last.graph.poses, agreeing)
-            if not (is_better or is_joined):
-                return
-            last = found
-
     def _add_closures(self, name: str, begin: Candidate) -> Candidate | None:
         """Add newly found closures to a candidate; None if there are none.
 
         Robust least squares over all of them rejects the outliers.
         """
         closure_state = self.closure_state
-        known = [*self.tracked, *begin.recognized_constraints]
+        known = begin.constraints
         self.graph.constraints = known
         closure_state.correct(begin.graph.poses)
         found, rejected = self.closure.recognition.search_all(
@@ -345,43 +341,15 @@ class _Refinement:
         closure_state.rejected[RejectionReason.IMPLAUSIBLE] += len(new) - len(recognized)
         if not recognized:
             return None
-        recognized += begin.recognized_constraints
-        constraints = self._match_key_scans(recognized, solution.poses)
-        return self._refine(name, solution.poses, constraints)
-
-    def _candidates(self, trajectory: FloatArray) -> Iterator[Candidate]:
-        """Yield the trajectory of the filter, and then those computed from it and from the online constraints."""
-        found = self.graph.constraints
-        recognized = [constraint for constraint in found if constraint.source is ConstraintSource.RECOGNIZED]
-        filtered = self._keep_trajectory("filter", trajectory, recognized)
-        constraints = filtered.constraints
-        yield filtered
-        if not (constraints or found):
-            return
-        yield self._refine("refined", trajectory, constraints)
-        tracked = np.array(self.graph.tracked)
-        start = SOLVER.solve(self._graph(trajectory, found, between(tracked[:-1], tracked[1:]))).poses
-        if _max_distance_m(start, trajectory) > _DISTINCT_CANDIDATE_M:
-            constraints = self._match_key_scans(recognized, start)
-            yield self._refine("constraints", start, constraints)
-
-    def _refine(self, name: str, poses: FloatArray, constraints: list[Constraint]) -> Candidate:
-        """Optimize from poses (T, 3) and the constraints matched there."""
-        graph = self._graph(poses, constraints)
-        solution = GraphSlam(first_guess="given", robust=_ROBUST).solve(graph)
+        constraints = [*recognized, *known]
+        solution = GraphSlam(first_guess="given", robust=_ROBUST).solve(self._graph(solution.poses, constraints))
         return Candidate(name, solution.graph, constraints, solution.weights)
 
     def _keep_trajectory(self, name: str, poses: FloatArray, recognized: list[Constraint]) -> Candidate:
-        """Make a candidate of poses (T, 3) that stay where they are, whatever is matched at them."""
-        constraints = self._match_key_scans(recognized, poses)
+        """Make a candidate of poses (T, 3) that stay where they are, whatever was recognized."""
+        constraints = [*recognized, *self.known]
         graph = self._graph(poses, constraints, between(poses[:-1], poses[1:]))
         return Candidate(name, graph, constraints, _ROBUST.weights(graph))
-
-    def _match_key_scans(self, recognized: list[Constraint], poses: FloatArray) -> list[Constraint]:
-        """Recognized and known constraints, and those from matching key scans at poses (T, 3) to the submaps about."""
-        self.graph.constraints = [*self.tracked, *recognized]
-        matched = match_key_scans(self.closure_state, poses, self.mapper, self.on_progress)
-        return [*recognized, *self.known, *filter(self.graph.allows, matched)]
 
     def _graph(
         self, poses: FloatArray, constraints: list[Constraint], increments: FloatArray | None = None
@@ -401,8 +369,3 @@ class _Refinement:
             apart = np.flatnonzero(np.diff(self.graph.label_rigid_components()))
             measurements[apart] = between(poses[apart], poses[apart + 1])
         return replace(graph, information=information, measurements=measurements)
-
-
-def _max_distance_m(poses: FloatArray, others: FloatArray) -> float:
-    """Greatest distance between poses (T, 3) and others."""
-    return float(np.hypot(*(poses - others)[:, :2].T).max())

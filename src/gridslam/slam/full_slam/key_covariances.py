@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gridslam.slam.full_slam.full_trajectory import drift_covariances
@@ -32,11 +34,7 @@ def key_covariances(graph: PoseGraph) -> FloatArray:
         has_loops = len(graph.edges) >= len(graph.poses)
         return marginal_covariances(graph) if has_loops else drift_covariances(graph)
     own = (graph.edges < held).all(axis=1)
-    of_held = key_covariances(
-        PoseGraph(
-            graph.poses[:held], graph.edges[own], graph.measurements[own], graph.information[own], graph.trusted[own]
-        )
-    )
+    of_held = key_covariances(replace(graph.select(own), poses=graph.poses[:held], held=1))
     covariances = of_held
     if held < len(graph.poses):
         nearest = _nearest_held(graph)

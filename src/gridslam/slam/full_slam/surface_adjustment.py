@@ -24,6 +24,8 @@ _INDEPENDENT_PAIRS = 4
 are then 0.4 to 2.4, where 3 is expected."""
 _HELD = np.eye(3)
 """Information (1/m^2, 1/rad^2) that holds a match where its surfaces leave a direction open."""
+_LOOSE = 0.01
+"""Of that, in the end: such a direction is off by 10 m."""
 LINE_REACH_M = 0.15
 """Lines are fitted to the points so near to one: at a metre five neighbouring beams give a normal that is noisy by 9
 degrees."""
@@ -78,7 +80,7 @@ def _measure(
     weights = np.full(len(own), 1 / (2 * _SIGMA_M**2))
     if shared:
         weights *= _INDEPENDENT_PAIRS / np.bincount(own.ravel(), minlength=len(graph.poses))[own].mean(axis=1)
-    information = weights[:, None, None] * found.information[is_matched] + (0.0 if shared else _HELD)
+    information = weights[:, None, None] * found.information[is_matched] + (_LOOSE if shared else 1.0) * _HELD
     steps = -np.linalg.solve(information + _HELD, (weights[:, None] * found.gradients[is_matched])[..., None])
     measurements = compose(between(graph.poses[own[:, 0]], graph.poses[own[:, 1]]), steps[..., 0])
     return replace(

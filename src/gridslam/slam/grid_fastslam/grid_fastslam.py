@@ -222,7 +222,7 @@ class GridFastSlam:
         if control.variances is not None:
             wide = add_noise(motion, np.diag(np.take(control.variances, [0, 0, 1])))
             motion = SearchingMotion(wide, state.maps, self.sensor(tracked.beams), tracked.beams.ends)
-        return MotionOfAll(motion, state.best, control.common_variances or (0.0, 0.0))
+        return MotionOfAll(motion, state.best, control.common_variances)
 
     def _close_loops(
         self, state: GridFastSlamState, report: StepReport, beams: Beams

@@ -71,7 +71,7 @@ class MotionOfAll:
 
     motion: MotionSampler
     best: int
-    common_variances: tuple[float, float]
+    common_variances: tuple[float, float] | None
 
     def __call__(self, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Draw successors (N, 3) of all particles (N, 3)."""
@@ -82,7 +82,10 @@ class MotionOfAll:
     def moments(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean successors (N, 3) and their covariances (N, 3, 3); of one pose those of the best particle."""
         means, covariances = self.motion.moments(poses)
-        covariances = covariances + np.diag(np.take(self.common_variances, [0, 0, 1]))
-        is_other = np.arange(len(poses)) != (self.best if len(poses) > 1 else 0)
-        covariances[is_other] *= _FREEDOM
-        return means, covariances
+        if self.common_variances is not None:
+            covariances = covariances + np.diag(np.take(self.common_variances, [0, 0, 1]))
+        if len(poses) == 1:
+            return means, covariances
+        freedom = np.full((len(poses), 1, 1), _FREEDOM)
+        freedom[self.best] = 1.0
+        return means, covariances * freedom

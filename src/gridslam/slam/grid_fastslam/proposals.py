@@ -7,7 +7,6 @@ scan that weighs. That of the tracker knows of the scan too, matched to the few 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Annotated, Protocol, final
 
@@ -16,6 +15,7 @@ import numpy as np
 from gridslam.checked import checked
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, rotate_covariances
+from gridslam.geometry.single_pose import as_pose, between, motion_of
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels.reference_update import Int32Array
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton
@@ -135,16 +135,15 @@ class ScanMatchedProposal:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows = _rows(maps)
         drawn = motion(poses, rng)
-        (increment,), _ = motion.moments(_AT_ORIGIN)
-        matcher = self.matcher if self._is_moving(increment) else EVALUATE_ONLY
-        _, covariances = motion.moments(poses)
+        means, covariances = motion.moments(poses)
+        matcher = self.matcher if self._is_moving(poses[0], means[0]) else EVALUATE_ONLY
         prior = np.asarray(self.beam_sigma_m**2 * np.linalg.inv(covariances + _LEAST), np.float64)
         match = matcher(maps, rows, drawn, prior, beams)
         return ProposedPoses(match.poses, weigh(maps, rows, match.poses), match)
 
-    def _is_moving(self, increment: FloatArray) -> bool:
-        dx, dy, turn = increment.tolist()
-        return math.hypot(dx, dy) > _STANDSTILL_M or abs(turn) > _STANDSTILL_RAD
+    def _is_moving(self, pose: FloatArray, mean: FloatArray) -> bool:
+        moved_m, turned_rad = motion_of(between(as_pose(pose), as_pose(mean)))
+        return moved_m > _STANDSTILL_M or turned_rad > _STANDSTILL_RAD
 
 
 @final

@@ -29,7 +29,7 @@ from gridslam.tracking.state import UnmatchedMotion
 from gridslam.tracking.tracker import TrackerState
 from gridslam.types import FloatArray, IntArray, describe_pose
 
-STATE_SCHEMA = "gridslam.state/14"
+STATE_SCHEMA = "gridslam.state/15"
 
 _DECISIVE = 3.0
 """Nats, odds of 20 to 1, by which another particle is better before it is reported in place of the one that was: else

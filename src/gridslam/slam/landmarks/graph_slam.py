@@ -92,9 +92,7 @@ class LandmarkGraphSlam:
     growth: int = 200
     bias: SystematicErrors = NO_ERRORS
 
-    def solve(
-        self, steps: Iterable[LandmarkStep], motion: MotionModel, guess: LandmarkGraphSolution | None = None
-    ) -> LandmarkGraphSolution:
+    def solve(self, steps: Iterable[LandmarkStep], motion: MotionModel) -> LandmarkGraphSolution:
         """Find the most likely poses and landmarks of a whole log.
 
         Parameters
@@ -102,8 +100,6 @@ class LandmarkGraphSlam:
         steps : iterable of LandmarkStep
         motion : MotionModel
             For increments without covariance.
-        guess : LandmarkGraphSolution, optional
-            Of the same steps with other correspondences: the search begins at its poses.
 
         Raises
         ------
@@ -116,11 +112,7 @@ class LandmarkGraphSlam:
         nodes = np.zeros((1, 3))
         errors = np.zeros(len(self.bias))
         known = 0
-        if guess is not None:
-            nodes = np.concatenate([nodes, guess.poses])
-            errors = guess.systematic_errors
-            known = len(problem)
-        for until in [*range(known + self.growth, len(problem), self.growth), len(problem)]:
+        for until in [*range(self.growth, len(problem), self.growth), len(problem)]:
             for _ in range(_CALIBRATIONS if len(errors) else 1):
                 corrected = problem.corrected(self.bias, errors)
                 graph = corrected.begin(until, nodes[: known + 1], nodes[known + 1 :])

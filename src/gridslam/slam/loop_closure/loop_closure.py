@@ -102,8 +102,9 @@ class LoopClosure:
         How other places are recognized.
     drift : DriftModel
         How uncertain tracked motion is.
-    disagree_m, disagree_rad : float
-        The filter is not corrected if its trajectory satisfies the new constraints within this.
+    disagree_sigmas : float
+        The filter is not corrected if its trajectory satisfies the new constraints within this many of their standard
+        deviations: 99 % of right ones are within 3.4, in three dimensions.
     scans_per_step : int
         Key scans inserted into the corrected map at each new scan, 0.3 ms each.
     poses_per_scan : int
@@ -113,8 +114,7 @@ class LoopClosure:
     places: PlaceMatching = PlaceMatching()
     recognition: SubmapRecognition = SubmapRecognition()
     drift: DriftModel = DriftModel()
-    disagree_m: float = bounded(0.3, ge=1e-6, le=1e6)
-    disagree_rad: float = bounded(0.05, ge=1e-6, le=100)
+    disagree_sigmas: float = bounded(3.4, ge=1e-6, le=1e6)
     scans_per_step: int = bounded(60, ge=2, le=1_000_000)
     poses_per_scan: int = bounded(8000, ge=1, le=10_000_000)
 
@@ -213,7 +213,8 @@ class LoopClosure:
     def _decide(self, closure_state: LoopClosureState, trajectory: FloatArray) -> None:
         """Add recognized closures to the graph and remove withdrawn ones; solve it if the filter disagrees.
 
-        Where the filter's trajectory (T, 3) agrees with all that is new, nothing is added: it was no news.
+        Where the filter's trajectory (T, 3) agrees with all that is new it stays as it is. The graph still needs them:
+        else the next correction, which knows of tracked motion alone, opens the loops that the filter has closed.
         """
         graph = closure_state.graph
         closure_state.search.is_undecided = False
@@ -221,23 +222,22 @@ class LoopClosure:
         known = {constraint.identity for constraint in graph.constraints}
         new = [c for c in accepted if c.identity not in known and graph.allows(c)]
         refuted = known.intersection(constraint.identity for constraint in rejected)
-        if not refuted and not (new and self.find_contradicted(new, trajectory).any()):
-            return
-        graph.constraints = [constraint for constraint in graph.constraints if constraint.identity not in refuted]
-        graph.constraints += new
-        poses = np.array(graph.poses)
-        closure_state.correct(poses)
-        is_tracked = bool(refuted)  # the filter was corrected by what is refuted now
-        begin = poses if is_tracked else trajectory
-        closure_state.pending_constraints = PendingConstraints(begin, len(graph.constraints), len(new), is_tracked)
+        if refuted:
+            graph.constraints = [constraint for constraint in graph.constraints if constraint.identity not in refuted]
+            closure_state.correct(np.array(graph.poses))
+        for constraint in new:
+            graph.add(constraint)
+        if refuted or (new and self.find_contradicted(new, trajectory).any()):
+            closure_state.pending_constraints = PendingConstraints(len(graph), len(graph.constraints), len(new))
 
     def find_contradicted(self, constraints: list[Constraint], trajectory: FloatArray) -> NDArray[np.bool_]:
         """Which constraints (C,) a trajectory (T, 3) of the key scans, such as the best particle's, contradicts."""
         from_, to = key_scan_pairs(constraints).T
-        has = between(trajectory[from_], trajectory[to])
-        missed = between(has, np.array([constraint.measurement for constraint in constraints]))
-        far = np.hypot(missed[:, 0], missed[:, 1]) > self.disagree_m
-        return np.asarray(far | (np.abs(missed[:, 2]) > self.disagree_rad))
+        measured = np.array([constraint.measurement for constraint in constraints])
+        missed = between(measured, between(trajectory[from_], trajectory[to]))
+        information = np.array([constraint.information for constraint in constraints])
+        squared = (missed[:, None] @ information @ missed[:, :, None]).ravel()
+        return np.asarray(squared > self.disagree_sigmas**2)
 
     def _solve_pending(
         self,
@@ -248,18 +248,13 @@ class LoopClosure:
     ) -> list[Constraint]:
         """Advance the graph solver; when it has finished, start the correction and return the accepted constraints.
 
-        The filter has closed loops by its maps of which the graph knows nothing: its motion is corrected. If that
-        rejects the constraints, the tracked motion decides; a map may have attracted the filter to the wrong place.
-
         Returns none before the solver has finished, and none if it rejects them.
         """
         graph = closure_state.graph
         if pending.computation is None:
-            moved = None if pending.is_tracked else between(pending.poses[:-1], pending.poses[1:])
-            solved = graph.graph(moved, len(pending), pending.constraints).with_poses(pending.poses)
-            pending.computation = SOLVER.solve_in_steps(solved)
+            pending.computation = SOLVER.solve_in_steps(graph.graph(keys=pending.keys, constraints=pending.constraints))
             advance(pending.computation, pending.steps)
-        steps = max(1, min(8, self.poses_per_scan // len(pending)))
+        steps = max(1, min(8, self.poses_per_scan // pending.keys))
         pending.steps += steps
         solution = advance(pending.computation, steps)
         if solution is None:
@@ -270,12 +265,6 @@ class LoopClosure:
         weights = solution.weights[len(solution.weights) - pending.new :].tolist()
         constraints = [c for c, weight in zip(graph.constraints[new], weights, strict=True) if weight >= 0.5]
         if pending.new and 2 * len(constraints) <= pending.new:  # most of the new constraints were rejected
-            if not pending.is_tracked:
-                begin = np.array(graph.poses[: len(pending)])
-                closure_state.pending_constraints = replace(
-                    pending, poses=begin, is_tracked=True, steps=0, computation=None
-                )
-                return []
             constraints = []
         closure_state.reject(graph.constraints[new], constraints)
         graph.constraints[new] = constraints

@@ -126,30 +126,21 @@ class PendingConstraints:
 
     Attributes
     ----------
-    poses : (K, 3) float64
-        Key scans of the graph being solved, where the solution begins.
-    constraints : int
-        Number of constraints in the graph being solved.
+    keys, constraints : int
+        Number of key scans and constraints in the graph being solved.
     new : int
         Number of new constraints, the last of `constraints`.
-    is_tracked : bool
-        Whether the motion from one key scan to the next is the tracked one, and not that between `poses`.
     steps : int
         Steps of work done.
     computation : Computation of GraphSolution or None
         The running computation; None if it must be restarted and advanced to `steps`.
     """
 
-    poses: Annotated[FloatArray, "solved", 3]
+    keys: Annotated[int, Limits(1, "T")]
     constraints: Annotated[int, Limits(0, "constraints")]
     new: Annotated[int, Limits(0, "constraints")]
-    is_tracked: bool
     steps: Annotated[int, COUNT] = 0
     computation: Computation[GraphSolution] | None = field(default=None, metadata=NOT_SAVED)
-
-    def __len__(self) -> int:
-        """Return the number of its key scans."""
-        return len(self.poses)
 
 
 @final
@@ -223,7 +214,7 @@ class LoopClosureState:
     online_poses: Annotated[list[Annotated[FloatArray, 3]], "T"] = field(default_factory=list)
     search: SubmapSearch = field(default_factory=SubmapSearch)
     rejected: Counter[RejectionReason] = field(default_factory=Counter)
-    pending_constraints: Annotated[PendingConstraints, Limits(1, "T")] | None = None
+    pending_constraints: PendingConstraints | None = None
     correction: Annotated[Correction, Limits(1, "T")] | None = None
     earlier: DriveLocator | None = field(default=None, metadata=NOT_SAVED)
     joined: Annotated[int, Limits(-1, 1 << 31)] = -1
@@ -289,7 +280,7 @@ class LoopClosureState:
         pending = self.pending_constraints
         if pending is not None:
             pending.computation = None
-            is_whole = pending.constraints <= len(self.graph.constraints) and len(pending) <= key_scans
+            is_whole = pending.constraints <= len(self.graph.constraints) and pending.keys <= key_scans
             self.pending_constraints = pending if is_whole else None
         if self.correction is not None:
             self.correction.poses = self.correction.poses[:key_scans]

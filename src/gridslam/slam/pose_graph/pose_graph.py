@@ -88,6 +88,16 @@ class PoseGraph:
         """Return the same measurements about other poses (N, 3)."""
         return replace(self, poses=poses)
 
+    def select(self, which: NDArray[np.bool_]) -> PoseGraph:
+        """Return the graph with those of the measurements (M,) alone."""
+        return replace(
+            self,
+            edges=self.edges[which],
+            measurements=self.measurements[which],
+            information=self.information[which],
+            trusted=self.trusted[which],
+        )
+
     def errors(self, poses: FloatArray | None = None) -> FloatArray:
         """Errors (M, 3) of the measurements at poses (N, 3), by default its own: g2o's.
 

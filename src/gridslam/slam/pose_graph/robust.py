@@ -271,11 +271,4 @@ def scale_information(graph: PoseGraph, weights: FloatArray) -> PoseGraph:
     counts = weights > 0.0
     if not is_connected(graph.edges[counts], len(graph.poses)):
         counts, weights = np.ones(len(weights), np.bool_), np.maximum(weights, _LEAST_WEIGHT)
-    information = graph.information[counts] * weights[counts, None, None]
-    return replace(
-        graph,
-        edges=graph.edges[counts],
-        measurements=graph.measurements[counts],
-        information=information,
-        trusted=graph.trusted[counts],
-    )
+    return replace(graph, information=graph.information * weights[:, None, None]).select(counts)
