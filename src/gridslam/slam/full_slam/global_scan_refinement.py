@@ -129,6 +129,9 @@ class RefinementResult:
 _MAX_SEARCHES = 3
 """Maximum number of whole-log searches for revisited places, each with the trajectory of the one before, besides those
 that join components."""
+_AGREES_M = 0.3
+_AGREES_RAD = 0.05
+"""Trajectories that differ by less are one, and so are a measured pose and that of the trajectory."""
 _CELLS_LEFT = 0.01
 """Of the information of a match to cells, beside that of surfaces."""
 _MOST_SQUARED = 25.0
@@ -195,7 +198,7 @@ def refine_trajectory(
     count = len(measured.edges) - len(matched)
     errors = np.abs(measured.errors()[count:])
     is_shown = np.diff(graph.label_rigid_components()[matched])[:, 0] == 0
-    is_shown &= (np.hypot(errors[:, 0], errors[:, 1]) < closure.disagree_m) & (errors[:, 2] < closure.disagree_rad)
+    is_shown &= (np.hypot(errors[:, 0], errors[:, 1]) < _AGREES_M) & (errors[:, 2] < _AGREES_RAD)
     shown = measured.select(np.append(np.ones(count, np.bool_), is_shown))
     laser_errors = estimate_laser_errors(surfaces, key_poses, matched)
     graph.poses = list(key_poses)
@@ -258,7 +261,7 @@ class _Refinement:
             recognized = found.recognized_constraints
             contradicted = self.closure.find_contradicted(recognized, last.graph.poses)
             moved_m = np.hypot(*(found.graph.poses - last.graph.poses)[:, :2].T).max()
-            agrees = best is last and not contradicted.any() and moved_m <= self.closure.disagree_m
+            agrees = best is last and not contradicted.any() and moved_m <= _AGREES_M
             is_better = not agrees and self._log_likelihood(found) > self._log_likelihood(best)
             if agrees or is_better:
                 best = found
