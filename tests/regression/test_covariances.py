@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from covariances import judge
 from gridslam.config import Configuration
 from gridslam.slam.full_slam import surface_adjustment
-from gridslam.slam.loop_closure import drift_model
 from support.corridors import drive
 
 pytestmark = pytest.mark.long
@@ -24,25 +21,18 @@ def averages(kind: str, configuration: Configuration) -> dict[str, float]:
     return {name: float(np.mean([d[name] for d in drives])) for name in ("online_nees", "final_nees", "final_inside")}
 
 
-@pytest.mark.parametrize("kind", ["random", "rooms", "bare_corridors"])
+@pytest.mark.parametrize("kind", ["random", "rooms", "bare_corridors", "bare_corridors_10m", "halls", "sparse"])
 def test_average_nees_lies_in_its_band(kind):
-    """3 is expected; five drives have few independent errors: of twenty the averages are 1.6 to 2.9, online 0.7 to 2.5.
-
-    Halls (0.5) and corridors seen 10 m far (6) are outside of this band.
-    """
+    """3 is expected; five drives have few independent errors: averages of others are 1.6 to 3.2, online 0.1 to 2.6."""
     found = averages(kind, Configuration())
     assert 1.0 < found["final_nees"] < 5.0
     assert found["final_inside"] > 85
-    assert 0.2 < found["online_nees"] < 6.0
+    assert 0.05 < found["online_nees"] < 6.0
 
 
-def test_increments_that_claim_too_little_are_found_out(monkeypatch):
-    """A third of the drift, and matches four times as precise, each key scan's for itself."""
-    usual = Configuration()
-    monkeypatch.setattr(drift_model, "_POSITION_RATIO", 0.1)
-    monkeypatch.setattr(surface_adjustment, "_INDEPENDENT_PAIRS", 64)
-    drift = replace(usual.loop_closure.drift, sigma_rad_per_sqrt_m=0.0005, sigma_rad_per_sqrt_rad=1e-3)
-    assert averages("random", replace(usual, loop_closure=replace(usual.loop_closure, drift=drift)))["final_nees"] > 10
+def test_scans_that_count_fully_in_each_of_their_pairs_are_found_out(monkeypatch):
+    monkeypatch.setattr(surface_adjustment, "share_information", lambda pairs: np.ones(len(pairs)))
+    assert averages("random", Configuration())["final_nees"] > 10
 
 
 @pytest.mark.parametrize(("length_m", "range_m"), [(10.0, 5.0), (40.0, 10.0), (40.0, 30.0)])

@@ -53,7 +53,7 @@ def test_real_logs_hold_what_their_readme_says(data_dir, name, scans, beams, bac
     log = CarmenLog(data_dir / f"{name}.clf.bz2")
     read = sum(1 for _ in log)
     statistics = log.statistics
-    assert read == statistics.scan_count == statistics.scans["FLASER"] == scans
+    assert read == statistics.scan_count == statistics.scans["front"] == scans
     assert statistics.beam_counts == {beams: scans}
     assert statistics.backward_stamps == backward
     assert statistics.odometry_lines == odometry

@@ -70,7 +70,7 @@ def test_what_changes_the_trajectory_is_compared_with_it(monkeypatch, places, he
 
     def adjust(refinement, one):
         told = -5.0 if one.name == "filter" else likelihood + int(one.name[-1]) - 1
-        refinement.adjusted[one.name] = Adjusted(one.graph, one.graph.edges[:0], score(told), MAPPER.empty(1))
+        refinement.adjusted[one.name] = Adjusted(one.graph, one.graph.edges[:0], 1e-4, score(told), MAPPER.empty(1))
         return refinement.adjusted[one.name]
 
     monkeypatch.setattr(_Refinement, "_add_closures", add_closures)
@@ -80,7 +80,7 @@ def test_what_changes_the_trajectory_is_compared_with_it(monkeypatch, places, he
     for _ in range(2):
         state.graph.extend(np.zeros(3), np.zeros(3), (1e-4, 1e-4))
     pairs = SubmapPairs()
-    refinement = _Refinement(state, None, MAPPER, LoopClosure(), lambda: None, [], 0, pairs, pairs)
+    refinement = _Refinement(state, None, None, MAPPER, LoopClosure(), lambda: None, [], 0, pairs, pairs)
     assert refinement.select(np.zeros((2, 3))).name == best
     assert len(names) == searches
     assert taken[1:] == ([list(kept)] if kept else [])

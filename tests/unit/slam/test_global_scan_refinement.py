@@ -73,7 +73,7 @@ def test_final_refinement_is_no_worse_than_the_filter(halls, loop):
         assert said.rot_rmse_deg < filtered.rot_rmse_deg + 0.1
         assert said.trans_rmse_m < 0.07
         assert one is loop or said.trans_rmse_m < max(filtered.trans_rmse_m, 0.04)
-        assert one.refinement.pairs > len(one.refinement.graph.poses)  # it was tied
+        assert one.refinement.pairs > 50  # it was tied
 
 
 def test_constraints_of_final_refinement_are_right(halls, loop):
@@ -83,10 +83,11 @@ def test_constraints_of_final_refinement_are_right(halls, loop):
         pairs = slice(len(graph.edges) - one.refinement.pairs, None)
         errors = between(graph.measurements[pairs], between(*(truth[ends] for ends in graph.edges[pairs].T)))
         off = np.hypot(errors[:, 0], errors[:, 1])
-        off = off[np.linalg.eigvalsh(graph.information[pairs][:, :2, :2])[:, 0] > 100]
-        assert len(off) > 500
+        off = off[np.linalg.eigvalsh(graph.information[pairs][:, :2, :2])[:, 0] > 250]
+        assert len(off) > 50
         assert np.quantile(off, 0.95) < 0.03
-        assert off.max() < 0.2
+        squares = np.einsum("ki,kij,kj->k", errors, graph.information[pairs], errors)
+        assert squares.max() < 25, "none is off by more than it claims"
         assert np.quantile(np.abs(errors[:, 2]), 0.95) < 0.01
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between, compose, rotate_covariances
+from gridslam.slam.full_slam import full_trajectory
 from gridslam.slam.full_slam.full_trajectory import (
     TrackedScans,
     drift_covariances,
@@ -11,7 +12,6 @@ from gridslam.slam.full_slam.full_trajectory import (
     path_fractions,
     scan_covariances,
 )
-from gridslam.slam.loop_closure import drift_model
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.pose_graph.marginals import marginal_covariances
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -66,13 +66,29 @@ def test_the_scale_of_the_map_is_no_better_known_for_what_was_measured(monkeypat
     drives = [TrackedScans(keys, np.concatenate([np.zeros((1, 3)), graph.measurements]))]
     covariances = []
     for sigma in (0, 0.01):
-        monkeypatch.setattr(drift_model, "_SCALE_SIGMA", sigma)
+        monkeypatch.setattr(full_trajectory, "_SCALE_SIGMA", sigma)
         covariances.append(scan_covariances(graph, drift_covariances(graph), graph.poses, drives, DriftModel()))
     without, scaled = covariances
     for pose, added in zip(graph.poses, scaled - without, strict=True):
         away = pose - graph.poses[0]
         away[2] = 0.0
         np.testing.assert_allclose(added, 1e-4 * np.outer(away, away), atol=1e-15)
+
+
+def test_a_match_between_key_scans_and_the_motion_add_their_information():
+    """Beside the error of the key scans, which it does not show; as much as the motion knows halves its variance."""
+    graph = chain(1)
+    keys, share = np.array([0, 0, 1]), 0.5
+    moved = np.stack([np.zeros(3), share * graph.measurements[0], graph.measurements[0]])
+    drives = [TrackedScans(keys, moved)]
+    poses = graph.poses[[0, 0, 1]]  # the scale's error aside
+    of_keys = np.zeros((2, 3, 3))
+    by_motion = scan_covariances(graph, of_keys, poses, drives, DriftModel())[1]
+    poses[1, 2] = graph.poses[1, 2] + 0.7
+    in_scan = np.linalg.inv(rotate_covariances(by_motion[None], -poses[1:2, 2]))
+    information = np.concatenate([np.zeros((1, 3, 3)), in_scan, np.zeros((1, 3, 3))])
+    found = scan_covariances(graph, of_keys, poses, drives, DriftModel(), information)[1]
+    np.testing.assert_allclose(found, by_motion / 2, atol=1e-12)
 
 
 def test_open_directions_are_those_along_which_increments_are_uncertain():

@@ -9,7 +9,7 @@ from gridslam.evaluation import absolute_errors
 from gridslam.geometry.se2 import between, compose
 from gridslam.matching.surfaces import Surfaces
 from gridslam.slam.full_slam.key_covariances import key_covariances
-from gridslam.slam.full_slam.surface_adjustment import adjust_key_scans, match_scans
+from gridslam.slam.full_slam.surface_adjustment import adjust_key_scans, match_scans, share_information
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import Trajectory
@@ -53,15 +53,16 @@ def test_key_scans_end_up_where_their_surfaces_fit(seen, archive, seed):
     """A lap of 24 m x 16 m with a range noise of 1 cm; from more than 5 cm off to less than 2 cm."""
     until = 90
     graph = graph_about(seen.truth[:until], seed)
-    surfaces = Surfaces.of(archive.batch(archive.keys[:until]))
-    before, after = (errors(poses, seen.truth[:until]) for poses in (graph.poses, adjusted(graph, surfaces)))
+    batch = archive.batch(archive.keys[:until])
+    before, after = (errors(poses, seen.truth[:until]) for poses in (graph.poses, adjust(graph, batch)[0].poses))
     assert before[0] > 0.05
     assert after[0] < 0.02
     assert after[1] < 0.1
 
 
-def adjusted(graph, surfaces):
-    return adjust_key_scans(graph, surfaces).poses
+def adjust(graph, batch):
+    surfaces = Surfaces.of(batch)
+    return adjust_key_scans(graph, surfaces, surfaces)
 
 
 def test_covariances_of_the_adjusted_graph_are_of_the_errors_size(seen, archive):
@@ -70,16 +71,17 @@ def test_covariances_of_the_adjusted_graph_are_of_the_errors_size(seen, archive)
     If a scan counted fully in each of its pairs, they would be of a tenth of the errors' squares and less.
     """
     until = 60
-    surfaces = Surfaces.of(archive.batch(archive.keys[:until]))
+    batch = archive.batch(archive.keys[:until])
     truth = between(seen.truth[0], seen.truth[:until])
     claimed, bold = [], []
     for seed in range(4):
         graph = graph_about(truth, seed)
-        found = adjust_key_scans(graph, surfaces)
+        found, variance = adjust(graph, batch)
+        assert np.sqrt(variance) == pytest.approx(0.009, abs=0.0015)  # of ranges 1 cm, of which grazed walls show less
         assert len(found.edges) > 3 * len(graph.edges)
         counts = np.bincount(found.edges[len(graph.edges) :].ravel()).mean()
         whole = found.information.copy()
-        whole[len(graph.edges) :] *= counts
+        whole[len(graph.edges) :] *= counts / 2
         for squares, by in ((claimed, found), (bold, replace(found, information=whole))):
             errors = between(truth, found.poses)[1:]
             errors[:, :2] = (found.poses - truth)[1:, :2]
@@ -98,15 +100,34 @@ def test_scans_between_key_scans_are_matched_to_those_about_them(seen, archive):
     begun = compose(seen.truth[:120], rng.normal(size=(120, 3)) * [0.03, 0.03, 0.01])
     begun[keys] = seen.truth[keys]
     surfaces = Surfaces.of(made.batch(made.keys))
-    found = match_scans(begun, np.arange(120) // 3, made, surfaces, seen.truth[keys])
+    found, information = match_scans(begun, np.arange(120) // 3, made, surfaces, seen.truth[keys], 1e-4)
     np.testing.assert_array_equal(found[keys], seen.truth[keys])
     off = between(seen.truth[:120], found)
     assert np.sqrt(np.square(off[:, :2]).sum(axis=1).mean()) < 0.02
     assert np.degrees(np.sqrt(np.square(off[:, 2]).mean())) < 0.15
+    is_between = np.arange(120) % 3 > 0
+    assert not information[~is_between].any()
+    squares = np.einsum("ki,kij,kj->k", off, information, off)[is_between]
+    assert 1.5 < squares.mean() < 6.0  # of three numbers each, beside those of the key scans that they were matched to
 
 
 def test_frozen_key_scans_stay(seen, archive):
     graph = replace(graph_about(seen.truth[:90], 1), held=40)
-    poses = adjusted(graph, Surfaces.of(archive.batch(archive.keys[:90])))
+    poses = adjust(graph, archive.batch(archive.keys[:90]))[0].poses
     np.testing.assert_array_equal(poses[:40], graph.poses[:40])
     assert np.abs(poses[40:] - graph.poses[40:]).max() > 0.01
+
+
+@pytest.mark.parametrize("scans", [2, 5, 30])
+def test_pairs_share_the_information_that_a_surface_leaves_which_is_not_known_itself(scans):
+    """One point on a line that all scans see, eliminated: (I - 1 1' / scans) / sigma^2 of their positions."""
+    sigma = 0.01
+    joint = np.eye(scans + 1) / sigma**2  # of the positions, and of the point
+    joint[-1, -1] *= scans
+    joint[-1, :-1] = joint[:-1, -1] = -1 / sigma**2
+    expected = joint[:-1, :-1] - np.outer(joint[:-1, -1], joint[-1, :-1]) / joint[-1, -1]
+    pairs = np.array([(j, k) for k in range(scans) for j in range(k)])
+    found = np.zeros((scans, scans))
+    for pair, share in zip(pairs, share_information(pairs), strict=True):
+        found[np.ix_(pair, pair)] += share / (2 * sigma**2) * np.array([[1, -1], [-1, 1]])
+    np.testing.assert_allclose(found, expected, atol=1e-9 / sigma**2)

@@ -55,7 +55,7 @@ class LoopClosureSummary:
     constraints : Counter of ConstraintSource
         Key scans matched to submaps of another time while the robot drove, by how their place was known.
     refinement_constraints : int
-        Pairs of key scans whose surfaces the final refinement matched.
+        Pairs of key scans of different visits whose surfaces the final refinement matched.
     chi2 : float
         Of the graph after the final refinement.
     max_correction_m : float
@@ -193,7 +193,7 @@ def _refine(
     changed = closure_state.snapshot()
     refined = refine_trajectory(changed, trajectory, drives, mapper, closure, on_progress, searched)
     of_keys = key_covariances(refined.measured)
-    covariances = scan_covariances(refined.graph, of_keys, refined.poses, drives, closure.drift)
+    covariances = scan_covariances(refined.graph, of_keys, refined.poses, drives, closure.drift, refined.information)
     loops = _summarize(closure_state, changed, refined, trajectory)
     piece = _make_piece(closure_state, refined)
     return FullSlam(refined.poses, covariances, refined.graph, refined.maps.tiled(0), loops, piece)

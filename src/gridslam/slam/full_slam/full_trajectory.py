@@ -10,12 +10,21 @@ import numpy as np
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose, rotate_covariances
 from gridslam.geometry.single_pose import as_pose
-from gridslam.slam.loop_closure.drift_model import DriftModel, compute_moments, propagate_covariances
+from gridslam.slam.loop_closure.drift_model import (
+    DriftModel,
+    compute_moments,
+    propagate_covariances,
+    scale_covariances,
+)
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
 _HALF_LINE_M = 0.4
 """Half the length of a line along an open direction: those of key scans half a metre apart touch."""
+
+_SCALE_SIGMA = 0.0008
+"""Standard deviation of the scale of the whole map, which no measurement of a run shows. On simulated drives it is off
+by 0.01 % in halls, and poses on a campus of 400 m are off by 0.18 m."""
 
 
 @final
@@ -116,12 +125,14 @@ def scan_covariances(
     poses: FloatArray,
     drives: Sequence[TrackedScans],
     drift: DriftModel,
+    information: FloatArray | None = None,
 ) -> FloatArray:
     """Covariances (N, 3, 3) of all scans, with that of the scale; an upper bound where they are not key scans.
 
     Between two key scans tracking is a Brownian bridge over the share s of the way, of variance s (1 - s) times the
     increment's; what both ends err by is interpolated, which is no less than what any correlation of them leaves.
-    After the last key scan of a drive tracking drifts.
+    After the last key scan of a drive tracking drifts. A scan that was matched to the key scans about it is as
+    uncertain beside their error as the motion and the match together leave it.
 
     Parameters
     ----------
@@ -135,23 +146,29 @@ def scan_covariances(
         In the order of their key scans.
     drift : DriftModel
         How uncertain tracking is.
+    information : (N, 3, 3) float64, optional
+        Of matches to the key scans, in the frames of the scans.
     """
     bridge = np.zeros_like(key_covariances)
     bridge[:-1] = rotate_covariances(_increment_covariances(graph), graph.poses[1:, 2])
-    parts = []
+    parts, moved = [], []
     for own, (keys, key_from_base, _) in _split(drives, len(key_covariances)):
         fraction = path_fractions(keys - own.start, key_from_base)[:, None, None]
         nearer = key_covariances[keys]
         farther = key_covariances[np.minimum(keys + 1, own.stop - 1)]
-        found: FloatArray = nearer + fraction * (farther - nearer) + fraction * (1 - fraction) * bridge[keys]
         last = int(np.searchsorted(keys, own.stop - 1))
-        found[last:] = key_covariances[own.stop - 1]
+        fraction[last:] = 0.0
+        parts.append(nearer + fraction * (farther - nearer))
+        moved.append(fraction * (1 - fraction) * bridge[keys])
         for scan in range(last + 1, len(keys)):
-            found[scan] += rotate_covariances(
+            moved[-1][scan] = rotate_covariances(
                 drift.covariance(as_pose(key_from_base[scan])), graph.poses[own.stop - 1, 2]
             )
-        parts.append(found)
-    return np.concatenate(parts) + drift.scale_covariances(poses[:, :2] - poses[0, :2])
+    own_errors = np.concatenate(moved)
+    if information is not None:  # the inverse of the sum of both information matrices
+        known = rotate_covariances(information, poses[:, 2])
+        own_errors = own_errors @ np.linalg.inv(np.eye(3) + known @ own_errors)
+    return np.concatenate(parts) + own_errors + scale_covariances(_SCALE_SIGMA, poses[:, :2] - poses[0, :2])
 
 
 def find_open_directions(graph: PoseGraph) -> FloatArray:

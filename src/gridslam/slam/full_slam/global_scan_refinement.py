@@ -19,7 +19,7 @@ from gridslam.slam.full_slam.laser_errors import LaserErrors, estimate_laser_err
 from gridslam.slam.full_slam.surface_adjustment import LINE_REACH_M, adjust_key_scans, match_scans
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore, score_trajectory
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
-from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, KeyGraph
 from gridslam.slam.loop_closure.loop_closure import SOLVER, LoopClosure
 from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
 from gridslam.slam.loop_closure.submap_pairs import SubmapPairs
@@ -75,6 +75,8 @@ class Adjusted(NamedTuple):
         matched surfaces of pairs of key scans.
     pairs : (P, 2) int64
         Which key scans these are.
+    variance : float, m^2
+        Of a point that is hit head on.
     score : TrajectoryScore
         How probable the poses are. Before they were adjusted, the filter's would be favoured: they are fitted to cells.
     maps : TileMaps
@@ -83,6 +85,7 @@ class Adjusted(NamedTuple):
 
     graph: PoseGraph
     pairs: IntArray
+    variance: float
     score: TrajectoryScore
     maps: TileMaps
 
@@ -98,6 +101,8 @@ class RefinementResult:
         The selected trajectory of the key scans with its graph.
     poses : (N, 3) float64
         A pose for every scan.
+    information : (N, 3, 3) float64
+        Of those that are not key scans, given these: what was matched besides the motion; see `match_scans`.
     maps : TileMaps
         One map, drawn from the key scans.
     scores : dict of str to TrajectoryScore
@@ -105,8 +110,8 @@ class RefinementResult:
     measured : PoseGraph
         All that determines the best trajectory, by which its poses are uncertain (see `Adjusted`).
     graph : PoseGraph
-        The same without pairs across a gap in the laser data that nothing else joins, which are no evidence, and
-        without those that the answer contradicts.
+        The same without pairs of one visit, which the tracked motion joins, pairs across a gap in the laser data that
+        nothing else joins, which are no evidence, and those that the answer contradicts.
     pairs : int
         Number of pairs in `graph`, its last measurements.
     sharpness_m : float or None, m
@@ -117,6 +122,7 @@ class RefinementResult:
 
     best: Candidate
     poses: FloatArray
+    information: FloatArray
     maps: TileMaps
     scores: dict[str, TrajectoryScore]
     measured: PoseGraph
@@ -129,13 +135,15 @@ class RefinementResult:
 _MAX_SEARCHES = 3
 """Maximum number of whole-log searches for revisited places, each with the trajectory of the one before, besides those
 that join components."""
-_AGREES_M = 0.3
-_AGREES_RAD = 0.05
-"""Trajectories that differ by less are one, and so are a measured pose and that of the trajectory."""
 _CELLS_LEFT = 0.01
 """Of the information of a match to cells, beside that of surfaces."""
 _MOST_SQUARED = 25.0
 """Normalized square of what a tracked increment misses the selected trajectory by; beyond, the tracker was wrong."""
+_AGREE_M, _AGREE_RAD = 0.3, 0.05
+"""Trajectories are the same if no key scan is farther from where the other has it; a pair that is farther from the
+answer is an outlier."""
+_SAME_VISIT = 3 * KEY_SCANS_PER_SUBMAP
+"""Key scans that are not farther apart belong to one visit."""
 _ROBUST = CauchyEstimator()
 """Robust estimator of the graph."""
 
@@ -178,11 +186,12 @@ def refine_trajectory(
     known += [c for c in frozen if c.source is ConstraintSource.PROXIMITY]
     scans = closure_state.scans
     batch = scans.batch(scans.keys)
-    surfaces = Surfaces.of(batch, LINE_REACH_M)
+    surfaces, fives = Surfaces.of(batch, LINE_REACH_M), Surfaces.of(batch)
     on_progress()
     refinement = _Refinement(
         closure_state,
         surfaces,
+        fives,
         mapper,
         closure,
         on_progress,
@@ -192,25 +201,27 @@ def refine_trajectory(
         SubmapPairs(),
     )
     best = refinement.select(trajectory)
-    measured, matched, _, maps = refinement.adjust(best)
+    measured, matched, variance, _, maps = refinement.adjust(best)
     key_poses = measured.poses
     graph.constraints = best.constraints
     count = len(measured.edges) - len(matched)
     errors = np.abs(measured.errors()[count:])
     is_shown = np.diff(graph.label_rigid_components()[matched])[:, 0] == 0
-    is_shown &= (np.hypot(errors[:, 0], errors[:, 1]) < _AGREES_M) & (errors[:, 2] < _AGREES_RAD)
+    is_shown &= np.diff(matched)[:, 0] > _SAME_VISIT
+    is_shown &= (np.hypot(errors[:, 0], errors[:, 1]) < _AGREE_M) & (errors[:, 2] < _AGREE_RAD)
     shown = measured.select(np.append(np.ones(count, np.bool_), is_shown))
     laser_errors = estimate_laser_errors(surfaces, key_poses, matched)
     graph.poses = list(key_poses)
     poses = full_trajectories(key_poses, drives)
     first = sum(len(drive.keys) for drive in drives if int(drive.keys[-1]) < graph.frozen)
     keys = np.concatenate([drive.keys for drive in drives])[first:]
-    poses[first:] = match_scans(poses[first:], keys, scans, surfaces, key_poses)
-    sharpness_m = measure_sharpness(Surfaces.of(batch), key_poses)
+    information = np.zeros((len(poses), 3, 3))
+    poses[first:], information[first:] = match_scans(poses[first:], keys, scans, surfaces, key_poses, variance)
+    sharpness_m = measure_sharpness(fives, key_poses)
     best = replace(best, graph=best.graph.with_poses(key_poses))
     scores = {name: adjusted.score for name, adjusted in refinement.adjusted.items()}
     pairs = int(is_shown.sum())
-    return RefinementResult(best, poses, maps, scores, measured, shown, pairs, sharpness_m, laser_errors)
+    return RefinementResult(best, poses, information, maps, scores, measured, shown, pairs, sharpness_m, laser_errors)
 
 
 @final
@@ -218,14 +229,15 @@ def refine_trajectory(
 class _Refinement:
     """One run of the refinement; it goes from candidate to candidate in the key graph of its state.
 
-    `surfaces` are those of the key scans; `known` are revisits that the robot knew of while it drove, those that a
-    person added, and matches of frozen key scans; the first `searched` key scans are not searched for again; `pairs`
-    are submaps of all of the way, `stretches` short ones, of stretches without a gap in the laser data; `adjusted` are
-    the candidates that were compared.
+    `surfaces` and `fives` are those of the key scans, of longer lines and of five beams; `known` are revisits that the
+    robot knew of while it drove, those that a person added, and matches of frozen key scans; the first `searched` key
+    scans are not searched for again; `pairs` are submaps of all of the way, `stretches` short ones, of stretches
+    without a gap in the laser data; `adjusted` are the candidates that were compared.
     """
 
     closure_state: LoopClosureState
     surfaces: Surfaces
+    fives: Surfaces
     mapper: OccupancyGridMapping
     closure: LoopClosure
     on_progress: Callable[[], None]
@@ -261,7 +273,7 @@ class _Refinement:
             recognized = found.recognized_constraints
             contradicted = self.closure.find_contradicted(recognized, last.graph.poses)
             moved_m = np.hypot(*(found.graph.poses - last.graph.poses)[:, :2].T).max()
-            agrees = best is last and not contradicted.any() and moved_m <= _AGREES_M
+            agrees = best is last and not contradicted.any() and moved_m <= _AGREE_M
             is_better = not agrees and self._log_likelihood(found) > self._log_likelihood(best)
             if agrees or is_better:
                 best = found
@@ -279,10 +291,10 @@ class _Refinement:
         """Move the key scans of a candidate until their surfaces fit; the same again where that was done before."""
         if candidate.name not in self.adjusted:
             measured = self._measured(candidate)
-            graph = adjust_key_scans(measured, self.surfaces)
+            graph, variance = adjust_key_scans(measured, self.surfaces, self.fives, self.graph.rejected)
             scans = self.closure_state.scans
             score, maps = score_trajectory(self.graph, scans, graph.poses, self.mapper, self.on_progress)
-            self.adjusted[candidate.name] = Adjusted(graph, graph.edges[len(measured.edges) :], score, maps)
+            self.adjusted[candidate.name] = Adjusted(graph, graph.edges[len(measured.edges) :], variance, score, maps)
         return self.adjusted[candidate.name]
 
     def _log_likelihood(self, candidate: Candidate) -> float:

@@ -33,7 +33,7 @@ def key_covariances(graph: PoseGraph) -> FloatArray:
     if held == 1:
         has_loops = len(graph.edges) >= len(graph.poses)
         return marginal_covariances(graph) if has_loops else drift_covariances(graph)
-    own = (graph.edges < held).all(axis=1)
+    own = graph.edges.max(axis=1) < held
     of_held = key_covariances(replace(graph.select(own), poses=graph.poses[:held], held=1))
     covariances = of_held
     if held < len(graph.poses):

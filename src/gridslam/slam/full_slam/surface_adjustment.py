@@ -8,6 +8,7 @@ import numpy as np
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.matching.surfaces import Surfaces
+from gridslam.slam.loop_closure.key_graph import join_near
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -19,13 +20,15 @@ _SUCCESSIVE = 3
 """Key scans just before one that it is matched with; the others are spread over all that are near."""
 _SCALE_RATIO = 0.25
 """Of the residual that weighs half to the largest one: visits far from each other are brought together first."""
-_INDEPENDENT_PAIRS = 4
-"""For which the points of a scan count in covariances, of some ten: normalized squares of errors in simulated buildings
-are then 0.4 to 2.4, where 3 is expected."""
+_NOISE_PAIRS = 200
+"""Pairs, spread over the log, by which the variance of a point is measured."""
+_LEAST_SIGMA_M = 0.001
+_FAR_M = 1e3
+"""Residual of half weight, where all are to weigh the same."""
 _HELD = np.eye(3)
 """Information (1/m^2, 1/rad^2) that holds a match where its surfaces leave a direction open."""
-_LOOSE = 0.01
-"""Of that, in the end: such a direction is off by 10 m."""
+_LOOSE = 0.01 * _HELD
+"""The same in the end: such a direction is off by 10 m."""
 LINE_REACH_M = 0.15
 """Lines are fitted to the points so near to one: at a metre five neighbouring beams give a normal that is noisy by 9
 degrees."""
@@ -49,17 +52,29 @@ _PRIOR_SIGMA_RAD = 0.01
 """How well the motion from the key scans about it determines such a scan."""
 
 
-def adjust_key_scans(graph: PoseGraph, surfaces: Surfaces) -> PoseGraph:
-    """Move the key scans of a graph; the graph there, with the measurements of all pairs.
+def adjust_key_scans(
+    graph: PoseGraph, surfaces: Surfaces, fives: Surfaces, rejected: IntArray | None = None
+) -> tuple[PoseGraph, float]:
+    """Return the graph with its key scans moved and the measurements of all pairs, and the variance (m^2) of a point.
 
     The distances between the surfaces of key scans that are near each other are minimized, together with the graph's
     error: each round matches pairs of key scans, point to line, and solves the graph with one measurement more for each
     pair, the relative pose that fits best, with the information of its points.
 
-    A scan takes part in several pairs: while poses are sought it counts fully in each, and in the graph that is
-    returned they share the information of its points, so that covariances follow from it.
+    A scan takes part in several pairs: while poses are sought it counts fully in each. In the graph that is returned
+    its pairs share its information, so that covariances follow from it (see `share_information`). Pairs near
+    `rejected` ones (R, 2), which a person has taken away, are left out.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        What else is known of the key scans.
+    surfaces, fives : Surfaces
+        Of the key scans: of longer lines, which are matched, and of five beams, whose points are as they were measured.
     """
     pairs = _select_pairs(graph.poses)
+    for pair in [] if rejected is None else rejected.tolist():
+        pairs = pairs[~join_near(pairs, pair)]
     poses = graph.poses
     for gate_m in _GATES_M:
         whole = _measure(graph.with_poses(poses), surfaces, pairs, gate_m)
@@ -67,20 +82,42 @@ def adjust_key_scans(graph: PoseGraph, surfaces: Surfaces) -> PoseGraph:
         if not len(pairs):
             break
         poses = GraphSlam(first_guess="given", robust=None, max_iterations=1).solve(whole).poses
-    return _measure(graph.with_poses(poses), surfaces, pairs, _GATES_M[-1], shared=True)
+    variance = _measure_variance(fives, poses, pairs)
+    return _measure(graph.with_poses(poses), surfaces, pairs, _GATES_M[-1], variance), variance
+
+
+def share_information(pairs: IntArray) -> FloatArray:
+    """Shares (P,) of the information of pairs (P, 2) of scans that count, as each scan's noise is in several of them.
+
+    A surface that is not known itself and that k scans see determines their poses as all pairs among them do if each
+    counts 2 / k; where a scan is in k - 1 pairs, k is taken to be that.
+    """
+    return np.asarray(2 / (1 + np.bincount(pairs.ravel())[pairs].mean(axis=1)), np.float64)
+
+
+def _measure_variance(fives: Surfaces, poses: FloatArray, pairs: IntArray) -> float:
+    """Return the variance (m^2) of a point that is hit head on."""
+    some = pairs[:: -(-len(pairs) // _NOISE_PAIRS) or 1]
+    found = fives.match(poses, some, _GATES_M[-1], _FAR_M, by_incidence=True)
+    points = max(int(found.counts.sum()), 1)
+    mean_weight = float(np.trace(found.information[:, :2, :2].sum(axis=0))) / points
+    return max(0.5 * mean_weight * float(found.squares.sum()) / points, _LEAST_SIGMA_M**2)
 
 
 def _measure(
-    graph: PoseGraph, surfaces: Surfaces, pairs: IntArray, gate_m: float, *, shared: bool = False
+    graph: PoseGraph, surfaces: Surfaces, pairs: IntArray, gate_m: float, variance: float | None = None
 ) -> PoseGraph:
-    """Add measurements of pairs (P, 2) of key scans to a graph: the relative poses where their surfaces fit."""
+    """Add measurements of pairs (P, 2) of key scans to a graph: the relative poses where their surfaces fit.
+
+    Each counts fully, or, where the variance of a point is given, shares its scans' information with their others.
+    """
     found = surfaces.match(graph.poses, pairs, gate_m, max(_SIGMA_M, _SCALE_RATIO * gate_m), by_incidence=True)
     is_matched = found.counts >= _MIN_POINTS
     own = pairs[is_matched]
     weights = np.full(len(own), 1 / (2 * _SIGMA_M**2))
-    if shared:
-        weights *= _INDEPENDENT_PAIRS / np.bincount(own.ravel(), minlength=len(graph.poses))[own].mean(axis=1)
-    information = weights[:, None, None] * found.information[is_matched] + (_LOOSE if shared else 1.0) * _HELD
+    if variance is not None:
+        weights = share_information(own) / (2 * variance)
+    information = weights[:, None, None] * found.information[is_matched] + (_HELD if variance is None else _LOOSE)
     steps = -np.linalg.solve(information + _HELD, (weights[:, None] * found.gradients[is_matched])[..., None])
     measurements = compose(between(graph.poses[own[:, 0]], graph.poses[own[:, 1]]), steps[..., 0])
     return replace(
@@ -93,9 +130,17 @@ def _measure(
 
 
 def match_scans(
-    poses: FloatArray, keys: IntArray, archive: ScanArchive, surfaces: Surfaces, key_poses: FloatArray
-) -> FloatArray:
-    """Match scans to the key scans about them; the poses (N, 3) of all scans, those of key scans as they are.
+    poses: FloatArray,
+    keys: IntArray,
+    archive: ScanArchive,
+    surfaces: Surfaces,
+    key_poses: FloatArray,
+    variance: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Match scans to the key scans about them; poses (N, 3) of all scans, information (N, 3, 3) of each match.
+
+    Key scans stay as they are. The information is in the frame of the scan, and that of its points once, in however
+    many key scans they are found; 0 for what was not matched.
 
     Parameters
     ----------
@@ -107,8 +152,10 @@ def match_scans(
         Where the scans are.
     surfaces, key_poses : Surfaces, (T, 3) float64
         Of the key scans.
+    variance : float, m^2
+        Of a point.
     """
-    matched = poses.copy()
+    matched, known = poses.copy(), np.zeros((len(poses), 3, 3))
     prior = np.diag(1 / np.square([_PRIOR_SIGMA_M, _PRIOR_SIGMA_M, _PRIOR_SIGMA_RAD]))
     is_between = np.diff(keys, prepend=-1) == 0  # a drive begins with a key scan
     for begin in range(0, len(poses), _SCANS_AT_A_TIME):
@@ -123,6 +170,7 @@ def match_scans(
         pairs = np.stack(np.broadcast_arrays(about - low, high - low + np.arange(len(own))[:, None]), -1)
         at = poses[own]
         far = np.ones(len(own), np.bool_)  # from where they were before the step, so that they are matched again
+        of_own = np.zeros((len(own), 3, 3))
         for gate_m in _GATES_M[-2:]:
             seen_from = np.concatenate([key_poses[low:high], at])
             found = whole.match(seen_from, pairs[far].reshape(-1, 2), gate_m, _SIGMA_M, both=False, by_incidence=True)
@@ -131,12 +179,14 @@ def match_scans(
             information = (weight[..., None] * found.information).reshape(*shape, 3).sum(axis=1)
             gradients = (weight * found.gradients).reshape(shape).sum(axis=1)
             gradients += between(poses[own][far], at[far]) @ prior
+            matches = np.maximum((weight > 0).reshape(-1, 2 * _KEY_SCANS_BESIDE).sum(axis=1), 1)
+            of_own[far] = information * (2 * _SIGMA_M**2 / (variance * matches))[:, None, None]
             steps = -np.linalg.solve(information + prior, gradients[..., None])[..., 0]
             at[far] = compose(at[far], steps)
             far[far] = np.abs(steps).max(axis=1) > _CLOSE
         is_near = np.hypot(*(at - poses[own])[:, :2].T) < _MAX_CORRECTION_M
-        matched[own[is_near]] = at[is_near]
-    return matched
+        matched[own[is_near]], known[own[is_near]] = at[is_near], of_own[is_near]
+    return matched, known
 
 
 def _select_pairs(poses: FloatArray) -> IntArray:

@@ -21,9 +21,6 @@ odometry, which may suffer from slip or latency."""
 _POSITION_RATIO = 0.4
 """Standard deviation of a position that is expected, over the one that bounds searches. On simulated drives through
 seven kinds of buildings increments of half a metre are off by 5 to 8 mm in each direction, where the latter is 18."""
-_SCALE_SIGMA = 0.002
-"""Standard deviation of the scale of the whole map, which no measurement of a run shows: what the odometry's scale,
-the laser's and the rounding of walls to cells have in common. On simulated drives 0.1 to 0.3 %."""
 _FIRST_SIGMA_RAD = 0.004
 """Standard deviation of the heading that the first increment has beside, as the map of one scan is matched: its noise
 and the rounding to cells turn the whole map against the first pose."""
@@ -99,18 +96,19 @@ class DriftModel:
         rotation += first * _FIRST_SIGMA_RAD**2
         return np.array([[xx, xy, 0.0], [xy, yy, 0.0], [0.0, 0.0, rotation]])
 
-    def scale_covariances(self, displacements: FloatArray) -> FloatArray:
-        """Covariances (N, 3, 3) by the error of the scale, of poses displaced by (N, 2) m from the first one."""
-        covariances = np.zeros((len(displacements), 3, 3))
-        covariances[:, :2, :2] = _SCALE_SIGMA**2 * displacements[:, :, None] * displacements[:, None, :]
-        return covariances
-
     def bounds(self, increment: Pose, unmatched: UnmatchedMotion) -> tuple[float, float]:
         """Variances (m^2, rad^2) of an increment for searches."""
         dx, dy, turned = increment
         position, _ = self.variances(math.hypot(dx, dy), abs(turned))
         unmatched_m2 = _REJECTED_MATCH_SIGMAS**2 * unmatched.position_m2 + float(np.trace(unmatched.open_covariance))
         return position + unmatched_m2, float(self.covariance(increment, unmatched)[2, 2])
+
+
+def scale_covariances(sigma: float, displacements: FloatArray) -> FloatArray:
+    """Covariances (N, 3, 3) by the error of the scale, of poses displaced by (N, 2) m from the first one."""
+    covariances = np.zeros((len(displacements), 3, 3))
+    covariances[:, :2, :2] = sigma**2 * displacements[:, :, None] * displacements[:, None, :]
+    return covariances
 
 
 def diagonal_covariances(variances: FloatArray) -> FloatArray:
