@@ -16,7 +16,7 @@ from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.parameters import bounded, parameters
 from gridslam.slam.loop_closure.constraints import Constraint, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import DriftModel
-from gridslam.slam.loop_closure.place_matching import PlaceMatching
+from gridslam.slam.loop_closure.place_matching import PlaceMatching, squared_sigmas
 from gridslam.slam.loop_closure.state import (
     Correction,
     FoundPiece,
@@ -231,13 +231,16 @@ class LoopClosure:
             closure_state.pending_constraints = PendingConstraints(len(graph), len(graph.constraints), len(new))
 
     def find_contradicted(self, constraints: list[Constraint], trajectory: FloatArray) -> NDArray[np.bool_]:
-        """Which constraints (C,) a trajectory (T, 3) of the key scans, such as the best particle's, contradicts."""
+        """Which constraints (C,) a trajectory (T, 3) of the key scans, such as the best particle's, contradicts.
+
+        The trajectory rests on matches, too: their variances count beside those of the constraint.
+        """
         from_, to = key_scan_pairs(constraints).T
         measured = np.array([constraint.measurement for constraint in constraints])
         missed = between(measured, between(trajectory[from_], trajectory[to]))
-        information = np.array([constraint.information for constraint in constraints])
-        squared = (missed[:, None] @ information @ missed[:, :, None]).ravel()
-        return np.asarray(squared > self.disagree_sigmas**2)
+        covariances = np.linalg.inv([constraint.information for constraint in constraints])
+        squared = [squared_sigmas(covariance, own) for covariance, own in zip(covariances, missed, strict=True)]
+        return np.asarray(np.array(squared) > self.disagree_sigmas**2)
 
     def _solve_pending(
         self,
