@@ -202,7 +202,7 @@ def _fail_picture(name: str, node: RunningNode, rest: Sequence[Measurement], pat
     def fail(*arguments: object, **options: object) -> None:
         raise RuntimeError("injected")
 
-    patch.setattr("gridslam.viz.draw_map", fail)
+    patch.setattr("gridslam.api.mapping.draw_map", fail)
     node.play(rest)
 
 

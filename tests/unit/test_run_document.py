@@ -49,7 +49,7 @@ def fail(*arguments, **options):
     ("what", "problem"),
     [
         ("gridslam.slam.full_slam.full_slam.refine_trajectory", "the final refinement failed"),
-        ("gridslam.viz.draw_map", "map.png cannot be drawn"),
+        ("gridslam.api.mapping.draw_map", "map.png cannot be drawn"),
     ],
 )
 def test_what_was_mapped_is_written_whatever_fails_afterwards(tmp_path, drive, monkeypatch, what, problem):

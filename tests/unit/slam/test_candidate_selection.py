@@ -85,3 +85,38 @@ def test_what_changes_the_trajectory_is_compared_with_it(monkeypatch, places, he
     assert len(names) == searches
     assert taken[1:] == ([list(kept)] if kept else [])
     assert state.rejected[RejectionReason.IMPLAUSIBLE] == (len(places) - len(kept) if kept else 0)
+
+
+def test_a_place_that_joins_components_and_is_rejected_is_not_searched_for_again(monkeypatch):
+    """It would be found and rejected for ever."""
+    found = [
+        Constraint(0, 1, np.array([x, 0, 0]), np.eye(3), ConstraintSource.RECOGNIZED, joins)
+        for x, joins in ((1, False), (1, False), (50, True))
+    ]
+    names = []
+
+    def add_closures(refinement, name, begin):
+        names.append(name)
+        assert len(names) < 10
+        refinement.graph.constraints = found
+        return candidate(name, 0.0, found)
+
+    def keep_trajectory(refinement, name, poses, recognized):
+        refinement.graph.constraints = recognized
+        return candidate(name, 0.0, recognized)
+
+    def adjust(refinement, one):
+        told = score(-5.0 if one.name == "filter" else -6.0)
+        refinement.adjusted[one.name] = Adjusted(one.graph, one.graph.edges[:0], 1e-4, told, MAPPER.empty(1))
+        return refinement.adjusted[one.name]
+
+    monkeypatch.setattr(_Refinement, "_add_closures", add_closures)
+    monkeypatch.setattr(_Refinement, "_keep_trajectory", keep_trajectory)
+    monkeypatch.setattr(_Refinement, "adjust", adjust)
+    state = LoopClosureState()
+    for variances in ((1e-4, 1e-4), (4.0, 1e-4)):
+        state.graph.extend(np.zeros(3), np.zeros(3), variances)
+    pairs = SubmapPairs()
+    refinement = _Refinement(state, None, None, MAPPER, LoopClosure(), lambda: None, [], 0, pairs, pairs)
+    assert refinement.select(np.zeros((2, 3))).recognized_constraints == found[:2]
+    assert len(names) == 1

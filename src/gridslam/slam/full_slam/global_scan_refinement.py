@@ -269,8 +269,6 @@ class _Refinement:
             found = self._add_closures(f"closed {search}", last)
             if found is None:
                 break
-            is_joined = len(np.unique(self.graph.label_rigid_components())) < components
-            joining += is_joined
             recognized = found.recognized_constraints
             contradicted = self.closure.find_contradicted(recognized, last.graph.poses)
             moved_m = np.hypot(*(found.graph.poses - last.graph.poses)[:, :2].T).max()
@@ -283,6 +281,9 @@ class _Refinement:
                 self.closure_state.rejected[RejectionReason.IMPLAUSIBLE] += len(recognized) - len(agreeing)
                 found = best = self._keep_trajectory(last.name, last.graph.poses, agreeing)
                 del self.adjusted[best.name]  # which was without these places
+            # by what is kept: a joining place that was rejected would be found and rejected again for ever
+            is_joined = len(np.unique(self.graph.label_rigid_components())) < components
+            joining += is_joined
             if not (is_better or is_joined):
                 break
             last = found

@@ -71,10 +71,10 @@ def estimate_laser_errors(surfaces: Surfaces, poses: FloatArray, pairs: IntArray
         return None
     pairs = pairs[:: -(-len(pairs) // _MOST_PAIRS)]
     by_errors = _derivatives(surfaces)
+    matched = [_match(surfaces, by_errors, poses, pair) for pair in pairs.tolist()]
     errors, whole, left = np.zeros(2), np.empty((2, 2)), np.empty((0, 2))
     for _ in range(_ROUNDS):
-        corrected = surfaces._replace(points=surfaces.points - by_errors @ errors)
-        sums = [_sum(corrected, by_errors, poses, pair) for pair in pairs.tolist()]
+        sums = [_sum(rows, variances, errors) for rows, variances in matched]
         normals, pulls = (np.array(each) for each in zip(*sums, strict=True))
         whole = normals.sum(axis=0)
         if np.linalg.eigvalsh(whole)[0] < _LEAST:
@@ -96,20 +96,27 @@ def _derivatives(surfaces: Surfaces) -> FloatArray:
     return np.stack([x / ranges, -bearings * y, y / ranges, bearings * x], axis=1).reshape(-1, 2, 2)
 
 
-def _sum(
+def _match(
     surfaces: Surfaces, by_errors: FloatArray, poses: FloatArray, pair: list[int]
 ) -> tuple[FloatArray, FloatArray]:
-    """Normal equations (2, 2), (2,) of the errors by a pair of scans, whose relative pose is free."""
+    """Derivatives of a pair's residuals by its relative pose and by the errors, and these, (K, 6); variances (K,)."""
     whole = surfaces.points, surfaces.normals, surfaces.bearings, surfaces.starts, surfaces.origins
-    equations = np.zeros((5, 6))
+    rows, variances = [], []
     for fixed, moved in (pair, pair[::-1]):
         found = match_points(whole, poses, fixed, moved, _GATE_M, by_incidence=True)
         pose = found.slopes if moved == pair[1] else found.slopes_of_fixed
         towards = (found.normals @ found.turn)[:, None]
         errors = (towards @ by_errors[found.points] - found.normals[:, None] @ by_errors[found.lines])[:, 0]
-        rows = np.column_stack([pose, errors, found.residuals])
-        weights = 1 / (found.variances + np.square(found.residuals / _SIGMA_M))
-        equations += (rows[:, :5] * weights[:, None]).T @ rows
+        rows.append(np.column_stack([pose, errors, found.residuals]))
+        variances.append(found.variances)
+    return np.concatenate(rows), np.concatenate(variances)
+
+
+def _sum(rows: FloatArray, variances: FloatArray, known: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Normal equations (2, 2), (2,) of what is left of the errors by a pair, whose relative pose is free."""
+    residuals = rows[:, 5] - rows[:, 3:5] @ known
+    weights = 1 / (variances + np.square(residuals / _SIGMA_M))
+    equations = (rows[:, :5] * weights[:, None]).T @ np.column_stack([rows[:, :5], residuals])
     free = np.linalg.solve(equations[:3, :3] + _LEAST * np.eye(3), equations[:3, 3:])
     kept = equations[3:, 3:] - equations[3:, :3] @ free
     return kept[:, :2], kept[:, 2]
