@@ -59,9 +59,15 @@ def test_the_tracked_motion_stays_where_wheels_slip_and_across_gaps():
     keys, graph = drive(0)
     found = weighed(keys, graph)
     for step in (SLIPPED - 1, GAP - 1):
-        assert found.measurements[step] == pytest.approx(graph.measurements[step], abs=1e-3)
-        assert found.information[step] == pytest.approx(graph.information[step], rel=0.03)
+        assert found.measurements[step] == pytest.approx(graph.measurements[step], abs=2e-3)
+        assert found.information[step] == pytest.approx(graph.information[step], rel=0.06)
     assert np.trace(found.information[10]) != pytest.approx(np.trace(graph.information[10]), rel=0.03)
+
+
+def test_a_jump_of_the_filter_is_none_where_odometry_and_tracking_agree():
+    keys, graph = drive(0)
+    graph.measurements[30, 0] += 0.3
+    assert weighed(keys, graph).errors()[30, 0] == pytest.approx(0, abs=0.03)
 
 
 def test_bad_odometry_takes_the_place_of_nothing():

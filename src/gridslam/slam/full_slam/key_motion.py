@@ -23,9 +23,10 @@ _CALIBRATION = OdometryCalibration(forgetting_segments=1e6)
 _TRACKED_LEFT = 0.1
 """Least share of the information of a tracked increment. It was matched to the surfaces that the adjustment matches
 again, and where these are weak it errs by several times what is expected of it."""
-_REPLACED_RATIO = 4.0
-"""Information replaced by the odometry, over its own: up to twice the standard deviation it replaces all."""
-_SLIP_SQUARED = 25.0
+_REPLACED_RATIO = 10.0
+"""Information of a tracked increment over that of the odometry, up to which it is replaced: three times its standard
+deviation. Beyond, less is."""
+_SLIP_SQUARED = 100.0
 """Normalized square of an error of the odometry, at which it weighs half: wheels slip."""
 _LEAST_SHARE = 0.1
 """Least share of the variance of a segment."""
@@ -39,7 +40,8 @@ def weigh_odometry(graph: PoseGraph, keys: KeyGraph, is_tracked: NDArray[np.bool
     The odometry is the likelihood of the motion that scans know nothing of: along directions that they leave weak, as
     those of a narrow laser or of a few metres' range, it is the better one. Its systematic errors and its noise are
     estimated from the graph's poses; it counts where that is possible, and where wheels do not slip. Its headings
-    are not used: on real robots they lag behind. What is tracked has the rest, and all where there is no odometry.
+    are not used: on real robots they lag behind. It decides, too, whether the filter jumped along a corridor or the
+    tracker was wrong. What is tracked has the rest, and all where there is no odometry.
 
     Parameters
     ----------
@@ -63,17 +65,20 @@ def weigh_odometry(graph: PoseGraph, keys: KeyGraph, is_tracked: NDArray[np.bool
     corrected = np.array([errors.correct_increment(as_pose(moved)) for moved in raw[own]]).reshape(-1, 3)
     shares = np.maximum(np.hypot(corrected[:, 0], corrected[:, 1]) / SEGMENT_M, np.abs(corrected[:, 2]) / SEGMENT_RAD)
     variances = np.maximum(shares, _LEAST_SHARE) * errors.variances[0]
-    missed = between(corrected, between(graph.poses[own], graph.poses[own + 1]))[:, :2]
-    weights = 1 / (1 + np.square(np.square(missed).sum(axis=1) / variances / _SLIP_SQUARED))
+    poses = np.array(keys.tracked)
+    found = graph.measurements[own], between(poses[own], poses[own + 1])
+    squares = np.array([np.square(between(corrected, moved)[:, :2]).sum(axis=1) for moved in found])
+    nearer = np.take_along_axis(np.array(found), squares.argmin(axis=0)[None, :, None], axis=0)[0]
+    weights = 1 / (1 + np.square(squares.min(axis=0) / variances / _SLIP_SQUARED))
     tracked = graph.information[own]
-    certainty = np.minimum(_REPLACED_RATIO / (variances * 0.5 * np.trace(tracked[:, :2, :2], axis1=1, axis2=2)), 1.0)
+    ratio = 2 / (variances * np.trace(tracked[:, :2, :2], axis1=1, axis2=2))
+    certainty = np.minimum(np.square(_REPLACED_RATIO * ratio), 1.0)
     tracked = tracked * (1 - (1 - _TRACKED_LEFT) * weights * certainty)[:, None, None]
     by_odometry = (weights / variances)[:, None, None] * np.diag([1.0, 1.0, 0.0])
-    away = between(graph.measurements[own], corrected)
     measurements, information = graph.measurements.copy(), graph.information.copy()
     information[own] = tracked + by_odometry
-    steps = np.linalg.solve(information[own], by_odometry @ away[..., None])[..., 0]
-    measurements[own] = compose(measurements[own], steps)
+    steps = np.linalg.solve(information[own], by_odometry @ between(nearer, corrected)[..., None])[..., 0]
+    measurements[own] = compose(nearer, steps)
     return replace(graph, measurements=measurements, information=information)
 
 
