@@ -233,7 +233,8 @@ def main() -> None:
             far = "".join(f"{value:.2f}" for value in values[4:] if value)
             print(f"| {kind} | {stage} | {values[0]:.4f}, {values[1]:.3f} | {values[2]:.4f}, {values[3]:.3f} | {far} |")
     if options.out is not None:
-        write_document(options.out, "python benchmarks/error_budget.py", seeds=options.seeds, rows=rows)
+        how = "python benchmarks/error_budget.py" + " --lasers" * options.lasers
+        write_document(options.out, how, seeds=options.seeds, rows=rows)
 
 
 if __name__ == "__main__":
