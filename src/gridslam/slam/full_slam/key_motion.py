@@ -28,6 +28,8 @@ _REPLACED_RATIO = 10.0
 deviation. Beyond, less is."""
 _SLIP_SQUARED = 100.0
 """Normalized square of an error of the odometry, at which it weighs half: wheels slip."""
+_DECISIVE = 9.0
+"""Normalized square by which the odometry is nearer to tracking than to the graph, so that the latter is wrong."""
 _LEAST_SHARE = 0.1
 """Least share of the variance of a segment."""
 _OPEN_RATIO = 4.0
@@ -66,10 +68,11 @@ def weigh_odometry(graph: PoseGraph, keys: KeyGraph, is_tracked: NDArray[np.bool
     shares = np.maximum(np.hypot(corrected[:, 0], corrected[:, 1]) / SEGMENT_M, np.abs(corrected[:, 2]) / SEGMENT_RAD)
     variances = np.maximum(shares, _LEAST_SHARE) * errors.variances[0]
     poses = np.array(keys.tracked)
-    found = graph.measurements[own], between(poses[own], poses[own + 1])
-    squares = np.array([np.square(between(corrected, moved)[:, :2]).sum(axis=1) for moved in found])
-    nearer = np.take_along_axis(np.array(found), squares.argmin(axis=0)[None, :, None], axis=0)[0]
-    weights = 1 / (1 + np.square(squares.min(axis=0) / variances / _SLIP_SQUARED))
+    given, moved = graph.measurements[own], between(poses[own], poses[own + 1])
+    missed, other = (np.square(between(corrected, of)[:, :2]).sum(axis=1) / variances for of in (given, moved))
+    is_better = missed - other > _DECISIVE
+    given = np.where(is_better[:, None], moved, given)
+    weights = 1 / (1 + np.square(np.where(is_better, other, missed) / _SLIP_SQUARED))
     tracked = graph.information[own]
     ratio = 2 / (variances * np.trace(tracked[:, :2, :2], axis1=1, axis2=2))
     certainty = np.minimum(np.square(_REPLACED_RATIO * ratio), 1.0)
@@ -77,8 +80,8 @@ def weigh_odometry(graph: PoseGraph, keys: KeyGraph, is_tracked: NDArray[np.bool
     by_odometry = (weights / variances)[:, None, None] * np.diag([1.0, 1.0, 0.0])
     measurements, information = graph.measurements.copy(), graph.information.copy()
     information[own] = tracked + by_odometry
-    steps = np.linalg.solve(information[own], by_odometry @ between(nearer, corrected)[..., None])[..., 0]
-    measurements[own] = compose(nearer, steps)
+    steps = np.linalg.solve(information[own], by_odometry @ between(given, corrected)[..., None])[..., 0]
+    measurements[own] = compose(given, steps)
     return replace(graph, measurements=measurements, information=information)
 
 
