@@ -8,7 +8,8 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.geometry.se2 import between
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.sharpness import measure_sharpness
@@ -111,8 +112,7 @@ class RefinementResult:
     measured : PoseGraph
         All that determines the best trajectory, by which its poses are uncertain (see `Adjusted`).
     graph : PoseGraph
-        The same without pairs of one visit, which the tracked motion joins, pairs across a gap in the laser data that
-        nothing else joins, which are no evidence, and those that the answer contradicts.
+        The same without pairs of one visit, which the tracked motion joins, and those that the answer contradicts.
     pairs : int
         Number of pairs in `graph`, its last measurements.
     sharpness_m : float or None, m
@@ -207,8 +207,7 @@ def refine_trajectory(
     graph.constraints = best.constraints
     count = len(measured.edges) - len(matched)
     errors = np.abs(measured.errors()[count:])
-    is_shown = np.diff(graph.label_rigid_components()[matched])[:, 0] == 0
-    is_shown &= np.diff(matched)[:, 0] > _SAME_VISIT
+    is_shown = np.diff(matched)[:, 0] > _SAME_VISIT
     is_shown &= (np.hypot(errors[:, 0], errors[:, 1]) < _AGREE_M) & (errors[:, 2] < _AGREE_RAD)
     shown = measured.select(np.append(np.ones(count, np.bool_), is_shown))
     laser_errors = estimate_laser_errors(surfaces, key_poses, matched)
@@ -262,6 +261,9 @@ class _Refinement:
         """
         recognized = [c for c in self.graph.constraints if c.source is ConstraintSource.RECOGNIZED]
         last = best = self._keep_trajectory("filter", trajectory, recognized)
+        driven = self._optimize("constraints", trajectory, best.constraints)
+        if _moved_m(driven, best) > _AGREE_M and self._log_likelihood(driven) > self._log_likelihood(best):
+            last = best = driven
         search = joining = 0
         while search - joining < _MAX_SEARCHES:
             components = len(np.unique(self.graph.label_rigid_components()))
@@ -271,8 +273,7 @@ class _Refinement:
                 break
             recognized = found.recognized_constraints
             contradicted = self.closure.find_contradicted(recognized, last.graph.poses)
-            moved_m = np.hypot(*(found.graph.poses - last.graph.poses)[:, :2].T).max()
-            agrees = best is last and not contradicted.any() and moved_m <= _AGREE_M
+            agrees = best is last and not contradicted.any() and _moved_m(found, last) <= _AGREE_M
             is_better = not agrees and self._log_likelihood(found) > self._log_likelihood(best)
             if agrees or is_better:
                 best = found
@@ -293,7 +294,9 @@ class _Refinement:
         """Move the key scans of a candidate until their surfaces fit; the same again where that was done before."""
         if candidate.name not in self.adjusted:
             measured = self._measured(candidate)
-            graph, variance = adjust_key_scans(measured, self.surfaces, self.fives, self.graph.rejected)
+            components = self.graph.label_rigid_components(candidate.constraints)
+            graph, variance = adjust_key_scans(measured, self.surfaces, self.fives, components, self.graph.rejected)
+            graph = place_components(graph, candidate.graph.poses, components)
             scans = self.closure_state.scans
             score, maps = score_trajectory(self.graph, scans, graph.poses, self.mapper, self.on_progress)
             self.adjusted[candidate.name] = Adjusted(graph, graph.edges[len(measured.edges) :], variance, score, maps)
@@ -361,8 +364,11 @@ class _Refinement:
         closure_state.rejected[RejectionReason.IMPLAUSIBLE] += len(new) - len(recognized)
         if not recognized:
             return None
-        constraints = [*recognized, *known]
-        solution = GraphSlam(first_guess="given", robust=_ROBUST).solve(self._graph(solution.poses, constraints))
+        return self._optimize(name, solution.poses, [*recognized, *known])
+
+    def _optimize(self, name: str, poses: FloatArray, constraints: list[Constraint]) -> Candidate:
+        """Make a candidate of the tracked motion and constraints, beginning at poses (T, 3)."""
+        solution = GraphSlam(first_guess="given", robust=_ROBUST).solve(self._graph(poses, constraints))
         return Candidate(name, solution.graph, constraints, solution.weights)
 
     def _keep_trajectory(self, name: str, poses: FloatArray, recognized: list[Constraint]) -> Candidate:
@@ -389,3 +395,34 @@ class _Refinement:
             apart = np.flatnonzero(np.diff(self.graph.label_rigid_components()))
             measurements[apart] = between(poses[apart], poses[apart + 1])
         return replace(graph, information=information, measurements=measurements)
+
+
+def _moved_m(candidate: Candidate, other: Candidate) -> float:
+    """Return the greatest distance (m) of a key scan from where another candidate has it."""
+    return float(np.hypot(*(candidate.graph.poses - other.graph.poses)[:, :2].T).max())
+
+
+def place_components(graph: PoseGraph, before: FloatArray, components: IntArray) -> PoseGraph:
+    """Place the components that nothing joins where most of their poses were, seen from the one before the gap.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        Its first T - 1 measurements are the increments; those that join two components become what the poses have.
+    before : (T, 3) float64
+        The poses. Some after a gap can be off, as a filter's are, until the map tells.
+    components : (T,) int64
+        Rigid component of each.
+    """
+    poses, measurements = graph.poses.copy(), graph.measurements.copy()
+    is_first = components[1:] > np.maximum.accumulate(components[:-1])
+    for gap in np.flatnonzero(is_first[graph.held - 1 :]) + graph.held - 1:
+        own = components == components[gap + 1]
+        wanted = compose(poses[gap], between(before[gap], before[own]))
+        turn = np.median(wrap(wanted[:, 2] - poses[own, 2]))
+        turned = compose(np.array([0.0, 0.0, turn]), poses[own])
+        shift = np.append(np.median(wanted[:, :2] - turned[:, :2], axis=0), 0.0)
+        poses[own] = turned + shift
+    gaps = np.flatnonzero(np.diff(components))
+    measurements[gaps] = between(poses[gaps], poses[gaps + 1])
+    return replace(graph, poses=poses, measurements=measurements)

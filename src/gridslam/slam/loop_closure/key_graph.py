@@ -382,17 +382,17 @@ class KeyGraph:
         """Label (T,) of the stretch without a gap in the laser data that each key scan belongs to, ascending."""
         return np.array(self._gap_counts)
 
-    def label_rigid_components(self) -> IntArray:
-        """Label (T,) of the rigid component of each key scan.
+    def label_rigid_components(self, constraints: Sequence[Constraint] | None = None) -> IntArray:
+        """Label (T,) of the rigid component of each key scan, the number of its first stretch without a gap.
 
         Components are separated by gaps in the laser data, and joined by tracked or recognized constraints and by those
-        added by hand.
+        added by hand: by those of the graph, if no others are given.
         """
         if not self._gap_counts[-1]:
             return np.zeros(len(self), np.int64)
         labels = np.array(self._gap_counts)
         roots = np.arange(labels[-1] + 1)
-        for constraint in self.constraints:
+        for constraint in self.constraints if constraints is None else constraints:
             if constraint.determined and constraint.source is not ConstraintSource.PROXIMITY:
                 a = roots[labels[constraint.from_]]
                 b = roots[labels[constraint.to]]
